@@ -1,0 +1,268 @@
+//! What is around every request and every reply.
+
+use std::fmt;
+
+use serde::de::{DeserializeOwned, IgnoredAny, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::value::RawValue;
+
+use crate::Phase;
+
+/// An object with any of these fields is an envelope; no argument of a verb bears their names.
+const ENVELOPE_FIELDS: [&str; 6] = [
+    "request_id",
+    "client",
+    "expect_epoch",
+    "expect_step",
+    "timeout_secs",
+    "args",
+];
+
+/// The longest `request_id` and `client`, in bytes.
+pub const MAX_LABEL_LENGTH: usize = 256;
+
+/// A request: all but the verb's own arguments is optional.
+#[derive(Debug, Default, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Request {
+    /// What the sender calls it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub request_id: Option<String>,
+    /// Who says to have sent it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub client: Option<String>,
+    /// Refuse with `conflict` unless the swarm is in this epoch.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expect_epoch: Option<u64>,
+    /// Refuse with `conflict` unless the swarm is at this step.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expect_step: Option<u64>,
+    /// After this many seconds the reply is `deadline_exceeded`; the work goes on.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub timeout_secs: Option<f64>,
+    /// The verb's arguments.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub args: Option<Box<RawValue>>,
+}
+
+/// A request that cannot be read: which field and what is wrong with it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct RequestError {
+    /// The field, as a path such as `spec.start.x[3]`; empty for the request as a whole.
+    pub field: String,
+    /// What is wrong with it.
+    pub problem: String,
+}
+
+impl fmt::Display for RequestError {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.field.is_empty() {
+            formatter.write_str(&self.problem)
+        } else {
+            write!(formatter, "{}: {}", self.field, self.problem)
+        }
+    }
+}
+
+impl std::error::Error for RequestError {}
+
+impl Request {
+    /// Reads a request's payload: an envelope, or the verb's arguments alone, or nothing.
+    ///
+    /// # Errors
+    ///
+    /// [`RequestError`] when it is not a JSON object, names a field twice, or is an envelope with
+    /// an unknown or ill-typed field.
+    pub fn from_json(payload: &[u8]) -> Result<Self, RequestError> {
+        let text = std::str::from_utf8(payload)
+            .map_err(|error| whole(format!("the payload is not UTF-8: {error}")))?
+            .trim();
+        if text.is_empty() {
+            return Ok(Request::default());
+        }
+        let fields: FieldNames = serde_json::from_str(text)
+            .map_err(|error| whole(format!("the payload is not a JSON object: {error}")))?;
+        if let Some(twice) = fields.twice {
+            return Err(RequestError {
+                field: twice,
+                problem: "is given twice".into(),
+            });
+        }
+        if fields
+            .names
+            .iter()
+            .any(|name| ENVELOPE_FIELDS.contains(&name.as_str()))
+        {
+            read(text)
+        } else {
+            Ok(Request {
+                args: Some(
+                    RawValue::from_string(text.to_owned())
+                        .map_err(|error| whole(error.to_string()))?,
+                ),
+                ..Request::default()
+            })
+        }
+    }
+
+    /// Reads the verb's arguments.
+    ///
+    /// # Errors
+    ///
+    /// [`RequestError`] when a field is missing, unknown, given twice or of the wrong type.
+    pub fn args<T: DeserializeOwned>(&self) -> Result<T, RequestError> {
+        read(self.args.as_deref().map_or("{}", RawValue::get))
+    }
+}
+
+/// Reads JSON and says where it is wrong.
+fn read<T: DeserializeOwned>(text: &str) -> Result<T, RequestError> {
+    let mut deserializer = serde_json::Deserializer::from_str(text);
+    let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
+        let path = error.path().to_string();
+        RequestError {
+            field: if path == "." { String::new() } else { path },
+            problem: error.into_inner().to_string(),
+        }
+    })?;
+    deserializer
+        .end()
+        .map_err(|error| whole(error.to_string()))?;
+    Ok(value)
+}
+
+fn whole(problem: String) -> RequestError {
+    RequestError {
+        field: String::new(),
+        problem,
+    }
+}
+
+/// The names of an object's fields, and the first that is there twice.
+struct FieldNames {
+    names: Vec<String>,
+    twice: Option<String>,
+}
+
+impl<'de> Deserialize<'de> for FieldNames {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Names;
+        impl<'de> Visitor<'de> for Names {
+            type Value = FieldNames;
+
+            fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str("an object")
+            }
+
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<FieldNames, A::Error> {
+                let mut fields = FieldNames {
+                    names: Vec::new(),
+                    twice: None,
+                };
+                while let Some((name, IgnoredAny)) = map.next_entry::<String, IgnoredAny>()? {
+                    // An object of a million names is refused by its first unknown one later.
+                    if fields.twice.is_none() && fields.names.len() < 64 {
+                        if fields.names.contains(&name) {
+                            fields.twice = Some(name);
+                        } else {
+                            fields.names.push(name);
+                        }
+                    }
+                }
+                Ok(fields)
+            }
+        }
+        deserializer.deserialize_map(Names)
+    }
+}
+
+/// The answer of a swarm.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Reply<T> {
+    /// The swarm's name.
+    pub swarm: String,
+    /// Grows whenever `step` does not continue what was published before.
+    pub epoch: u64,
+    /// The step at which the command took effect; for `step`, the step reached.
+    pub step: u64,
+    /// `step · dt`.
+    pub time: f64,
+    /// What the swarm does from then on.
+    pub phase: Phase,
+    /// Counts the swarm's applied commands.
+    pub seq: u64,
+    /// What was asked for.
+    pub result: T,
+}
+
+/// The answer of a node about itself.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct NodeReply<T> {
+    /// The node's name.
+    pub node: String,
+    /// What was asked for.
+    pub result: T,
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+    use crate::verbs::{RunArgs, StepArgs};
+
+    #[test]
+    fn arguments_alone_and_arguments_in_an_envelope_read_the_same() {
+        let alone = Request::from_json(br#"{"steps": 3}"#).unwrap();
+        let within = Request::from_json(br#"{"client": "me", "args": {"steps": 3}}"#).unwrap();
+        let (alone, within) = (
+            alone.args::<StepArgs>().unwrap(),
+            within.args::<StepArgs>().unwrap(),
+        );
+        assert_eq!(alone, within);
+        assert_eq!(alone.steps, 3);
+    }
+
+    #[test]
+    fn nothing_at_all_is_a_request_without_arguments() {
+        for payload in [&b""[..], b" \n", b"{}"] {
+            let args: StepArgs = Request::from_json(payload).unwrap().args().unwrap();
+            assert_eq!(args.steps, 1);
+        }
+    }
+
+    #[test]
+    fn a_rate_of_null_is_not_a_rate_left_out() {
+        let read = |text: &str| {
+            let request = Request::from_json(text.as_bytes()).unwrap();
+            request.args::<RunArgs>().unwrap().rate
+        };
+        assert_eq!(read("{}"), None);
+        assert_eq!(read(r#"{"rate": null}"#), Some(None));
+        assert_eq!(read(r#"{"rate": 2}"#), Some(Some(2.0)));
+    }
+
+    #[test]
+    fn a_wrong_field_is_named() {
+        let error = |text: &str| {
+            let request = Request::from_json(text.as_bytes());
+            match request {
+                Ok(request) => request.args::<StepArgs>().unwrap_err().field,
+                Err(error) => error.field,
+            }
+        };
+        assert_eq!(error(r#"{"steps": "three"}"#), "steps");
+        assert_eq!(error(r#"{"steps": 1, "steps": 2}"#), "steps");
+        assert_eq!(error(r#"{"client": 7}"#), "client");
+        assert_eq!(error("[1]"), "");
+    }
+
+    #[test]
+    fn deep_nesting_is_refused_without_a_deep_stack() {
+        let deep = "[".repeat(200_000);
+        assert!(Request::from_json(deep.as_bytes()).is_err());
+        let text = format!("{{\"args\": {}{}}}", deep, "]".repeat(200_000));
+        let request = Request::from_json(text.as_bytes());
+        assert!(request.is_err() || request.is_ok_and(|r| r.args::<StepArgs>().is_err()));
+    }
+}

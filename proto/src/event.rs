@@ -1,0 +1,62 @@
+//! What happened to a swarm.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Phase;
+
+/// One published event. Its number tells a reader what it missed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Event {
+    /// The swarm's name.
+    pub swarm: String,
+    /// Counts the swarm's events from 1.
+    pub number: u64,
+    /// Grows whenever `step` does not continue what was published before.
+    pub epoch: u64,
+    /// The step it happened at.
+    pub step: u64,
+    /// `step · dt`.
+    pub time: f64,
+    /// What the swarm does from then on.
+    pub phase: Phase,
+    /// What happened.
+    pub event: EventKind,
+}
+
+/// What happened.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum EventKind {
+    /// The swarm was created.
+    Created {},
+    /// Its phase changed.
+    Phase {
+        /// Why.
+        reason: Option<String>,
+    },
+    /// A command was applied.
+    Command {
+        /// Counts the swarm's applied commands.
+        seq: u64,
+        /// Its verb.
+        verb: String,
+        /// Its arguments as they came.
+        args: serde_json::Value,
+        /// Who says to have sent it.
+        client: Option<String>,
+        /// What the sender called it.
+        request_id: Option<String>,
+    },
+    /// Individuals informed for a time are uninformed again.
+    Lapsed {
+        /// Their ids, ascending.
+        ids: Vec<u32>,
+    },
+    /// A step failed; the last good state is kept.
+    Fault {
+        /// Why.
+        reason: String,
+    },
+    /// The swarm was deleted; the last event.
+    Deleted {},
+}

@@ -1,0 +1,104 @@
+//! The key expressions of a daemon and its swarms.
+//!
+//! Reading (`get`) and changing (`cmd`) are apart because access control sees only keys.
+
+/// The first chunk of every key unless a daemon is configured otherwise.
+pub const DEFAULT_PREFIX: &str = "jostle";
+
+/// The nouns that `{prefix}/{swarm}/get/` answers.
+pub const SWARM_GETS: [&str; 3] = ["status", "spec", "wait"];
+
+/// The verbs that `{prefix}/{swarm}/cmd/` executes.
+pub const SWARM_VERBS: [&str; 10] = [
+    "delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove",
+];
+
+/// The nouns that `{prefix}/@node/{node}/get/` answers.
+pub const NODE_GETS: [&str; 3] = ["hello", "status", "swarms"];
+
+/// The verbs that `{prefix}/@node/{node}/cmd/` executes.
+pub const NODE_VERBS: [&str; 1] = ["create"];
+
+/// The longest name of a swarm, a node or a controller, in bytes.
+pub const MAX_NAME_LENGTH: usize = 64;
+
+/// What a name may look like, for messages.
+pub const NAME_RULE: &str = "^[a-z0-9][a-z0-9_-]{0,63}$";
+
+/// Tells whether `name` may name a swarm, a node or a controller.
+///
+/// zenoh itself would take `*`, a NUL or 70,000 bytes, and a wildcard there would hit every swarm.
+pub fn is_name(name: &str) -> bool {
+    let plain = |c: u8| c.is_ascii_lowercase() || c.is_ascii_digit();
+    match name.as_bytes() {
+        [] => false,
+        [first, rest @ ..] => {
+            name.len() <= MAX_NAME_LENGTH
+                && plain(*first)
+                && rest.iter().all(|&c| plain(c) || c == b'_' || c == b'-')
+        }
+    }
+}
+
+/// The key a swarm's states are published on, and answered on when queried.
+pub fn state(prefix: &str, swarm: &str) -> String {
+    format!("{prefix}/{swarm}/state")
+}
+
+/// The key a swarm's order is published on.
+pub fn order(prefix: &str, swarm: &str) -> String {
+    format!("{prefix}/{swarm}/order")
+}
+
+/// The key a swarm's events are published on.
+pub fn event(prefix: &str, swarm: &str) -> String {
+    format!("{prefix}/{swarm}/event")
+}
+
+/// The liveliness token of a swarm, held by the daemon that hosts it.
+pub fn alive(prefix: &str, swarm: &str, node: &str) -> String {
+    format!("{prefix}/{swarm}/alive/{node}")
+}
+
+/// The key that answers `noun` about a swarm; changes nothing.
+pub fn get(prefix: &str, swarm: &str, noun: &str) -> String {
+    format!("{prefix}/{swarm}/get/{noun}")
+}
+
+/// The key that executes `verb` on a swarm.
+pub fn cmd(prefix: &str, swarm: &str, verb: &str) -> String {
+    format!("{prefix}/{swarm}/cmd/{verb}")
+}
+
+/// The liveliness token of a daemon.
+pub fn node_alive(prefix: &str, node: &str) -> String {
+    format!("{prefix}/@node/{node}/alive")
+}
+
+/// The key that answers `noun` about a daemon; changes nothing.
+pub fn node_get(prefix: &str, node: &str, noun: &str) -> String {
+    format!("{prefix}/@node/{node}/get/{noun}")
+}
+
+/// The key that executes `verb` on a daemon.
+pub fn node_cmd(prefix: &str, node: &str, verb: &str) -> String {
+    format!("{prefix}/@node/{node}/cmd/{verb}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_that_zenoh_would_take_but_must_not_be_names_are_refused() {
+        let long = "a".repeat(65);
+        for name in [
+            "", "*", "**", "a$*", "@node", "a/b", "A", "-a", "_a", "a b", "a\0", "ä", "..", &long,
+        ] {
+            assert!(!is_name(name), "{name:?}");
+        }
+        for name in ["a", "0", "demo", "exp-42_b", &"a".repeat(64)] {
+            assert!(is_name(name), "{name:?}");
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! Everything of jostle that crosses the wire, and nothing else: no I/O, no physics.
+//!
+//! A request is a zenoh query on a concrete key; its payload is a [`Request`] around one of the
+//! arguments in [`verbs`]. It is answered with a [`Reply`] or an [`Error`]. A swarm publishes
+//! [`State`], [`OrderSample`] and [`Event`].
+//!
+//! Requests refuse unknown fields; replies and samples tolerate them, so that an older client
+//! can read a newer daemon.
+
+pub mod keys;
+
+mod column;
+mod envelope;
+mod error;
+mod event;
+mod gets;
+mod spec;
+mod state;
+pub mod verbs;
+
+pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request, RequestError};
+pub use error::{Error, ErrorCode};
+pub use event::{Event, EventKind};
+pub use gets::{Hello, Limits, NodeStatus, Status, SwarmSummary, Swarms};
+pub use spec::{Attraction, ContactRule, Spec, Start};
+pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State};
+
+/// The version of this contract; it grows when a message changes its meaning.
+pub const WIRE_VERSION: u32 = 1;
+
+/// The zenoh encoding of requests, replies, errors, orders and events.
+pub const JSON: &str = "application/json";
+
+/// The zenoh encoding of states.
+pub const CBOR: &str = "application/cbor";

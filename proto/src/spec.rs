@@ -1,0 +1,147 @@
+//! What a swarm is made from.
+
+use serde::{Deserialize, Serialize};
+
+/// The description of a swarm: same spec, same seed, same bytes.
+///
+/// Lengths are in body sizes, speeds in free speeds, times in their quotient. Everything but `n`
+/// may be left out.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Spec {
+    /// The number of individuals at the start: 1 to the daemon's limit.
+    pub n: u64,
+    /// Length over width of a body: 1 (a disc) to 32.
+    #[serde(default = "default::pi1")]
+    pub pi1: f64,
+    /// Weight of the preferred direction of individuals informed without a weight: 0 or more.
+    #[serde(default = "default::pi2")]
+    pub pi2: f64,
+    /// Body size over turning radius: above 0.
+    #[serde(default = "default::pi3")]
+    pub pi3: f64,
+    /// Translational over rotational drag: above 0.
+    #[serde(default = "default::pi4")]
+    pub pi4: f64,
+    /// The time step: above 0, and short enough that a step cannot carry a body across another.
+    #[serde(default = "default::dt")]
+    pub dt: f64,
+    /// Which of a pair's contacts constrain it.
+    #[serde(default)]
+    pub contacts: ContactRule,
+    /// The seed of every draw: 0 to 2⁵³ - 1.
+    #[serde(default)]
+    pub seed: u64,
+    /// Where the individuals begin.
+    #[serde(default)]
+    pub start: Start,
+    /// What an individual turns towards.
+    #[serde(default)]
+    pub attraction: Attraction,
+    /// Intensity of the noise on the turning rate; only 0 so far.
+    #[serde(default)]
+    pub noise: f64,
+    /// Steps between two published states: 1 or more.
+    #[serde(default = "default::publish_every")]
+    pub publish_every: u64,
+    /// Time units per second of wall clock; `null` is as fast as possible.
+    #[serde(default = "default::rate")]
+    pub rate: Option<f64>,
+}
+
+impl Spec {
+    /// The spec of `n` individuals with everything else left out.
+    pub fn new(n: u64) -> Self {
+        Spec {
+            n,
+            pi1: default::pi1(),
+            pi2: default::pi2(),
+            pi3: default::pi3(),
+            pi4: default::pi4(),
+            dt: default::dt(),
+            contacts: ContactRule::default(),
+            seed: 0,
+            start: Start::default(),
+            attraction: Attraction::default(),
+            noise: 0.0,
+            publish_every: default::publish_every(),
+            rate: default::rate(),
+        }
+    }
+}
+
+/// The defaults of Table 1 and of the service.
+mod default {
+    pub(super) fn pi1() -> f64 {
+        4.0
+    }
+    pub(super) fn pi2() -> f64 {
+        0.5
+    }
+    pub(super) fn pi3() -> f64 {
+        1.0
+    }
+    pub(super) fn pi4() -> f64 {
+        10.0
+    }
+    pub(super) fn dt() -> f64 {
+        0.02
+    }
+    pub(super) fn publish_every() -> u64 {
+        5
+    }
+    #[expect(clippy::unnecessary_wraps, reason = "the field it fills is optional")]
+    pub(super) fn rate() -> Option<f64> {
+        Some(1.0)
+    }
+}
+
+/// Which of a pair's contacts constrain it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ContactRule {
+    /// Every endpoint that projects inside the other segment, and mutual endpoint pairs.
+    #[default]
+    Endpoints,
+}
+
+/// What an individual turns towards.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Attraction {
+    /// The mean of the unit vectors to all the others, eq. (4).
+    All {},
+}
+
+impl Default for Attraction {
+    fn default() -> Self {
+        Attraction::All {}
+    }
+}
+
+/// Where the individuals begin.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
+pub enum Start {
+    /// Uniformly in a disc, one after the other, none overlapping an earlier one.
+    Disc {
+        /// The radius of the disc in body sizes; √n, at least 1, if left out.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        radius: Option<f64>,
+    },
+    /// Exactly there, to the bit. Three columns of n numbers.
+    Given {
+        /// Absolute positions, body sizes.
+        x: Vec<f64>,
+        /// Absolute positions, body sizes.
+        y: Vec<f64>,
+        /// Headings in radians, counter-clockwise from +x.
+        alpha: Vec<f64>,
+    },
+}
+
+impl Default for Start {
+    fn default() -> Self {
+        Start::Disc { radius: None }
+    }
+}

@@ -1,0 +1,243 @@
+//! What a swarm publishes about itself.
+
+use serde::{Deserialize, Serialize};
+
+use crate::column;
+
+/// What a swarm is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// Standing still, open to every command.
+    Paused,
+    /// Stepping.
+    Running,
+    /// A step failed: the last good state is kept; `reset` or `delete` go on from here.
+    Faulted,
+}
+
+/// One published state: columns of n numbers, ordered by id.
+///
+/// An individual's absolute position is `1024 · origin + (x, y)`. In CBOR the columns are RFC 8746
+/// typed arrays, little-endian; in JSON plain arrays.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct State {
+    /// The swarm's name.
+    pub swarm: String,
+    /// Grows whenever `step` does not continue what was published before.
+    pub epoch: u64,
+    /// Counts the published states, so that a reader can tell skipped from lost.
+    pub frame: u64,
+    /// The number of steps since the start.
+    pub step: u64,
+    /// `step · dt`.
+    pub time: f64,
+    /// What the swarm is doing.
+    pub phase: Phase,
+    /// Two integers: where the positions are counted from, in units of 1024 body sizes.
+    pub origin: [i64; 2],
+    /// Ids; never used twice.
+    #[serde(with = "column::u32_column")]
+    pub id: Vec<u32>,
+    /// Positions relative to the origin, body sizes.
+    #[serde(with = "column::f64_column")]
+    pub x: Vec<f64>,
+    /// Positions relative to the origin, body sizes.
+    #[serde(with = "column::f64_column")]
+    pub y: Vec<f64>,
+    /// Headings in radians, counter-clockwise from +x, never wrapped.
+    #[serde(with = "column::f64_column")]
+    pub alpha: Vec<f64>,
+    /// Weights of the preferred directions; 0 for the uninformed.
+    #[serde(with = "column::f64_column")]
+    pub weight: Vec<f64>,
+    /// Preferred directions in radians; 0 for the uninformed.
+    #[serde(with = "column::f64_column")]
+    pub direction: Vec<f64>,
+    /// Order and drift.
+    pub order: Order,
+    /// How exact this state is.
+    pub certificate: Certificate,
+}
+
+impl State {
+    /// Writes the state as CBOR.
+    pub fn to_cbor(&self) -> Vec<u8> {
+        to_cbor(self)
+    }
+
+    /// Reads a state from CBOR.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong with `bytes`.
+    pub fn from_cbor(bytes: &[u8]) -> Result<Self, String> {
+        ciborium::from_reader(bytes).map_err(|error| error.to_string())
+    }
+}
+
+/// Writes any message as CBOR.
+pub fn to_cbor<T: Serialize>(message: &T) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    ciborium::into_writer(message, &mut bytes).expect("writing to memory cannot fail");
+    bytes
+}
+
+/// How ordered a swarm is and where it drifts, now and on average since the start or reset.
+///
+/// Speeds are in free speeds; the means are over steps.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Order {
+    /// The polar order parameter, eq. (8) without the mean: 0 to 1.
+    pub order: f64,
+    /// Its mean; `null` before the first step.
+    pub mean_order: Option<f64>,
+    /// The centroid's velocity, which is the mean heading.
+    pub velocity: [f64; 2],
+    /// Its mean; `null` before the first step.
+    pub mean_velocity: Option<[f64; 2]>,
+    /// The informed individuals' common direction in radians; `null` if there is none.
+    pub direction: Option<f64>,
+    /// The velocity along that direction.
+    pub drift: Option<f64>,
+    /// Its mean over the steps that had such a direction.
+    pub mean_drift: Option<f64>,
+}
+
+/// What shows that a state is an exact one.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Certificate {
+    /// The smallest gap between two bodies, measured apart from the solver; negative is overlap;
+    /// `null` if no two are near.
+    pub worst_gap: Option<f64>,
+    /// The residual of the step that led here, in body sizes: at most 1e-9 unless degraded.
+    pub residual: f64,
+    /// How many steps since the start or reset were taken with a larger residual.
+    pub degraded: u64,
+    /// How many pairs have crossing axes, measured apart from the solver.
+    pub crossed: u64,
+    /// How many contacts constrained the step.
+    pub contacts: u64,
+    /// How many iterations the solver took.
+    pub iterations: u64,
+}
+
+/// One published order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OrderSample {
+    /// The swarm's name.
+    pub swarm: String,
+    /// Grows whenever `step` does not continue what was published before.
+    pub epoch: u64,
+    /// The number of the state it goes with.
+    pub frame: u64,
+    /// The number of steps since the start.
+    pub step: u64,
+    /// `step · dt`.
+    pub time: f64,
+    /// What the swarm is doing.
+    pub phase: Phase,
+    /// The size of the group.
+    pub n: u64,
+    /// How many of it are informed.
+    pub informed: u64,
+    /// Order and drift.
+    pub order: Order,
+    /// How exact the state is.
+    pub certificate: Certificate,
+    /// Time units per second of wall clock that the swarm is asked to run at; `null` is as fast
+    /// as possible.
+    pub rate: Option<f64>,
+    /// Time units per second of wall clock it lately ran at; `null` while it does not run.
+    pub real_time_factor: Option<f64>,
+}
+
+/// The values of the parameters that may change while a swarm lives.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ParameterValues {
+    /// Length over width of a body.
+    pub pi1: f64,
+    /// Weight of individuals informed without one.
+    pub pi2: f64,
+    /// Body size over turning radius.
+    pub pi3: f64,
+    /// Translational over rotational drag.
+    pub pi4: f64,
+    /// Steps between two published states.
+    pub publish_every: u64,
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    fn state() -> State {
+        State {
+            swarm: "demo".into(),
+            epoch: 1,
+            frame: 2,
+            step: 3,
+            time: 0.06,
+            phase: Phase::Paused,
+            origin: [-1, 2],
+            id: vec![0, 7],
+            x: vec![0.1, -511.999_999_999_999_9],
+            y: vec![1e-300, 0.0],
+            alpha: vec![-270.02419291642303, 3.0],
+            weight: vec![0.0, 0.5],
+            direction: vec![0.0, -0.0],
+            order: Order {
+                order: 0.5,
+                mean_order: None,
+                velocity: [0.5, 0.0],
+                mean_velocity: None,
+                direction: None,
+                drift: None,
+                mean_drift: None,
+            },
+            certificate: Certificate {
+                worst_gap: None,
+                residual: 0.0,
+                degraded: 0,
+                crossed: 0,
+                contacts: 0,
+                iterations: 0,
+            },
+        }
+    }
+
+    #[test]
+    fn columns_are_little_endian_typed_arrays_in_cbor() {
+        let bytes = state().to_cbor();
+        // "id", tag 70 (0xd8 0x46), a byte string of 8.
+        let id = [0x62, b'i', b'd', 0xd8, 70, 0x48, 0, 0, 0, 0, 7, 0, 0, 0];
+        assert!(bytes.windows(id.len()).any(|window| window == id));
+        // "x", tag 86 (0xd8 0x56), a byte string of 16.
+        let x = [0x61, b'x', 0xd8, 86, 0x50];
+        assert!(bytes.windows(x.len()).any(|window| window == x));
+    }
+
+    #[test]
+    fn what_is_read_back_is_the_same_double() {
+        let bits = |state: &State| {
+            let columns = [&state.x, &state.y, &state.alpha, &state.direction];
+            columns.map(|column| column.iter().map(|x| x.to_bits()).collect::<Vec<_>>())
+        };
+        let before = state();
+        let cbor = State::from_cbor(&before.to_cbor()).unwrap();
+        let json: State = serde_json::from_str(&serde_json::to_string(&before).unwrap()).unwrap();
+        assert_eq!(bits(&before), bits(&cbor));
+        assert_eq!(bits(&before), bits(&json));
+        assert_eq!(before, cbor);
+    }
+
+    #[test]
+    fn bytes_cut_short_are_refused() {
+        let bytes = state().to_cbor();
+        for length in [0, 1, 20, bytes.len() - 1] {
+            assert!(State::from_cbor(&bytes[..length]).is_err());
+        }
+    }
+}

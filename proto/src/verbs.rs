@@ -1,0 +1,282 @@
+//! The arguments and results of every verb, in the order a swarm meets them.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{ParameterValues, Spec, State};
+
+/// Creates a swarm; sent to a node. The swarm is created paused.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CreateArgs {
+    /// The new swarm's name.
+    pub name: String,
+    /// What it is made from.
+    pub spec: Spec,
+    /// Whether a swarm of that name with an equal spec is as good as a new one.
+    #[serde(default)]
+    pub exist_ok: bool,
+}
+
+/// What `create` did.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct CreateResult {
+    /// False if an equal swarm was there already.
+    pub created: bool,
+    /// The spec with every default filled in.
+    pub spec: Spec,
+    /// BLAKE3 of the state, in hexadecimal.
+    pub state_hash: String,
+}
+
+/// Deletes a swarm.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct DeleteArgs {}
+
+/// Lets a swarm run, to an end or until paused; changes target and rate of one that runs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RunArgs {
+    /// Pause when this step is reached. At most one of `until_step` and `until_time`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until_step: Option<u64>,
+    /// Pause at the first step at or after this time.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until_time: Option<f64>,
+    /// Time units per second of wall clock; `null` is as fast as possible; left out, no change.
+    #[serde(
+        default,
+        deserialize_with = "present",
+        skip_serializing_if = "Option::is_none"
+    )]
+    pub rate: Option<Option<f64>>,
+}
+
+/// How the swarm now runs.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RunResult {
+    /// The step it will pause at.
+    pub until_step: Option<u64>,
+    /// Time units per second of wall clock; `null` is as fast as possible.
+    pub rate: Option<f64>,
+}
+
+/// Pauses a swarm; no change if it is paused.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PauseArgs {}
+
+/// Runs a paused swarm some steps on, as fast as it can whatever its rate.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StepArgs {
+    /// How many steps: 1 to 10⁹.
+    #[serde(default = "one")]
+    pub steps: u64,
+    /// What the reply carries.
+    #[serde(default, rename = "return")]
+    pub return_: Return,
+}
+
+/// What the reply to `step` carries.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Return {
+    /// The hash alone, as JSON.
+    #[default]
+    None,
+    /// The state reached too; the whole reply is then CBOR.
+    State,
+}
+
+/// Where `step` arrived.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StepResult {
+    /// BLAKE3 of the state, in hexadecimal.
+    pub state_hash: String,
+    /// The state reached, if it was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub state: Option<State>,
+}
+
+/// Puts a swarm back to the start of its spec, at step 0 of a new epoch, paused.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ResetArgs {
+    /// A new seed: 0 to 2⁵³ - 1; left out, the old one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub seed: Option<u64>,
+}
+
+/// What a reset swarm begins from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ResetResult {
+    /// Its seed.
+    pub seed: u64,
+    /// BLAKE3 of the state, in hexadecimal.
+    pub state_hash: String,
+}
+
+/// Changes the parameters named, and no others. At least one must be named.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SetArgs {
+    /// Length over width of a body: 1 to 32.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pi1: Option<f64>,
+    /// Weight of individuals informed without one: 0 or more. Those informed keep theirs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pi2: Option<f64>,
+    /// Body size over turning radius: above 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pi3: Option<f64>,
+    /// Translational over rotational drag: above 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pi4: Option<f64>,
+    /// Steps between two published states: 1 or more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub publish_every: Option<u64>,
+    /// With `pi1`: scale positions about the centroid by the least factor that makes room.
+    #[serde(default)]
+    pub make_room: bool,
+}
+
+/// What `set` did.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SetResult {
+    /// The values before.
+    pub before: ParameterValues,
+    /// The values now.
+    pub now: ParameterValues,
+    /// By how much positions were scaled to make room; 1 if not at all.
+    pub scaled_by: f64,
+}
+
+/// Which individuals a verb is about. A draw is seeded by the swarm's seed and `seq`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Select {
+    /// These.
+    Ids(Vec<u32>),
+    /// This many, drawn.
+    Count(u64),
+    /// This share, 0 to 1, drawn; rounded to a whole number of individuals.
+    Fraction(f64),
+    /// All whose centre is in a disc.
+    Within(Region),
+    /// The ones furthest along a direction.
+    Foremost(Foremost),
+}
+
+/// A disc, in absolute positions and body sizes.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Region {
+    /// Its centre.
+    pub x: f64,
+    /// Its centre.
+    pub y: f64,
+    /// Its radius, 0 or more.
+    pub radius: f64,
+}
+
+/// The `count` individuals furthest along a direction.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Foremost {
+    /// How many.
+    pub count: u64,
+    /// The direction in radians, counter-clockwise from +x.
+    pub along: f64,
+}
+
+/// Gives individuals a direction of their own.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InformArgs {
+    /// Whom; draws are from the whole group.
+    pub select: Select,
+    /// Their preferred direction in radians, counter-clockwise from +x.
+    pub direction: f64,
+    /// How much it counts beside attraction, `pi2` if left out: above 0.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weight: Option<f64>,
+    /// After this many time units they are uninformed again; for good if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub for_time: Option<f64>,
+}
+
+/// Takes individuals' direction away.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct UninformArgs {
+    /// Whom; draws are from the informed.
+    pub select: Select,
+}
+
+/// Adds individuals, informed or not, where they overlap nobody. One of `count` and `at`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InjectArgs {
+    /// How many, at the border of the group, or in `within`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub count: Option<u64>,
+    /// Exactly there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub at: Option<Vec<Pose>>,
+    /// With `count`: the disc they are drawn in.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub within: Option<Region>,
+    /// Informs them: their preferred direction in radians.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub direction: Option<f64>,
+    /// With `direction`: how much it counts beside attraction, `pi2` if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub weight: Option<f64>,
+}
+
+/// Where a body is, in absolute positions.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Pose {
+    /// Its centre, body sizes.
+    pub x: f64,
+    /// Its centre, body sizes.
+    pub y: f64,
+    /// Its heading in radians, counter-clockwise from +x.
+    pub alpha: f64,
+}
+
+/// Takes individuals out of the group. The last one cannot be removed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RemoveArgs {
+    /// Whom; draws are from the whole group.
+    pub select: Select,
+}
+
+/// The individuals a verb was about.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IdsResult {
+    /// Their ids, ascending.
+    pub ids: Vec<u32>,
+    /// The size of the group now.
+    pub n: u64,
+}
+
+/// The result of a verb that has nothing more to say.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct EmptyResult {}
+
+fn one() -> u64 {
+    1
+}
+
+/// Tells a `null` from a field that was left out.
+fn present<'de, D, T>(deserializer: D) -> Result<Option<T>, D::Error>
+where
+    D: serde::Deserializer<'de>,
+    T: Deserialize<'de>,
+{
+    T::deserialize(deserializer).map(Some)
+}

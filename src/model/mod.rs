@@ -1,0 +1,19 @@
+//! What a swarm is: parameters, individuals, how they start and change, and the hash of it all.
+//!
+//! Everything here is a function of its arguments: no clock, thread, file or serialiser.
+//! Lengths are in body sizes, speeds in the free speed, so both of those are 1.
+
+pub mod attraction;
+pub mod body;
+pub mod configuration;
+pub mod injection;
+pub mod parameters;
+pub mod random;
+pub mod resize;
+pub mod selection;
+pub mod start;
+pub mod state;
+
+pub use configuration::{CELL, Configuration};
+pub use parameters::{Attraction, ContactRule, Parameters, ParametersError};
+pub use state::{MODEL_VERSION, Remembered, SolverMemory, State};

@@ -1,0 +1,236 @@
+//! The dimensionless numbers of the model (Table 1), and what they imply.
+
+use thiserror::Error;
+
+/// Which of a pair's contacts constrain a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ContactRule {
+    /// Every smooth endpoint-to-segment distance that no smaller one implies.
+    #[default]
+    Endpoints,
+}
+
+/// Whom an individual is attracted to.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Attraction {
+    /// All the others, whatever their distance, eq. (4).
+    #[default]
+    All,
+}
+
+/// What fixes the motion of a swarm, beside its state.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Parameters {
+    /// Length over width of a body; 1 is a disc.
+    pub pi1: f64,
+    /// Weight given to individuals informed without one.
+    pub pi2: f64,
+    /// Body size over turning radius.
+    pub pi3: f64,
+    /// Translational over rotational drag.
+    pub pi4: f64,
+    /// Duration of a step.
+    pub dt: f64,
+    /// Which contacts constrain a step.
+    pub contacts: ContactRule,
+    /// Whom an individual is attracted to.
+    pub attraction: Attraction,
+}
+
+/// Why parameters are refused.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum ParametersError {
+    /// A number is outside its range, or not a number.
+    #[error("{field} = {value} is outside {range}")]
+    OutOfRange {
+        /// The field's name.
+        field: &'static str,
+        /// The value refused.
+        value: f64,
+        /// The values allowed.
+        range: &'static str,
+    },
+    /// A free body could cross its own width in one step.
+    #[error("dt = {dt} is too long: with these parameters at most {largest}")]
+    StepTooLong {
+        /// The duration refused.
+        dt: f64,
+        /// The longest allowed with the other parameters and weights.
+        largest: f64,
+    },
+}
+
+/// The largest weight, turning and drag number. Far beyond any use, and small enough that no
+/// product of them with positions overflows or drowns the free speed in rounding.
+pub const LARGEST_NUMBER: f64 = 1e6;
+
+/// The reach in free travels of one body. Two bodies close at most twice as fast as one
+/// travels; half as much again leaves room for bodies that are pushed. It is a guess that only
+/// saves work: the stepper looks again at whatever the actual displacements could have closed.
+const REACH_TRAVELS: f64 = 3.0;
+
+impl Default for Parameters {
+    /// The values of Table 1 for the second series, at the length over width most used.
+    fn default() -> Self {
+        Self {
+            pi1: 4.0,
+            pi2: 0.5,
+            pi3: 1.0,
+            pi4: 10.0,
+            dt: 0.02,
+            contacts: ContactRule::Endpoints,
+            attraction: Attraction::All,
+        }
+    }
+}
+
+impl Parameters {
+    /// Checks every number, with `largest_weight` the largest weight present or about to be.
+    ///
+    /// # Errors
+    ///
+    /// [`ParametersError::OutOfRange`] names the first field outside its range, non-finite
+    /// numbers included; [`ParametersError::StepTooLong`] when `dt (1 + h ω) > 2r`.
+    pub fn check(&self, largest_weight: f64) -> Result<(), ParametersError> {
+        let positive = |field, value: f64| match value {
+            v if v > 0.0 && v <= LARGEST_NUMBER => Ok(()),
+            _ => Err(ParametersError::OutOfRange { field, value, range: "(0, 1e6]" }),
+        };
+        if !(1.0..=32.0).contains(&self.pi1) {
+            let (field, value, range) = ("pi1", self.pi1, "[1, 32]");
+            return Err(ParametersError::OutOfRange { field, value, range });
+        }
+        check_weight("pi2", self.pi2)?;
+        positive("pi3", self.pi3)?;
+        positive("pi4", self.pi4)?;
+        check_weight("weight", largest_weight)?;
+        if !(self.dt.is_finite() && self.dt > 0.0) {
+            let (field, value, range) = ("dt", self.dt, "(0, 2r / (1 + h ω)]");
+            return Err(ParametersError::OutOfRange { field, value, range });
+        }
+        let largest = self.longest_step(largest_weight);
+        if self.dt > largest {
+            return Err(ParametersError::StepTooLong { dt: self.dt, largest });
+        }
+        Ok(())
+    }
+
+    /// Half the length of a body's axis, `h = p r`.
+    #[must_use]
+    pub fn half_length(&self) -> f64 {
+        (self.pi1 - 1.0) * self.radius()
+    }
+
+    /// The radius of the disc swept along the axis, `r = s / (2 (1 + p/2))`.
+    #[must_use]
+    pub fn radius(&self) -> f64 {
+        1.0 / (1.0 + self.pi1)
+    }
+
+    /// The rotational drag, `ρ2 = s² ρ1 / π4`, with `ρ1 = 1`.
+    #[must_use]
+    pub fn rho2(&self) -> f64 {
+        1.0 / self.pi4
+    }
+
+    /// The fastest free turning rate, `ω = π3 (1 + largest weight)`.
+    #[must_use]
+    pub fn fastest_turning_rate(&self, largest_weight: f64) -> f64 {
+        self.pi3 * (1.0 + largest_weight)
+    }
+
+    /// The longest step in which no point of a free body's axis travels further than a width.
+    #[must_use]
+    pub fn longest_step(&self, largest_weight: f64) -> f64 {
+        2.0 * self.radius() / (1.0 + self.half_length() * self.fastest_turning_rate(largest_weight))
+    }
+
+    /// How near a contact must be to be listed at first.
+    #[must_use]
+    pub fn reach(&self, largest_weight: f64) -> f64 {
+        let tip_speed = 1.0 + self.half_length() * self.fastest_turning_rate(largest_weight);
+        REACH_TRAVELS * self.dt * tip_speed
+    }
+}
+
+/// Checks the weight of an individual's own preference.
+///
+/// # Errors
+///
+/// [`ParametersError::OutOfRange`] with `field`, outside `[0, 1e6]` or not a number.
+pub fn check_weight(field: &'static str, value: f64) -> Result<(), ParametersError> {
+    if (0.0..=LARGEST_NUMBER).contains(&value) {
+        return Ok(());
+    }
+    Err(ParametersError::OutOfRange { field, value, range: "[0, 1e6]" })
+}
+
+/// Checks an angle or a coordinate; beyond a million, doubles no longer resolve a step.
+///
+/// # Errors
+///
+/// [`ParametersError::OutOfRange`] with `field`, outside `[-1e6, 1e6]` or not a number.
+pub fn check_coordinate(field: &'static str, value: f64) -> Result<(), ParametersError> {
+    if (-LARGEST_NUMBER..=LARGEST_NUMBER).contains(&value) {
+        return Ok(());
+    }
+    Err(ParametersError::OutOfRange { field, value, range: "[-1e6, 1e6]" })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_body_of_four_widths_has_size_one() {
+        let parameters = Parameters::default();
+        assert!((parameters.radius() - 0.2).abs() < 1e-16);
+        assert!((parameters.half_length() - 0.6).abs() < 1e-15);
+        // The body size is the mean of length and width.
+        let (h, r) = (parameters.half_length(), parameters.radius());
+        assert!(((2.0 * (h + r) + 2.0 * r) / 2.0 - 1.0).abs() < 1e-15);
+        assert!((parameters.rho2() - 0.1).abs() < 1e-16);
+        assert!((parameters.fastest_turning_rate(0.5) - 1.5).abs() < 1e-15);
+        assert!((parameters.reach(0.0) - 3.0 * 0.02 * 1.6).abs() < 1e-15);
+        let disc = Parameters { pi1: 1.0, ..parameters };
+        assert_eq!((disc.radius(), disc.half_length()), (0.5, 0.0));
+    }
+
+    #[test]
+    fn every_field_is_refused_outside_its_range_and_accepted_at_its_ends() {
+        let field_of = |parameters: Parameters, weight: f64| match parameters.check(weight) {
+            Err(ParametersError::OutOfRange { field, .. }) => field,
+            Err(ParametersError::StepTooLong { .. }) => "too long",
+            Ok(()) => "",
+        };
+        let fine = Parameters { dt: 1e-9, ..Parameters::default() };
+        for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1.0, 1.1e6] {
+            assert_eq!(field_of(Parameters { pi1: bad, ..fine }, 0.0), "pi1");
+            assert_eq!(field_of(Parameters { pi2: bad, ..fine }, 0.0), "pi2");
+            assert_eq!(field_of(Parameters { pi3: bad, ..fine }, 0.0), "pi3");
+            assert_eq!(field_of(Parameters { pi4: bad, ..fine }, 0.0), "pi4");
+            assert_eq!(field_of(fine, bad), "weight");
+            let refusal = if bad == 1.1e6 { "too long" } else { "dt" };
+            assert_eq!(field_of(Parameters { dt: bad, ..fine }, 0.0), refusal);
+        }
+        assert_eq!(field_of(Parameters { pi3: 0.0, ..fine }, 0.0), "pi3");
+        assert_eq!(field_of(Parameters { pi4: 0.0, ..fine }, 0.0), "pi4");
+        assert_eq!(field_of(Parameters { dt: 0.0, ..fine }, 0.0), "dt");
+        assert_eq!(field_of(Parameters { pi1: 0.999, ..fine }, 0.0), "pi1");
+        assert_eq!(field_of(Parameters { pi1: 32.001, ..fine }, 0.0), "pi1");
+        for pi1 in [1.0, 32.0] {
+            assert_eq!(field_of(Parameters { pi1, pi2: 0.0, pi4: 1e6, ..fine }, 0.0), "");
+        }
+    }
+
+    #[test]
+    fn a_step_may_carry_a_tip_one_width_and_no_further() {
+        let at = |dt, weight| Parameters { dt, ..Parameters::default() }.check(weight);
+        let largest = Parameters::default().longest_step(0.0);
+        assert!((largest - 0.4 / 1.6).abs() < 1e-15);
+        assert_eq!(at(largest, 0.0), Ok(()));
+        let dt = largest * 1.0001;
+        assert_eq!(at(dt, 0.0), Err(ParametersError::StepTooLong { dt, largest }));
+        assert!(at(largest, 0.5).is_err(), "a larger weight turns faster");
+    }
+}
