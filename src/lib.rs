@@ -1,1 +1,29 @@
-//! Daemon.
+//! The daemon of jostle: hosts swarms of bodies that only push each other.
+//!
+//! How a command travels: [`server`] takes a query off the bus, [`command`] reads it and checks
+//! it, [`host`] finds the swarm it is for, the swarm's thread ([`swarm`]) carries it out between
+//! two steps, and the answer goes back the same way.
+//!
+//! How a step is made: [`stepper`] takes a [`model`] state, finds the free motion and the
+//! contacts, solves the quadratic program of Principle 1 and moves everybody; [`observables`]
+//! measures the result and [`publish`] shows it.
+//!
+//! Each module may use those above it: `model`, `stepper`, `observables`, `swarm`, `host`,
+//! `command`, `server`. Only `publish` and `server` know zenoh, and the first three know no
+//! clock, thread, file or serialiser.
+
+pub mod model;
+pub mod stepper;
+
+pub mod observables;
+
+pub mod swarm;
+
+pub mod host;
+
+pub mod command;
+pub mod config;
+pub mod demo;
+pub mod publish;
+pub mod server;
+pub mod wire;

@@ -1,2 +1,225 @@
-//! Daemon.
-fn main() {}
+//! `jostled`: hosts swarms and serves them on zenoh.
+
+use std::io::IsTerminal as _;
+use std::path::PathBuf;
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::{Args, Parser, Subcommand};
+use jostled::config::{self, Config};
+use jostled::{demo, server};
+use tokio::signal::unix::{SignalKind, signal};
+use tracing_subscriber::EnvFilter;
+
+/// Hosts swarms of bodies that only push each other, steps them exactly and serves them on zenoh.
+#[derive(Parser)]
+#[command(version, args_conflicts_with_subcommands = false)]
+struct Arguments {
+    #[command(subcommand)]
+    command: Option<Command>,
+    #[command(flatten)]
+    settings: Settings,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    /// Serve until told to stop (the default).
+    Serve,
+    /// Serve a swarm that is worth watching: fifty bodies, ten of which learn of a direction.
+    Demo {
+        /// End by itself after this much time at the demo's rate, such as `20s`, `5m` or `1.5h`.
+        #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
+        lasting: Option<Duration>,
+    },
+}
+
+/// What a file and the environment can say, flags say too, and they have the last word.
+#[derive(Args)]
+struct Settings {
+    /// Read settings from this TOML file.
+    #[arg(long, global = true, value_name = "FILE")]
+    config: Option<PathBuf>,
+    /// Listen on these zenoh endpoints, separated by commas [default: tcp/127.0.0.1:7447].
+    #[arg(long, global = true, value_name = "ENDPOINTS")]
+    listen: Option<String>,
+    /// The daemon's name on the bus [default: the machine's name].
+    #[arg(long, global = true, value_name = "NAME")]
+    node: Option<String>,
+    /// The first chunk of every key [default: jostle].
+    #[arg(long, global = true)]
+    prefix: Option<String>,
+    /// What is logged, in the syntax of tracing's filters [default: info,zenoh=error].
+    #[arg(long, global = true, value_name = "FILTER")]
+    log: Option<String>,
+    /// Log as text or json [default: text].
+    #[arg(long, global = true, value_name = "FORMAT")]
+    log_format: Option<String>,
+    /// Individuals in one swarm [default: 2000].
+    #[arg(long, global = true, value_name = "N")]
+    max_individuals: Option<String>,
+    /// Swarms at once [default: 1024].
+    #[arg(long, global = true, value_name = "N")]
+    max_swarms: Option<String>,
+    /// Memory of all swarms together, in MiB [default: 2048].
+    #[arg(long, global = true, value_name = "MIB")]
+    max_memory_mb: Option<String>,
+    /// States published per second and swarm [default: 50].
+    #[arg(long, global = true, value_name = "N")]
+    max_hz: Option<String>,
+}
+
+impl Settings {
+    fn read(self) -> Result<Config, config::ConfigError> {
+        let flags = [
+            ("listen", self.listen),
+            ("node", self.node),
+            ("prefix", self.prefix),
+            ("log", self.log),
+            ("log_format", self.log_format),
+            ("max_individuals", self.max_individuals),
+            ("max_swarms", self.max_swarms),
+            ("max_memory_mb", self.max_memory_mb),
+            ("max_hz", self.max_hz),
+        ];
+        let environment = std::env::vars_os().filter_map(|(name, value)| {
+            Some((name.into_string().ok()?, value.into_string().ok()?))
+        });
+        Config::new(&config::merge(self.config.as_deref(), environment, &flags)?)
+    }
+}
+
+fn main() -> ExitCode {
+    let Arguments { command, mut settings } = Arguments::parse();
+    let is_demo = matches!(command, Some(Command::Demo { .. }));
+    if is_demo && std::env::var_os("JOSTLED_LOG").is_none() {
+        // The demo's own lines are to be read; `--log` brings the rest back.
+        settings.log.get_or_insert("warn,zenoh=error".to_owned());
+    }
+    let config = match settings.read() {
+        Ok(config) => config,
+        Err(error) => return fail(2, &error),
+    };
+    let filter = match EnvFilter::try_new(&config.log) {
+        Ok(filter) => filter,
+        Err(error) => return fail(2, &format_args!("log = {:?}: {error}", config.log)),
+    };
+    let logs = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr);
+    if config.logs_json {
+        logs.json().init();
+    } else {
+        logs.init();
+    }
+    // zenoh needs a runtime of several threads.
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build();
+    let code = match runtime {
+        Ok(runtime) => runtime.block_on(serve(command.unwrap_or(Command::Serve), &config)),
+        Err(error) => fail(1, &error),
+    };
+    // Whoever is still in a long step is not waited for.
+    std::process::exit(i32::from(code != ExitCode::SUCCESS));
+}
+
+async fn serve(command: Command, config: &Config) -> ExitCode {
+    let server = match server::start(config).await {
+        Ok(server) => server,
+        Err(error) => return fail(1, &error),
+    };
+    for endpoint in server.endpoints() {
+        println!("listening on {endpoint}");
+    }
+    let code = match command {
+        Command::Serve => {
+            told_to_stop().await;
+            ExitCode::SUCCESS
+        }
+        Command::Demo { lasting } => tokio::select! {
+            ended = demo::run(&server, lasting) => match ended {
+                Ok(()) => ExitCode::SUCCESS,
+                Err(error) => fail(1, &error),
+            },
+            () = told_to_stop() => {
+                println!();
+                ExitCode::SUCCESS
+            }
+        },
+    };
+    server.stop().await;
+    code
+}
+
+/// Waits for SIGTERM or Ctrl-C.
+async fn told_to_stop() {
+    let (Ok(mut terminate), Ok(mut interrupt)) =
+        (signal(SignalKind::terminate()), signal(SignalKind::interrupt()))
+    else {
+        // Without handlers the signals end the process by themselves.
+        return std::future::pending().await;
+    };
+    tokio::select! {
+        _ = terminate.recv() => {}
+        _ = interrupt.recv() => {}
+    }
+}
+
+fn fail(code: u8, error: &dyn std::fmt::Display) -> ExitCode {
+    eprintln!("jostled: {error}");
+    ExitCode::from(code)
+}
+
+/// Reads `20s`, `5m`, `1.5h` or a plain number of seconds.
+fn duration(text: &str) -> Result<Duration, String> {
+    let (number, unit) = match text.find(|c: char| c.is_ascii_alphabetic()) {
+        Some(at) => text.split_at(at),
+        None => (text, "s"),
+    };
+    let secs = match unit {
+        "ms" => 1e-3,
+        "s" => 1.0,
+        "m" => 60.0,
+        "h" => 3600.0,
+        _ => return Err(format!("{unit:?} is none of ms, s, m, h")),
+    };
+    let number: f64 = number
+        .parse()
+        .map_err(|_| format!("{number:?} is not a number"))?;
+    Duration::try_from_secs_f64(number * secs)
+        .ok()
+        .filter(|duration| !duration.is_zero())
+        .ok_or_else(|| format!("{text:?} is not a time to wait for"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_flags_are_consistent_and_there_is_one_for_every_setting() {
+        let command = Arguments::command();
+        command.clone().debug_assert();
+        for (name, ..) in config::SETTINGS {
+            let flag = name.replace('_', "-");
+            assert!(
+                command.get_arguments().any(|it| it.get_long() == Some(flag.as_str())),
+                "--{flag}"
+            );
+        }
+    }
+
+    #[test]
+    fn durations_are_read_with_their_unit() {
+        assert_eq!(duration("20s"), Ok(Duration::from_secs(20)));
+        assert_eq!(duration("20"), Ok(Duration::from_secs(20)));
+        assert_eq!(duration("1.5h"), Ok(Duration::from_secs(5400)));
+        assert_eq!(duration("250ms"), Ok(Duration::from_millis(250)));
+        for bad in ["", "s", "-1s", "0s", "1d", "nan", "1e400s", "inf"] {
+            assert!(duration(bad).is_err(), "{bad}");
+        }
+    }
+}

@@ -23,7 +23,7 @@ pub use error::{Error, ErrorCode};
 pub use event::{Event, EventKind};
 pub use gets::{Hello, Limits, NodeStatus, Status, SwarmSummary, Swarms};
 pub use spec::{Attraction, ContactRule, Spec, Start};
-pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State};
+pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};
 
 /// The version of this contract; it grows when a message changes its meaning.
 pub const WIRE_VERSION: u32 = 1;

@@ -92,6 +92,8 @@ pub enum Return {
 /// Where `step` arrived.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct StepResult {
+    /// How many steps were taken; fewer than asked for if another command came between.
+    pub steps: u64,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
     /// The state reached, if it was asked for.

@@ -91,14 +91,22 @@ mod tests {
     #[test]
     fn lanes_and_rest_add_up_to_the_plain_sum() {
         let places: Vec<[f64; 2]> = (0..21)
-            .map(|k| [libm::sin(f64::from(k) * 1.7) * 4.0, libm::cos(f64::from(k * k)) * 3.0])
+            .map(|k| {
+                [
+                    libm::sin(f64::from(k) * 1.7) * 4.0,
+                    libm::cos(f64::from(k * k)) * 3.0,
+                ]
+            })
             .collect();
         for (i, pull) in pull_of(&places).iter().enumerate() {
             let mut plain = [0.0, 0.0];
             for (j, place) in places.iter().enumerate().filter(|&(j, _)| j != i) {
                 let (dx, dy) = (place[0] - places[i][0], place[1] - places[i][1]);
                 assert!(i != j);
-                plain = [plain[0] + dx / dx.hypot(dy) / 20.0, plain[1] + dy / dx.hypot(dy) / 20.0];
+                plain = [
+                    plain[0] + dx / dx.hypot(dy) / 20.0,
+                    plain[1] + dy / dx.hypot(dy) / 20.0,
+                ];
             }
             assert!((pull[0] - plain[0]).abs() < 1e-15 && (pull[1] - plain[1]).abs() < 1e-15);
         }

@@ -40,20 +40,28 @@ impl Configuration {
     /// The largest weight present, 0 if nobody is informed.
     #[must_use]
     pub fn largest_weight(&self) -> f64 {
-        self.weight.iter().fold(0.0, |largest, &weight| f64::max(largest, weight))
+        self.weight
+            .iter()
+            .fold(0.0, |largest, &weight| f64::max(largest, weight))
     }
 
     /// The mean position, relative to the origin.
     #[must_use]
     pub fn centroid(&self) -> [f64; 2] {
         let count = self.n().max(1) as f64;
-        [self.x.iter().sum::<f64>() / count, self.y.iter().sum::<f64>() / count]
+        [
+            self.x.iter().sum::<f64>() / count,
+            self.y.iter().sum::<f64>() / count,
+        ]
     }
 
     /// Where an absolute position is relative to the origin.
     #[must_use]
     pub fn relative(&self, absolute: [f64; 2]) -> [f64; 2] {
-        [absolute[0] - CELL * self.origin[0] as f64, absolute[1] - CELL * self.origin[1] as f64]
+        [
+            absolute[0] - CELL * self.origin[0] as f64,
+            absolute[1] - CELL * self.origin[1] as f64,
+        ]
     }
 
     /// Shifts positions by whole cells once the centroid is further than half a cell from the
@@ -66,7 +74,10 @@ impl Configuration {
             }
             let cells = libm::round(centroid[axis] / CELL);
             column.iter_mut().for_each(|value| *value -= CELL * cells);
-            #[expect(clippy::cast_possible_truncation, reason = "positions are far below 2^63 cells")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "positions are far below 2^63 cells"
+            )]
             let cells = cells as i64;
             self.origin[axis] += cells;
         }
@@ -137,7 +148,10 @@ mod tests {
         configuration.remove(&[1, 0]);
         assert_eq!(configuration.id, [2]);
         assert_eq!((configuration.x[0], configuration.y[0]), (2.0, 20.0));
-        assert_eq!((configuration.weight[0], configuration.lapses_at[0]), (0.5, Some(9)));
+        assert_eq!(
+            (configuration.weight[0], configuration.lapses_at[0]),
+            (0.5, Some(9))
+        );
         assert_eq!(configuration.push(0.0, 0.0, 0.0), 3);
         assert_eq!(configuration.largest_weight(), 0.5);
     }

@@ -94,11 +94,19 @@ impl Parameters {
     pub fn check(&self, largest_weight: f64) -> Result<(), ParametersError> {
         let positive = |field, value: f64| match value {
             v if v > 0.0 && v <= LARGEST_NUMBER => Ok(()),
-            _ => Err(ParametersError::OutOfRange { field, value, range: "(0, 1e6]" }),
+            _ => Err(ParametersError::OutOfRange {
+                field,
+                value,
+                range: "(0, 1e6]",
+            }),
         };
         if !(1.0..=32.0).contains(&self.pi1) {
             let (field, value, range) = ("pi1", self.pi1, "[1, 32]");
-            return Err(ParametersError::OutOfRange { field, value, range });
+            return Err(ParametersError::OutOfRange {
+                field,
+                value,
+                range,
+            });
         }
         check_weight("pi2", self.pi2)?;
         positive("pi3", self.pi3)?;
@@ -106,11 +114,18 @@ impl Parameters {
         check_weight("weight", largest_weight)?;
         if !(self.dt.is_finite() && self.dt > 0.0) {
             let (field, value, range) = ("dt", self.dt, "(0, 2r / (1 + h ω)]");
-            return Err(ParametersError::OutOfRange { field, value, range });
+            return Err(ParametersError::OutOfRange {
+                field,
+                value,
+                range,
+            });
         }
         let largest = self.longest_step(largest_weight);
         if self.dt > largest {
-            return Err(ParametersError::StepTooLong { dt: self.dt, largest });
+            return Err(ParametersError::StepTooLong {
+                dt: self.dt,
+                largest,
+            });
         }
         Ok(())
     }
@@ -162,7 +177,11 @@ pub fn check_weight(field: &'static str, value: f64) -> Result<(), ParametersErr
     if (0.0..=LARGEST_NUMBER).contains(&value) {
         return Ok(());
     }
-    Err(ParametersError::OutOfRange { field, value, range: "[0, 1e6]" })
+    Err(ParametersError::OutOfRange {
+        field,
+        value,
+        range: "[0, 1e6]",
+    })
 }
 
 /// Checks an angle or a coordinate; beyond a million, doubles no longer resolve a step.
@@ -174,7 +193,11 @@ pub fn check_coordinate(field: &'static str, value: f64) -> Result<(), Parameter
     if (-LARGEST_NUMBER..=LARGEST_NUMBER).contains(&value) {
         return Ok(());
     }
-    Err(ParametersError::OutOfRange { field, value, range: "[-1e6, 1e6]" })
+    Err(ParametersError::OutOfRange {
+        field,
+        value,
+        range: "[-1e6, 1e6]",
+    })
 }
 
 #[cfg(test)]
@@ -192,7 +215,10 @@ mod tests {
         assert!((parameters.rho2() - 0.1).abs() < 1e-16);
         assert!((parameters.fastest_turning_rate(0.5) - 1.5).abs() < 1e-15);
         assert!((parameters.reach(0.0) - 3.0 * 0.02 * 1.6).abs() < 1e-15);
-        let disc = Parameters { pi1: 1.0, ..parameters };
+        let disc = Parameters {
+            pi1: 1.0,
+            ..parameters
+        };
         assert_eq!((disc.radius(), disc.half_length()), (0.5, 0.0));
     }
 
@@ -203,7 +229,10 @@ mod tests {
             Err(ParametersError::StepTooLong { .. }) => "too long",
             Ok(()) => "",
         };
-        let fine = Parameters { dt: 1e-9, ..Parameters::default() };
+        let fine = Parameters {
+            dt: 1e-9,
+            ..Parameters::default()
+        };
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY, -1.0, 1.1e6] {
             assert_eq!(field_of(Parameters { pi1: bad, ..fine }, 0.0), "pi1");
             assert_eq!(field_of(Parameters { pi2: bad, ..fine }, 0.0), "pi2");
@@ -217,20 +246,49 @@ mod tests {
         assert_eq!(field_of(Parameters { pi4: 0.0, ..fine }, 0.0), "pi4");
         assert_eq!(field_of(Parameters { dt: 0.0, ..fine }, 0.0), "dt");
         assert_eq!(field_of(Parameters { pi1: 0.999, ..fine }, 0.0), "pi1");
-        assert_eq!(field_of(Parameters { pi1: 32.001, ..fine }, 0.0), "pi1");
+        assert_eq!(
+            field_of(
+                Parameters {
+                    pi1: 32.001,
+                    ..fine
+                },
+                0.0
+            ),
+            "pi1"
+        );
         for pi1 in [1.0, 32.0] {
-            assert_eq!(field_of(Parameters { pi1, pi2: 0.0, pi4: 1e6, ..fine }, 0.0), "");
+            assert_eq!(
+                field_of(
+                    Parameters {
+                        pi1,
+                        pi2: 0.0,
+                        pi4: 1e6,
+                        ..fine
+                    },
+                    0.0
+                ),
+                ""
+            );
         }
     }
 
     #[test]
     fn a_step_may_carry_a_tip_one_width_and_no_further() {
-        let at = |dt, weight| Parameters { dt, ..Parameters::default() }.check(weight);
+        let at = |dt, weight| {
+            Parameters {
+                dt,
+                ..Parameters::default()
+            }
+            .check(weight)
+        };
         let largest = Parameters::default().longest_step(0.0);
         assert!((largest - 0.4 / 1.6).abs() < 1e-15);
         assert_eq!(at(largest, 0.0), Ok(()));
         let dt = largest * 1.0001;
-        assert_eq!(at(dt, 0.0), Err(ParametersError::StepTooLong { dt, largest }));
+        assert_eq!(
+            at(dt, 0.0),
+            Err(ParametersError::StepTooLong { dt, largest })
+        );
         assert!(at(largest, 0.5).is_err(), "a larger weight turns faster");
     }
 }

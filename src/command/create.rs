@@ -1,0 +1,29 @@
+//! `create`: a new swarm.
+
+use jostle_proto::Spec;
+use jostle_proto::verbs::CreateArgs;
+
+use crate::command::{CommandError, check_name};
+use crate::host::Limits;
+use crate::swarm::order::Recipe;
+use crate::wire;
+
+/// Checks the name and the spec of a new swarm.
+///
+/// # Errors
+///
+/// [`CommandError`] names the first field that is wrong.
+pub fn recipe(args: &CreateArgs, limits: Limits) -> Result<Recipe, CommandError> {
+    check_name("name", &args.name)?;
+    let Spec { n, .. } = args.spec;
+    let n = usize::try_from(n)
+        .ok()
+        .filter(|n| (1..=limits.max_individuals).contains(n));
+    match n {
+        Some(n) => wire::recipe(&args.spec, n),
+        None => Err(CommandError::Individuals {
+            n: args.spec.n,
+            limit: limits.max_individuals,
+        }),
+    }
+}

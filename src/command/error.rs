@@ -1,0 +1,338 @@
+//! Why a request was refused, and the code, words and details it is refused with.
+
+use jostle_proto::{Error, ErrorCode, RequestError, keys};
+use serde_json::{Map, Value, json};
+use thiserror::Error as ThisError;
+
+use crate::host::HostError;
+use crate::model::injection::InjectionError;
+use crate::model::parameters::ParametersError;
+use crate::model::resize::ResizeError;
+use crate::model::selection::SelectionError;
+use crate::model::start::StartError;
+use crate::swarm::order::OrderError;
+
+/// Why a request was refused.
+#[derive(Clone, Debug, ThisError)]
+pub enum CommandError {
+    /// The payload cannot be read.
+    #[error("{0}")]
+    Request(#[from] RequestError),
+    /// A number is outside its range.
+    #[error("{field} = {value} is outside its range")]
+    OutOfRange {
+        /// Which.
+        field: String,
+        /// The value refused.
+        value: f64,
+    },
+    /// A field is wrong in another way.
+    #[error("{field} {problem}")]
+    Field {
+        /// Which.
+        field: &'static str,
+        /// What is wrong with it.
+        problem: &'static str,
+    },
+    /// A name cannot be one.
+    #[error("{field} {name:?} is no name")]
+    Name {
+        /// Which.
+        field: &'static str,
+        /// The name refused, at most its first 64 characters.
+        name: String,
+    },
+    /// The size of the group is outside the daemon's limit.
+    #[error("n = {n} is outside its range: give a whole number from 1 to {limit}")]
+    Individuals {
+        /// The size refused.
+        n: u64,
+        /// The limit.
+        limit: usize,
+    },
+    /// A selector names a parameter that means nothing here.
+    #[error("there is no parameter {name:?} here")]
+    Parameter {
+        /// As it came.
+        name: String,
+        /// Those there are.
+        known: &'static [&'static str],
+    },
+    /// Two lengths differ.
+    #[error("{field} has {length} numbers, n is {n}")]
+    Length {
+        /// Which column.
+        field: &'static str,
+        /// Its length.
+        length: usize,
+        /// What it should be.
+        n: u64,
+    },
+    /// The payload is not in an encoding that requests are read in.
+    #[error("the payload is {0:?}: requests are application/json")]
+    Encoding(String),
+    /// The key names more than one thing to do.
+    #[error("a wildcard executes nothing: send the command to one concrete key")]
+    Wildcard,
+    /// There is no such verb.
+    #[error("there is no verb {verb:?}")]
+    UnknownVerb {
+        /// As it came.
+        verb: String,
+        /// Those there are.
+        known: &'static [&'static str],
+    },
+    /// There is nothing of that name to get.
+    #[error("there is no {noun:?} to get")]
+    UnknownNoun {
+        /// As it came.
+        noun: String,
+        /// Those there are.
+        known: &'static [&'static str],
+    },
+    /// There is no such swarm.
+    #[error("there is no swarm {0:?}: the node's get/swarms lists what there is")]
+    UnknownSwarm(String),
+    /// Too much at once for the daemon.
+    #[error("too much at once for this daemon: try again in a moment")]
+    Busy,
+    /// The reply took too long.
+    #[error(
+        "not done within {after_secs} s: the work goes on; get/wait tells when it is done, \
+         timeout_secs waits longer"
+    )]
+    Deadline {
+        /// How long it was waited for.
+        after_secs: f64,
+    },
+    /// The daemon refuses the swarm.
+    #[error(transparent)]
+    Host(#[from] HostError),
+    /// The swarm refuses the order.
+    #[error(transparent)]
+    Order(#[from] OrderError),
+}
+
+impl CommandError {
+    /// A number outside the range that [`range_of`] knows.
+    pub fn out_of_range(field: impl Into<String>, value: f64) -> Self {
+        let field = field.into();
+        CommandError::OutOfRange { field, value }
+    }
+
+    /// The error as it crosses the wire, for a swarm at `step`.
+    pub fn to_wire(&self, step: Option<u64>) -> Error {
+        let details = self.details();
+        let mut message = self.to_string();
+        match (&self, details.get("range")) {
+            (CommandError::Request(_) | CommandError::OutOfRange { .. }, Some(range)) => {
+                let range = range.as_str().unwrap_or_default();
+                message = format!("{message}: give {range}");
+            }
+            (CommandError::Name { .. }, _) => {
+                message = format!(
+                    "{message}: names are 1 to {} of a-z, 0-9, - and _, the first a letter or digit",
+                    keys::MAX_NAME_LENGTH
+                );
+            }
+            (CommandError::UnknownVerb { known, .. }, _)
+            | (CommandError::UnknownNoun { known, .. }, _)
+            | (CommandError::Parameter { known, .. }, _) => {
+                message = format!("{message}: there are {}", known.join(", "));
+            }
+            _ => {}
+        }
+        Error {
+            code: self.code(),
+            message,
+            details,
+            step,
+        }
+    }
+
+    /// The code that clients branch on.
+    pub fn code(&self) -> ErrorCode {
+        match self {
+            CommandError::Request(_)
+            | CommandError::OutOfRange { .. }
+            | CommandError::Field { .. }
+            | CommandError::Name { .. }
+            | CommandError::Individuals { .. }
+            | CommandError::Parameter { .. }
+            | CommandError::Length { .. }
+            | CommandError::Encoding(_)
+            | CommandError::Wildcard => ErrorCode::InvalidArgument,
+            CommandError::UnknownVerb { .. }
+            | CommandError::UnknownNoun { .. }
+            | CommandError::UnknownSwarm(_) => ErrorCode::NotFound,
+            CommandError::Busy => ErrorCode::Busy,
+            CommandError::Deadline { .. } => ErrorCode::DeadlineExceeded,
+            CommandError::Host(error) => match error {
+                HostError::OtherSpec | HostError::SameSpec => ErrorCode::AlreadyExists,
+                HostError::TooManySwarms { .. }
+                | HostError::TooMuchMemory { .. }
+                | HostError::NoThread(_) => ErrorCode::ResourceExhausted,
+                HostError::Stopping => ErrorCode::Busy,
+            },
+            CommandError::Order(error) => match error {
+                OrderError::Phase(_) => ErrorCode::IncorrectState,
+                OrderError::Conflict { .. } | OrderError::Past { .. } => ErrorCode::Conflict,
+                OrderError::Parameters(_)
+                | OrderError::Selection(_)
+                | OrderError::NobodyLeft(_) => ErrorCode::InvalidArgument,
+                OrderError::Start(error) => match error {
+                    StartError::NoRoom { .. } => ErrorCode::ResourceExhausted,
+                    _ => ErrorCode::InvalidArgument,
+                },
+                OrderError::Injection(error) => match error {
+                    InjectionError::NoRoom { .. } => ErrorCode::ResourceExhausted,
+                    _ => ErrorCode::InvalidArgument,
+                },
+                OrderError::Resize(error) => match error {
+                    ResizeError::Parameters(_) => ErrorCode::InvalidArgument,
+                    _ => ErrorCode::ResourceExhausted,
+                },
+                OrderError::TooMany { .. } => ErrorCode::ResourceExhausted,
+                OrderError::Busy => ErrorCode::Busy,
+                OrderError::Faulted(_) => ErrorCode::Faulted,
+                OrderError::Gone => ErrorCode::NotFound,
+            },
+        }
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        let parameters = |error: &ParametersError| match *error {
+            ParametersError::OutOfRange {
+                field,
+                value,
+                range,
+            } => named(field, number(value), Some(range)),
+            ParametersError::StepTooLong { dt, largest } => json!({
+                "field": "dt", "value": dt, "range": format!("(0, {largest}]"),
+            }),
+        };
+        let details = match self {
+            CommandError::Request(error) if !error.field.is_empty() => {
+                named(&error.field, Value::Null, range_of(&error.field))
+            }
+            CommandError::OutOfRange { field, value } => {
+                named(field, number(*value), range_of(field))
+            }
+            CommandError::Field { field, .. } => named(field, Value::Null, range_of(field)),
+            CommandError::Name { field, name } => {
+                named(field, json!(name), Some(keys::NAME_RULE))
+            }
+            CommandError::Individuals { n, limit } => {
+                json!({"field": "n", "value": n, "range": format!("[1, {limit}]")})
+            }
+            CommandError::Parameter { name, known } => json!({"field": name, "known": known}),
+            CommandError::Length { field, length, n } => {
+                json!({"field": field, "length": length, "n": n})
+            }
+            CommandError::UnknownVerb { known, .. } | CommandError::UnknownNoun { known, .. } => {
+                json!({"known": known})
+            }
+            CommandError::Deadline { after_secs } => json!({"after_secs": after_secs}),
+            CommandError::Host(HostError::TooManySwarms { limit }) => json!({"limit": limit}),
+            CommandError::Host(HostError::TooMuchMemory {
+                needed,
+                free,
+                limit,
+            }) => json!({"needed": needed, "free": free, "limit": limit}),
+            CommandError::Order(OrderError::Conflict {
+                what,
+                expected,
+                actual,
+            }) => json!({"field": format!("expect_{what}"), "expected": expected, "actual": actual}),
+            CommandError::Order(OrderError::Past { until, step }) => {
+                json!({"field": "until_step", "until": until, "step": step})
+            }
+            CommandError::Order(OrderError::TooMany { n, limit }) => {
+                json!({"field": "n", "n": n, "limit": limit})
+            }
+            CommandError::Order(
+                OrderError::Parameters(error)
+                | OrderError::Start(StartError::Parameters(error))
+                | OrderError::Selection(SelectionError::Number(error))
+                | OrderError::Injection(InjectionError::Parameters(error))
+                | OrderError::Resize(ResizeError::Parameters(error)),
+            ) => parameters(error),
+            CommandError::Order(OrderError::Selection(error)) => match error {
+                SelectionError::Count {
+                    field, candidates, ..
+                } => {
+                    json!({"field": field, "range": format!("[0, {candidates}]")})
+                }
+                _ => json!({"field": "select.ids"}),
+            },
+            _ => Value::Null,
+        };
+        match details {
+            Value::Object(details) => details,
+            _ => Map::new(),
+        }
+    }
+}
+
+fn named(field: &str, value: Value, range: Option<&str>) -> Value {
+    let mut details = json!({"field": field});
+    if !value.is_null() {
+        details["value"] = value;
+    }
+    if let Some(range) = range {
+        details["range"] = json!(range);
+    }
+    details
+}
+
+/// A number in JSON; what JSON has no number for is spelled out.
+fn number(value: f64) -> Value {
+    if value.is_finite() {
+        json!(value)
+    } else {
+        json!(value.to_string())
+    }
+}
+
+/// What may stand in a field, for whoever sent something else. `field` may be a path.
+pub fn range_of(field: &str) -> Option<&'static str> {
+    let last = field.rsplit('.').next().unwrap_or(field);
+    let last = last.split('[').next().unwrap_or(last);
+    Some(match last {
+        "n" => "a whole number from 1 to the daemon's max_individuals",
+        "pi1" => "a number from 1 to 32",
+        "pi2" => "a number from 0 to 1e6",
+        "pi3" | "pi4" => "a number above 0, at most 1e6",
+        "dt" => "a number above 0, at most 2r / (1 + h ω)",
+        "contacts" => "\"endpoints\"",
+        "attraction" => "{\"kind\": \"all\"}",
+        "noise" => "0, the only noise so far",
+        "seed" => "a whole number from 0 to 9007199254740991",
+        "start" => "{\"kind\": \"disc\"} or {\"kind\": \"given\", \"x\", \"y\", \"alpha\"}",
+        "publish_every" => "a whole number from 1 to 1e9",
+        "rate" => "a number above 0, at most 1e6, or null for as fast as possible",
+        "until_step" => "a whole number from 0 to 9007199254740991",
+        "until_time" => "a number from 0 to 1e12",
+        "steps" => "a whole number from 1 to 1e9",
+        "return" => "\"none\" or \"state\"",
+        "select" => {
+            "one of {\"ids\": […]}, {\"count\": 5}, {\"fraction\": 0.1}, \
+             {\"within\": {\"x\", \"y\", \"radius\"}}, {\"foremost\": {\"count\", \"along\"}}"
+        }
+        "ids" => "a list of ids that are there",
+        "count" => "a whole number that is not more than there are",
+        "fraction" => "a number from 0 to 1",
+        "radius" => "a number from 0 to 1e6",
+        "x" | "y" | "alpha" | "along" | "direction" => "a number from -1e6 to 1e6",
+        "weight" => "a number above 0, at most 1e6",
+        "for_time" => "a number above 0, at most 1e9",
+        "make_room" | "exist_ok" => "true or false",
+        "timeout_secs" => "a number above 0, at most 3600",
+        "expect_step" | "expect_epoch" | "step" => "a whole number, 0 or more",
+        "phase" => "paused, running or faulted",
+        "format" => "json or cbor",
+        "request_id" | "client" => "at most 256 bytes of text without control characters",
+        "name" => keys::NAME_RULE,
+        _ => return None,
+    })
+}

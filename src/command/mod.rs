@@ -1,0 +1,147 @@
+//! What can be asked of a swarm or a daemon: one file per verb.
+//!
+//! Each turns the arguments that came over the wire into an order to a swarm, or refuses them
+//! by naming the field, its range and the remedy. Nothing here executes.
+
+use std::time::Duration;
+
+use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
+
+use crate::swarm::order::{Expectation, Order, Sender};
+
+pub mod create;
+pub mod delete;
+pub mod error;
+pub mod inform;
+pub mod inject;
+pub mod pause;
+pub mod remove;
+pub mod reset;
+pub mod run;
+pub mod set;
+pub mod step;
+pub mod uninform;
+pub mod wait;
+
+pub use error::CommandError;
+
+/// How long a reply is waited for unless the request says otherwise.
+pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(5);
+
+/// The longest that a request may wait for its reply, in seconds.
+const LONGEST_TIMEOUT_SECS: f64 = 3600.0;
+
+/// A command read and checked, ready for its swarm.
+#[derive(Debug)]
+pub struct Command {
+    /// What to do.
+    pub order: Order,
+    /// Where the sender takes the swarm to be.
+    pub expected: Expectation,
+    /// Who sent it.
+    pub sender: Sender,
+    /// How long its reply is waited for.
+    pub timeout: Duration,
+    /// Whether the reply is to carry the state.
+    pub returns_state: bool,
+}
+
+/// Reads a command to a swarm.
+///
+/// # Errors
+///
+/// [`CommandError`] when there is no such verb or its arguments are wrong.
+pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
+    let known = keys::SWARM_VERBS.iter().find(|known| **known == verb);
+    let Some(verb) = known.copied() else {
+        return Err(CommandError::UnknownVerb {
+            verb: verb.to_owned(),
+            known: &keys::SWARM_VERBS,
+        });
+    };
+    let mut returns_state = false;
+    let order = match verb {
+        "delete" => delete::order(request.args()?),
+        "run" => run::order(request.args()?)?,
+        "pause" => pause::order(request.args()?),
+        "step" => {
+            let args = request.args()?;
+            returns_state = step::returns_state(args);
+            step::order(args)?
+        }
+        "reset" => reset::order(request.args()?)?,
+        "set" => set::order(request.args()?)?,
+        "inform" => inform::order(request.args()?)?,
+        "uninform" => uninform::order(request.args()?)?,
+        "inject" => inject::order(request.args()?)?,
+        "remove" => remove::order(request.args()?)?,
+        _ => unreachable!("every known verb is above"),
+    };
+    Ok(Command {
+        order,
+        expected: Expectation {
+            epoch: request.expect_epoch,
+            step: request.expect_step,
+        },
+        sender: sender(verb, request)?,
+        timeout: timeout(request)?,
+        returns_state,
+    })
+}
+
+/// How long the reply to `request` is waited for.
+///
+/// # Errors
+///
+/// [`CommandError::OutOfRange`].
+pub fn timeout(request: &Request) -> Result<Duration, CommandError> {
+    match request.timeout_secs {
+        None => Ok(DEFAULT_TIMEOUT),
+        Some(secs) => timeout_from_secs(secs),
+    }
+}
+
+/// A time to wait, checked.
+///
+/// # Errors
+///
+/// [`CommandError::OutOfRange`].
+pub fn timeout_from_secs(secs: f64) -> Result<Duration, CommandError> {
+    if secs > 0.0 && secs <= LONGEST_TIMEOUT_SECS {
+        return Ok(Duration::from_secs_f64(secs));
+    }
+    Err(CommandError::out_of_range("timeout_secs", secs))
+}
+
+/// Checks a name that is to become part of a key.
+///
+/// # Errors
+///
+/// [`CommandError::Name`].
+pub fn check_name(field: &'static str, name: &str) -> Result<(), CommandError> {
+    if keys::is_name(name) {
+        return Ok(());
+    }
+    Err(CommandError::Name {
+        field,
+        name: name.chars().take(keys::MAX_NAME_LENGTH).collect(),
+    })
+}
+
+fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandError> {
+    let label = |field, label: &Option<String>| match label {
+        Some(text) if text.len() > MAX_LABEL_LENGTH || text.chars().any(char::is_control) => {
+            Err(CommandError::Field {
+                field,
+                problem: "is too long or has control characters",
+            })
+        }
+        other => Ok(other.clone()),
+    };
+    Ok(Sender {
+        verb,
+        args: request.args.as_ref().map_or_else(|| "{}".into(), |args| args.get().to_owned()),
+        client: label("client", &request.client)?,
+        request_id: label("request_id", &request.request_id)?,
+    })
+}

@@ -1,0 +1,17 @@
+//! `reset`: back to the start, in a new epoch.
+
+use jostle_proto::verbs::ResetArgs;
+
+use crate::command::CommandError;
+use crate::swarm::order::Order;
+use crate::wire;
+
+/// Resets the swarm.
+///
+/// # Errors
+///
+/// [`CommandError::OutOfRange`].
+pub fn order(args: ResetArgs) -> Result<Order, CommandError> {
+    let seed = args.seed.map(|seed| wire::whole("seed", seed)).transpose()?;
+    Ok(Order::Reset(seed))
+}

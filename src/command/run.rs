@@ -1,0 +1,32 @@
+//! `run`: step at a rate, to an end or for good.
+
+use jostle_proto::verbs::RunArgs;
+
+use crate::command::CommandError;
+use crate::swarm::order::{Order, Until};
+use crate::wire;
+
+/// The latest time a run may end at: far beyond any, and exact as a number of steps.
+const LATEST_TIME: f64 = 1e12;
+
+/// Runs the swarm.
+///
+/// # Errors
+///
+/// [`CommandError`] when an end or the rate is outside its range, or two ends are named.
+pub fn order(args: RunArgs) -> Result<Order, CommandError> {
+    let until = match (args.until_step, args.until_time) {
+        (Some(_), Some(_)) => {
+            return Err(CommandError::Field {
+                field: "until_time",
+                problem: "and until_step are both given: name one end",
+            });
+        }
+        (Some(step), None) => Some(Until::Step(wire::whole("until_step", step)?)),
+        (None, Some(time)) if (0.0..=LATEST_TIME).contains(&time) => Some(Until::Time(time)),
+        (None, Some(time)) => return Err(CommandError::out_of_range("until_time", time)),
+        (None, None) => None,
+    };
+    let rate = args.rate.map(wire::rate).transpose()?;
+    Ok(Order::Run { until, rate })
+}

@@ -1,0 +1,65 @@
+//! `get/wait`: an answer when something has come about.
+
+use std::time::Duration;
+
+use crate::command::{CommandError, timeout_from_secs};
+use crate::swarm::order::Awaited;
+
+/// The longest that one `wait` is held; libraries ask again.
+pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
+
+/// Reads what is waited for, and for how long, from a selector's parameters.
+///
+/// # Errors
+///
+/// [`CommandError`] when not exactly one of `step` and `phase` is given, or one is wrong.
+pub fn read<'a>(
+    parameters: impl Iterator<Item = (&'a str, &'a str)>,
+) -> Result<(Awaited, Duration), CommandError> {
+    let (mut step, mut phase, mut timeout) = (None, None, LONGEST_WAIT);
+    for (name, value) in parameters {
+        match name {
+            "step" => {
+                let wrong = |_| CommandError::Field {
+                    field: "step",
+                    problem: "is not a whole number",
+                };
+                step = Some(Awaited::Step(value.parse().map_err(wrong)?));
+            }
+            "phase" => {
+                phase = Some(match value {
+                    "paused" => Awaited::Paused,
+                    "running" => Awaited::Running,
+                    "faulted" => Awaited::Faulted,
+                    _ => {
+                        return Err(CommandError::Field {
+                            field: "phase",
+                            problem: "is not paused, running or faulted",
+                        });
+                    }
+                });
+            }
+            "timeout_secs" => {
+                let secs = value.parse().map_err(|_| CommandError::Field {
+                    field: "timeout_secs",
+                    problem: "is not a number",
+                })?;
+                timeout = timeout_from_secs(secs)?.min(LONGEST_WAIT);
+            }
+            _ if name.starts_with('_') => {}
+            _ => {
+                return Err(CommandError::Parameter {
+                    name: name.to_owned(),
+                    known: &["step", "phase", "timeout_secs"],
+                });
+            }
+        }
+    }
+    match (step, phase) {
+        (Some(awaited), None) | (None, Some(awaited)) => Ok((awaited, timeout)),
+        _ => Err(CommandError::Field {
+            field: "step",
+            problem: "or phase is to be given, and only one of them: wait?step=100",
+        }),
+    }
+}

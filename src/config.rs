@@ -1,0 +1,362 @@
+//! The daemon's settings: defaults, then a file, then the environment, then flags.
+//!
+//! Every value knows where it comes from, so that a refusal can name the place to mend. Values
+//! are merged as text and read once, here.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use thiserror::Error;
+
+use crate::host::Limits;
+
+/// Every setting: its name, its default, and what it means.
+///
+/// The name is the same in the file, as a flag (`--max-hz`) and in the environment
+/// (`JOSTLED_MAX_HZ`).
+pub const SETTINGS: [(&str, &str, &str); 9] = [
+    (
+        "listen",
+        "tcp/127.0.0.1:7447",
+        "zenoh endpoints to listen on, separated by commas; only this machine can reach them",
+    ),
+    (
+        "node",
+        "",
+        "the daemon's name on the bus; the machine's name if left out",
+    ),
+    ("prefix", "jostle", "the first chunk of every key"),
+    (
+        "log",
+        "info,zenoh=error",
+        "what is logged, in the syntax of tracing's filters",
+    ),
+    ("log_format", "text", "text or json"),
+    (
+        "max_individuals",
+        "2000",
+        "individuals in one swarm; a step of 2000 takes about a second so far",
+    ),
+    ("max_swarms", "1024", "swarms at once"),
+    (
+        "max_memory_mb",
+        "2048",
+        "memory of all swarms together, in MiB",
+    ),
+    ("max_hz", "50", "states published per second and swarm"),
+];
+
+/// Where a value comes from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Source {
+    /// Nobody said otherwise.
+    Default,
+    /// This file.
+    File(PathBuf),
+    /// This environment variable.
+    Environment(String),
+    /// This flag.
+    Flag(String),
+}
+
+impl fmt::Display for Source {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Source::Default => formatter.write_str("the default"),
+            Source::File(path) => write!(formatter, "{}", path.display()),
+            Source::Environment(name) => write!(formatter, "the environment's {name}"),
+            Source::Flag(name) => write!(formatter, "the flag {name}"),
+        }
+    }
+}
+
+/// Why the settings are refused.
+#[derive(Debug, Error)]
+pub enum ConfigError {
+    /// The file cannot be read.
+    #[error("cannot read {path}: {reason}")]
+    Unreadable {
+        /// Which.
+        path: PathBuf,
+        /// Why.
+        reason: String,
+    },
+    /// There is no such setting.
+    #[error("{source_}: there is no setting {name:?}; there are {known}")]
+    Unknown {
+        /// As it came.
+        name: String,
+        /// From where.
+        source_: Source,
+        /// Those there are.
+        known: String,
+    },
+    /// A value is not what the setting takes.
+    #[error("{name} = {value:?} from {source_} is not {expected}")]
+    Value {
+        /// Which setting.
+        name: &'static str,
+        /// Its value.
+        value: String,
+        /// From where.
+        source_: Source,
+        /// What it takes.
+        expected: &'static str,
+    },
+}
+
+/// The daemon's settings, checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Config {
+    /// Endpoints to listen on.
+    pub listen: Vec<String>,
+    /// The daemon's name on the bus.
+    pub node: String,
+    /// The first chunk of every key.
+    pub prefix: String,
+    /// What is logged.
+    pub log: String,
+    /// Whether logs are JSON.
+    pub logs_json: bool,
+    /// What the daemon refuses to go beyond.
+    pub limits: Limits,
+}
+
+/// Every setting's text and where it comes from.
+pub type Merged = BTreeMap<&'static str, (String, Source)>;
+
+/// Merges defaults, `file`, `environment` and `flags`, each over the one before.
+///
+/// # Errors
+///
+/// [`ConfigError`] when the file cannot be read, or something is set that does not exist.
+pub fn merge(
+    file: Option<&Path>,
+    environment: impl Iterator<Item = (String, String)>,
+    flags: &[(&'static str, Option<String>)],
+) -> Result<Merged, ConfigError> {
+    let mut merged: Merged = SETTINGS
+        .iter()
+        .map(|&(name, default, _)| (name, (default.to_owned(), Source::Default)))
+        .collect();
+    if let Some(path) = file {
+        for (name, value) in read_file(path)? {
+            let source = Source::File(path.to_owned());
+            let name = known(&name, &source)?;
+            merged.insert(name, (value, source));
+        }
+    }
+    for (variable, value) in environment {
+        if let Some(name) = variable.strip_prefix("JOSTLED_") {
+            let source = Source::Environment(variable.clone());
+            let name = known(&name.to_lowercase(), &source)?;
+            merged.insert(name, (value, source));
+        }
+    }
+    for (name, value) in flags {
+        if let Some(value) = value {
+            let source = Source::Flag(format!("--{}", name.replace('_', "-")));
+            merged.insert(known(name, &source)?, (value.clone(), source));
+        }
+    }
+    Ok(merged)
+}
+
+impl Config {
+    /// Reads merged settings.
+    ///
+    /// # Errors
+    ///
+    /// [`ConfigError::Value`] names the setting, its value and where it comes from.
+    pub fn new(merged: &Merged) -> Result<Self, ConfigError> {
+        let text = |name: &'static str| merged[name].0.trim().to_owned();
+        let listen: Vec<String> = text("listen")
+            .split(',')
+            .map(|endpoint| endpoint.trim().to_owned())
+            .filter(|endpoint| !endpoint.is_empty())
+            .collect();
+        if listen.is_empty() {
+            return Err(wrong(merged, "listen", "at least one endpoint"));
+        }
+        let node = match text("node") {
+            name if name.is_empty() => machine_name(),
+            name => name,
+        };
+        let logs_json = match text("log_format").as_str() {
+            "text" => false,
+            "json" => true,
+            _ => return Err(wrong(merged, "log_format", "text or json")),
+        };
+        let megabytes = number(merged, "max_memory_mb", 1 << 24)?;
+        Ok(Config {
+            listen,
+            node,
+            prefix: text("prefix"),
+            log: text("log"),
+            logs_json,
+            limits: Limits {
+                max_individuals: number(merged, "max_individuals", 1_000_000)? as usize,
+                max_swarms: number(merged, "max_swarms", 100_000)? as usize,
+                max_memory_bytes: u64::from(megabytes) << 20,
+                max_hz: number(merged, "max_hz", 10_000)?,
+            },
+        })
+    }
+}
+
+/// A whole number from 1 to `largest`.
+fn number(merged: &Merged, name: &'static str, largest: u32) -> Result<u32, ConfigError> {
+    match merged[name].0.trim().parse() {
+        Ok(number) if (1..=largest).contains(&number) => Ok(number),
+        _ => Err(wrong(merged, name, "a whole number in its range, 1 or more")),
+    }
+}
+
+fn wrong(merged: &Merged, name: &'static str, expected: &'static str) -> ConfigError {
+    let (value, source) = merged[name].clone();
+    ConfigError::Value {
+        name,
+        value,
+        source_: source,
+        expected,
+    }
+}
+
+fn known(name: &str, source: &Source) -> Result<&'static str, ConfigError> {
+    let found = SETTINGS.iter().find(|(known, ..)| *known == name);
+    found
+        .map(|(known, ..)| *known)
+        .ok_or_else(|| ConfigError::Unknown {
+            name: name.to_owned(),
+            source_: source.clone(),
+            known: SETTINGS.map(|(known, ..)| known).join(", "),
+        })
+}
+
+/// The settings in a TOML file, each as text. A list is joined by commas.
+fn read_file(path: &Path) -> Result<Vec<(String, String)>, ConfigError> {
+    let unreadable = |reason: String| ConfigError::Unreadable {
+        path: path.to_owned(),
+        reason,
+    };
+    let text = std::fs::read_to_string(path).map_err(|error| unreadable(error.to_string()))?;
+    let table: toml::Table =
+        toml::from_str(&text).map_err(|error| unreadable(error.to_string()))?;
+    let plain = |name: &str, value: &toml::Value| match value {
+        toml::Value::String(text) => Ok(text.clone()),
+        toml::Value::Integer(_) | toml::Value::Float(_) | toml::Value::Boolean(_) => {
+            Ok(value.to_string())
+        }
+        _ => Err(unreadable(format!("{name} is neither text nor a number"))),
+    };
+    table
+        .iter()
+        .map(|(name, value)| {
+            let text = match value {
+                toml::Value::Array(values) => values
+                    .iter()
+                    .map(|value| plain(name, value))
+                    .collect::<Result<Vec<_>, _>>()?
+                    .join(","),
+                value => plain(name, value)?,
+            };
+            Ok((name.clone(), text))
+        })
+        .collect()
+}
+
+/// The machine's name, made a name of the bus.
+fn machine_name() -> String {
+    let uname = rustix::system::uname();
+    let name: String = uname
+        .nodename()
+        .to_string_lossy()
+        .to_lowercase()
+        .chars()
+        .map(|c| if c.is_ascii_alphanumeric() { c } else { '-' })
+        .take(jostle_proto::keys::MAX_NAME_LENGTH)
+        .collect();
+    let name = name.trim_matches('-');
+    if jostle_proto::keys::is_name(name) {
+        name.to_owned()
+    } else {
+        "node".to_owned()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    fn environment(variables: &[(&str, &str)]) -> std::vec::IntoIter<(String, String)> {
+        let pairs = variables.iter();
+        pairs
+            .map(|(name, value)| ((*name).to_owned(), (*value).to_owned()))
+            .collect::<Vec<_>>()
+            .into_iter()
+    }
+
+    fn file(text: &str) -> PathBuf {
+        use std::sync::atomic::{AtomicU32, Ordering};
+        static FILES: AtomicU32 = AtomicU32::new(0);
+        let number = FILES.fetch_add(1, Ordering::Relaxed);
+        let name = format!("jostled-test-{}-{number}.toml", std::process::id());
+        let path = std::env::temp_dir().join(name);
+        std::fs::write(&path, text).unwrap();
+        path
+    }
+
+    #[test]
+    fn the_defaults_are_right() {
+        let merged = merge(None, environment(&[]), &[]).unwrap();
+        let config = Config::new(&merged).unwrap();
+        assert_eq!(config.listen, ["tcp/127.0.0.1:7447"]);
+        assert!(jostle_proto::keys::is_name(&config.node));
+    }
+
+    #[test]
+    fn flags_go_over_the_environment_over_the_file_over_defaults() {
+        let path = file("node = 'a'\nmax_swarms = 2\nmax_hz = 3\nlisten = ['x', 'y']\n");
+        let merged = merge(
+            Some(&path),
+            environment(&[("JOSTLED_MAX_SWARMS", "4"), ("JOSTLED_MAX_HZ", "5"), ("HOME", "/")]),
+            &[("max_hz", Some("6".into())), ("log", None)],
+        )
+        .unwrap();
+        std::fs::remove_file(&path).unwrap();
+        let config = Config::new(&merged).unwrap();
+        assert_eq!(config.node, "a");
+        assert_eq!(config.listen, ["x", "y"]);
+        assert_eq!(config.limits.max_swarms, 4);
+        assert_eq!(config.limits.max_hz, 6);
+        assert_eq!(merged["node"].1, Source::File(path));
+        let variable = "JOSTLED_MAX_SWARMS".to_owned();
+        assert_eq!(merged["max_swarms"].1, Source::Environment(variable));
+        assert_eq!(merged["max_hz"].1, Source::Flag("--max-hz".into()));
+        assert_eq!(merged["log"].1, Source::Default);
+    }
+
+    #[test]
+    fn what_does_not_exist_or_fit_is_refused_with_its_place() {
+        let typo = merge(None, environment(&[("JOSTLED_MAX_SWARM", "4")]), &[]).unwrap_err();
+        assert!(typo.to_string().contains("JOSTLED_MAX_SWARM"), "{typo}");
+
+        let path = file("max_swarms = 'many'\n");
+        let merged = merge(Some(&path), environment(&[]), &[]).unwrap();
+        let wrong = Config::new(&merged).unwrap_err().to_string();
+        std::fs::remove_file(&path).unwrap();
+        assert!(wrong.contains("many") && wrong.contains(".toml"), "{wrong}");
+
+        let absent = merge(Some(Path::new("/nowhere.toml")), environment(&[]), &[]);
+        assert!(matches!(absent, Err(ConfigError::Unreadable { .. })));
+
+        for bad in ["0", "-1", "1e3", "99999999999", ""] {
+            let flags = [("max_hz", Some(bad.to_owned()))];
+            let merged = merge(None, environment(&[]), &flags).unwrap();
+            assert!(Config::new(&merged).is_err(), "{bad}");
+        }
+    }
+}

@@ -1,0 +1,260 @@
+//! A swarm that is worth watching, in the daemon's own process: fifty bodies walk and push, and
+//! at t = 50 ten of them learn of a direction. A line a second says what comes of it.
+
+use std::io::Write as _;
+use std::sync::Arc;
+use std::time::Duration;
+
+use jostle_proto::Spec;
+use jostle_proto::verbs::{CreateArgs, InformArgs, RunArgs, Select};
+use thiserror::Error;
+use tokio::sync::oneshot;
+
+use crate::command::{CommandError, create, inform, run};
+use crate::host::{Created, HostError};
+use crate::server::Server;
+use crate::swarm::frame::{Frame, Place};
+use crate::swarm::handle::{Handle, Ticket};
+use crate::swarm::order::{
+    Answered, Awaited, Expectation, Order, OrderError, Outcome, Sender,
+};
+
+/// Its name.
+const NAME: &str = "demo";
+/// Time units per second of wall clock.
+const RATE: f64 = 20.0;
+/// When ten individuals learn of a direction.
+const INFORMED_AT: f64 = 50.0;
+/// How many learn of it.
+const INFORMED: u64 = 10;
+/// The span at the end that the last line averages over.
+const LAST: f64 = 200.0;
+
+/// Why the demo ended early.
+#[derive(Debug, Error)]
+pub enum DemoError {
+    /// A command was refused.
+    #[error("the demo's own command was refused: {0}")]
+    Command(#[from] CommandError),
+    /// The swarm was deleted or the daemon stops.
+    #[error("the swarm {NAME} is gone")]
+    Gone,
+}
+
+impl From<HostError> for DemoError {
+    fn from(error: HostError) -> Self {
+        DemoError::Command(error.into())
+    }
+}
+
+impl From<OrderError> for DemoError {
+    fn from(error: OrderError) -> Self {
+        match error {
+            OrderError::Gone => DemoError::Gone,
+            error => DemoError::Command(error.into()),
+        }
+    }
+}
+
+/// Runs the demo on `server`: for good, or until the demo's rate has brought it through
+/// `lasting`.
+///
+/// # Errors
+///
+/// [`DemoError`] when somebody deleted the swarm, or a step failed.
+pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoError> {
+    let spec = Spec {
+        seed: 1,
+        rate: Some(RATE),
+        ..Spec::new(50)
+    };
+    let swarm = create_swarm(server, spec).await?;
+    let endpoint = server.endpoints().first().cloned().unwrap_or_default();
+    println!("swarm {NAME}: 50 bodies four times as long as wide, {RATE} time units a second;");
+    println!("at t = {INFORMED_AT} ten of them get a direction of their own, +x");
+    if endpoint == "tcp/127.0.0.1:7447" {
+        println!("elsewhere: jostle watch {NAME}, or jostle --help");
+    } else {
+        println!("elsewhere: jostle -e {endpoint} watch {NAME}");
+    }
+    println!("     time   order   drift +x   real-time factor   subscribers");
+
+    let end = lasting.map(|lasting| lasting.as_secs_f64() * RATE);
+    let until_informed = end.map_or(INFORMED_AT, |end| end.min(INFORMED_AT));
+    let uninformed = go_to(server, &swarm, Some(until_informed)).await?;
+    let Some(end) = end else {
+        inform_some(&swarm).await?;
+        go_to(server, &swarm, None).await?;
+        return Err(DemoError::Gone);
+    };
+    let mut reached = uninformed.clone();
+    let mut from = uninformed.clone();
+    if end > INFORMED_AT {
+        inform_some(&swarm).await?;
+        if end - LAST > INFORMED_AT {
+            from = go_to(server, &swarm, Some(end - LAST)).await?;
+        }
+        reached = go_to(server, &swarm, Some(end)).await?;
+    }
+    report(&uninformed, &from, &reached);
+    Ok(())
+}
+
+async fn create_swarm(server: &Server, spec: Spec) -> Result<Handle, DemoError> {
+    let args = CreateArgs {
+        name: NAME.to_owned(),
+        spec,
+        exist_ok: false,
+    };
+    let host = server.host();
+    let recipe = create::recipe(&args, host.limits())?;
+    let (answer, answered) = oneshot::channel();
+    let built = Box::new(move |it| drop(answer.send(it)));
+    let handle = match host.create(NAME, recipe, false, built)? {
+        Created::Existing(handle) => handle,
+        Created::New => {
+            outcome(answered).await?;
+            host.find(NAME).ok_or(DemoError::Gone)?
+        }
+    };
+    Ok(handle)
+}
+
+/// Tells ten individuals of +x.
+async fn inform_some(swarm: &Handle) -> Result<(), DemoError> {
+    let order = inform::order(InformArgs {
+        select: Select::Count(INFORMED),
+        direction: 0.0,
+        weight: None,
+        for_time: None,
+    })?;
+    command(swarm, "inform", order).await?;
+    Ok(())
+}
+
+/// Runs to `until` and prints a line a second meanwhile. Whoever pauses the swarm from elsewhere
+/// or takes it further is let.
+async fn go_to(
+    server: &Server,
+    swarm: &Handle,
+    until: Option<f64>,
+) -> Result<Arc<Frame>, DemoError> {
+    let order = run::order(RunArgs {
+        until_time: until,
+        ..RunArgs::default()
+    })?;
+    let until_step = match command(swarm, "run", order).await {
+        Ok((_, Outcome::Runs(until, _))) => until.unwrap_or(u64::MAX),
+        Ok(_) => u64::MAX,
+        Err(DemoError::Command(CommandError::Order(OrderError::Past { step, .. }))) => step,
+        Err(error) => return Err(error),
+    };
+    let mut tick = tokio::time::interval(Duration::from_secs(1));
+    tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
+    tick.tick().await;
+    loop {
+        let (answer, answered) = oneshot::channel();
+        send(
+            swarm,
+            Ticket::Wait {
+                awaited: Awaited::Reached(until_step),
+                is_abandoned: Box::new(|| false),
+                answer: Box::new(move |it| drop(answer.send(it))),
+            },
+        )?;
+        tokio::pin!(let arrived = outcome(answered););
+        loop {
+            tokio::select! {
+                arrived = &mut arrived => {
+                    let (_, Outcome::Seen(frame)) = arrived? else {
+                        return Err(DemoError::Gone);
+                    };
+                    return Ok(frame);
+                }
+                _ = tick.tick() => print_line(server, swarm).await?,
+            }
+        }
+    }
+}
+
+async fn print_line(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
+    let frame = look(swarm).await?;
+    let subscribers = server.subscribers(NAME).await;
+    let factor = match frame.real_time_factor {
+        Some(factor) => format!("{factor:.1} of {RATE}"),
+        None => frame.place.phase.reason().unwrap_or_default(),
+    };
+    println!(
+        "{:9.1} {:7.3} {:+10.3} {factor:>18} {subscribers:13}",
+        frame.place.time, frame.order.order, frame.order.velocity[0]
+    );
+    // A pipe that nobody reads any more is no reason to end.
+    let _ = std::io::stdout().flush();
+    Ok(())
+}
+
+/// The mean drift before informing and over the last span, from sums over every step.
+fn report(uninformed: &Frame, from: &Frame, reached: &Frame) {
+    let sum = |frame: &Frame| {
+        let mean = frame.means.mean_velocity().unwrap_or_default();
+        mean[0] * frame.place.step as f64
+    };
+    let before = uninformed.means.mean_velocity().unwrap_or_default()[0];
+    let steps = reached.place.step - from.place.step;
+    if steps == 0 {
+        println!("mean drift towards +x: {before:+.3} with nobody informed");
+        return;
+    }
+    let after = (sum(reached) - sum(from)) / steps as f64;
+    println!(
+        "mean drift towards +x: {before:+.3} with nobody informed (t = 0 to {:.0}), \
+         {after:+.3} with ten informed (t = {:.0} to {:.0})",
+        uninformed.place.time, from.place.time, reached.place.time
+    );
+}
+
+async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {
+    let (answer, answered) = oneshot::channel();
+    send(swarm, Ticket::Look(Box::new(move |it| drop(answer.send(it)))))?;
+    match outcome(answered).await? {
+        (_, Outcome::Seen(frame)) => Ok(frame),
+        _ => Err(DemoError::Gone),
+    }
+}
+
+async fn command(
+    swarm: &Handle,
+    verb: &'static str,
+    order: Order,
+) -> Result<(Place, Outcome), DemoError> {
+    let (answer, answered) = oneshot::channel();
+    send(
+        swarm,
+        Ticket::Command {
+            order,
+            expected: Expectation::default(),
+            sender: Sender {
+                verb,
+                args: "{}".to_owned(),
+                client: Some("jostled demo".to_owned()),
+                request_id: None,
+            },
+            answer: Box::new(move |it| drop(answer.send(it))),
+        },
+    )?;
+    outcome(answered).await
+}
+
+fn send(swarm: &Handle, ticket: Ticket) -> Result<(), DemoError> {
+    swarm.send(ticket).map_err(|(error, _)| error.into())
+}
+
+async fn outcome(
+    answered: oneshot::Receiver<Answered>,
+) -> Result<(Place, Outcome), DemoError> {
+    match answered.await {
+        Ok(Ok(answer)) => Ok(answer),
+        Ok(Err(refusal)) => Err(refusal.error.into()),
+        Err(_) => Err(DemoError::Gone),
+    }
+}

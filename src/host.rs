@@ -1,0 +1,345 @@
+//! The named swarms: create, find, remove, and what they may take.
+
+use std::collections::BTreeMap;
+use std::sync::mpsc::{Receiver, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use thiserror::Error;
+
+use crate::swarm::frame::Summary;
+use crate::swarm::handle::{Handle, Ticket};
+use crate::swarm::order::{Answer, Outcome, Recipe, Refusal};
+use crate::swarm::outlet::Outlet;
+use crate::swarm::simulation::Simulation;
+use crate::swarm::worker::{End, Worker};
+
+/// Orders that may wait for one swarm; what comes on top is refused at once.
+const MOST_TICKETS: usize = 1024;
+
+/// How much lower than the rest of the daemon a swarm's thread ranks (its niceness), so that
+/// stepping never keeps a command or a reader waiting.
+const SWARM_NICENESS: i32 = 5;
+
+/// Memory per individual: its columns and contacts, with the copies that frames and replies hold.
+const BYTES_PER_INDIVIDUAL: u64 = 4096;
+
+/// Memory per squared individual: the dense factor of the polish, one active contact and a half
+/// per individual.
+const BYTES_PER_INDIVIDUAL_SQUARED: u64 = 18;
+
+/// Memory per swarm whatever its size: its thread's stack in use, queues and buffers.
+const BYTES_PER_SWARM: u64 = 256 * 1024;
+
+/// What the daemon refuses to go beyond.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Limits {
+    /// Individuals in one swarm.
+    pub max_individuals: usize,
+    /// Swarms at once.
+    pub max_swarms: usize,
+    /// Memory of all swarms together, in bytes.
+    pub max_memory_bytes: u64,
+    /// States published per second and swarm.
+    pub max_hz: u32,
+}
+
+/// Why a swarm was not created.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum HostError {
+    /// The name is taken.
+    #[error("a swarm of this name with another spec exists: choose another name, or delete it")]
+    OtherSpec,
+    /// The name is taken by an equal one.
+    #[error("an equal swarm of this name exists: take it with exist_ok")]
+    SameSpec,
+    /// There are as many swarms as there may be.
+    #[error("the daemon hosts its {limit} swarms: delete one, or raise max_swarms")]
+    TooManySwarms {
+        /// The limit.
+        limit: usize,
+    },
+    /// The memory set aside for swarms does not allow it.
+    #[error(
+        "the swarm needs up to {needed} bytes, {free} of {limit} are free: make it smaller, \
+         delete another, or raise max_memory_mb"
+    )]
+    TooMuchMemory {
+        /// What it needs.
+        needed: u64,
+        /// What is free.
+        free: u64,
+        /// What there is.
+        limit: u64,
+    },
+    /// No thread could be started.
+    #[error("no thread can be started for the swarm: {0}")]
+    NoThread(String),
+    /// The daemon stops.
+    #[error("the daemon is stopping")]
+    Stopping,
+}
+
+/// What tells the world of a swarm's beginning and end. Called from the swarm's thread.
+pub trait Herald: Send + Sync + 'static {
+    /// Something was put in the swarm's outlet after it had been emptied.
+    fn ring(&self, name: &str);
+    /// Whether anyone reads the swarm's frames.
+    fn is_watched(&self, name: &str) -> bool;
+    /// The swarm is built: `built` is to be called once it can be reached.
+    fn begun(&self, name: &str, built: Box<dyn FnOnce() + Send>);
+    /// The swarm has ended: `ended` is to be called once it can no longer be reached. Only then
+    /// is the name to be released.
+    fn ended(&self, name: &str, ended: Box<dyn FnOnce() + Send>);
+}
+
+/// The named swarms of a daemon.
+pub struct Host {
+    limits: Limits,
+    herald: Arc<dyn Herald>,
+    hosted: Mutex<Hosted>,
+}
+
+#[derive(Default)]
+struct Hosted {
+    swarms: BTreeMap<String, Entry>,
+    memory_bytes: u64,
+    stopping: bool,
+}
+
+struct Entry {
+    handle: Handle,
+    memory_bytes: u64,
+    thread: Option<thread::JoinHandle<()>>,
+}
+
+/// Whether `create` found or made a swarm.
+pub enum Created {
+    /// A new one, whose thread answers once it is built.
+    New,
+    /// An equal one that was there already.
+    Existing(Handle),
+}
+
+impl Host {
+    /// An empty host.
+    pub fn new(limits: Limits, herald: Arc<dyn Herald>) -> Self {
+        Host {
+            limits,
+            herald,
+            hosted: Mutex::default(),
+        }
+    }
+
+    /// The limits it enforces.
+    pub fn limits(&self) -> Limits {
+        self.limits
+    }
+
+    /// Creates a swarm. Its own thread builds it, and calls `built` when it can be reached, or
+    /// when it could not be built.
+    ///
+    /// # Errors
+    ///
+    /// [`HostError`]; `built` is not called then, nor for an existing swarm.
+    pub fn create(
+        self: &Arc<Self>,
+        name: &str,
+        recipe: Recipe,
+        exist_ok: bool,
+        built: Answer,
+    ) -> Result<Created, HostError> {
+        let mut hosted = self.lock();
+        if hosted.stopping {
+            return Err(HostError::Stopping);
+        }
+        if let Some(entry) = hosted.swarms.get(name) {
+            return match (*entry.handle.recipe == recipe, exist_ok) {
+                (true, true) => Ok(Created::Existing(entry.handle.clone())),
+                (true, false) => Err(HostError::SameSpec),
+                (false, _) => Err(HostError::OtherSpec),
+            };
+        }
+        let memory_bytes = self.admit(&hosted, recipe.n)?;
+        let (tickets, taken) = sync_channel(MOST_TICKETS);
+        let bell = (self.herald.clone(), name.to_owned());
+        let watch = bell.clone();
+        let outlet = Outlet::new(
+            name.to_owned(),
+            move || bell.0.ring(&bell.1),
+            move || watch.0.is_watched(&watch.1),
+        );
+        let handle = Handle {
+            recipe: Arc::new(recipe),
+            outlet: Arc::new(outlet),
+            tickets,
+            summary: Arc::default(),
+        };
+        let thread = thread::Builder::new()
+            .name(format!("swarm-{name}"))
+            .spawn({
+                let (host, handle) = (self.clone(), handle.clone());
+                move || host.host(&handle, taken, built)
+            })
+            .map_err(|error| HostError::NoThread(error.to_string()))?;
+        hosted.memory_bytes += memory_bytes;
+        hosted.swarms.insert(
+            name.to_owned(),
+            Entry {
+                handle,
+                memory_bytes,
+                thread: Some(thread),
+            },
+        );
+        Ok(Created::New)
+    }
+
+    /// The swarm of that name.
+    pub fn find(&self, name: &str) -> Option<Handle> {
+        self.lock()
+            .swarms
+            .get(name)
+            .map(|entry| entry.handle.clone())
+    }
+
+    /// Every swarm that is built, ordered by name.
+    pub fn list(&self) -> Vec<(String, Summary)> {
+        let handles: Vec<(String, Handle)> = self
+            .lock()
+            .swarms
+            .iter()
+            .map(|(name, entry)| (name.clone(), entry.handle.clone()))
+            .collect();
+        handles
+            .into_iter()
+            .filter_map(|(name, handle)| Some((name, handle.summary()?)))
+            .collect()
+    }
+
+    /// Memory set aside for the swarms, in bytes.
+    pub fn memory_bytes(&self) -> u64 {
+        self.lock().memory_bytes
+    }
+
+    /// Releases the name of a swarm that has ended.
+    pub fn release(&self, name: &str) {
+        let mut hosted = self.lock();
+        if let Some(entry) = hosted.swarms.remove(name) {
+            hosted.memory_bytes -= entry.memory_bytes;
+        }
+    }
+
+    /// Ends every swarm between two steps and waits for their threads, at most `patience`.
+    ///
+    /// Returns how many had not ended by then.
+    pub fn stop(&self, patience: Duration) -> usize {
+        let threads: Vec<thread::JoinHandle<()>> = {
+            let mut hosted = self.lock();
+            hosted.stopping = true;
+            let entries = hosted.swarms.values_mut();
+            entries
+                .filter_map(|entry| {
+                    // A full queue ends too: the last handle goes with this host.
+                    let _ = entry.handle.send(Ticket::Stop);
+                    entry.thread.take()
+                })
+                .collect()
+        };
+        let deadline = Instant::now() + patience;
+        let mut running = threads;
+        loop {
+            running.retain(|thread| !thread.is_finished());
+            if running.is_empty() || Instant::now() >= deadline {
+                return running.len();
+            }
+            thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Admits the memory of `n` individuals before anything of it is allocated.
+    fn admit(&self, hosted: &Hosted, n: usize) -> Result<u64, HostError> {
+        let limits = &self.limits;
+        if hosted.swarms.len() >= limits.max_swarms {
+            let limit = limits.max_swarms;
+            return Err(HostError::TooManySwarms { limit });
+        }
+        let needed = memory_of(n);
+        let free = limits.max_memory_bytes.saturating_sub(hosted.memory_bytes);
+        if needed > free {
+            let limit = limits.max_memory_bytes;
+            return Err(HostError::TooMuchMemory {
+                needed,
+                free,
+                limit,
+            });
+        }
+        Ok(needed)
+    }
+
+    /// A swarm's life, on its own thread.
+    fn host(
+        &self,
+        handle: &Handle,
+        taken: Receiver<Ticket>,
+        built: Answer,
+    ) {
+        let name = &handle.outlet.name;
+        // Zero names the calling thread. Where it is not permitted the swarm ranks like the rest.
+        let _ = rustix::process::setpriority_process(None, SWARM_NICENESS);
+        let recipe = (*handle.recipe).clone();
+        let simulation = match Simulation::new(recipe, self.limits.max_individuals) {
+            Ok(simulation) => simulation,
+            Err(error) => {
+                self.herald.ended(
+                    name,
+                    Box::new(move || built(Err(Refusal { step: None, error }))),
+                );
+                return;
+            }
+        };
+        let shortest = Duration::from_secs(1) / self.limits.max_hz.max(1);
+        let worker = Worker::new(
+            simulation,
+            taken,
+            handle.outlet.clone(),
+            handle.summary.clone(),
+            shortest,
+        );
+        let (place, frame) = worker.look();
+        self.herald.begun(
+            name,
+            Box::new(move || built(Ok((place, Outcome::Seen(frame))))),
+        );
+        match worker.run() {
+            End::Deleted(ended) => self.herald.ended(name, ended),
+            End::Stopped => {}
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Hosted> {
+        // The map and the sum change together under the lock and nothing in between can panic.
+        self.hosted.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Memory that a swarm may come to need, in bytes.
+pub fn memory_of(n: usize) -> u64 {
+    let n = n as u64;
+    let linear = n.saturating_mul(BYTES_PER_INDIVIDUAL);
+    let square = n.saturating_mul(n).saturating_mul(BYTES_PER_INDIVIDUAL_SQUARED);
+    linear
+        .saturating_add(square)
+        .saturating_add(BYTES_PER_SWARM)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_memory_of_any_number_of_individuals_is_a_number() {
+        assert!(memory_of(50) < 1 << 20);
+        assert_eq!(memory_of(usize::MAX), u64::MAX);
+    }
+}

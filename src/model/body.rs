@@ -1,0 +1,335 @@
+//! The shape of a body, and gaps between bodies measured apart from the stepper's contacts.
+//!
+//! A certificate computed from the list of contacts could not see a contact missing from it.
+//! So parry measures here, and nothing of the stepper is used.
+
+use parry2d_f64::math::Vector;
+use parry2d_f64::query::PointQuery;
+use parry2d_f64::shape::Segment;
+use parry2d_f64::utils::segments_intersection2d;
+
+use super::{Configuration, Parameters};
+
+/// A place and a heading.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Pose {
+    /// Centre.
+    pub x: f64,
+    /// Centre.
+    pub y: f64,
+    /// Heading, counter-clockwise from +x.
+    pub alpha: f64,
+}
+
+/// A capsule: a segment swept by a disc.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Body {
+    /// Half the length of the segment.
+    pub half_length: f64,
+    /// The disc's radius.
+    pub radius: f64,
+}
+
+/// How near two bodies are.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Nearness {
+    /// Signed distance of the surfaces; with crossed axes, minus a width.
+    pub gap: f64,
+    /// Whether the axes cross.
+    pub crossed: bool,
+}
+
+/// What a configuration's gaps look like, measured independently of any stepper.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Gaps {
+    /// The smallest gap of any pair near enough to touch; none if all are apart by more than
+    /// [`HORIZON`].
+    pub worst_gap: Option<f64>,
+    /// How many pairs have crossed axes.
+    pub crossed: usize,
+}
+
+/// Gaps beyond a body size need no measuring: no rule depends on them.
+pub const HORIZON: f64 = 1.0;
+
+impl Body {
+    /// The body that `parameters` give every individual.
+    #[must_use]
+    pub fn new(parameters: &Parameters) -> Self {
+        Self {
+            half_length: parameters.half_length(),
+            radius: parameters.radius(),
+        }
+    }
+
+    /// The distance of centres beyond which the gap exceeds `gap` whatever the headings.
+    #[must_use]
+    pub fn centre_distance(&self, gap: f64) -> f64 {
+        2.0 * (self.half_length + self.radius) + gap
+    }
+
+    /// Measures how near the bodies at two poses are.
+    ///
+    /// Two segments that do not cross are nearest at an end of one of them, so parry is asked
+    /// for the crossing and for the four distances of an end to a segment. Lengths are in
+    /// half-lengths meanwhile, so that parry's tolerances are relative.
+    #[must_use]
+    pub fn nearness(&self, first: Pose, second: Pose) -> Nearness {
+        let (dx, dy) = (second.x - first.x, second.y - first.y);
+        let apart = |distance: f64| distance - 2.0 * self.radius;
+        if self.half_length == 0.0 {
+            let distance = (dx * dx + dy * dy).sqrt();
+            return Nearness {
+                gap: apart(distance),
+                crossed: distance == 0.0,
+            };
+        }
+        let one = axis(0.0, 0.0, first.alpha);
+        let two = axis(dx / self.half_length, dy / self.half_length, second.alpha);
+        if segments_intersection2d(one.a, one.b, two.a, two.b, 0.0).is_some() {
+            return Nearness {
+                gap: apart(0.0),
+                crossed: true,
+            };
+        }
+        let distance = one
+            .distance_to_local_point(two.a, true)
+            .min(one.distance_to_local_point(two.b, true))
+            .min(two.distance_to_local_point(one.a, true))
+            .min(two.distance_to_local_point(one.b, true));
+        Nearness {
+            gap: apart(distance * self.half_length),
+            crossed: distance == 0.0,
+        }
+    }
+}
+
+fn axis(x: f64, y: f64, alpha: f64) -> Segment {
+    let (sin, cos) = libm::sincos(alpha);
+    Segment::new(Vector::new(x - cos, y - sin), Vector::new(x + cos, y + sin))
+}
+
+/// Returns individual `index`'s pose, relative to the origin.
+#[must_use]
+pub fn pose(configuration: &Configuration, index: usize) -> Pose {
+    let (x, y) = (configuration.x[index], configuration.y[index]);
+    Pose {
+        x,
+        y,
+        alpha: configuration.alpha[index],
+    }
+}
+
+/// Finds all pairs of points nearer than `distance`, ordered by (i, j), i < j.
+///
+/// Sorts along x, ties by index, and sweeps: the result is the same set in the same order
+/// however the points lie.
+#[must_use]
+pub fn pairs_within(x: &[f64], y: &[f64], distance: f64) -> Vec<(u32, u32)> {
+    let count = u32::try_from(x.len()).expect("individuals are named by 32 bits");
+    let mut order: Vec<u32> = (0..count).collect();
+    order.sort_unstable_by(|&a, &b| x[a as usize].total_cmp(&x[b as usize]).then(a.cmp(&b)));
+    let mut pairs = Vec::new();
+    for (rank, &a) in order.iter().enumerate() {
+        let (xa, ya) = (x[a as usize], y[a as usize]);
+        for &b in &order[rank + 1..] {
+            let dx = x[b as usize] - xa;
+            if dx >= distance {
+                break;
+            }
+            let dy = y[b as usize] - ya;
+            if dx * dx + dy * dy < distance * distance {
+                pairs.push((a.min(b), a.max(b)));
+            }
+        }
+    }
+    pairs.sort_unstable();
+    pairs
+}
+
+/// Measures the gaps of all pairs nearer than `gap`, ordered by (i, j).
+#[must_use]
+pub fn near_pairs(
+    body: Body,
+    configuration: &Configuration,
+    gap: f64,
+) -> Vec<(u32, u32, Nearness)> {
+    pairs_within(
+        &configuration.x,
+        &configuration.y,
+        body.centre_distance(gap),
+    )
+    .into_iter()
+    .map(|(i, j)| {
+        let poses = [i, j].map(|index| pose(configuration, index as usize));
+        (i, j, body.nearness(poses[0], poses[1]))
+    })
+    .filter(|(_, _, nearness)| nearness.gap < gap)
+    .collect()
+}
+
+/// Measures the worst gap and counts the crossed pairs.
+#[must_use]
+pub fn gaps(parameters: &Parameters, configuration: &Configuration) -> Gaps {
+    let near = near_pairs(Body::new(parameters), configuration, HORIZON);
+    Gaps {
+        worst_gap: near
+            .iter()
+            .map(|(_, _, nearness)| nearness.gap)
+            .reduce(f64::min),
+        crossed: near
+            .iter()
+            .filter(|(_, _, nearness)| nearness.crossed)
+            .count(),
+    }
+}
+
+/// Measures the smallest gap; none if no pair is within [`HORIZON`].
+#[must_use]
+pub fn worst_gap(parameters: &Parameters, configuration: &Configuration) -> Option<f64> {
+    gaps(parameters, configuration).worst_gap
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use super::*;
+
+    const BODY: Body = Body {
+        half_length: 0.6,
+        radius: 0.2,
+    };
+
+    fn between(dx: f64, dy: f64, alpha: f64) -> Nearness {
+        BODY.nearness(
+            Pose {
+                x: 3.0,
+                y: -2.0,
+                alpha: 0.0,
+            },
+            Pose {
+                x: 3.0 + dx,
+                y: -2.0 + dy,
+                alpha,
+            },
+        )
+    }
+
+    #[test]
+    fn bodies_end_to_end_touch_at_their_caps() {
+        assert!((between(1.6, 0.0, 0.0).gap).abs() < 1e-15);
+        assert!((between(1.7, 0.0, 0.0).gap - 0.1).abs() < 1e-15);
+        assert!(
+            (between(0.3, 0.5, 0.0).gap - 0.1).abs() < 1e-15,
+            "side by side"
+        );
+        assert!(
+            (between(1.2 + 0.3, 0.4, 0.0).gap - 0.1).abs() < 1e-15,
+            "cap to cap"
+        );
+    }
+
+    #[test]
+    fn an_end_over_a_side_is_measured_straight_down() {
+        let nearness = between(0.2, 1.3, FRAC_PI_2);
+        assert!((nearness.gap - (1.3 - 0.6 - 0.4)).abs() < 1e-15 && !nearness.crossed);
+    }
+
+    #[test]
+    fn crossing_is_seen_at_any_angle_and_never_between_parallels() {
+        assert_eq!(
+            between(0.0, 0.0, FRAC_PI_2),
+            Nearness {
+                gap: -0.4,
+                crossed: true
+            }
+        );
+        assert!(between(0.0, 1e-13, 1e-12).crossed);
+        assert!(
+            between(1e-3, 0.0, 0.0).crossed,
+            "axes along one line overlap"
+        );
+        assert!(!between(0.0, 1e-9, 0.0).crossed);
+        assert!(!between(1.2 + 1e-9, 0.0, 0.0).crossed);
+        let touching = between(0.0, 0.6, FRAC_PI_2);
+        assert!(
+            (touching.gap + 0.4).abs() < 1e-15,
+            "an end on the other axis leaves no distance"
+        );
+    }
+
+    #[test]
+    fn nearly_parallel_bodies_are_measured_at_the_nearer_end() {
+        // parry's own pair query takes these for parallel and measures the wrong end.
+        let alpha = -1.4e-8;
+        assert!((between(0.0, 0.5, alpha).gap - (0.5 - 0.6 * 1.4e-8 - 0.4)).abs() < 1e-15);
+    }
+
+    #[test]
+    fn discs_and_almost_discs_agree() {
+        let disc = Body {
+            half_length: 0.0,
+            radius: 0.5,
+        };
+        let almost = Body {
+            half_length: 1e-9,
+            radius: 0.5,
+        };
+        let (first, second) = (
+            Pose {
+                x: 0.0,
+                y: 0.0,
+                alpha: 0.3,
+            },
+            Pose {
+                x: 0.6,
+                y: 0.9,
+                alpha: 2.0,
+            },
+        );
+        let (one, two) = (disc.nearness(first, second), almost.nearness(first, second));
+        assert!((one.gap - two.gap).abs() < 3e-9);
+        assert!((one.gap - (0.6f64.hypot(0.9) - 1.0)).abs() < 1e-15);
+        assert!(disc.nearness(first, first).crossed);
+    }
+
+    #[test]
+    fn the_sweep_finds_what_all_pairs_find() {
+        let mut stream =
+            super::super::random::Stream::new(1, 0, 0, super::super::random::Purpose::Start);
+        let mut draw = || {
+            (0..200)
+                .map(|_| libm::floor(stream.uniform() * 40.0) / 4.0)
+                .collect()
+        };
+        let (x, y): (Vec<f64>, Vec<f64>) = (draw(), draw());
+        let mut all = Vec::new();
+        for i in 0..200u32 {
+            for j in i + 1..200 {
+                let (dx, dy) = (x[j as usize] - x[i as usize], y[j as usize] - y[i as usize]);
+                if dx * dx + dy * dy < 1.0 {
+                    all.push((i, j));
+                }
+            }
+        }
+        assert_eq!(pairs_within(&x, &y, 1.0), all);
+        assert!(all.len() > 100, "the grid makes many ties");
+    }
+
+    #[test]
+    fn the_worst_gap_and_the_crossings_are_those_of_all_pairs() {
+        let parameters = Parameters::default();
+        let mut configuration = Configuration::default();
+        assert_eq!(gaps(&parameters, &configuration), Gaps::default());
+        configuration.push(0.0, 0.0, 0.0);
+        configuration.push(9.0, 0.0, 0.0);
+        assert_eq!(worst_gap(&parameters, &configuration), None);
+        configuration.push(0.0, 0.45, 0.0);
+        assert!((worst_gap(&parameters, &configuration).unwrap() - 0.05).abs() < 1e-15);
+        configuration.push(9.0, 0.0, 1.0);
+        let gaps = gaps(&parameters, &configuration);
+        assert_eq!((gaps.crossed, gaps.worst_gap), (1, Some(-0.4)));
+    }
+}

@@ -1,0 +1,255 @@
+//! Changing the shape of all bodies while they are close together.
+
+use thiserror::Error;
+
+use super::body::{Body, Nearness, Pose, near_pairs, pose};
+use super::{Configuration, Parameters, ParametersError, State};
+
+/// How much larger than the least possible the factor may be. Far below what shows, and far
+/// above the rounding of a gap.
+const FACTOR_TOLERANCE: f64 = 1e-9;
+
+/// Why a change of shape is refused.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum ResizeError {
+    /// `pi1` is outside its range, or needs a shorter step.
+    #[error(transparent)]
+    Parameters(#[from] ParametersError),
+    /// The new bodies overlap more than the old ones did.
+    #[error(
+        "{pairs} pairs would overlap more than before, {first} and {second} by a gap of {gap}: make_room moves all apart"
+    )]
+    NoRoom {
+        /// How many pairs would.
+        pairs: usize,
+        /// The id of one individual of the first such pair.
+        first: u32,
+        /// The id of the other.
+        second: u32,
+        /// The gap they would have.
+        gap: f64,
+    },
+    /// Two centres coincide: no factor moves them apart.
+    #[error("individuals {first} and {second} are at one place, which no factor moves apart")]
+    SamePlace {
+        /// The id of one of them.
+        first: u32,
+        /// The id of the other.
+        second: u32,
+    },
+}
+
+/// Gives all bodies the length over width `pi1`, and returns the factor by which positions
+/// moved away from the centroid: 1 unless `make_room` was needed.
+///
+/// No pair may overlap more than it did, or cross. The factor is at most 1e-9 above the least
+/// one, never below. The solver's memory is kept: it is only a guess at who pushes, most of
+/// those in contact stay in contact, and a wrong guess costs time, not accuracy.
+///
+/// # Errors
+///
+/// [`ResizeError::NoRoom`] without `make_room`; [`ResizeError::Parameters`] when the new shape
+/// is out of range or turns its tips too far in one step. Nothing has changed then.
+pub fn change_pi1(state: &mut State, pi1: f64, make_room: bool) -> Result<f64, ResizeError> {
+    let configuration = &state.configuration;
+    let parameters = Parameters {
+        pi1,
+        ..state.parameters
+    };
+    parameters.check(configuration.largest_weight())?;
+    let (old, new) = (Body::new(&state.parameters), Body::new(&parameters));
+    let tight: Vec<(u32, u32, Nearness)> = near_pairs(new, configuration, 0.0)
+        .into_iter()
+        .filter(|&(i, j, nearness)| !is_allowed(nearness, allowed(old, configuration, i, j)))
+        .collect();
+    let Some(&(i, j, Nearness { gap, .. })) = tight.first() else {
+        state.parameters = parameters;
+        return Ok(1.0);
+    };
+    let [first, second] = [i, j].map(|k| configuration.id[k as usize]);
+    if !make_room {
+        return Err(ResizeError::NoRoom {
+            pairs: tight.len(),
+            first,
+            second,
+            gap,
+        });
+    }
+    let mut factor: f64 = 1.0;
+    for &(i, j, _) in &tight {
+        let poses = [i, j].map(|k| pose(configuration, k as usize));
+        if poses[0].x == poses[1].x && poses[0].y == poses[1].y {
+            let [first, second] = [i, j].map(|k| configuration.id[k as usize]);
+            return Err(ResizeError::SamePlace { first, second });
+        }
+        factor = least_factor(new, poses, allowed(old, configuration, i, j), factor);
+    }
+    state.configuration = scaled(configuration, factor);
+    state.parameters = parameters;
+    Ok(factor)
+}
+
+/// The smallest gap a pair may have: what it had, and no more than a touch.
+fn allowed(old: Body, configuration: &Configuration, i: u32, j: u32) -> f64 {
+    let [first, second] = [i, j].map(|k| pose(configuration, k as usize));
+    old.nearness(first, second).gap.min(0.0)
+}
+
+/// A thinner body can cross another and yet overlap less, so crossing is refused by itself.
+fn is_allowed(nearness: Nearness, smallest: f64) -> bool {
+    nearness.gap >= smallest && !nearness.crossed
+}
+
+/// Finds the least factor, not below `least`, that gives a pair room. Bodies look the same from
+/// both ends, so their gap grows with the distance of their centres and bisection is exact.
+fn least_factor(body: Body, poses: [Pose; 2], smallest: f64, least: f64) -> f64 {
+    let has_room = |factor: f64| {
+        let apart = Pose {
+            x: poses[0].x + factor * (poses[1].x - poses[0].x),
+            y: poses[0].y + factor * (poses[1].y - poses[0].y),
+            alpha: poses[1].alpha,
+        };
+        // The positions themselves are rounded once more when all are scaled.
+        is_allowed(body.nearness(poses[0], apart), smallest + ROUNDING)
+    };
+    if has_room(least) {
+        return least;
+    }
+    let (mut low, mut high) = (least, 2.0 * least);
+    while !has_room(high) {
+        (low, high) = (high, 2.0 * high);
+    }
+    while high - low > FACTOR_TOLERANCE * low {
+        let middle = f64::midpoint(low, high);
+        if has_room(middle) {
+            high = middle;
+        } else {
+            low = middle;
+        }
+    }
+    high
+}
+
+/// Spacing of doubles at half a cell, a few times over.
+const ROUNDING: f64 = 1e-12;
+
+fn scaled(configuration: &Configuration, factor: f64) -> Configuration {
+    let mut scaled = configuration.clone();
+    let [x, y] = configuration.centroid();
+    scaled
+        .x
+        .iter_mut()
+        .for_each(|value| *value = x + factor * (*value - x));
+    scaled
+        .y
+        .iter_mut()
+        .for_each(|value| *value = y + factor * (*value - y));
+    scaled
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::model::body::gaps;
+    use crate::model::start::disc;
+
+    fn pair(distance: f64, pi1: f64) -> State {
+        let mut state = State::default();
+        state.parameters.pi1 = pi1;
+        state.configuration.push(0.0, 0.0, 0.0);
+        state.configuration.push(distance, 0.0, 0.0);
+        state
+    }
+
+    #[test]
+    fn two_in_line_move_apart_to_the_new_length() {
+        // Length at pi1 = 4 is 1.6; at pi1 = 8 it is 16/9.
+        let mut state = pair(1.7, 4.0);
+        let before = state.clone();
+        let refusal = change_pi1(&mut state, 8.0, false).unwrap_err();
+        assert!(
+            matches!(refusal, ResizeError::NoRoom { pairs: 1, first: 0, second: 1, gap } if (gap - (1.7 - 16.0 / 9.0)).abs() < 1e-14)
+        );
+        assert_eq!(state, before);
+        let factor = change_pi1(&mut state, 8.0, true).unwrap();
+        let least = 16.0 / 9.0 / 1.7;
+        assert!(
+            factor >= least && factor < least * (1.0 + 2e-9),
+            "{factor} against {least}"
+        );
+        assert!((state.configuration.centroid()[0] - 0.85).abs() < 1e-15);
+        assert_eq!(state.parameters.pi1, 8.0);
+    }
+
+    #[test]
+    fn with_room_enough_nothing_moves() {
+        let mut state = pair(1.8, 4.0);
+        let before = state.configuration.clone();
+        assert_eq!(change_pi1(&mut state, 8.0, true), Ok(1.0));
+        assert_eq!(state.configuration, before);
+    }
+
+    #[test]
+    fn a_pair_that_overlaps_may_keep_its_overlap() {
+        let mut state = pair(1.6 - 1e-3, 4.0);
+        assert_eq!(change_pi1(&mut state, 3.0, false), Ok(1.0));
+        let factor = change_pi1(&mut state, 4.0, true).unwrap();
+        assert!(factor > 1.0, "the overlap it had has been forgotten");
+    }
+
+    #[test]
+    fn discs_pressed_together_do_not_become_crossed_needles() {
+        // As discs they overlap by 0.3; as needles of radius 1/33 they would cross, at a gap
+        // of only -2/33.
+        let mut state = pair(0.7, 1.0);
+        state.parameters.dt = 1e-3;
+        state.configuration.alpha = vec![0.0, 1.5];
+        assert!(matches!(
+            change_pi1(&mut state, 32.0, false),
+            Err(ResizeError::NoRoom { .. })
+        ));
+        assert!(change_pi1(&mut state, 32.0, true).unwrap() > 1.0);
+        assert_eq!(gaps(&state.parameters, &state.configuration).crossed, 0);
+    }
+
+    #[test]
+    fn a_whole_group_gets_room_and_hardly_more() {
+        let mut state = State::default();
+        state.configuration = disc(&state.parameters, 74, Some(6.5), 3).unwrap();
+        let factor = change_pi1(&mut state, 8.0, true).unwrap();
+        assert!(factor > 1.0);
+        let measured = gaps(&state.parameters, &state.configuration);
+        assert!(
+            (0.0..1e-8).contains(&measured.worst_gap.unwrap()),
+            "{measured:?}"
+        );
+    }
+
+    #[test]
+    fn refusals_change_nothing() {
+        let mut state = pair(5.0, 4.0);
+        state.parameters.dt = 0.2;
+        let before = state.clone();
+        for pi1 in [0.5, 33.0, f64::NAN, 8.0] {
+            assert!(matches!(
+                change_pi1(&mut state, pi1, true),
+                Err(ResizeError::Parameters(_))
+            ));
+        }
+        assert!(matches!(
+            change_pi1(&mut state, 8.0, true),
+            Err(ResizeError::Parameters(ParametersError::StepTooLong { .. }))
+        ));
+        let mut state_at_one_place = pair(0.0, 4.0);
+        let refusal = change_pi1(&mut state_at_one_place, 3.0, true);
+        assert_eq!(
+            refusal,
+            Err(ResizeError::SamePlace {
+                first: 0,
+                second: 1
+            })
+        );
+        assert_eq!(state, before);
+    }
+}

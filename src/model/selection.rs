@@ -1,0 +1,367 @@
+//! Who is meant by a command.
+
+use thiserror::Error;
+
+use super::injection::check_radius;
+use super::parameters::check_coordinate;
+use super::random::{Purpose, Stream};
+use super::{Configuration, ParametersError};
+
+/// A way of naming individuals.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Selection {
+    /// These.
+    Ids(Vec<u32>),
+    /// So many, drawn at random.
+    Count(usize),
+    /// This share, rounded to whole individuals, drawn at random.
+    Fraction(f64),
+    /// All whose centre lies in a disc, in absolute coordinates.
+    Within {
+        /// Centre.
+        x: f64,
+        /// Centre.
+        y: f64,
+        /// Radius.
+        radius: f64,
+    },
+    /// So many of those furthest in a direction, ties by id.
+    Foremost {
+        /// How many.
+        count: usize,
+        /// The direction.
+        along: f64,
+    },
+}
+
+/// Whom a selection may pick from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Candidates {
+    /// Everybody.
+    All,
+    /// Those with a preferred direction.
+    Informed,
+}
+
+/// Why a selection is refused.
+#[derive(Clone, Debug, PartialEq, Error)]
+pub enum SelectionError {
+    /// A number is outside its range.
+    #[error(transparent)]
+    Number(#[from] ParametersError),
+    /// More were asked for than there are.
+    #[error("{field} = {count} is outside [0, {candidates}]")]
+    Count {
+        /// The field's name.
+        field: &'static str,
+        /// How many were asked for.
+        count: usize,
+        /// How many there are.
+        candidates: usize,
+    },
+    /// An id names nobody that may be selected.
+    #[error("select.ids: {id} is not among the {candidates} candidates")]
+    UnknownId {
+        /// The id.
+        id: u32,
+        /// How many there are.
+        candidates: usize,
+    },
+    /// An id is given twice.
+    #[error("select.ids: {id} is given twice")]
+    RepeatedId {
+        /// The id.
+        id: u32,
+    },
+}
+
+/// Selects individuals and returns their indices, in order.
+///
+/// Draws are keyed by the swarm's seed and the command's number.
+///
+/// # Errors
+///
+/// Each variant of [`SelectionError`] names the field, what it was and what it may be.
+pub fn select(
+    configuration: &Configuration,
+    candidates: Candidates,
+    selection: &Selection,
+    seed: u64,
+    seq: u64,
+) -> Result<Vec<usize>, SelectionError> {
+    let mut pool: Vec<usize> = (0..configuration.n())
+        .filter(|&k| candidates == Candidates::All || configuration.weight[k] > 0.0)
+        .collect();
+    let check_count = |field, count: usize| match count <= pool.len() {
+        true => Ok(count),
+        false => Err(SelectionError::Count {
+            field,
+            count,
+            candidates: pool.len(),
+        }),
+    };
+    match *selection {
+        Selection::Ids(ref ids) => return by_id(configuration, &pool, ids),
+        Selection::Count(count) => {
+            let count = check_count("select.count", count)?;
+            draw(&mut pool, count, seed, seq);
+        }
+        Selection::Fraction(fraction) => {
+            let count = share(pool.len(), fraction)?;
+            draw(&mut pool, count, seed, seq);
+        }
+        Selection::Within { x, y, radius } => {
+            let centre = configuration.relative([x, y]);
+            check_finite("select.within.x", x)?;
+            check_finite("select.within.y", y)?;
+            check_radius("select.within.radius", radius)?;
+            pool.retain(|&k| {
+                let (dx, dy) = (
+                    configuration.x[k] - centre[0],
+                    configuration.y[k] - centre[1],
+                );
+                dx * dx + dy * dy <= radius * radius
+            });
+        }
+        Selection::Foremost { count, along } => {
+            check_coordinate("select.foremost.along", along)?;
+            let count = check_count("select.foremost.count", count)?;
+            let (sin, cos) = libm::sincos(along);
+            let lead = |k: usize| configuration.x[k] * cos + configuration.y[k] * sin;
+            pool.sort_by(|&a, &b| lead(b).total_cmp(&lead(a)).then(a.cmp(&b)));
+            pool.truncate(count);
+        }
+    }
+    pool.sort_unstable();
+    Ok(pool)
+}
+
+/// Finds the indices of `ids`; as ids increase with the index, both lists stay ordered.
+fn by_id(
+    configuration: &Configuration,
+    pool: &[usize],
+    ids: &[u32],
+) -> Result<Vec<usize>, SelectionError> {
+    let mut sorted = ids.to_vec();
+    sorted.sort_unstable();
+    if let Some(pair) = sorted.windows(2).find(|pair| pair[0] == pair[1]) {
+        return Err(SelectionError::RepeatedId { id: pair[0] });
+    }
+    let find = |id: &u32| {
+        pool.binary_search_by(|&k| configuration.id[k].cmp(id))
+            .map(|place| pool[place])
+            .map_err(|_| SelectionError::UnknownId {
+                id: *id,
+                candidates: pool.len(),
+            })
+    };
+    sorted.iter().map(find).collect()
+}
+
+/// Rounds a share of `candidates` to whole individuals, halves upwards.
+fn share(candidates: usize, fraction: f64) -> Result<usize, SelectionError> {
+    if !(0.0..=1.0).contains(&fraction) {
+        let (field, value, range) = ("select.fraction", fraction, "[0, 1]");
+        return Err(ParametersError::OutOfRange {
+            field,
+            value,
+            range,
+        }
+        .into());
+    }
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "between 0 and the count"
+    )]
+    Ok(libm::round(fraction * candidates as f64) as usize)
+}
+
+/// Keeps `count` of `pool`, every subset equally likely: a shuffle that stops early.
+fn draw(pool: &mut Vec<usize>, count: usize, seed: u64, seq: u64) {
+    let mut stream = Stream::new(seed, seq, 0, Purpose::Selection);
+    for k in 0..count {
+        let left = (pool.len() - k) as u64;
+        #[expect(clippy::cast_possible_truncation, reason = "below a length")]
+        pool.swap(k, k + stream.below(left) as usize);
+    }
+    pool.truncate(count);
+}
+
+fn check_finite(field: &'static str, value: f64) -> Result<(), ParametersError> {
+    if value.is_finite() {
+        return Ok(());
+    }
+    Err(ParametersError::OutOfRange {
+        field,
+        value,
+        range: "the finite numbers",
+    })
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    /// Ids 10 to 19 on a line, the even ones informed.
+    fn line() -> Configuration {
+        let mut configuration = Configuration {
+            next_id: 10,
+            ..Configuration::default()
+        };
+        for k in 0..10usize {
+            configuration.push(k as f64, 0.0, 0.0);
+            configuration.inform(k, if k % 2 == 0 { 0.5 } else { 0.0 }, 1.0, None);
+        }
+        configuration
+    }
+
+    #[expect(clippy::needless_pass_by_value, reason = "reads better at the calls")]
+    fn pick(candidates: Candidates, selection: Selection) -> Result<Vec<usize>, SelectionError> {
+        select(&line(), candidates, &selection, 1, 2)
+    }
+
+    #[test]
+    fn ids_are_found_in_any_order_and_refused_when_unknown_or_repeated() {
+        let ids = |candidates, ids: &[u32]| pick(candidates, Selection::Ids(ids.to_vec()));
+        assert_eq!(ids(Candidates::All, &[19, 10, 12]).unwrap(), [0, 2, 9]);
+        assert!(ids(Candidates::All, &[]).unwrap().is_empty());
+        assert_eq!(ids(Candidates::Informed, &[12]).unwrap(), [2]);
+        assert_eq!(
+            ids(Candidates::All, &[20]),
+            Err(SelectionError::UnknownId {
+                id: 20,
+                candidates: 10
+            })
+        );
+        assert_eq!(
+            ids(Candidates::Informed, &[11]),
+            Err(SelectionError::UnknownId {
+                id: 11,
+                candidates: 5
+            })
+        );
+        assert_eq!(
+            ids(Candidates::All, &[11, 10, 11]),
+            Err(SelectionError::RepeatedId { id: 11 })
+        );
+    }
+
+    #[test]
+    fn draws_are_even_over_commands_and_fixed_for_one() {
+        let mut counts = [0; 10];
+        for seq in 0..2000 {
+            let drawn = select(&line(), Candidates::All, &Selection::Count(3), 1, seq).unwrap();
+            assert!(drawn.windows(2).all(|pair| pair[0] < pair[1]) && drawn.len() == 3);
+            drawn.iter().for_each(|&k| counts[k] += 1);
+        }
+        // Each is drawn 600 times on average, with a standard deviation of 20.
+        assert!(
+            counts.iter().all(|count| (480..720).contains(count)),
+            "{counts:?}"
+        );
+        let again = || pick(Candidates::All, Selection::Count(5)).unwrap();
+        assert_eq!(again(), again());
+    }
+
+    #[test]
+    fn counts_and_fractions_stay_within_the_candidates() {
+        assert_eq!(
+            pick(Candidates::All, Selection::Count(10)).unwrap(),
+            (0..10).collect::<Vec<_>>()
+        );
+        assert_eq!(
+            pick(Candidates::Informed, Selection::Count(5)).unwrap(),
+            [0, 2, 4, 6, 8]
+        );
+        assert!(
+            pick(Candidates::All, Selection::Count(0))
+                .unwrap()
+                .is_empty()
+        );
+        let refusal = SelectionError::Count {
+            field: "select.count",
+            count: 6,
+            candidates: 5,
+        };
+        assert_eq!(
+            pick(Candidates::Informed, Selection::Count(6)),
+            Err(refusal)
+        );
+        for (fraction, count) in [(0.0, 0), (0.04, 0), (0.05, 1), (0.5, 5), (1.0, 10)] {
+            assert_eq!(
+                pick(Candidates::All, Selection::Fraction(fraction))
+                    .unwrap()
+                    .len(),
+                count
+            );
+        }
+        for fraction in [-0.1, 1.1, f64::NAN, f64::INFINITY] {
+            let refusal = pick(Candidates::All, Selection::Fraction(fraction)).unwrap_err();
+            assert!(
+                refusal.to_string().starts_with("select.fraction"),
+                "{refusal}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_disc_is_in_absolute_coordinates() {
+        let mut configuration = line();
+        configuration.origin = [1, 0];
+        let within = |x, y, radius| {
+            select(
+                &configuration,
+                Candidates::All,
+                &Selection::Within { x, y, radius },
+                1,
+                2,
+            )
+        };
+        assert_eq!(within(1024.0 + 4.0, 0.0, 1.0).unwrap(), [3, 4, 5]);
+        assert!(within(4.0, 0.0, 1.0).unwrap().is_empty());
+        for (x, y, radius, field) in [
+            (f64::NAN, 0.0, 1.0, "select.within.x"),
+            (0.0, f64::INFINITY, 1.0, "select.within.y"),
+            (0.0, 0.0, 0.0, "select.within.radius"),
+            (0.0, 0.0, f64::NAN, "select.within.radius"),
+        ] {
+            assert!(
+                within(x, y, radius)
+                    .unwrap_err()
+                    .to_string()
+                    .starts_with(field)
+            );
+        }
+    }
+
+    #[test]
+    fn the_foremost_lead_in_the_direction_and_ties_go_to_the_lower_id() {
+        let foremost = |count, along| pick(Candidates::All, Selection::Foremost { count, along });
+        assert_eq!(foremost(2, 0.0).unwrap(), [8, 9]);
+        assert_eq!(foremost(2, std::f64::consts::PI).unwrap(), [0, 1]);
+        let mut abreast = line();
+        abreast.x = vec![0.0; 10];
+        let selection = Selection::Foremost {
+            count: 3,
+            along: 0.7,
+        };
+        assert_eq!(
+            select(&abreast, Candidates::All, &selection, 1, 2).unwrap(),
+            [0, 1, 2]
+        );
+        assert!(
+            foremost(1, f64::NAN)
+                .unwrap_err()
+                .to_string()
+                .starts_with("select.foremost.along")
+        );
+        assert!(
+            foremost(11, 0.0)
+                .unwrap_err()
+                .to_string()
+                .starts_with("select.foremost.count")
+        );
+    }
+}

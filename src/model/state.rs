@@ -1,0 +1,229 @@
+//! Everything that decides a swarm's future, and the hash that "same bytes" means.
+
+use super::{Attraction, Configuration, ContactRule, Parameters};
+
+/// Changes whenever the same state would have another future.
+pub const MODEL_VERSION: u32 = 1;
+
+/// A contact that pushed in the last step.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Remembered {
+    /// Id of the pair's first individual.
+    pub first: u32,
+    /// Id of the pair's second individual, larger than the first.
+    pub second: u32,
+    /// Which ends touch.
+    pub code: u8,
+    /// How hard they pushed.
+    pub multiplier: f64,
+}
+
+/// What the solver carries from one step to the next: the contacts that pushed.
+///
+/// The next step guesses from them which contacts will push. The guess decides the last bits of
+/// a step, so it belongs to the state. Ordered by (first, second, code).
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct SolverMemory {
+    /// The contacts with a positive multiplier.
+    pub contacts: Vec<Remembered>,
+}
+
+/// A swarm at one step.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct State {
+    /// What fixes the motion.
+    pub parameters: Parameters,
+    /// What draws are keyed by.
+    pub seed: u64,
+    /// How many steps have been taken.
+    pub step: u64,
+    /// Where everybody is.
+    pub configuration: Configuration,
+    /// What the solver remembers.
+    pub memory: SolverMemory,
+}
+
+impl State {
+    /// The time, `step dt`.
+    #[must_use]
+    pub fn time(&self) -> f64 {
+        self.step as f64 * self.parameters.dt
+    }
+
+    /// Hashes everything that decides the future: two states with one hash have one future.
+    ///
+    /// BLAKE3 over little-endian bytes in this order: model version; `pi1, pi2, pi3, pi4, dt`,
+    /// contact rule, attraction law; seed; step; origin; the next id; the columns id, x, y,
+    /// alpha, weight, direction, lapses; the solver's memory as columns first, second, code,
+    /// multiplier. A column is its length as 64 bits, then its entries; an entry of "lapses" is
+    /// a byte 0, or a byte 1 and the step. Floats are hashed by their bits.
+    #[must_use]
+    pub fn hash(&self) -> [u8; 32] {
+        let Self {
+            parameters,
+            seed,
+            step,
+            configuration,
+            memory,
+        } = self;
+        let mut bytes = Bytes(blake3::Hasher::new());
+        bytes.put(MODEL_VERSION.to_le_bytes());
+        let Parameters {
+            pi1,
+            pi2,
+            pi3,
+            pi4,
+            dt,
+            contacts,
+            attraction,
+        } = parameters;
+        [pi1, pi2, pi3, pi4, dt]
+            .into_iter()
+            .for_each(|value| bytes.put(value.to_le_bytes()));
+        bytes.put(match contacts {
+            ContactRule::Endpoints => [0],
+        });
+        bytes.put(match attraction {
+            Attraction::All => [0],
+        });
+        bytes.put(seed.to_le_bytes());
+        bytes.put(step.to_le_bytes());
+        let Configuration {
+            origin,
+            next_id,
+            id,
+            x,
+            y,
+            alpha,
+            weight,
+            direction,
+            lapses_at,
+        } = configuration;
+        origin.iter().for_each(|cell| bytes.put(cell.to_le_bytes()));
+        bytes.put(next_id.to_le_bytes());
+        bytes.column(id.iter().map(|id| id.to_le_bytes()));
+        for column in [x, y, alpha, weight, direction] {
+            bytes.column(column.iter().map(|value| value.to_le_bytes()));
+        }
+        bytes.put((lapses_at.len() as u64).to_le_bytes());
+        for lapse in lapses_at {
+            bytes.put([u8::from(lapse.is_some())]);
+            if let Some(step) = lapse {
+                bytes.put(step.to_le_bytes());
+            }
+        }
+        let SolverMemory { contacts } = memory;
+        bytes.column(contacts.iter().map(|contact| contact.first.to_le_bytes()));
+        bytes.column(contacts.iter().map(|contact| contact.second.to_le_bytes()));
+        bytes.column(contacts.iter().map(|contact| [contact.code]));
+        bytes.column(
+            contacts
+                .iter()
+                .map(|contact| contact.multiplier.to_le_bytes()),
+        );
+        *bytes.0.finalize().as_bytes()
+    }
+}
+
+struct Bytes(blake3::Hasher);
+
+impl Bytes {
+    fn put<const N: usize>(&mut self, bytes: [u8; N]) {
+        self.0.update(&bytes);
+    }
+
+    fn column<const N: usize>(&mut self, entries: impl ExactSizeIterator<Item = [u8; N]>) {
+        self.put((entries.len() as u64).to_le_bytes());
+        entries.for_each(|entry| self.put(entry));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn example() -> State {
+        let mut configuration = Configuration {
+            origin: [3, -4],
+            ..Configuration::default()
+        };
+        configuration.push(1.0, 2.0, 3.0);
+        configuration.push(4.0, 5.0, 6.0);
+        configuration.inform(1, 0.5, 1.5, Some(77));
+        let contacts = vec![Remembered {
+            first: 0,
+            second: 1,
+            code: 4,
+            multiplier: 0.25,
+        }];
+        let memory = SolverMemory { contacts };
+        State {
+            seed: 8,
+            step: 9,
+            configuration,
+            memory,
+            ..State::default()
+        }
+    }
+
+    /// A change of any of these bytes is a change of the model's version.
+    #[test]
+    fn the_layout_does_not_change() {
+        let state = example();
+        let mut bytes: Vec<u8> = Vec::new();
+        bytes.extend(1u32.to_le_bytes());
+        bytes.extend([4.0, 0.5, 1.0, 10.0, 0.02].map(f64::to_le_bytes).concat());
+        bytes.extend([0, 0]);
+        bytes.extend([8u64, 9].map(u64::to_le_bytes).concat());
+        bytes.extend([3i64, -4].map(i64::to_le_bytes).concat());
+        bytes.extend(2u32.to_le_bytes());
+        bytes.extend(2u64.to_le_bytes());
+        bytes.extend([0u32, 1].map(u32::to_le_bytes).concat());
+        for column in [[1.0, 4.0], [2.0, 5.0], [3.0, 6.0], [0.0, 0.5], [0.0, 1.5]] {
+            bytes.extend(2u64.to_le_bytes());
+            bytes.extend(column.map(f64::to_le_bytes).concat());
+        }
+        bytes.extend(2u64.to_le_bytes());
+        bytes.extend([0, 1]);
+        bytes.extend(77u64.to_le_bytes());
+        bytes.extend([&1u64.to_le_bytes()[..], &0u32.to_le_bytes()].concat());
+        bytes.extend([&1u64.to_le_bytes()[..], &1u32.to_le_bytes()].concat());
+        bytes.extend([&1u64.to_le_bytes()[..], &[4]].concat());
+        bytes.extend([&1u64.to_le_bytes()[..], &0.25f64.to_le_bytes()].concat());
+        assert_eq!(state.hash(), *blake3::hash(&bytes).as_bytes());
+        assert_eq!(state.time(), 9.0 * 0.02);
+    }
+
+    #[test]
+    fn everything_that_decides_the_future_is_hashed() {
+        let changes: [fn(&mut State); 20] = [
+            |state| state.parameters.pi1 = 5.0,
+            |state| state.parameters.pi2 = 5.0,
+            |state| state.parameters.pi3 = 5.0,
+            |state| state.parameters.pi4 = 5.0,
+            |state| state.parameters.dt = 0.01,
+            |state| state.seed += 1,
+            |state| state.step += 1,
+            |state| state.configuration.origin[1] += 1,
+            |state| state.configuration.next_id += 1,
+            |state| state.configuration.id[1] += 1,
+            |state| state.configuration.x[0] = -1.0,
+            |state| state.configuration.y[0] = -1.0,
+            |state| state.configuration.alpha[0] = -1.0,
+            |state| state.configuration.weight[0] = -1.0,
+            |state| state.configuration.direction[0] = -0.0,
+            |state| state.configuration.lapses_at[0] = Some(0),
+            |state| state.memory.contacts[0].first = 9,
+            |state| state.memory.contacts[0].second = 9,
+            |state| state.memory.contacts[0].code = 9,
+            |state| state.memory.contacts[0].multiplier = 9.0,
+        ];
+        let mut hashes = vec![example().hash()];
+        for (k, change) in changes.into_iter().enumerate() {
+            let mut state = example();
+            change(&mut state);
+            assert!(!hashes.contains(&state.hash()), "change {k} is not hashed");
+            hashes.push(state.hash());
+        }
+    }
+}

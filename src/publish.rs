@@ -1,0 +1,226 @@
+//! Publishes the newest state of every swarm, its order and its events.
+//!
+//! One thread takes what each outlet holds in turn. Congestion drops samples and never blocks:
+//! a stopped reader costs nobody else anything.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::Duration;
+
+use jostle_proto::{CBOR, JSON, keys};
+use tracing::warn;
+use zenoh::pubsub::Publisher;
+use zenoh::qos::CongestionControl;
+use zenoh::{Session, Wait};
+use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
+
+use crate::swarm::frame::Frame;
+use crate::swarm::outlet::Outlet;
+use crate::wire::{self, Payload};
+
+/// Events a late joiner still gets from the publisher's own cache.
+const EVENTS_CACHED: usize = 64;
+
+/// How often the number of the last event is told, so that a reader notices that it missed it.
+const HEARTBEAT: Duration = Duration::from_secs(2);
+
+/// The publishers of one swarm.
+pub struct Publication {
+    outlet: Arc<Outlet>,
+    frames: AtomicU64,
+    publishers: Publishers,
+}
+
+struct Publishers {
+    state: Publisher<'static>,
+    order: Publisher<'static>,
+    event: AdvancedPublisher<'static>,
+}
+
+impl Publication {
+    /// How many states have been published.
+    pub fn frames(&self) -> u64 {
+        self.frames.load(Ordering::Relaxed)
+    }
+}
+
+impl Publishers {
+    fn declare(session: &Session, prefix: &str, swarm: &str) -> zenoh::Result<Self> {
+        let publisher = |key: String, encoding: &'static str| {
+            session
+                .declare_publisher(key)
+                .congestion_control(CongestionControl::Drop)
+                .encoding(encoding)
+                .wait()
+        };
+        Ok(Publishers {
+            state: publisher(keys::state(prefix, swarm), CBOR)?,
+            order: publisher(keys::order(prefix, swarm), JSON)?,
+            event: session
+                .declare_publisher(keys::event(prefix, swarm))
+                .congestion_control(CongestionControl::Drop)
+                .encoding(JSON)
+                .advanced()
+                .cache(CacheConfig::default().max_samples(EVENTS_CACHED))
+                .sample_miss_detection(MissDetectionConfig::default().heartbeat(HEARTBEAT))
+                .wait()?,
+        })
+    }
+}
+
+/// Where swarms ring, and the publications there are.
+pub struct Press {
+    prefix: String,
+    publications: Mutex<BTreeMap<String, Arc<Publication>>>,
+    bells: Sender<Bell>,
+}
+
+enum Bell {
+    Ring(String),
+    Close(String, Box<dyn FnOnce() + Send>),
+    Stop,
+}
+
+impl Press {
+    /// Starts the publishing thread.
+    ///
+    /// # Errors
+    ///
+    /// When no thread can be started.
+    pub fn start(prefix: &str) -> std::io::Result<(Arc<Self>, thread::JoinHandle<()>)> {
+        let (bells, rung) = channel();
+        let press = Arc::new(Press {
+            prefix: prefix.to_owned(),
+            publications: Mutex::default(),
+            bells,
+        });
+        let thread = thread::Builder::new().name("publish".into()).spawn({
+            let press = press.clone();
+            move || press.run(&rung)
+        })?;
+        Ok((press, thread))
+    }
+
+    /// Says that a swarm's outlet holds something.
+    pub fn ring(&self, swarm: &str) {
+        // After the thread has ended there is nothing left to publish to.
+        let _ = self.bells.send(Bell::Ring(swarm.to_owned()));
+    }
+
+    /// Ends the publishing thread.
+    pub fn stop(&self) {
+        let _ = self.bells.send(Bell::Stop);
+    }
+
+    /// Begins to publish a swarm.
+    ///
+    /// # Errors
+    ///
+    /// When zenoh refuses the publishers.
+    pub fn open(&self, session: &Session, swarm: &str, outlet: Arc<Outlet>) -> zenoh::Result<()> {
+        let publishers = Publishers::declare(session, &self.prefix, swarm)?;
+        let publication = Arc::new(Publication {
+            outlet,
+            frames: AtomicU64::new(0),
+            publishers,
+        });
+        self.lock().insert(swarm.to_owned(), publication);
+        // What was put there before is still to be published.
+        self.ring(swarm);
+        Ok(())
+    }
+
+    /// Publishes what is left of a swarm, then no more, and then calls `closed`.
+    pub fn close(&self, swarm: &str, closed: Box<dyn FnOnce() + Send>) {
+        let close = Bell::Close(swarm.to_owned(), closed);
+        if let Err(error) = self.bells.send(close)
+            && let Bell::Close(_, closed) = error.0
+        {
+            closed();
+        }
+    }
+
+    /// A swarm's publication.
+    pub fn find(&self, swarm: &str) -> Option<Arc<Publication>> {
+        self.lock().get(swarm).cloned()
+    }
+
+    /// Whether anyone reads a swarm's states or order.
+    pub fn is_watched(&self, swarm: &str) -> bool {
+        self.find(swarm)
+            .is_some_and(|publication| publication.is_watched())
+    }
+
+    fn run(&self, rung: &Receiver<Bell>) {
+        while let Ok(bell) = rung.recv() {
+            match bell {
+                Bell::Ring(swarm) => {
+                    if let Some(publication) = self.find(&swarm) {
+                        publication.publish(&swarm);
+                    }
+                }
+                Bell::Close(swarm, closed) => {
+                    let publication = self.lock().remove(&swarm);
+                    if let Some(publication) = publication {
+                        publication.publish(&swarm);
+                    }
+                    closed();
+                }
+                Bell::Stop => return,
+            }
+        }
+    }
+
+    fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<String, Arc<Publication>>> {
+        self.publications
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Publication {
+    fn is_watched(&self) -> bool {
+        is_matched(&self.publishers.state) || is_matched(&self.publishers.order)
+    }
+
+    fn publish(&self, swarm: &str) {
+        let publishers = &self.publishers;
+        let (frame, events) = self.outlet.take();
+        for event in events {
+            let Payload { bytes, .. } = Payload::json(&wire::event(swarm, event));
+            report(swarm, publishers.event.put(bytes).wait());
+        }
+        if let Some(frame) = frame {
+            self.publish_frame(swarm, publishers, &frame);
+        }
+    }
+
+    /// Publishes a state and its order, each only if someone listens.
+    fn publish_frame(&self, swarm: &str, publishers: &Publishers, frame: &Frame) {
+        let number = self.frames.fetch_add(1, Ordering::Relaxed) + 1;
+        if is_matched(&publishers.state) {
+            let bytes = wire::state(swarm, frame, number).to_cbor();
+            report(swarm, publishers.state.put(bytes).wait());
+        }
+        if is_matched(&publishers.order) {
+            let Payload { bytes, .. } = Payload::json(&wire::order_sample(swarm, frame, number));
+            report(swarm, publishers.order.put(bytes).wait());
+        }
+    }
+}
+
+fn is_matched(publisher: &Publisher<'_>) -> bool {
+    publisher
+        .matching_status()
+        .wait()
+        .is_ok_and(|status| status.matching())
+}
+
+fn report(swarm: &str, put: zenoh::Result<()>) {
+    if let Err(error) = put {
+        warn!(swarm, %error, "failed to publish");
+    }
+}

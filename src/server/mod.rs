@@ -1,0 +1,178 @@
+//! The daemon on the bus: query in, reply out; liveliness; shutdown.
+
+pub mod answer;
+pub mod dispatch;
+pub mod session;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use jostle_proto::keys;
+use thiserror::Error;
+use tracing::{info, warn};
+use zenoh::Session;
+use zenoh::key_expr::KeyExpr;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::query::Queryable;
+
+use crate::command::{CommandError, check_name};
+use crate::config::Config;
+use crate::host::Host;
+use crate::publish::Press;
+use crate::server::answer::Desk;
+use crate::server::dispatch::{Crier, Dispatcher, Intake, MOST_QUERIES, Topic, queryable};
+use crate::server::session::SessionError;
+
+/// How long swarms may take to finish the step they are at when the daemon stops.
+const PATIENCE_WITH_SWARMS: Duration = Duration::from_millis(500);
+
+/// How long closing the session may take; with a frozen client it would be ten seconds.
+const PATIENCE_WITH_SESSION: Duration = Duration::from_secs(1);
+
+/// Why the daemon does not serve.
+#[derive(Debug, Error)]
+pub enum ServerError {
+    /// There is no session.
+    #[error(transparent)]
+    Session(#[from] SessionError),
+    /// zenoh refuses the daemon's own keys.
+    #[error("cannot declare the daemon's keys: {0}")]
+    Keys(String),
+    /// The daemon's name cannot be part of a key.
+    #[error("{}", .0.to_wire(None).message)]
+    Name(CommandError),
+    /// No thread can be started.
+    #[error("cannot start a thread: {0}")]
+    Thread(#[from] std::io::Error),
+}
+
+/// A daemon that serves.
+pub struct Server {
+    prefix: String,
+    host: Arc<Host>,
+    session: Session,
+    press: Arc<Press>,
+    desk: Desk,
+    intake: SyncSender<Intake>,
+    endpoints: Vec<String>,
+    _doors: (LivelinessToken, [Queryable<()>; 2]),
+}
+
+/// Opens the session and serves.
+///
+/// # Errors
+///
+/// [`ServerError`].
+pub async fn start(config: &Config) -> Result<Server, ServerError> {
+    let (prefix, node) = (&config.prefix, &config.node);
+    check_name("node", node).map_err(ServerError::Name)?;
+    check_name("prefix", prefix).map_err(ServerError::Name)?;
+    let session = session::open(&config.listen).await?;
+    let locators = session.info().locators().await;
+    let endpoints: Vec<String> = locators.iter().map(ToString::to_string).collect();
+
+    let desk = Desk::start()?;
+    let (press, _) = Press::start(prefix)?;
+    let (intake, taken) = sync_channel(MOST_QUERIES);
+    let crier = Arc::new(Crier::new(intake.clone(), press.clone()));
+    let host = Arc::new(Host::new(config.limits, crier));
+    let dispatcher = Dispatcher {
+        session: session.clone(),
+        prefix: prefix.clone(),
+        node: node.clone(),
+        host: host.clone(),
+        desk: desk.clone(),
+        press: press.clone(),
+        started: Instant::now(),
+        doors: BTreeMap::new(),
+        intake: intake.clone(),
+    };
+    thread::Builder::new()
+        .name("dispatch".into())
+        .spawn(move || dispatcher.run(&taken))?;
+
+    let refused = |error: zenoh::Error| ServerError::Keys(error.to_string());
+    let queryable = |key: String, topic| queryable(&session, &key, topic, &intake, &desk);
+    let queryables = [
+        queryable(keys::node_get(prefix, node, "**"), Topic::NodeGet).map_err(refused)?,
+        queryable(keys::node_cmd(prefix, node, "**"), Topic::NodeCommand).map_err(refused)?,
+    ];
+    let token = session
+        .liveliness()
+        .declare_token(keys::node_alive(prefix, node))
+        .await
+        .map_err(refused)?;
+    info!(node, endpoints = endpoints.join(" "), "serving");
+    Ok(Server {
+        prefix: prefix.clone(),
+        host,
+        session,
+        press,
+        desk,
+        intake,
+        endpoints,
+        _doors: (token, queryables),
+    })
+}
+
+impl Server {
+    /// Where clients reach it, such as `tcp/127.0.0.1:7447`.
+    pub fn endpoints(&self) -> &[String] {
+        &self.endpoints
+    }
+
+    /// The swarms it hosts.
+    pub fn host(&self) -> &Arc<Host> {
+        &self.host
+    }
+
+    /// How many clients subscribe to anything of a swarm.
+    pub async fn subscribers(&self, swarm: &str) -> usize {
+        let Ok(published) = KeyExpr::new(format!("{}/{swarm}/*", self.prefix)) else {
+            return 0;
+        };
+        let zid = self.session.zid().to_string();
+        let declared = format!("@/{zid}/peer/subscriber/");
+        let Ok(replies) = self.session.get(format!("{declared}**")).await else {
+            return 0;
+        };
+        let mut clients = BTreeSet::new();
+        while let Ok(reply) = replies.recv_async().await {
+            let Ok(sample) = reply.into_result() else {
+                continue;
+            };
+            let key = sample.key_expr().as_str();
+            let is_about = key
+                .strip_prefix(&declared)
+                .and_then(|key| KeyExpr::new(key).ok())
+                .is_some_and(|key| key.intersects(&published));
+            if is_about {
+                let sources: BTreeMap<String, Vec<String>> =
+                    serde_json::from_slice(&sample.payload().to_bytes()).unwrap_or_default();
+                clients.extend(sources.into_values().flatten().filter(|id| *id != zid));
+            }
+        }
+        clients.len()
+    }
+
+    /// Stops: no new orders, every swarm between two steps, goodbye. Takes less than two
+    /// seconds whatever the clients do.
+    pub async fn stop(self) {
+        let _ = self.intake.try_send(Intake::Stop);
+        let host = self.host.clone();
+        let running = tokio::task::spawn_blocking(move || host.stop(PATIENCE_WITH_SWARMS));
+        if let Ok(running @ 1..) = running.await {
+            warn!(running, "swarms were still in a step");
+        }
+        self.press.stop();
+        self.desk.stop();
+        match tokio::time::timeout(PATIENCE_WITH_SESSION, self.session.close()).await {
+            Ok(Ok(())) => {}
+            Ok(Err(error)) => warn!(%error, "failed to close the session"),
+            Err(_) => warn!("a client does not take its goodbye"),
+        }
+    }
+}

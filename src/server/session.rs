@@ -1,0 +1,167 @@
+//! The daemon's zenoh session: what it listens on and what it refuses from the bus.
+
+use std::net::{IpAddr, SocketAddr};
+
+use serde_json::{Value, json};
+use thiserror::Error;
+use zenoh::Session;
+
+/// The largest message accepted from the bus, in bytes. Larger ones vanish.
+pub const MAX_MESSAGE_BYTES: u64 = 1 << 20;
+
+/// Why there is no session.
+#[derive(Debug, Error)]
+pub enum SessionError {
+    /// An address that others could reach is not offered without authentication.
+    #[error(
+        "{0} can be reached from other machines, and anyone there could steer every swarm: \
+         listen on tcp/127.0.0.1:PORT or unixsock-stream/PATH and let others in through a tunnel"
+    )]
+    NotLoopback(String),
+    /// Nothing can be listened on.
+    #[error(
+        "cannot listen on {endpoints}: {reason}\n7447 is zenoh's own port: another daemon or \
+         router may hold it; `--listen tcp/127.0.0.1:0` takes a free one"
+    )]
+    Listen {
+        /// Where.
+        endpoints: String,
+        /// What zenoh says.
+        reason: String,
+    },
+    /// zenoh refuses the configuration.
+    #[error("zenoh refuses the setting {0}")]
+    Setting(String),
+}
+
+/// Opens the session on `listen`.
+///
+/// # Errors
+///
+/// [`SessionError`].
+pub async fn open(listen: &[String]) -> Result<Session, SessionError> {
+    for endpoint in listen {
+        if !is_local(endpoint) {
+            return Err(SessionError::NotLoopback(endpoint.clone()));
+        }
+    }
+    let mut config = zenoh::Config::default();
+    for (key, value) in settings(listen) {
+        config
+            .insert_json5(key, &value.to_string())
+            .map_err(|error| SessionError::Setting(format!("{key}: {error}")))?;
+    }
+    zenoh::open(config)
+        .await
+        .map_err(|error| SessionError::Listen {
+            endpoints: listen.join(", "),
+            reason: error.to_string(),
+        })
+}
+
+/// Every setting that differs from zenoh's own default, each measured to matter.
+fn settings(listen: &[String]) -> Vec<(&'static str, Value)> {
+    vec![
+        ("mode", json!("peer")),
+        ("listen/endpoints", json!(listen)),
+        // Nobody joins whom they did not name.
+        ("scouting/multicast/enabled", json!(false)),
+        ("scouting/gossip/enabled", json!(false)),
+        // The daemon itself counts subscribers in it; access control keeps everyone else out.
+        ("adminspace/enabled", json!(true)),
+        ("adminspace/permissions", json!({"read": true, "write": false})),
+        // Events with a history need timestamps.
+        ("timestamping/enabled", json!(true)),
+        ("transport/shared_memory/enabled", json!(false)),
+        // Silent connections must not lock out new clients.
+        ("transport/unicast/accept_timeout", json!(2000)),
+        ("transport/unicast/accept_pending", json!(1000)),
+        ("transport/unicast/max_sessions", json!(4096)),
+        // A client that is gone is noticed within three seconds.
+        ("transport/link/tx/lease", json!(3000)),
+        (
+            "transport/link/rx/max_message_size",
+            json!(MAX_MESSAGE_BYTES),
+        ),
+        ("access_control", access_control()),
+    ]
+}
+
+/// Clients query and subscribe. Whatever else they send is dropped, or anyone could forge the
+/// states and answers of a swarm.
+fn access_control() -> Value {
+    json!({
+        "enabled": true,
+        "default_permission": "allow",
+        "rules": [{
+            "id": "no_admin",
+            "permission": "deny",
+            "flows": ["ingress"],
+            "messages": ["query"],
+            "key_exprs": ["@/**"],
+        }, {
+            "id": "clients_do_not_publish",
+            "permission": "deny",
+            "flows": ["ingress"],
+            "messages": ["put", "delete", "liveliness_token", "declare_queryable", "reply"],
+            // A verbatim chunk is matched only by itself.
+            "key_exprs": ["**", "**/@node/**", "@/**"],
+        }],
+        "subjects": [{"id": "everyone"}],
+        "policies": [{
+            "rules": ["no_admin", "clients_do_not_publish"],
+            "subjects": ["everyone"],
+        }],
+    })
+}
+
+/// Whether only this machine can reach `endpoint`.
+fn is_local(endpoint: &str) -> bool {
+    let Some((protocol, rest)) = endpoint.split_once('/') else {
+        return false;
+    };
+    let address = rest.split(['?', '#']).next().unwrap_or(rest);
+    match protocol {
+        "unixsock-stream" => true,
+        "tcp" => match address.parse::<SocketAddr>() {
+            Ok(address) => address.ip().is_loopback(),
+            Err(_) => address.rsplit_once(':').is_some_and(|(host, _)| {
+                host == "localhost" || host.parse::<IpAddr>().is_ok_and(|ip| ip.is_loopback())
+            }),
+        },
+        _ => false,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_addresses_of_this_machine_are_listened_on() {
+        for local in [
+            "tcp/127.0.0.1:7447",
+            "tcp/127.0.0.1:0",
+            "tcp/127.9.9.9:1",
+            "tcp/[::1]:7447",
+            "tcp/localhost:7447",
+            "tcp/127.0.0.1:0#iface=lo",
+            "unixsock-stream//tmp/jostled.sock",
+        ] {
+            assert!(is_local(local), "{local}");
+        }
+        for open in [
+            "tcp/0.0.0.0:7447",
+            "tcp/[::]:7447",
+            "tcp/10.0.0.1:7447",
+            "tcp/*:7447",
+            "tcp/example.org:7447",
+            "tcp/127.0.0.1.example.org:7447",
+            "udp/127.0.0.1:7447",
+            "127.0.0.1:7447",
+            "",
+        ] {
+            assert!(!is_local(open), "{open}");
+        }
+    }
+}

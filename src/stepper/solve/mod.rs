@@ -1,0 +1,221 @@
+//! Solves the program of one step to its accuracy, by whichever of two routes gets there.
+//!
+//! First the contacts that pushed in the last step are taken for those that push now, and the
+//! few that are wrong are exchanged ([`polish`]). Where that wanders, Clarabel is asked who
+//! pushes, and its answer is polished the same way, or more slowly and surely ([`descend`]).
+//! Nothing is believed: the residual decides, computed from the multipliers alone.
+
+mod clarabel;
+mod descend;
+mod envelope;
+mod polish;
+
+use super::qp::Qp;
+pub use polish::Workspace;
+
+/// The accuracy asked of a step, in body sizes: far below the `dt²` of a step, far above
+/// rounding.
+pub const TARGET: f64 = 1e-9;
+
+/// A step less accurate than this is not taken.
+pub const ACCEPTABLE: f64 = 1e-6;
+
+/// What the right-hand side is multiplied by before Clarabel sees it. Gaps are of the order of
+/// dt, multipliers too, and its tolerances are meant for numbers of order one. Where one scale
+/// stalls another may not.
+const SCALES: [f64; 2] = [1e3, 1e4];
+
+/// A solution of the program of one step.
+#[derive(Clone, Debug, Default)]
+pub struct Solution {
+    /// λ, one per contact, never negative.
+    pub multipliers: Vec<f64>,
+    /// `d`, computed from λ.
+    pub displacement: Vec<[f64; 3]>,
+    /// `max |min(λ, s)|`.
+    pub residual: f64,
+    /// How many linear systems were factored.
+    pub iterations: usize,
+    /// How often Clarabel was asked.
+    pub referee: usize,
+}
+
+impl Solution {
+    /// Starts over with nobody pushing.
+    fn clear(&mut self, qp: &Qp) {
+        self.multipliers.clear();
+        self.multipliers.resize(qp.contacts.len(), 0.0);
+        self.residual = qp.residual(&self.multipliers, &mut self.displacement);
+        (self.iterations, self.referee) = (0, 0);
+    }
+
+    /// Keeps `multipliers`, cut off at 0, if they are better than what there is.
+    fn offer(&mut self, qp: &Qp, multipliers: &[f64]) {
+        let cut: Vec<f64> = multipliers
+            .iter()
+            .map(|&value| if value > 0.0 { value } else { 0.0 })
+            .collect();
+        let mut displacement = Vec::new();
+        let residual = qp.residual(&cut, &mut displacement);
+        if residual < self.residual {
+            self.multipliers = cut;
+            self.displacement = displacement;
+            self.residual = residual;
+        }
+    }
+}
+
+/// Solves `qp` from a guess of its multipliers; the best solution found is left in `solution`,
+/// and its residual says how good it is.
+pub fn solve(qp: &Qp, guess: &[f64], workspace: &mut Workspace, solution: &mut Solution) {
+    solution.clear(qp);
+    if solution.residual <= TARGET {
+        return;
+    }
+    by_guess(qp, guess, workspace, solution);
+    if solution.residual > TARGET {
+        by_referee(qp, workspace, solution);
+    }
+}
+
+/// Takes those with a positive guess for those that push.
+pub fn by_guess(qp: &Qp, guess: &[f64], workspace: &mut Workspace, solution: &mut Solution) {
+    let active = guess.iter().map(|&value| value > 0.0).collect();
+    solution.iterations += workspace.polish(qp, guess, active);
+    solution.offer(qp, workspace.multipliers());
+}
+
+/// Asks Clarabel who pushes.
+pub fn by_referee(qp: &Qp, workspace: &mut Workspace, solution: &mut Solution) {
+    let mut displacement = Vec::new();
+    for scale in SCALES {
+        let Some((multipliers, iterations)) = clarabel::multipliers(qp, scale) else {
+            continue;
+        };
+        solution.referee += 1;
+        solution.iterations += iterations;
+        solution.offer(qp, &multipliers);
+        qp.displace(&multipliers, &mut displacement);
+        let active = workspace.pushing(qp, &multipliers, &displacement);
+        solution.iterations += workspace.polish(qp, &multipliers, active);
+        solution.offer(qp, workspace.multipliers());
+        if solution.residual > TARGET {
+            solution.iterations += workspace.descend(qp, &solution.multipliers);
+            solution.offer(qp, workspace.multipliers());
+        }
+        if solution.residual <= TARGET {
+            return;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stepper::contact::Contact;
+
+    /// `count` discs in a row, all driven right at half a gap a step, the last one standing.
+    fn row(count: u32) -> Qp {
+        let contact = |i| Contact {
+            i,
+            j: i + 1,
+            code: 0,
+            gap: 0.0,
+            normal: [1.0, 0.0],
+            lever: [0.0, 0.0],
+        };
+        let mut free = vec![[0.02, 0.0, 0.0]; count as usize];
+        free[count as usize - 1] = [0.0; 3];
+        Qp {
+            weights: [1.0, 1.0, 0.1],
+            free,
+            contacts: (0..count - 1).map(contact).collect(),
+        }
+    }
+
+    #[test]
+    fn a_row_moves_together_by_either_route() {
+        let (qp, mut workspace, mut solution) = (row(9), Workspace::default(), Solution::default());
+        let check = |solution: &Solution| {
+            assert!(solution.residual <= TARGET);
+            for displacement in &solution.displacement {
+                assert!((displacement[0] - 0.02 * 8.0 / 9.0).abs() < 1e-9);
+            }
+            // Contact k carries what the k + 1 behind it lose.
+            for (k, &multiplier) in solution.multipliers.iter().enumerate() {
+                assert!((multiplier - (k + 1) as f64 * 0.02 / 9.0).abs() < 1e-9);
+            }
+        };
+        solution.clear(&qp);
+        by_guess(&qp, &[1.0; 8], &mut workspace, &mut solution);
+        check(&solution);
+        assert_eq!(solution.referee, 0);
+        solution.clear(&qp);
+        by_referee(&qp, &mut workspace, &mut solution);
+        check(&solution);
+        assert_eq!(solution.referee, 1);
+    }
+
+    #[test]
+    fn contacts_that_depend_on_each_other_are_solved() {
+        // The same contact five times over: any split of the push is right.
+        let mut qp = row(2);
+        qp.contacts = vec![qp.contacts[0]; 5];
+        let mut solution = Solution::default();
+        for guess in [[0.0; 5], [1.0; 5], [0.0, 0.0, 1.0, 0.0, 1.0]] {
+            solve(&qp, &guess, &mut Workspace::default(), &mut solution);
+            assert!(solution.residual <= TARGET, "{}", solution.residual);
+            assert!((solution.multipliers.iter().sum::<f64>() - 0.01).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn descending_needs_no_good_start() {
+        let (qp, mut workspace) = (row(9), Workspace::default());
+        for start in [
+            [0.0; 8],
+            [1.0; 8],
+            [0.0, 3.0, 0.0, 0.0, 1e3, 0.0, 0.0, 1e-9],
+        ] {
+            let mut solution = Solution::default();
+            solution.clear(&qp);
+            workspace.descend(&qp, &start);
+            solution.offer(&qp, workspace.multipliers());
+            assert!(solution.residual <= TARGET, "{}", solution.residual);
+        }
+    }
+
+    #[test]
+    fn a_wrong_guess_costs_nothing_but_time() {
+        let qp = row(9);
+        let (mut right, mut wrong) = (Solution::default(), Solution::default());
+        solve(&qp, &[1.0; 8], &mut Workspace::default(), &mut right);
+        solve(
+            &qp,
+            &[1e6, 0.0, 0.0, 1e-9, 0.0, 3.0, 0.0, 0.0],
+            &mut Workspace::default(),
+            &mut wrong,
+        );
+        for (one, other) in right.displacement.iter().zip(&wrong.displacement) {
+            assert!((one[0] - other[0]).abs() < 1e-9);
+        }
+    }
+
+    #[test]
+    fn without_a_push_nothing_is_factored_and_all_move_freely() {
+        let mut qp = row(3);
+        qp.contacts.iter_mut().for_each(|contact| contact.gap = 0.1);
+        let mut solution = Solution::default();
+        solve(&qp, &[0.5, 0.5], &mut Workspace::default(), &mut solution);
+        assert_eq!((solution.iterations, solution.displacement), (0, qp.free));
+    }
+
+    #[test]
+    fn what_is_not_a_number_is_never_a_solution() {
+        let mut qp = row(3);
+        qp.contacts[1].gap = f64::NAN;
+        let mut solution = Solution::default();
+        solve(&qp, &[0.5, 0.5], &mut Workspace::default(), &mut solution);
+        assert_eq!(solution.residual, f64::INFINITY);
+    }
+}

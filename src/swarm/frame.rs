@@ -1,0 +1,121 @@
+//! What a swarm shows of itself.
+
+use std::sync::OnceLock;
+
+use crate::model::body::{self, Gaps};
+use crate::model::configuration::Configuration;
+use crate::model::parameters::Parameters;
+use crate::observables::{Order, RunningMeans};
+use crate::swarm::order::{Rate, Sender};
+use crate::swarm::phase::Phase;
+
+/// Where a swarm is: the head of every answer.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Place {
+    /// Grows whenever `step` does not continue what was shown before.
+    pub epoch: u64,
+    /// The number of steps since the start.
+    pub step: u64,
+    /// `step · dt`.
+    pub time: f64,
+    /// What it is doing.
+    pub phase: Phase,
+    /// Counts the applied commands.
+    pub seq: u64,
+}
+
+/// A whole state, measured.
+#[derive(Clone, Debug)]
+pub struct Frame {
+    /// Where the swarm is.
+    pub place: Place,
+    /// The parameters in force.
+    pub parameters: Parameters,
+    /// Steps between two published states.
+    pub publish_every: u64,
+    /// The seed of every draw.
+    pub seed: u64,
+    /// Everybody.
+    pub configuration: Configuration,
+    /// Order and drift now.
+    pub order: Order,
+    /// Their means since the start or reset.
+    pub means: RunningMeans,
+    /// How exact the last step was.
+    pub exactness: Exactness,
+    /// How fast it is to run.
+    pub rate: Rate,
+    /// How fast it lately ran.
+    pub real_time_factor: Option<f64>,
+    /// BLAKE3 of the state, where it was asked for.
+    pub hash: Option<[u8; 32]>,
+    /// Filled by the first who asks, so that the swarm's thread need not measure.
+    pub(crate) gaps: OnceLock<Gaps>,
+}
+
+impl Frame {
+    /// The gaps between the bodies, measured apart from the solver.
+    pub fn gaps(&self) -> Gaps {
+        *self
+            .gaps
+            .get_or_init(|| body::gaps(&self.parameters, &self.configuration))
+    }
+}
+
+/// How exact the last step was.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Exactness {
+    /// Its residual.
+    pub residual: f64,
+    /// How many steps since the start or reset missed the target residual.
+    pub degraded: u64,
+    /// How many contacts constrained it.
+    pub contacts: usize,
+    /// How many iterations it took.
+    pub iterations: usize,
+}
+
+/// A swarm in a list: cheap enough to be kept up to date always.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Summary {
+    /// Where it is.
+    pub place: Place,
+    /// The size of the group.
+    pub n: usize,
+    /// How many of it are informed.
+    pub informed: usize,
+    /// The polar order parameter.
+    pub order: f64,
+    /// How fast it is to run.
+    pub rate: Rate,
+    /// How fast it lately ran.
+    pub real_time_factor: Option<f64>,
+}
+
+/// Something that happened to a swarm.
+#[derive(Clone, Debug)]
+pub struct Event {
+    /// Counts them from 1.
+    pub number: u64,
+    /// Where the swarm was.
+    pub place: Place,
+    /// What happened.
+    pub kind: EventKind,
+}
+
+/// What happened.
+#[derive(Clone, Debug)]
+pub enum EventKind {
+    /// It was created.
+    Created,
+    /// Its phase changed.
+    Phase,
+    /// A command was applied.
+    Command(Sender),
+    /// These are uninformed again.
+    Lapsed(Vec<u32>),
+    /// A step failed.
+    Fault(String),
+    /// It was deleted.
+    Deleted,
+}

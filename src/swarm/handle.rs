@@ -1,0 +1,82 @@
+//! How the rest of the daemon reaches a swarm.
+
+use std::sync::mpsc::{SyncSender, TrySendError};
+use std::sync::{Arc, Mutex, PoisonError};
+
+use crate::swarm::frame::Summary;
+use crate::swarm::order::{Answer, Awaited, Expectation, Order, OrderError, Recipe, Refusal, Sender};
+use crate::swarm::outlet::Outlet;
+
+/// What a swarm's thread takes, in the order of arrival.
+pub enum Ticket {
+    /// A command.
+    Command {
+        /// What to do.
+        order: Order,
+        /// Where the sender takes the swarm to be.
+        expected: Expectation,
+        /// Who sent it.
+        sender: Sender,
+        /// Takes what it came to.
+        answer: Answer,
+    },
+    /// A look at the state as it is now.
+    Look(Answer),
+    /// A look when something has come about.
+    Wait {
+        /// What is waited for.
+        awaited: Awaited,
+        /// Tells whether nobody waits for the answer any more.
+        is_abandoned: Box<dyn Fn() -> bool + Send>,
+        /// Takes the look.
+        answer: Answer,
+    },
+    /// End now, without an event: the daemon stops.
+    Stop,
+}
+
+/// A swarm as others see it. Clones reach the same swarm.
+#[derive(Clone)]
+pub struct Handle {
+    /// What it was created from.
+    pub recipe: Arc<Recipe>,
+    /// Where it puts what is to be published.
+    pub outlet: Arc<Outlet>,
+    pub(crate) tickets: SyncSender<Ticket>,
+    pub(crate) summary: Arc<Mutex<Option<Summary>>>,
+}
+
+impl Handle {
+    /// Hands over a ticket; its answer comes from the swarm's thread.
+    ///
+    /// # Errors
+    ///
+    /// [`OrderError::Busy`] when too many wait already, [`OrderError::Gone`] when the swarm has
+    /// ended; the ticket comes back.
+    pub fn send(&self, ticket: Ticket) -> Result<(), (OrderError, Ticket)> {
+        self.tickets.try_send(ticket).map_err(|error| match error {
+            TrySendError::Full(ticket) => (OrderError::Busy, ticket),
+            TrySendError::Disconnected(ticket) => (OrderError::Gone, ticket),
+        })
+    }
+
+    /// The swarm in a list; `None` until it is built.
+    pub fn summary(&self) -> Option<Summary> {
+        self.summary
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .clone()
+    }
+}
+
+impl Ticket {
+    /// Answers a ticket that no swarm took.
+    pub fn refuse(self, step: Option<u64>, error: OrderError) {
+        match self {
+            Ticket::Command { answer, .. } | Ticket::Look(answer) | Ticket::Wait { answer, .. } => {
+                answer(Err(Refusal { step, error }));
+            }
+            Ticket::Stop => {}
+        }
+    }
+}

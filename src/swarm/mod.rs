@@ -1,0 +1,10 @@
+//! One hosted swarm: its phases, its thread and how to reach it. Knows no zenoh.
+
+pub mod frame;
+pub mod handle;
+pub mod order;
+pub mod outlet;
+pub mod pace;
+pub mod phase;
+pub mod simulation;
+pub mod worker;

@@ -1,0 +1,276 @@
+//! What a swarm can be told, and what it answers.
+
+use std::sync::Arc;
+
+use thiserror::Error;
+
+use crate::model::injection::{InjectionError, Pose, Region};
+use crate::model::parameters::{Parameters, ParametersError};
+use crate::model::resize::ResizeError;
+use crate::model::selection::{Selection, SelectionError};
+use crate::model::start::StartError;
+use crate::swarm::frame::{Frame, Place};
+use crate::swarm::phase::PhaseError;
+
+/// Time units per second of wall clock; `None` is as fast as possible.
+pub type Rate = Option<f64>;
+
+/// What a swarm is made from: checked field by field, not yet built.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recipe {
+    /// The number of individuals at the start.
+    pub n: usize,
+    /// The parameters at the start.
+    pub parameters: Parameters,
+    /// The seed of every draw.
+    pub seed: u64,
+    /// Where the individuals begin.
+    pub start: Start,
+    /// Steps between two published states.
+    pub publish_every: u64,
+    /// How fast it runs.
+    pub rate: Rate,
+}
+
+/// Where the individuals begin.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Start {
+    /// Drawn in a disc of this radius, or of the default one.
+    Disc(Option<f64>),
+    /// Exactly there: three columns of n numbers.
+    Given {
+        /// Absolute positions.
+        x: Vec<f64>,
+        /// Absolute positions.
+        y: Vec<f64>,
+        /// Headings.
+        alpha: Vec<f64>,
+    },
+}
+
+/// What a swarm is told to do.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Order {
+    /// Run, to an end or for good; `rate` only if it is to change.
+    Run {
+        /// Where to pause.
+        until: Option<Until>,
+        /// How fast, if it is to change.
+        rate: Option<Rate>,
+    },
+    /// Stand still.
+    Pause,
+    /// Take this many steps as fast as possible, and answer when they are taken.
+    Step(u64),
+    /// Go back to the start, with a new seed or the old one.
+    Reset(Option<u64>),
+    /// Change parameters or the group.
+    Change(Change),
+    /// End.
+    Delete,
+}
+
+/// An end of a run.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Until {
+    /// This step.
+    Step(u64),
+    /// The first step at or after this time.
+    Time(f64),
+}
+
+/// A change of parameters or of the group: all of it or nothing.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Change {
+    /// New values of the parameters named.
+    Set(Settings),
+    /// Gives individuals a direction of their own.
+    Inform {
+        /// Whom.
+        selection: Selection,
+        /// Radians.
+        direction: f64,
+        /// `pi2` if left out.
+        weight: Option<f64>,
+        /// Time units after which they are uninformed again.
+        for_time: Option<f64>,
+    },
+    /// Takes individuals' direction away.
+    Uninform(Selection),
+    /// Adds individuals.
+    Inject {
+        /// Where.
+        place: Placement,
+        /// Informs them: direction in radians, and weight, `pi2` if left out.
+        informed: Option<(f64, Option<f64>)>,
+    },
+    /// Takes individuals out of the group.
+    Remove(Selection),
+}
+
+/// New values; what is left out stays.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Settings {
+    /// Length over width of a body.
+    pub pi1: Option<f64>,
+    /// Weight of individuals informed without one.
+    pub pi2: Option<f64>,
+    /// Body size over turning radius.
+    pub pi3: Option<f64>,
+    /// Translational over rotational drag.
+    pub pi4: Option<f64>,
+    /// Steps between two published states.
+    pub publish_every: Option<u64>,
+    /// Whether to scale positions so that a new `pi1` fits.
+    pub make_room: bool,
+}
+
+/// Where new individuals go.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Placement {
+    /// Exactly there.
+    At(Vec<Pose>),
+    /// This many around the group.
+    Border(usize),
+    /// This many in a disc.
+    Within(usize, Region),
+}
+
+/// Who sent a command and how, for the event that tells of it.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Sender {
+    /// The verb's name.
+    pub verb: &'static str,
+    /// The arguments as they came, JSON.
+    pub args: String,
+    /// Who says to have sent it.
+    pub client: Option<String>,
+    /// What the sender called it.
+    pub request_id: Option<String>,
+}
+
+/// What the sender takes the swarm to be at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Expectation {
+    /// The epoch.
+    pub epoch: Option<u64>,
+    /// The step.
+    pub step: Option<u64>,
+}
+
+/// When a waiting `get` is answered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Awaited {
+    /// When this step is reached, or the swarm stands still.
+    Step(u64),
+    /// When this step is reached, however often the swarm stands still before.
+    Reached(u64),
+    /// When it is paused.
+    Paused,
+    /// When it moves.
+    Running,
+    /// When it has faulted.
+    Faulted,
+}
+
+/// What an order came to.
+#[derive(Clone, Debug)]
+pub enum Outcome {
+    /// Nothing more to say.
+    Done,
+    /// It runs to this step at this rate.
+    Runs(Option<u64>, Rate),
+    /// It took this many steps, fewer than asked for if another command came between.
+    Stepped(u64, Arc<Frame>),
+    /// It is back at its start.
+    Reset(Arc<Frame>),
+    /// Parameters before and now, `publish_every` before and now, scale.
+    Set {
+        /// The parameters before.
+        before: (Parameters, u64),
+        /// The parameters now.
+        now: (Parameters, u64),
+        /// By how much positions were scaled to make room.
+        scaled_by: f64,
+    },
+    /// These individuals, and the size of the group now.
+    Ids(Vec<u32>, usize),
+    /// A look at it.
+    Seen(Arc<Frame>),
+}
+
+/// Why an order was not carried out; nothing has changed then.
+#[derive(Clone, Debug, Error)]
+pub enum OrderError {
+    /// The phase does not allow it.
+    #[error(transparent)]
+    Phase(#[from] PhaseError),
+    /// The swarm is elsewhere than the sender takes it to be.
+    #[error("the swarm is at {what} {actual}, not {expected}: look at its status and send again")]
+    Conflict {
+        /// `step` or `epoch`.
+        what: &'static str,
+        /// Where the sender takes it to be.
+        expected: u64,
+        /// Where it is.
+        actual: u64,
+    },
+    /// The end of a run lies behind.
+    #[error("until_step {until} is in the past, the swarm is at step {step}: name a later one")]
+    Past {
+        /// The end asked for.
+        until: u64,
+        /// Where it is.
+        step: u64,
+    },
+    /// A parameter is outside its range.
+    #[error(transparent)]
+    Parameters(#[from] ParametersError),
+    /// The start cannot be built.
+    #[error(transparent)]
+    Start(#[from] StartError),
+    /// The selection cannot be made.
+    #[error(transparent)]
+    Selection(#[from] SelectionError),
+    /// The new individuals find no place.
+    #[error(transparent)]
+    Injection(#[from] InjectionError),
+    /// The new shape finds no room.
+    #[error(transparent)]
+    Resize(#[from] ResizeError),
+    /// Nobody would be left.
+    #[error("this would remove all {0} individuals: leave one, or delete the swarm")]
+    NobodyLeft(usize),
+    /// The group would outgrow the daemon's limit.
+    #[error("{n} individuals are more than the {limit} this daemon takes in one swarm")]
+    TooMany {
+        /// The size asked for.
+        n: usize,
+        /// The limit.
+        limit: usize,
+    },
+    /// Too many orders or waiters at once.
+    #[error("too much at once for this swarm: try again in a moment")]
+    Busy,
+    /// A step failed while the order ran.
+    #[error("the swarm faulted while this ran ({0}): reset or delete it")]
+    Faulted(String),
+    /// The swarm ended before the order's turn.
+    #[error("the swarm was deleted")]
+    Gone,
+}
+
+/// What an order came to and where the swarm then was; or why it came to nothing.
+pub type Answered = Result<(Place, Outcome), Refusal>;
+
+/// An order that was not carried out.
+#[derive(Debug)]
+pub struct Refusal {
+    /// The step the swarm was at, if it was reached.
+    pub step: Option<u64>,
+    /// Why.
+    pub error: OrderError,
+}
+
+/// Takes an answer, once.
+pub type Answer = Box<dyn FnOnce(Answered) + Send>;

@@ -1,0 +1,144 @@
+//! Keeps a swarm to its rate by the monotonic clock, and measures the rate it reached.
+
+use std::time::{Duration, Instant};
+
+use crate::swarm::order::Rate;
+
+/// How far behind its rate a swarm may be and still catch up. It absorbs the jitter of waking
+/// up; what is more than that is given up, so that no burst follows a stall.
+const MOST_BACKLOG: Duration = Duration::from_millis(50);
+
+/// How much wall clock the measured rate looks back on.
+const WINDOW: Duration = Duration::from_secs(1);
+
+/// The earliest that a rate is measured after a start.
+const FIRST_LOOK: Duration = Duration::from_millis(200);
+
+/// When the next step is due, and how fast steps lately came.
+#[derive(Clone, Debug)]
+pub struct Pace {
+    period: Option<Duration>,
+    next: Instant,
+    window_began: Instant,
+    window_steps: u32,
+    reached: Option<f64>,
+    dt: f64,
+}
+
+impl Pace {
+    /// A pace of `rate` time units per second in steps of `dt`, beginning `now`.
+    pub fn new(rate: Rate, dt: f64, now: Instant) -> Self {
+        let period = rate.map(|rate| {
+            // A rate is a finite positive number; one so slow that its period does not fit
+            // takes the longest there is.
+            Duration::try_from_secs_f64(dt / rate).unwrap_or(Duration::MAX)
+        });
+        Pace {
+            period,
+            next: now,
+            window_began: now,
+            window_steps: 0,
+            reached: None,
+            dt,
+        }
+    }
+
+    /// How long until the next step is due; nothing if it is.
+    pub fn until_due(&self, now: Instant) -> Option<Duration> {
+        self.period?;
+        self.next
+            .checked_duration_since(now)
+            .filter(|wait| !wait.is_zero())
+    }
+
+    /// Notes that a step was taken.
+    pub fn stepped(&mut self, now: Instant) {
+        if let Some(period) = self.period {
+            self.next = later(self.next, period);
+            let allowed = period.max(MOST_BACKLOG);
+            if now.saturating_duration_since(self.next) > allowed {
+                self.next = now;
+            }
+        }
+        self.window_steps += 1;
+        let elapsed = now.saturating_duration_since(self.window_began);
+        let is_first = self.reached.is_none() && elapsed >= FIRST_LOOK;
+        if elapsed >= WINDOW || is_first {
+            self.reached = Some(f64::from(self.window_steps) * self.dt / elapsed.as_secs_f64());
+        }
+        if elapsed >= WINDOW {
+            self.window_began = now;
+            self.window_steps = 0;
+        }
+    }
+
+    /// Time units per second of wall clock lately reached; `None` until it can be told.
+    pub fn real_time_factor(&self) -> Option<f64> {
+        self.reached
+    }
+}
+
+fn later(instant: Instant, period: Duration) -> Instant {
+    // A century stands in for what the clock cannot hold.
+    instant
+        .checked_add(period)
+        .unwrap_or_else(|| instant + Duration::from_secs(100 * 365 * 86_400))
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    #[test]
+    fn steps_come_at_the_rate_asked_for() {
+        let start = Instant::now();
+        let mut pace = Pace::new(Some(2.0), 0.02, start);
+        assert_eq!(pace.until_due(start), None);
+        pace.stepped(start);
+        assert_eq!(pace.until_due(start), Some(10 * MS));
+        assert_eq!(pace.until_due(start + 4 * MS), Some(6 * MS));
+    }
+
+    #[test]
+    fn a_late_wake_up_is_made_good_but_a_stall_is_not() {
+        let start = Instant::now();
+        let mut pace = Pace::new(Some(2.0), 0.02, start);
+        pace.stepped(start + 30 * MS);
+        assert_eq!(pace.until_due(start + 30 * MS), None, "two more are due");
+        pace.stepped(start + 1000 * MS);
+        assert_eq!(pace.until_due(start + 1000 * MS), None);
+        pace.stepped(start + 1000 * MS);
+        assert_eq!(pace.until_due(start + 1000 * MS), Some(10 * MS), "no burst");
+    }
+
+    #[test]
+    fn as_fast_as_possible_is_always_due() {
+        let start = Instant::now();
+        let mut pace = Pace::new(None, 0.02, start);
+        pace.stepped(start);
+        assert_eq!(pace.until_due(start), None);
+    }
+
+    #[test]
+    fn the_rate_reached_is_steps_over_wall_clock() {
+        let start = Instant::now();
+        let mut pace = Pace::new(Some(1.0), 0.02, start);
+        assert_eq!(pace.real_time_factor(), None);
+        for step in 1..=50 {
+            pace.stepped(start + step * 40 * MS);
+        }
+        assert!((pace.real_time_factor().unwrap() - 0.5).abs() < 0.01);
+    }
+
+    #[test]
+    fn the_slowest_rate_does_not_overflow_the_clock() {
+        let start = Instant::now();
+        let mut pace = Pace::new(Some(f64::MIN_POSITIVE), 0.02, start);
+        pace.stepped(start);
+        assert!(pace.until_due(start).is_some());
+    }
+}

@@ -1,0 +1,291 @@
+//! One swarm's state and what commands make of it, without thread or clock.
+
+use crate::model::State;
+use crate::model::configuration::Configuration;
+use crate::model::parameters::{Parameters, check_coordinate, check_weight};
+use crate::model::selection::{Candidates, Selection, select};
+use crate::model::{injection, resize, start};
+use crate::observables::{self, Order, RunningMeans};
+use crate::stepper::{StepError, StepReport, Stepper};
+use crate::swarm::frame::Exactness;
+use crate::swarm::order::{Change, OrderError, Outcome, Placement, Recipe, Settings, Start};
+
+/// A swarm's state, its stepper and the means kept over its steps.
+pub struct Simulation {
+    /// What it was made from; `reset` goes back to this.
+    pub recipe: Recipe,
+    /// The state: all that its future depends on.
+    pub state: State,
+    /// Steps between two published states.
+    pub publish_every: u64,
+    /// Grows whenever `step` does not continue what was shown before.
+    pub epoch: u64,
+    /// Counts the applied commands; draws are keyed by it.
+    pub seq: u64,
+    /// Means since the start or reset.
+    pub means: RunningMeans,
+    /// How exact the last step was.
+    pub exactness: Exactness,
+    most_individuals: usize,
+    stepper: Stepper,
+}
+
+impl Simulation {
+    /// Builds the swarm that `recipe` describes; it may grow to `most_individuals`.
+    ///
+    /// # Errors
+    ///
+    /// [`OrderError::Parameters`] and [`OrderError::Start`].
+    pub fn new(recipe: Recipe, most_individuals: usize) -> Result<Self, OrderError> {
+        let state = begin(&recipe)?;
+        Ok(Simulation {
+            publish_every: recipe.publish_every,
+            recipe,
+            state,
+            epoch: 1,
+            seq: 0,
+            means: RunningMeans::default(),
+            exactness: Exactness::default(),
+            most_individuals,
+            stepper: Stepper::new(),
+        })
+    }
+
+    /// Takes one step.
+    ///
+    /// # Errors
+    ///
+    /// [`StepError`]; the state is then the last good one.
+    pub fn step(&mut self) -> Result<StepReport, StepError> {
+        let order = observables::order(&self.state.configuration);
+        let report = self.stepper.step(&mut self.state)?;
+        self.means.add(&order);
+        self.exactness = Exactness {
+            residual: report.residual,
+            degraded: self.exactness.degraded + u64::from(report.degraded),
+            contacts: report.contacts,
+            iterations: report.iterations,
+        };
+        Ok(report)
+    }
+
+    /// Goes back to the start in a new epoch.
+    ///
+    /// # Errors
+    ///
+    /// [`OrderError::Start`] when no start can be drawn with the new seed.
+    pub fn reset(&mut self, seed: Option<u64>) -> Result<(), OrderError> {
+        let mut recipe = self.recipe.clone();
+        recipe.seed = seed.unwrap_or(recipe.seed);
+        self.state = begin(&recipe)?;
+        self.publish_every = recipe.publish_every;
+        self.recipe = recipe;
+        self.epoch += 1;
+        self.means = RunningMeans::default();
+        self.exactness = Exactness::default();
+        self.stepper = Stepper::new();
+        Ok(())
+    }
+
+    /// Changes parameters or the group. The caller counts `seq` on when it succeeds.
+    ///
+    /// # Errors
+    ///
+    /// [`OrderError`]; nothing has changed then.
+    pub fn apply(&mut self, change: Change) -> Result<Outcome, OrderError> {
+        match change {
+            Change::Set(settings) => self.set(settings),
+            Change::Inform {
+                selection,
+                direction,
+                weight,
+                for_time,
+            } => self.inform(&selection, direction, weight, for_time),
+            Change::Uninform(selection) => {
+                let chosen = self.choose(Candidates::Informed, &selection)?;
+                for &individual in &chosen {
+                    self.state.configuration.uninform(individual);
+                }
+                Ok(self.ids(&chosen))
+            }
+            Change::Inject { place, informed } => self.inject(&place, informed),
+            Change::Remove(selection) => self.remove(&selection),
+        }
+    }
+
+    /// Order and drift now.
+    pub fn order(&self) -> Order {
+        observables::order(&self.state.configuration)
+    }
+
+    fn set(&mut self, settings: Settings) -> Result<Outcome, OrderError> {
+        let before = (self.state.parameters, self.publish_every);
+        let configuration = &self.state.configuration;
+        let parameters = Parameters {
+            pi1: settings.pi1.unwrap_or(before.0.pi1),
+            pi2: settings.pi2.unwrap_or(before.0.pi2),
+            pi3: settings.pi3.unwrap_or(before.0.pi3),
+            pi4: settings.pi4.unwrap_or(before.0.pi4),
+            ..before.0
+        };
+        parameters.check(configuration.largest_weight())?;
+        let mut scaled_by = 1.0;
+        if parameters.pi1 != before.0.pi1 {
+            scaled_by =
+                resize::change_pi1(&mut self.state, parameters.pi1, settings.make_room)?;
+        }
+        self.state.parameters = parameters;
+        self.publish_every = settings.publish_every.unwrap_or(before.1);
+        Ok(Outcome::Set {
+            before,
+            now: (parameters, self.publish_every),
+            scaled_by,
+        })
+    }
+
+    fn inform(
+        &mut self,
+        selection: &Selection,
+        direction: f64,
+        weight: Option<f64>,
+        for_time: Option<f64>,
+    ) -> Result<Outcome, OrderError> {
+        let (weight, direction) = self.preference(direction, weight)?;
+        let lapses_at = for_time.map(|time| self.state.step + steps_in(time, self.dt()));
+        let chosen = self.choose(Candidates::All, selection)?;
+        for &individual in &chosen {
+            let configuration = &mut self.state.configuration;
+            configuration.inform(individual, weight, direction, lapses_at);
+        }
+        Ok(self.ids(&chosen))
+    }
+
+    fn inject(
+        &mut self,
+        place: &Placement,
+        informed: Option<(f64, Option<f64>)>,
+    ) -> Result<Outcome, OrderError> {
+        let (weight, direction) = match informed {
+            Some((direction, weight)) => self.preference(direction, weight)?,
+            None => (0.0, 0.0),
+        };
+        let count = match place {
+            Placement::At(poses) => poses.len(),
+            Placement::Border(count) | Placement::Within(count, _) => *count,
+        };
+        let n = self.n() + count;
+        if n > self.most_individuals {
+            let limit = self.most_individuals;
+            return Err(OrderError::TooMany { n, limit });
+        }
+        let draw = injection::Draw {
+            seed: self.state.seed,
+            seq: self.seq,
+        };
+        let (parameters, configuration) =
+            (&self.state.parameters, &mut self.state.configuration);
+        let ids = match place {
+            Placement::At(poses) => {
+                injection::at(parameters, configuration, poses, weight, direction, None)
+            }
+            Placement::Border(count) => {
+                injection::at_border(parameters, configuration, *count, weight, direction, draw)
+            }
+            Placement::Within(count, region) => injection::within(
+                parameters,
+                configuration,
+                *count,
+                *region,
+                weight,
+                direction,
+                draw,
+            ),
+        }?;
+        Ok(Outcome::Ids(ids, self.n()))
+    }
+
+    fn remove(&mut self, selection: &Selection) -> Result<Outcome, OrderError> {
+        let chosen = self.choose(Candidates::All, selection)?;
+        if chosen.len() == self.n() {
+            return Err(OrderError::NobodyLeft(chosen.len()));
+        }
+        let Outcome::Ids(ids, _) = self.ids(&chosen) else {
+            unreachable!("ids are ids");
+        };
+        self.state.configuration.remove(&chosen);
+        Ok(Outcome::Ids(ids, self.n()))
+    }
+
+    fn choose(
+        &self,
+        candidates: Candidates,
+        selection: &Selection,
+    ) -> Result<Vec<usize>, OrderError> {
+        Ok(select(
+            &self.state.configuration,
+            candidates,
+            selection,
+            self.state.seed,
+            self.seq,
+        )?)
+    }
+
+    /// The weight and direction an individual is to be informed with.
+    fn preference(
+        &self,
+        direction: f64,
+        weight: Option<f64>,
+    ) -> Result<(f64, f64), OrderError> {
+        let parameters = &self.state.parameters;
+        let weight = weight.unwrap_or(parameters.pi2);
+        check_coordinate("direction", direction)?;
+        check_weight("weight", weight)?;
+        let largest = self.state.configuration.largest_weight().max(weight);
+        parameters.check(largest)?;
+        Ok((weight, direction))
+    }
+
+    fn ids(&self, chosen: &[usize]) -> Outcome {
+        let configuration = &self.state.configuration;
+        let ids = chosen.iter().map(|&i| configuration.id[i]).collect();
+        Outcome::Ids(ids, configuration.n())
+    }
+
+    fn n(&self) -> usize {
+        self.state.configuration.n()
+    }
+
+    fn dt(&self) -> f64 {
+        self.state.parameters.dt
+    }
+}
+
+/// The first state of a recipe.
+fn begin(recipe: &Recipe) -> Result<State, OrderError> {
+    recipe.parameters.check(0.0)?;
+    let configuration: Configuration = match &recipe.start {
+        Start::Disc(radius) => start::disc(&recipe.parameters, recipe.n, *radius, recipe.seed)?,
+        Start::Given { x, y, alpha } => start::given(&recipe.parameters, x, y, alpha)?,
+    };
+    Ok(State {
+        parameters: recipe.parameters,
+        seed: recipe.seed,
+        configuration,
+        ..State::default()
+    })
+}
+
+/// The first whole number of steps that lasts at least `time`.
+///
+/// A quotient that is whole but for rounding is taken as whole: 0.06 in steps of 0.02 is 3.
+pub fn steps_in(time: f64, dt: f64) -> u64 {
+    const ROUNDING: f64 = 1e-9;
+    let steps = (time / dt) * (1.0 - ROUNDING);
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a float becomes the nearest integer that fits"
+    )]
+    let steps = steps.ceil() as u64;
+    steps
+}

@@ -1,0 +1,510 @@
+//! A swarm's thread: the only one that touches its state, and its only clock.
+//!
+//! It takes tickets between steps in the order of arrival, paces itself, and puts what is to be
+//! published in its outlet. It never waits for a reader.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::sync::{Arc, Mutex, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
+use crate::swarm::handle::Ticket;
+use crate::swarm::order::{
+    Answer, Awaited, Expectation, Order, OrderError, Outcome, Refusal, Sender, Until,
+};
+use crate::swarm::outlet::Outlet;
+use crate::swarm::pace::Pace;
+use crate::swarm::phase::{self, Cue, Phase, PauseReason};
+use crate::swarm::simulation::{Simulation, steps_in};
+
+/// Tickets taken between two steps, so that a flood of them slows a swarm but never stops it.
+const TICKETS_PER_STEP: usize = 64;
+
+/// Answers that may wait for a step or a phase at once.
+const MOST_WAITERS: usize = 1024;
+
+/// How often the summary of a moving swarm is renewed.
+const SUMMARY_PERIOD: Duration = Duration::from_millis(100);
+
+/// A running swarm, owned by its thread.
+pub struct Worker {
+    simulation: Simulation,
+    phase: Phase,
+    rate: Option<f64>,
+    pace: Pace,
+    tickets: Receiver<Ticket>,
+    outlet: Arc<Outlet>,
+    summary: Arc<Mutex<Option<Summary>>>,
+    summary_renewed: Instant,
+    shortest_between_frames: Duration,
+    frame_shown: Option<Instant>,
+    events: u64,
+    pending: Option<Pending>,
+    waiters: Vec<Waiter>,
+}
+
+/// A `step` command that is being carried out.
+struct Pending {
+    answer: Answer,
+    from: u64,
+}
+
+/// An answer that waits for something to come about.
+struct Waiter {
+    awaited: Awaited,
+    is_abandoned: Box<dyn Fn() -> bool + Send>,
+    answer: Answer,
+}
+
+/// What ended a swarm's thread.
+pub enum End {
+    /// Its deletion; the answer is due when it is gone for everyone.
+    Deleted(Box<dyn FnOnce() + Send>),
+    /// The daemon stops.
+    Stopped,
+}
+
+impl Worker {
+    /// A paused worker around a swarm that was just built.
+    pub fn new(
+        simulation: Simulation,
+        tickets: Receiver<Ticket>,
+        outlet: Arc<Outlet>,
+        summary: Arc<Mutex<Option<Summary>>>,
+        shortest_between_frames: Duration,
+    ) -> Self {
+        let now = Instant::now();
+        let rate = simulation.recipe.rate;
+        let mut worker = Worker {
+            pace: Pace::new(rate, simulation.recipe.parameters.dt, now),
+            simulation,
+            phase: Phase::Paused(PauseReason::Created),
+            rate,
+            tickets,
+            outlet,
+            summary,
+            summary_renewed: now,
+            shortest_between_frames,
+            frame_shown: None,
+            events: 0,
+            pending: None,
+            waiters: Vec::new(),
+        };
+        worker.tell(EventKind::Created);
+        worker.renew_summary();
+        worker
+    }
+
+    /// The swarm as it is now.
+    pub fn look(&self) -> (Place, Arc<Frame>) {
+        (self.place(), self.frame(true))
+    }
+
+    /// Steps and takes tickets until the swarm ends.
+    pub fn run(mut self) -> End {
+        loop {
+            if !self.phase.is_moving() {
+                match self.tickets.recv() {
+                    Ok(ticket) => {
+                        if let Some(end) = self.take(ticket) {
+                            return end;
+                        }
+                    }
+                    Err(_) => return End::Stopped,
+                }
+                continue;
+            }
+            for _ in 0..TICKETS_PER_STEP {
+                let Ok(ticket) = self.tickets.try_recv() else {
+                    break;
+                };
+                if let Some(end) = self.take(ticket) {
+                    return end;
+                }
+            }
+            match self.wait() {
+                Some(Duration::ZERO) => self.step(),
+                Some(wait) => match self.tickets.recv_timeout(wait) {
+                    Ok(ticket) => {
+                        if let Some(end) = self.take(ticket) {
+                            return end;
+                        }
+                    }
+                    Err(RecvTimeoutError::Timeout) => {}
+                    Err(RecvTimeoutError::Disconnected) => return End::Stopped,
+                },
+                None => {}
+            }
+        }
+    }
+
+    /// How long until the next step; `None` if there is none to be taken.
+    fn wait(&self) -> Option<Duration> {
+        match self.phase {
+            Phase::Stepping { .. } => Some(Duration::ZERO),
+            Phase::Running { .. } => {
+                Some(self.pace.until_due(Instant::now()).unwrap_or(Duration::ZERO))
+            }
+            Phase::Paused(_) | Phase::Faulted(_) => None,
+        }
+    }
+
+    fn take(&mut self, ticket: Ticket) -> Option<End> {
+        match ticket {
+            Ticket::Look(answer) => {
+                let (place, frame) = self.look();
+                answer(Ok((place, Outcome::Seen(frame))));
+                None
+            }
+            Ticket::Wait {
+                awaited,
+                is_abandoned,
+                answer,
+            } => {
+                self.await_for(Waiter {
+                    awaited,
+                    is_abandoned,
+                    answer,
+                });
+                None
+            }
+            Ticket::Command {
+                order,
+                expected,
+                sender,
+                answer,
+            } => self.command(order, expected, sender, answer),
+            Ticket::Stop => Some(End::Stopped),
+        }
+    }
+
+    /// Carries out a command and answers it; all but `step` at once.
+    fn command(
+        &mut self,
+        order: Order,
+        expected: Expectation,
+        sender: Sender,
+        answer: Answer,
+    ) -> Option<End> {
+        if let Err(error) = self.check(expected) {
+            answer(Err(self.refusal(error)));
+            return None;
+        }
+        let before = self.phase.clone();
+        // A command's draws are keyed by its own number.
+        self.simulation.seq += 1;
+        let outcome = match order {
+            Order::Delete => return Some(self.delete(answer)),
+            Order::Step(steps) => {
+                return self.begin_steps(steps, sender, answer);
+            }
+            Order::Run { until, rate } => self.begin_run(until, rate),
+            Order::Pause => self.pause(),
+            Order::Reset(seed) => self.reset(seed),
+            Order::Change(change) => phase::next(&self.phase, Cue::Change)
+                .map_err(OrderError::from)
+                .and_then(|_| self.simulation.apply(change)),
+        };
+        match outcome {
+            Ok(outcome) => {
+                self.tell(EventKind::Command(sender));
+                self.renew_summary();
+                if self.phase == before && !self.phase.is_moving() {
+                    self.show();
+                }
+                answer(Ok((self.place(), outcome)));
+                // After the answer, so that whoever paused it sees this before others do.
+                self.answer_waiters();
+            }
+            Err(error) => {
+                self.simulation.seq -= 1;
+                answer(Err(self.refusal(error)));
+            }
+        }
+        None
+    }
+
+    fn check(&self, expected: Expectation) -> Result<(), OrderError> {
+        let at = [
+            ("epoch", expected.epoch, self.simulation.epoch),
+            ("step", expected.step, self.simulation.state.step),
+        ];
+        for (what, expected, actual) in at {
+            if let Some(expected) = expected
+                && expected != actual
+            {
+                return Err(OrderError::Conflict {
+                    what,
+                    expected,
+                    actual,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    fn begin_run(
+        &mut self,
+        until: Option<Until>,
+        rate: Option<Option<f64>>,
+    ) -> Result<Outcome, OrderError> {
+        let step = self.simulation.state.step;
+        let until = until.map(|until| match until {
+            Until::Step(step) => step,
+            Until::Time(time) => steps_in(time, self.simulation.state.parameters.dt),
+        });
+        let next = phase::next(&self.phase, Cue::Run(until))?;
+        if let Some(until) = until
+            && until < step
+        {
+            return Err(OrderError::Past { until, step });
+        }
+        self.answer_pending();
+        self.rate = rate.unwrap_or(self.rate);
+        let was_running = matches!(self.phase, Phase::Running { .. });
+        if !was_running || rate.is_some() {
+            let dt = self.simulation.state.parameters.dt;
+            self.pace = Pace::new(self.rate, dt, Instant::now());
+        }
+        self.enter(next);
+        self.enter_by(Cue::Reached(step));
+        Ok(Outcome::Runs(until, self.rate))
+    }
+
+    fn pause(&mut self) -> Result<Outcome, OrderError> {
+        let next = phase::next(&self.phase, Cue::Pause)?;
+        self.enter(next);
+        self.answer_pending();
+        Ok(Outcome::Done)
+    }
+
+    fn reset(&mut self, seed: Option<u64>) -> Result<Outcome, OrderError> {
+        let next = phase::next(&self.phase, Cue::Reset)?;
+        // What is pending came this far; after the reset that could not be told any more.
+        self.answer_pending();
+        self.simulation.reset(seed)?;
+        self.enter(next);
+        Ok(Outcome::Reset(self.frame(true)))
+    }
+
+    fn begin_steps(&mut self, steps: u64, sender: Sender, answer: Answer) -> Option<End> {
+        let from = self.simulation.state.step;
+        let until = from.saturating_add(steps);
+        match phase::next(&self.phase, Cue::Step(until)) {
+            Ok(next) => {
+                // Lock-step sends thousands of these a second: the phase in between, which
+                // every reader of the reply knows, is not worth an event each way.
+                self.phase = next;
+                self.pace = Pace::new(None, self.simulation.state.parameters.dt, Instant::now());
+                self.tell(EventKind::Command(sender));
+                self.pending = Some(Pending { answer, from });
+            }
+            Err(error) => {
+                self.simulation.seq -= 1;
+                answer(Err(self.refusal(error.into())));
+            }
+        }
+        None
+    }
+
+    fn delete(&mut self, answer: Answer) -> End {
+        self.answer_pending();
+        self.tell(EventKind::Deleted);
+        let place = self.place();
+        for waiter in self.waiters.drain(..) {
+            (waiter.answer)(Err(Refusal {
+                step: Some(place.step),
+                error: OrderError::Gone,
+            }));
+        }
+        End::Deleted(Box::new(move || answer(Ok((place, Outcome::Done)))))
+    }
+
+    fn step(&mut self) {
+        let simulation = &mut self.simulation;
+        let stepped = catch_unwind(AssertUnwindSafe(|| simulation.step()));
+        let now = Instant::now();
+        match stepped {
+            Ok(Ok(report)) => {
+                self.pace.stepped(now);
+                if !report.lapsed.is_empty() {
+                    self.tell(EventKind::Lapsed(report.lapsed));
+                }
+            }
+            Ok(Err(error)) => return self.fault(error.to_string()),
+            Err(_) => return self.fault("a defect: the step panicked".into()),
+        }
+        let step = self.simulation.state.step;
+        if self.phase.until().is_some_and(|until| step >= until) {
+            let was_stepping = matches!(self.phase, Phase::Stepping { .. });
+            if was_stepping {
+                self.phase = Phase::Paused(PauseReason::Finished);
+            } else {
+                self.enter_by(Cue::Reached(step));
+            }
+            self.show();
+            self.renew_summary();
+            self.answer_pending();
+        } else {
+            if step.is_multiple_of(self.simulation.publish_every)
+                && self.frame_shown.is_none_or(|shown| {
+                    now.saturating_duration_since(shown) >= self.shortest_between_frames
+                })
+            {
+                self.show();
+            }
+            if now.saturating_duration_since(self.summary_renewed) >= SUMMARY_PERIOD {
+                self.renew_summary();
+            }
+        }
+        self.answer_waiters();
+    }
+
+    /// Keeps the last good state and says why.
+    fn fault(&mut self, reason: String) {
+        self.phase = Phase::Faulted(reason.clone());
+        self.tell(EventKind::Fault(reason.clone()));
+        self.show();
+        self.renew_summary();
+        if let Some(pending) = self.pending.take() {
+            (pending.answer)(Err(self.refusal(OrderError::Faulted(reason))));
+        }
+        self.answer_waiters();
+    }
+
+    /// Enters the phase that `cue` leads to, if it leads to another.
+    fn enter_by(&mut self, cue: Cue) {
+        if let Ok(next) = phase::next(&self.phase, cue) {
+            self.enter(next);
+        }
+    }
+
+    fn enter(&mut self, next: Phase) {
+        if next != self.phase {
+            self.phase = next;
+            self.tell(EventKind::Phase);
+            self.show();
+        }
+    }
+
+    /// Tells a pending `step` how far it came.
+    fn answer_pending(&mut self) {
+        if let Some(Pending { answer, from }) = self.pending.take() {
+            let (place, frame) = self.look();
+            let taken = place.step - from;
+            answer(Ok((place, Outcome::Stepped(taken, frame))));
+        }
+    }
+
+    fn await_for(&mut self, waiter: Waiter) {
+        self.waiters.retain(|waiter| !(waiter.is_abandoned)());
+        if self.waiters.len() == MOST_WAITERS {
+            (waiter.answer)(Err(self.refusal(OrderError::Busy)));
+            return;
+        }
+        self.waiters.push(waiter);
+        self.answer_waiters();
+    }
+
+    fn answer_waiters(&mut self) {
+        if self.waiters.is_empty() {
+            return;
+        }
+        let step = self.simulation.state.step;
+        let has_come = |awaited: Awaited| match awaited {
+            Awaited::Step(awaited) => step >= awaited || !self.phase.is_moving(),
+            Awaited::Reached(awaited) => {
+                step >= awaited || matches!(self.phase, Phase::Faulted(_))
+            }
+            Awaited::Paused => matches!(self.phase, Phase::Paused(_)),
+            Awaited::Running => self.phase.is_moving(),
+            Awaited::Faulted => matches!(self.phase, Phase::Faulted(_)),
+        };
+        if !self.waiters.iter().any(|waiter| has_come(waiter.awaited)) {
+            return;
+        }
+        let (place, frame) = self.look();
+        let (come, waiting) = std::mem::take(&mut self.waiters)
+            .into_iter()
+            .partition(|waiter| has_come(waiter.awaited));
+        self.waiters = waiting;
+        let come: Vec<Waiter> = come;
+        for waiter in come {
+            (waiter.answer)(Ok((place.clone(), Outcome::Seen(frame.clone()))));
+        }
+    }
+
+    fn refusal(&self, error: OrderError) -> Refusal {
+        Refusal {
+            step: Some(self.simulation.state.step),
+            error,
+        }
+    }
+
+    fn place(&self) -> Place {
+        Place {
+            epoch: self.simulation.epoch,
+            step: self.simulation.state.step,
+            time: self.simulation.state.time(),
+            phase: self.phase.clone(),
+            seq: self.simulation.seq,
+        }
+    }
+
+    fn frame(&self, hashed: bool) -> Arc<Frame> {
+        let simulation = &self.simulation;
+        Arc::new(Frame {
+            place: self.place(),
+            parameters: simulation.state.parameters,
+            publish_every: simulation.publish_every,
+            seed: simulation.state.seed,
+            configuration: simulation.state.configuration.clone(),
+            order: simulation.order(),
+            means: simulation.means.clone(),
+            exactness: simulation.exactness,
+            rate: self.rate,
+            real_time_factor: self.real_time_factor(),
+            hash: hashed.then(|| simulation.state.hash()),
+            gaps: OnceLock::new(),
+        })
+    }
+
+    fn real_time_factor(&self) -> Option<f64> {
+        self.phase
+            .is_moving()
+            .then(|| self.pace.real_time_factor())
+            .flatten()
+    }
+
+    /// Shows the state to whoever reads.
+    fn show(&mut self) {
+        if self.outlet.is_watched() {
+            self.frame_shown = Some(Instant::now());
+            self.outlet.show(self.frame(false));
+        }
+    }
+
+    fn tell(&mut self, kind: EventKind) {
+        self.events += 1;
+        self.outlet.tell(Event {
+            number: self.events,
+            place: self.place(),
+            kind,
+        });
+    }
+
+    fn renew_summary(&mut self) {
+        self.summary_renewed = Instant::now();
+        let configuration = &self.simulation.state.configuration;
+        let summary = Summary {
+            place: self.place(),
+            n: configuration.n(),
+            informed: configuration.weight.iter().filter(|w| **w > 0.0).count(),
+            order: self.simulation.order().order,
+            rate: self.rate,
+            real_time_factor: self.real_time_factor(),
+        };
+        *self.summary.lock().unwrap_or_else(PoisonError::into_inner) = Some(summary);
+    }
+}

@@ -1,0 +1,484 @@
+//! Between what crosses the wire and what the daemon works with: here, and nowhere else.
+
+use jostle_proto as proto;
+use jostle_proto::verbs::{
+    CreateResult, EmptyResult, IdsResult, Pose, Region, ResetResult, RunResult, Select, SetResult,
+    StepResult,
+};
+use serde::Serialize;
+
+use crate::command::CommandError;
+use crate::host::Limits;
+use crate::model::injection;
+use crate::model::parameters::{Attraction, ContactRule, Parameters};
+use crate::model::selection::Selection;
+use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
+use crate::swarm::order::{Outcome, Rate, Recipe, Start};
+use crate::swarm::phase::Phase;
+
+/// The largest whole number that every client can hold: doubles are exact up to here.
+const LARGEST_WHOLE: u64 = (1 << 53) - 1;
+
+/// The fastest rate, in time units per second of wall clock.
+const FASTEST_RATE: f64 = 1e6;
+
+/// The most steps between two published states.
+const LONGEST_PUBLISHING: u64 = 1_000_000_000;
+
+// ---- From the wire.
+
+/// What a spec of `n` individuals describes. `n` has been admitted.
+///
+/// # Errors
+///
+/// [`CommandError`] names the first field that is wrong; parameters are the model's to check.
+pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, CommandError> {
+    let proto::Spec {
+        pi1,
+        pi2,
+        pi3,
+        pi4,
+        dt,
+        contacts: proto::ContactRule::Endpoints,
+        attraction: proto::Attraction::All {},
+        ..
+    } = *spec;
+    if spec.noise != 0.0 {
+        return Err(CommandError::out_of_range("noise", spec.noise));
+    }
+    let start = match &spec.start {
+        proto::Start::Disc { radius } => Start::Disc(*radius),
+        proto::Start::Given { x, y, alpha } => {
+            for (field, column) in [("start.x", x), ("start.y", y), ("start.alpha", alpha)] {
+                if column.len() != n {
+                    return Err(CommandError::Length {
+                        field,
+                        length: column.len(),
+                        n: spec.n,
+                    });
+                }
+            }
+            Start::Given {
+                x: x.clone(),
+                y: y.clone(),
+                alpha: alpha.clone(),
+            }
+        }
+    };
+    let parameters = Parameters {
+        pi1,
+        pi2,
+        pi3,
+        pi4,
+        dt,
+        contacts: ContactRule::Endpoints,
+        attraction: Attraction::All,
+    };
+    Ok(Recipe {
+        n,
+        parameters,
+        seed: whole("seed", spec.seed)?,
+        start,
+        publish_every: publish_every(spec.publish_every)?,
+        rate: rate(spec.rate)?,
+    })
+}
+
+/// A whole number that every client can hold.
+///
+/// # Errors
+///
+/// [`CommandError::OutOfRange`].
+pub fn whole(field: &'static str, number: u64) -> Result<u64, CommandError> {
+    if number <= LARGEST_WHOLE {
+        return Ok(number);
+    }
+    Err(CommandError::out_of_range(field, number as f64))
+}
+
+/// A rate.
+///
+/// # Errors
+///
+/// [`CommandError::OutOfRange`].
+pub fn rate(rate: Rate) -> Result<Rate, CommandError> {
+    match rate {
+        Some(rate) if !(rate > 0.0 && rate <= FASTEST_RATE) => {
+            Err(CommandError::out_of_range("rate", rate))
+        }
+        rate => Ok(rate),
+    }
+}
+
+/// Steps between two published states.
+///
+/// # Errors
+///
+/// [`CommandError::OutOfRange`].
+pub fn publish_every(steps: u64) -> Result<u64, CommandError> {
+    if (1..=LONGEST_PUBLISHING).contains(&steps) {
+        return Ok(steps);
+    }
+    Err(CommandError::out_of_range("publish_every", steps as f64))
+}
+
+/// The weight of someone who is to be informed: 0 would inform nobody.
+///
+/// # Errors
+///
+/// [`CommandError::OutOfRange`]; the upper end is the model's to check.
+pub fn weight(weight: f64) -> Result<f64, CommandError> {
+    if weight > 0.0 {
+        return Ok(weight);
+    }
+    Err(CommandError::out_of_range("weight", weight))
+}
+
+/// A number of individuals; more than fit a machine word are more than there can be.
+pub fn count(count: u64) -> usize {
+    usize::try_from(count).unwrap_or(usize::MAX)
+}
+
+/// Which individuals.
+///
+/// # Errors
+///
+/// [`CommandError::OutOfRange`] for a radius below 0.
+pub fn selection(select: Select) -> Result<Selection, CommandError> {
+    Ok(match select {
+        Select::Ids(ids) => Selection::Ids(ids),
+        Select::Count(number) => Selection::Count(count(number)),
+        Select::Fraction(fraction) => Selection::Fraction(fraction),
+        Select::Within(Region { x, y, radius }) => {
+            if !(radius >= 0.0) {
+                return Err(CommandError::out_of_range("select.within.radius", radius));
+            }
+            Selection::Within { x, y, radius }
+        }
+        Select::Foremost(foremost) => Selection::Foremost {
+            count: count(foremost.count),
+            along: foremost.along,
+        },
+    })
+}
+
+/// Where a body is to be.
+pub fn pose(Pose { x, y, alpha }: Pose) -> crate::model::body::Pose {
+    crate::model::body::Pose { x, y, alpha }
+}
+
+/// A disc.
+pub fn region(Region { x, y, radius }: Region) -> injection::Region {
+    injection::Region { x, y, radius }
+}
+
+// ---- To the wire.
+
+/// The reply of `swarm` at `place`.
+pub fn reply<T>(swarm: &str, place: &Place, result: T) -> proto::Reply<T> {
+    proto::Reply {
+        swarm: swarm.to_owned(),
+        epoch: place.epoch,
+        step: place.step,
+        time: place.time,
+        phase: phase(&place.phase),
+        seq: place.seq,
+        result,
+    }
+}
+
+/// An encoded payload.
+#[derive(Clone, Debug)]
+pub struct Payload {
+    /// The bytes.
+    pub bytes: Vec<u8>,
+    /// What they are: [`proto::JSON`] or [`proto::CBOR`].
+    pub encoding: &'static str,
+}
+
+impl Payload {
+    /// A message as JSON.
+    pub fn json<T: Serialize>(message: &T) -> Self {
+        Payload {
+            // All numbers are finite and all keys strings, so nothing can fail.
+            bytes: serde_json::to_vec(message).expect("messages are JSON"),
+            encoding: proto::JSON,
+        }
+    }
+
+    /// A message as CBOR.
+    pub fn cbor<T: Serialize>(message: &T) -> Self {
+        Payload {
+            bytes: proto::to_cbor(message),
+            encoding: proto::CBOR,
+        }
+    }
+}
+
+/// The reply to a command that came to `outcome`. With a `frame` number the state goes along, in
+/// CBOR.
+pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>) -> Payload {
+    match outcome {
+        Outcome::Done => Payload::json(&reply(swarm, place, EmptyResult {})),
+        Outcome::Runs(until_step, rate) => {
+            Payload::json(&reply(swarm, place, RunResult { until_step, rate }))
+        }
+        Outcome::Stepped(steps, seen) => {
+            let state = frame.map(|frame| state(swarm, &seen, frame));
+            let result = StepResult {
+                steps,
+                state_hash: hash(&seen),
+                state,
+            };
+            let reply = reply(swarm, place, result);
+            match frame {
+                Some(_) => Payload::cbor(&reply),
+                None => Payload::json(&reply),
+            }
+        }
+        Outcome::Reset(seen) => {
+            let result = ResetResult {
+                seed: seen.seed,
+                state_hash: hash(&seen),
+            };
+            Payload::json(&reply(swarm, place, result))
+        }
+        Outcome::Set {
+            before,
+            now,
+            scaled_by,
+        } => {
+            let result = SetResult {
+                before: parameters(before.0, before.1),
+                now: parameters(now.0, now.1),
+                scaled_by,
+            };
+            Payload::json(&reply(swarm, place, result))
+        }
+        Outcome::Ids(ids, n) => {
+            let n = n as u64;
+            Payload::json(&reply(swarm, place, IdsResult { ids, n }))
+        }
+        Outcome::Seen(seen) => Payload::json(&reply(swarm, place, status(&seen))),
+    }
+}
+
+/// The reply to `create`.
+pub fn created(swarm: &str, place: &Place, recipe: &Recipe, seen: &Frame, is_new: bool) -> Payload {
+    let result = CreateResult {
+        created: is_new,
+        spec: spec(recipe, seen.seed),
+        state_hash: hash(seen),
+    };
+    Payload::json(&reply(swarm, place, result))
+}
+
+/// The spec that a recipe came from, with the seed now in force.
+pub fn spec(recipe: &Recipe, seed: u64) -> proto::Spec {
+    let Parameters {
+        pi1,
+        pi2,
+        pi3,
+        pi4,
+        dt,
+        contacts: ContactRule::Endpoints,
+        attraction: Attraction::All,
+    } = recipe.parameters;
+    proto::Spec {
+        n: recipe.n as u64,
+        pi1,
+        pi2,
+        pi3,
+        pi4,
+        dt,
+        contacts: proto::ContactRule::Endpoints,
+        seed,
+        start: match &recipe.start {
+            Start::Disc(radius) => proto::Start::Disc { radius: *radius },
+            Start::Given { x, y, alpha } => proto::Start::Given {
+                x: x.clone(),
+                y: y.clone(),
+                alpha: alpha.clone(),
+            },
+        },
+        attraction: proto::Attraction::All {},
+        noise: 0.0,
+        publish_every: recipe.publish_every,
+        rate: recipe.rate,
+    }
+}
+
+/// A swarm's status.
+pub fn status(seen: &Frame) -> proto::Status {
+    proto::Status {
+        reason: seen.place.phase.reason(),
+        until_step: seen.place.phase.until(),
+        rate: seen.rate,
+        real_time_factor: seen.real_time_factor,
+        n: seen.configuration.n() as u64,
+        informed: informed(seen),
+        seed: seen.seed,
+        dt: seen.parameters.dt,
+        parameters: parameters(seen.parameters, seen.publish_every),
+        state_hash: hash(seen),
+        order: order(seen),
+        certificate: certificate(seen),
+    }
+}
+
+/// A state as it is published for the `frame`th time.
+pub fn state(swarm: &str, seen: &Frame, frame: u64) -> proto::State {
+    let configuration = &seen.configuration;
+    proto::State {
+        swarm: swarm.to_owned(),
+        epoch: seen.place.epoch,
+        frame,
+        step: seen.place.step,
+        time: seen.place.time,
+        phase: phase(&seen.place.phase),
+        origin: configuration.origin,
+        id: configuration.id.clone(),
+        x: configuration.x.clone(),
+        y: configuration.y.clone(),
+        alpha: configuration.alpha.clone(),
+        weight: configuration.weight.clone(),
+        direction: configuration.direction.clone(),
+        order: order(seen),
+        certificate: certificate(seen),
+    }
+}
+
+/// An order as it is published with the `frame`th state.
+pub fn order_sample(swarm: &str, seen: &Frame, frame: u64) -> proto::OrderSample {
+    proto::OrderSample {
+        swarm: swarm.to_owned(),
+        epoch: seen.place.epoch,
+        frame,
+        step: seen.place.step,
+        time: seen.place.time,
+        phase: phase(&seen.place.phase),
+        n: seen.configuration.n() as u64,
+        informed: informed(seen),
+        order: order(seen),
+        certificate: certificate(seen),
+        rate: seen.rate,
+        real_time_factor: seen.real_time_factor,
+    }
+}
+
+/// An event as it is published.
+pub fn event(swarm: &str, event: Event) -> proto::Event {
+    let Event {
+        number,
+        place,
+        kind,
+    } = event;
+    proto::Event {
+        swarm: swarm.to_owned(),
+        number,
+        epoch: place.epoch,
+        step: place.step,
+        time: place.time,
+        phase: phase(&place.phase),
+        event: match kind {
+            EventKind::Created => proto::EventKind::Created {},
+            EventKind::Phase => proto::EventKind::Phase {
+                reason: place.phase.reason(),
+            },
+            EventKind::Command(sender) => proto::EventKind::Command {
+                seq: place.seq,
+                verb: sender.verb.to_owned(),
+                // They were read once, so they are JSON.
+                args: serde_json::from_str(&sender.args).unwrap_or_default(),
+                client: sender.client,
+                request_id: sender.request_id,
+            },
+            EventKind::Lapsed(ids) => proto::EventKind::Lapsed { ids },
+            EventKind::Fault(reason) => proto::EventKind::Fault { reason },
+            EventKind::Deleted => proto::EventKind::Deleted {},
+        },
+    }
+}
+
+/// A swarm in a list.
+pub fn summary(swarm: &str, summary: &Summary) -> proto::SwarmSummary {
+    proto::SwarmSummary {
+        swarm: swarm.to_owned(),
+        phase: phase(&summary.place.phase),
+        reason: summary.place.phase.reason(),
+        step: summary.place.step,
+        time: summary.place.time,
+        n: summary.n as u64,
+        informed: summary.informed as u64,
+        order: summary.order,
+        rate: summary.rate,
+        real_time_factor: summary.real_time_factor,
+    }
+}
+
+/// What a daemon refuses to go beyond.
+pub fn limits(limits: Limits, max_message_bytes: u64) -> proto::Limits {
+    proto::Limits {
+        max_individuals: limits.max_individuals as u64,
+        max_swarms: limits.max_swarms as u64,
+        max_memory_bytes: limits.max_memory_bytes,
+        max_message_bytes,
+        max_hz: u64::from(limits.max_hz),
+    }
+}
+
+fn phase(phase: &Phase) -> proto::Phase {
+    match phase {
+        Phase::Paused(_) => proto::Phase::Paused,
+        Phase::Running { .. } | Phase::Stepping { .. } => proto::Phase::Running,
+        Phase::Faulted(_) => proto::Phase::Faulted,
+    }
+}
+
+fn parameters(parameters: Parameters, publish_every: u64) -> proto::ParameterValues {
+    proto::ParameterValues {
+        pi1: parameters.pi1,
+        pi2: parameters.pi2,
+        pi3: parameters.pi3,
+        pi4: parameters.pi4,
+        publish_every,
+    }
+}
+
+fn order(seen: &Frame) -> proto::Order {
+    proto::Order {
+        order: seen.order.order,
+        mean_order: seen.means.mean_order(),
+        velocity: seen.order.velocity,
+        mean_velocity: seen.means.mean_velocity(),
+        direction: seen.order.direction,
+        drift: seen.order.drift,
+        mean_drift: seen.means.mean_drift(),
+    }
+}
+
+fn certificate(seen: &Frame) -> proto::Certificate {
+    let gaps = seen.gaps();
+    proto::Certificate {
+        worst_gap: gaps.worst_gap,
+        residual: seen.exactness.residual,
+        degraded: seen.exactness.degraded,
+        crossed: gaps.crossed as u64,
+        contacts: seen.exactness.contacts as u64,
+        iterations: seen.exactness.iterations as u64,
+    }
+}
+
+fn informed(seen: &Frame) -> u64 {
+    let weights = &seen.configuration.weight;
+    weights.iter().filter(|weight| **weight > 0.0).count() as u64
+}
+
+fn hash(seen: &Frame) -> String {
+    use std::fmt::Write as _;
+    let mut text = String::with_capacity(64);
+    for byte in seen.hash.unwrap_or_default() {
+        let _ = write!(text, "{byte:02x}");
+    }
+    text
+}
