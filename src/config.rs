@@ -209,7 +209,11 @@ impl Config {
 fn number(merged: &Merged, name: &'static str, largest: u32) -> Result<u32, ConfigError> {
     match merged[name].0.trim().parse() {
         Ok(number) if (1..=largest).contains(&number) => Ok(number),
-        _ => Err(wrong(merged, name, "a whole number in its range, 1 or more")),
+        _ => Err(wrong(
+            merged,
+            name,
+            "a whole number in its range, 1 or more",
+        )),
     }
 }
 
@@ -322,7 +326,11 @@ mod tests {
         let path = file("node = 'a'\nmax_swarms = 2\nmax_hz = 3\nlisten = ['x', 'y']\n");
         let merged = merge(
             Some(&path),
-            environment(&[("JOSTLED_MAX_SWARMS", "4"), ("JOSTLED_MAX_HZ", "5"), ("HOME", "/")]),
+            environment(&[
+                ("JOSTLED_MAX_SWARMS", "4"),
+                ("JOSTLED_MAX_HZ", "5"),
+                ("HOME", "/"),
+            ]),
             &[("max_hz", Some("6".into())), ("log", None)],
         )
         .unwrap();

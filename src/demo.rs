@@ -15,9 +15,7 @@ use crate::host::{Created, HostError};
 use crate::server::Server;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::order::{
-    Answered, Awaited, Expectation, Order, OrderError, Outcome, Sender,
-};
+use crate::swarm::order::{Answer, Answered, Awaited, Expectation, Order, OrderError, Outcome, Sender};
 
 /// Its name.
 const NAME: &str = "demo";
@@ -109,8 +107,8 @@ async fn create_swarm(server: &Server, spec: Spec) -> Result<Handle, DemoError> 
     let host = server.host();
     let recipe = create::recipe(&args, host.limits())?;
     let (answer, answered) = oneshot::channel();
-    let built = Box::new(move |it| drop(answer.send(it)));
-    let handle = match host.create(NAME, recipe, false, built)? {
+    let promise = || -> Answer { Box::new(move |it| drop(answer.send(it))) };
+    let handle = match host.create(NAME, recipe, false, promise)? {
         Created::Existing(handle) => handle,
         Created::New => {
             outcome(answered).await?;
@@ -215,7 +213,10 @@ fn report(uninformed: &Frame, from: &Frame, reached: &Frame) {
 
 async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {
     let (answer, answered) = oneshot::channel();
-    send(swarm, Ticket::Look(Box::new(move |it| drop(answer.send(it)))))?;
+    send(
+        swarm,
+        Ticket::Look(Box::new(move |it| drop(answer.send(it)))),
+    )?;
     match outcome(answered).await? {
         (_, Outcome::Seen(frame)) => Ok(frame),
         _ => Err(DemoError::Gone),
@@ -249,9 +250,7 @@ fn send(swarm: &Handle, ticket: Ticket) -> Result<(), DemoError> {
     swarm.send(ticket).map_err(|(error, _)| error.into())
 }
 
-async fn outcome(
-    answered: oneshot::Receiver<Answered>,
-) -> Result<(Place, Outcome), DemoError> {
+async fn outcome(answered: oneshot::Receiver<Answered>) -> Result<(Place, Outcome), DemoError> {
     match answered.await {
         Ok(Ok(answer)) => Ok(answer),
         Ok(Err(refusal)) => Err(refusal.error.into()),

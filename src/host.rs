@@ -10,7 +10,7 @@ use thiserror::Error;
 
 use crate::swarm::frame::Summary;
 use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::order::{Answer, Outcome, Recipe, Refusal};
+use crate::swarm::order::{Answer, OrderError, Outcome, Recipe, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::simulation::Simulation;
 use crate::swarm::worker::{End, Worker};
@@ -137,18 +137,18 @@ impl Host {
         self.limits
     }
 
-    /// Creates a swarm. Its own thread builds it, and calls `built` when it can be reached, or
-    /// when it could not be built.
+    /// Creates a swarm. Its own thread builds it, and gives the answer that `promise` makes when
+    /// it can be reached, or when it could not be built.
     ///
     /// # Errors
     ///
-    /// [`HostError`]; `built` is not called then, nor for an existing swarm.
+    /// [`HostError`]; nothing is promised then, nor for an existing swarm.
     pub fn create(
         self: &Arc<Self>,
         name: &str,
         recipe: Recipe,
         exist_ok: bool,
-        built: Answer,
+        promise: impl FnOnce() -> Answer,
     ) -> Result<Created, HostError> {
         let mut hosted = self.lock();
         if hosted.stopping {
@@ -179,7 +179,7 @@ impl Host {
         let thread = thread::Builder::new()
             .name(format!("swarm-{name}"))
             .spawn({
-                let (host, handle) = (self.clone(), handle.clone());
+                let (host, handle, built) = (self.clone(), handle.clone(), promise());
                 move || host.host(&handle, taken, built)
             })
             .map_err(|error| HostError::NoThread(error.to_string()))?;
@@ -277,18 +277,37 @@ impl Host {
         Ok(needed)
     }
 
+    /// Sets memory aside for a swarm that is to have `n` individuals.
+    fn resize(&self, name: &str, n: usize) -> Result<(), OrderError> {
+        let limit = self.limits.max_individuals;
+        if n > limit {
+            return Err(OrderError::TooMany { n, limit });
+        }
+        let mut hosted = self.lock();
+        let (total, needed) = (hosted.memory_bytes, memory_of(n));
+        let Some(entry) = hosted.swarms.get_mut(name) else {
+            return Ok(());
+        };
+        let others = total - entry.memory_bytes;
+        let free = self.limits.max_memory_bytes.saturating_sub(others);
+        // Shrinking is always let, also whatever the others took meanwhile.
+        if needed > free && needed > entry.memory_bytes {
+            return Err(OrderError::NoMemory { n, needed, free });
+        }
+        entry.memory_bytes = needed;
+        hosted.memory_bytes = others + needed;
+        Ok(())
+    }
+
     /// A swarm's life, on its own thread.
-    fn host(
-        &self,
-        handle: &Handle,
-        taken: Receiver<Ticket>,
-        built: Answer,
-    ) {
+    fn host(self: &Arc<Self>, handle: &Handle, taken: Receiver<Ticket>, built: Answer) {
         let name = &handle.outlet.name;
         // Zero names the calling thread. Where it is not permitted the swarm ranks like the rest.
         let _ = rustix::process::setpriority_process(None, SWARM_NICENESS);
         let recipe = (*handle.recipe).clone();
-        let simulation = match Simulation::new(recipe, self.limits.max_individuals) {
+        let (host, swarm) = (self.clone(), name.clone());
+        let admit = Box::new(move |n| host.resize(&swarm, n));
+        let simulation = match Simulation::new(recipe, admit) {
             Ok(simulation) => simulation,
             Err(error) => {
                 self.herald.ended(
@@ -327,7 +346,9 @@ impl Host {
 pub fn memory_of(n: usize) -> u64 {
     let n = n as u64;
     let linear = n.saturating_mul(BYTES_PER_INDIVIDUAL);
-    let square = n.saturating_mul(n).saturating_mul(BYTES_PER_INDIVIDUAL_SQUARED);
+    let square = n
+        .saturating_mul(n)
+        .saturating_mul(BYTES_PER_INDIVIDUAL_SQUARED);
     linear
         .saturating_add(square)
         .saturating_add(BYTES_PER_SWARM)

@@ -1,6 +1,6 @@
 //! `jostled`: hosts swarms and serves them on zenoh.
 
-use std::io::IsTerminal as _;
+use std::io::{IsTerminal as _, Write as _};
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
@@ -89,7 +89,10 @@ impl Settings {
 }
 
 fn main() -> ExitCode {
-    let Arguments { command, mut settings } = Arguments::parse();
+    let Arguments {
+        command,
+        mut settings,
+    } = Arguments::parse();
     let is_demo = matches!(command, Some(Command::Demo { .. }));
     if is_demo && std::env::var_os("JOSTLED_LOG").is_none() {
         // The demo's own lines are to be read; `--log` brings the rest back.
@@ -119,16 +122,25 @@ fn main() -> ExitCode {
         .build();
     let code = match runtime {
         Ok(runtime) => runtime.block_on(serve(command.unwrap_or(Command::Serve), &config)),
-        Err(error) => fail(1, &error),
+        Err(error) => {
+            fail(1, &error);
+            1
+        }
     };
-    // Whoever is still in a long step is not waited for.
-    std::process::exit(i32::from(code != ExitCode::SUCCESS));
+    // Whoever is still in a long step is not waited for, nor what zenoh does at an ordinary exit:
+    // with a frozen client that took ten seconds.
+    let _ = std::io::stdout().flush();
+    signal_hook::low_level::exit(code)
 }
 
-async fn serve(command: Command, config: &Config) -> ExitCode {
+/// Serves until told to stop; returns the process's exit code.
+async fn serve(command: Command, config: &Config) -> i32 {
     let server = match server::start(config).await {
         Ok(server) => server,
-        Err(error) => return fail(1, &error),
+        Err(error) => {
+            fail(1, &error);
+            return 1;
+        }
     };
     for endpoint in server.endpoints() {
         println!("listening on {endpoint}");
@@ -136,16 +148,19 @@ async fn serve(command: Command, config: &Config) -> ExitCode {
     let code = match command {
         Command::Serve => {
             told_to_stop().await;
-            ExitCode::SUCCESS
+            0
         }
         Command::Demo { lasting } => tokio::select! {
             ended = demo::run(&server, lasting) => match ended {
-                Ok(()) => ExitCode::SUCCESS,
-                Err(error) => fail(1, &error),
+                Ok(()) => 0,
+                Err(error) => {
+                    fail(1, &error);
+                    1
+                }
             },
             () = told_to_stop() => {
                 println!();
-                ExitCode::SUCCESS
+                0
             }
         },
     };
@@ -155,9 +170,10 @@ async fn serve(command: Command, config: &Config) -> ExitCode {
 
 /// Waits for SIGTERM or Ctrl-C.
 async fn told_to_stop() {
-    let (Ok(mut terminate), Ok(mut interrupt)) =
-        (signal(SignalKind::terminate()), signal(SignalKind::interrupt()))
-    else {
+    let (Ok(mut terminate), Ok(mut interrupt)) = (
+        signal(SignalKind::terminate()),
+        signal(SignalKind::interrupt()),
+    ) else {
         // Without handlers the signals end the process by themselves.
         return std::future::pending().await;
     };
@@ -206,7 +222,9 @@ mod tests {
         for (name, ..) in config::SETTINGS {
             let flag = name.replace('_', "-");
             assert!(
-                command.get_arguments().any(|it| it.get_long() == Some(flag.as_str())),
+                command
+                    .get_arguments()
+                    .any(|it| it.get_long() == Some(flag.as_str())),
                 "--{flag}"
             );
         }

@@ -192,7 +192,9 @@ impl CommandError {
                     ResizeError::Parameters(_) => ErrorCode::InvalidArgument,
                     _ => ErrorCode::ResourceExhausted,
                 },
-                OrderError::TooMany { .. } => ErrorCode::ResourceExhausted,
+                OrderError::TooMany { .. } | OrderError::NoMemory { .. } => {
+                    ErrorCode::ResourceExhausted
+                }
                 OrderError::Busy => ErrorCode::Busy,
                 OrderError::Faulted(_) => ErrorCode::Faulted,
                 OrderError::Gone => ErrorCode::NotFound,
@@ -219,9 +221,7 @@ impl CommandError {
                 named(field, number(*value), range_of(field))
             }
             CommandError::Field { field, .. } => named(field, Value::Null, range_of(field)),
-            CommandError::Name { field, name } => {
-                named(field, json!(name), Some(keys::NAME_RULE))
-            }
+            CommandError::Name { field, name } => named(field, json!(name), Some(keys::NAME_RULE)),
             CommandError::Individuals { n, limit } => {
                 json!({"field": "n", "value": n, "range": format!("[1, {limit}]")})
             }
@@ -243,9 +243,14 @@ impl CommandError {
                 what,
                 expected,
                 actual,
-            }) => json!({"field": format!("expect_{what}"), "expected": expected, "actual": actual}),
+            }) => {
+                json!({"field": format!("expect_{what}"), "expected": expected, "actual": actual})
+            }
             CommandError::Order(OrderError::Past { until, step }) => {
                 json!({"field": "until_step", "until": until, "step": step})
+            }
+            CommandError::Order(OrderError::NoMemory { n, needed, free }) => {
+                json!({"field": "n", "n": n, "needed": needed, "free": free})
             }
             CommandError::Order(OrderError::TooMany { n, limit }) => {
                 json!({"field": "n", "n": n, "limit": limit})

@@ -140,7 +140,10 @@ fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandError>
     };
     Ok(Sender {
         verb,
-        args: request.args.as_ref().map_or_else(|| "{}".into(), |args| args.get().to_owned()),
+        args: request
+            .args
+            .as_ref()
+            .map_or_else(|| "{}".into(), |args| args.get().to_owned()),
         client: label("client", &request.client)?,
         request_id: label("request_id", &request.request_id)?,
     })

@@ -12,6 +12,9 @@ use crate::wire;
 ///
 /// [`CommandError::OutOfRange`].
 pub fn order(args: ResetArgs) -> Result<Order, CommandError> {
-    let seed = args.seed.map(|seed| wire::whole("seed", seed)).transpose()?;
+    let seed = args
+        .seed
+        .map(|seed| wire::whole("seed", seed))
+        .transpose()?;
     Ok(Order::Reset(seed))
 }

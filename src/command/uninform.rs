@@ -12,5 +12,7 @@ use crate::wire;
 ///
 /// [`CommandError`] names the first field that is wrong.
 pub fn order(args: UninformArgs) -> Result<Order, CommandError> {
-    Ok(Order::Change(Change::Uninform(wire::selection(args.select)?)))
+    Ok(Order::Change(Change::Uninform(wire::selection(
+        args.select,
+    )?)))
 }

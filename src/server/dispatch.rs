@@ -1,8 +1,8 @@
 //! A query in, an order or an answer out. One thread, which never waits for a swarm.
 
 use std::collections::BTreeMap;
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError};
 use std::sync::Arc;
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError};
 use std::time::Instant;
 
 use jostle_proto::verbs::CreateArgs;
@@ -21,7 +21,7 @@ use crate::server::answer::{Desk, Keeper, Promise};
 use crate::server::session::MAX_MESSAGE_BYTES;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::order::{Answered, Outcome};
+use crate::swarm::order::{Answer, Answered, Outcome};
 use crate::wire::{self, Payload};
 
 /// Queries that may wait to be dispatched; what comes on top is refused at once.
@@ -146,12 +146,14 @@ impl Dispatcher {
         let name: Arc<str> = swarm.into();
         self.press
             .open(&self.session, swarm, handle.outlet.clone())?;
-        let queryable = |key: String, topic| {
-            queryable(&self.session, &key, topic, &self.intake, &self.desk)
-        };
+        let queryable =
+            |key: String, topic| queryable(&self.session, &key, topic, &self.intake, &self.desk);
         let queryables = [
             queryable(keys::state(&self.prefix, swarm), Topic::State(name.clone()))?,
-            queryable(keys::get(&self.prefix, swarm, "**"), Topic::Get(name.clone()))?,
+            queryable(
+                keys::get(&self.prefix, swarm, "**"),
+                Topic::Get(name.clone()),
+            )?,
             queryable(keys::cmd(&self.prefix, swarm, "**"), Topic::Command(name))?,
         ];
         let token = self
@@ -293,8 +295,11 @@ impl Dispatcher {
             sender,
             answer: Box::new(move |answered| {
                 answer(answered, move |place, outcome| {
-                    let frame = returns_state
-                        .then(|| press.find(&name).map_or(0, |publication| publication.frames()));
+                    let frame = returns_state.then(|| {
+                        press
+                            .find(&name)
+                            .map_or(0, |publication| publication.frames())
+                    });
                     wire::outcome(&name, &place, outcome, frame)
                 });
             }),
@@ -370,10 +375,11 @@ impl Dispatcher {
         if query.key_expr().is_wild() {
             return promise.refuse(&CommandError::Wildcard, None);
         }
-        let verb = query
-            .key_expr()
-            .as_str()
-            .strip_prefix(&keys::node_cmd(&self.prefix, &self.node, ""));
+        let verb =
+            query
+                .key_expr()
+                .as_str()
+                .strip_prefix(&keys::node_cmd(&self.prefix, &self.node, ""));
         let done = match verb {
             Some("create") => request(&query).and_then(|request| self.create(&promise, &request)),
             verb => Err(CommandError::UnknownVerb {
@@ -394,28 +400,27 @@ impl Dispatcher {
         let reply = {
             let (name, recipe) = (name.clone(), recipe.clone());
             move |is_new: bool| {
+                let (name, recipe) = (name.clone(), recipe.clone());
                 move |place: Place, outcome| match outcome {
                     Outcome::Seen(seen) => wire::created(&name, &place, &recipe, &seen, is_new),
                     other => wire::outcome(&name, &place, other, None),
                 }
             }
         };
-        let built = answer_to(promise);
-        let reply_new = reply.clone();
-        let built = Box::new(move |answered| built(answered, reply_new(true)));
+        let answer = |is_new: bool| -> Answer {
+            let (answer, reply) = (answer_to(promise), reply(is_new));
+            Box::new(move |answered| answer(answered, reply))
+        };
         promise.keep_within(timeout, || None);
-        match self.host.create(&name, recipe, args.exist_ok, built)? {
-            Created::New => Ok(()),
-            Created::Existing(handle) => {
-                let answer = answer_to(promise);
-                let ticket =
-                    Ticket::Look(Box::new(move |answered| answer(answered, reply(false))));
-                if let Err((error, _)) = handle.send(ticket) {
-                    return Err(error.into());
-                }
-                Ok(())
-            }
+        let created = self
+            .host
+            .create(&name, recipe, args.exist_ok, || answer(true))?;
+        if let Created::Existing(handle) = created
+            && let Err((error, _ticket)) = handle.send(Ticket::Look(answer(false)))
+        {
+            promise.refuse(&error.into(), None);
         }
+        Ok(())
     }
 
     /// Looks at a swarm and answers with what `payload` makes of it.
@@ -570,7 +575,11 @@ fn format(query: &Query) -> Result<bool, CommandError> {
 
 /// Refuses parameters where none mean anything; those of zenoh's own begin with `_`.
 fn no_parameters(query: &Query) -> Result<(), CommandError> {
-    match query.parameters().iter().find(|(name, _)| !name.starts_with('_')) {
+    match query
+        .parameters()
+        .iter()
+        .find(|(name, _)| !name.starts_with('_'))
+    {
         None => Ok(()),
         Some((name, _)) => Err(CommandError::Parameter {
             name: name.chars().take(64).collect(),
@@ -583,4 +592,3 @@ fn no_parameters(query: &Query) -> Result<(), CommandError> {
 fn names(query: &Query, key: &str) -> bool {
     KeyExpr::new(key).is_ok_and(|key| query.key_expr().intersects(&key))
 }
-

@@ -58,7 +58,7 @@ pub struct Server {
     desk: Desk,
     intake: SyncSender<Intake>,
     endpoints: Vec<String>,
-    _doors: (LivelinessToken, [Queryable<()>; 2]),
+    doors: (LivelinessToken, [Queryable<()>; 2]),
 }
 
 /// Opens the session and serves.
@@ -114,7 +114,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         desk,
         intake,
         endpoints,
-        _doors: (token, queryables),
+        doors: (token, queryables),
     })
 }
 
@@ -169,9 +169,16 @@ impl Server {
         }
         self.press.stop();
         self.desk.stop();
-        match tokio::time::timeout(PATIENCE_WITH_SESSION, self.session.close()).await {
-            Ok(Ok(())) => {}
-            Ok(Err(error)) => warn!(%error, "failed to close the session"),
+        // Closing, and dropping what is declared, waits for every client: elsewhere, so that a
+        // frozen one delays nobody here.
+        let closing = tokio::spawn(async move {
+            let closed = self.session.close().await;
+            drop(self.doors);
+            closed
+        });
+        match tokio::time::timeout(PATIENCE_WITH_SESSION, closing).await {
+            Ok(Ok(Ok(()))) => {}
+            Ok(failed) => warn!(?failed, "failed to close the session"),
             Err(_) => warn!("a client does not take its goodbye"),
         }
     }

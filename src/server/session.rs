@@ -69,7 +69,10 @@ fn settings(listen: &[String]) -> Vec<(&'static str, Value)> {
         ("scouting/gossip/enabled", json!(false)),
         // The daemon itself counts subscribers in it; access control keeps everyone else out.
         ("adminspace/enabled", json!(true)),
-        ("adminspace/permissions", json!({"read": true, "write": false})),
+        (
+            "adminspace/permissions",
+            json!({"read": true, "write": false}),
+        ),
         // Events with a history need timestamps.
         ("timestamping/enabled", json!(true)),
         ("transport/shared_memory/enabled", json!(false)),

@@ -4,7 +4,9 @@ use std::sync::mpsc::{SyncSender, TrySendError};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::swarm::frame::Summary;
-use crate::swarm::order::{Answer, Awaited, Expectation, Order, OrderError, Recipe, Refusal, Sender};
+use crate::swarm::order::{
+    Answer, Awaited, Expectation, Order, OrderError, Recipe, Refusal, Sender,
+};
 use crate::swarm::outlet::Outlet;
 
 /// What a swarm's thread takes, in the order of arrival.

@@ -249,6 +249,19 @@ pub enum OrderError {
         /// The limit.
         limit: usize,
     },
+    /// The group would take more memory than is free.
+    #[error(
+        "{n} individuals need up to {needed} bytes, {free} are free: add fewer, delete another \
+         swarm, or raise max_memory_mb"
+    )]
+    NoMemory {
+        /// The size asked for.
+        n: usize,
+        /// What it needs.
+        needed: u64,
+        /// What is free.
+        free: u64,
+    },
     /// Too many orders or waiters at once.
     #[error("too much at once for this swarm: try again in a moment")]
     Busy,
@@ -271,6 +284,9 @@ pub struct Refusal {
     /// Why.
     pub error: OrderError,
 }
+
+/// Sets memory aside for a group of this size, or says why not.
+pub type Admit = Box<dyn Fn(usize) -> Result<(), OrderError> + Send>;
 
 /// Takes an answer, once.
 pub type Answer = Box<dyn FnOnce(Answered) + Send>;

@@ -8,7 +8,7 @@ use crate::model::{injection, resize, start};
 use crate::observables::{self, Order, RunningMeans};
 use crate::stepper::{StepError, StepReport, Stepper};
 use crate::swarm::frame::Exactness;
-use crate::swarm::order::{Change, OrderError, Outcome, Placement, Recipe, Settings, Start};
+use crate::swarm::order::{Admit, Change, OrderError, Outcome, Placement, Recipe, Settings, Start};
 
 /// A swarm's state, its stepper and the means kept over its steps.
 pub struct Simulation {
@@ -26,17 +26,17 @@ pub struct Simulation {
     pub means: RunningMeans,
     /// How exact the last step was.
     pub exactness: Exactness,
-    most_individuals: usize,
+    admit: Admit,
     stepper: Stepper,
 }
 
 impl Simulation {
-    /// Builds the swarm that `recipe` describes; it may grow to `most_individuals`.
+    /// Builds the swarm that `recipe` describes; it grows as far as `admit` lets it.
     ///
     /// # Errors
     ///
     /// [`OrderError::Parameters`] and [`OrderError::Start`].
-    pub fn new(recipe: Recipe, most_individuals: usize) -> Result<Self, OrderError> {
+    pub fn new(recipe: Recipe, admit: Admit) -> Result<Self, OrderError> {
         let state = begin(&recipe)?;
         Ok(Simulation {
             publish_every: recipe.publish_every,
@@ -46,7 +46,7 @@ impl Simulation {
             seq: 0,
             means: RunningMeans::default(),
             exactness: Exactness::default(),
-            most_individuals,
+            admit,
             stepper: Stepper::new(),
         })
     }
@@ -131,8 +131,7 @@ impl Simulation {
         parameters.check(configuration.largest_weight())?;
         let mut scaled_by = 1.0;
         if parameters.pi1 != before.0.pi1 {
-            scaled_by =
-                resize::change_pi1(&mut self.state, parameters.pi1, settings.make_room)?;
+            scaled_by = resize::change_pi1(&mut self.state, parameters.pi1, settings.make_room)?;
         }
         self.state.parameters = parameters;
         self.publish_every = settings.publish_every.unwrap_or(before.1);
@@ -173,18 +172,14 @@ impl Simulation {
             Placement::At(poses) => poses.len(),
             Placement::Border(count) | Placement::Within(count, _) => *count,
         };
-        let n = self.n() + count;
-        if n > self.most_individuals {
-            let limit = self.most_individuals;
-            return Err(OrderError::TooMany { n, limit });
-        }
+        let before = self.n();
+        (self.admit)(before.saturating_add(count))?;
         let draw = injection::Draw {
             seed: self.state.seed,
             seq: self.seq,
         };
-        let (parameters, configuration) =
-            (&self.state.parameters, &mut self.state.configuration);
-        let ids = match place {
+        let (parameters, configuration) = (&self.state.parameters, &mut self.state.configuration);
+        let placed = match place {
             Placement::At(poses) => {
                 injection::at(parameters, configuration, poses, weight, direction, None)
             }
@@ -200,7 +195,15 @@ impl Simulation {
                 direction,
                 draw,
             ),
-        }?;
+        };
+        let ids = match placed {
+            Ok(ids) => ids,
+            Err(error) => {
+                // What was set aside for them is not needed.
+                (self.admit)(before)?;
+                return Err(error.into());
+            }
+        };
         Ok(Outcome::Ids(ids, self.n()))
     }
 
@@ -213,6 +216,7 @@ impl Simulation {
             unreachable!("ids are ids");
         };
         self.state.configuration.remove(&chosen);
+        (self.admit)(self.n())?;
         Ok(Outcome::Ids(ids, self.n()))
     }
 
@@ -231,11 +235,7 @@ impl Simulation {
     }
 
     /// The weight and direction an individual is to be informed with.
-    fn preference(
-        &self,
-        direction: f64,
-        weight: Option<f64>,
-    ) -> Result<(f64, f64), OrderError> {
+    fn preference(&self, direction: f64, weight: Option<f64>) -> Result<(f64, f64), OrderError> {
         let parameters = &self.state.parameters;
         let weight = weight.unwrap_or(parameters.pi2);
         check_coordinate("direction", direction)?;

@@ -15,7 +15,7 @@ use crate::swarm::order::{
 };
 use crate::swarm::outlet::Outlet;
 use crate::swarm::pace::Pace;
-use crate::swarm::phase::{self, Cue, Phase, PauseReason};
+use crate::swarm::phase::{self, Cue, PauseReason, Phase};
 use crate::swarm::simulation::{Simulation, steps_in};
 
 /// Tickets taken between two steps, so that a flood of them slows a swarm but never stops it.
@@ -143,9 +143,11 @@ impl Worker {
     fn wait(&self) -> Option<Duration> {
         match self.phase {
             Phase::Stepping { .. } => Some(Duration::ZERO),
-            Phase::Running { .. } => {
-                Some(self.pace.until_due(Instant::now()).unwrap_or(Duration::ZERO))
-            }
+            Phase::Running { .. } => Some(
+                self.pace
+                    .until_due(Instant::now())
+                    .unwrap_or(Duration::ZERO),
+            ),
             Phase::Paused(_) | Phase::Faulted(_) => None,
         }
     }
@@ -414,9 +416,7 @@ impl Worker {
         let step = self.simulation.state.step;
         let has_come = |awaited: Awaited| match awaited {
             Awaited::Step(awaited) => step >= awaited || !self.phase.is_moving(),
-            Awaited::Reached(awaited) => {
-                step >= awaited || matches!(self.phase, Phase::Faulted(_))
-            }
+            Awaited::Reached(awaited) => step >= awaited || matches!(self.phase, Phase::Faulted(_)),
             Awaited::Paused => matches!(self.phase, Phase::Paused(_)),
             Awaited::Running => self.phase.is_moving(),
             Awaited::Faulted => matches!(self.phase, Phase::Faulted(_)),

@@ -1,1 +1,67 @@
-fn main() {}
+//! The physics against exact cases, the model's facts, itself, and the paper's claim.
+#![expect(
+    clippy::unwrap_used,
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a test that is wrong about a number fails, and says where"
+)]
+
+mod cases;
+mod claim;
+mod facts;
+mod repeat;
+
+use jostled::model::{Configuration, Parameters, State, start};
+use jostled::stepper::qp::Qp;
+use jostled::stepper::{Stepper, contact, free};
+
+/// A state of `n` individuals drawn in the default disc.
+fn drawn(parameters: Parameters, n: usize, seed: u64) -> State {
+    let configuration = start::disc(&parameters, n, None, seed).unwrap();
+    with(parameters, seed, configuration)
+}
+
+fn with(parameters: Parameters, seed: u64, configuration: Configuration) -> State {
+    State {
+        parameters,
+        seed,
+        configuration,
+        ..State::default()
+    }
+}
+
+fn advance(stepper: &mut Stepper, state: &mut State, steps: u64) {
+    for _ in 0..steps {
+        stepper.step(state).unwrap();
+    }
+}
+
+/// The program of one step with every contact nearer than `reach`, from all pairs.
+fn program(state: &State, reach: f64) -> Qp {
+    let State {
+        parameters,
+        configuration,
+        ..
+    } = state;
+    let mut alone = free::Free::default();
+    alone.compute(parameters, configuration);
+    let n = u32::try_from(configuration.n()).unwrap();
+    let pairs: Vec<(u32, u32)> = (0..n)
+        .flat_map(|i| (i + 1..n).map(move |j| (i, j)))
+        .collect();
+    let mut contacts = Vec::new();
+    contact::find(
+        parameters,
+        configuration,
+        &alone.heading,
+        &pairs,
+        |_, _| reach,
+        &mut contacts,
+    )
+    .unwrap();
+    Qp {
+        weights: [1.0, 1.0, parameters.rho2()],
+        free: alone.displacement,
+        contacts,
+    }
+}

@@ -13,12 +13,6 @@ const TOLERANCE: f64 = 1e-12;
 /// short of the tolerance by six orders.
 const REGULARISATION: f64 = 1e-12;
 
-/// How exactly its systems are refined: its own defaults stop above the tolerance asked for.
-const REFINEMENT: f64 = 1e-15;
-
-/// Passes of that refinement at most; it stops when a pass no longer gains.
-const MOST_REFINEMENTS: u32 = 30;
-
 /// Finds multipliers of `qp` by an interior point method, with how many systems it factored.
 ///
 /// In `w = d - u` the program is: minimise `½ wᵀ W w` subject to `A w + (g + A u) ≥ 0`. Nothing
@@ -70,9 +64,6 @@ fn settings() -> DefaultSettings<f64> {
         tol_gap_rel: TOLERANCE,
         tol_feas: TOLERANCE,
         static_regularization_constant: REGULARISATION,
-        iterative_refinement_reltol: if std::env::var("RD").is_ok() {1e-13} else {REFINEMENT},
-        iterative_refinement_abstol: if std::env::var("RD").is_ok() {1e-12} else {REFINEMENT},
-        iterative_refinement_max_iter: MOST_REFINEMENTS,
         ..DefaultSettings::default()
     }
 }

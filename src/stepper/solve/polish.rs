@@ -31,7 +31,14 @@ const MOST_PASSES: usize = 4;
 const PROGRESS: f64 = 0.7;
 
 /// Rounds in all that may fail to pay, before wandering is dearer than an interior point method.
-const PATIENCE: usize = 5;
+const PATIENCE: usize = 20;
+
+/// After so many rounds that failed to pay, only the worst change sides: in packed groups one
+/// wrong contact swings many multipliers, and most of those seen wrong are only swung.
+const HASTE: usize = 2;
+
+/// The share of the wrong ones that then changes sides, one in so many.
+const WORST_SHARE: usize = 3;
 
 /// The memory of one polish; nothing in it outlives a call.
 #[derive(Clone, Debug, Default)]
@@ -84,7 +91,7 @@ impl Workspace {
                 rounds += 1;
             }
             self.close(qp, &active);
-            let wrong = self.wrong(qp, &active);
+            let mut wrong = self.wrong(qp, &active);
             if wrong.is_empty() {
                 return rounds;
             }
@@ -93,17 +100,15 @@ impl Workspace {
             } else {
                 unpaid += 1;
             }
-            if unpaid > std::env::var("PAT").map_or(PATIENCE, |v| v.parse().unwrap()) {
+            if unpaid > PATIENCE {
                 return rounds;
             }
-            let mode = std::env::var("MODE").map_or(0usize, |v| v.parse().unwrap());
-            if mode > 0 && unpaid > 1 {
-                let mut sized: Vec<(f64, usize)> = wrong.into_iter().map(|k| (if active[k] { self.multipliers[k].abs() * self.rows[k].length } else { qp.contacts[k].linearised_gap(&self.displacement).abs() / self.rows[k].length }, k)).collect();
-                sized.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
-                let keep = sized.len().div_ceil(mode);
-                sized[..keep].iter().for_each(|&(_, k)| active[k] = !active[k]);
-            } else {
-            wrong.into_iter().for_each(|k| active[k] = !active[k]); }
+            if unpaid >= HASTE {
+                let count = wrong.len().div_ceil(WORST_SHARE);
+                wrong.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+                wrong.truncate(count);
+            }
+            wrong.into_iter().for_each(|(k, _)| active[k] = !active[k]);
         }
     }
 
@@ -207,15 +212,18 @@ impl Workspace {
         }
     }
 
-    /// Lists who is on the wrong side: active and pulling, or inactive and overlapping.
-    fn wrong(&self, qp: &Qp, active: &[bool]) -> Vec<usize> {
-        let is_wrong = |k: &usize| {
-            if active[*k] {
-                self.multipliers[*k] < 0.0
-            } else {
-                qp.contacts[*k].linearised_gap(&self.displacement) < -WRONG
+    /// Lists who is on the wrong side, and how far, all in lengths of the metric of `W`: active
+    /// and pulling, or inactive and overlapping.
+    fn wrong(&self, qp: &Qp, active: &[bool]) -> Vec<(usize, f64)> {
+        let mut wrong = Vec::new();
+        for (k, contact) in qp.contacts.iter().enumerate() {
+            let overlap = -contact.linearised_gap(&self.displacement);
+            if active[k] && self.multipliers[k] < 0.0 {
+                wrong.push((k, -self.multipliers[k] * self.rows[k].length));
+            } else if !active[k] && overlap > WRONG {
+                wrong.push((k, overlap / self.rows[k].length));
             }
-        };
-        (0..active.len()).filter(is_wrong).collect()
+        }
+        wrong
     }
 }

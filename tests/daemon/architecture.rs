@@ -1,0 +1,130 @@
+//! Who may use whom: the house's rules, read off the source.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+/// Each module and those of the daemon it may use.
+const MAY_USE: [(&str, &[&str]); 14] = [
+    ("model", &[]),
+    ("stepper", &["model"]),
+    ("observables", &["model"]),
+    ("swarm", &["model", "stepper", "observables"]),
+    ("host", &["model", "swarm"]),
+    ("command", &["model", "swarm", "host", "wire"]),
+    ("wire", &["model", "swarm", "host", "command"]),
+    ("publish", &["swarm", "wire"]),
+    ("config", &["host"]),
+    (
+        "server",
+        &["swarm", "host", "command", "config", "publish", "wire"],
+    ),
+    ("demo", &["swarm", "host", "command", "server"]),
+    ("main", &["config", "demo", "server"]),
+    ("lib", &[]),
+    ("", &[]),
+];
+
+/// Crates and modules that only these modules may name.
+const ONLY_IN: [(&str, &[&str]); 11] = [
+    ("zenoh::", &["publish", "server"]),
+    ("zenoh_ext::", &["publish"]),
+    (
+        "jostle_proto",
+        &["command", "config", "demo", "publish", "server", "wire"],
+    ),
+    ("serde", &["command", "server", "wire"]),
+    ("tokio::", &["demo", "main", "server"]),
+    ("clap::", &["main"]),
+    ("std::thread", &["host", "publish", "server"]),
+    (
+        "std::time",
+        &[
+            "command", "demo", "host", "main", "publish", "server", "swarm",
+        ],
+    ),
+    ("std::fs", &["config"]),
+    (
+        "std::sync",
+        &[
+            "command", "demo", "host", "publish", "server", "swarm", "wire",
+        ],
+    ),
+    ("use clarabel::", &["stepper/solve/clarabel"]),
+];
+
+fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
+    for entry in fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            sources(&path, found);
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
+            found.push(path);
+        }
+    }
+}
+
+/// The code of every source file by its path below `src`, without extension, tests or comments.
+fn code() -> BTreeMap<String, String> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
+    let mut files = Vec::new();
+    sources(&root, &mut files);
+    let mut code = BTreeMap::new();
+    for file in files {
+        let text = fs::read_to_string(&file).unwrap();
+        let text = text.split("#[cfg(test)]").next().unwrap();
+        let lines = text
+            .lines()
+            .filter(|line| !line.trim_start().starts_with("//"));
+        let path = file.strip_prefix(&root).unwrap().with_extension("");
+        code.insert(
+            path.to_str().unwrap().to_owned(),
+            lines.collect::<Vec<_>>().join("\n"),
+        );
+    }
+    assert!(code.len() > 30, "the source is read");
+    code
+}
+
+fn module(path: &str) -> &str {
+    path.split('/').next().unwrap()
+}
+
+#[test]
+fn modules_use_only_those_that_the_table_allows() {
+    for (path, text) in code() {
+        let module = module(&path);
+        let (_, may_use) = MAY_USE
+            .iter()
+            .find(|(name, _)| *name == module)
+            .unwrap_or_else(|| panic!("{path} is not in the table"));
+        for (other, _) in MAY_USE {
+            let names = ["crate::", "jostled::"].iter().any(|root| {
+                let direct = format!("{root}{other}");
+                text.match_indices(&direct).any(|(at, _)| {
+                    let next = text[at + direct.len()..].chars().next();
+                    !next.is_some_and(|c| c.is_alphanumeric() || c == '_')
+                })
+            });
+            if !other.is_empty() && names && other != module {
+                assert!(may_use.contains(&other), "{path} uses {other}");
+            }
+        }
+    }
+}
+
+#[test]
+fn each_library_is_named_only_where_it_belongs() {
+    for (path, text) in code() {
+        for (library, rooms) in ONLY_IN {
+            let names = text.match_indices(library).any(|(at, _)| {
+                let before = text[..at].chars().next_back();
+                !before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == ':')
+            });
+            let is_room = rooms
+                .iter()
+                .any(|room| path == *room || module(&path) == *room);
+            assert!(!names || is_room, "{path} names {library}");
+        }
+    }
+}

@@ -1,0 +1,493 @@
+//! Every verb and every get, in every phase.
+
+use jostle_proto::ErrorCode;
+use serde_json::{Value, json};
+
+use crate::support::{Client, Daemon, NODE, until};
+
+/// A swarm that faults within a few steps: the longest step that is allowed carries bodies so
+/// thin so far that two of them cross.
+pub async fn fault(client: &Client, name: &str) {
+    let spec = json!({"n": 60, "pi1": 32, "pi3": 20, "dt": 0.0054, "seed": 3, "start":
+        {"kind": "disc", "radius": 2.2}});
+    client.create(name, spec).await;
+    let error = client.cmd(name, "step", json!({"timeout_secs": 30, "args": {"steps": 20_000}}));
+    let _ = error.await;
+    until("a fault", async || {
+        client.get(name, "status").await["phase"] == "faulted"
+    })
+    .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_created_swarm_is_there_paused_with_every_default_filled_in() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let reply = client.create("a", json!({"n": 10})).await;
+    assert_eq!(
+        (&reply["swarm"], &reply["phase"]),
+        (&json!("a"), &json!("paused"))
+    );
+    assert_eq!(
+        (&reply["step"], &reply["epoch"], &reply["seq"]),
+        (&json!(0), &json!(1), &json!(0))
+    );
+    assert_eq!(reply["result"]["created"], true);
+    let spec = client.get("a", "spec").await;
+    assert_eq!(spec["result"], reply["result"]["spec"]);
+    assert_eq!(
+        spec["result"],
+        json!({"n": 10, "pi1": 4.0, "pi2": 0.5, "pi3": 1.0, "pi4": 10.0, "dt": 0.02,
+            "contacts": "endpoints", "seed": 0, "start": {"kind": "disc"},
+            "attraction": {"kind": "all"}, "noise": 0.0, "publish_every": 5, "rate": 1.0})
+    );
+    let status = client.get("a", "status").await;
+    assert_eq!(status["result"]["reason"], "created");
+    assert_eq!(
+        status["result"]["state_hash"],
+        reply["result"]["state_hash"]
+    );
+    assert_eq!(client.node("swarms").await["swarms"][0]["swarm"], "a");
+    assert_eq!(client.node("status").await["clients"], 1);
+    assert_eq!(client.node("hello").await["wire_version"], 1);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn create_takes_an_equal_swarm_only_with_exist_ok() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let key = format!("jostle/@node/{NODE}/cmd/create");
+    let create =
+        async |request: Value| client.one(&key, Some(request.to_string().as_bytes())).await;
+    let spec = json!({"n": 3, "seed": 5});
+    client.create("a", spec.clone()).await;
+    let again = create(json!({"name": "a", "spec": spec, "exist_ok": true}))
+        .await
+        .unwrap();
+    assert_eq!(again["result"]["created"], false);
+    for request in [
+        json!({"name": "a", "spec": spec}),
+        json!({"name": "a", "spec": {"n": 4}, "exist_ok": true}),
+    ] {
+        let error = create(request).await.unwrap_err();
+        assert_eq!(error.code, ErrorCode::AlreadyExists);
+    }
+    daemon.stop().await;
+}
+
+/// The table of phases, cell by cell, through a real session.
+#[tokio::test(flavor = "multi_thread")]
+async fn every_verb_in_every_phase_does_what_the_table_says() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("paused", json!({"n": 5})).await;
+    client.create("running", json!({"n": 5, "rate": 50})).await;
+    client.ok("running", "run", json!({})).await;
+    fault(client, "faulted").await;
+
+    let one = json!({"select": {"count": 1}});
+    let changes = [
+        ("set", json!({"pi3": 1.1})),
+        ("inform", json!({"select": {"count": 1}, "direction": 1})),
+        ("uninform", json!({"select": {"fraction": 0.5}})),
+        ("inject", json!({"count": 1})),
+        ("remove", one),
+    ];
+    for (verb, args) in &changes {
+        let seq = client.get("paused", "status").await["seq"]
+            .as_u64()
+            .unwrap();
+        let reply = client.ok("paused", verb, args.clone()).await;
+        assert_eq!(
+            (&reply["step"], &reply["phase"]),
+            (&json!(0), &json!("paused")),
+            "{verb}"
+        );
+        assert_eq!(reply["seq"], seq + 1, "{verb}");
+        assert_eq!(
+            client.ok("running", verb, args.clone()).await["phase"],
+            "running",
+            "{verb}"
+        );
+        let (code, message) = client.err("faulted", verb, args.clone()).await;
+        assert_eq!(code, ErrorCode::IncorrectState, "{verb}");
+        assert!(message.contains("reset"), "{message}");
+    }
+    for verb in ["run", "pause", "step"] {
+        let (code, _) = client.err("faulted", verb, json!({})).await;
+        assert_eq!(code, ErrorCode::IncorrectState, "{verb}");
+    }
+    let (code, message) = client.err("running", "step", json!({})).await;
+    assert_eq!(code, ErrorCode::IncorrectState);
+    assert!(message.contains("pause"), "{message}");
+
+    assert_eq!(
+        client.ok("paused", "pause", json!({})).await["phase"],
+        "paused"
+    );
+    assert_eq!(
+        client.ok("paused", "step", json!({"steps": 7})).await["step"],
+        7
+    );
+    assert_eq!(
+        client.get("paused", "status").await["result"]["reason"],
+        "finished"
+    );
+    assert_eq!(
+        client.ok("paused", "run", json!({})).await["phase"],
+        "running"
+    );
+    assert_eq!(
+        client.ok("running", "run", json!({"rate": 1})).await["result"]["rate"],
+        1.0
+    );
+    assert_eq!(
+        client.ok("running", "pause", json!({})).await["phase"],
+        "paused"
+    );
+    assert_eq!(
+        client.get("running", "status").await["result"]["reason"],
+        "requested"
+    );
+
+    for name in ["paused", "running", "faulted"] {
+        let reply = client.ok(name, "reset", json!({})).await;
+        assert_eq!(
+            (&reply["step"], &reply["epoch"]),
+            (&json!(0), &json!(2)),
+            "{name}"
+        );
+        assert_eq!(
+            client.get(name, "status").await["result"]["reason"],
+            "reset"
+        );
+    }
+    fault(client, "faulted-again").await;
+    for name in ["paused", "running", "faulted", "faulted-again"] {
+        client.ok(name, "delete", json!({})).await;
+        assert!(
+            client
+                .ask(&format!("jostle/{name}/get/status"), None)
+                .await
+                .is_empty()
+        );
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_fault_keeps_the_last_good_state_and_says_why() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    fault(client, "a").await;
+    let status = client.get("a", "status").await;
+    let reason = status["result"]["reason"].as_str().unwrap();
+    assert!(reason.contains("cross"), "{reason}");
+    assert_eq!(
+        status["result"]["certificate"]["crossed"], 0,
+        "the state shown is a good one"
+    );
+    assert!(status["step"].as_u64().unwrap() > 0);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn reaching_until_pauses_and_from_there_it_goes_on() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 5, "rate": null})).await;
+    let reply = client.ok("a", "run", json!({"until_time": 1.0})).await;
+    assert_eq!(reply["result"]["until_step"], 50);
+    let there = client.reach("a", 50).await;
+    assert_eq!(
+        (&there["step"], &there["phase"]),
+        (&json!(50), &json!("paused"))
+    );
+    assert_eq!(there["result"]["reason"], "finished");
+    assert_eq!(client.hash_at("a", 80).await, client.hash("a").await);
+    assert_eq!(client.ok("a", "step", json!({})).await["step"], 81);
+    let (code, _) = client.err("a", "run", json!({"until_step": 80})).await;
+    assert_eq!(code, ErrorCode::Conflict);
+    let reply = client.ok("a", "run", json!({"until_step": 81})).await;
+    assert_eq!(reply["phase"], "paused", "there already");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn step_returns_the_state_when_asked() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 4})).await;
+    let reply = client
+        .ok("a", "step", json!({"steps": 3, "return": "state"}))
+        .await;
+    assert_eq!(reply["result"]["steps"], 3);
+    let state = &reply["result"]["state"];
+    assert_eq!(
+        (&state["step"], state["x"].as_array().unwrap().len()),
+        (&json!(3), 4)
+    );
+    assert_eq!(
+        reply["result"]["state_hash"],
+        client.hash("a").await.as_str()
+    );
+    assert!(state["certificate"]["residual"].as_f64().unwrap() <= 1e-9);
+    for selector in ["jostle/a/state", "jostle/a/state?format=json"] {
+        let mut seen = client.one(selector, None).await.unwrap();
+        seen["frame"] = state["frame"].clone();
+        assert_eq!(&seen, state, "{selector}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_given_start_is_read_back_to_the_bit() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let (x, alpha) = (
+        [0.1 + 0.2, -511.999_999_999_999_9],
+        [1e-300, -270.024_192_916_423_03],
+    );
+    let start = json!({"kind": "given", "x": x, "y": [0.0, 1.0 / 3.0], "alpha": alpha});
+    client.create("a", json!({"n": 2, "start": start})).await;
+    let state = client.one("jostle/a/state", None).await.unwrap();
+    assert_eq!((&state["x"], &state["alpha"]), (&json!(x), &json!(alpha)));
+    assert_eq!(state["y"][1], 1.0 / 3.0);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn informed_individuals_are_those_told_and_a_draw_repeats() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let mut drawn = Vec::new();
+    for name in ["a", "b"] {
+        client.create(name, json!({"n": 20, "seed": 9})).await;
+        let args = json!({"select": {"fraction": 0.25}, "direction": -1.5, "weight": 0.7});
+        let reply = client.ok(name, "inform", args).await;
+        drawn.push(reply["result"]["ids"].clone());
+    }
+    assert_eq!(drawn[0], drawn[1]);
+    assert_eq!(drawn[0].as_array().unwrap().len(), 5);
+    let state = client.one("jostle/a/state", None).await.unwrap();
+    for (id, (weight, direction)) in (0..20u64).zip(
+        state["weight"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(state["direction"].as_array().unwrap()),
+    ) {
+        let expected = if drawn[0].as_array().unwrap().contains(&json!(id)) {
+            (0.7, -1.5)
+        } else {
+            (0.0, 0.0)
+        };
+        assert_eq!(
+            (weight.as_f64().unwrap(), direction.as_f64().unwrap()),
+            expected,
+            "{id}"
+        );
+    }
+    let reply = client
+        .ok("a", "uninform", json!({"select": {"count": 2}}))
+        .await;
+    assert_eq!(reply["result"]["ids"].as_array().unwrap().len(), 2);
+    assert_eq!(client.get("a", "status").await["result"]["informed"], 3);
+    let (code, _) = client
+        .err("a", "uninform", json!({"select": {"count": 4}}))
+        .await;
+    assert_eq!(code, ErrorCode::InvalidArgument, "only three are informed");
+
+    let args = json!({"select": {"ids": [3]}, "direction": 0, "for_time": 0.1});
+    client.ok("b", "inform", args).await;
+    client.ok("b", "step", json!({"steps": 4})).await;
+    let weight = async || client.one("jostle/b/state", None).await.unwrap()["weight"][3].clone();
+    assert_eq!(weight().await, 0.5);
+    client.ok("b", "step", json!({})).await;
+    assert_eq!(weight().await, 0.0, "informed for 0.1, which is five steps");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn individuals_join_where_they_overlap_nobody_and_leave_for_good() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 10})).await;
+    let reply = client
+        .ok("a", "inject", json!({"count": 5, "direction": 1.0}))
+        .await;
+    assert_eq!(
+        reply["result"],
+        json!({"ids": [10, 11, 12, 13, 14], "n": 15})
+    );
+    let region = json!({"x": 100, "y": 0, "radius": 3});
+    client
+        .ok("a", "inject", json!({"count": 2, "within": region}))
+        .await;
+    let at = json!([{"x": -50, "y": 0, "alpha": 0}, {"x": -50, "y": 0.4, "alpha": 0}]);
+    client.ok("a", "inject", json!({"at": at})).await;
+    let status = client.get("a", "status").await;
+    assert_eq!(status["result"]["informed"], 5);
+    assert!(
+        status["result"]["certificate"]["worst_gap"]
+            .as_f64()
+            .unwrap()
+            >= -1e-12
+    );
+
+    let hash = client.hash("a").await;
+    let (code, _) = client
+        .err(
+            "a",
+            "inject",
+            json!({"at": [{"x": -50, "y": 0.1, "alpha": 1}]}),
+        )
+        .await;
+    assert_eq!(code, ErrorCode::InvalidArgument);
+    let small = json!({"x": 0, "y": 0, "radius": 0.5});
+    let (code, _) = client
+        .err("a", "inject", json!({"count": 100, "within": small}))
+        .await;
+    assert_eq!(code, ErrorCode::ResourceExhausted);
+    assert_eq!(client.hash("a").await, hash);
+
+    let reply = client
+        .ok("a", "remove", json!({"select": {"ids": [18, 0]}}))
+        .await;
+    assert_eq!(reply["result"], json!({"ids": [0, 18], "n": 17}));
+    let reply = client.ok("a", "inject", json!({"count": 1})).await;
+    assert_eq!(
+        reply["result"]["ids"],
+        json!([19]),
+        "ids are never used twice"
+    );
+    let (code, message) = client
+        .err("a", "remove", json!({"select": {"fraction": 1}}))
+        .await;
+    assert_eq!(code, ErrorCode::InvalidArgument);
+    assert!(message.contains("leave one"), "{message}");
+    client.ok("a", "step", json!({"steps": 50})).await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn set_changes_what_it_names_and_a_new_shape_makes_room() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 40})).await;
+    client.hash_at("a", 2000).await;
+    let reply = client
+        .ok("a", "set", json!({"pi3": 1.5, "publish_every": 7}))
+        .await;
+    let result = &reply["result"];
+    assert_eq!(
+        (&result["before"]["pi3"], &result["now"]["pi3"]),
+        (&json!(1.0), &json!(1.5))
+    );
+    assert_eq!(
+        (&result["now"]["publish_every"], &result["now"]["pi4"]),
+        (&json!(7), &json!(10.0))
+    );
+
+    let hash = client.hash("a").await;
+    let (code, message) = client.err("a", "set", json!({"pi1": 8})).await;
+    assert_eq!(code, ErrorCode::ResourceExhausted);
+    assert!(message.contains("make_room"), "{message}");
+    assert_eq!(client.hash("a").await, hash);
+    let reply = client
+        .ok("a", "set", json!({"pi1": 8, "make_room": true}))
+        .await;
+    let scaled_by = reply["result"]["scaled_by"].as_f64().unwrap();
+    assert!(scaled_by > 1.0 && scaled_by < 3.0, "{scaled_by}");
+    client.ok("a", "step", json!({"steps": 100})).await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_the_sender_expects_must_hold() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 3})).await;
+    client
+        .ok("a", "step", json!({"expect_step": 0, "args": {"steps": 2}}))
+        .await;
+    let (code, message) = client.err("a", "step", json!({"expect_step": 0})).await;
+    assert_eq!(code, ErrorCode::Conflict);
+    assert!(message.contains("step 2"), "{message}");
+    client.ok("a", "reset", json!({"expect_epoch": 1})).await;
+    let (code, _) = client.err("a", "step", json!({"expect_epoch": 1})).await;
+    assert_eq!(code, ErrorCode::Conflict);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reply_comes_in_time_and_the_work_goes_on() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 30})).await;
+    let request = json!({"timeout_secs": 0.2, "args": {"steps": 1_000_000_000}});
+    let error = client.cmd("a", "step", request).await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::DeadlineExceeded);
+    let step = error.step.unwrap();
+    let status = client.get("a", "status").await;
+    assert_eq!(status["phase"], "running");
+    assert!(status["step"].as_u64().unwrap() >= step);
+    client.ok("a", "pause", json!({})).await;
+
+    // A pause meanwhile answers the step with how far it came.
+    let other = daemon.another_client().await;
+    let request = json!({"timeout_secs": 60, "args": {"steps": 1_000_000_000}});
+    let stepping = tokio::spawn(async move { other.ok("a", "step", request).await });
+    until("steps", async || {
+        client.get("a", "status").await["phase"] == "running"
+    })
+    .await;
+    let paused = client.ok("a", "pause", json!({})).await;
+    let stepped = stepping.await.unwrap();
+    assert_eq!(stepped["step"], paused["step"]);
+    assert!(stepped["result"]["steps"].as_u64().unwrap() < 1_000_000_000);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn wait_answers_when_it_has_come_about_or_cannot() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 3, "rate": 10})).await;
+    let wait = async |what: &str| client.one(&format!("jostle/a/get/wait?{what}"), None).await;
+    assert_eq!(
+        wait("step=5").await.unwrap()["step"],
+        0,
+        "paused: it will not get there"
+    );
+    assert_eq!(wait("phase=paused").await.unwrap()["phase"], "paused");
+    let error = wait("phase=running;timeout_secs=0.05").await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::DeadlineExceeded);
+    client.ok("a", "run", json!({"until_step": 100})).await;
+    assert!(wait("step=20").await.unwrap()["step"].as_u64().unwrap() >= 20);
+    assert_eq!(wait("phase=paused").await.unwrap()["step"], 100);
+    for bad in [
+        "",
+        "step=x",
+        "step=1;phase=paused",
+        "phase=asleep",
+        "step=1;stepp=2",
+        "step=1;timeout_secs=-1",
+    ] {
+        assert_eq!(
+            wait(bad).await.unwrap_err().code,
+            ErrorCode::InvalidArgument,
+            "{bad}"
+        );
+    }
+    // Whoever waits for a swarm that is deleted is told.
+    let other = daemon.another_client().await;
+    let waiting =
+        tokio::spawn(async move { other.one("jostle/a/get/wait?phase=running", None).await });
+    client.ok("a", "delete", json!({})).await;
+    if let Err(error) = waiting.await.unwrap() {
+        assert_eq!(error.code, ErrorCode::NotFound);
+    }
+    daemon.stop().await;
+}

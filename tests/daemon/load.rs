@@ -1,0 +1,186 @@
+//! Many swarms, many orders, slow clients: nobody holds up anybody.
+
+use std::time::{Duration, Instant};
+
+use jostle_proto::{ErrorCode, keys};
+use serde_json::{Value, json};
+
+use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, until};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hundred_swarms_of_twenty_keep_their_rate() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    for i in 0..100 {
+        let name = format!("s{i}");
+        client
+            .create(&name, json!({"n": 20, "seed": i, "rate": 1}))
+            .await;
+        client.ok(&name, "run", json!({})).await;
+    }
+    let swarms = async || {
+        client.node("swarms").await["swarms"]
+            .as_array()
+            .unwrap()
+            .clone()
+    };
+    let times = async || -> Vec<f64> {
+        swarms()
+            .await
+            .iter()
+            .map(|swarm| swarm["time"].as_f64().unwrap())
+            .collect()
+    };
+    let (before, began) = (times().await, Instant::now());
+    tokio::time::sleep(Duration::from_secs(8)).await;
+    let (after, elapsed) = (times().await, began.elapsed().as_secs_f64());
+    let rates: Vec<f64> = before
+        .iter()
+        .zip(&after)
+        .map(|(a, b)| (b - a) / elapsed)
+        .collect();
+    let slowest = rates.iter().copied().fold(f64::INFINITY, f64::min);
+    println!("slowest of 100 swarms: {slowest:.3} time units a second of 1");
+    assert!(slowest > 0.95, "{slowest}");
+
+    let began = Instant::now();
+    client.get("s50", "status").await;
+    assert!(
+        began.elapsed() < Duration::from_millis(500),
+        "{:?}",
+        began.elapsed()
+    );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn twenty_swarms_a_second_are_created_and_deleted() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let threads = || std::fs::read_dir("/proc/self/task").unwrap().count();
+    let began = Instant::now();
+    let before = threads();
+    for i in 0..60 {
+        let name = format!("s{i}");
+        client.create(&name, json!({"n": 20, "seed": i})).await;
+        client.ok(&name, "step", json!({"steps": 5})).await;
+        client.ok(&name, "delete", json!({})).await;
+    }
+    let rate = 60.0 / began.elapsed().as_secs_f64();
+    println!("{rate:.0} swarms a second created, stepped and deleted");
+    assert!(rate > 20.0, "{rate}");
+    until("the swarms' threads end", async || threads() <= before + 2).await;
+    assert_eq!(client.node("status").await["memory_bytes"], 0);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_name_created_and_deleted_by_many_at_once_is_one_swarm() {
+    let daemon = Daemon::start().await;
+    let mut tasks = Vec::new();
+    for _ in 0..4 {
+        let client = daemon.another_client().await;
+        tasks.push(tokio::spawn(async move {
+            let key = keys::node_cmd(PREFIX, NODE, "create");
+            let request = json!({"name": "a", "spec": {"n": 5}}).to_string();
+            let mut created = 0;
+            for _ in 0..50 {
+                match client.one(&key, Some(request.as_bytes())).await {
+                    Ok(_) => created += 1,
+                    Err(error) => assert_eq!(error.code, ErrorCode::AlreadyExists, "{error:?}"),
+                }
+                // Either it was there, or another was faster; silence says it is gone too.
+                for answer in client.ask("jostle/a/cmd/delete", Some(b"{}")).await {
+                    if let Err(error) = answer {
+                        assert_eq!(error.code, ErrorCode::NotFound, "{error:?}");
+                    }
+                }
+            }
+            created
+        }));
+    }
+    let mut created = 0;
+    for task in tasks {
+        created += task.await.unwrap();
+    }
+    assert!(created >= 50, "{created}");
+    daemon.client.ask("jostle/a/cmd/delete", Some(b"{}")).await;
+    assert_eq!(daemon.client.node("status").await["swarms"], 0);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_flood_is_answered_and_neither_memory_nor_others_suffer() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("flooded", json!({"n": 20, "rate": 1})).await;
+    client.create("other", json!({"n": 20, "rate": 1})).await;
+    for name in ["flooded", "other"] {
+        client.ok(name, "run", json!({})).await;
+    }
+    flood(&daemon.another_client().await, 20_000).await;
+    let before = resident_bytes();
+    let flooder = daemon.another_client().await;
+    let flooding = tokio::spawn(async move { flood(&flooder, 60_000).await });
+    let (began, mut slowest) = (Instant::now(), Duration::ZERO);
+    let time = async || {
+        client.get("other", "status").await["time"]
+            .as_f64()
+            .unwrap()
+    };
+    let first = time().await;
+    let mut last = first;
+    while !flooding.is_finished() {
+        let asked = Instant::now();
+        last = time().await;
+        slowest = slowest.max(asked.elapsed());
+    }
+    let rate = (last - first) / began.elapsed().as_secs_f64();
+    let (answered, busy) = flooding.await.unwrap();
+    let grown = resident_bytes().saturating_sub(before) >> 20;
+    println!(
+        "{answered} answered, {busy} turned away in {:?}; the other swarm ran at {rate:.2}, its \
+         slowest answer took {slowest:?}; {grown} MiB more",
+        began.elapsed()
+    );
+    assert_eq!(answered + busy, 60_000);
+    assert!(slowest < Duration::from_secs(2), "{slowest:?}");
+    assert!(grown < 150, "{grown} MiB");
+    daemon.stop().await;
+}
+
+/// Sends `count` commands without waiting for answers in between; counts what came back.
+async fn flood(client: &Client, count: usize) -> (usize, usize) {
+    let (mut answered, mut busy) = (0, 0);
+    for _ in 0..count / 1000 {
+        let mut pending = Vec::new();
+        for _ in 0..1000 {
+            let replies = client
+                .session
+                .get("jostle/flooded/cmd/set")
+                .payload("{\"pi3\": 1}")
+                .timeout(2 * PATIENCE)
+                .await
+                .unwrap();
+            pending.push(replies);
+        }
+        for replies in pending {
+            match replies.recv_async().await.unwrap().into_result() {
+                Ok(_) => answered += 1,
+                Err(error) => {
+                    let error: Value = serde_json::from_slice(&error.payload().to_bytes()).unwrap();
+                    assert_eq!(error["code"], "busy", "{error}");
+                    busy += 1;
+                }
+            }
+        }
+    }
+    (answered, busy)
+}
+
+/// Memory of this process, daemon and clients together.
+fn resident_bytes() -> u64 {
+    let statm = std::fs::read_to_string("/proc/self/statm").unwrap();
+    let pages: u64 = statm.split(' ').nth(1).unwrap().parse().unwrap();
+    pages * 4096
+}

@@ -1,0 +1,12 @@
+//! The daemon as its clients meet it: real sessions on loopback, real swarms, nothing mocked.
+
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+mod abuse;
+mod architecture;
+mod commands;
+mod load;
+mod process;
+mod repeat;
+mod streams;
+mod support;

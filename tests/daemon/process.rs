@@ -1,0 +1,196 @@
+//! The daemon as a process: its demo, its end, and a client that stops taking what it is sent.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+use jostle_proto::keys;
+use serde_json::json;
+
+use crate::support::{Client, PATIENCE, PREFIX, until};
+
+/// Ends a process when the test does.
+struct Process(Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+impl Process {
+    fn signal(&self, signal: &str) {
+        let id = self.0.id().to_string();
+        assert!(
+            Command::new("kill")
+                .args([signal, &id])
+                .status()
+                .unwrap()
+                .success()
+        );
+    }
+
+    /// Waits for its end and tells how long that took.
+    fn end(&mut self) -> (Option<i32>, Duration) {
+        let began = Instant::now();
+        loop {
+            if let Some(status) = self.0.try_wait().unwrap() {
+                return (status.code(), began.elapsed());
+            }
+            assert!(began.elapsed() < PATIENCE, "it does not end");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+}
+
+fn jostled(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_jostled"));
+    command
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stderr(Stdio::null());
+    command
+}
+
+/// A serving daemon and where it listens.
+fn serve() -> (Process, String) {
+    let mut daemon = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
+    let mut daemon = Process(daemon.stdout(Stdio::piped()).spawn().unwrap());
+    let mut line = String::new();
+    BufReader::new(daemon.0.stdout.take().unwrap())
+        .read_line(&mut line)
+        .unwrap();
+    let endpoint = line.trim().strip_prefix("listening on ").unwrap();
+    (daemon, endpoint.to_owned())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn sigterm_and_ctrl_c_end_it_within_two_seconds() {
+    for signal in ["-TERM", "-INT"] {
+        let (mut daemon, endpoint) = serve();
+        let client = Client::open(&endpoint).await;
+        for i in 0..20 {
+            let name = format!("s{i}");
+            client.create(&name, json!({"n": 20, "rate": null})).await;
+            client.ok(&name, "run", json!({})).await;
+        }
+        daemon.signal(signal);
+        let (code, took) = daemon.end();
+        assert_eq!(code, Some(0), "{signal}");
+        assert!(took < Duration::from_secs(2), "{signal}: {took:?}");
+    }
+}
+
+/// Not a test by itself: the client that [`a_frozen_client_delays_neither_steps_nor_the_end`]
+/// starts as a process of its own.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_subscribing_process() {
+    let Ok(endpoint) = std::env::var("JOSTLE_TEST_SUBSCRIBE_TO") else {
+        return;
+    };
+    let client = Client::open(&endpoint).await;
+    let states = client
+        .session
+        .declare_subscriber(keys::state(PREFIX, "*"))
+        .await
+        .unwrap();
+    while states.recv_async().await.is_ok() {}
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_frozen_client_delays_neither_steps_nor_the_end() {
+    let (mut daemon, endpoint) = serve();
+    let client = Client::open(&endpoint).await;
+    client
+        .create(
+            "a",
+            json!({"n": 500, "rate": 1, "publish_every": 1, "start":
+        {"kind": "disc", "radius": 200}}),
+        )
+        .await;
+    client.ok("a", "run", json!({})).await;
+    let subscriber = Process(
+        Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "process::a_subscribing_process"])
+            .env("JOSTLE_TEST_SUBSCRIBE_TO", &endpoint)
+            .stdout(Stdio::null())
+            .spawn()
+            .unwrap(),
+    );
+    let clients = async || {
+        client
+            .one("jostle/@node/test/get/status", None)
+            .await
+            .unwrap()["result"]["clients"]
+            .clone()
+    };
+    until("the subscriber", async || clients().await == 2).await;
+    subscriber.signal("-STOP");
+
+    let time = async || client.get("a", "status").await["time"].as_f64().unwrap();
+    let (before, began) = (time().await, Instant::now());
+    let mut slowest = Duration::ZERO;
+    while began.elapsed() < Duration::from_secs(5) {
+        let asked = Instant::now();
+        time().await;
+        slowest = slowest.max(asked.elapsed());
+    }
+    let rate = (time().await - before) / began.elapsed().as_secs_f64();
+    println!("with a frozen subscriber: rate {rate:.3} of 1, slowest answer {slowest:?}");
+    assert!(rate > 0.95, "{rate}");
+    assert!(slowest < Duration::from_secs(1), "{slowest:?}");
+
+    daemon.signal("-TERM");
+    let (code, took) = daemon.end();
+    println!("ended in {took:?}");
+    assert_eq!(code, Some(0));
+    assert!(took < Duration::from_secs(2), "{took:?}");
+}
+
+fn output(arguments: &[&str]) -> Output {
+    let mut command = jostled(arguments);
+    command.stderr(Stdio::piped()).output().unwrap()
+}
+
+#[test]
+fn the_demo_ends_by_itself_and_says_what_came_of_it() {
+    let demo = output(&["demo", "--for", "4s", "--listen", "tcp/127.0.0.1:0"]);
+    let text = String::from_utf8(demo.stdout).unwrap();
+    assert_eq!(demo.status.code(), Some(0), "{text}");
+    let lines: Vec<&str> = text.lines().collect();
+    assert!(
+        lines.iter().any(|line| line.contains("real-time factor")),
+        "{text}"
+    );
+    let last = lines.last().unwrap();
+    assert!(last.starts_with("mean drift towards +x: "), "{last}");
+    assert!(
+        last.contains("(t = 0 to 50)") && last.contains("(t = 50 to 80)"),
+        "{last}"
+    );
+}
+
+#[test]
+fn what_cannot_be_served_is_said_with_its_remedy() {
+    let (_daemon, endpoint) = serve();
+    let taken = output(&["--listen", &endpoint]);
+    let text = String::from_utf8(taken.stderr).unwrap();
+    assert_eq!(taken.status.code(), Some(1));
+    assert!(text.contains("--listen tcp/127.0.0.1:0"), "{text}");
+
+    for (arguments, code, named) in [
+        (vec!["--listen", "tcp/0.0.0.0:7447"], 1, "other machines"),
+        (vec!["--node", "no/name"], 1, "node"),
+        (vec!["--max-hz", "often"], 2, "--max-hz"),
+        (vec!["--config", "/nowhere.toml"], 2, "/nowhere.toml"),
+        (vec!["--log", "=,="], 2, "log"),
+        (vec!["--wings"], 2, "--wings"),
+        (vec!["demo", "--for", "soon"], 2, "soon"),
+    ] {
+        let refused = output(&arguments);
+        let text = String::from_utf8(refused.stderr).unwrap();
+        assert_eq!(refused.status.code(), Some(code), "{arguments:?}: {text}");
+        assert!(text.contains(named), "{arguments:?}: {text}");
+    }
+}

@@ -1,0 +1,197 @@
+//! A daemon in this process, and clients with sessions of their own.
+
+use std::time::{Duration, Instant};
+
+use jostle_proto::{Error, ErrorCode, keys};
+use jostled::config::{self, Config};
+use jostled::server::{self, Server};
+use serde_json::{Value, json};
+use zenoh::Session;
+use zenoh::bytes::Encoding;
+
+pub const NODE: &str = "test";
+pub const PREFIX: &str = "jostle";
+
+/// How long anything may take that should come at once, on a machine busy with other tests.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+
+pub struct Daemon {
+    pub server: Server,
+    pub client: Client,
+}
+
+impl Daemon {
+    pub async fn start() -> Self {
+        Self::with(&[]).await
+    }
+
+    /// A daemon with these settings beside those that tests need.
+    pub async fn with(settings: &[(&'static str, &str)]) -> Self {
+        let mut flags = vec![
+            ("listen", Some("tcp/127.0.0.1:0".to_owned())),
+            ("node", Some(NODE.to_owned())),
+        ];
+        flags.extend(
+            settings
+                .iter()
+                .map(|(name, value)| (*name, Some((*value).to_owned()))),
+        );
+        let merged = config::merge(None, std::iter::empty(), &flags).unwrap();
+        let server = server::start(&Config::new(&merged).unwrap()).await.unwrap();
+        let client = Client::open(&server.endpoints()[0]).await;
+        Daemon { server, client }
+    }
+
+    pub async fn another_client(&self) -> Client {
+        Client::open(&self.server.endpoints()[0]).await
+    }
+
+    pub async fn stop(self) {
+        self.client.session.close().await.unwrap();
+        self.server.stop().await;
+    }
+}
+
+pub struct Client {
+    pub session: Session,
+}
+
+pub type Answer = Result<Value, Error>;
+
+impl Client {
+    pub async fn open(endpoint: &str) -> Self {
+        let mut config = zenoh::Config::default();
+        for (key, value) in [
+            ("mode", json!("client")),
+            ("connect/endpoints", json!([endpoint])),
+            ("scouting/multicast/enabled", json!(false)),
+            ("scouting/gossip/enabled", json!(false)),
+            ("adminspace/enabled", json!(false)),
+        ] {
+            config.insert_json5(key, &value.to_string()).unwrap();
+        }
+        let session = zenoh::open(config).await.unwrap();
+        Client { session }
+    }
+
+    /// Every answer to a query, JSON or CBOR read as values.
+    pub async fn ask(&self, selector: &str, payload: Option<&[u8]>) -> Vec<Answer> {
+        let mut query = self.session.get(selector).timeout(2 * PATIENCE);
+        if let Some(payload) = payload {
+            query = query.payload(payload).encoding(Encoding::APPLICATION_JSON);
+        }
+        let replies = query.await.unwrap();
+        let mut answers = Vec::new();
+        while let Ok(reply) = replies.recv_async().await {
+            answers.push(match reply.into_result() {
+                Ok(sample) => Ok(read(sample.encoding(), &sample.payload().to_bytes())),
+                Err(error) => {
+                    assert_eq!(error.encoding(), &Encoding::APPLICATION_JSON, "{error:?}");
+                    Err(serde_json::from_slice(&error.payload().to_bytes()).unwrap())
+                }
+            });
+        }
+        answers
+    }
+
+    /// The one answer to a query.
+    pub async fn one(&self, selector: &str, payload: Option<&[u8]>) -> Answer {
+        let mut answers = self.ask(selector, payload).await;
+        assert_eq!(answers.len(), 1, "{selector}: {answers:?}");
+        answers.remove(0)
+    }
+
+    pub async fn cmd(&self, swarm: &str, verb: &str, request: Value) -> Answer {
+        let key = keys::cmd(PREFIX, swarm, verb);
+        self.one(&key, Some(request.to_string().as_bytes())).await
+    }
+
+    pub async fn ok(&self, swarm: &str, verb: &str, request: Value) -> Value {
+        let told = format!("{verb} {request}");
+        match self.cmd(swarm, verb, request).await {
+            Ok(reply) => reply,
+            Err(error) => panic!("{told}: {error:?}"),
+        }
+    }
+
+    pub async fn err(&self, swarm: &str, verb: &str, request: Value) -> (ErrorCode, String) {
+        let told = format!("{verb} {request}");
+        match self.cmd(swarm, verb, request).await {
+            Ok(reply) => panic!("{told}: {reply}"),
+            Err(error) => (error.code, error.message),
+        }
+    }
+
+    pub async fn create(&self, name: &str, spec: Value) -> Value {
+        let request = json!({"name": name, "spec": spec});
+        let key = keys::node_cmd(PREFIX, NODE, "create");
+        let answer = self.one(&key, Some(request.to_string().as_bytes())).await;
+        answer.unwrap_or_else(|error| panic!("{request}: {error:?}"))
+    }
+
+    pub async fn get(&self, swarm: &str, noun: &str) -> Value {
+        self.one(&keys::get(PREFIX, swarm, noun), None)
+            .await
+            .unwrap()
+    }
+
+    pub async fn node(&self, noun: &str) -> Value {
+        let key = keys::node_get(PREFIX, NODE, noun);
+        self.one(&key, None).await.unwrap()["result"].take()
+    }
+
+    pub async fn hash(&self, swarm: &str) -> String {
+        let status = self.get(swarm, "status").await;
+        status["result"]["state_hash"].as_str().unwrap().to_owned()
+    }
+
+    /// Steps to `step` and returns the hash there.
+    pub async fn hash_at(&self, swarm: &str, step: u64) -> String {
+        let request = json!({"until_step": step, "rate": null});
+        self.ok(swarm, "run", request).await;
+        self.reach(swarm, step).await["result"]["state_hash"]
+            .as_str()
+            .unwrap()
+            .to_owned()
+    }
+
+    /// Waits for a step.
+    pub async fn reach(&self, swarm: &str, step: u64) -> Value {
+        let key = keys::get(PREFIX, swarm, "wait");
+        let deadline = Instant::now() + 3 * PATIENCE;
+        loop {
+            match self.one(&format!("{key}?step={step}"), None).await {
+                Ok(reply) => return reply,
+                Err(error) if error.code == ErrorCode::DeadlineExceeded => {
+                    assert!(Instant::now() < deadline, "{error:?}");
+                }
+                Err(error) => panic!("{error:?}"),
+            }
+        }
+    }
+}
+
+fn read(encoding: &Encoding, bytes: &[u8]) -> Value {
+    if *encoding == Encoding::APPLICATION_JSON {
+        return serde_json::from_slice(bytes).unwrap();
+    }
+    assert_eq!(*encoding, Encoding::APPLICATION_CBOR);
+    // Typed arrays are tagged bytes, which JSON has no name for; states are read as such.
+    match jostle_proto::State::from_cbor(bytes) {
+        Ok(state) => serde_json::to_value(state).unwrap(),
+        Err(_) => {
+            let reply: jostle_proto::Reply<jostle_proto::verbs::StepResult> =
+                ciborium::from_reader(bytes).unwrap();
+            serde_json::to_value(reply).unwrap()
+        }
+    }
+}
+
+/// Waits until `holds`, at most [`PATIENCE`].
+pub async fn until(what: &str, mut holds: impl AsyncFnMut() -> bool) {
+    let deadline = Instant::now() + PATIENCE;
+    while !holds().await {
+        assert!(Instant::now() < deadline, "{what} did not come about");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}

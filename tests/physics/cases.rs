@@ -1,0 +1,217 @@
+//! Twenty exact single steps, computed by implementations written apart from this one.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use jostled::model::{Parameters, State, start};
+use jostled::stepper::Stepper;
+use jostled::stepper::qp::Qp;
+use jostled::stepper::solve::{self, Solution, Workspace};
+use serde_json::Value;
+
+/// What two exact implementations may differ by.
+const TOLERANCE: f64 = 1e-9;
+
+/// Pair, code and multiplier.
+type Push = ((u64, u64, u64), f64);
+
+struct Case {
+    name: String,
+    state: State,
+    after: [Vec<f64>; 3],
+    /// Those that push.
+    pushing: Vec<Push>,
+}
+
+fn name(i: u32, j: u32, code: u8) -> (u64, u64, u64) {
+    (i.into(), j.into(), code.into())
+}
+
+fn numbers(value: &Value) -> Vec<f64> {
+    value
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|entry| entry.as_f64().unwrap())
+        .collect()
+}
+
+fn read(path: &Path) -> Case {
+    let file: Value = serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap();
+    let (given, before, after) = (&file["params"], &file["before"], &file["after_exact"]);
+    let number = |key: &str| given[key].as_f64().unwrap();
+    let [pi1, pi3, pi4, dt] = ["pi1", "pi3", "pi4", "dt"].map(number);
+    let parameters = Parameters {
+        pi1,
+        pi3,
+        pi4,
+        dt,
+        ..Parameters::default()
+    };
+    let columns = |value: &Value| ["x", "y", "alpha"].map(|key| numbers(&value[key]));
+    let [x, y, alpha] = columns(before);
+    let mut configuration = start::given(&parameters, &x, &y, &alpha).unwrap();
+    let preferred = numbers(&given["p_pref"]);
+    let informed = usize::try_from(given["informed"].as_u64().unwrap()).unwrap();
+    for index in 0..informed {
+        let weight = number("c_p_informed") / number("c_s");
+        configuration.inform(index, weight, preferred[1].atan2(preferred[0]), None);
+    }
+    let pushing = file["contacts_i_j_code_gap_nx_ny_ri_rj_lambda"]
+        .as_array()
+        .unwrap()
+        .iter();
+    let pushing = pushing.map(|contact| {
+        let name = [0, 1, 2].map(|k| contact[k].as_f64().unwrap() as u64);
+        ((name[0], name[1], name[2]), contact[8].as_f64().unwrap())
+    });
+    Case {
+        name: path.file_name().unwrap().to_str().unwrap().to_owned(),
+        state: State {
+            parameters,
+            configuration,
+            ..State::default()
+        },
+        after: columns(after),
+        pushing: pushing
+            .filter(|(_, multiplier)| *multiplier > 0.0)
+            .collect(),
+    }
+}
+
+fn all() -> Vec<Case> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/cases");
+    let files = fs::read_dir(folder)
+        .unwrap()
+        .map(|entry| entry.unwrap().path());
+    let mut paths: Vec<PathBuf> = files
+        .filter(|path| path.extension().is_some_and(|end| end == "json"))
+        .collect();
+    paths.sort();
+    assert_eq!(paths.len(), 20);
+    paths.iter().map(|path| read(path)).collect()
+}
+
+/// Largest difference to the exact result. Whole cells of re-centring are undone.
+fn error(case: &Case, after: &State) -> f64 {
+    let configuration = &after.configuration;
+    let [cell_x, cell_y] = configuration.origin.map(|cell| 1024.0 * cell as f64);
+    let columns = [
+        (&configuration.x, cell_x),
+        (&configuration.y, cell_y),
+        (&configuration.alpha, 0.0),
+    ];
+    let pairs = columns
+        .iter()
+        .zip(&case.after)
+        .flat_map(|((column, shift), exact)| {
+            column
+                .iter()
+                .zip(exact)
+                .map(move |(value, exact)| (value + shift - exact).abs())
+        });
+    pairs.fold(0.0, f64::max)
+}
+
+/// The pushes of `solution` against those of the case, either way.
+fn compare_pushes(case: &Case, found: &[Push], route: &str) {
+    let of = |list: &[Push], name| {
+        list.iter()
+            .find(|(other, _)| *other == name)
+            .map_or(0.0, |(_, multiplier)| *multiplier)
+    };
+    let names = case.pushing.iter().chain(found).map(|(name, _)| *name);
+    for name in names {
+        let (exact, ours) = (of(&case.pushing, name), of(found, name));
+        // Contacts of discs in a packed group depend on each other; there only the
+        // displacements are unique.
+        let unique = case.state.parameters.pi1 > 1.0 || case.state.configuration.n() < 10;
+        assert!(
+            !unique || (exact - ours).abs() < 1e-7,
+            "{} {route} {name:?}: {ours} for {exact}",
+            case.name
+        );
+    }
+}
+
+#[test]
+fn every_case_is_reproduced_from_nothing_and_from_the_right_memory() {
+    let mut worst: f64 = 0.0;
+    for case in all() {
+        let mut after = case.state.clone();
+        let report = Stepper::new().step(&mut after).unwrap();
+        let cold = error(&case, &after);
+        // The multipliers of this very step are the best memory there can be.
+        let mut again = State {
+            memory: after.memory.clone(),
+            ..case.state.clone()
+        };
+        let warm_report = Stepper::new().step(&mut again).unwrap();
+        let warm = error(&case, &again);
+        assert!(
+            cold <= TOLERANCE && warm <= TOLERANCE,
+            "{}: cold {cold:e}, warm {warm:e}",
+            case.name
+        );
+        assert_eq!(
+            warm_report.referee, 0,
+            "{}: a right guess needs no referee",
+            case.name
+        );
+        assert!(report.residual <= solve::TARGET && warm_report.residual <= solve::TARGET);
+        assert_eq!(report.active, after.memory.contacts.len());
+        let pushes = after.memory.contacts.iter();
+        let found: Vec<_> = pushes
+            .map(|c| (name(c.first, c.second, c.code), c.multiplier))
+            .collect();
+        compare_pushes(&case, &found, "guess");
+        worst = worst.max(cold).max(warm);
+    }
+    println!("worst difference to the exact step, by guess: {worst:e}");
+}
+
+#[test]
+fn every_case_is_reproduced_by_the_referee_alone() {
+    let (mut worst, mut contacts): (f64, usize) = (0.0, 0);
+    for case in all() {
+        let qp = program(&case.state);
+        contacts += qp.contacts.len();
+        if qp.contacts.is_empty() {
+            continue;
+        }
+        let mut solution = Solution {
+            residual: f64::INFINITY,
+            ..Solution::default()
+        };
+        solve::by_referee(&qp, &mut Workspace::default(), &mut solution);
+        assert!(
+            solution.residual <= solve::TARGET,
+            "{}: {:e}",
+            case.name,
+            solution.residual
+        );
+        assert!(solution.referee > 0);
+        let mut after = case.state.clone();
+        for (index, displacement) in solution.displacement.iter().enumerate() {
+            after.configuration.x[index] += displacement[0];
+            after.configuration.y[index] += displacement[1];
+            after.configuration.alpha[index] += displacement[2];
+        }
+        let error = error(&case, &after);
+        assert!(error <= TOLERANCE, "{}: {error:e}", case.name);
+        let pushes = qp.contacts.iter().zip(&solution.multipliers);
+        let found: Vec<_> = pushes
+            .map(|(c, &value)| (name(c.i, c.j, c.code), value))
+            .collect();
+        compare_pushes(&case, &found, "referee");
+        worst = worst.max(error);
+    }
+    assert!(contacts > 500, "the cases hardly touch: {contacts}");
+    println!("worst difference to the exact step, by the referee: {worst:e}");
+}
+
+/// The program of one step, with every contact nearer than its first list reaches.
+fn program(state: &State) -> Qp {
+    let reach = state.parameters.reach(state.configuration.largest_weight());
+    crate::program(state, reach)
+}
