@@ -15,7 +15,9 @@ use crate::host::{Created, HostError};
 use crate::server::Server;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::order::{Answer, Answered, Awaited, Expectation, Order, OrderError, Outcome, Sender};
+use crate::swarm::order::{
+    Answer, Answered, Awaited, Expectation, Order, OrderError, Outcome, Sender,
+};
 
 /// Its name.
 const NAME: &str = "demo";

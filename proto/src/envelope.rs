@@ -111,7 +111,15 @@ impl Request {
     ///
     /// [`RequestError`] when a field is missing, unknown, given twice or of the wrong type.
     pub fn args<T: DeserializeOwned>(&self) -> Result<T, RequestError> {
-        read(self.args.as_deref().map_or("{}", RawValue::get))
+        let args = self.args.as_deref().map_or("{}", RawValue::get);
+        // A list would be read as the fields in their order, which nobody means.
+        if !args.starts_with('{') {
+            return Err(RequestError {
+                field: "args".into(),
+                problem: "is not an object of named arguments".into(),
+            });
+        }
+        read(args)
     }
 }
 
@@ -255,6 +263,7 @@ mod tests {
         assert_eq!(error(r#"{"steps": 1, "steps": 2}"#), "steps");
         assert_eq!(error(r#"{"client": 7}"#), "client");
         assert_eq!(error("[1]"), "");
+        assert_eq!(error(r#"{"args": [3]}"#), "args");
     }
 
     #[test]

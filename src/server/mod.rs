@@ -13,10 +13,10 @@ use std::time::{Duration, Instant};
 use jostle_proto::keys;
 use thiserror::Error;
 use tracing::{info, warn};
-use zenoh::Session;
 use zenoh::key_expr::KeyExpr;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Queryable;
+use zenoh::{Session, Wait};
 
 use crate::command::{CommandError, check_name};
 use crate::config::Config;
@@ -124,6 +124,11 @@ impl Server {
         &self.endpoints
     }
 
+    /// What zenoh calls its session.
+    pub fn zid(&self) -> String {
+        self.session.zid().to_string()
+    }
+
     /// The swarms it hosts.
     pub fn host(&self) -> &Arc<Host> {
         &self.host
@@ -169,17 +174,19 @@ impl Server {
         }
         self.press.stop();
         self.desk.stop();
-        // Closing, and dropping what is declared, waits for every client: elsewhere, so that a
-        // frozen one delays nobody here.
-        let closing = tokio::spawn(async move {
-            let closed = self.session.close().await;
+        // Closing, and dropping what is declared, waits for every client, and blocks whoever does
+        // it: a thread of its own, so that a frozen client delays neither timers nor the end.
+        let (closed, is_closed) = std::sync::mpsc::channel();
+        thread::spawn(move || {
+            let result = self.session.close().wait();
             drop(self.doors);
-            closed
+            let _ = closed.send(result);
         });
-        match tokio::time::timeout(PATIENCE_WITH_SESSION, closing).await {
+        let closing = move || is_closed.recv_timeout(PATIENCE_WITH_SESSION);
+        match tokio::task::spawn_blocking(closing).await {
             Ok(Ok(Ok(()))) => {}
-            Ok(failed) => warn!(?failed, "failed to close the session"),
-            Err(_) => warn!("a client does not take its goodbye"),
+            Ok(Err(_)) => warn!("a client does not take its goodbye"),
+            failed => warn!(?failed, "failed to close the session"),
         }
     }
 }

@@ -21,7 +21,7 @@ const TO_A_SWARM: [Bad; 62] = [
     ("step", "{\"steps\": NaN}", InvalidArgument, "object"),
     ("step", "{'steps': 1}", InvalidArgument, "object"),
     // Envelopes.
-    ("step", "{\"args\": []}", InvalidArgument, "steps"),
+    ("step", "{\"args\": []}", InvalidArgument, "args"),
     (
         "step",
         "{\"args\": {}, \"steps\": 1}",
@@ -204,7 +204,7 @@ const TO_A_SWARM: [Bad; 62] = [
         "inject",
         "{\"count\": 1000000000}",
         ResourceExhausted,
-        "limit",
+        "max_individuals",
     ),
     (
         "inject",

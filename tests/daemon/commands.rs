@@ -5,13 +5,16 @@ use serde_json::{Value, json};
 
 use crate::support::{Client, Daemon, NODE, until};
 
-/// A swarm that faults within a few steps: the longest step that is allowed carries bodies so
-/// thin so far that two of them cross.
+/// A swarm that faults within a few steps: bodies that turn at a touch, in the longest step that
+/// is allowed, are turned so far that two of them cross.
 pub async fn fault(client: &Client, name: &str) {
-    let spec = json!({"n": 60, "pi1": 32, "pi3": 20, "dt": 0.0054, "seed": 3, "start":
-        {"kind": "disc", "radius": 2.2}});
+    let spec = json!({"n": 60, "pi4": 1e6, "dt": 0.2497, "seed": 2});
     client.create(name, spec).await;
-    let error = client.cmd(name, "step", json!({"timeout_secs": 30, "args": {"steps": 20_000}}));
+    let error = client.cmd(
+        name,
+        "step",
+        json!({"timeout_secs": 30, "args": {"steps": 20_000}}),
+    );
     let _ = error.await;
     until("a fault", async || {
         client.get(name, "status").await["phase"] == "faulted"
