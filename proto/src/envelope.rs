@@ -130,13 +130,19 @@ fn read<T: DeserializeOwned>(text: &str) -> Result<T, RequestError> {
         let path = error.path().to_string();
         RequestError {
             field: if path == "." { String::new() } else { path },
-            problem: error.into_inner().to_string(),
+            problem: without_place(&error.into_inner().to_string()),
         }
     })?;
     deserializer
         .end()
         .map_err(|error| whole(error.to_string()))?;
     Ok(value)
+}
+
+/// Leaves out line and column: the field is named, and its sender never saw the text.
+fn without_place(problem: &str) -> String {
+    let end = problem.rfind(" at line ").unwrap_or(problem.len());
+    problem[..end].to_owned()
 }
 
 fn whole(problem: String) -> RequestError {

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError};
-use std::time::Instant;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError};
+use std::time::{Duration, Instant};
 
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{NodeReply, NodeStatus, Phase, Request, Swarms, keys};
@@ -102,27 +102,45 @@ pub struct Dispatcher {
     pub press: Arc<Press>,
     /// When the daemon started.
     pub started: Instant,
+    /// When doors were last looked through for those to close.
+    pub swept: Instant,
     /// What it can be reached by, per swarm.
     pub doors: BTreeMap<String, Doors>,
     /// Where its own queryables hand over.
     pub intake: SyncSender<Intake>,
 }
 
-/// What a swarm can be reached by; dropping it closes them, the token first.
+/// How long the keys of a deleted swarm still answer, that it is not there.
+///
+/// zenoh 1.10 loses a query that arrives while its queryable is being undeclared: its sender is
+/// left in silence until its own timeout. When many create and delete one name that happened
+/// every few dozen times; after this long nobody is likely to ask any more.
+const LINGER: Duration = Duration::from_secs(2);
+
+/// What a swarm can be reached by.
 pub struct Doors {
-    _token: LivelinessToken,
+    /// Held exactly while the swarm is there.
+    token: Option<LivelinessToken>,
+    /// When the swarm was deleted.
+    deleted: Option<Instant>,
     _queryables: [Queryable<()>; 3],
 }
 
 impl Dispatcher {
     /// Dispatches until told to stop.
     pub fn run(mut self, intake: &Receiver<Intake>) {
-        while let Ok(next) = intake.recv() {
-            match next {
-                Intake::Query(topic, query) => self.query(&topic, query),
-                Intake::Begun(swarm, built) => self.begun(&swarm, built),
-                Intake::Ended(swarm, ended) => self.ended(swarm, ended),
-                Intake::Stop => return,
+        loop {
+            match intake.recv_timeout(LINGER) {
+                Ok(Intake::Query(topic, query)) => self.query(&topic, query),
+                Ok(Intake::Begun(swarm, built)) => self.begun(&swarm, built),
+                Ok(Intake::Ended(swarm, ended)) => self.ended(swarm, ended),
+                Err(RecvTimeoutError::Timeout) => {}
+                Ok(Intake::Stop) | Err(RecvTimeoutError::Disconnected) => return,
+            }
+            if self.swept.elapsed() >= LINGER {
+                self.swept = Instant::now();
+                self.doors
+                    .retain(|_, doors| doors.deleted.is_none_or(|at| at.elapsed() < LINGER));
             }
         }
     }
@@ -132,20 +150,34 @@ impl Dispatcher {
             return;
         };
         match self.open(swarm, &handle) {
-            Ok(doors) => {
-                info!(swarm, "created");
-                self.doors.insert(swarm.to_owned(), doors);
-            }
+            Ok(()) => info!(swarm, "created"),
             Err(error) => warn!(swarm, %error, "failed to open the swarm's keys"),
         }
         built();
     }
 
     /// Publishers and queryables before the token: whoever sees it finds everything there.
-    fn open(&self, swarm: &str, handle: &Handle) -> zenoh::Result<Doors> {
-        let name: Arc<str> = swarm.into();
+    fn open(&mut self, swarm: &str, handle: &Handle) -> zenoh::Result<()> {
         self.press
             .open(&self.session, swarm, handle.outlet.clone())?;
+        if !self.doors.contains_key(swarm) {
+            let doors = self.doors(swarm)?;
+            self.doors.insert(swarm.to_owned(), doors);
+        }
+        let token = self
+            .session
+            .liveliness()
+            .declare_token(keys::alive(&self.prefix, swarm, &self.node))
+            .wait()?;
+        if let Some(doors) = self.doors.get_mut(swarm) {
+            doors.token = Some(token);
+            doors.deleted = None;
+        }
+        Ok(())
+    }
+
+    fn doors(&self, swarm: &str) -> zenoh::Result<Doors> {
+        let name: Arc<str> = swarm.into();
         let queryable =
             |key: String, topic| queryable(&self.session, &key, topic, &self.intake, &self.desk);
         let queryables = [
@@ -156,19 +188,19 @@ impl Dispatcher {
             )?,
             queryable(keys::cmd(&self.prefix, swarm, "**"), Topic::Command(name))?,
         ];
-        let token = self
-            .session
-            .liveliness()
-            .declare_token(keys::alive(&self.prefix, swarm, &self.node))
-            .wait()?;
         Ok(Doors {
-            _token: token,
+            token: None,
+            deleted: None,
             _queryables: queryables,
         })
     }
 
     fn ended(&mut self, swarm: String, ended: Box<dyn FnOnce() + Send>) {
-        if self.doors.remove(&swarm).is_some() {
+        // A swarm that could not be built had no doors, or those of an earlier one.
+        if let Some(doors) = self.doors.get_mut(&swarm)
+            && doors.token.take().is_some()
+        {
+            doors.deleted = Some(Instant::now());
             info!(swarm, "deleted");
         }
         let host = self.host.clone();
@@ -446,7 +478,7 @@ impl Dispatcher {
         &self,
         swarm: &str,
         promise: &Promise,
-        patience: std::time::Duration,
+        patience: Duration,
         ticket: impl FnOnce(AnswerTo<A>) -> Ticket,
     ) where
         A: FnOnce(Place, Outcome) -> Payload + Send + 'static,

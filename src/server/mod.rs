@@ -87,6 +87,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         desk: desk.clone(),
         press: press.clone(),
         started: Instant::now(),
+        swept: Instant::now(),
         doors: BTreeMap::new(),
         intake: intake.clone(),
     };

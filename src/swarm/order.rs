@@ -242,7 +242,9 @@ pub enum OrderError {
     #[error("this would remove all {0} individuals: leave one, or delete the swarm")]
     NobodyLeft(usize),
     /// The group would outgrow the daemon's limit.
-    #[error("{n} individuals are more than one swarm may have, {limit}: add fewer, or raise max_individuals")]
+    #[error(
+        "{n} individuals are more than one swarm may have, {limit}: add fewer, or raise max_individuals"
+    )]
     TooMany {
         /// The size asked for.
         n: usize,

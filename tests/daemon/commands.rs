@@ -169,13 +169,13 @@ async fn every_verb_in_every_phase_does_what_the_table_says() {
     fault(client, "faulted-again").await;
     for name in ["paused", "running", "faulted", "faulted-again"] {
         client.ok(name, "delete", json!({})).await;
-        assert!(
-            client
-                .ask(&format!("jostle/{name}/get/status"), None)
-                .await
-                .is_empty()
-        );
+        let error = client.one(&format!("jostle/{name}/get/status"), None).await;
+        assert_eq!(error.unwrap_err().code, ErrorCode::NotFound);
     }
+    until("silence", async || {
+        client.ask("jostle/*/get/status", None).await.is_empty()
+    })
+    .await;
     daemon.stop().await;
 }
 

@@ -103,7 +103,7 @@ async fn one_name_created_and_deleted_by_many_at_once_is_one_swarm() {
     for task in tasks {
         created += task.await.unwrap();
     }
-    assert!(created >= 50, "{created}");
+    assert!(created >= 10, "{created}");
     daemon.client.ask("jostle/a/cmd/delete", Some(b"{}")).await;
     assert_eq!(daemon.client.node("status").await["swarms"], 0);
     daemon.stop().await;

@@ -86,7 +86,11 @@ impl Client {
             answers.push(match reply.into_result() {
                 Ok(sample) => Ok(read(sample.encoding(), &sample.payload().to_bytes())),
                 Err(error) => {
-                    assert_eq!(error.encoding(), &Encoding::APPLICATION_JSON, "{selector}: {error:?}");
+                    assert_eq!(
+                        error.encoding(),
+                        &Encoding::APPLICATION_JSON,
+                        "{selector}: {error:?}"
+                    );
                     Err(serde_json::from_slice(&error.payload().to_bytes()).unwrap())
                 }
             });

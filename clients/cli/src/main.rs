@@ -1,2 +1,48 @@
-//! Cli.
-fn main() {}
+//! `jostle`: arguments in, one request to a daemon, a table or JSON out.
+
+mod arguments;
+mod bus;
+mod failure;
+mod format;
+mod interrupt;
+mod output;
+mod selection;
+mod table;
+mod values;
+mod verbs;
+
+use std::process::ExitCode;
+
+use clap::Parser;
+
+use crate::arguments::Arguments;
+use crate::failure::Failure;
+use crate::output::Output;
+
+fn main() -> ExitCode {
+    let arguments = match Arguments::try_parse() {
+        Ok(arguments) => arguments,
+        Err(error) => return output::usage(&error),
+    };
+    let output = Output {
+        json: arguments.global.json,
+    };
+    match carry_out(arguments, output) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => output.failure(&failure),
+    }
+}
+
+/// Runs a verb to its end, or until interrupted.
+fn carry_out(arguments: Arguments, output: Output) -> Result<(), Failure> {
+    // zenoh refuses to live on a current-thread runtime.
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(Failure::Output)?;
+    let outcome = runtime.block_on(interrupt::watched(verbs::execute(arguments, output)));
+    // A thread may still wait for a name server or a reader that never comes.
+    runtime.shutdown_background();
+    outcome
+}

@@ -1,0 +1,224 @@
+//! What may be typed.
+
+mod verbs;
+
+use clap::{Args, Parser, Subcommand};
+use jostle_proto::keys::DEFAULT_PREFIX;
+
+pub use self::verbs::*;
+use crate::values;
+
+const EXAMPLES_AND_EXIT_CODES: &str = "\
+Examples:
+  jostle create demo --n 50 --seed 1
+  jostle inform demo --fraction 0.1 --direction 0
+  jostle run demo --until 100 --rate max --wait
+  jostle watch demo
+  jostle --json watch demo --frames --count 3
+
+Lengths are in body sizes, speeds in free speeds, times in their quotient; angles are radians
+counter-clockwise from +x. Data goes to stdout, talk to stderr. With --json a reply is printed
+as it came, a stream as a line per sample, and an error as an object on stderr.
+
+Exit codes:
+    0  done
+    1  failed: a defect, or the swarm faulted (internal, faulted)
+    2  the command line or an argument is wrong (invalid_argument)
+    3  no such swarm or node (not_found)
+    4  not in this state (conflict, incorrect_state, already_exists)
+    5  not permitted (permission_denied)
+    6  no daemon, or no answer in time (unreachable, deadline_exceeded, timeout)
+    7  too much (busy, resource_exhausted)
+    8  the daemon's disk is full (storage_full)
+  130  interrupted";
+
+/// Watches and steers swarms hosted by a daemon, `jostled`
+#[derive(Debug, Parser)]
+#[command(
+    name = "jostle",
+    version,
+    max_term_width = 100,
+    arg_required_else_help = true,
+    subcommand_value_name = "VERB",
+    subcommand_help_heading = "Verbs",
+    after_help = EXAMPLES_AND_EXIT_CODES
+)]
+pub struct Arguments {
+    /// What holds for every verb.
+    #[command(flatten)]
+    pub global: GlobalArguments,
+    /// What to do.
+    #[command(subcommand)]
+    pub verb: Verb,
+}
+
+/// What holds for every verb.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Options of every verb")]
+pub struct GlobalArguments {
+    /// Where the daemon listens
+    #[arg(
+        short,
+        long,
+        global = true,
+        env = "JOSTLE_ENDPOINT",
+        hide_env_values = true,
+        default_value = "tcp/127.0.0.1:7447"
+    )]
+    pub endpoint: String,
+    /// Which daemon, if several are reached there; for create and list
+    #[arg(long, global = true, value_name = "NAME", value_parser = values::name)]
+    pub node: Option<String>,
+    /// The first chunk of the daemon's keys
+    #[arg(long, global = true, value_name = "NAME", default_value = DEFAULT_PREFIX, value_parser = values::name)]
+    pub prefix: String,
+    /// How long to wait for an answer; the daemon finishes its work anyway
+    #[arg(long, global = true, value_name = "SECS", default_value = "5", value_parser = values::seconds, allow_negative_numbers = true)]
+    pub timeout: f64,
+    /// Refuse with `conflict` unless the swarm is at this step
+    #[arg(long, global = true, value_name = "STEP")]
+    pub expect_step: Option<u64>,
+    /// Who the daemon is told has sent it [default: user@host]
+    #[arg(long, global = true, value_name = "NAME")]
+    pub client: Option<String>,
+    /// Print replies as they came, streams as JSON Lines
+    #[arg(long, global = true)]
+    pub json: bool,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Verb {
+    /// Creates a swarm, paused
+    Create(CreateArguments),
+    /// Lists the swarms of a daemon
+    List,
+    /// Shows how a swarm is doing
+    Status(NameArgument),
+    /// Prints what a swarm was made from, as `create --spec` reads it
+    Spec(NameArgument),
+    /// Lets a swarm run; changes target and rate of one that runs
+    Run(RunArguments),
+    /// Pauses a swarm
+    Pause(NameArgument),
+    /// Runs a paused swarm some steps on, as fast as it can
+    Step(StepArguments),
+    /// Puts a swarm back to its start, paused
+    Reset(ResetArguments),
+    /// Changes parameters of a swarm and leaves the others
+    Set(SetArguments),
+    /// Gives individuals a direction of their own
+    Inform(InformArguments),
+    /// Takes individuals' direction away
+    Uninform(SelectArguments),
+    /// Adds individuals where they overlap nobody
+    Inject(InjectArguments),
+    /// Takes individuals out of the group
+    Remove(SelectArguments),
+    /// Deletes swarms
+    Delete(DeleteArguments),
+    /// Shows live how a swarm is doing
+    Watch(WatchArguments),
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use clap::CommandFactory;
+
+    use super::*;
+
+    /// Every verb with its arguments, an option of every verb only once.
+    fn surface() -> String {
+        let mut command = Arguments::command();
+        command.build();
+        let mut lines = Vec::new();
+        for verb in [&command].into_iter().chain(command.get_subcommands()) {
+            if verb.get_name() == "help" {
+                continue;
+            }
+            let is_verb = verb.get_name() != "jostle";
+            for argument in verb.get_arguments() {
+                if is_verb && argument.is_global_set() || argument.get_id() == "help" {
+                    continue;
+                }
+                let flags = argument.get_long().map(|long| format!("--{long}"));
+                let flags = flags.unwrap_or_else(|| format!("<{}>", argument.get_id()));
+                lines.push(format!("{} {flags}", verb.get_name()));
+            }
+            if is_verb {
+                lines.push(verb.get_name().to_owned());
+            }
+        }
+        lines.sort();
+        lines.join("\n")
+    }
+
+    #[test]
+    fn nothing_that_scripts_may_use_is_lost() {
+        let surface = surface();
+        let listed = include_str!("../../surface.txt");
+        assert_eq!(surface, listed.trim_end(), "now:\n{surface}");
+    }
+
+    fn read(line: &str) -> Result<Arguments, clap::Error> {
+        Arguments::try_parse_from(["jostle"].into_iter().chain(line.split(' ')))
+    }
+
+    #[test]
+    fn clap_finds_no_contradiction_in_the_arguments() {
+        Arguments::command().debug_assert();
+    }
+
+    #[test]
+    fn negative_numbers_are_values() {
+        for line in [
+            "inform demo --count 3 --direction -1.57",
+            "inform demo --count 3 --degrees -90 --weight -1 --for-time -2",
+            "inform demo --foremost 3 --along -3.1 --direction -.5",
+            "inject demo --at -3,2,0 --at -4,-2,-1e-3 --direction -1",
+            "inject demo --count 2 --within -3,-2,1",
+            "uninform demo --within -1,-1,2",
+            "run demo --until -5 --rate -2",
+            "set demo pi1=-6 pi2=-1",
+        ] {
+            assert!(read(line).is_ok(), "{line}: {}", read(line).unwrap_err());
+        }
+    }
+
+    #[test]
+    fn options_of_every_verb_may_stand_before_and_after_it() {
+        let before = read("-e tcp/h:1 --json --timeout 2 status demo").unwrap();
+        let after = read("status demo -e tcp/h:1 --json --timeout 2").unwrap();
+        for arguments in [before, after] {
+            assert_eq!(arguments.global.endpoint, "tcp/h:1");
+            assert!(arguments.global.json);
+            assert_eq!(arguments.global.timeout.to_bits(), 2.0_f64.to_bits());
+        }
+    }
+
+    #[test]
+    fn contradictions_are_refused() {
+        for line in [
+            "inform demo --count 3",
+            "inform demo --count 3 --direction 1 --degrees 2",
+            "inform demo --direction 1",
+            "inject demo --count 1 --at 1,2,3",
+            "inject demo",
+            "run demo --until 3 --until-step 3",
+            "create demo",
+            "set demo",
+            "delete",
+            "watch demo --count 0",
+            "step demo -3",
+            "status demo --timeout 0",
+            "pause *",
+            "delete demo a/b",
+            "--node ** list",
+            "--prefix a* list",
+        ] {
+            assert!(read(line).is_err(), "{line}");
+        }
+    }
+}

@@ -1,0 +1,220 @@
+//! The arguments of each verb.
+
+use std::path::PathBuf;
+
+use clap::{ArgGroup, Args};
+use jostle_proto::verbs::{Pose, Region};
+
+use crate::selection::SelectionArguments;
+use crate::values::{self, Assignment, Rate};
+
+/// A swarm.
+#[derive(Debug, Args)]
+pub struct NameArgument {
+    /// The swarm
+    #[arg(value_parser = values::name)]
+    pub name: String,
+}
+
+/// A swarm and some of its individuals.
+#[derive(Debug, Args)]
+pub struct SelectArguments {
+    /// The swarm
+    #[arg(value_parser = values::name)]
+    pub name: String,
+    /// Whom.
+    #[command(flatten)]
+    pub selection: SelectionArguments,
+}
+
+/// What a swarm is made from.
+#[derive(Debug, Args)]
+pub struct CreateArguments {
+    /// Its name: lower case letters, digits, - and _
+    pub name: String,
+    /// How many individuals
+    #[arg(
+        short,
+        long,
+        value_name = "COUNT",
+        required_unless_present = "spec",
+        allow_negative_numbers = true
+    )]
+    pub n: Option<u64>,
+    /// Length over width of a body, 1 (a disc) to 32 [the daemon's default: 4]
+    #[arg(long, value_name = "RATIO", value_parser = values::number, allow_hyphen_values = true)]
+    pub pi1: Option<f64>,
+    /// Weight of the direction of those informed without one [0.5]
+    #[arg(long, value_name = "WEIGHT", value_parser = values::number, allow_hyphen_values = true)]
+    pub pi2: Option<f64>,
+    /// Body size over turning radius [1]
+    #[arg(long, value_name = "RATIO", value_parser = values::number, allow_hyphen_values = true)]
+    pub pi3: Option<f64>,
+    /// Translational over rotational drag [10]
+    #[arg(long, value_name = "RATIO", value_parser = values::number, allow_hyphen_values = true)]
+    pub pi4: Option<f64>,
+    /// The time step [0.02]
+    #[arg(long, value_name = "TIME", value_parser = values::number, allow_hyphen_values = true)]
+    pub dt: Option<f64>,
+    /// The seed of every draw [0]
+    #[arg(long, allow_negative_numbers = true)]
+    pub seed: Option<u64>,
+    /// The radius of the disc they start in [√n, at least 1]
+    #[arg(long, value_name = "LENGTH", value_parser = values::number, allow_hyphen_values = true)]
+    pub radius: Option<f64>,
+    /// Steps between two published states [5]
+    #[arg(long, value_name = "STEPS", allow_negative_numbers = true)]
+    pub publish_every: Option<u64>,
+    /// Time units per second of wall clock, or `max` [1]
+    #[arg(long, value_name = "RATE", value_parser = values::rate, allow_hyphen_values = true)]
+    pub rate: Option<Rate>,
+    /// A JSON file with the spec, - for stdin; the options above override it
+    #[arg(long, value_name = "FILE")]
+    pub spec: Option<PathBuf>,
+    /// Be content with a swarm of that name and an equal spec
+    #[arg(long)]
+    pub exist_ok: bool,
+}
+
+/// How a swarm should run.
+#[derive(Debug, Args)]
+pub struct RunArguments {
+    /// The swarm
+    #[arg(value_parser = values::name)]
+    pub name: String,
+    /// Pause at the first step at or after this time
+    #[arg(long, value_name = "TIME", value_parser = values::number, allow_hyphen_values = true)]
+    pub until: Option<f64>,
+    /// Pause at this step
+    #[arg(
+        long,
+        value_name = "STEP",
+        conflicts_with = "until",
+        allow_negative_numbers = true
+    )]
+    pub until_step: Option<u64>,
+    /// Time units per second of wall clock, or `max`; left out, no change
+    #[arg(long, value_name = "RATE", value_parser = values::rate, allow_hyphen_values = true)]
+    pub rate: Option<Rate>,
+    /// Return only when it is there; without an end, when it is paused
+    #[arg(long)]
+    pub wait: bool,
+}
+
+/// How far to step.
+#[derive(Debug, Args)]
+pub struct StepArguments {
+    /// The swarm
+    #[arg(value_parser = values::name)]
+    pub name: String,
+    /// How many steps
+    #[arg(default_value_t = 1, allow_negative_numbers = true)]
+    pub steps: u64,
+    /// Print the state reached, as JSON
+    #[arg(long)]
+    pub state: bool,
+}
+
+/// How to begin anew.
+#[derive(Debug, Args)]
+pub struct ResetArguments {
+    /// The swarm
+    #[arg(value_parser = values::name)]
+    pub name: String,
+    /// A new seed; left out, the old one
+    #[arg(long, allow_negative_numbers = true)]
+    pub seed: Option<u64>,
+}
+
+/// What to change.
+#[derive(Debug, Args)]
+pub struct SetArguments {
+    /// The swarm
+    #[arg(value_parser = values::name)]
+    pub name: String,
+    /// pi1, pi2, pi3, pi4 or publish_every, such as pi1=6
+    #[arg(required = true, value_name = "NAME=VALUE", value_parser = values::assignment)]
+    pub assignments: Vec<Assignment>,
+    /// With pi1: spread the individuals by the least factor that makes room
+    #[arg(long)]
+    pub make_room: bool,
+}
+
+/// Whom to give which direction.
+#[derive(Debug, Args)]
+#[command(group = ArgGroup::new("towards").args(["direction", "degrees"]).required(true))]
+pub struct InformArguments {
+    /// The swarm
+    #[arg(value_parser = values::name)]
+    pub name: String,
+    /// Their direction, counter-clockwise from +x
+    #[arg(long, value_name = "RADIANS", value_parser = values::number, allow_hyphen_values = true)]
+    pub direction: Option<f64>,
+    /// Their direction in degrees
+    #[arg(long, value_name = "DEGREES", value_parser = values::number, allow_hyphen_values = true)]
+    pub degrees: Option<f64>,
+    /// How much it counts beside attraction [default: the swarm's pi2]
+    #[arg(long, value_parser = values::number, allow_hyphen_values = true)]
+    pub weight: Option<f64>,
+    /// After this long they are uninformed again
+    #[arg(long, value_name = "TIME", value_parser = values::number, allow_hyphen_values = true)]
+    pub for_time: Option<f64>,
+    /// Whom.
+    #[command(flatten)]
+    pub selection: SelectionArguments,
+}
+
+/// Whom to add where.
+#[derive(Debug, Args)]
+#[command(
+    group = ArgGroup::new("whom").args(["count", "at"]).required(true),
+    group = ArgGroup::new("towards").args(["direction", "degrees"])
+)]
+pub struct InjectArguments {
+    /// The swarm
+    #[arg(value_parser = values::name)]
+    pub name: String,
+    /// This many, at the border of the group or in --within
+    #[arg(long, value_name = "COUNT", allow_negative_numbers = true)]
+    pub count: Option<u64>,
+    /// One exactly there; once for each
+    #[arg(long, value_name = "X,Y,ALPHA", value_parser = values::pose, allow_hyphen_values = true)]
+    pub at: Vec<Pose>,
+    /// With --count: the disc they are drawn in
+    #[arg(long, value_name = "X,Y,RADIUS", value_parser = values::region, allow_hyphen_values = true)]
+    pub within: Option<Region>,
+    /// Informs them: their direction, counter-clockwise from +x
+    #[arg(long, value_name = "RADIANS", value_parser = values::number, allow_hyphen_values = true)]
+    pub direction: Option<f64>,
+    /// Informs them: their direction in degrees
+    #[arg(long, value_name = "DEGREES", value_parser = values::number, allow_hyphen_values = true)]
+    pub degrees: Option<f64>,
+    /// How much their direction counts beside attraction [default: the swarm's pi2]
+    #[arg(long, value_parser = values::number, allow_hyphen_values = true)]
+    pub weight: Option<f64>,
+}
+
+/// Which swarms to delete.
+#[derive(Debug, Args)]
+pub struct DeleteArguments {
+    /// The swarms
+    #[arg(required = true, value_name = "NAME", value_parser = values::name)]
+    pub names: Vec<String>,
+}
+
+/// What to show live, and for how long.
+#[derive(Debug, Args)]
+pub struct WatchArguments {
+    /// The swarm
+    #[arg(value_parser = values::name)]
+    pub name: String,
+    /// Print whole states as JSON Lines instead
+    #[arg(long)]
+    pub frames: bool,
+    /// End after this many samples, states or lines
+    #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
+    pub count: Option<u64>,
+    /// End after this long
+    #[arg(long = "for", value_name = "SECS", value_parser = values::seconds, allow_negative_numbers = true)]
+    pub for_secs: Option<f64>,
+}

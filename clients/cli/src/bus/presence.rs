@@ -1,0 +1,149 @@
+//! Who is there: liveliness tokens, and what silence means.
+
+use std::time::Duration;
+
+use jostle_proto::keys;
+use zenoh::handlers::RingChannel;
+
+use crate::bus::{Bus, Samples, Whom};
+use crate::failure::Failure;
+
+/// How long zenoh may take to say who is there.
+const LOOKING: Duration = Duration::from_secs(2);
+
+impl Bus {
+    /// The nodes that say they host a swarm.
+    ///
+    /// # Errors
+    ///
+    /// [`Failure::Unreadable`] when zenoh does not take the key.
+    pub async fn hosts_of(&self, swarm: &str) -> Result<Vec<String>, Failure> {
+        self.tokens(&keys::alive(&self.prefix, swarm, "*")).await
+    }
+
+    /// The nodes that are there.
+    ///
+    /// # Errors
+    ///
+    /// [`Failure::Unreadable`] when zenoh does not take the key.
+    pub async fn nodes(&self) -> Result<Vec<String>, Failure> {
+        self.tokens(&keys::node_alive(&self.prefix, "*")).await
+    }
+
+    /// The node to ask: the one named, or the only one.
+    pub(super) async fn node(&self) -> Result<String, Failure> {
+        if let Some(node) = &self.node {
+            return Ok(node.clone());
+        }
+        let mut there = self.nodes().await?;
+        match there.len() {
+            0 => Err(self.nobody().await),
+            1 => Ok(there.remove(0)),
+            _ => Err(Failure::ManyNodes { there }),
+        }
+    }
+
+    /// The nodes in the keys of liveliness tokens, ordered.
+    async fn tokens(&self, key: &str) -> Result<Vec<String>, Failure> {
+        let replies = self
+            .session
+            .liveliness()
+            .get(key)
+            .timeout(LOOKING)
+            .await
+            .map_err(Failure::unreadable)?;
+        let mut nodes = Vec::new();
+        while let Ok(reply) = replies.recv_async().await {
+            if let Ok(token) = reply.result() {
+                nodes.extend(node_of(&self.prefix, token.key_expr().as_str()));
+            }
+        }
+        nodes.sort();
+        nodes.dedup();
+        Ok(nodes)
+    }
+
+    /// Subscribes to liveliness tokens, those that stand included; the latest win.
+    ///
+    /// # Errors
+    ///
+    /// [`Failure::Unreadable`] when zenoh does not take the key.
+    pub async fn subscribe_tokens(&self, key: &str, backlog: usize) -> Result<Samples, Failure> {
+        self.session
+            .liveliness()
+            .declare_subscriber(key)
+            .history(true)
+            .with(RingChannel::new(backlog))
+            .await
+            .map_err(Failure::unreadable)
+    }
+
+    /// A query that nobody takes ends at once without a word; the tokens tell why.
+    pub(super) async fn explain_silence(&self, whom: Whom<'_>) -> Failure {
+        let hosts = match whom {
+            Whom::Swarm(swarm) => self.hosts_of(swarm).await,
+            Whom::Node(_) => Ok(Vec::new()),
+        };
+        let there = self.nodes().await;
+        let (hosts, there) = match (hosts, there) {
+            (Ok(hosts), Ok(there)) => (hosts, there),
+            (Err(failure), _) | (_, Err(failure)) => return failure,
+        };
+        match whom {
+            Whom::Swarm(_) if !hosts.is_empty() => Failure::Silent {
+                whom: whom.to_string(),
+            },
+            _ if there.is_empty() => self.nobody().await,
+            Whom::Swarm(swarm) => Failure::NoSwarm {
+                swarm: swarm.into(),
+            },
+            Whom::Node(node) if there.iter().any(|name| name == node) => Failure::Silent {
+                whom: whom.to_string(),
+            },
+            Whom::Node(node) => Failure::UnknownNode {
+                node: node.into(),
+                there,
+            },
+        }
+    }
+
+    /// No node is there: is there anything at all?
+    async fn nobody(&self) -> Failure {
+        let info = self.session.info();
+        let connected = info.peers_zid().await.count() + info.routers_zid().await.count() > 0;
+        if connected {
+            Failure::NoNode {
+                endpoint: self.endpoint.clone(),
+                prefix: self.prefix.clone(),
+            }
+        } else {
+            Failure::NoDaemon {
+                endpoint: self.endpoint.clone(),
+                cause: "the connection was lost".into(),
+            }
+        }
+    }
+}
+
+/// The node in the key of a swarm's or a node's token.
+pub fn node_of(prefix: &str, key: &str) -> Option<String> {
+    let rest = key.strip_prefix(prefix)?.strip_prefix('/')?;
+    match rest.split('/').collect::<Vec<_>>()[..] {
+        ["@node", node, "alive"] | [_, "alive", node] => Some(node.into()),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn tokens_tell_their_node() {
+        let node = |key: &str| node_of("a/jostle", key);
+        assert_eq!(node("a/jostle/demo/alive/here").as_deref(), Some("here"));
+        assert_eq!(node("a/jostle/@node/here/alive").as_deref(), Some("here"));
+        assert_eq!(node("a/jostle/demo/state"), None);
+        assert_eq!(node("b/jostle/demo/alive/here"), None);
+    }
+}

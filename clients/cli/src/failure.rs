@@ -1,0 +1,364 @@
+//! Why a command failed: its kind, its exit code and, in the message, its remedy.
+
+use std::io;
+
+use jostle_proto::{Error, ErrorCode};
+use serde_json::{Map, Value, json};
+use thiserror::Error as ThisError;
+
+/// Why a command failed.
+#[derive(Debug, ThisError)]
+pub enum Failure {
+    /// The daemon said no.
+    #[error("{}{}", .0.message, hint(.0.code))]
+    Refused(Box<Error>),
+    /// An argument cannot be sent as it is.
+    #[error("{argument}: {problem}")]
+    Argument {
+        /// Which one.
+        argument: String,
+        /// What is wrong with it and what would be right.
+        problem: String,
+    },
+    /// The payload would vanish on its way.
+    #[error(
+        "the request is {bytes} bytes long and this daemon takes {limit} at most: ask for less at once"
+    )]
+    TooLarge {
+        /// The length of the payload.
+        bytes: u64,
+        /// The daemon's limit.
+        limit: u64,
+    },
+    /// Nobody listens there.
+    #[error(
+        "no daemon answers at {endpoint}: start one with `jostled serve`, or name another with -e"
+    )]
+    NoDaemon {
+        /// Where it was looked for.
+        endpoint: String,
+        /// What zenoh says, for those who look into it.
+        cause: String,
+    },
+    /// zenoh answers, but no daemon of jostle is behind it.
+    #[error(
+        "zenoh answers at {endpoint}, but no daemon is there under the prefix `{prefix}`: start one with `jostled serve`, or name another with -e, or its prefix with --prefix"
+    )]
+    NoNode {
+        /// Where it was looked for.
+        endpoint: String,
+        /// The first chunk of its keys.
+        prefix: String,
+    },
+    /// The node that was named is not there.
+    #[error("no node {node} here; there are: {}", .there.join(", "))]
+    UnknownNode {
+        /// What was given.
+        node: String,
+        /// Those that are there.
+        there: Vec<String>,
+    },
+    /// More than one daemon, and none was named.
+    #[error("several nodes are here, choose one with --node: {}", .there.join(", "))]
+    ManyNodes {
+        /// Those that are there.
+        there: Vec<String>,
+    },
+    /// Nobody hosts a swarm of that name.
+    #[error("no swarm {swarm} on this daemon: `jostle list` shows what there is")]
+    NoSwarm {
+        /// What was given.
+        swarm: String,
+    },
+    /// Who was asked is there, but the question did not reach it.
+    #[error(
+        "{whom} is there but does not answer: it refuses this client such requests, or it is closing"
+    )]
+    Silent {
+        /// A swarm or a node.
+        whom: String,
+    },
+    /// The answer did not come in time.
+    #[error(
+        "{whom} did not answer within {secs} s: it may still do what was asked; --timeout waits longer"
+    )]
+    TimedOut {
+        /// A swarm or a node.
+        whom: String,
+        /// How long was waited.
+        secs: f64,
+    },
+    /// The answer is not what this version expects.
+    #[error("the answer cannot be read ({problem}): the daemon's version may differ from this one")]
+    Unreadable {
+        /// What is wrong with it.
+        problem: String,
+    },
+    /// The swarm was paused before it reached the end waited for.
+    #[error("{swarm} was paused at step {step}{}{}: `jostle run {swarm}` goes on", short_of(*.target), because(.reason.as_deref()))]
+    Stopped {
+        /// The swarm.
+        swarm: String,
+        /// Where it stands.
+        step: u64,
+        /// Where it should have come.
+        target: Option<u64>,
+        /// What it says.
+        reason: Option<String>,
+    },
+    /// The swarm was put back or restored while it was waited for.
+    #[error("{swarm} was reset while it was waited for: it is now at step {step} of epoch {epoch}")]
+    StartedAnew {
+        /// The swarm.
+        swarm: String,
+        /// Where it stands.
+        step: u64,
+        /// Its new epoch.
+        epoch: u64,
+    },
+    /// The swarm faulted while it was waited for.
+    #[error("{swarm} faulted at step {step}{}: `jostle reset {swarm}` starts anew", because(.reason.as_deref()))]
+    Faulted {
+        /// The swarm.
+        swarm: String,
+        /// The last good step.
+        step: u64,
+        /// What it says.
+        reason: Option<String>,
+    },
+    /// The swarm was deleted while it was waited for or watched.
+    #[error("{swarm} was deleted")]
+    Deleted {
+        /// The swarm.
+        swarm: String,
+    },
+    /// The daemon came back, the swarm did not.
+    #[error("the daemon is back, but without {swarm}")]
+    LeftBehind {
+        /// The swarm.
+        swarm: String,
+    },
+    /// Ctrl-C.
+    #[error("interrupted{}", .left.as_deref().map(|left| format!(": {left}")).unwrap_or_default())]
+    Interrupted {
+        /// What goes on without the command line.
+        left: Option<String>,
+    },
+    /// Standard output cannot be written.
+    #[error("failed to write: {0}")]
+    Output(io::Error),
+    /// Nobody reads standard output any more; not an error.
+    #[error("nobody reads on")]
+    Pipe,
+    /// A defect of the command line.
+    #[error("this is a defect of the command line: {problem}")]
+    Defect {
+        /// What happened.
+        problem: String,
+    },
+}
+
+impl Failure {
+    /// Something that should not happen.
+    #[expect(clippy::needless_pass_by_value, reason = "`map_err` hands it over")]
+    pub fn defect(error: impl ToString) -> Self {
+        Failure::Defect {
+            problem: error.to_string(),
+        }
+    }
+
+    /// An answer that cannot be read.
+    #[expect(clippy::needless_pass_by_value, reason = "`map_err` hands it over")]
+    pub fn unreadable(error: impl ToString) -> Self {
+        Failure::Unreadable {
+            problem: error.to_string(),
+        }
+    }
+
+    /// The kind, in the words of the wire where it has one.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Failure::Refused(error) => code_name(error.code),
+            Failure::Argument { .. } | Failure::ManyNodes { .. } => "invalid_argument",
+            Failure::TooLarge { .. } => "resource_exhausted",
+            Failure::NoDaemon { .. } | Failure::NoNode { .. } => "unreachable",
+            Failure::UnknownNode { .. }
+            | Failure::NoSwarm { .. }
+            | Failure::Deleted { .. }
+            | Failure::LeftBehind { .. } => "not_found",
+            Failure::Silent { .. } => "permission_denied",
+            Failure::TimedOut { .. } => "timeout",
+            Failure::Stopped { .. } => "incorrect_state",
+            Failure::StartedAnew { .. } => "conflict",
+            Failure::Faulted { .. } => "faulted",
+            Failure::Interrupted { .. } => "interrupted",
+            Failure::Pipe => "broken_pipe",
+            Failure::Unreadable { .. } | Failure::Output(_) | Failure::Defect { .. } => "internal",
+        }
+    }
+
+    /// What the process ends with.
+    pub fn exit_code(&self) -> u8 {
+        exit_code(self.code())
+    }
+
+    /// The error as programs read it: what the daemon said, or the same shape.
+    pub fn to_json(&self) -> Value {
+        let (details, step) = match self {
+            Failure::Refused(error) => (error.details.clone(), error.step),
+            Failure::NoDaemon { endpoint, cause } => {
+                (object(json!({"endpoint": endpoint, "cause": cause})), None)
+            }
+            Failure::ManyNodes { there } | Failure::UnknownNode { there, .. } => {
+                (object(json!({"nodes": there})), None)
+            }
+            Failure::Argument { argument, .. } => (object(json!({"field": argument})), None),
+            Failure::Stopped { step, reason, .. } | Failure::Faulted { step, reason, .. } => {
+                (object(json!({"reason": reason})), Some(*step))
+            }
+            Failure::StartedAnew { step, .. } => (Map::new(), Some(*step)),
+            _ => (Map::new(), None),
+        };
+        let message = match self {
+            Failure::Refused(error) => error.message.clone(),
+            failure => failure.to_string(),
+        };
+        json!({
+            "code": self.code(),
+            "message": message,
+            "details": details,
+            "step": step,
+        })
+    }
+
+    /// Whether asking again may help without anybody doing anything.
+    pub fn is_passing(&self) -> bool {
+        matches!(
+            self.code(),
+            "unreachable" | "timeout" | "busy" | "permission_denied"
+        )
+    }
+}
+
+/// The exit code of an error's kind; `jostle --help` has the same table.
+fn exit_code(code: &str) -> u8 {
+    match code {
+        "broken_pipe" => 0,
+        "invalid_argument" => 2,
+        "not_found" => 3,
+        "conflict" | "incorrect_state" | "already_exists" => 4,
+        "permission_denied" => 5,
+        "unreachable" | "deadline_exceeded" | "timeout" => 6,
+        "busy" | "resource_exhausted" => 7,
+        "storage_full" => 8,
+        "interrupted" => 130,
+        _ => 1,
+    }
+}
+
+/// The wire's word for a kind of error.
+fn code_name(code: ErrorCode) -> &'static str {
+    match code {
+        ErrorCode::NotFound => "not_found",
+        ErrorCode::AlreadyExists => "already_exists",
+        ErrorCode::InvalidArgument => "invalid_argument",
+        ErrorCode::IncorrectState => "incorrect_state",
+        ErrorCode::ResourceExhausted => "resource_exhausted",
+        ErrorCode::Busy => "busy",
+        ErrorCode::Conflict => "conflict",
+        ErrorCode::PermissionDenied => "permission_denied",
+        ErrorCode::StorageFull => "storage_full",
+        ErrorCode::DeadlineExceeded => "deadline_exceeded",
+        ErrorCode::Faulted => "faulted",
+        ErrorCode::Internal => "internal",
+    }
+}
+
+/// The daemon's remedies are fields of requests; what it is called here, where that differs.
+fn hint(code: ErrorCode) -> &'static str {
+    match code {
+        ErrorCode::DeadlineExceeded => " (here: `jostle status` and --timeout)",
+        _ => "",
+    }
+}
+
+fn object(value: Value) -> Map<String, Value> {
+    match value {
+        Value::Object(map) => map,
+        _ => Map::new(),
+    }
+}
+
+fn short_of(target: Option<u64>) -> String {
+    target
+        .map(|step| format!(", short of {step}"))
+        .unwrap_or_default()
+}
+
+fn because(reason: Option<&str>) -> String {
+    reason
+        .map(|reason| format!(" ({reason})"))
+        .unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    fn refused(code: ErrorCode) -> Failure {
+        Failure::Refused(Box::new(Error {
+            code,
+            message: "no".into(),
+            details: Map::new(),
+            step: Some(7),
+        }))
+    }
+
+    #[test]
+    fn every_kind_of_error_has_the_exit_code_the_help_promises() {
+        let table = [
+            (ErrorCode::NotFound, 3),
+            (ErrorCode::AlreadyExists, 4),
+            (ErrorCode::InvalidArgument, 2),
+            (ErrorCode::IncorrectState, 4),
+            (ErrorCode::ResourceExhausted, 7),
+            (ErrorCode::Busy, 7),
+            (ErrorCode::Conflict, 4),
+            (ErrorCode::PermissionDenied, 5),
+            (ErrorCode::StorageFull, 8),
+            (ErrorCode::DeadlineExceeded, 6),
+            (ErrorCode::Faulted, 1),
+            (ErrorCode::Internal, 1),
+        ];
+        for (code, exit_code) in table {
+            assert_eq!(refused(code).exit_code(), exit_code, "{code:?}");
+            let name = serde_json::to_value(code).unwrap();
+            assert_eq!(name, code_name(code), "the wire's own word");
+        }
+    }
+
+    #[test]
+    fn what_goes_wrong_here_has_its_exit_code_too() {
+        let daemon = Failure::NoDaemon {
+            endpoint: "tcp/127.0.0.1:1".into(),
+            cause: String::new(),
+        };
+        assert_eq!(daemon.exit_code(), 6);
+        assert_eq!(Failure::Interrupted { left: None }.exit_code(), 130);
+        assert_eq!(Failure::Pipe.exit_code(), 0);
+        let whom = || "demo".to_owned();
+        assert_eq!(Failure::NoSwarm { swarm: whom() }.exit_code(), 3);
+        assert_eq!(Failure::Silent { whom: whom() }.exit_code(), 5);
+    }
+
+    #[test]
+    fn what_the_daemon_said_is_passed_on_as_it_was() {
+        let json = refused(ErrorCode::Conflict).to_json();
+        assert_eq!(
+            json,
+            json!({"code": "conflict", "message": "no", "details": {}, "step": 7})
+        );
+    }
+}

@@ -1,0 +1,129 @@
+//! Which individuals a verb is about, and which way they should go.
+
+use clap::{ArgGroup, Args};
+use jostle_proto::verbs::{Foremost, Region, Select};
+
+use crate::values;
+
+/// Which individuals; exactly one way to say it.
+#[derive(Debug, Args)]
+#[group(skip)]
+#[command(
+    next_help_heading = "Which individuals",
+    group = ArgGroup::new("selection")
+        .args(["ids", "count", "fraction", "within", "foremost"])
+        .required(true)
+)]
+pub struct SelectionArguments {
+    /// These, by their ids
+    #[arg(long, value_name = "ID,…", value_delimiter = ',')]
+    ids: Option<Vec<u32>>,
+    /// This many, drawn
+    #[arg(long, value_name = "COUNT", allow_negative_numbers = true)]
+    count: Option<u64>,
+    /// This share of them, 0 to 1, drawn
+    #[arg(long, value_name = "SHARE", value_parser = values::number, allow_hyphen_values = true)]
+    fraction: Option<f64>,
+    /// All whose centre is in a disc
+    #[arg(long, value_name = "X,Y,RADIUS", value_parser = values::region, allow_hyphen_values = true)]
+    within: Option<Region>,
+    /// The COUNT furthest in the direction of --along
+    #[arg(
+        long,
+        value_name = "COUNT",
+        requires = "along",
+        allow_negative_numbers = true
+    )]
+    foremost: Option<u64>,
+    /// With --foremost: the direction, counter-clockwise from +x
+    #[arg(
+        long,
+        value_name = "RADIANS",
+        requires = "foremost",
+        value_parser = values::number,
+        allow_hyphen_values = true
+    )]
+    along: Option<f64>,
+}
+
+impl SelectionArguments {
+    /// The selection on the wire.
+    pub fn select(&self) -> Select {
+        if let Some(ids) = &self.ids {
+            return Select::Ids(ids.clone());
+        }
+        if let (Some(count), Some(along)) = (self.foremost, self.along) {
+            return Select::Foremost(Foremost { count, along });
+        }
+        let count = self.count.map(Select::Count);
+        let fraction = self.fraction.map(Select::Fraction);
+        let within = self.within.map(Select::Within);
+        count
+            .or(fraction)
+            .or(within)
+            .expect("clap lets none through")
+    }
+}
+
+/// A direction in radians, given as such or in degrees.
+pub fn radians(direction: Option<f64>, degrees: Option<f64>) -> Option<f64> {
+    direction.or(degrees.map(f64::to_radians))
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Debug, Parser)]
+    struct Line {
+        #[command(flatten)]
+        selection: SelectionArguments,
+    }
+
+    fn read(line: &str) -> Result<Select, clap::Error> {
+        let line = ["x"].into_iter().chain(line.split(' '));
+        Line::try_parse_from(line).map(|line| line.selection.select())
+    }
+
+    #[test]
+    fn each_way_to_select_reads_as_on_the_wire() {
+        let json = |line: &str| serde_json::to_string(&read(line).unwrap()).unwrap();
+        assert_eq!(json("--ids 3,1,2"), r#"{"ids":[3,1,2]}"#);
+        assert_eq!(json("--count 5"), r#"{"count":5}"#);
+        assert_eq!(json("--fraction 0.1"), r#"{"fraction":0.1}"#);
+        assert_eq!(
+            json("--within -1,2,0.5"),
+            r#"{"within":{"x":-1.0,"y":2.0,"radius":0.5}}"#
+        );
+        assert_eq!(
+            json("--foremost 3 --along -1.57"),
+            r#"{"foremost":{"count":3,"along":-1.57}}"#
+        );
+    }
+
+    #[test]
+    fn none_or_two_ways_at_once_are_refused() {
+        for line in [
+            "--count 3 --ids 1",
+            "--foremost 3",
+            "--along 1",
+            "--foremost 3 --along 1 --count 2",
+            "--count -3",
+            "--ids 1,x",
+        ] {
+            assert!(read(line).is_err(), "{line}");
+        }
+        assert!(Line::try_parse_from(["x"]).is_err());
+    }
+
+    #[test]
+    fn degrees_are_turned_into_radians() {
+        assert_eq!(radians(None, Some(180.0)), Some(std::f64::consts::PI));
+        assert_eq!(radians(Some(-1.5), None), Some(-1.5));
+        assert_eq!(radians(None, None), None);
+    }
+}

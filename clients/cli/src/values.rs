@@ -1,0 +1,195 @@
+//! Values as they are typed: numbers, rates, points, assignments.
+//!
+//! Only what cannot be sent is refused here; what a value may be, the daemon says.
+
+use jostle_proto::keys::{NAME_RULE, is_name};
+use jostle_proto::verbs::{Pose, Region};
+use serde_json::Value;
+
+/// Time units per second of wall clock; `None` is as fast as possible.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rate(pub Option<f64>);
+
+/// `name=value`, as `set` takes it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Assignment {
+    /// The field on the wire.
+    pub field: String,
+    /// A number if it can be read as one, otherwise the text.
+    pub value: Value,
+}
+
+/// Reads the name of a swarm or a node, which becomes part of a key: a wildcard there would be
+/// about every swarm.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn name(text: &str) -> Result<String, String> {
+    if is_name(text) {
+        Ok(text.into())
+    } else {
+        Err(format!("a name matches {NAME_RULE}"))
+    }
+}
+
+/// Reads a number. JSON has no infinity and no NaN.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn number(text: &str) -> Result<f64, String> {
+    match text.trim().parse::<f64>() {
+        Ok(number) if number.is_finite() => Ok(number),
+        _ => Err(format!("`{text}` is not a finite number")),
+    }
+}
+
+/// Reads a positive number of seconds.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn seconds(text: &str) -> Result<f64, String> {
+    match number(text) {
+        Ok(seconds) if seconds > 0.0 && seconds <= 1e9 => Ok(seconds),
+        _ => Err(format!("`{text}` is not a number of seconds above 0")),
+    }
+}
+
+/// Reads a rate: a number, or `max`.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn rate(text: &str) -> Result<Rate, String> {
+    if text == "max" {
+        return Ok(Rate(None));
+    }
+    number(text)
+        .map(|rate| Rate(Some(rate)))
+        .map_err(|_| format!("`{text}` is neither a number nor `max`"))
+}
+
+/// Reads `X,Y,RADIUS`.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn region(text: &str) -> Result<Region, String> {
+    let [x, y, radius] = triple(text, "X,Y,RADIUS")?;
+    Ok(Region { x, y, radius })
+}
+
+/// Reads `X,Y,ALPHA`.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn pose(text: &str) -> Result<Pose, String> {
+    let [x, y, alpha] = triple(text, "X,Y,ALPHA")?;
+    Ok(Pose { x, y, alpha })
+}
+
+/// Reads `name=value`.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn assignment(text: &str) -> Result<Assignment, String> {
+    let (field, value) = text
+        .split_once('=')
+        .filter(|(field, _)| !field.is_empty())
+        .ok_or_else(|| format!("`{text}` is not NAME=VALUE, such as pi1=6"))?;
+    // An integer stays one: fields that count would refuse 5.0.
+    let value = serde_json::from_str::<serde_json::Number>(value)
+        .map(Value::Number)
+        .or_else(|_| number(value).map(Value::from))
+        .unwrap_or_else(|_| Value::from(value));
+    Ok(Assignment {
+        field: field.replace('-', "_"),
+        value,
+    })
+}
+
+fn triple(text: &str, shape: &str) -> Result<[f64; 3], String> {
+    let numbers: Vec<f64> = text
+        .split(',')
+        .map(number)
+        .collect::<Result<_, _>>()
+        .map_err(|problem| format!("{problem}; expected {shape}"))?;
+    <[f64; 3]>::try_from(numbers).map_err(|numbers| {
+        format!(
+            "expected three numbers {shape} without spaces, not {}",
+            numbers.len()
+        )
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    #[test]
+    fn a_rate_is_a_number_or_max() {
+        assert_eq!(rate("2.5"), Ok(Rate(Some(2.5))));
+        assert_eq!(rate("max"), Ok(Rate(None)));
+        assert_eq!(rate("-1"), Ok(Rate(Some(-1.0))), "the daemon refuses it");
+        for text in ["", "fast", "inf", "nan", "1 "] {
+            assert_eq!(rate(text).is_err(), text != "1 ", "{text:?}");
+        }
+    }
+
+    #[test]
+    fn names_that_would_reach_every_swarm_stay_here() {
+        for text in ["*", "**", "a/b", "@node", "A", ""] {
+            assert!(name(text).is_err(), "{text:?}");
+        }
+        assert_eq!(name("demo").as_deref(), Ok("demo"));
+    }
+
+    #[test]
+    fn numbers_json_cannot_carry_are_refused() {
+        for text in ["nan", "inf", "-inf", "1e999", "", "1,2"] {
+            assert!(number(text).is_err(), "{text:?}");
+        }
+        assert_eq!(number("-1.5e-3"), Ok(-0.0015));
+        assert_eq!(number("0.1").unwrap().to_bits(), 0.1_f64.to_bits());
+    }
+
+    #[test]
+    fn seconds_are_positive_and_fit_a_duration() {
+        assert_eq!(seconds("0.5"), Ok(0.5));
+        for text in ["0", "-1", "1e300", "soon"] {
+            assert!(seconds(text).is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn points_may_be_negative_and_must_have_three_numbers() {
+        let Pose { x, y, alpha } = pose("-3,2.5,-1e-2").unwrap();
+        assert_eq!([x, y, alpha], [-3.0, 2.5, -0.01]);
+        for text in ["1,2", "1,2,3,4", "1,2,x", "", "1,,2"] {
+            assert!(region(text).is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn an_assignment_keeps_integers_and_leaves_words_to_the_daemon() {
+        let value = |text: &str| assignment(text).unwrap().value;
+        assert_eq!(value("publish_every=5"), Value::from(5));
+        assert_eq!(value("pi1=.5"), Value::from(0.5));
+        assert_eq!(value("pi2=-2"), Value::from(-2));
+        assert_eq!(value("pi1=six"), Value::from("six"));
+        assert_eq!(value("pi1=nan"), Value::from("nan"));
+        assert_eq!(
+            assignment("publish-every=5").unwrap().field,
+            "publish_every"
+        );
+        for text in ["pi1", "=3", ""] {
+            assert!(assignment(text).is_err(), "{text:?}");
+        }
+    }
+}

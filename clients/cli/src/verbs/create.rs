@@ -1,0 +1,125 @@
+//! `create`: a spec from options, from a file, or from both.
+
+use std::path::Path;
+
+use jostle_proto::Reply;
+use jostle_proto::verbs::CreateResult;
+use serde_json::{Map, Value, json};
+
+use crate::arguments::CreateArguments;
+use crate::bus::Bus;
+use crate::failure::Failure;
+use crate::format;
+use crate::output::Output;
+use crate::values::Rate;
+use crate::verbs::{place, print};
+
+/// Creates a swarm.
+///
+/// # Errors
+///
+/// Why it was not created.
+pub async fn create(bus: &Bus, output: Output, arguments: &CreateArguments) -> Result<(), Failure> {
+    let args = json!({
+        "name": arguments.name,
+        "spec": spec(arguments)?,
+        "exist_ok": arguments.exist_ok,
+    });
+    let answer = bus.command_node("create", &args).await?;
+    print(output, &answer, |reply: &Reply<CreateResult>| {
+        let CreateResult {
+            created,
+            spec,
+            state_hash,
+        } = &reply.result;
+        let (swarm, place) = (&reply.swarm, place(reply));
+        if *created {
+            let n = format::count(spec.n, "individual");
+            format!("created {swarm} of {n}, {place}\nstate hash {state_hash}")
+        } else {
+            format!("{swarm} is there already, made from an equal spec, {place}")
+        }
+    })
+}
+
+/// The spec of the file, if there is one, with the options on top; the daemon judges it.
+fn spec(arguments: &CreateArguments) -> Result<Map<String, Value>, Failure> {
+    let mut spec = match &arguments.spec {
+        Some(path) => read(path)?,
+        None => Map::new(),
+    };
+    let mut put = |field: &str, value: Option<Value>| {
+        if let Some(value) = value {
+            spec.insert(field.into(), value);
+        }
+    };
+    put("n", arguments.n.map(Value::from));
+    put("pi1", arguments.pi1.map(Value::from));
+    put("pi2", arguments.pi2.map(Value::from));
+    put("pi3", arguments.pi3.map(Value::from));
+    put("pi4", arguments.pi4.map(Value::from));
+    put("dt", arguments.dt.map(Value::from));
+    put("seed", arguments.seed.map(Value::from));
+    put("publish_every", arguments.publish_every.map(Value::from));
+    put("rate", arguments.rate.map(|Rate(rate)| Value::from(rate)));
+    let disc = |radius| json!({"kind": "disc", "radius": radius});
+    put("start", arguments.radius.map(disc));
+    Ok(spec)
+}
+
+fn read(path: &Path) -> Result<Map<String, Value>, Failure> {
+    let wrong = |problem: String| Failure::Argument {
+        argument: "--spec".into(),
+        problem,
+    };
+    let text = if path == Path::new("-") {
+        std::io::read_to_string(std::io::stdin())
+    } else {
+        std::fs::read_to_string(path)
+    };
+    let text = text.map_err(|error| wrong(format!("{}: {error}", path.display())))?;
+    serde_json::from_str(&text)
+        .map_err(|error| wrong(format!("{} is no JSON object: {error}", path.display())))
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use clap::Parser;
+
+    use super::*;
+    use crate::arguments::{Arguments, Verb};
+
+    fn spec_of(line: &str) -> Value {
+        let line = ["jostle", "create", "demo"]
+            .into_iter()
+            .chain(line.split(' '));
+        match Arguments::try_parse_from(line).unwrap().verb {
+            Verb::Create(arguments) => Value::Object(spec(&arguments).unwrap()),
+            verb => panic!("{verb:?}"),
+        }
+    }
+
+    #[test]
+    fn options_that_are_left_out_are_left_to_the_daemon() {
+        assert_eq!(spec_of("--n 50"), json!({"n": 50}));
+        assert_eq!(
+            spec_of("--n 50 --rate max --radius 9 --seed 3"),
+            json!({"n": 50, "rate": null, "seed": 3, "start": {"kind": "disc", "radius": 9.0}})
+        );
+    }
+
+    #[test]
+    fn options_override_the_file() {
+        let path = std::env::temp_dir().join(format!("jostle-spec-{}.json", std::process::id()));
+        std::fs::write(&path, r#"{"n": 5, "pi1": 6, "rate": 2, "colour": "red"}"#).unwrap();
+        let spec = spec_of(&format!("--spec {} --pi1 -3 --rate max", path.display()));
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(
+            spec,
+            json!({"n": 5, "pi1": -3.0, "rate": null, "colour": "red"}),
+            "what is wrong with it the daemon says"
+        );
+    }
+}

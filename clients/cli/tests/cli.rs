@@ -1,0 +1,416 @@
+//! The command line as a shell meets it: the real binary against a daemon in this process.
+
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+mod support;
+
+use serde_json::{Value, json};
+
+use crate::support::{Daemon, Ended, Impostor, until};
+
+/// One object on stdout, exit code 0.
+fn object(ended: &Ended) -> Value {
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let lines = ended.json_lines();
+    assert_eq!(lines.len(), 1, "{ended:?}");
+    lines[0].clone()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_verb_answers_json_as_it_came() {
+    let daemon = Daemon::start().await;
+    let reply = async |line: &str| object(&daemon.jostle(&format!("--json {line}")).await);
+
+    assert_eq!(reply("list").await["result"]["swarms"], json!([]));
+    let created = reply("create demo --n 20 --seed 3 --pi1 5 --rate max --radius 9").await;
+    assert_eq!(created["result"]["created"], true);
+    let spec = &created["result"]["spec"];
+    assert_eq!(
+        (&spec["seed"], &spec["pi1"], &spec["rate"]),
+        (&json!(3), &json!(5.0), &Value::Null)
+    );
+    assert_eq!(spec["start"], json!({"kind": "disc", "radius": 9.0}));
+    let again = reply("create demo --n 20 --seed 3 --pi1 5 --rate max --radius 9 --exist-ok").await;
+    assert_eq!(again["result"]["created"], false);
+    assert_eq!(reply("list").await["result"]["swarms"][0]["swarm"], "demo");
+    assert_eq!(reply("status demo").await["result"]["n"], 20);
+    assert_eq!(reply("spec demo").await["result"]["seed"], 3);
+
+    assert_eq!(reply("step demo").await["step"], 1);
+    assert_eq!(reply("step demo 4").await["step"], 5);
+    let stepped = reply("step demo 2 --state").await;
+    assert_eq!(stepped["step"], 7);
+    assert_eq!(
+        stepped["result"]["state"]["x"].as_array().unwrap().len(),
+        20
+    );
+
+    let set = reply("set demo pi3=1.5 publish-every=2").await;
+    assert_eq!(set["result"]["before"]["pi3"], 1.0);
+    assert_eq!(set["result"]["now"]["publish_every"], 2);
+    let set = reply("set demo pi1=6 --make-room").await;
+    assert_eq!(set["result"]["now"]["pi1"], 6.0);
+
+    let informed = reply("inform demo --ids 3,1 --direction -1.5 --weight 2").await;
+    assert_eq!(informed["result"]["ids"], json!([1, 3]));
+    let informed = reply("inform demo --foremost 2 --along -3.1 --degrees -90 --for-time 9").await;
+    assert_eq!(informed["result"]["ids"].as_array().unwrap().len(), 2);
+    let informed = reply("inform demo --fraction 0.5 --direction 0").await;
+    assert_eq!(informed["result"]["ids"].as_array().unwrap().len(), 10);
+    let informed = reply("inform demo --within -1,-1,1000 --direction 0").await;
+    assert_eq!(informed["result"]["ids"].as_array().unwrap().len(), 20);
+    let uninformed = reply("uninform demo --count 5").await;
+    assert_eq!(uninformed["result"]["ids"].as_array().unwrap().len(), 5);
+
+    let injected = reply("inject demo --at -300,2,0 --at -400,-2,-1e-3 --degrees 90").await;
+    assert_eq!(injected["result"], json!({"ids": [20, 21], "n": 22}));
+    let injected = reply("inject demo --count 1 --within -350,0,5").await;
+    assert_eq!(injected["result"], json!({"ids": [22], "n": 23}));
+    let removed = reply("remove demo --ids 0").await;
+    assert_eq!(removed["result"], json!({"ids": [0], "n": 22}));
+
+    let running = reply("run demo --rate 2").await;
+    assert_eq!(
+        (&running["phase"], &running["result"]["rate"]),
+        (&json!("running"), &json!(2.0))
+    );
+    assert_eq!(reply("pause demo").await["phase"], "paused");
+    let reset = reply("reset demo --seed 8").await;
+    assert_eq!(
+        (&reset["step"], &reset["result"]["seed"]),
+        (&json!(0), &json!(8))
+    );
+    assert_eq!(reply("delete demo").await["swarm"], "demo");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn people_are_told_in_words_and_tables() {
+    let daemon = Daemon::start().await;
+    let nothing = daemon.jostle("list").await;
+    assert_eq!((nothing.code, nothing.stdout.as_str()), (Some(0), ""));
+    assert!(nothing.stderr.contains("jostle create"), "{nothing:?}");
+
+    let said = async |line: &str| {
+        let ended = daemon.jostle(line).await;
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        ended.stdout
+    };
+    assert!(
+        said("create demo --n 20")
+            .await
+            .starts_with("created demo of 20 individuals")
+    );
+    let list = said("list").await;
+    let words: Vec<Vec<&str>> = list
+        .lines()
+        .map(|line| line.split_whitespace().collect())
+        .collect();
+    assert_eq!(words[0][..2], ["swarm", "phase"]);
+    assert_eq!(words[1][..3], ["demo", "paused", "created"]);
+    assert!(
+        said("step demo 3")
+            .await
+            .starts_with("demo is paused at step 3, time 0.06\n")
+    );
+    assert!(said("set demo pi3=2").await.contains("pi3"));
+    assert!(
+        said("inform demo --ids 2 --direction 0")
+            .await
+            .starts_with("informed 1 (2)")
+    );
+    assert!(
+        said("status demo")
+            .await
+            .contains("n           20, 1 informed")
+    );
+    let state: Value = serde_json::from_str(&said("step demo --state").await).unwrap();
+    assert_eq!(
+        (&state["step"], &state["weight"][2]),
+        (&json!(4), &json!(0.5))
+    );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_spec_that_was_printed_makes_the_same_swarm() {
+    let daemon = Daemon::start().await;
+    let first = object(
+        &daemon
+            .jostle("--json create a --n 12 --seed 5 --pi1 6")
+            .await,
+    );
+    let spec = daemon.jostle("spec a").await.stdout;
+    let copy = daemon.jostle_with("--json create b --spec -", &spec).await;
+    let copy = object(&copy);
+    assert_eq!(copy["result"]["state_hash"], first["result"]["state_hash"]);
+    let other = daemon
+        .jostle_with("--json create c --spec - --seed 6", &spec)
+        .await;
+    let other = object(&other);
+    assert_ne!(other["result"]["state_hash"], first["result"]["state_hash"]);
+    assert_eq!(other["result"]["spec"]["pi1"], 6.0);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_kind_of_error_has_its_exit_code_and_a_json_object() {
+    let daemon = Daemon::start().await;
+    for line in ["create demo --n 20", "create busy --n 20", "run busy"] {
+        assert_eq!(daemon.jostle(line).await.code, Some(0), "{line}");
+    }
+    for (line, exit_code, code) in [
+        ("pause *", 2, "invalid_argument"),
+        ("no-such-verb", 2, "invalid_argument"),
+        ("inform demo --count 3", 2, "invalid_argument"),
+        ("create Demo --n 3", 2, "invalid_argument"),
+        ("create other --n 3 --pi1 -3", 2, "invalid_argument"),
+        (
+            "create other --spec /nowhere/spec.json",
+            2,
+            "invalid_argument",
+        ),
+        ("set demo colour=3", 2, "invalid_argument"),
+        ("set demo pi1=six", 2, "invalid_argument"),
+        ("set demo pi1=3 pi1=4", 2, "invalid_argument"),
+        ("inform demo --ids 999 --direction 0", 2, "invalid_argument"),
+        ("status nobody", 3, "not_found"),
+        ("step nobody", 3, "not_found"),
+        ("watch nobody", 3, "not_found"),
+        ("list --node nobody", 3, "not_found"),
+        ("create demo --n 21", 4, "already_exists"),
+        ("step busy", 4, "incorrect_state"),
+        ("--expect-step 9 pause demo", 4, "conflict"),
+        ("list --prefix other", 6, "unreachable"),
+        ("list -e tcp/127.0.0.1:1", 6, "unreachable"),
+        ("create a --n 3 --spec /dev/null", 2, "invalid_argument"),
+        (
+            "inject demo --count 1 --within 0,0,0.01",
+            7,
+            "resource_exhausted",
+        ),
+        // Last, for the work goes on.
+        ("step demo 1000000000 --timeout 0.1", 6, "deadline_exceeded"),
+    ] {
+        let ended = daemon.jostle(&format!("--json {line}")).await;
+        assert_eq!(
+            (ended.code, ended.stdout.as_str()),
+            (Some(exit_code), ""),
+            "{ended:?}"
+        );
+        let error: Value = serde_json::from_str(&ended.stderr).unwrap();
+        assert_eq!(error["code"], code, "{error}");
+        assert!(
+            error["message"]
+                .as_str()
+                .is_some_and(|message| !message.is_empty())
+        );
+    }
+    let words = daemon.jostle("status nobody").await;
+    assert_eq!(words.code, Some(3));
+    assert!(words.stderr.contains("`jostle list`"), "{words:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn deleting_several_deletes_those_that_are_there() {
+    let daemon = Daemon::start().await;
+    for line in ["create a --n 3", "create b --n 3"] {
+        assert_eq!(daemon.jostle(line).await.code, Some(0));
+    }
+    let ended = daemon.jostle("--json delete a nobody b").await;
+    assert_eq!(ended.code, Some(3), "{ended:?}");
+    let deleted: Vec<Value> = ended.json_lines();
+    assert_eq!(
+        (&deleted[0]["swarm"], &deleted[1]["swarm"]),
+        (&json!("a"), &json!("b"))
+    );
+    assert_eq!(
+        object(&daemon.jostle("--json list").await)["result"]["swarms"],
+        json!([])
+    );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_is_waited_for_until_it_is_there() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10").await;
+    let ended = daemon
+        .jostle("--json run demo --until 2 --rate max --wait")
+        .await;
+    let reached = object(&ended);
+    assert_eq!(
+        (&reached["step"], &reached["phase"]),
+        (&json!(100), &json!("paused"))
+    );
+    assert_eq!(ended.stderr, "", "no bar where there is no terminal");
+    let ended = daemon.jostle("run demo --until-step 150 --wait").await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(
+        ended
+            .stdout
+            .starts_with("demo is paused at step 150, time 3"),
+        "{ended:?}"
+    );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wait_ends_when_somebody_else_ends_the_run() {
+    for (verb, exit_code, code) in [
+        ("pause demo", 4, "incorrect_state"),
+        ("reset demo", 4, "conflict"),
+        ("delete demo", 3, "not_found"),
+    ] {
+        let daemon = Daemon::start().await;
+        daemon.jostle("create demo --n 10").await;
+        let waiting = daemon.begin("--json run demo --until 1e6 --wait");
+        daemon.until_running("demo").await;
+        assert_eq!(daemon.jostle(verb).await.code, Some(0));
+        let ended = waiting.end().await;
+        assert_eq!(ended.code, Some(exit_code), "{verb}: {ended:?}");
+        let error: Value = serde_json::from_str(&ended.stderr).unwrap();
+        assert_eq!(error["code"], code);
+        daemon.stop().await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ctrl_c_ends_the_wait_and_not_the_swarm() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10").await;
+    let waiting = daemon.begin("run demo --until 1e6 --wait");
+    daemon.until_running("demo").await;
+    waiting.interrupt();
+    let ended = waiting.end().await;
+    assert_eq!(ended.code, Some(130), "{ended:?}");
+    assert!(ended.stderr.contains("demo runs on"), "{ended:?}");
+    let status = object(&daemon.jostle("--json status demo").await);
+    assert_eq!(status["phase"], "running");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_watched_swarm_shows_its_states_and_its_order() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10").await;
+
+    let still = daemon.jostle("watch demo --frames --count 1").await;
+    assert_eq!(object(&still)["step"], 0, "a paused swarm is shown at once");
+    let still = daemon.jostle("--json watch demo --count 1").await;
+    assert_eq!(object(&still)["phase"], "paused");
+
+    daemon.jostle("run demo").await;
+    let frames = daemon.jostle("watch demo --frames --count 3").await;
+    assert_eq!(frames.code, Some(0), "{frames:?}");
+    let frames = frames.json_lines();
+    assert_eq!(frames.len(), 3);
+    let steps: Vec<u64> = frames
+        .iter()
+        .map(|frame| frame["step"].as_u64().unwrap())
+        .collect();
+    assert!(steps.is_sorted() && steps[0] < steps[2], "{steps:?}");
+    assert!(
+        frames
+            .iter()
+            .all(|frame| frame["x"].as_array().unwrap().len() == 10)
+    );
+
+    let samples = daemon
+        .jostle("--json watch demo --count 3")
+        .await
+        .json_lines();
+    assert_eq!(samples.len(), 3);
+    assert!(
+        samples
+            .iter()
+            .all(|sample| sample["order"]["order"].is_number())
+    );
+
+    let lines = daemon.jostle("watch demo --count 2").await;
+    let words: Vec<&str> = lines.stdout.lines().collect();
+    assert_eq!(words.len(), 3, "a header and two lines: {lines:?}");
+    assert!(words[0].trim_start().starts_with("step") && words[1].contains("running"));
+
+    let ended = daemon.jostle("--json watch demo --for 0.2").await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_watch_ends_with_the_swarm() {
+    let daemon = Daemon::start().await;
+    for (line, exit_code) in [("watch demo", 0), ("watch demo --count 99", 3)] {
+        daemon.jostle("create demo --n 10").await;
+        let mut watching = daemon.begin(line);
+        watching.lines(2);
+        assert_eq!(daemon.jostle("delete demo").await.code, Some(0));
+        let ended = watching.end().await;
+        assert_eq!(ended.code, Some(exit_code), "{ended:?}");
+        assert!(ended.stderr.contains("demo was deleted"), "{ended:?}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_watch_outlives_the_daemon_and_tells_what_it_came_back_with() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10").await;
+    let mut watching = daemon.begin("watch demo");
+    watching.lines(2);
+    let endpoint = daemon.endpoint.clone();
+    daemon.stop().await;
+    assert!(watching.complaint().contains("the daemon went away"));
+    let daemon = Daemon::with(&[("listen", &endpoint)]).await;
+    let ended = watching.end().await;
+    assert_eq!(ended.code, Some(3), "{ended:?}");
+    assert!(ended.stderr.contains("back, but without demo"), "{ended:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reader_that_goes_away_ends_a_stream_quietly() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10").await;
+    daemon.jostle("run demo").await;
+    for line in ["watch demo --frames", "--json watch demo", "watch demo"] {
+        let mut watching = daemon.begin(line);
+        watching.lines(1);
+        watching.stop_reading();
+        let ended = watching.end().await;
+        assert_eq!((ended.code, ended.stderr.as_str()), (Some(0), ""), "{line}");
+    }
+    until("the daemon forgets them", async || {
+        daemon.server.subscribers("demo").await == 0
+    })
+    .await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn silence_is_explained_by_who_is_there() {
+    let tokens = [
+        "jostle/@node/a/alive",
+        "jostle/@node/b/alive",
+        "jostle/mute/alive/a",
+    ];
+    let (silent, nonsense) = ("jostle/slow/get/status", "jostle/odd/get/status");
+    let impostor = Impostor::start(&tokens, silent, nonsense).await;
+    for (line, exit_code, code, said) in [
+        ("list", 2, "invalid_argument", "--node: a, b"),
+        ("list --node c", 3, "not_found", "there are: a, b"),
+        ("list --node a", 5, "permission_denied", "node a is there"),
+        ("pause mute", 5, "permission_denied", "mute is there"),
+        ("pause nobody", 3, "not_found", "no swarm nobody"),
+        ("status odd", 1, "internal", "cannot be read"),
+        ("status slow --timeout 0.1", 6, "timeout", "did not answer"),
+    ] {
+        let ended = impostor.jostle(&format!("--json {line}")).await;
+        assert_eq!(ended.code, Some(exit_code), "{ended:?}");
+        let error: Value = serde_json::from_str(&ended.stderr).unwrap();
+        assert_eq!(error["code"], code, "{error}");
+        assert!(error["message"].as_str().unwrap().contains(said), "{error}");
+    }
+    impostor.stop().await;
+}

@@ -1,0 +1,255 @@
+//! A daemon in this process, and command lines in theirs.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{Receiver, channel};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use jostled::config::{self, Config};
+use jostled::server::{self, Server};
+use serde_json::Value;
+
+/// How long anything may take that should come at once, on a machine busy with other tests.
+pub const PATIENCE: Duration = Duration::from_secs(60);
+
+/// A daemon on a port of its own.
+pub struct Daemon {
+    /// The daemon.
+    pub server: Server,
+    /// Where it listens.
+    pub endpoint: String,
+}
+
+/// A command line that has ended.
+#[derive(Debug)]
+pub struct Ended {
+    /// Its exit code; none if it was killed.
+    pub code: Option<i32>,
+    /// Its data that was not read before.
+    pub stdout: String,
+    /// Its talk that was not read before.
+    pub stderr: String,
+}
+
+/// A command line that runs.
+pub struct Running {
+    line: String,
+    child: Child,
+    stdout: Option<Receiver<String>>,
+    stderr: Receiver<String>,
+}
+
+impl Daemon {
+    /// A daemon as tests need it.
+    pub async fn start() -> Self {
+        Self::with(&[]).await
+    }
+
+    /// A daemon with these settings on top.
+    pub async fn with(settings: &[(&'static str, &str)]) -> Self {
+        let mut flags = vec![
+            ("listen", Some("tcp/127.0.0.1:0".to_owned())),
+            ("node", Some("test".to_owned())),
+        ];
+        for (name, value) in settings {
+            flags.retain(|(earlier, _)| earlier != name);
+            flags.push((*name, Some((*value).to_owned())));
+        }
+        let merged = config::merge(None, std::iter::empty(), &flags).unwrap();
+        let server = server::start(&Config::new(&merged).unwrap()).await.unwrap();
+        let endpoint = server.endpoints()[0].clone();
+        Daemon { server, endpoint }
+    }
+
+    /// Stops it.
+    pub async fn stop(self) {
+        self.server.stop().await;
+    }
+
+    /// Starts a command line.
+    pub fn begin(&self, line: &str) -> Running {
+        Running::begin(&self.endpoint, line, "")
+    }
+
+    /// Runs a command line to its end.
+    pub async fn jostle(&self, line: &str) -> Ended {
+        self.jostle_with(line, "").await
+    }
+
+    /// Runs a command line to its end, with something on stdin.
+    pub async fn jostle_with(&self, line: &str, stdin: &str) -> Ended {
+        Running::begin(&self.endpoint, line, stdin).end().await
+    }
+
+    /// Waits until a swarm runs.
+    pub async fn until_running(&self, swarm: &str) {
+        until("the swarm runs", async || {
+            let ended = self.jostle(&format!("--json status {swarm}")).await;
+            ended.json_lines()[0]["phase"] == "running"
+        })
+        .await;
+    }
+}
+
+impl Ended {
+    /// Each line of the data as JSON.
+    pub fn json_lines(&self) -> Vec<Value> {
+        let lines = self.stdout.lines();
+        lines
+            .map(|line| serde_json::from_str(line).unwrap())
+            .collect()
+    }
+}
+
+impl Running {
+    fn begin(endpoint: &str, line: &str, stdin: &str) -> Self {
+        let mut child = Command::new(env!("CARGO_BIN_EXE_jostle"))
+            .args(line.split(' '))
+            .env("JOSTLE_ENDPOINT", endpoint)
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .stderr(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let mut input = child.stdin.take().unwrap();
+        input.write_all(stdin.as_bytes()).unwrap();
+        let stdout = child.stdout.take().map(lines_of);
+        let stderr = lines_of(child.stderr.take().unwrap());
+        Running {
+            line: line.into(),
+            child,
+            stdout,
+            stderr,
+        }
+    }
+
+    /// Reads so many lines of its data.
+    pub fn lines(&mut self, count: usize) -> Vec<String> {
+        let stdout = self.stdout.as_ref().unwrap();
+        (0..count)
+            .map(|_| stdout.recv_timeout(PATIENCE).expect(&self.line))
+            .collect()
+    }
+
+    /// Reads a line of its talk.
+    pub fn complaint(&mut self) -> String {
+        self.stderr.recv_timeout(PATIENCE).expect(&self.line)
+    }
+
+    /// Closes the other end of its stdout.
+    pub fn stop_reading(&mut self) {
+        self.stdout = None;
+    }
+
+    /// Presses Ctrl-C.
+    pub fn interrupt(&self) {
+        let pid = self.child.id().to_string();
+        let status = Command::new("kill").args(["-INT", &pid]).status().unwrap();
+        assert!(status.success());
+    }
+
+    /// Waits until it ends.
+    pub async fn end(mut self) -> Ended {
+        let deadline = Instant::now() + PATIENCE;
+        let status = loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                break status;
+            }
+            if Instant::now() > deadline {
+                self.child.kill().unwrap();
+                panic!("`jostle {}` does not end", self.line);
+            }
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        };
+        Ended {
+            code: status.code(),
+            stdout: self.stdout.map_or_else(String::new, |lines| rest(&lines)),
+            stderr: rest(&self.stderr),
+        }
+    }
+}
+
+/// The lines of a pipe, read as they come; dropping them closes the pipe at its next line.
+fn lines_of(pipe: impl Read + Send + 'static) -> Receiver<String> {
+    let (to_read, lines) = channel();
+    thread::spawn(move || {
+        for line in BufReader::new(pipe).lines() {
+            if to_read.send(line.unwrap()).is_err() {
+                return;
+            }
+        }
+    });
+    lines
+}
+
+/// What is left of a pipe whose other end is closed.
+fn rest(lines: &Receiver<String>) -> String {
+    let lines: Vec<String> = lines.iter().collect();
+    lines.join("\n")
+}
+
+/// Waits until `holds`, at most [`PATIENCE`].
+pub async fn until(what: &str, mut holds: impl AsyncFnMut() -> bool) {
+    let deadline = Instant::now() + PATIENCE;
+    while !holds().await {
+        assert!(Instant::now() < deadline, "{what} did not come about");
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+}
+
+/// Something that looks like daemons from afar and answers little.
+pub struct Impostor {
+    /// Where it listens.
+    pub endpoint: String,
+    session: zenoh::Session,
+}
+
+impl Impostor {
+    /// Holds the tokens of these keys, and is asked on `silent` without ever answering.
+    pub async fn start(tokens: &[&str], silent: &str, nonsense: &str) -> Self {
+        let mut config = zenoh::Config::default();
+        for (key, value) in [
+            ("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#),
+            ("scouting/multicast/enabled", "false"),
+            ("scouting/gossip/enabled", "false"),
+        ] {
+            config.insert_json5(key, value).unwrap();
+        }
+        let session = zenoh::open(config).await.unwrap();
+        for token in tokens {
+            let token = session.liveliness().declare_token(*token).await.unwrap();
+            // It lives as long as the session.
+            std::mem::forget(token);
+        }
+        let held = std::sync::Mutex::new(Vec::new());
+        let hold = move |query| held.lock().unwrap().push(query);
+        session
+            .declare_queryable(silent)
+            .callback(hold)
+            .background()
+            .await
+            .unwrap();
+        session
+            .declare_queryable(nonsense)
+            .callback(|query| {
+                let key = query.key_expr().clone();
+                zenoh::Wait::wait(query.reply(key, "nonsense")).unwrap();
+            })
+            .background()
+            .await
+            .unwrap();
+        let endpoint = session.info().locators().await[0].to_string();
+        Impostor { endpoint, session }
+    }
+
+    /// Runs a command line against it.
+    pub async fn jostle(&self, line: &str) -> Ended {
+        Running::begin(&self.endpoint, line, "").end().await
+    }
+
+    /// Goes away.
+    pub async fn stop(self) {
+        self.session.close().await.unwrap();
+    }
+}
