@@ -36,7 +36,7 @@ pub const SETTINGS: [(&str, &str, &str); 9] = [
     (
         "max_individuals",
         "2000",
-        "individuals in one swarm; a step of 2000 takes about a second so far",
+        "individuals in one swarm; packed groups beyond a few hundred step slowly so far",
     ),
     ("max_swarms", "1024", "swarms at once"),
     (

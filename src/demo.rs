@@ -152,27 +152,22 @@ async fn go_to(
     let mut tick = tokio::time::interval(Duration::from_secs(1));
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
     tick.tick().await;
+    let (answer, answered) = oneshot::channel();
+    swarm.send(Ticket::Wait {
+        awaited: Awaited::Reached(until_step),
+        is_abandoned: Box::new(|| false),
+        answer: Box::new(move |it| drop(answer.send(it))),
+    });
+    tokio::pin!(
+        let arrived = outcome(answered);
+    );
     loop {
-        let (answer, answered) = oneshot::channel();
-        send(
-            swarm,
-            Ticket::Wait {
-                awaited: Awaited::Reached(until_step),
-                is_abandoned: Box::new(|| false),
-                answer: Box::new(move |it| drop(answer.send(it))),
+        tokio::select! {
+            arrived = &mut arrived => return match arrived? {
+                (_, Outcome::Seen(frame)) => Ok(frame),
+                _ => Err(DemoError::Gone),
             },
-        )?;
-        tokio::pin!(let arrived = outcome(answered););
-        loop {
-            tokio::select! {
-                arrived = &mut arrived => {
-                    let (_, Outcome::Seen(frame)) = arrived? else {
-                        return Err(DemoError::Gone);
-                    };
-                    return Ok(frame);
-                }
-                _ = tick.tick() => print_line(server, swarm).await?,
-            }
+            _ = tick.tick() => print_line(server, swarm).await?,
         }
     }
 }
@@ -215,10 +210,7 @@ fn report(uninformed: &Frame, from: &Frame, reached: &Frame) {
 
 async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {
     let (answer, answered) = oneshot::channel();
-    send(
-        swarm,
-        Ticket::Look(Box::new(move |it| drop(answer.send(it)))),
-    )?;
+    swarm.send(Ticket::Look(Box::new(move |it| drop(answer.send(it)))));
     match outcome(answered).await? {
         (_, Outcome::Seen(frame)) => Ok(frame),
         _ => Err(DemoError::Gone),
@@ -231,25 +223,18 @@ async fn command(
     order: Order,
 ) -> Result<(Place, Outcome), DemoError> {
     let (answer, answered) = oneshot::channel();
-    send(
-        swarm,
-        Ticket::Command {
-            order,
-            expected: Expectation::default(),
-            sender: Sender {
-                verb,
-                args: "{}".to_owned(),
-                client: Some("jostled demo".to_owned()),
-                request_id: None,
-            },
-            answer: Box::new(move |it| drop(answer.send(it))),
+    swarm.send(Ticket::Command {
+        order,
+        expected: Expectation::default(),
+        sender: Sender {
+            verb,
+            args: "{}".to_owned(),
+            client: Some("jostled demo".to_owned()),
+            request_id: None,
         },
-    )?;
+        answer: Box::new(move |it| drop(answer.send(it))),
+    });
     outcome(answered).await
-}
-
-fn send(swarm: &Handle, ticket: Ticket) -> Result<(), DemoError> {
-    swarm.send(ticket).map_err(|(error, _)| error.into())
 }
 
 async fn outcome(answered: oneshot::Receiver<Answered>) -> Result<(Place, Outcome), DemoError> {

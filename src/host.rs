@@ -241,7 +241,7 @@ impl Host {
             entries
                 .filter_map(|entry| {
                     // A full queue ends too: the last handle goes with this host.
-                    let _ = entry.handle.send(Ticket::Stop);
+                    entry.handle.send(Ticket::Stop);
                     entry.thread.take()
                 })
                 .collect()

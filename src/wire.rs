@@ -150,7 +150,7 @@ pub fn selection(select: Select) -> Result<Selection, CommandError> {
         Select::Count(number) => Selection::Count(count(number)),
         Select::Fraction(fraction) => Selection::Fraction(fraction),
         Select::Within(Region { x, y, radius }) => {
-            if !(radius >= 0.0) {
+            if radius.is_nan() || radius < 0.0 {
                 return Err(CommandError::out_of_range("select.within.radius", radius));
             }
             Selection::Within { x, y, radius }

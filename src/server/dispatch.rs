@@ -133,7 +133,7 @@ impl Dispatcher {
             match intake.recv_timeout(LINGER) {
                 Ok(Intake::Query(topic, query)) => self.query(&topic, query),
                 Ok(Intake::Begun(swarm, built)) => self.begun(&swarm, built),
-                Ok(Intake::Ended(swarm, ended)) => self.ended(swarm, ended),
+                Ok(Intake::Ended(swarm, ended)) => self.ended(&swarm, ended),
                 Err(RecvTimeoutError::Timeout) => {}
                 Ok(Intake::Stop) | Err(RecvTimeoutError::Disconnected) => return,
             }
@@ -195,18 +195,18 @@ impl Dispatcher {
         })
     }
 
-    fn ended(&mut self, swarm: String, ended: Box<dyn FnOnce() + Send>) {
+    fn ended(&mut self, swarm: &str, ended: Box<dyn FnOnce() + Send>) {
         // A swarm that could not be built had no doors, or those of an earlier one.
-        if let Some(doors) = self.doors.get_mut(&swarm)
+        if let Some(doors) = self.doors.get_mut(swarm)
             && doors.token.take().is_some()
         {
             doors.deleted = Some(Instant::now());
             info!(swarm, "deleted");
         }
         let host = self.host.clone();
-        let name = swarm.clone();
+        let name = swarm.to_owned();
         self.press.close(
-            &swarm,
+            swarm,
             Box::new(move || {
                 host.release(&name);
                 ended();
@@ -218,9 +218,9 @@ impl Dispatcher {
         match topic {
             Topic::State(swarm) => self.state(swarm, query),
             Topic::Get(swarm) => self.get(swarm, &query),
-            Topic::Command(swarm) => self.command(swarm, query),
+            Topic::Command(swarm) => self.command(swarm, &query),
             Topic::NodeGet => self.node_get(&query),
-            Topic::NodeCommand => self.node_command(query),
+            Topic::NodeCommand => self.node_command(&query),
         }
     }
 
@@ -295,7 +295,7 @@ impl Dispatcher {
     }
 
     /// Executes only what its own key names: a wildcard changes nothing.
-    fn command(&self, swarm: &Arc<str>, query: Query) {
+    fn command(&self, swarm: &Arc<str>, query: &Query) {
         let promise = self
             .desk
             .promise(query.clone(), query.key_expr().as_str().to_owned());
@@ -305,11 +305,10 @@ impl Dispatcher {
             .strip_prefix(&keys::cmd(&self.prefix, swarm, ""));
         let read = match verb {
             Some(verb) if !query.key_expr().is_wild() => {
-                request(&query).and_then(|request| command::read(verb, &request))
+                request(query).and_then(|request| command::read(verb, &request))
             }
             _ => Err(CommandError::Wildcard),
         };
-        let step = || self.step(swarm);
         let Command {
             order,
             expected,
@@ -318,7 +317,10 @@ impl Dispatcher {
             returns_state,
         } = match read {
             Ok(command) => command,
-            Err(error) => return promise.refuse(&error, step()),
+            Err(error) => {
+                let step = self.host.find(swarm).and_then(|handle| handle.step());
+                return promise.refuse(&error, step);
+            }
         };
         let (press, name) = (self.press.clone(), swarm.clone());
         self.send(swarm, &promise, timeout, |answer| Ticket::Command {
@@ -400,7 +402,7 @@ impl Dispatcher {
         })
     }
 
-    fn node_command(&self, query: Query) {
+    fn node_command(&self, query: &Query) {
         let promise = self
             .desk
             .promise(query.clone(), query.key_expr().as_str().to_owned());
@@ -413,7 +415,7 @@ impl Dispatcher {
                 .as_str()
                 .strip_prefix(&keys::node_cmd(&self.prefix, &self.node, ""));
         let done = match verb {
-            Some("create") => request(&query).and_then(|request| self.create(&promise, &request)),
+            Some("create") => request(query).and_then(|request| self.create(&promise, &request)),
             verb => Err(CommandError::UnknownVerb {
                 verb: verb.unwrap_or_default().to_owned(),
                 known: &keys::NODE_VERBS,
@@ -447,10 +449,8 @@ impl Dispatcher {
         let created = self
             .host
             .create(&name, recipe, args.exist_ok, || answer(true))?;
-        if let Created::Existing(handle) = created
-            && let Err((error, _ticket)) = handle.send(Ticket::Look(answer(false)))
-        {
-            promise.refuse(&error.into(), None);
+        if let Created::Existing(handle) = created {
+            handle.send(Ticket::Look(answer(false)));
         }
         Ok(())
     }
@@ -487,15 +487,9 @@ impl Dispatcher {
             let error = CommandError::UnknownSwarm(swarm.to_owned());
             return promise.refuse(&error, None);
         };
-        let summary = handle.clone();
-        promise.keep_within(patience, move || Some(summary.summary()?.place.step));
-        if let Err((error, _ticket)) = handle.send(ticket(answer_to(promise))) {
-            promise.refuse(&error.into(), self.step(swarm));
-        }
-    }
-
-    fn step(&self, swarm: &str) -> Option<u64> {
-        Some(self.host.find(swarm)?.summary()?.place.step)
+        let late = handle.clone();
+        promise.keep_within(patience, move || late.step());
+        handle.send(ticket(answer_to(promise)));
     }
 
     fn unknown_noun(&self, query: &Query, known: &'static [&'static str]) {

@@ -49,17 +49,20 @@ pub struct Handle {
 }
 
 impl Handle {
-    /// Hands over a ticket; its answer comes from the swarm's thread.
-    ///
-    /// # Errors
-    ///
-    /// [`OrderError::Busy`] when too many wait already, [`OrderError::Gone`] when the swarm has
-    /// ended; the ticket comes back.
-    pub fn send(&self, ticket: Ticket) -> Result<(), (OrderError, Ticket)> {
-        self.tickets.try_send(ticket).map_err(|error| match error {
-            TrySendError::Full(ticket) => (OrderError::Busy, ticket),
-            TrySendError::Disconnected(ticket) => (OrderError::Gone, ticket),
-        })
+    /// Hands over a ticket. Its answer comes from the swarm's thread, or from here when too many
+    /// wait already ([`OrderError::Busy`]) or the swarm has ended ([`OrderError::Gone`]).
+    pub fn send(&self, ticket: Ticket) {
+        let (ticket, error) = match self.tickets.try_send(ticket) {
+            Ok(()) => return,
+            Err(TrySendError::Full(ticket)) => (ticket, OrderError::Busy),
+            Err(TrySendError::Disconnected(ticket)) => (ticket, OrderError::Gone),
+        };
+        ticket.refuse(self.step(), error);
+    }
+
+    /// The step the swarm lately was at.
+    pub fn step(&self) -> Option<u64> {
+        Some(self.summary()?.place.step)
     }
 
     /// The swarm in a list; `None` until it is built.
@@ -73,7 +76,7 @@ impl Handle {
 
 impl Ticket {
     /// Answers a ticket that no swarm took.
-    pub fn refuse(self, step: Option<u64>, error: OrderError) {
+    fn refuse(self, step: Option<u64>, error: OrderError) {
         match self {
             Ticket::Command { answer, .. } | Ticket::Look(answer) | Ticket::Wait { answer, .. } => {
                 answer(Err(Refusal { step, error }));

@@ -461,7 +461,7 @@ impl Worker {
             seed: simulation.state.seed,
             configuration: simulation.state.configuration.clone(),
             order: simulation.order(),
-            means: simulation.means.clone(),
+            means: simulation.means,
             exactness: simulation.exactness,
             rate: self.rate,
             real_time_factor: self.real_time_factor(),

@@ -5,11 +5,12 @@ use std::time::{Duration, Instant};
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
-use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, until};
+use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, alone, until};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_hundred_swarms_of_twenty_keep_their_rate() {
-    let daemon = Daemon::start().await;
+    let _alone = alone().await;
+    let daemon = Daemon::for_measuring().await;
     let client = &daemon.client;
     for i in 0..100 {
         let name = format!("s{i}");
@@ -55,7 +56,8 @@ async fn a_hundred_swarms_of_twenty_keep_their_rate() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn twenty_swarms_a_second_are_created_and_deleted() {
-    let daemon = Daemon::start().await;
+    let _alone = alone().await;
+    let daemon = Daemon::for_measuring().await;
     let client = &daemon.client;
     let threads = || std::fs::read_dir("/proc/self/task").unwrap().count();
     let began = Instant::now();
@@ -111,7 +113,8 @@ async fn one_name_created_and_deleted_by_many_at_once_is_one_swarm() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_is_answered_and_neither_memory_nor_others_suffer() {
-    let daemon = Daemon::start().await;
+    let _alone = alone().await;
+    let daemon = Daemon::for_measuring().await;
     let client = &daemon.client;
     client.create("flooded", json!({"n": 20, "rate": 1})).await;
     client.create("other", json!({"n": 20, "rate": 1})).await;

@@ -4,6 +4,7 @@
 
 mod abuse;
 mod architecture;
+mod claim;
 mod commands;
 mod load;
 mod process;

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use jostle_proto::keys;
 use serde_json::json;
 
-use crate::support::{Client, PATIENCE, PREFIX, until};
+use crate::support::{Client, PATIENCE, PREFIX, alone, beside_others, until};
 
 /// Ends a process when the test does.
 struct Process(Child);
@@ -67,6 +67,7 @@ fn serve() -> (Process, String) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn sigterm_and_ctrl_c_end_it_within_two_seconds() {
+    let _alone = alone().await;
     for signal in ["-TERM", "-INT"] {
         let (mut daemon, endpoint) = serve();
         let client = Client::open(&endpoint).await;
@@ -100,6 +101,7 @@ async fn a_subscribing_process() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_frozen_client_delays_neither_steps_nor_the_end() {
+    let _alone = alone().await;
     let (mut daemon, endpoint) = serve();
     let client = Client::open(&endpoint).await;
     client
@@ -153,8 +155,9 @@ fn output(arguments: &[&str]) -> Output {
     command.stderr(Stdio::piped()).output().unwrap()
 }
 
-#[test]
-fn the_demo_ends_by_itself_and_says_what_came_of_it() {
+#[tokio::test(flavor = "multi_thread")]
+async fn the_demo_ends_by_itself_and_says_what_came_of_it() {
+    let _machine = beside_others().await;
     let demo = output(&["demo", "--for", "4s", "--listen", "tcp/127.0.0.1:0"]);
     let text = String::from_utf8(demo.stdout).unwrap();
     assert_eq!(demo.status.code(), Some(0), "{text}");
@@ -171,8 +174,9 @@ fn the_demo_ends_by_itself_and_says_what_came_of_it() {
     );
 }
 
-#[test]
-fn what_cannot_be_served_is_said_with_its_remedy() {
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_served_is_said_with_its_remedy() {
+    let _machine = beside_others().await;
     let (_daemon, endpoint) = serve();
     let taken = output(&["--listen", &endpoint]);
     let text = String::from_utf8(taken.stderr).unwrap();

@@ -6,6 +6,7 @@ use jostle_proto::{Error, ErrorCode, keys};
 use jostled::config::{self, Config};
 use jostled::server::{self, Server};
 use serde_json::{Value, json};
+use tokio::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 use zenoh::Session;
 use zenoh::bytes::Encoding;
 
@@ -15,9 +16,23 @@ pub const PREFIX: &str = "jostle";
 /// How long anything may take that should come at once, on a machine busy with other tests.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 
+/// Held by tests that measure time alone, shared by all others.
+static MACHINE: RwLock<()> = RwLock::const_new(());
+
+/// Waits until no other test of this binary runs, and keeps others waiting.
+pub async fn alone() -> RwLockWriteGuard<'static, ()> {
+    MACHINE.write().await
+}
+
+/// Waits until no test runs that must be alone.
+pub async fn beside_others() -> RwLockReadGuard<'static, ()> {
+    MACHINE.read().await
+}
+
 pub struct Daemon {
     pub server: Server,
     pub client: Client,
+    _machine: Option<RwLockReadGuard<'static, ()>>,
 }
 
 impl Daemon {
@@ -27,6 +42,19 @@ impl Daemon {
 
     /// A daemon with these settings beside those that tests need.
     pub async fn with(settings: &[(&'static str, &str)]) -> Self {
+        let machine = beside_others().await;
+        Self::on(Some(machine), settings).await
+    }
+
+    /// A daemon for a test that holds [`alone`].
+    pub async fn for_measuring() -> Self {
+        Self::on(None, &[]).await
+    }
+
+    async fn on(
+        machine: Option<RwLockReadGuard<'static, ()>>,
+        settings: &[(&'static str, &str)],
+    ) -> Self {
         let mut flags = vec![
             ("listen", Some("tcp/127.0.0.1:0".to_owned())),
             ("node", Some(NODE.to_owned())),
@@ -39,7 +67,11 @@ impl Daemon {
         let merged = config::merge(None, std::iter::empty(), &flags).unwrap();
         let server = server::start(&Config::new(&merged).unwrap()).await.unwrap();
         let client = Client::open(&server.endpoints()[0]).await;
-        Daemon { server, client }
+        Daemon {
+            server,
+            client,
+            _machine: machine,
+        }
     }
 
     pub async fn another_client(&self) -> Client {

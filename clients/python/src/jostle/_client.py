@@ -1,0 +1,192 @@
+"""A connection with a daemon."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from types import TracebackType
+from typing import Any, Self, TypeVar
+
+from ._arguments import check_label, check_name, check_seconds
+from ._errors import InvalidArgument, Unavailable
+from ._link import Link, open_session
+from ._messages import WIRE_VERSION, Hello, NodeStatus, Spec, Swarms, SwarmSummary, read_reply
+from ._swarm import Swarm
+
+T = TypeVar("T")
+
+DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
+
+
+def connect(
+    endpoint: str | None = None,
+    *,
+    node: str | None = None,
+    prefix: str = "jostle",
+    client: str | None = None,
+    timeout: float = 5.0,
+) -> Client:
+    """Connects with the daemon at `endpoint`.
+
+    Args:
+        endpoint: Such as `tcp/127.0.0.1:7447`; None is the environment's `JOSTLE_ENDPOINT`, or
+            else that.
+        node: The daemon's name; None is the one that answers, if it is only one.
+        prefix: The first part of every key, as the daemon is configured.
+        client: Who commands say they are from; others see it in events. None is made up.
+        timeout: Seconds that connecting, and every command after it, may take unless it says
+            otherwise.
+
+    Raises:
+        Unavailable: No daemon answers there.
+        InvalidArgument: An argument is wrong, or several daemons answer and `node` is None.
+    """
+    if endpoint is None:
+        endpoint = os.environ.get("JOSTLE_ENDPOINT") or DEFAULT_ENDPOINT
+    if node is not None:
+        check_name("node", node)
+    if not prefix or any(c in "*$?#" for c in prefix) or "" in prefix.split("/"):
+        raise InvalidArgument(
+            f"{prefix!r} is no prefix: it becomes the beginning of every key",
+            details={"field": "prefix"},
+        )
+    client = check_label("client", f"python-{os.getpid()}" if client is None else client)
+    seconds = check_seconds("timeout", timeout)
+    session = open_session(endpoint, seconds)
+    try:
+        link = Link(session, endpoint, prefix, client, seconds)
+        hello = _greet(link, node)
+    except BaseException:
+        session.close()
+        raise
+    link.max_message_bytes = hello.limits.max_message_bytes
+    return Client(link, hello.node)
+
+
+def _greet(link: Link, node: str | None) -> Hello:
+    """Finds out who is at the other end."""
+    answers = link.ask_all(
+        link.node_key("*" if node is None else node, "get/hello"), timeout=link.timeout
+    )
+    hellos = [read_reply(answer, Hello) for answer in answers]
+    if not hellos:
+        raise _nobody(link, node)
+    if len(hellos) > 1:
+        names = ", ".join(sorted(hello.node for hello in hellos))
+        raise InvalidArgument(
+            f"several daemons answer at {link.endpoint}: name one of {names} as `node`",
+            details={"field": "node"},
+        )
+    hello = hellos[0]
+    if hello.wire_version != WIRE_VERSION:
+        raise Unavailable(
+            f"the daemon {hello.version} at {link.endpoint} speaks version {hello.wire_version} "
+            f"of the contract and this package version {WIRE_VERSION}: install the package that "
+            "goes with the daemon",
+            details={"wire_version": hello.wire_version},
+        )
+    return hello
+
+
+def _nobody(link: Link, node: str | None) -> Exception:
+    nodes = link.nodes()
+    if nodes and node not in (None, *nodes):
+        return Unavailable(
+            f"no daemon named {node!r} answers at {link.endpoint}: there is {', '.join(nodes)}"
+        )
+    if nodes:
+        return link.explain_silence(None)
+    return Unavailable(
+        f"{link.endpoint} speaks zenoh, but no jostle daemon of prefix {link.prefix!r} is behind "
+        "it: start one with `jostled serve`, or give its `prefix`"
+    )
+
+
+class Client:
+    """A connection with a daemon; `connect` makes one.
+
+    Leaving its `with` block closes it, and with it every stream of its swarms. It may be used
+    from several threads. When the daemon goes away, what is asked raises `Unavailable`; when it
+    is back, the client works again.
+    """
+
+    def __init__(self, link: Link, node: str) -> None:
+        self._link = link
+        self._node = node
+
+    @property
+    def node(self) -> str:
+        """The daemon's name."""
+        return self._node
+
+    @property
+    def endpoint(self) -> str:
+        """Where the daemon is."""
+        return self._link.endpoint
+
+    def __repr__(self) -> str:
+        return f"Client({self._node!r} at {self._link.endpoint})"
+
+    def create(
+        self,
+        name: str,
+        spec: Spec | Mapping[str, Any],
+        *,
+        exist_ok: bool = False,
+        timeout: float | None = None,
+    ) -> Swarm:
+        """Creates a swarm, paused.
+
+        Args:
+            name: Its name: 1 to 64 of a-z, 0-9, - and _, the first a letter or digit.
+            spec: What it is made from, such as `Spec(n=50, seed=1)` or `{"n": 50, "seed": 1}`.
+            exist_ok: Take a swarm of that name with an equal spec as it is.
+            timeout: Seconds it may take; None is the client's.
+
+        Raises:
+            AlreadyExists: The name is taken.
+            InvalidArgument: The name or the spec is wrong.
+            ResourceExhausted: It goes beyond a limit of the daemon.
+        """
+        swarm = Swarm(self._link, name)
+        args = {"name": name, "spec": spec, "exist_ok": exist_ok}
+        key = self._link.node_key(self._node, "cmd/create")
+        self._link.command(key, args, swarm=None, timeout=timeout)
+        return swarm
+
+    def swarm(self, name: str) -> Swarm:
+        """The swarm of that name; whether it is there shows when it is asked something."""
+        return Swarm(self._link, name)
+
+    def swarms(self) -> list[SwarmSummary]:
+        """All that the daemon hosts, ordered by name."""
+        return self._get("swarms", Swarms).swarms
+
+    def hello(self) -> Hello:
+        """Who the daemon is and what it takes."""
+        return self._get("hello", Hello)
+
+    def status(self) -> NodeStatus:
+        """How the daemon fares."""
+        return self._get("status", NodeStatus)
+
+    def close(self) -> None:
+        """Ends every stream and the connection; harmless when done already."""
+        for stream in list(self._link.streams):
+            stream.close()
+        self._link.session.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _get(self, noun: str, kind: type[T]) -> T:
+        key = self._link.node_key(self._node, f"get/{noun}")
+        return read_reply(self._link.ask(key, swarm=None, timeout=self._link.timeout), kind)

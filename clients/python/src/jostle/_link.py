@@ -1,0 +1,251 @@
+"""One zenoh session with a daemon: asks, and says what silence means."""
+
+from __future__ import annotations
+
+import json
+import time
+import uuid
+import weakref
+from typing import TYPE_CHECKING, Any, SupportsIndex
+
+import zenoh
+
+from ._arguments import to_json
+from ._errors import (
+    InvalidArgument,
+    JostleError,
+    NotFound,
+    PermissionDenied,
+    ResourceExhausted,
+    Unavailable,
+    read_error,
+)
+
+if TYPE_CHECKING:
+    from ._stream import Stream
+
+GRACE_SECS = 2.0
+"""How much longer than the daemon's own deadline an answer is waited for, seconds."""
+
+_LIVELINESS_SECS = 2.0
+# zenoh's own framing counts against the limit too; a key has at most 64 + 64 bytes and a prefix.
+_FRAMING_BYTES = 4096
+
+
+def open_session(endpoint: str, timeout: float) -> zenoh.Session:
+    """Opens a session with the daemon at `endpoint`, and with nobody else.
+
+    Raises:
+        InvalidArgument: It is no endpoint.
+        Unavailable: No daemon answers there.
+    """
+    milliseconds = max(1, round(timeout * 1000))
+    config = zenoh.Config()
+    for key, value in {
+        # As a peer zenoh would listen on every interface and connect to whatever it hears of.
+        "mode": "client",
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        # Something that accepts the connection but speaks no zenoh must not hold the caller up.
+        "transport/unicast/open_timeout": milliseconds,
+        # When the daemon comes back, so does the session, within a second.
+        "connect/retry": {
+            "period_init_ms": 100,
+            "period_max_ms": 1000,
+            "period_increase_factor": 2,
+        },
+    }.items():
+        config.insert_json5(key, json.dumps(value))
+    try:
+        config.insert_json5("connect/endpoints", json.dumps([endpoint]))
+    except zenoh.ZError:
+        raise InvalidArgument(
+            f"{endpoint!r} is no endpoint: one looks like tcp/127.0.0.1:7447",
+            details={"field": "endpoint"},
+        ) from None
+    try:
+        return zenoh.open(config)
+    except zenoh.ZError:
+        # zenoh's own error says no more than that, in more words.
+        raise Unavailable(
+            f"no daemon answers at {endpoint}: start one with `jostled serve`, "
+            "or name another endpoint (argument `endpoint`, or JOSTLE_ENDPOINT)"
+        ) from None
+
+
+class Link:
+    """One session with the daemons behind one endpoint, and what every request needs."""
+
+    def __init__(
+        self, session: zenoh.Session, endpoint: str, prefix: str, client: str, timeout: float
+    ) -> None:
+        self.session = session
+        self.endpoint = endpoint
+        self.prefix = prefix
+        self.client = client
+        self.timeout = timeout
+        self.max_message_bytes: int | None = None
+        self.streams: weakref.WeakSet[Stream[Any]] = weakref.WeakSet()
+
+    def swarm_key(self, swarm: str, rest: str) -> str:
+        """A key of a swarm, such as `jostle/demo/get/status`."""
+        return f"{self.prefix}/{swarm}/{rest}"
+
+    def node_key(self, node: str, rest: str) -> str:
+        """A key of a daemon itself, such as `jostle/@node/main/get/hello`."""
+        return f"{self.prefix}/@node/{node}/{rest}"
+
+    def command(
+        self,
+        key: str,
+        args: dict[str, Any],
+        *,
+        swarm: str | None,
+        expect_step: SupportsIndex | None = None,
+        expect_epoch: SupportsIndex | None = None,
+        timeout: float | None = None,
+    ) -> bytes:
+        """Has a verb executed and returns the answer's payload.
+
+        `swarm` is whom `key` is about; None if it is about a daemon.
+
+        Raises:
+            JostleError: The daemon's own error, or what its silence means.
+        """
+        seconds = self.timeout if timeout is None else timeout
+        request = {
+            "request_id": str(uuid.uuid4()),
+            "client": self.client,
+            "expect_step": expect_step,
+            "expect_epoch": expect_epoch,
+            "timeout_secs": seconds,
+            "args": args,
+        }
+        payload = to_json({name: value for name, value in request.items() if value is not None})
+        limit = self.max_message_bytes
+        if limit is not None and len(payload) + _FRAMING_BYTES > limit:
+            # The daemon's transport drops it without a word, which would look like silence.
+            raise ResourceExhausted(
+                f"the request has {len(payload)} bytes and the daemon takes messages of at most "
+                f"{limit} (max_message_bytes): send less at once",
+                details={
+                    "limit": "max_message_bytes",
+                    "max": limit,
+                    "got": len(payload),
+                },
+            )
+        return self.ask(key, swarm=swarm, timeout=seconds, payload=payload)
+
+    def ask(
+        self, selector: str, *, swarm: str | None, timeout: float, payload: bytes | None = None
+    ) -> bytes:
+        """Sends a query and returns the first answer's payload.
+
+        Raises:
+            JostleError: The daemon's own error, or what its silence means.
+        """
+        before = self._connected()
+        for answer in self.ask_all(selector, timeout=timeout, payload=payload):
+            return answer
+        error = self.explain_silence(swarm, before)
+        if not isinstance(error, PermissionDenied):
+            raise error
+        # A connection just made again does not know the daemon's keys yet, and then sends
+        # nothing. By now it does; what was refused is refused again.
+        for answer in self.ask_all(selector, timeout=timeout, payload=payload):
+            return answer
+        raise self.explain_silence(swarm, before)
+
+    def ask_all(
+        self, selector: str, *, timeout: float, payload: bytes | None = None
+    ) -> list[bytes]:
+        """Sends a query and returns every answer's payload; none if nobody answers.
+
+        Raises:
+            JostleError: A daemon's own error, or `Unavailable` if one is there and too late.
+        """
+        began = time.monotonic()
+        try:
+            replies = self.session.get(
+                selector,
+                payload=payload,
+                encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
+                timeout=timeout + GRACE_SECS,
+                consolidation=zenoh.ConsolidationMode.NONE,
+            )
+        except zenoh.ZError as error:
+            raise self._broken(error) from error
+        answers = []
+        for reply in replies:
+            if reply.ok is not None:
+                answers.append(reply.ok.payload.to_bytes())
+            elif reply.err is not None:
+                raise read_error(reply.err.payload.to_bytes()) or Unavailable(
+                    f"the daemon at {self.endpoint} is connected but gave no answer within "
+                    f"{time.monotonic() - began:.1f} s; what was asked of it may still happen"
+                )
+        return answers
+
+    def alive(self, key: str) -> list[str]:
+        """The liveliness tokens that stand on `key`.
+
+        Raises:
+            Unavailable: The session is closed.
+        """
+        try:
+            replies = self.session.liveliness().get(key, timeout=_LIVELINESS_SECS)
+        except zenoh.ZError as error:
+            raise self._broken(error) from error
+        return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+
+    def nodes(self) -> list[str]:
+        """The names of the daemons that are there.
+
+        Raises:
+            Unavailable: The session is closed.
+        """
+        return [key.split("/")[-2] for key in self.alive(self.node_key("*", "alive"))]
+
+    def gone(self) -> Unavailable:
+        """The error when no daemon is there any more."""
+        return Unavailable(
+            f"the daemon at {self.endpoint} is gone; what was being asked of it may or may not "
+            "have happened. This client finds it again when it is back"
+        )
+
+    def explain_silence(
+        self, swarm: str | None, before: frozenset[str] | None = None
+    ) -> JostleError:
+        """The error that no answer at all amounts to.
+
+        A query that nobody may answer returns at once and empty, whether there is nobody or the
+        daemon's access control swallowed it. Liveliness tokens tell which, if who was connected
+        `before` the query still is: otherwise they are those of a daemon that it never reached.
+        """
+        nodes = self.nodes()
+        if not nodes or (before is not None and before != self._connected()):
+            return self.gone()
+        if swarm is None or self.alive(self.swarm_key(swarm, "alive/*")):
+            who = f"node {nodes[0]!r}" if swarm is None else f"swarm {swarm!r}"
+            return PermissionDenied(
+                f"{who} is there but does not answer: this client is not permitted to ask that, "
+                "or the daemon is just closing"
+            )
+        where = ", ".join(repr(node) for node in nodes)
+        return NotFound(
+            f"no swarm is named {swarm!r} on {where}: create it, or look at `client.swarms()`",
+            details={"swarm": swarm},
+        )
+
+    def _connected(self) -> frozenset[str]:
+        """The zenoh nodes at the other end; a daemon that was started again is another one."""
+        try:
+            info = self.session.info
+            return frozenset(map(str, (*info.routers_zid(), *info.peers_zid())))
+        except zenoh.ZError as error:
+            raise self._broken(error) from error
+
+    def _broken(self, error: zenoh.ZError) -> Unavailable:
+        if self.session.is_closed():
+            return Unavailable("this client is closed: connect again")
+        return Unavailable(f"the session with {self.endpoint} failed: {error}")

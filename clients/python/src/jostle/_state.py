@@ -1,0 +1,191 @@
+"""States: columns of numbers as NumPy arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, cast
+
+import cbor2
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+from ._errors import Internal
+from ._messages import Certificate, Order, OrderSample, Phase, convert
+
+ORIGIN_UNIT = 1024.0
+"""An origin counts in units of so many body sizes."""
+
+# RFC 8746: what a byte string with this tag holds, as NumPy writes it.
+_U32 = (70, np.dtype("<u4"))
+_F64 = (86, np.dtype("<f8"))
+
+
+@dataclass(frozen=True, slots=True, eq=False, kw_only=True)
+class State:
+    """A swarm at one step: n individuals as columns, ordered by id.
+
+    The columns are views of the message they came in, so they cannot be written to; copy one to
+    change it. States compare by identity.
+
+    Attributes:
+        swarm: The swarm's name.
+        epoch: Grows whenever `step` does not continue what was published before.
+        frame: Counts the published states.
+        step: The number of steps since the start.
+        time: `step · dt`.
+        phase: What the swarm is doing.
+        origin: Two integers: where `x` and `y` are counted from, in units of 1024 body sizes.
+        id: Shape (n,), uint32; never used twice.
+        x: Shape (n,), body sizes, relative to the origin.
+        y: Shape (n,), body sizes, relative to the origin.
+        alpha: Shape (n,), headings in radians, counter-clockwise from +x, never wrapped.
+        weight: Shape (n,), of the preferred directions; 0 for the uninformed.
+        direction: Shape (n,), preferred directions in radians; 0 for the uninformed.
+        order: Order and drift.
+        certificate: How exact this state is.
+        state_hash: BLAKE3 in hexadecimal, on a state that `step` returned; else None.
+        skipped: In `for state in swarm.states()`: how many published states lie between the one
+            before and this, because the loop was slower than they came or they were lost.
+    """
+
+    swarm: str
+    epoch: int
+    frame: int
+    step: int
+    time: float
+    phase: Phase
+    origin: tuple[int, int]
+    id: NDArray[np.uint32]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    alpha: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    order: Order
+    certificate: Certificate
+    state_hash: str | None = None
+    skipped: int = 0
+
+    @property
+    def n(self) -> int:
+        """The size of the group."""
+        return len(self.id)
+
+    @property
+    def position(self) -> NDArray[np.float64]:
+        """Absolute positions, shape (n, 2), body sizes; a new array.
+
+        Far from home they are coarser than `x` and `y`, which is what the origin is for.
+        """
+        return np.column_stack((self.x, self.y)) + ORIGIN_UNIT * np.array(self.origin, float)
+
+    @property
+    def informed(self) -> NDArray[np.bool_]:
+        """Who has a direction of its own, shape (n,)."""
+        return self.weight > 0.0
+
+    def __repr__(self) -> str:
+        return (
+            f"State({self.swarm!r}, epoch={self.epoch}, step={self.step}, time={self.time:g}, "
+            f"phase={self.phase!r}, n={self.n}, order={self.order.order:.3f})"
+        )
+
+
+class _Head(msgspec.Struct, frozen=True, kw_only=True):
+    """All of a state but its columns."""
+
+    swarm: str
+    epoch: int
+    frame: int
+    step: int
+    time: float
+    phase: Phase
+    origin: tuple[int, int]
+    order: Order
+    certificate: Certificate
+
+
+def read_state(payload: bytes) -> State:
+    """Reads a state from CBOR.
+
+    Raises:
+        Internal: It is not what the contract says.
+    """
+    return _state(_read_map(payload))
+
+
+def read_state_reply(payload: bytes) -> State:
+    """Reads the state within the CBOR answer to `step`.
+
+    Raises:
+        Internal: It is not what the contract says.
+    """
+    result = _read_map(payload).get("result")
+    if not isinstance(result, dict) or not isinstance(result.get("state"), dict):
+        raise Internal("the daemon's answer holds no state")
+    return _state(result["state"], result.get("state_hash"))
+
+
+def _read_map(payload: bytes) -> dict[str, Any]:
+    # Without a hook a tagged byte string comes as it is, with every version of cbor2.
+    try:
+        fields = cbor2.loads(payload)
+    except (cbor2.CBORDecodeError, ValueError) as error:
+        raise Internal(f"the daemon sent CBOR that cannot be read: {error}") from error
+    if not isinstance(fields, dict):
+        raise Internal("the daemon sent CBOR that is not a map")
+    return cast("dict[str, Any]", fields)
+
+
+def _state(fields: Mapping[str, Any], state_hash: str | None = None) -> State:
+    head = convert(fields, _Head)
+    state = State(
+        swarm=head.swarm,
+        epoch=head.epoch,
+        frame=head.frame,
+        step=head.step,
+        time=head.time,
+        phase=head.phase,
+        origin=head.origin,
+        id=_column(fields, "id", *_U32),
+        x=_column(fields, "x", *_F64),
+        y=_column(fields, "y", *_F64),
+        alpha=_column(fields, "alpha", *_F64),
+        weight=_column(fields, "weight", *_F64),
+        direction=_column(fields, "direction", *_F64),
+        order=head.order,
+        certificate=head.certificate,
+        state_hash=state_hash,
+    )
+    lengths = {len(c) for c in (state.x, state.y, state.alpha, state.weight, state.direction)}
+    if lengths != {state.n}:
+        raise Internal(f"the daemon sent a state whose columns have lengths {sorted(lengths)}")
+    return state
+
+
+def _column(fields: Mapping[str, Any], name: str, tag: int, dtype: np.dtype[Any]) -> NDArray[Any]:
+    column = fields.get(name)
+    if not isinstance(column, cbor2.CBORTag) or column.tag != tag:
+        raise Internal(f"the daemon sent a state whose {name!r} is no typed array of tag {tag}")
+    try:
+        return np.frombuffer(column.value, dtype)
+    except (TypeError, ValueError) as error:
+        raise Internal(f"the daemon sent a state whose {name!r} is cut short: {error}") from error
+
+
+class Newest:
+    """Lets nothing through that is older than what went before, and counts what was skipped."""
+
+    def __init__(self) -> None:
+        self._position: tuple[int, int, int] | None = None
+
+    def admit(self, sample: State | OrderSample) -> int | None:
+        """How many published frames were skipped before `sample`; None if it is not newer."""
+        position = (sample.epoch, sample.step, sample.frame)
+        if self._position is not None and position <= self._position:
+            return None
+        skipped = 0 if self._position is None else sample.frame - self._position[2] - 1
+        self._position = position
+        return max(0, skipped)

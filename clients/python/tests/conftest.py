@@ -1,0 +1,141 @@
+"""The real daemon, on a port of its own."""
+
+from __future__ import annotations
+
+import itertools
+import os
+import re
+import selectors
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+import jostle
+
+ROOT = Path(__file__).resolve().parents[3]
+JOSTLED = Path(os.environ.get("JOSTLED", ROOT / "target" / "release" / "jostled"))
+
+# How long anything may take that is expected to happen; generous, since the machine is shared.
+PATIENCE_SECS = 20.0
+
+
+class Daemon:
+    """A `jostled serve` of this test run's own."""
+
+    def __init__(self, folder: Path, listen: str = "tcp/127.0.0.1:0") -> None:
+        self.log = folder / "jostled.log"
+        with self.log.open("ab") as log:
+            self.process = subprocess.Popen(
+                [JOSTLED, "serve", "--listen", listen],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                cwd=folder,
+            )
+        try:
+            self.endpoint = self._read_endpoint()
+        except BaseException:
+            self.kill()
+            raise
+
+    def _read_endpoint(self) -> str:
+        """Waits for the line that says where it listens."""
+        assert self.process.stdout is not None
+        deadline = time.monotonic() + PATIENCE_SECS
+        said = b""
+        with selectors.DefaultSelector() as selector:
+            selector.register(self.process.stdout, selectors.EVENT_READ)
+            while time.monotonic() < deadline:
+                if not selector.select(deadline - time.monotonic()):
+                    break
+                chunk = os.read(self.process.stdout.fileno(), 4096)
+                said += chunk
+                if found := re.search(rb"listening on (\S+)\n", said):
+                    return found[1].decode()
+                if not chunk:
+                    break
+        raise AssertionError(f"jostled does not listen: {said!r}, {self.log.read_text()}")
+
+    def stop(self) -> int:
+        """Asks it to stop, as a service manager would, and returns its exit code."""
+        self.process.terminate()
+        return self._reap()
+
+    def kill(self) -> None:
+        """Ends it where it stands."""
+        self.process.kill()
+        self._reap()
+
+    def freeze(self) -> None:
+        """Stops it from running without ending it."""
+        self.process.send_signal(signal.SIGSTOP)
+
+    def thaw(self) -> None:
+        """Lets it run again."""
+        self.process.send_signal(signal.SIGCONT)
+
+    def _reap(self) -> int:
+        try:
+            return self.process.wait(PATIENCE_SECS)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+            raise
+        finally:
+            assert self.process.stdout is not None
+            self.process.stdout.close()
+
+
+@pytest.fixture(scope="session")
+def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    """One daemon for every test that does it no harm."""
+    daemon = Daemon(tmp_path_factory.mktemp("daemon"))
+    yield daemon
+    assert daemon.stop() == 0, daemon.log.read_text()
+
+
+@pytest.fixture
+def own_daemon(tmp_path: Path) -> Iterator[Daemon]:
+    """A daemon for one test that does it harm."""
+    daemon = Daemon(tmp_path)
+    yield daemon
+    if daemon.process.poll() is None:
+        daemon.kill()
+
+
+@pytest.fixture
+def client(daemon: Daemon) -> Iterator[jostle.Client]:
+    """A client of the shared daemon."""
+    with jostle.connect(daemon.endpoint, client="pytest") as client:
+        yield client
+
+
+_numbers = itertools.count(1)
+
+
+@pytest.fixture
+def create(client: jostle.Client) -> Iterator[Callable[..., jostle.Swarm]]:
+    """Creates swarms of names of their own, and deletes them after the test."""
+    created: list[jostle.Swarm] = []
+
+    def create(n: int = 5, **fields: object) -> jostle.Swarm:
+        swarm = client.create(f"test-{next(_numbers)}", {"n": n, **fields})
+        created.append(swarm)
+        return swarm
+
+    yield create
+    names = {summary.swarm for summary in client.swarms()}
+    for swarm in created:
+        if swarm.name in names:
+            swarm.delete()
+
+
+def eventually(what: str, holds: Callable[[], bool]) -> None:
+    """Waits until `holds`, which asks the daemon, or fails saying `what` did not come about."""
+    deadline = time.monotonic() + PATIENCE_SECS
+    while not holds():
+        assert time.monotonic() < deadline, f"{what}: not within {PATIENCE_SECS} s"

@@ -1,0 +1,259 @@
+"""Every command and every question, as a user calls them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+import jostle
+
+Create = Callable[..., jostle.Swarm]
+
+
+def test_hello_and_status_tell_who_the_daemon_is(client: jostle.Client, create: Create) -> None:
+    hello = client.hello()
+    assert hello.node == client.node
+    assert hello.wire_version == 1
+    assert hello.limits.max_message_bytes >= 1 << 16
+    before = client.status()
+    create(n=7)
+    after = client.status()
+    assert after.swarms == before.swarms + 1
+    assert after.individuals == before.individuals + 7
+    assert after.clients >= 1
+    assert after.uptime_secs >= before.uptime_secs
+
+
+def test_defaults_here_are_the_daemons(client: jostle.Client, create: Create) -> None:
+    assert create(n=3).spec() == jostle.Spec(n=3)
+    named = jostle.Spec(n=4, pi1=2.0, seed=9, dt=0.01, rate=None, start=jostle.disc(5.0))
+    swarm = client.create("spec", named)
+    try:
+        assert swarm.spec() == named
+    finally:
+        swarm.delete()
+
+
+def test_a_created_swarm_is_listed_and_paused(client: jostle.Client, create: Create) -> None:
+    swarm = create(n=3)
+    status = swarm.status()
+    assert (status.swarm, status.phase, status.step, status.n) == (swarm.name, "paused", 0, 3)
+    assert status.reason == "created"
+    assert status.parameters.pi1 == 4.0
+    assert status.order.mean_order is None
+    (summary,) = [s for s in client.swarms() if s.swarm == swarm.name]
+    assert (summary.phase, summary.step, summary.n, summary.informed) == ("paused", 0, 3, 0)
+    assert [s.swarm for s in client.swarms()] == sorted(s.swarm for s in client.swarms())
+
+
+def test_create_takes_an_equal_swarm_as_it_is_if_told_so(client: jostle.Client) -> None:
+    spec = jostle.Spec(n=3, seed=1)
+    swarm = client.create("equal", spec)
+    try:
+        swarm.step(5)
+        assert client.create("equal", spec, exist_ok=True).status().step == 5
+        with pytest.raises(jostle.AlreadyExists):
+            client.create("equal", spec)
+        with pytest.raises(jostle.AlreadyExists):
+            client.create("equal", jostle.Spec(n=4), exist_ok=True)
+    finally:
+        swarm.delete()
+
+
+def test_step_arrives_where_it_says(create: Create) -> None:
+    swarm = create(n=5)
+    result = swarm.step(10)
+    assert (result.step, result.steps, result.phase) == (10, 10, "paused")
+    assert result.time == pytest.approx(0.2)
+    assert result.state_hash == swarm.status().state_hash
+    state = swarm.step(np.int64(2), state=True)
+    assert (state.step, state.n, state.state_hash) == (12, 5, swarm.status().state_hash)
+    assert state.x.tobytes() == swarm.state().x.tobytes()
+    assert swarm.step().step == 13
+
+
+def test_run_until_waits_for_the_end(create: Create) -> None:
+    swarm = create(n=5)
+    result = swarm.run(until_step=20, rate=None)
+    assert (result.until_step, result.rate) == (20, None)
+    assert swarm.wait(step=20).step == 20
+    assert swarm.wait(phase="paused").reason == "finished"
+    # The time is reached at the first step at or after it.
+    assert swarm.run(until=0.61, wait=True).step == 31
+
+
+def test_rate_left_out_is_unchanged_and_none_is_as_fast_as_possible(create: Create) -> None:
+    swarm = create(n=2, rate=3.0)
+    assert swarm.run().rate == 3.0
+    assert swarm.run(rate=np.float64(0.5)).rate == 0.5
+    assert swarm.run(rate=None).rate is None
+    assert swarm.run().rate is None
+    assert swarm.pause().phase == "paused"
+    assert swarm.pause().phase == "paused"
+
+
+def test_set_changes_what_is_named(create: Create) -> None:
+    swarm = create(n=5)
+    result = swarm.set(pi3=1.25, publish_every=np.int32(2))
+    assert (result.before.pi3, result.now.pi3) == (1.0, 1.25)
+    assert (result.before.publish_every, result.now.publish_every) == (5, 2)
+    assert (result.before.pi1, result.now.pi1, result.scaled_by) == (4.0, 4.0, 1.0)
+    assert swarm.set(pi2=0.25, pi4=5.0).now.pi3 == 1.25
+    assert swarm.status().parameters == jostle.ParameterValues(
+        pi1=4.0, pi2=0.25, pi3=1.25, pi4=5.0, publish_every=2
+    )
+
+
+def test_longer_bodies_are_let_in_with_make_room(create: Create) -> None:
+    swarm = create(n=20, pi1=1.0)
+    swarm.step(500)
+    result = swarm.set(pi1=8.0, make_room=True)
+    assert result.now.pi1 == 8.0
+    assert result.scaled_by >= 1.0
+
+
+def test_inform_and_uninform_every_way_of_selecting(create: Create) -> None:
+    swarm = create(n=10, seed=3)
+    assert swarm.inform(jostle.ids(np.array([4, 2])), np.pi / 2, weight=0.75).ids == [2, 4]
+    state = swarm.state()
+    assert state.informed.nonzero()[0].tolist() == [2, 4]
+    assert state.direction[2] == np.pi / 2
+    assert state.weight[2] == 0.75
+    assert state.order.direction == pytest.approx(np.pi / 2)
+    assert len(swarm.inform(jostle.count(3), 0.0).ids) == 3
+    assert len(swarm.inform(jostle.fraction(0.5), 0.0).ids) == 5
+    assert swarm.inform(jostle.within(0.0, 0.0, 1e3), 0.0).ids == list(range(10))
+    assert swarm.status().informed == 10
+    (front,) = swarm.inform(jostle.foremost(1, along=0.0), 0.0).ids
+    assert front == int(np.argmax(swarm.state().position[:, 0]))
+    assert len(swarm.uninform({"count": 4}).ids) == 4
+    assert swarm.uninform({"fraction": 1.0}).n == 10
+    assert swarm.status().informed == 0
+
+
+def test_informed_for_a_time_lapses(create: Create) -> None:
+    swarm = create(n=3)
+    swarm.inform(jostle.ids([1]), 0.0, for_time=0.1)
+    assert swarm.step(4, state=True).informed.tolist() == [False, True, False]
+    assert not swarm.step(2, state=True).informed.any()
+
+
+def test_inject_and_remove(create: Create) -> None:
+    swarm = create(n=5)
+    assert swarm.inject(2).ids == [5, 6]
+    at = np.array([[100.0, 0.0, 0.5], [110.0, 0.0, -0.5]])
+    result = swarm.inject(at=at, direction=0.25, weight=2.0)
+    assert (result.ids, result.n) == ([7, 8], 9)
+    state = swarm.state()
+    np.testing.assert_allclose(state.position[-2:], at[:, :2], rtol=0, atol=1e-12)
+    assert state.alpha[-2:].tolist() == [0.5, -0.5]
+    assert state.weight[-2:].tolist() == [2.0, 2.0]
+    (alone,) = swarm.inject(1, within=(-100.0, 50.0, 2.0)).ids
+    assert math.dist(swarm.state().position[-1], (-100.0, 50.0)) <= 2.0
+    assert swarm.inject(1, within={"x": 50.0, "y": 50.0, "radius": 3.0}).n == 11
+    result = swarm.remove(jostle.ids([0, alone]))
+    assert (result.ids, result.n) == ([0, alone], 9)
+    assert 0 not in swarm.state().id
+
+
+def test_reset_begins_a_new_epoch_at_the_start(create: Create) -> None:
+    swarm = create(n=5, seed=1)
+    start = swarm.status()
+    swarm.step(10)
+    result = swarm.reset()
+    assert (result.step, result.seed, result.phase) == (0, 1, "paused")
+    assert result.epoch > start.epoch
+    assert result.state_hash == start.state_hash
+    assert swarm.reset(seed=2).state_hash != start.state_hash
+    assert swarm.status().seed == 2
+
+
+def test_delete_ends_a_swarm(client: jostle.Client) -> None:
+    swarm = client.create("short-lived", jostle.Spec(n=2))
+    assert swarm.delete().swarm == "short-lived"
+    assert "short-lived" not in [summary.swarm for summary in client.swarms()]
+    with pytest.raises(jostle.NotFound):
+        swarm.status()
+
+
+def test_leaving_a_with_block_deletes_nothing(client: jostle.Client, create: Create) -> None:
+    with create(n=2) as swarm:
+        stream = swarm.states()
+    assert list(stream) == []
+    assert swarm.status().n == 2
+
+
+def test_wait_returns_when_the_step_is_reached_and_in_the_phase(create: Create) -> None:
+    swarm = create(n=3)
+    swarm.step(5)
+    assert swarm.wait(step=3).step == 5
+    assert swarm.wait(phase="paused").phase == "paused"
+    swarm.run(until_step=50, rate=None)
+    assert swarm.wait(step=40, timeout=20.0).step >= 40
+
+
+def test_wait_says_why_a_step_will_not_be_reached(create: Create) -> None:
+    swarm = create(n=3)
+    with pytest.raises(jostle.IncorrectState, match="step 0") as caught:
+        swarm.wait(step=10)
+    assert caught.value.step == 0
+    with pytest.raises(jostle.DeadlineExceeded):
+        swarm.wait(phase="running", timeout=0.05)
+    with pytest.raises(jostle.InvalidArgument):
+        swarm.wait(step=1, phase="paused")  # type: ignore[call-overload]
+    with pytest.raises(jostle.InvalidArgument):
+        swarm.run(wait=True)
+
+
+def test_a_given_start_is_taken_to_the_bit(client: jostle.Client) -> None:
+    x = np.array([0.1, -7.0000000000000009, 20 / 3])
+    y = np.array([1e-300, np.nextafter(3.0, 4.0), -0.0])
+    alpha = np.array([-270.02419291642303, 5e-324, np.pi])
+    swarm = client.create("given", jostle.Spec(n=3, start=jostle.given(x, y, alpha)))
+    try:
+        state = swarm.state()
+        assert state.origin == (0, 0)
+        assert (state.x.tobytes(), state.y.tobytes()) == (x.tobytes(), y.tobytes())
+        assert state.alpha.tobytes() == alpha.tobytes()
+        start = swarm.spec().start
+        assert isinstance(start, jostle.Given)
+        assert np.array(start.alpha).tobytes() == alpha.tobytes()
+    finally:
+        swarm.delete()
+
+
+def test_one_individual_alone_is_a_swarm(create: Create) -> None:
+    swarm = create(n=1)
+    swarm.inform(jostle.count(1), 0.0)
+    state = swarm.step(1500, state=True)
+    assert (state.n, state.position.shape) == (1, (1, 2))
+    assert math.cos(state.alpha[0]) == pytest.approx(1.0)
+    with pytest.raises(jostle.InvalidArgument):
+        swarm.remove(jostle.count(1))
+
+
+def test_the_same_commands_lead_to_the_same_hash(create: Create) -> None:
+    def run() -> tuple[list[str], bytes]:
+        swarm = create(n=20, seed=5)
+        hashes = [swarm.step(50).state_hash]
+        informed = swarm.inform(jostle.fraction(0.2), 1.0)
+        swarm.set(pi3=2.0)
+        hashes.append(swarm.step(50).state_hash)
+        swarm.inject(2)
+        swarm.remove(jostle.ids(informed.ids[:1]))
+        state = swarm.step(50, state=True)
+        return [*hashes, str(state.state_hash)], state.x.tobytes()
+
+    assert run() == run()
+
+
+def test_every_command_is_told_as_an_event_with_who_sent_it(create: Create) -> None:
+    swarm = create(n=3)
+    with swarm.events(timeout=20.0) as events:
+        swarm.set(pi3=2.0)
+        event = next(event for event in events if event.kind == "command")
+    assert (event.verb, event.args, event.client) == ("set", {"pi3": 2.0}, "pytest")
+    assert event.request_id is not None

@@ -1,0 +1,332 @@
+"""Each error as a user meets it."""
+
+from __future__ import annotations
+
+import os
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import pytest
+import zenoh
+
+import jostle
+from conftest import PATIENCE_SECS, Daemon, eventually
+
+Create = Callable[..., jostle.Swarm]
+
+
+def test_no_daemon_is_told_at_once_with_a_remedy() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
+        began = time.monotonic()
+        with pytest.raises(jostle.Unavailable, match="jostled serve") as caught:
+            jostle.connect(endpoint)
+    assert endpoint in caught.value.message
+    assert time.monotonic() - began < 2.0
+
+
+def test_something_else_that_listens_does_not_hold_the_caller_up() -> None:
+    with socket.socket() as mute:
+        mute.bind(("127.0.0.1", 0))
+        mute.listen()
+        began = time.monotonic()
+        with pytest.raises(jostle.Unavailable):
+            jostle.connect(f"tcp/127.0.0.1:{mute.getsockname()[1]}", timeout=0.3)
+    assert time.monotonic() - began < 3.0
+
+
+def test_the_endpoint_is_the_environments(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("JOSTLE_ENDPOINT", daemon.endpoint)
+    with jostle.connect() as client:
+        assert client.endpoint == daemon.endpoint
+        with jostle.connect(node=client.node) as same:
+            assert same.node == client.node
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        {"endpoint": "127.0.0.1:7447"},
+        {"endpoint": "tcp"},
+        {"node": "*"},
+        {"prefix": "jostle/*"},
+        {"prefix": "/jostle"},
+        {"prefix": ""},
+        {"client": "a" * 257},
+        {"timeout": 0.0},
+        {"timeout": float("nan")},
+        {"timeout": "5"},
+    ],
+)
+def test_what_cannot_be_connected_to_is_refused(arguments: dict[str, Any]) -> None:
+    with pytest.raises(jostle.InvalidArgument):
+        jostle.connect(**arguments)
+
+
+def test_another_node_or_prefix_is_nobody(daemon: Daemon) -> None:
+    with pytest.raises(jostle.Unavailable, match="nobody-of-this-name"):
+        jostle.connect(daemon.endpoint, node="nobody-of-this-name")
+    with pytest.raises(jostle.Unavailable, match="prefix"):
+        jostle.connect(daemon.endpoint, prefix="elsewhere")
+
+
+def test_not_found_is_told_for_every_call(client: jostle.Client) -> None:
+    swarm = client.swarm("nobody")
+    calls: list[Callable[[], object]] = [
+        swarm.status,
+        swarm.state,
+        swarm.spec,
+        swarm.states,
+        swarm.orders,
+        swarm.events,
+        swarm.pause,
+        swarm.delete,
+        lambda: swarm.step(3, state=True),
+        lambda: swarm.wait(step=1),
+    ]
+    for call in calls:
+        with pytest.raises(jostle.NotFound, match="nobody"):
+            call()
+
+
+def test_invalid_arguments_name_the_field(client: jostle.Client, create: Create) -> None:
+    swarm = create(n=3)
+    calls: list[tuple[str, Callable[[], object]]] = [
+        ("steps", lambda: swarm.step(0)),
+        ("steps", lambda: swarm.step(1.5)),  # type: ignore[call-overload]
+        ("direction", lambda: swarm.inform(jostle.count(1), "east")),  # type: ignore[arg-type]
+        ("direction", lambda: swarm.inform(jostle.count(1), np.nan)),
+        ("pi1", lambda: swarm.set(pi1=0.5)),
+        ("ids", lambda: swarm.inform(jostle.ids([99]), 0.0)),
+        ("fraction", lambda: swarm.inform(jostle.fraction(1.5), 0.0)),
+        ("colour", lambda: client.create("a", {"n": 1, "colour": "red"})),
+        ("n", lambda: client.create("a", {})),
+        ("n", lambda: client.create("a", jostle.Spec(n=0))),
+        ("x", lambda: client.create("a", jostle.Spec(n=2, start=jostle.given([0], [0], [0])))),
+        ("timeout", lambda: swarm.pause(timeout=-1.0)),
+        ("timeout", lambda: swarm.pause(timeout=1e9)),
+    ]
+    for field, call in calls:
+        with pytest.raises(jostle.InvalidArgument) as caught:
+            call()
+        error = caught.value
+        assert field in f"{error.message} {error.details}", error
+    with pytest.raises(TypeError):
+        swarm.pause(expect_stop=3)  # type: ignore[call-arg]
+    assert swarm.status().seq == 0
+
+
+def test_a_step_of_a_running_swarm_is_an_incorrect_state(create: Create) -> None:
+    swarm = create(n=2)
+    swarm.run()
+    with pytest.raises(jostle.IncorrectState) as caught:
+        swarm.step()
+    assert caught.value.step is not None
+
+
+def test_limits_of_the_daemon_are_told(client: jostle.Client) -> None:
+    with pytest.raises(jostle.ResourceExhausted):
+        client.create("crowd", jostle.Spec(n=50, start=jostle.disc(0.5)))
+    numbers = np.full(60_000, 0.1234567890123456)
+    spec = jostle.Spec(n=60_000, start=jostle.given(numbers, numbers, numbers))
+    with pytest.raises(jostle.ResourceExhausted, match="max_message_bytes") as caught:
+        client.create("long", spec)
+    assert caught.value.details["max"] == client.hello().limits.max_message_bytes
+    assert caught.value.details["got"] > caught.value.details["max"]
+
+
+def test_the_longest_request_taken_here_arrives_there(client: jostle.Client) -> None:
+    limit = client.hello().limits.max_message_bytes
+    spaces = limit - 4096 - 400
+    with pytest.raises(jostle.InvalidArgument):
+        client.create("padded", {"n": 1, "contacts": "x" * spaces})
+
+
+def test_an_expected_step_or_epoch_that_is_not_is_a_conflict(create: Create) -> None:
+    swarm = create(n=2)
+    swarm.step(3, expect_step=0)
+    with pytest.raises(jostle.Conflict) as caught:
+        swarm.set(pi3=2.0, expect_step=0)
+    assert caught.value.step == 3
+    epoch = swarm.status().epoch
+    with pytest.raises(jostle.Conflict):
+        swarm.pause(expect_epoch=epoch + 1)
+    assert swarm.pause(expect_step=3, expect_epoch=epoch).step == 3
+    assert swarm.status().parameters.pi3 == 1.0
+    with pytest.raises(jostle.Conflict):
+        swarm.run(until_step=1)
+
+
+def test_a_deadline_is_told_and_the_work_goes_on(create: Create) -> None:
+    swarm = create(n=100)
+    with pytest.raises(jostle.DeadlineExceeded):
+        swarm.step(2000, timeout=0.05)
+    assert swarm.wait(phase="paused").step == 2000
+
+
+def test_too_much_at_once_is_busy(daemon: Daemon, create: Create) -> None:
+    swarm = create(n=2)
+    selector = f"jostle/{swarm.name}/get/wait?phase=running;timeout_secs=20"
+
+    def is_busy() -> bool:
+        try:
+            swarm.wait(phase="running", timeout=0.05)
+        except jostle.Busy:
+            return True
+        except jostle.DeadlineExceeded:
+            pass
+        held.extend(session.get(selector) for _ in range(100))
+        return False
+
+    with zenoh_session(daemon.endpoint) as session:
+        held: list[zenoh.Handler[zenoh.Reply]] = []
+        eventually("more wait for one swarm than may", is_busy)
+        # Whoever was let in is answered, and what is no waiting goes on meanwhile.
+        swarm.run()
+        assert any(reply.ok for replies in held for reply in replies)
+
+
+def test_a_fault_is_told_and_reset_goes_on(create: Create) -> None:
+    # Steps so long that bodies are carried across one another.
+    for seed in range(20):
+        swarm = create(n=100, pi1=2.0, pi2=0.0, pi4=1000.0, dt=0.5, seed=seed, rate=None)
+        try:
+            swarm.step(2000)
+        except jostle.Faulted as error:
+            step = error.step
+            break
+    else:
+        pytest.fail("no swarm faulted")
+    assert (swarm.status().phase, swarm.status().step) == ("faulted", step)
+    with pytest.raises(jostle.IncorrectState):
+        swarm.step()
+    with pytest.raises(jostle.IncorrectState):
+        swarm.set(pi3=0.5)
+    with pytest.raises(jostle.Faulted):
+        swarm.wait(step=10_000)
+    assert swarm.wait(phase="faulted").step == step
+    assert swarm.state().step == step
+    assert swarm.reset().phase == "paused"
+    with pytest.raises(jostle.Faulted):
+        swarm.run(until_step=2000, wait=True)
+
+
+def zenoh_session(endpoint: str, mode: str = "connect") -> zenoh.Session:
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"' if mode == "connect" else '"peer"')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5(f"{mode}/endpoints", f'["{endpoint}"]')
+    return zenoh.open(config)
+
+
+def test_alive_but_silent_is_not_permitted() -> None:
+    # A daemon whose access control swallows queries looks like this from outside.
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
+    with zenoh_session(endpoint, "listen") as silent:
+        token = silent.liveliness().declare_token("jostle/@node/silent/alive")
+        with pytest.raises(jostle.PermissionDenied, match="silent"):
+            jostle.connect(endpoint)
+        token.undeclare()
+
+
+def test_a_killed_daemon_is_unavailable_and_found_again(own_daemon: Daemon) -> None:
+    folder = own_daemon.log.parent
+    with jostle.connect(own_daemon.endpoint) as client:
+        swarm = client.create("lost", jostle.Spec(n=2))
+        own_daemon.kill()
+        with pytest.raises(jostle.Unavailable):
+            swarm.status()
+        with pytest.raises(jostle.Unavailable):
+            client.swarms()
+        again = Daemon(folder, own_daemon.endpoint)
+        try:
+            eventually("the client finds the daemon again", lambda: answers(client))
+            assert client.create("found", jostle.Spec(n=2)).step(2).step == 2
+        finally:
+            assert again.stop() == 0
+
+
+def answers(client: jostle.Client) -> bool:
+    try:
+        client.hello()
+    except jostle.Unavailable:
+        return False
+    return True
+
+
+def test_a_daemon_killed_while_it_works_is_unavailable(own_daemon: Daemon) -> None:
+    with jostle.connect(own_daemon.endpoint) as client, ThreadPoolExecutor(1) as pool:
+        swarm = client.create("doomed", jostle.Spec(n=50))
+        work = pool.submit(swarm.step, 1_000_000_000)
+        swarm.wait(phase="running")
+        own_daemon.kill()
+        with pytest.raises(jostle.Unavailable):
+            work.result(PATIENCE_SECS)
+
+
+def test_a_frozen_daemon_is_unavailable_after_the_deadline(own_daemon: Daemon) -> None:
+    with jostle.connect(own_daemon.endpoint, timeout=0.2) as client:
+        swarm = client.create("frozen", jostle.Spec(n=2))
+        own_daemon.freeze()
+        began = time.monotonic()
+        with pytest.raises(jostle.Unavailable):
+            swarm.status()
+        assert time.monotonic() - began < 8.0
+        own_daemon.thaw()
+        eventually("the client finds the daemon again", lambda: answers(client))
+
+
+def test_a_closed_client_says_so(daemon: Daemon) -> None:
+    client = jostle.connect(daemon.endpoint)
+    client.close()
+    client.close()
+    with pytest.raises(jostle.Unavailable, match="closed"):
+        client.swarms()
+    with pytest.raises(jostle.Unavailable):
+        client.swarm("any").states()
+
+
+def test_ctrl_c_interrupts_a_wait(daemon: Daemon, create: Create) -> None:
+    swarm = create(n=2)
+    code = (
+        "import jostle, sys\n"
+        f"swarm = jostle.connect({daemon.endpoint!r}).swarm({swarm.name!r})\n"
+        "print('waiting', flush=True)\n"
+        "swarm.wait(phase='running')\n"
+    )
+    process = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "waiting\n"
+    process.send_signal(2)
+    _, said = process.communicate(timeout=PATIENCE_SECS)
+    assert "KeyboardInterrupt" in said
+
+
+def test_one_client_serves_many_threads(client: jostle.Client, create: Create) -> None:
+    swarms = [create(n=2) for _ in range(4)]
+    barrier = threading.Barrier(8)
+
+    def work(number: int) -> int:
+        barrier.wait()
+        swarm = swarms[number % 4]
+        for _ in range(20):
+            swarm.set(pi3=1.0 + number)
+        return swarm.status().seq
+
+    with ThreadPoolExecutor(8) as pool:
+        list(pool.map(work, range(8)))
+    assert [swarm.status().seq for swarm in swarms] == [40] * 4
+    assert client.node
+    assert os.getpid()

@@ -1,0 +1,64 @@
+"""The examples run to their end, and the README says what is so."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+import jostle
+from conftest import Daemon
+
+FOLDER = Path(__file__).resolve().parents[1]
+Create = Callable[..., jostle.Swarm]
+
+
+def run(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-W", "error", FOLDER / "examples" / script, *arguments],
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize("script", ["steer.py", "bare_zenoh.py"])
+@pytest.mark.parametrize("n", [1, 20])
+def test_an_example_steers_and_takes_the_direction_away_again(
+    script: str, n: int, daemon: Daemon, create: Create
+) -> None:
+    swarm = create(n=n, rate=20.0)
+    swarm.run()
+    ran = run(script, swarm.name, "--endpoint", daemon.endpoint, "--for", "6")
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert len(re.findall(r"^ +\d+\.\d  +\d\.\d\d  +[+-]\d\.\d\d$", ran.stdout, re.M)) >= 8
+    assert "90°" in ran.stdout
+    assert swarm.status().informed == 0
+
+
+@pytest.mark.parametrize("script", ["steer.py", "bare_zenoh.py"])
+def test_an_example_says_what_is_missing(script: str, daemon: Daemon) -> None:
+    ran = run(script, "nobody", "--endpoint", daemon.endpoint, "--for", "6")
+    assert ran.returncode != 0
+    assert "nobody" in ran.stderr
+
+
+def test_the_readme_runs(
+    daemon: Daemon, client: jostle.Client, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (code,) = re.findall(r"```python\n(.*?)```", (FOLDER / "README.md").read_text(), re.S)
+    monkeypatch.setenv("JOSTLE_ENDPOINT", daemon.endpoint)
+    exec(compile(code, "README.md", "exec"), {})
+    client.swarm("school").delete()
+
+
+def test_steering_a_swarm_that_stands_ends_with_a_remedy(daemon: Daemon, create: Create) -> None:
+    swarm = create(n=2)
+    ran = run("bare_zenoh.py", swarm.name, "--endpoint", daemon.endpoint)
+    assert ran.returncode != 0
+    assert "paused" in ran.stderr

@@ -1,0 +1,177 @@
+"""What a swarm publishes, as iterators."""
+
+from __future__ import annotations
+
+import gc
+import threading
+import time
+import weakref
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import pytest
+
+import jostle
+from conftest import PATIENCE_SECS, Daemon, eventually
+
+Create = Callable[..., jostle.Swarm]
+
+
+def test_states_begin_with_the_one_now_and_never_go_back(create: Create) -> None:
+    swarm = create(n=3, publish_every=1)
+    swarm.step(5)
+    with swarm.states(timeout=PATIENCE_SECS) as states:
+        first = next(states)
+        assert (first.step, first.skipped) == (5, 0)
+        swarm.run(until_step=60, rate=None)
+        places = [(first.epoch, first.step, first.frame)]
+        for state in states:
+            places.append((state.epoch, state.step, state.frame))
+            if state.step == 60 and state.phase == "paused":
+                break
+    assert places == sorted(set(places))
+
+
+def test_a_slow_reader_gets_the_newest_and_is_told_what_it_skipped(create: Create) -> None:
+    swarm = create(n=3, publish_every=1)
+    with swarm.states(timeout=PATIENCE_SECS) as states:
+        first = next(states)
+        # Not a state of these is read, while one after the other is published.
+        for _ in range(30):
+            swarm.step()
+        seen = []
+        for state in states:
+            seen.append(state)
+            if state.step == 30 and state.phase == "paused":
+                break
+    assert sum(state.skipped + 1 for state in seen) == seen[-1].frame - first.frame
+    assert len(seen) < 10
+    assert sum(state.skipped for state in seen) > 0
+
+
+def test_a_command_shows_in_a_paused_swarm(create: Create) -> None:
+    swarm = create(n=3)
+    with swarm.states(timeout=PATIENCE_SECS) as states:
+        assert not next(states).informed.any()
+        swarm.inform(jostle.ids([1]), 0.5)
+        assert next(state for state in states if state.informed.any()).direction[1] == 0.5
+
+
+def test_a_reset_shows_as_a_new_epoch(create: Create) -> None:
+    swarm = create(n=3)
+    swarm.step(20)
+    with swarm.states(timeout=PATIENCE_SECS) as states:
+        epoch = next(states).epoch
+        swarm.reset()
+        after = next(state for state in states if state.epoch > epoch)
+        assert after.step == 0
+
+
+def test_nothing_for_too_long_is_a_deadline_and_the_stream_goes_on(create: Create) -> None:
+    swarm = create(n=3)
+    with swarm.states(timeout=0.05) as states:
+        next(states)
+        with pytest.raises(jostle.DeadlineExceeded, match="paused"):
+            next(states)
+        swarm.step(5)
+
+        def arrives() -> bool:
+            try:
+                return next(states).step == 5
+            except jostle.DeadlineExceeded:
+                return False
+
+        eventually("the state arrives", arrives)
+    with pytest.raises(jostle.InvalidArgument):
+        swarm.states(timeout=-1.0)
+
+
+def test_orders_tell_order_and_drift(create: Create) -> None:
+    swarm = create(n=5, publish_every=1)
+    swarm.inform(jostle.count(5), 0.0)
+    with swarm.orders(timeout=PATIENCE_SECS) as orders:
+        swarm.step(3)
+        sample = next(sample for sample in orders if sample.step == 3)
+    assert (sample.swarm, sample.n, sample.informed) == (swarm.name, 5, 5)
+    assert 0.0 <= sample.order.order <= 1.0
+    assert sample.order.drift == pytest.approx(sample.order.velocity[0])
+
+
+def test_events_come_all_and_in_order(create: Create) -> None:
+    swarm = create(n=3)
+    with swarm.events(timeout=PATIENCE_SECS) as events:
+        for number in range(200):
+            swarm.set(pi3=0.25 + number / 1024)
+        got = []
+        for event in events:
+            got.append(event)
+            if event.kind == "command" and event.args == {"pi3": 0.25 + 199 / 1024}:
+                break
+    numbers = [event.number for event in got]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+    assert [e.args["pi3"] for e in got if e.kind == "command"] == [
+        0.25 + number / 1024 for number in range(200)
+    ]
+
+
+def test_every_stream_ends_when_the_swarm_is_deleted(create: Create) -> None:
+    swarm = create(n=3)
+    streams: list[jostle.Stream[Any]] = [swarm.states(), swarm.orders(), swarm.events()]
+    with ThreadPoolExecutor(len(streams)) as pool:
+        drained = [pool.submit(list[Any], stream) for stream in streams]
+        swarm.run()
+        began = time.monotonic()
+        swarm.delete()
+        items = [work.result(PATIENCE_SECS) for work in drained]
+    assert time.monotonic() - began < 5.0
+    last = items[-1][-1]
+    assert isinstance(last, jostle.Event)
+    assert last.kind == "deleted"
+
+
+@pytest.mark.parametrize("politely", [True, False])
+def test_a_daemon_that_goes_away_is_told(own_daemon: Daemon, politely: bool) -> None:
+    with jostle.connect(own_daemon.endpoint) as client, ThreadPoolExecutor(2) as pool:
+        swarm = client.create("lost", jostle.Spec(n=3, rate=None))
+        work = [pool.submit(list[object], stream) for stream in (swarm.states(), swarm.events())]
+        swarm.run()
+        if politely:
+            assert own_daemon.stop() == 0
+        else:
+            own_daemon.kill()
+        for stream in work:
+            with pytest.raises(jostle.Unavailable):
+                stream.result(PATIENCE_SECS)
+
+
+def test_closing_from_elsewhere_ends_the_loop(daemon: Daemon, create: Create) -> None:
+    swarm = create(n=3)
+    closers: list[Callable[[jostle.Client, jostle.Swarm, jostle.Stream[jostle.State]], None]] = [
+        lambda client, swarm, stream: stream.close(),
+        lambda client, swarm, stream: swarm.close(),
+        lambda client, swarm, stream: client.close(),
+    ]
+    for close in closers:
+        with jostle.connect(daemon.endpoint) as client, ThreadPoolExecutor(1) as pool:
+            mine = client.swarm(swarm.name)
+            stream = mine.states()
+            next(stream)
+            work = pool.submit(list[jostle.State], stream)
+            close(client, mine, stream)
+            assert work.result(PATIENCE_SECS) == []
+            assert list(stream) == []
+
+
+def test_a_stream_that_nobody_holds_stops_listening(create: Create) -> None:
+    swarm = create(n=3)
+    before = threading.active_count()
+    for state in swarm.states():
+        assert state.step == 0
+        break
+    stream = swarm.states()
+    held = weakref.ref(stream)
+    del stream
+    gc.collect()
+    assert held() is None
+    eventually("its threads end", lambda: threading.active_count() <= before)

@@ -1,0 +1,84 @@
+"""The public surface, against a checked listing: whoever removes a line breaks someone.
+
+`python tests/test_surface.py` prints the listing; `tests/surface.txt` is where it is kept.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import typing
+from collections.abc import Iterator
+from pathlib import Path
+
+import msgspec
+
+import jostle
+
+LISTING = Path(__file__).with_name("surface.txt")
+
+
+def describe(name: str, thing: object) -> Iterator[str]:
+    """One line for each thing that someone may use, and how it is called."""
+    if inspect.isfunction(thing):
+        yield f"def {name}{inspect.signature(thing)}"
+    elif isinstance(thing, type):
+        bases = ", ".join(base.__name__ for base in thing.__bases__ if base is not object)
+        yield f"class {name}({bases})"
+        if issubclass(thing, msgspec.Struct):
+            for field in msgspec.structs.fields(thing):
+                yield f"    {field.name}{'' if field.required else ' = …'}"
+        elif dataclasses.is_dataclass(thing):
+            for column in dataclasses.fields(thing):
+                yield f"    {column.name}: {column.type}"
+        elif typing.is_typeddict(thing):
+            for key, annotation in thing.__annotations__.items():
+                yield f"    {key}: {getattr(annotation, '__forward_arg__', annotation)}"
+        for member, value in sorted(vars(thing).items()):
+            if member.startswith("_"):
+                continue
+            if isinstance(value, property):
+                yield f"    {member} (property)"
+            elif inspect.isfunction(value):
+                yield f"    def {member}{inspect.signature(value)}"
+    else:
+        yield f"{name}: {thing}"
+
+
+def listing() -> str:
+    """Everything in `__all__`, in its order."""
+    lines = [line for name in jostle.__all__ for line in describe(name, getattr(jostle, name))]
+    return "\n".join(lines) + "\n"
+
+
+def test_the_public_surface_is_the_one_listed() -> None:
+    assert listing() == LISTING.read_text(encoding="utf-8")
+
+
+def test_all_is_sorted_and_complete() -> None:
+    assert list(jostle.__all__) == sorted(jostle.__all__)
+    public = {
+        name
+        for name, thing in vars(jostle).items()
+        if not name.startswith("_") and not inspect.ismodule(thing)
+    }
+    assert public == set(jostle.__all__)
+
+
+def test_every_error_is_in_one_tree() -> None:
+    errors = [
+        thing
+        for thing in map(jostle.__dict__.get, jostle.__all__)
+        if isinstance(thing, type) and issubclass(thing, jostle.JostleError)
+    ]
+    assert len(errors) == 14
+    assert all(error in errors or not issubclass(error, Exception) for error in _classes())
+    assert len({error.code for error in errors}) == len(errors)
+
+
+def _classes() -> list[type]:
+    return [thing for thing in vars(jostle).values() if isinstance(thing, type)]
+
+
+if __name__ == "__main__":
+    print(listing(), end="")
