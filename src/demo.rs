@@ -18,6 +18,7 @@ use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::order::{
     Answer, Answered, Awaited, Expectation, Order, OrderError, Outcome, Sender,
 };
+use crate::swarm::waiters::Waiter;
 
 /// Its name.
 const NAME: &str = "demo";
@@ -153,11 +154,11 @@ async fn go_to(
     tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
     tick.tick().await;
     let (answer, answered) = oneshot::channel();
-    swarm.send(Ticket::Wait {
+    swarm.send(Ticket::Wait(Waiter {
         awaited: Awaited::Reached(until_step),
         is_abandoned: Box::new(|| false),
         answer: Box::new(move |it| drop(answer.send(it))),
-    });
+    }));
     tokio::pin!(
         let arrived = outcome(answered);
     );

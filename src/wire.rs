@@ -6,8 +6,8 @@ use jostle_proto::verbs::{
     StepResult,
 };
 use serde::Serialize;
+use thiserror::Error;
 
-use crate::command::CommandError;
 use crate::host::Limits;
 use crate::model::injection;
 use crate::model::parameters::{Attraction, ContactRule, Parameters};
@@ -25,14 +25,44 @@ const FASTEST_RATE: f64 = 1e6;
 /// The most steps between two published states.
 const LONGEST_PUBLISHING: u64 = 1_000_000_000;
 
+/// Why a value that crossed the wire is refused.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum WireError {
+    /// A number is outside its range.
+    #[error("{field} = {value} is outside its range")]
+    OutOfRange {
+        /// Which.
+        field: &'static str,
+        /// The value refused.
+        value: f64,
+    },
+    /// A column does not have one number for each individual.
+    #[error("{field} has {length} numbers, n is {n}")]
+    Length {
+        /// Which column.
+        field: &'static str,
+        /// Its length.
+        length: usize,
+        /// What it should be.
+        n: u64,
+    },
+}
+
+impl WireError {
+    /// A number outside its range.
+    pub fn out_of_range(field: &'static str, value: f64) -> Self {
+        WireError::OutOfRange { field, value }
+    }
+}
+
 // ---- From the wire.
 
 /// What a spec of `n` individuals describes. `n` has been admitted.
 ///
 /// # Errors
 ///
-/// [`CommandError`] names the first field that is wrong; parameters are the model's to check.
-pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, CommandError> {
+/// [`WireError`] names the first field that is wrong; parameters are the model's to check.
+pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, WireError> {
     let proto::Spec {
         pi1,
         pi2,
@@ -44,14 +74,14 @@ pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, CommandError> {
         ..
     } = *spec;
     if spec.noise != 0.0 {
-        return Err(CommandError::out_of_range("noise", spec.noise));
+        return Err(WireError::out_of_range("noise", spec.noise));
     }
     let start = match &spec.start {
         proto::Start::Disc { radius } => Start::Disc(*radius),
         proto::Start::Given { x, y, alpha } => {
             for (field, column) in [("start.x", x), ("start.y", y), ("start.alpha", alpha)] {
                 if column.len() != n {
-                    return Err(CommandError::Length {
+                    return Err(WireError::Length {
                         field,
                         length: column.len(),
                         n: spec.n,
@@ -88,23 +118,23 @@ pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, CommandError> {
 ///
 /// # Errors
 ///
-/// [`CommandError::OutOfRange`].
-pub fn whole(field: &'static str, number: u64) -> Result<u64, CommandError> {
+/// [`WireError::OutOfRange`].
+pub fn whole(field: &'static str, number: u64) -> Result<u64, WireError> {
     if number <= LARGEST_WHOLE {
         return Ok(number);
     }
-    Err(CommandError::out_of_range(field, number as f64))
+    Err(WireError::out_of_range(field, number as f64))
 }
 
 /// A rate.
 ///
 /// # Errors
 ///
-/// [`CommandError::OutOfRange`].
-pub fn rate(rate: Rate) -> Result<Rate, CommandError> {
+/// [`WireError::OutOfRange`].
+pub fn rate(rate: Rate) -> Result<Rate, WireError> {
     match rate {
         Some(rate) if !(rate > 0.0 && rate <= FASTEST_RATE) => {
-            Err(CommandError::out_of_range("rate", rate))
+            Err(WireError::out_of_range("rate", rate))
         }
         rate => Ok(rate),
     }
@@ -114,24 +144,24 @@ pub fn rate(rate: Rate) -> Result<Rate, CommandError> {
 ///
 /// # Errors
 ///
-/// [`CommandError::OutOfRange`].
-pub fn publish_every(steps: u64) -> Result<u64, CommandError> {
+/// [`WireError::OutOfRange`].
+pub fn publish_every(steps: u64) -> Result<u64, WireError> {
     if (1..=LONGEST_PUBLISHING).contains(&steps) {
         return Ok(steps);
     }
-    Err(CommandError::out_of_range("publish_every", steps as f64))
+    Err(WireError::out_of_range("publish_every", steps as f64))
 }
 
 /// The weight of someone who is to be informed: 0 would inform nobody.
 ///
 /// # Errors
 ///
-/// [`CommandError::OutOfRange`]; the upper end is the model's to check.
-pub fn weight(weight: f64) -> Result<f64, CommandError> {
+/// [`WireError::OutOfRange`]; the upper end is the model's to check.
+pub fn weight(weight: f64) -> Result<f64, WireError> {
     if weight > 0.0 {
         return Ok(weight);
     }
-    Err(CommandError::out_of_range("weight", weight))
+    Err(WireError::out_of_range("weight", weight))
 }
 
 /// A number of individuals; more than fit a machine word are more than there can be.
@@ -143,15 +173,15 @@ pub fn count(count: u64) -> usize {
 ///
 /// # Errors
 ///
-/// [`CommandError::OutOfRange`] for a radius below 0.
-pub fn selection(select: Select) -> Result<Selection, CommandError> {
+/// [`WireError::OutOfRange`] for a radius below 0.
+pub fn selection(select: Select) -> Result<Selection, WireError> {
     Ok(match select {
         Select::Ids(ids) => Selection::Ids(ids),
         Select::Count(number) => Selection::Count(count(number)),
         Select::Fraction(fraction) => Selection::Fraction(fraction),
         Select::Within(Region { x, y, radius }) => {
             if radius.is_nan() || radius < 0.0 {
-                return Err(CommandError::out_of_range("select.within.radius", radius));
+                return Err(WireError::out_of_range("select.within.radius", radius));
             }
             Selection::Within { x, y, radius }
         }

@@ -20,7 +20,7 @@ pub fn recipe(args: &CreateArgs, limits: Limits) -> Result<Recipe, CommandError>
         .ok()
         .filter(|n| (1..=limits.max_individuals).contains(n));
     match n {
-        Some(n) => wire::recipe(&args.spec, n),
+        Some(n) => Ok(wire::recipe(&args.spec, n)?),
         None => Err(CommandError::Individuals {
             n: args.spec.n,
             limit: limits.max_individuals,

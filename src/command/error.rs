@@ -11,6 +11,7 @@ use crate::model::resize::ResizeError;
 use crate::model::selection::SelectionError;
 use crate::model::start::StartError;
 use crate::swarm::order::OrderError;
+use crate::wire::WireError;
 
 /// Why a request was refused.
 #[derive(Clone, Debug, ThisError)]
@@ -18,14 +19,9 @@ pub enum CommandError {
     /// The payload cannot be read.
     #[error("{0}")]
     Request(#[from] RequestError),
-    /// A number is outside its range.
-    #[error("{field} = {value} is outside its range")]
-    OutOfRange {
-        /// Which.
-        field: String,
-        /// The value refused.
-        value: f64,
-    },
+    /// A value is not what it may be.
+    #[error(transparent)]
+    Value(#[from] WireError),
     /// A field is wrong in another way.
     #[error("{field} {problem}")]
     Field {
@@ -57,16 +53,6 @@ pub enum CommandError {
         name: String,
         /// Those there are.
         known: &'static [&'static str],
-    },
-    /// Two lengths differ.
-    #[error("{field} has {length} numbers, n is {n}")]
-    Length {
-        /// Which column.
-        field: &'static str,
-        /// Its length.
-        length: usize,
-        /// What it should be.
-        n: u64,
     },
     /// The payload is not in an encoding that requests are read in.
     #[error("the payload is {0:?}: requests are application/json")]
@@ -114,18 +100,12 @@ pub enum CommandError {
 }
 
 impl CommandError {
-    /// A number outside the range that [`range_of`] knows.
-    pub fn out_of_range(field: impl Into<String>, value: f64) -> Self {
-        let field = field.into();
-        CommandError::OutOfRange { field, value }
-    }
-
     /// The error as it crosses the wire, for a swarm at `step`.
     pub fn to_wire(&self, step: Option<u64>) -> Error {
         let details = self.details();
         let mut message = self.to_string();
         match (&self, details.get("range")) {
-            (CommandError::Request(_) | CommandError::OutOfRange { .. }, Some(range)) => {
+            (CommandError::Request(_) | CommandError::Value(_), Some(range)) => {
                 let range = range.as_str().unwrap_or_default();
                 message = format!("{message}: give {range}");
             }
@@ -154,12 +134,11 @@ impl CommandError {
     pub fn code(&self) -> ErrorCode {
         match self {
             CommandError::Request(_)
-            | CommandError::OutOfRange { .. }
+            | CommandError::Value(_)
             | CommandError::Field { .. }
             | CommandError::Name { .. }
             | CommandError::Individuals { .. }
             | CommandError::Parameter { .. }
-            | CommandError::Length { .. }
             | CommandError::Encoding(_)
             | CommandError::Wildcard => ErrorCode::InvalidArgument,
             CommandError::UnknownVerb { .. }
@@ -217,7 +196,7 @@ impl CommandError {
             CommandError::Request(error) if !error.field.is_empty() => {
                 named(&error.field, Value::Null, range_of(&error.field))
             }
-            CommandError::OutOfRange { field, value } => {
+            CommandError::Value(WireError::OutOfRange { field, value }) => {
                 named(field, number(*value), range_of(field))
             }
             CommandError::Field { field, .. } => named(field, Value::Null, range_of(field)),
@@ -226,7 +205,7 @@ impl CommandError {
                 json!({"field": "n", "value": n, "range": format!("[1, {limit}]")})
             }
             CommandError::Parameter { name, known } => json!({"field": name, "known": known}),
-            CommandError::Length { field, length, n } => {
+            CommandError::Value(WireError::Length { field, length, n }) => {
                 json!({"field": field, "length": length, "n": n})
             }
             CommandError::UnknownVerb { known, .. } | CommandError::UnknownNoun { known, .. } => {

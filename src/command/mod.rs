@@ -8,6 +8,7 @@ use std::time::Duration;
 use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
 
 use crate::swarm::order::{Expectation, Order, Sender};
+use crate::wire::WireError;
 
 pub mod create;
 pub mod delete;
@@ -93,7 +94,7 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
 ///
 /// # Errors
 ///
-/// [`CommandError::OutOfRange`].
+/// [`WireError::OutOfRange`].
 pub fn timeout(request: &Request) -> Result<Duration, CommandError> {
     match request.timeout_secs {
         None => Ok(DEFAULT_TIMEOUT),
@@ -105,12 +106,12 @@ pub fn timeout(request: &Request) -> Result<Duration, CommandError> {
 ///
 /// # Errors
 ///
-/// [`CommandError::OutOfRange`].
+/// [`WireError::OutOfRange`].
 pub fn timeout_from_secs(secs: f64) -> Result<Duration, CommandError> {
     if secs > 0.0 && secs <= LONGEST_TIMEOUT_SECS {
         return Ok(Duration::from_secs_f64(secs));
     }
-    Err(CommandError::out_of_range("timeout_secs", secs))
+    Err(WireError::out_of_range("timeout_secs", secs).into())
 }
 
 /// Checks a name that is to become part of a key.

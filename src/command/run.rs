@@ -4,7 +4,7 @@ use jostle_proto::verbs::RunArgs;
 
 use crate::command::CommandError;
 use crate::swarm::order::{Order, Until};
-use crate::wire;
+use crate::wire::{self, WireError};
 
 /// The latest time a run may end at: far beyond any, and exact as a number of steps.
 const LATEST_TIME: f64 = 1e12;
@@ -24,7 +24,7 @@ pub fn order(args: RunArgs) -> Result<Order, CommandError> {
         }
         (Some(step), None) => Some(Until::Step(wire::whole("until_step", step)?)),
         (None, Some(time)) if (0.0..=LATEST_TIME).contains(&time) => Some(Until::Time(time)),
-        (None, Some(time)) => return Err(CommandError::out_of_range("until_time", time)),
+        (None, Some(time)) => return Err(WireError::out_of_range("until_time", time).into()),
         (None, None) => None,
     };
     let rate = args.rate.map(wire::rate).transpose()?;

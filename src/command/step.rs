@@ -4,6 +4,7 @@ use jostle_proto::verbs::{Return, StepArgs};
 
 use crate::command::CommandError;
 use crate::swarm::order::Order;
+use crate::wire::WireError;
 
 /// The most steps that one command takes.
 const MOST_STEPS: u64 = 1_000_000_000;
@@ -12,12 +13,12 @@ const MOST_STEPS: u64 = 1_000_000_000;
 ///
 /// # Errors
 ///
-/// [`CommandError::OutOfRange`].
+/// [`WireError::OutOfRange`].
 pub fn order(args: StepArgs) -> Result<Order, CommandError> {
     if (1..=MOST_STEPS).contains(&args.steps) {
         return Ok(Order::Step(args.steps));
     }
-    Err(CommandError::out_of_range("steps", args.steps as f64))
+    Err(WireError::out_of_range("steps", args.steps as f64).into())
 }
 
 /// Whether the reply is to carry the state reached.

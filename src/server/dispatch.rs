@@ -1,27 +1,26 @@
 //! A query in, an order or an answer out. One thread, which never waits for a swarm.
 
-use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
 use std::time::{Duration, Instant};
 
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{NodeReply, NodeStatus, Phase, Request, Swarms, keys};
 use tracing::{info, warn};
-use zenoh::bytes::Encoding;
-use zenoh::key_expr::KeyExpr;
-use zenoh::liveliness::LivelinessToken;
-use zenoh::query::{Query, Queryable};
+use zenoh::query::Query;
 use zenoh::{Session, Wait};
 
 use crate::command::{self, Command, CommandError, DEFAULT_TIMEOUT, create, wait};
 use crate::host::{Created, Herald, Host};
 use crate::publish::Press;
 use crate::server::answer::{Desk, Keeper, Promise};
+use crate::server::doors::{Doors, LINGER};
+use crate::server::query::{Topic, format, names, no_parameters, request};
 use crate::server::session::MAX_MESSAGE_BYTES;
 use crate::swarm::frame::{Frame, Place};
-use crate::swarm::handle::{Handle, Ticket};
+use crate::swarm::handle::Ticket;
 use crate::swarm::order::{Answer, Answered, Outcome};
+use crate::swarm::waiters::Waiter;
 use crate::wire::{self, Payload};
 
 /// Queries that may wait to be dispatched; what comes on top is refused at once.
@@ -37,21 +36,6 @@ pub enum Intake {
     Ended(String, Box<dyn FnOnce() + Send>),
     /// The daemon stops.
     Stop,
-}
-
-/// What a query is about.
-#[derive(Clone, Debug)]
-pub enum Topic {
-    /// A swarm's `state`.
-    State(Arc<str>),
-    /// A swarm's `get/**`.
-    Get(Arc<str>),
-    /// A swarm's `cmd/**`.
-    Command(Arc<str>),
-    /// The daemon's `get/**`.
-    NodeGet,
-    /// The daemon's `cmd/**`.
-    NodeCommand,
 }
 
 /// Tells the dispatching and the publishing thread of swarms.
@@ -102,28 +86,8 @@ pub struct Dispatcher {
     pub press: Arc<Press>,
     /// When the daemon started.
     pub started: Instant,
-    /// When doors were last looked through for those to close.
-    pub swept: Instant,
-    /// What it can be reached by, per swarm.
-    pub doors: BTreeMap<String, Doors>,
-    /// Where its own queryables hand over.
-    pub intake: SyncSender<Intake>,
-}
-
-/// How long the keys of a deleted swarm still answer, that it is not there.
-///
-/// zenoh 1.10 loses a query that arrives while its queryable is being undeclared: its sender is
-/// left in silence until its own timeout. When many create and delete one name that happened
-/// every few dozen times; after this long nobody is likely to ask any more.
-const LINGER: Duration = Duration::from_secs(2);
-
-/// What a swarm can be reached by.
-pub struct Doors {
-    /// Held exactly while the swarm is there.
-    token: Option<LivelinessToken>,
-    /// When the swarm was deleted.
-    deleted: Option<Instant>,
-    _queryables: [Queryable<()>; 3],
+    /// What swarms can be reached by.
+    pub doors: Doors,
 }
 
 impl Dispatcher {
@@ -137,11 +101,7 @@ impl Dispatcher {
                 Err(RecvTimeoutError::Timeout) => {}
                 Ok(Intake::Stop) | Err(RecvTimeoutError::Disconnected) => return,
             }
-            if self.swept.elapsed() >= LINGER {
-                self.swept = Instant::now();
-                self.doors
-                    .retain(|_, doors| doors.deleted.is_none_or(|at| at.elapsed() < LINGER));
-            }
+            self.doors.sweep();
         }
     }
 
@@ -149,58 +109,19 @@ impl Dispatcher {
         let Some(handle) = self.host.find(swarm) else {
             return;
         };
-        match self.open(swarm, &handle) {
+        let opened = self
+            .press
+            .open(&self.session, swarm, handle.outlet.clone())
+            .and_then(|()| self.doors.open(swarm));
+        match opened {
             Ok(()) => info!(swarm, "created"),
             Err(error) => warn!(swarm, %error, "failed to open the swarm's keys"),
         }
         built();
     }
 
-    /// Publishers and queryables before the token: whoever sees it finds everything there.
-    fn open(&mut self, swarm: &str, handle: &Handle) -> zenoh::Result<()> {
-        self.press
-            .open(&self.session, swarm, handle.outlet.clone())?;
-        if !self.doors.contains_key(swarm) {
-            let doors = self.doors(swarm)?;
-            self.doors.insert(swarm.to_owned(), doors);
-        }
-        let token = self
-            .session
-            .liveliness()
-            .declare_token(keys::alive(&self.prefix, swarm, &self.node))
-            .wait()?;
-        if let Some(doors) = self.doors.get_mut(swarm) {
-            doors.token = Some(token);
-            doors.deleted = None;
-        }
-        Ok(())
-    }
-
-    fn doors(&self, swarm: &str) -> zenoh::Result<Doors> {
-        let name: Arc<str> = swarm.into();
-        let queryable =
-            |key: String, topic| queryable(&self.session, &key, topic, &self.intake, &self.desk);
-        let queryables = [
-            queryable(keys::state(&self.prefix, swarm), Topic::State(name.clone()))?,
-            queryable(
-                keys::get(&self.prefix, swarm, "**"),
-                Topic::Get(name.clone()),
-            )?,
-            queryable(keys::cmd(&self.prefix, swarm, "**"), Topic::Command(name))?,
-        ];
-        Ok(Doors {
-            token: None,
-            deleted: None,
-            _queryables: queryables,
-        })
-    }
-
     fn ended(&mut self, swarm: &str, ended: Box<dyn FnOnce() + Send>) {
-        // A swarm that could not be built had no doors, or those of an earlier one.
-        if let Some(doors) = self.doors.get_mut(swarm)
-            && doors.token.take().is_some()
-        {
-            doors.deleted = Some(Instant::now());
+        if self.doors.close(swarm) {
             info!(swarm, "deleted");
         }
         let host = self.host.clone();
@@ -283,14 +204,16 @@ impl Dispatcher {
         };
         let name = swarm.clone();
         let abandoned = promise.clone();
-        self.send(swarm, promise, patience, |answer| Ticket::Wait {
-            awaited,
-            is_abandoned: Box::new(move || abandoned.is_kept()),
-            answer: Box::new(move |answered| {
-                answer(answered, move |place, outcome| {
-                    wire::outcome(&name, &place, outcome, None)
-                });
-            }),
+        self.send(swarm, promise, patience, |answer| {
+            Ticket::Wait(Waiter {
+                awaited,
+                is_abandoned: Box::new(move || abandoned.is_kept()),
+                answer: Box::new(move |answered| {
+                    answer(answered, move |place, outcome| {
+                        wire::outcome(&name, &place, outcome, None)
+                    });
+                }),
+            })
         });
     }
 
@@ -517,104 +440,4 @@ where
         Ok((place, outcome)) => keeper.0.keep(move || Ok(payload(place, outcome))),
         Err(refusal) => keeper.0.refuse(&refusal.error.into(), refusal.step),
     })
-}
-
-/// Declares a queryable whose callback only hands over.
-///
-/// # Errors
-///
-/// When zenoh refuses it.
-pub fn queryable(
-    session: &Session,
-    key: &str,
-    topic: Topic,
-    intake: &SyncSender<Intake>,
-    desk: &Desk,
-) -> zenoh::Result<Queryable<()>> {
-    let intake: SyncSender<Intake> = intake.clone();
-    let desk = desk.clone();
-    session
-        .declare_queryable(key)
-        .callback(move |query| {
-            let taken = if desk.is_full() {
-                Err(query)
-            } else {
-                match intake.try_send(Intake::Query(topic.clone(), query)) {
-                    Ok(()) => Ok(()),
-                    Err(TrySendError::Full(Intake::Query(_, query))) => Err(query),
-                    // The daemon is going, and its silence says so.
-                    Err(_) => Ok(()),
-                }
-            };
-            if let Err(query) = taken {
-                let busy = Payload::json(&CommandError::Busy.to_wire(None));
-                let _ = query.reply_err(busy.bytes).encoding(busy.encoding).wait();
-            }
-        })
-        .wait()
-}
-
-/// Reads the request in a query.
-fn request(query: &Query) -> Result<Request, CommandError> {
-    no_parameters(query)?;
-    if let Some(encoding) = query.encoding() {
-        let readable = [
-            Encoding::APPLICATION_JSON,
-            Encoding::TEXT_JSON,
-            Encoding::TEXT_PLAIN,
-            Encoding::ZENOH_STRING,
-            Encoding::ZENOH_BYTES,
-        ];
-        if !readable.contains(encoding) {
-            let encoding = encoding.to_string().chars().take(64).collect();
-            return Err(CommandError::Encoding(encoding));
-        }
-    }
-    let payload = query.payload().map(|payload| payload.to_bytes());
-    Ok(Request::from_json(payload.as_deref().unwrap_or_default())?)
-}
-
-/// Whether a query of states asks for JSON.
-fn format(query: &Query) -> Result<bool, CommandError> {
-    let mut as_json = false;
-    for (name, value) in query.parameters().iter() {
-        match (name, value) {
-            ("format", "json") => as_json = true,
-            ("format", "cbor") => as_json = false,
-            ("format", _) => {
-                return Err(CommandError::Field {
-                    field: "format",
-                    problem: "is not json or cbor",
-                });
-            }
-            _ if name.starts_with('_') => {}
-            _ => {
-                return Err(CommandError::Parameter {
-                    name: name.chars().take(64).collect(),
-                    known: &["format"],
-                });
-            }
-        }
-    }
-    Ok(as_json)
-}
-
-/// Refuses parameters where none mean anything; those of zenoh's own begin with `_`.
-fn no_parameters(query: &Query) -> Result<(), CommandError> {
-    match query
-        .parameters()
-        .iter()
-        .find(|(name, _)| !name.starts_with('_'))
-    {
-        None => Ok(()),
-        Some((name, _)) => Err(CommandError::Parameter {
-            name: name.chars().take(64).collect(),
-            known: &[],
-        }),
-    }
-}
-
-/// Whether a query's key expression takes in `key`.
-fn names(query: &Query, key: &str) -> bool {
-    KeyExpr::new(key).is_ok_and(|key| query.key_expr().intersects(&key))
 }

@@ -2,6 +2,8 @@
 
 pub mod answer;
 pub mod dispatch;
+pub mod doors;
+pub mod query;
 pub mod session;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,7 +25,9 @@ use crate::config::Config;
 use crate::host::Host;
 use crate::publish::Press;
 use crate::server::answer::Desk;
-use crate::server::dispatch::{Crier, Dispatcher, Intake, MOST_QUERIES, Topic, queryable};
+use crate::server::dispatch::{Crier, Dispatcher, Intake, MOST_QUERIES};
+use crate::server::doors::Doors;
+use crate::server::query::{Topic, queryable};
 use crate::server::session::SessionError;
 
 /// How long swarms may take to finish the step they are at when the daemon stops.
@@ -87,9 +91,13 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         desk: desk.clone(),
         press: press.clone(),
         started: Instant::now(),
-        swept: Instant::now(),
-        doors: BTreeMap::new(),
-        intake: intake.clone(),
+        doors: Doors::new(
+            session.clone(),
+            prefix.clone(),
+            node.clone(),
+            intake.clone(),
+            desk.clone(),
+        ),
     };
     thread::Builder::new()
         .name("dispatch".into())

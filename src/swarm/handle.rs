@@ -4,10 +4,9 @@ use std::sync::mpsc::{SyncSender, TrySendError};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::swarm::frame::Summary;
-use crate::swarm::order::{
-    Answer, Awaited, Expectation, Order, OrderError, Recipe, Refusal, Sender,
-};
+use crate::swarm::order::{Answer, Expectation, Order, OrderError, Recipe, Refusal, Sender};
 use crate::swarm::outlet::Outlet;
+use crate::swarm::waiters::Waiter;
 
 /// What a swarm's thread takes, in the order of arrival.
 pub enum Ticket {
@@ -25,14 +24,7 @@ pub enum Ticket {
     /// A look at the state as it is now.
     Look(Answer),
     /// A look when something has come about.
-    Wait {
-        /// What is waited for.
-        awaited: Awaited,
-        /// Tells whether nobody waits for the answer any more.
-        is_abandoned: Box<dyn Fn() -> bool + Send>,
-        /// Takes the look.
-        answer: Answer,
-    },
+    Wait(Waiter),
     /// End now, without an event: the daemon stops.
     Stop,
 }
@@ -78,7 +70,9 @@ impl Ticket {
     /// Answers a ticket that no swarm took.
     fn refuse(self, step: Option<u64>, error: OrderError) {
         match self {
-            Ticket::Command { answer, .. } | Ticket::Look(answer) | Ticket::Wait { answer, .. } => {
+            Ticket::Command { answer, .. }
+            | Ticket::Look(answer)
+            | Ticket::Wait(Waiter { answer, .. }) => {
                 answer(Err(Refusal { step, error }));
             }
             Ticket::Stop => {}

@@ -7,4 +7,5 @@ pub mod outlet;
 pub mod pace;
 pub mod phase;
 pub mod simulation;
+pub mod waiters;
 pub mod worker;

@@ -11,18 +11,16 @@ use std::time::{Duration, Instant};
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
 use crate::swarm::handle::Ticket;
 use crate::swarm::order::{
-    Answer, Awaited, Expectation, Order, OrderError, Outcome, Refusal, Sender, Until,
+    Answer, Expectation, Order, OrderError, Outcome, Refusal, Sender, Until,
 };
 use crate::swarm::outlet::Outlet;
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
 use crate::swarm::simulation::{Simulation, steps_in};
+use crate::swarm::waiters::Waiters;
 
 /// Tickets taken between two steps, so that a flood of them slows a swarm but never stops it.
 const TICKETS_PER_STEP: usize = 64;
-
-/// Answers that may wait for a step or a phase at once.
-const MOST_WAITERS: usize = 1024;
 
 /// How often the summary of a moving swarm is renewed.
 const SUMMARY_PERIOD: Duration = Duration::from_millis(100);
@@ -41,20 +39,13 @@ pub struct Worker {
     frame_shown: Option<Instant>,
     events: u64,
     pending: Option<Pending>,
-    waiters: Vec<Waiter>,
+    waiters: Waiters,
 }
 
 /// A `step` command that is being carried out.
 struct Pending {
     answer: Answer,
     from: u64,
-}
-
-/// An answer that waits for something to come about.
-struct Waiter {
-    awaited: Awaited,
-    is_abandoned: Box<dyn Fn() -> bool + Send>,
-    answer: Answer,
 }
 
 /// What ended a swarm's thread.
@@ -89,7 +80,7 @@ impl Worker {
             frame_shown: None,
             events: 0,
             pending: None,
-            waiters: Vec::new(),
+            waiters: Waiters::default(),
         };
         worker.tell(EventKind::Created);
         worker.renew_summary();
@@ -159,16 +150,11 @@ impl Worker {
                 answer(Ok((place, Outcome::Seen(frame))));
                 None
             }
-            Ticket::Wait {
-                awaited,
-                is_abandoned,
-                answer,
-            } => {
-                self.await_for(Waiter {
-                    awaited,
-                    is_abandoned,
-                    answer,
-                });
+            Ticket::Wait(waiter) => {
+                if let Some(waiter) = self.waiters.add(waiter) {
+                    (waiter.answer)(Err(self.refusal(OrderError::Busy)));
+                }
+                self.answer_waiters();
                 None
             }
             Ticket::Command {
@@ -314,12 +300,13 @@ impl Worker {
         self.answer_pending();
         self.tell(EventKind::Deleted);
         let place = self.place();
-        for waiter in self.waiters.drain(..) {
-            (waiter.answer)(Err(Refusal {
-                step: Some(place.step),
+        let step = Some(place.step);
+        self.waiters.answer_all(|| {
+            Err(Refusal {
+                step,
                 error: OrderError::Gone,
-            }));
-        }
+            })
+        });
         End::Deleted(Box::new(move || answer(Ok((place, Outcome::Done)))))
     }
 
@@ -399,40 +386,14 @@ impl Worker {
         }
     }
 
-    fn await_for(&mut self, waiter: Waiter) {
-        self.waiters.retain(|waiter| !(waiter.is_abandoned)());
-        if self.waiters.len() == MOST_WAITERS {
-            (waiter.answer)(Err(self.refusal(OrderError::Busy)));
-            return;
-        }
-        self.waiters.push(waiter);
-        self.answer_waiters();
-    }
-
     fn answer_waiters(&mut self) {
-        if self.waiters.is_empty() {
-            return;
-        }
+        let mut waiters = std::mem::take(&mut self.waiters);
         let step = self.simulation.state.step;
-        let has_come = |awaited: Awaited| match awaited {
-            Awaited::Step(awaited) => step >= awaited || !self.phase.is_moving(),
-            Awaited::Reached(awaited) => step >= awaited || matches!(self.phase, Phase::Faulted(_)),
-            Awaited::Paused => matches!(self.phase, Phase::Paused(_)),
-            Awaited::Running => self.phase.is_moving(),
-            Awaited::Faulted => matches!(self.phase, Phase::Faulted(_)),
-        };
-        if !self.waiters.iter().any(|waiter| has_come(waiter.awaited)) {
-            return;
-        }
-        let (place, frame) = self.look();
-        let (come, waiting) = std::mem::take(&mut self.waiters)
-            .into_iter()
-            .partition(|waiter| has_come(waiter.awaited));
-        self.waiters = waiting;
-        let come: Vec<Waiter> = come;
-        for waiter in come {
-            (waiter.answer)(Ok((place.clone(), Outcome::Seen(frame.clone()))));
-        }
+        waiters.answer(step, &self.phase, || {
+            let (place, frame) = self.look();
+            Ok((place, Outcome::Seen(frame)))
+        });
+        self.waiters = waiters;
     }
 
     fn refusal(&self, error: OrderError) -> Refusal {

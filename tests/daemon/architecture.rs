@@ -12,7 +12,7 @@ const MAY_USE: [(&str, &[&str]); 14] = [
     ("swarm", &["model", "stepper", "observables"]),
     ("host", &["model", "swarm"]),
     ("command", &["model", "swarm", "host", "wire"]),
-    ("wire", &["model", "swarm", "host", "command"]),
+    ("wire", &["model", "swarm", "host"]),
     ("publish", &["swarm", "wire"]),
     ("config", &["host"]),
     (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import subprocess
 import sys
@@ -17,9 +18,10 @@ FOLDER = Path(__file__).resolve().parents[1]
 Create = Callable[..., jostle.Swarm]
 
 
-def run(script: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def run(script: str, *arguments: str, **environ: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-W", "error", FOLDER / "examples" / script, *arguments],
+        env={**os.environ, **environ},
         capture_output=True,
         text=True,
         timeout=60,
@@ -46,6 +48,13 @@ def test_an_example_says_what_is_missing(script: str, daemon: Daemon) -> None:
     ran = run(script, "nobody", "--endpoint", daemon.endpoint, "--for", "6")
     assert ran.returncode != 0
     assert "nobody" in ran.stderr
+
+
+def test_the_controller_closes_its_loop(daemon: Daemon, client: jostle.Client) -> None:
+    ran = run("controller.py", JOSTLE_ENDPOINT=daemon.endpoint)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert len(ran.stdout.splitlines()) == 10
+    assert "looped" not in [summary.swarm for summary in client.swarms()]
 
 
 def test_the_readme_runs(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import gc
+import subprocess
+import sys
 import threading
 import time
 import weakref
@@ -175,3 +177,25 @@ def test_a_stream_that_nobody_holds_stops_listening(create: Create) -> None:
     gc.collect()
     assert held() is None
     eventually("its threads end", lambda: threading.active_count() <= before)
+
+
+@pytest.mark.parametrize("ends", ["", "raise SystemExit(0)", "sys.exit(0)", "del client, stream"])
+def test_a_program_that_closes_nothing_exits(ends: str, daemon: Daemon, create: Create) -> None:
+    swarm = create(n=3, rate=20.0)
+    swarm.run()
+    code = (
+        "import jostle, sys\n"
+        f"client = jostle.connect({daemon.endpoint!r})\n"
+        f"stream = client.swarm({swarm.name!r}).states()\n"
+        f"others = client.swarm({swarm.name!r}).orders(), client.swarm({swarm.name!r}).events()\n"
+        "assert next(stream).n == 3\n"
+        f"{ends}\n"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-W", "error", "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_SECS,
+        check=False,
+    )
+    assert (ran.returncode, ran.stderr) == (0, "")

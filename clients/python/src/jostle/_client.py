@@ -53,11 +53,11 @@ def connect(
     client = check_label("client", f"python-{os.getpid()}" if client is None else client)
     seconds = check_seconds("timeout", timeout)
     session = open_session(endpoint, seconds)
+    link = Link(session, endpoint, prefix, client, seconds)
     try:
-        link = Link(session, endpoint, prefix, client, seconds)
         hello = _greet(link, node)
     except BaseException:
-        session.close()
+        link.close()
         raise
     link.max_message_bytes = hello.limits.max_message_bytes
     return Client(link, hello.node)
@@ -172,9 +172,7 @@ class Client:
 
     def close(self) -> None:
         """Ends every stream and the connection; harmless when done already."""
-        for stream in list(self._link.streams):
-            stream.close()
-        self._link.session.close()
+        self._link.close()
 
     def __enter__(self) -> Self:
         return self

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import atexit
+import contextlib
 import json
+import threading
 import time
 import uuid
 import weakref
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
 import zenoh
@@ -30,6 +34,10 @@ GRACE_SECS = 2.0
 _LIVELINESS_SECS = 2.0
 # zenoh's own framing counts against the limit too; a key has at most 64 + 64 bytes and a prefix.
 _FRAMING_BYTES = 4096
+_JOIN_SECS = 1.0
+
+_open_links: weakref.WeakSet[Link] = weakref.WeakSet()
+_listeners: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
 
 
 def open_session(endpoint: str, timeout: float) -> zenoh.Session:
@@ -86,6 +94,13 @@ class Link:
         self.timeout = timeout
         self.max_message_bytes: int | None = None
         self.streams: weakref.WeakSet[Stream[Any]] = weakref.WeakSet()
+        _open_links.add(self)
+
+    def close(self) -> None:
+        """Ends every stream and the session; harmless when done already."""
+        for stream in list(self.streams):
+            stream.close()
+        self.session.close()
 
     def swarm_key(self, swarm: str, rest: str) -> str:
         """A key of a swarm, such as `jostle/demo/get/status`."""
@@ -249,3 +264,31 @@ class Link:
         if self.session.is_closed():
             return Unavailable("this client is closed: connect again")
         return Unavailable(f"the session with {self.endpoint} failed: {error}")
+
+
+def listen(
+    subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]], take: Callable[[zenoh.Sample], None]
+) -> None:
+    """Calls `take` with every sample, from a thread of its own, until it is undeclared.
+
+    A callback given to zenoh would run in a thread that keeps the interpreter from exiting.
+    """
+    handler = subscriber.handler
+
+    def run() -> None:
+        with contextlib.suppress(zenoh.ZError):
+            while True:
+                take(handler.recv())
+
+    thread = threading.Thread(target=run, name="jostle-listener", daemon=True)
+    _listeners.add(thread)
+    thread.start()
+
+
+@atexit.register
+def _close_links() -> None:
+    # A thread that waits within zenoh when the interpreter goes would abort the process.
+    for link in list(_open_links):
+        link.close()
+    for thread in list(_listeners):
+        thread.join(_JOIN_SECS)

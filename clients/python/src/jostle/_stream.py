@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from collections import deque
@@ -13,8 +12,9 @@ from typing import Generic, Self, TypeVar
 import zenoh
 
 from ._arguments import check_seconds
-from ._errors import DeadlineExceeded, Unavailable
-from ._link import Link
+from ._errors import DeadlineExceeded, Internal, Unavailable
+from ._link import Link, listen
+from ._messages import read_event
 
 T = TypeVar("T")
 
@@ -25,9 +25,9 @@ _LOOK_AGAIN_SECS = 0.05
 
 
 class _Inbox:
-    """What zenoh's threads leave for the one who iterates.
+    """What the listening threads leave for the one who iterates.
 
-    The callbacks hold this and not the stream, so that a stream nobody holds is collected.
+    They hold this and not the stream, so that a stream nobody holds is collected.
     """
 
     def __init__(self, capacity: int) -> None:
@@ -43,16 +43,18 @@ class _Inbox:
             self.changed.notify_all()
 
     def take_end(self, sample: zenoh.Sample) -> None:
-        if b'"deleted"' not in (payload := sample.payload.to_bytes()):
+        try:
+            kind = read_event(sample.payload.to_bytes()).kind
+        except Internal:
+            # Whoever iterates over the events is told of it; this thread has to live on.
             return
-        event = json.loads(payload).get("event")
-        if isinstance(event, dict) and event.get("kind") == "deleted":
+        if kind == "deleted":
             with self.changed:
                 self.deleted = True
                 self.changed.notify_all()
 
     def take_event(self, sample: zenoh.Sample) -> None:
-        # In one callback, since two of them are two threads: the last event comes before the end.
+        # By one thread: the last event comes before the end.
         self.take_sample(sample)
         self.take_end(sample)
 
@@ -99,26 +101,24 @@ class Stream(Generic[T]):
         self._read = read
         self._inbox = _Inbox(capacity)
         self._first: T | None = None
-        self._subscribers: list[zenoh.Subscriber[None]] = []
+        self._subscribers: list[zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]] = []
         self._timeout = None if timeout is None else check_seconds("timeout", timeout)
         inbox, session = self._inbox, link.session
         try:
             # The end is watched for before anything else, so that it cannot fall in between.
-            take_event = inbox.take_event if noun == "event" else inbox.take_end
-            self._subscribers.append(
-                session.declare_subscriber(link.swarm_key(swarm, "event"), take_event)
-            )
+            events = session.declare_subscriber(link.swarm_key(swarm, "event"))
+            self._listen(events, inbox.take_event if noun == "event" else inbox.take_end)
             # Of a token that it has not heard of, a session does not tell either when a lost
             # connection takes it away.
-            self._subscribers.append(
-                session.liveliness().declare_subscriber(
-                    link.swarm_key(swarm, "alive/*"), inbox.take_token, history=True
-                )
+            tokens = session.liveliness().declare_subscriber(
+                link.swarm_key(swarm, "alive/*"), history=True
             )
+            self._listen(tokens, inbox.take_token)
             if noun != "event":
-                self._subscribers.append(
-                    session.declare_subscriber(link.swarm_key(swarm, noun), inbox.take_sample)
+                samples = session.declare_subscriber(
+                    link.swarm_key(swarm, noun), zenoh.handlers.RingChannel(capacity)
                 )
+                self._listen(samples, inbox.take_sample)
             # What was there before anything that will be published, asked for when nothing can be
             # missed any more. Nothing comes of a swarm that is not there, and this says so.
             self._first = first()
@@ -129,6 +129,14 @@ class Stream(Generic[T]):
             self.close()
             raise
         link.streams.add(self)
+
+    def _listen(
+        self,
+        subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]],
+        take: Callable[[zenoh.Sample], None],
+    ) -> None:
+        self._subscribers.append(subscriber)
+        listen(subscriber, take)
 
     def __iter__(self) -> Iterator[T]:
         return self

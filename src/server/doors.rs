@@ -1,0 +1,116 @@
+//! What swarms can be reached by: the queryables and the liveliness token of each.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::mpsc::SyncSender;
+use std::time::{Duration, Instant};
+
+use jostle_proto::keys;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::query::Queryable;
+use zenoh::{Session, Wait};
+
+use crate::server::answer::Desk;
+use crate::server::dispatch::Intake;
+use crate::server::query::{Topic, queryable};
+
+/// How long the keys of a deleted swarm still answer, that it is not there.
+///
+/// zenoh 1.10 loses a query that arrives while its queryable is being undeclared: its sender is
+/// left in silence until its own timeout. When many create and delete one name that happened
+/// every few dozen times; after this long nobody is likely to ask any more.
+pub const LINGER: Duration = Duration::from_secs(2);
+
+/// What all swarms can be reached by.
+pub struct Doors {
+    session: Session,
+    prefix: String,
+    node: String,
+    intake: SyncSender<Intake>,
+    desk: Desk,
+    doors: BTreeMap<String, Door>,
+    swept: Instant,
+}
+
+/// What one swarm can be reached by.
+struct Door {
+    /// Held exactly while the swarm is there.
+    token: Option<LivelinessToken>,
+    /// When the swarm was deleted.
+    deleted: Option<Instant>,
+    _queryables: [Queryable<()>; 3],
+}
+
+impl Doors {
+    /// No doors yet. Queries are handed to `intake`, or turned away where `desk` is full.
+    pub fn new(
+        session: Session,
+        prefix: String,
+        node: String,
+        intake: SyncSender<Intake>,
+        desk: Desk,
+    ) -> Self {
+        Doors {
+            session,
+            prefix,
+            node,
+            intake,
+            desk,
+            doors: BTreeMap::new(),
+            swept: Instant::now(),
+        }
+    }
+
+    /// Opens a swarm's keys. Queryables come before the token: whoever sees it finds them.
+    ///
+    /// # Errors
+    ///
+    /// When zenoh refuses a key.
+    pub fn open(&mut self, swarm: &str) -> zenoh::Result<()> {
+        let mut door = match self.doors.remove(swarm) {
+            Some(door) => door,
+            None => Door {
+                token: None,
+                deleted: None,
+                _queryables: self.queryables(swarm)?,
+            },
+        };
+        let key = keys::alive(&self.prefix, swarm, &self.node);
+        door.token = Some(self.session.liveliness().declare_token(key).wait()?);
+        door.deleted = None;
+        self.doors.insert(swarm.to_owned(), door);
+        Ok(())
+    }
+
+    /// Takes a swarm's token away; its keys close a while later. Tells whether it had any.
+    pub fn close(&mut self, swarm: &str) -> bool {
+        let Some(door) = self.doors.get_mut(swarm) else {
+            return false;
+        };
+        door.deleted = Some(Instant::now());
+        door.token.take().is_some()
+    }
+
+    /// Closes the keys of swarms that are long gone.
+    pub fn sweep(&mut self) {
+        if self.swept.elapsed() >= LINGER {
+            self.swept = Instant::now();
+            self.doors
+                .retain(|_, door| door.deleted.is_none_or(|at| at.elapsed() < LINGER));
+        }
+    }
+
+    fn queryables(&self, swarm: &str) -> zenoh::Result<[Queryable<()>; 3]> {
+        let name: Arc<str> = swarm.into();
+        let queryable =
+            |key: String, topic| queryable(&self.session, &key, topic, &self.intake, &self.desk);
+        Ok([
+            queryable(keys::state(&self.prefix, swarm), Topic::State(name.clone()))?,
+            queryable(
+                keys::get(&self.prefix, swarm, "**"),
+                Topic::Get(name.clone()),
+            )?,
+            queryable(keys::cmd(&self.prefix, swarm, "**"), Topic::Command(name))?,
+        ])
+    }
+}

@@ -1,0 +1,145 @@
+//! What a query says: its key, its parameters, the request in it. And how queries come in.
+
+use std::sync::Arc;
+use std::sync::mpsc::{SyncSender, TrySendError};
+
+use jostle_proto::Request;
+use zenoh::bytes::Encoding;
+use zenoh::key_expr::KeyExpr;
+use zenoh::query::{Query, Queryable};
+use zenoh::{Session, Wait};
+
+use crate::command::CommandError;
+use crate::server::answer::Desk;
+use crate::server::dispatch::Intake;
+use crate::wire::Payload;
+
+/// The most of an unknown word that is repeated to its sender.
+const MOST_REPEATED: usize = 64;
+
+/// What a query is about.
+#[derive(Clone, Debug)]
+pub enum Topic {
+    /// A swarm's `state`.
+    State(Arc<str>),
+    /// A swarm's `get/**`.
+    Get(Arc<str>),
+    /// A swarm's `cmd/**`.
+    Command(Arc<str>),
+    /// The daemon's `get/**`.
+    NodeGet,
+    /// The daemon's `cmd/**`.
+    NodeCommand,
+}
+
+/// Declares a queryable whose callback only hands over.
+///
+/// # Errors
+///
+/// When zenoh refuses it.
+pub fn queryable(
+    session: &Session,
+    key: &str,
+    topic: Topic,
+    intake: &SyncSender<Intake>,
+    desk: &Desk,
+) -> zenoh::Result<Queryable<()>> {
+    let intake: SyncSender<Intake> = intake.clone();
+    let desk = desk.clone();
+    session
+        .declare_queryable(key)
+        .callback(move |query| {
+            let taken = if desk.is_full() {
+                Err(query)
+            } else {
+                match intake.try_send(Intake::Query(topic.clone(), query)) {
+                    Ok(()) => Ok(()),
+                    Err(TrySendError::Full(Intake::Query(_, query))) => Err(query),
+                    // The daemon is going, and its silence says so.
+                    Err(_) => Ok(()),
+                }
+            };
+            if let Err(query) = taken {
+                let busy = Payload::json(&CommandError::Busy.to_wire(None));
+                let _ = query.reply_err(busy.bytes).encoding(busy.encoding).wait();
+            }
+        })
+        .wait()
+}
+
+/// Reads the request in a query.
+///
+/// # Errors
+///
+/// [`CommandError`] when it is no JSON object, or has selector parameters beside it.
+pub fn request(query: &Query) -> Result<Request, CommandError> {
+    no_parameters(query)?;
+    if let Some(encoding) = query.encoding() {
+        let readable = [
+            Encoding::APPLICATION_JSON,
+            Encoding::TEXT_JSON,
+            Encoding::TEXT_PLAIN,
+            Encoding::ZENOH_STRING,
+            Encoding::ZENOH_BYTES,
+        ];
+        if !readable.contains(encoding) {
+            let encoding = encoding.to_string().chars().take(MOST_REPEATED).collect();
+            return Err(CommandError::Encoding(encoding));
+        }
+    }
+    let payload = query.payload().map(|payload| payload.to_bytes());
+    Ok(Request::from_json(payload.as_deref().unwrap_or_default())?)
+}
+
+/// Whether a query of states asks for JSON.
+///
+/// # Errors
+///
+/// [`CommandError`] for another format or another parameter.
+pub fn format(query: &Query) -> Result<bool, CommandError> {
+    let mut as_json = false;
+    for (name, value) in query.parameters().iter() {
+        match (name, value) {
+            ("format", "json") => as_json = true,
+            ("format", "cbor") => as_json = false,
+            ("format", _) => {
+                return Err(CommandError::Field {
+                    field: "format",
+                    problem: "is not json or cbor",
+                });
+            }
+            _ if name.starts_with('_') => {}
+            _ => {
+                return Err(CommandError::Parameter {
+                    name: name.chars().take(MOST_REPEATED).collect(),
+                    known: &["format"],
+                });
+            }
+        }
+    }
+    Ok(as_json)
+}
+
+/// Refuses parameters where none mean anything; those of zenoh's own begin with `_`.
+///
+/// # Errors
+///
+/// [`CommandError::Parameter`].
+pub fn no_parameters(query: &Query) -> Result<(), CommandError> {
+    match query
+        .parameters()
+        .iter()
+        .find(|(name, _)| !name.starts_with('_'))
+    {
+        None => Ok(()),
+        Some((name, _)) => Err(CommandError::Parameter {
+            name: name.chars().take(MOST_REPEATED).collect(),
+            known: &[],
+        }),
+    }
+}
+
+/// Whether a query's key expression takes in `key`.
+pub fn names(query: &Query, key: &str) -> bool {
+    KeyExpr::new(key).is_ok_and(|key| query.key_expr().intersects(&key))
+}
