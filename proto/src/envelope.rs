@@ -37,7 +37,8 @@ pub struct Request {
     /// Refuse with `conflict` unless the swarm is at this step.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expect_step: Option<u64>,
-    /// After this many seconds the reply is `deadline_exceeded`; the work goes on.
+    /// After this many seconds the reply is `deadline_exceeded`; the work goes on. Above 0, at
+    /// most 3600; 5 if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timeout_secs: Option<f64>,
     /// The verb's arguments.
@@ -190,7 +191,8 @@ impl<'de> Deserialize<'de> for FieldNames {
     }
 }
 
-/// The answer of a swarm.
+/// The answer of a swarm, and of the node that created one. A query on a swarm's `state` alone is
+/// answered with a bare [`State`](crate::State).
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Reply<T> {
     /// The swarm's name.

@@ -194,7 +194,10 @@ impl CommandError {
         };
         let details = match self {
             CommandError::Request(error) if !error.field.is_empty() => {
-                named(&error.field, Value::Null, range_of(&error.field))
+                // A field that should not be there has no range that would help.
+                let is_known = !error.problem.starts_with("unknown field");
+                let range = is_known.then(|| range_of(&error.field)).flatten();
+                named(&error.field, Value::Null, range)
             }
             CommandError::Value(WireError::OutOfRange { field, value }) => {
                 named(field, number(*value), range_of(field))
@@ -241,6 +244,12 @@ impl CommandError {
                 | OrderError::Injection(InjectionError::Parameters(error))
                 | OrderError::Resize(ResizeError::Parameters(error)),
             ) => parameters(error),
+            CommandError::Order(OrderError::NobodyLeft(n)) => {
+                json!({"field": "select", "selected": n, "n": n})
+            }
+            CommandError::Order(OrderError::Injection(InjectionError::Overlap { index, gap })) => {
+                json!({"field": format!("at[{index}]"), "gap": gap})
+            }
             CommandError::Order(OrderError::Selection(error)) => match error {
                 SelectionError::Count {
                     field, candidates, ..

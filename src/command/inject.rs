@@ -14,6 +14,10 @@ use crate::wire;
 /// not go with it.
 pub fn order(args: InjectArgs) -> Result<Order, CommandError> {
     let wrong = |field, problem| Err(CommandError::Field { field, problem });
+    if args.count == Some(0) || args.at.as_ref().is_some_and(Vec::is_empty) {
+        let field = if args.at.is_none() { "count" } else { "at" };
+        return wrong(field, "names nobody: add at least one");
+    }
     let place = match (args.count, args.at, args.within) {
         (Some(_), Some(_), _) => {
             return wrong("at", "and count are both given: name one of them");

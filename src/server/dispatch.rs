@@ -222,15 +222,13 @@ impl Dispatcher {
         let promise = self
             .desk
             .promise(query.clone(), query.key_expr().as_str().to_owned());
-        let verb = query
-            .key_expr()
-            .as_str()
-            .strip_prefix(&keys::cmd(&self.prefix, swarm, ""));
-        let read = match verb {
-            Some(verb) if !query.key_expr().is_wild() => {
-                request(query).and_then(|request| command::read(verb, &request))
-            }
-            _ => Err(CommandError::Wildcard),
+        let key = query.key_expr().as_str();
+        let verb = key.strip_prefix(&keys::cmd(&self.prefix, swarm, ""));
+        let read = if query.key_expr().is_wild() {
+            Err(CommandError::Wildcard)
+        } else {
+            let verb = verb.unwrap_or_default();
+            request(query).and_then(|request| command::read(verb, &request))
         };
         let Command {
             order,

@@ -30,6 +30,12 @@ pub struct Simulation {
     stepper: Stepper,
 }
 
+/// A start to go back to.
+pub struct Fresh {
+    recipe: Recipe,
+    state: State,
+}
+
 impl Simulation {
     /// Builds the swarm that `recipe` describes; it grows as far as `admit` lets it.
     ///
@@ -69,22 +75,27 @@ impl Simulation {
         Ok(report)
     }
 
-    /// Goes back to the start in a new epoch.
+    /// The start to go back to, with a new seed or the old one. Nothing has changed yet.
     ///
     /// # Errors
     ///
     /// [`OrderError::Start`] when no start can be drawn with the new seed.
-    pub fn reset(&mut self, seed: Option<u64>) -> Result<(), OrderError> {
+    pub fn fresh(&self, seed: Option<u64>) -> Result<Fresh, OrderError> {
         let mut recipe = self.recipe.clone();
         recipe.seed = seed.unwrap_or(recipe.seed);
-        self.state = begin(&recipe)?;
-        self.publish_every = recipe.publish_every;
-        self.recipe = recipe;
+        let state = begin(&recipe)?;
+        Ok(Fresh { recipe, state })
+    }
+
+    /// Goes back to the start in a new epoch.
+    pub fn restart(&mut self, fresh: Fresh) {
+        self.publish_every = fresh.recipe.publish_every;
+        self.recipe = fresh.recipe;
+        self.state = fresh.state;
         self.epoch += 1;
         self.means = RunningMeans::default();
         self.exactness = Exactness::default();
         self.stepper = Stepper::new();
-        Ok(())
     }
 
     /// Changes parameters or the group. The caller counts `seq` on when it succeeds.

@@ -36,7 +36,7 @@ pub struct Worker {
     summary: Arc<Mutex<Option<Summary>>>,
     summary_renewed: Instant,
     shortest_between_frames: Duration,
-    frame_shown: Option<Instant>,
+    frame_due: Instant,
     events: u64,
     pending: Option<Pending>,
     waiters: Waiters,
@@ -77,7 +77,7 @@ impl Worker {
             summary,
             summary_renewed: now,
             shortest_between_frames,
-            frame_shown: None,
+            frame_due: now,
             events: 0,
             pending: None,
             waiters: Waiters::default(),
@@ -248,7 +248,7 @@ impl Worker {
         {
             return Err(OrderError::Past { until, step });
         }
-        self.answer_pending();
+        self.answer_pending(&next);
         self.rate = rate.unwrap_or(self.rate);
         let was_running = matches!(self.phase, Phase::Running { .. });
         if !was_running || rate.is_some() {
@@ -262,16 +262,17 @@ impl Worker {
 
     fn pause(&mut self) -> Result<Outcome, OrderError> {
         let next = phase::next(&self.phase, Cue::Pause)?;
+        self.answer_pending(&next);
         self.enter(next);
-        self.answer_pending();
         Ok(Outcome::Done)
     }
 
     fn reset(&mut self, seed: Option<u64>) -> Result<Outcome, OrderError> {
         let next = phase::next(&self.phase, Cue::Reset)?;
+        let fresh = self.simulation.fresh(seed)?;
         // What is pending came this far; after the reset that could not be told any more.
-        self.answer_pending();
-        self.simulation.reset(seed)?;
+        self.answer_pending(&next);
+        self.simulation.restart(fresh);
         self.enter(next);
         Ok(Outcome::Reset(self.frame(true)))
     }
@@ -297,7 +298,8 @@ impl Worker {
     }
 
     fn delete(&mut self, answer: Answer) -> End {
-        self.answer_pending();
+        self.phase = Phase::Paused(PauseReason::Requested);
+        self.answer_pending(&self.phase.clone());
         self.tell(EventKind::Deleted);
         let place = self.place();
         let step = Some(place.step);
@@ -334,13 +336,12 @@ impl Worker {
             }
             self.show();
             self.renew_summary();
-            self.answer_pending();
+            self.answer_pending(&self.phase.clone());
         } else {
-            if step.is_multiple_of(self.simulation.publish_every)
-                && self.frame_shown.is_none_or(|shown| {
-                    now.saturating_duration_since(shown) >= self.shortest_between_frames
-                })
-            {
+            if step.is_multiple_of(self.simulation.publish_every) && now >= self.frame_due {
+                // Counted from when it was due, so that a frame a little late costs no other.
+                let grace = now.checked_sub(self.shortest_between_frames).unwrap_or(now);
+                self.frame_due = self.frame_due.max(grace) + self.shortest_between_frames;
                 self.show();
             }
             if now.saturating_duration_since(self.summary_renewed) >= SUMMARY_PERIOD {
@@ -377,10 +378,11 @@ impl Worker {
         }
     }
 
-    /// Tells a pending `step` how far it came.
-    fn answer_pending(&mut self) {
+    /// Tells a pending `step` how far it came, and what the swarm does from then on.
+    fn answer_pending(&mut self, from_then_on: &Phase) {
         if let Some(Pending { answer, from }) = self.pending.take() {
-            let (place, frame) = self.look();
+            let (mut place, frame) = self.look();
+            place.phase = from_then_on.clone();
             let taken = place.step - from;
             answer(Ok((place, Outcome::Stepped(taken, frame))));
         }
@@ -439,9 +441,8 @@ impl Worker {
     }
 
     /// Shows the state to whoever reads.
-    fn show(&mut self) {
+    fn show(&self) {
         if self.outlet.is_watched() {
-            self.frame_shown = Some(Instant::now());
             self.outlet.show(self.frame(false));
         }
     }

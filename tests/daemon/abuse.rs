@@ -450,6 +450,7 @@ async fn wrong_keys_parameters_and_encodings_are_refused() {
     for (selector, code, named) in [
         ("jostle/a/cmd/jump", NotFound, "inform"),
         ("jostle/a/cmd/step/twice", NotFound, "step"),
+        ("jostle/a/cmd", NotFound, "inform"),
         ("jostle/a/get/everything", NotFound, "status"),
         ("jostle/@node/test/get/everything", NotFound, "hello"),
         ("jostle/a/state?format=xml", InvalidArgument, "format"),

@@ -449,6 +449,7 @@ async fn a_reply_comes_in_time_and_the_work_goes_on() {
     let paused = client.ok("a", "pause", json!({})).await;
     let stepped = stepping.await.unwrap();
     assert_eq!(stepped["step"], paused["step"]);
+    assert_eq!(stepped["phase"], "paused");
     assert!(stepped["result"]["steps"].as_u64().unwrap() < 1_000_000_000);
     daemon.stop().await;
 }
