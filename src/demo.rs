@@ -22,6 +22,8 @@ use crate::swarm::waiters::Waiter;
 
 /// Its name.
 const NAME: &str = "demo";
+/// Its seed: one whose group ends up as led as the mean of many; one in ten is hardly led at all.
+const SEED: u64 = 12;
 /// Time units per second of wall clock.
 const RATE: f64 = 20.0;
 /// When ten individuals learn of a direction.
@@ -65,7 +67,7 @@ impl From<OrderError> for DemoError {
 /// [`DemoError`] when somebody deleted the swarm, or a step failed.
 pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoError> {
     let spec = Spec {
-        seed: 1,
+        seed: SEED,
         rate: Some(RATE),
         ..Spec::new(50)
     };

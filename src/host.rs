@@ -25,9 +25,9 @@ const SWARM_NICENESS: i32 = 5;
 /// Memory per individual: its columns and contacts, with the copies that frames and replies hold.
 const BYTES_PER_INDIVIDUAL: u64 = 4096;
 
-/// Memory per squared individual: the dense factor of the polish, one active contact and a half
-/// per individual.
-const BYTES_PER_INDIVIDUAL_SQUARED: u64 = 18;
+/// Memory per squared individual: the lower half of the polish's factor, three rows an individual,
+/// were it full. It is an envelope, and most of it is not there.
+const BYTES_PER_INDIVIDUAL_SQUARED: u64 = 36;
 
 /// Memory per swarm whatever its size: its thread's stack in use, queues and buffers.
 const BYTES_PER_SWARM: u64 = 256 * 1024;

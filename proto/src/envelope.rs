@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::de::{DeserializeOwned, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
+use serde_json::Value;
 use serde_json::value::RawValue;
 
 use crate::Phase;
@@ -111,16 +112,44 @@ impl Request {
     /// # Errors
     ///
     /// [`RequestError`] when a field is missing, unknown, given twice or of the wrong type.
-    pub fn args<T: DeserializeOwned>(&self) -> Result<T, RequestError> {
+    pub fn args<T: DeserializeOwned + Serialize>(&self) -> Result<T, RequestError> {
         let args = self.args.as_deref().map_or("{}", RawValue::get);
-        // A list would be read as the fields in their order, which nobody means.
-        if !args.starts_with('{') {
-            return Err(RequestError {
-                field: "args".into(),
-                problem: "is not an object of named arguments".into(),
-            });
+        let understood: T = read(args)?;
+        let (Ok(given), Ok(meant)) = (
+            serde_json::from_str(args),
+            serde_json::to_value(&understood),
+        ) else {
+            return Err(whole("cannot be read back".into()));
+        };
+        check_objects("args", &given, &meant)?;
+        Ok(understood)
+    }
+}
+
+/// Refuses a list where an object was meant: it would be read as the fields in their order, which
+/// nobody writes on purpose.
+fn check_objects(field: &str, given: &Value, meant: &Value) -> Result<(), RequestError> {
+    match (given, meant) {
+        (Value::Array(_), Value::Object(_)) => Err(RequestError {
+            field: field.to_owned(),
+            problem: "is a list where an object with named fields belongs".into(),
+        }),
+        (Value::Array(given), Value::Array(meant)) => {
+            // Columns of numbers can be long, and have no objects in them.
+            let lists = given.iter().zip(meant).enumerate();
+            lists
+                .filter(|(_, (given, _))| given.is_array())
+                .try_for_each(|(i, (given, meant))| {
+                    check_objects(&format!("{field}[{i}]"), given, meant)
+                })
         }
-        read(args)
+        (Value::Object(given), Value::Object(meant)) => {
+            given.iter().try_for_each(|(name, given)| {
+                let meant = meant.get(name).unwrap_or(&Value::Null);
+                check_objects(name, given, meant)
+            })
+        }
+        _ => Ok(()),
     }
 }
 
@@ -225,7 +254,7 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use super::*;
-    use crate::verbs::{RunArgs, StepArgs};
+    use crate::verbs::{InjectArgs, RunArgs, StepArgs};
 
     #[test]
     fn arguments_alone_and_arguments_in_an_envelope_read_the_same() {
@@ -271,7 +300,21 @@ mod tests {
         assert_eq!(error(r#"{"steps": 1, "steps": 2}"#), "steps");
         assert_eq!(error(r#"{"client": 7}"#), "client");
         assert_eq!(error("[1]"), "");
-        assert_eq!(error(r#"{"args": [3]}"#), "args");
+    }
+
+    #[test]
+    fn a_list_is_not_taken_for_an_object() {
+        let read = |text: &str| {
+            let request = Request::from_json(text.as_bytes()).unwrap();
+            request.args::<InjectArgs>().map_err(|error| error.field)
+        };
+        assert!(read(r#"{"at": [{"x": 1, "y": 2, "alpha": 3}]}"#).is_ok());
+        assert_eq!(read(r#"{"args": [3]}"#).unwrap_err(), "args");
+        assert_eq!(read(r#"{"at": [[1, 2, 3]]}"#).unwrap_err(), "at[0]");
+        assert_eq!(
+            read(r#"{"count": 1, "within": [1, 2, 3]}"#).unwrap_err(),
+            "within"
+        );
     }
 
     #[test]

@@ -8,6 +8,8 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use tracing::warn;
+
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
 use crate::swarm::handle::Ticket;
 use crate::swarm::order::{
@@ -353,6 +355,7 @@ impl Worker {
 
     /// Keeps the last good state and says why.
     fn fault(&mut self, reason: String) {
+        warn!(swarm = self.outlet.name, reason, "faulted");
         self.phase = Phase::Faulted(reason.clone());
         self.tell(EventKind::Fault(reason.clone()));
         self.show();

@@ -220,7 +220,19 @@ const TO_A_SWARM: [Bad; 62] = [
     ),
 ];
 
-const TO_THE_NODE: [Bad; 24] = [
+const TO_THE_NODE: [Bad; 26] = [
+    (
+        "create",
+        "{\"name\": \"new\", \"spec\": [5]}",
+        InvalidArgument,
+        "spec",
+    ),
+    (
+        "create",
+        "{\"name\": \"new\", \"spec\": {\"n\": 5, \"start\": [\"disc\"]}}",
+        InvalidArgument,
+        "start",
+    ),
     ("create", "{}", InvalidArgument, "name"),
     ("create", "{\"name\": \"new\"}", InvalidArgument, "spec"),
     (

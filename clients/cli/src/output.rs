@@ -19,7 +19,7 @@ impl Output {
     ///
     /// # Errors
     ///
-    /// Those of [`write`].
+    /// Those of [`write()`].
     pub fn data(self, text: &str) -> Result<(), Failure> {
         write(&format!("{text}\n"))
     }

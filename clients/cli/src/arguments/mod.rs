@@ -78,7 +78,7 @@ pub struct GlobalArguments {
     /// Refuse with `conflict` unless the swarm is at this step
     #[arg(long, global = true, value_name = "STEP")]
     pub expect_step: Option<u64>,
-    /// Who the daemon is told has sent it [default: user@host]
+    /// Who the daemon is told has sent it, your user@host if left out
     #[arg(long, global = true, value_name = "NAME")]
     pub client: Option<String>,
     /// Print replies as they came, streams as JSON Lines

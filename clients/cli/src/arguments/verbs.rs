@@ -44,28 +44,28 @@ pub struct CreateArguments {
     /// Length over width of a body, 1 (a disc) to 32 [the daemon's default: 4]
     #[arg(long, value_name = "RATIO", value_parser = values::number, allow_hyphen_values = true)]
     pub pi1: Option<f64>,
-    /// Weight of the direction of those informed without one [0.5]
+    /// Weight of the direction of those informed without one [default: 0.5]
     #[arg(long, value_name = "WEIGHT", value_parser = values::number, allow_hyphen_values = true)]
     pub pi2: Option<f64>,
-    /// Body size over turning radius [1]
+    /// Body size over turning radius [default: 1]
     #[arg(long, value_name = "RATIO", value_parser = values::number, allow_hyphen_values = true)]
     pub pi3: Option<f64>,
-    /// Translational over rotational drag [10]
+    /// Translational over rotational drag [default: 10]
     #[arg(long, value_name = "RATIO", value_parser = values::number, allow_hyphen_values = true)]
     pub pi4: Option<f64>,
-    /// The time step [0.02]
+    /// The time step [default: 0.02]
     #[arg(long, value_name = "TIME", value_parser = values::number, allow_hyphen_values = true)]
     pub dt: Option<f64>,
-    /// The seed of every draw [0]
+    /// The seed of every draw [default: 0]
     #[arg(long, allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// The radius of the disc they start in [√n, at least 1]
     #[arg(long, value_name = "LENGTH", value_parser = values::number, allow_hyphen_values = true)]
     pub radius: Option<f64>,
-    /// Steps between two published states [5]
+    /// Steps between two published states [default: 5]
     #[arg(long, value_name = "STEPS", allow_negative_numbers = true)]
     pub publish_every: Option<u64>,
-    /// Time units per second of wall clock, or `max` [1]
+    /// Time units per second of wall clock, or `max` [default: 1]
     #[arg(long, value_name = "RATE", value_parser = values::rate, allow_hyphen_values = true)]
     pub rate: Option<Rate>,
     /// A JSON file with the spec, - for stdin; the options above override it
