@@ -10,7 +10,7 @@ use crate::wire;
 ///
 /// # Errors
 ///
-/// [`CommandError::OutOfRange`].
+/// [`CommandError::Value`].
 pub fn order(args: ResetArgs) -> Result<Order, CommandError> {
     let seed = args
         .seed

@@ -1,8 +1,8 @@
 //! Solves the program of one step to its accuracy, by whichever of two routes gets there.
 //!
 //! First the contacts that pushed in the last step are taken for those that push now, and the
-//! few that are wrong are exchanged ([`polish`]). Where that wanders, Clarabel is asked who
-//! pushes, and its answer is polished the same way, or more slowly and surely ([`descend`]).
+//! few that are wrong are exchanged (`polish`). Where that wanders, Clarabel is asked who
+//! pushes, and its answer is polished the same way, or more slowly and surely (`descend`).
 //! Nothing is believed: the residual decides, computed from the multipliers alone.
 
 mod clarabel;
