@@ -20,6 +20,14 @@ use crate::swarm::order::{
 };
 use crate::swarm::waiters::Waiter;
 
+/// Prints a line at once. A pipe that nobody reads any more is no reason to end.
+macro_rules! say {
+    ($($text:tt)*) => {{
+        let mut out = std::io::stdout().lock();
+        let _ = writeln!(out, $($text)*).and_then(|()| out.flush());
+    }};
+}
+
 /// Its name.
 const NAME: &str = "demo";
 /// Its seed: one whose group ends up as led as the mean of many; one in ten is hardly led at all.
@@ -73,14 +81,14 @@ pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoE
     };
     let swarm = create_swarm(server, spec).await?;
     let endpoint = server.endpoints().first().cloned().unwrap_or_default();
-    println!("swarm {NAME}: 50 bodies four times as long as wide, {RATE} time units a second;");
-    println!("at t = {INFORMED_AT} ten of them get a direction of their own, +x");
+    say!("swarm {NAME}: 50 bodies four times as long as wide, {RATE} time units a second;");
+    say!("at t = {INFORMED_AT} ten of them get a direction of their own, +x");
     if endpoint == "tcp/127.0.0.1:7447" {
-        println!("elsewhere: jostle watch {NAME}, or jostle --help");
+        say!("elsewhere: jostle watch {NAME}, or jostle --help");
     } else {
-        println!("elsewhere: jostle -e {endpoint} watch {NAME}");
+        say!("elsewhere: jostle -e {endpoint} watch {NAME}");
     }
-    println!("     time   order   drift +x   real-time factor   subscribers");
+    say!("     time   order   drift +x   real-time factor   subscribers");
 
     let end = lasting.map(|lasting| lasting.as_secs_f64() * RATE);
     let until_informed = end.map_or(INFORMED_AT, |end| end.min(INFORMED_AT));
@@ -182,12 +190,12 @@ async fn print_line(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
         Some(factor) => format!("{factor:.1} of {RATE}"),
         None => frame.place.phase.reason().unwrap_or_default(),
     };
-    println!(
+    say!(
         "{:9.1} {:7.3} {:+10.3} {factor:>18} {subscribers:13}",
-        frame.place.time, frame.order.order, frame.order.velocity[0]
+        frame.place.time,
+        frame.order.order,
+        frame.order.velocity[0]
     );
-    // A pipe that nobody reads any more is no reason to end.
-    let _ = std::io::stdout().flush();
     Ok(())
 }
 
@@ -200,14 +208,16 @@ fn report(uninformed: &Frame, from: &Frame, reached: &Frame) {
     let before = uninformed.means.mean_velocity().unwrap_or_default()[0];
     let steps = reached.place.step - from.place.step;
     if steps == 0 {
-        println!("mean drift towards +x: {before:+.3} with nobody informed");
+        say!("mean drift towards +x: {before:+.3} with nobody informed");
         return;
     }
     let after = (sum(reached) - sum(from)) / steps as f64;
-    println!(
+    say!(
         "mean drift towards +x: {before:+.3} with nobody informed (t = 0 to {:.0}), \
          {after:+.3} with ten informed (t = {:.0} to {:.0})",
-        uninformed.place.time, from.place.time, reached.place.time
+        uninformed.place.time,
+        from.place.time,
+        reached.place.time
     );
 }
 

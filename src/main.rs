@@ -143,7 +143,8 @@ async fn serve(command: Command, config: &Config) -> i32 {
         }
     };
     for endpoint in server.endpoints() {
-        println!("listening on {endpoint}");
+        // Whoever started it may have closed its output.
+        let _ = writeln!(std::io::stdout(), "listening on {endpoint}");
     }
     let code = match command {
         Command::Serve => {
@@ -158,10 +159,7 @@ async fn serve(command: Command, config: &Config) -> i32 {
                     1
                 }
             },
-            () = told_to_stop() => {
-                println!();
-                0
-            }
+            () = told_to_stop() => 0,
         },
     };
     server.stop().await;
