@@ -152,6 +152,39 @@ async fn a_flood_is_answered_and_neither_memory_nor_others_suffer() {
     daemon.stop().await;
 }
 
+#[tokio::test(flavor = "multi_thread")]
+async fn too_many_at_once_are_turned_away_at_once_and_the_rest_are_served() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 3})).await;
+    let mut waiting = Vec::new();
+    for sent in 0..1100 {
+        if sent % 500 == 0 {
+            // What was sent before this has arrived before it: no queue on the way runs over.
+            client.get("a", "status").await;
+        }
+        let selector = "jostle/a/get/wait?phase=running";
+        let query = client.session.get(selector).timeout(2 * PATIENCE);
+        waiting.push(query.await.unwrap());
+    }
+    // 1024 of them may wait.
+    client.get("a", "status").await;
+    client.ok("a", "run", json!({})).await;
+    let (mut served, mut busy) = (0, 0);
+    for replies in waiting {
+        match replies.recv_async().await.unwrap().into_result() {
+            Ok(_) => served += 1,
+            Err(error) => {
+                let error: Value = serde_json::from_slice(&error.payload().to_bytes()).unwrap();
+                assert_eq!(error["code"], "busy", "{error}");
+                busy += 1;
+            }
+        }
+    }
+    assert_eq!((served, busy), (1024, 76));
+    daemon.stop().await;
+}
+
 /// Sends `count` commands without waiting for answers in between; counts what came back.
 async fn flood(client: &Client, count: usize) -> (usize, usize) {
     let (mut answered, mut busy) = (0, 0);
