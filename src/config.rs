@@ -102,7 +102,7 @@ pub enum ConfigError {
         /// From where.
         source_: Source,
         /// What it takes.
-        expected: &'static str,
+        expected: String,
     },
 }
 
@@ -209,21 +209,20 @@ impl Config {
 fn number(merged: &Merged, name: &'static str, largest: u32) -> Result<u32, ConfigError> {
     match merged[name].0.trim().parse() {
         Ok(number) if (1..=largest).contains(&number) => Ok(number),
-        _ => Err(wrong(
-            merged,
-            name,
-            "a whole number in its range, 1 or more",
-        )),
+        _ => {
+            let expected = format!("a whole number from 1 to {largest}");
+            Err(wrong(merged, name, &expected))
+        }
     }
 }
 
-fn wrong(merged: &Merged, name: &'static str, expected: &'static str) -> ConfigError {
+fn wrong(merged: &Merged, name: &'static str, expected: &str) -> ConfigError {
     let (value, source) = merged[name].clone();
     ConfigError::Value {
         name,
         value,
         source_: source,
-        expected,
+        expected: expected.to_owned(),
     }
 }
 

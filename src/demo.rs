@@ -18,6 +18,7 @@ use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::order::{
     Answer, Answered, Awaited, Expectation, Order, OrderError, Outcome, Sender,
 };
+use crate::swarm::simulation::steps_in;
 use crate::swarm::waiters::Waiter;
 
 /// Prints a line at once. A pipe that nobody reads any more is no reason to end.
@@ -72,14 +73,9 @@ impl From<OrderError> for DemoError {
 ///
 /// # Errors
 ///
-/// [`DemoError`] when somebody deleted the swarm, or a step failed.
+/// [`DemoError`] when somebody deleted the swarm before its end, or a step failed.
 pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoError> {
-    let spec = Spec {
-        seed: SEED,
-        rate: Some(RATE),
-        ..Spec::new(50)
-    };
-    let swarm = create_swarm(server, spec).await?;
+    let swarm = create_swarm(server).await?;
     let endpoint = server.endpoints().first().cloned().unwrap_or_default();
     say!("swarm {NAME}: 50 bodies four times as long as wide, {RATE} time units a second;");
     say!("at t = {INFORMED_AT} ten of them get a direction of their own, +x");
@@ -89,29 +85,49 @@ pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoE
         say!("elsewhere: jostle -e {endpoint} watch {NAME}");
     }
     say!("     time   order   drift +x   real-time factor   subscribers");
+    tokio::select! {
+        ended = play(&swarm, lasting) => ended,
+        gone = print_lines(server, &swarm) => gone,
+    }
+}
 
+/// Moves the swarm through the demo and reports at its end; without one, never returns but when
+/// the swarm is gone.
+async fn play(swarm: &Handle, lasting: Option<Duration>) -> Result<(), DemoError> {
     let end = lasting.map(|lasting| lasting.as_secs_f64() * RATE);
     let until_informed = end.map_or(INFORMED_AT, |end| end.min(INFORMED_AT));
-    let uninformed = go_to(server, &swarm, Some(until_informed)).await?;
+    // It stands still for a moment at t = 50, so that the same individuals are informed at the
+    // same step in every run.
+    let before = arrival(swarm, run_on(swarm, Some(until_informed)).await?).await?;
+    if until_informed == INFORMED_AT {
+        inform_some(swarm).await?;
+    }
+    let until = run_on(swarm, end).await?;
     let Some(end) = end else {
-        inform_some(&swarm).await?;
-        go_to(server, &swarm, None).await?;
+        arrival(swarm, u64::MAX).await?;
         return Err(DemoError::Gone);
     };
-    let mut reached = uninformed.clone();
-    let mut from = uninformed.clone();
-    if end > INFORMED_AT {
-        inform_some(&swarm).await?;
-        if end - LAST > INFORMED_AT {
-            from = go_to(server, &swarm, Some(end - LAST)).await?;
-        }
-        reached = go_to(server, &swarm, Some(end)).await?;
-    }
-    report(&uninformed, &from, &reached);
+    let from = steps_in((end - LAST).max(until_informed), before.parameters.dt);
+    let rest = async {
+        let from = arrival(swarm, from).await?;
+        Ok::<_, DemoError>((from, arrival(swarm, until).await?))
+    };
+    // Whoever steers it may have paused it: the demo ends all the same.
+    let patience = lasting.unwrap_or_default() * 3 / 2 + Duration::from_secs(5);
+    let (from, reached) = match tokio::time::timeout(patience, rest).await {
+        Ok(rest) => rest?,
+        Err(_) => (before.clone(), look(swarm).await?),
+    };
+    report(&before, &from, &reached);
     Ok(())
 }
 
-async fn create_swarm(server: &Server, spec: Spec) -> Result<Handle, DemoError> {
+async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
+    let spec = Spec {
+        seed: SEED,
+        rate: Some(RATE),
+        ..Spec::new(50)
+    };
     let args = CreateArgs {
         name: NAME.to_owned(),
         spec,
@@ -133,53 +149,64 @@ async fn create_swarm(server: &Server, spec: Spec) -> Result<Handle, DemoError> 
 
 /// Tells ten individuals of +x.
 async fn inform_some(swarm: &Handle) -> Result<(), DemoError> {
-    let order = inform::order(InformArgs {
+    let args = InformArgs {
         select: Select::Count(INFORMED),
         direction: 0.0,
         weight: None,
         for_time: None,
-    })?;
-    command(swarm, "inform", order).await?;
+    };
+    let told = serde_json::to_string(&args).unwrap_or_default();
+    command(swarm, "inform", told, inform::order(args)?).await?;
     Ok(())
 }
 
-/// Runs to `until` and prints a line a second meanwhile. Whoever pauses the swarm from elsewhere
-/// or takes it further is let.
-async fn go_to(
-    server: &Server,
-    swarm: &Handle,
-    until: Option<f64>,
-) -> Result<Arc<Frame>, DemoError> {
-    let order = run::order(RunArgs {
-        until_time: until,
+/// Lets it run to a time or for good, and returns the step that is. Whoever took it further
+/// already is let.
+async fn run_on(swarm: &Handle, until_time: Option<f64>) -> Result<u64, DemoError> {
+    let args = RunArgs {
+        until_time,
         ..RunArgs::default()
-    })?;
-    let until_step = match command(swarm, "run", order).await {
-        Ok((_, Outcome::Runs(until, _))) => until.unwrap_or(u64::MAX),
-        Ok(_) => u64::MAX,
-        Err(DemoError::Command(CommandError::Order(OrderError::Past { step, .. }))) => step,
-        Err(error) => return Err(error),
     };
-    let mut tick = tokio::time::interval(Duration::from_secs(1));
-    tick.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Skip);
-    tick.tick().await;
+    let told = serde_json::to_string(&args).unwrap_or_default();
+    match command(swarm, "run", told, run::order(args)?).await {
+        Ok((_, Outcome::Runs(until, _))) => Ok(until.unwrap_or(u64::MAX)),
+        Ok(_) => Ok(u64::MAX),
+        Err(DemoError::Command(CommandError::Order(OrderError::Past { step, .. }))) => Ok(step),
+        Err(error) => Err(error),
+    }
+}
+
+/// The swarm at the moment it reaches a step.
+async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
     let (answer, answered) = oneshot::channel();
     swarm.send(Ticket::Wait(Waiter {
-        awaited: Awaited::Reached(until_step),
+        awaited: Awaited::Reached(step),
         is_abandoned: Box::new(|| false),
         answer: Box::new(move |it| drop(answer.send(it))),
     }));
-    tokio::pin!(
-        let arrived = outcome(answered);
-    );
+    seen(outcome(answered).await?)
+}
+
+async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {
+    let (answer, answered) = oneshot::channel();
+    swarm.send(Ticket::Look(Box::new(move |it| drop(answer.send(it)))));
+    seen(outcome(answered).await?)
+}
+
+fn seen((_, outcome): (Place, Outcome)) -> Result<Arc<Frame>, DemoError> {
+    match outcome {
+        Outcome::Seen(frame) => Ok(frame),
+        _ => Err(DemoError::Gone),
+    }
+}
+
+/// Prints a line a second, until the swarm is gone.
+async fn print_lines(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
+    let mut tick = tokio::time::interval(Duration::from_secs(1));
+    tick.tick().await;
     loop {
-        tokio::select! {
-            arrived = &mut arrived => return match arrived? {
-                (_, Outcome::Seen(frame)) => Ok(frame),
-                _ => Err(DemoError::Gone),
-            },
-            _ = tick.tick() => print_line(server, swarm).await?,
-        }
+        tick.tick().await;
+        print_line(server, swarm).await?;
     }
 }
 
@@ -200,39 +227,32 @@ async fn print_line(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
 }
 
 /// The mean drift before informing and over the last span, from sums over every step.
-fn report(uninformed: &Frame, from: &Frame, reached: &Frame) {
+fn report(before: &Frame, from: &Frame, reached: &Frame) {
     let sum = |frame: &Frame| {
         let mean = frame.means.mean_velocity().unwrap_or_default();
         mean[0] * frame.place.step as f64
     };
-    let before = uninformed.means.mean_velocity().unwrap_or_default()[0];
-    let steps = reached.place.step - from.place.step;
+    let (informed_at, end) = (before.place.time, reached.place.time);
+    let uninformed = before.means.mean_velocity().unwrap_or_default()[0];
+    let steps = reached.place.step.saturating_sub(from.place.step);
     if steps == 0 {
-        say!("mean drift towards +x: {before:+.3} with nobody informed");
+        say!(
+            "mean drift towards +x: {uninformed:+.3} before informing (t = 0 to {informed_at:.0})"
+        );
         return;
     }
     let after = (sum(reached) - sum(from)) / steps as f64;
     say!(
-        "mean drift towards +x: {before:+.3} with nobody informed (t = 0 to {:.0}), \
-         {after:+.3} with ten informed (t = {:.0} to {:.0})",
-        uninformed.place.time,
-        from.place.time,
-        reached.place.time
+        "mean drift towards +x: {uninformed:+.3} before informing (t = 0 to {informed_at:.0}), \
+         {after:+.3} with ten informed (t = {:.0} to {end:.0})",
+        from.place.time
     );
-}
-
-async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {
-    let (answer, answered) = oneshot::channel();
-    swarm.send(Ticket::Look(Box::new(move |it| drop(answer.send(it)))));
-    match outcome(answered).await? {
-        (_, Outcome::Seen(frame)) => Ok(frame),
-        _ => Err(DemoError::Gone),
-    }
 }
 
 async fn command(
     swarm: &Handle,
     verb: &'static str,
+    args: String,
     order: Order,
 ) -> Result<(Place, Outcome), DemoError> {
     let (answer, answered) = oneshot::channel();
@@ -241,7 +261,7 @@ async fn command(
         expected: Expectation::default(),
         sender: Sender {
             verb,
-            args: "{}".to_owned(),
+            args,
             client: Some("jostled demo".to_owned()),
             request_id: None,
         },

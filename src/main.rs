@@ -154,6 +154,11 @@ async fn serve(command: Command, config: &Config) -> i32 {
         Command::Demo { lasting } => tokio::select! {
             ended = demo::run(&server, lasting) => match ended {
                 Ok(()) => 0,
+                Err(demo::DemoError::Gone) if lasting.is_none() => {
+                    eprintln!("jostled: somebody deleted the demo's swarm; serving on, Ctrl-C ends");
+                    told_to_stop().await;
+                    0
+                }
                 Err(error) => {
                     fail(1, &error);
                     1
@@ -186,6 +191,9 @@ fn fail(code: u8, error: &dyn std::fmt::Display) -> ExitCode {
     ExitCode::from(code)
 }
 
+/// The longest demo: thirty years.
+const LONGEST: Duration = Duration::from_secs(1_000_000_000);
+
 /// Reads `20s`, `5m`, `1.5h` or a plain number of seconds.
 fn duration(text: &str) -> Result<Duration, String> {
     let (number, unit) = match text.find(|c: char| c.is_ascii_alphabetic()) {
@@ -204,7 +212,7 @@ fn duration(text: &str) -> Result<Duration, String> {
         .map_err(|_| format!("{number:?} is not a number"))?;
     Duration::try_from_secs_f64(number * secs)
         .ok()
-        .filter(|duration| !duration.is_zero())
+        .filter(|duration| !duration.is_zero() && *duration <= LONGEST)
         .ok_or_else(|| format!("{text:?} is not a time to wait for"))
 }
 
@@ -234,7 +242,17 @@ mod tests {
         assert_eq!(duration("20"), Ok(Duration::from_secs(20)));
         assert_eq!(duration("1.5h"), Ok(Duration::from_secs(5400)));
         assert_eq!(duration("250ms"), Ok(Duration::from_millis(250)));
-        for bad in ["", "s", "-1s", "0s", "1d", "nan", "1e400s", "inf"] {
+        for bad in [
+            "",
+            "s",
+            "-1s",
+            "0s",
+            "1d",
+            "nan",
+            "1e400s",
+            "inf",
+            "1000000000h",
+        ] {
             assert!(duration(bad).is_err(), "{bad}");
         }
     }

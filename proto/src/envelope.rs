@@ -22,6 +22,12 @@ const ENVELOPE_FIELDS: [&str; 6] = [
 /// The longest `request_id` and `client`, in bytes.
 pub const MAX_LABEL_LENGTH: usize = 256;
 
+/// The most of a field's path that an error repeats, in characters.
+const MOST_OF_A_FIELD: usize = 100;
+
+/// The most of a problem that an error tells, in characters.
+const MOST_OF_A_PROBLEM: usize = 400;
+
 /// A request: all but the verb's own arguments is optional.
 #[derive(Debug, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -86,7 +92,7 @@ impl Request {
             .map_err(|error| whole(format!("the payload is not a JSON object: {error}")))?;
         if let Some(twice) = fields.twice {
             return Err(RequestError {
-                field: twice,
+                field: shortened(&twice, MOST_OF_A_FIELD),
                 problem: "is given twice".into(),
             });
         }
@@ -95,7 +101,12 @@ impl Request {
             .iter()
             .any(|name| ENVELOPE_FIELDS.contains(&name.as_str()))
         {
-            read(text)
+            read(text).map_err(|mut error: RequestError| {
+                if error.problem.starts_with("unknown field") {
+                    error.problem += ": the verb's own arguments go into `args`";
+                }
+                error
+            })
         } else {
             Ok(Request {
                 args: Some(
@@ -134,6 +145,10 @@ fn check_objects(field: &str, given: &Value, meant: &Value) -> Result<(), Reques
             field: field.to_owned(),
             problem: "is a list where an object with named fields belongs".into(),
         }),
+        (Value::Object(_), Value::String(_)) => Err(RequestError {
+            field: field.to_owned(),
+            problem: "is an object where a word belongs".into(),
+        }),
         (Value::Array(given), Value::Array(meant)) => {
             // Columns of numbers can be long, and have no objects in them.
             let lists = given.iter().zip(meant).enumerate();
@@ -158,15 +173,34 @@ fn read<T: DeserializeOwned>(text: &str) -> Result<T, RequestError> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
         let path = error.path().to_string();
+        let path = if path == "." { String::new() } else { path };
+        let problem = without_place(&error.into_inner().to_string());
+        // What is missing is a field too, below the one that lacks it.
+        let missing = problem
+            .strip_prefix("missing field `")
+            .and_then(|rest| rest.strip_suffix('`'));
+        let field = match missing {
+            Some(name) if path.is_empty() => name.to_owned(),
+            Some(name) => format!("{path}.{name}"),
+            None => path,
+        };
         RequestError {
-            field: if path == "." { String::new() } else { path },
-            problem: without_place(&error.into_inner().to_string()),
+            field: shortened(&field, MOST_OF_A_FIELD),
+            problem: shortened(&problem, MOST_OF_A_PROBLEM),
         }
     })?;
     deserializer
         .end()
         .map_err(|error| whole(error.to_string()))?;
     Ok(value)
+}
+
+/// The first `most` characters: what a client sent is not sent back to it without end.
+fn shortened(text: &str, most: usize) -> String {
+    match text.char_indices().nth(most) {
+        Some((end, _)) => format!("{}…", &text[..end]),
+        None => text.to_owned(),
+    }
 }
 
 /// Leaves out line and column: the field is named, and its sender never saw the text.
@@ -254,7 +288,7 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use super::*;
-    use crate::verbs::{InjectArgs, RunArgs, StepArgs};
+    use crate::verbs::{CreateArgs, InjectArgs, RunArgs, StepArgs};
 
     #[test]
     fn arguments_alone_and_arguments_in_an_envelope_read_the_same() {
@@ -303,7 +337,21 @@ mod tests {
     }
 
     #[test]
-    fn a_list_is_not_taken_for_an_object() {
+    fn what_is_missing_is_named_and_what_is_long_is_cut() {
+        let error = |text: &str| {
+            let request = Request::from_json(text.as_bytes()).unwrap();
+            request.args::<CreateArgs>().unwrap_err()
+        };
+        assert_eq!(error("{}").field, "name");
+        assert_eq!(error(r#"{"name": "a", "spec": {}}"#).field, "spec.n");
+        let long = error(&format!(r#"{{"{}": 1}}"#, "a".repeat(100_000)));
+        assert!(long.to_string().len() < 1000);
+        let stray = Request::from_json(br#"{"client": "me", "steps": 1}"#).unwrap_err();
+        assert!(stray.to_string().contains("`args`"), "{stray}");
+    }
+
+    #[test]
+    fn a_list_is_not_taken_for_an_object_nor_an_object_for_a_word() {
         let read = |text: &str| {
             let request = Request::from_json(text.as_bytes()).unwrap();
             request.args::<InjectArgs>().map_err(|error| error.field)
@@ -311,6 +359,8 @@ mod tests {
         assert!(read(r#"{"at": [{"x": 1, "y": 2, "alpha": 3}]}"#).is_ok());
         assert_eq!(read(r#"{"args": [3]}"#).unwrap_err(), "args");
         assert_eq!(read(r#"{"at": [[1, 2, 3]]}"#).unwrap_err(), "at[0]");
+        let word = Request::from_json(br#"{"return": {"state": null}}"#).unwrap();
+        assert_eq!(word.args::<StepArgs>().unwrap_err().field, "return");
         assert_eq!(
             read(r#"{"count": 1, "within": [1, 2, 3]}"#).unwrap_err(),
             "within"

@@ -33,7 +33,8 @@ pub struct CreateResult {
 #[serde(deny_unknown_fields)]
 pub struct DeleteArgs {}
 
-/// Lets a swarm run, to an end or until paused; changes target and rate of one that runs.
+/// Lets a swarm run, to an end or until paused; changes end and rate of one that runs, and leaves
+/// what is left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RunArgs {

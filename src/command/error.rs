@@ -250,6 +250,17 @@ impl CommandError {
             CommandError::Order(OrderError::Injection(InjectionError::Overlap { index, gap })) => {
                 json!({"field": format!("at[{index}]"), "gap": gap})
             }
+            CommandError::Order(OrderError::Injection(InjectionError::NoRoom {
+                placed, ..
+            })) => {
+                json!({"field": "count", "placed": placed})
+            }
+            CommandError::Order(OrderError::Start(error)) => match error {
+                StartError::NoRoom { placed, radius, .. } => {
+                    json!({"field": "spec.start.radius", "value": radius, "placed": placed})
+                }
+                _ => json!({"field": "spec.start"}),
+            },
             CommandError::Order(OrderError::Selection(error)) => match error {
                 SelectionError::Count {
                     field, candidates, ..
@@ -313,7 +324,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
              {\"within\": {\"x\", \"y\", \"radius\"}}, {\"foremost\": {\"count\", \"along\"}}"
         }
         "ids" => "a list of ids that are there",
-        "count" => "a whole number that is not more than there are",
+        "count" => "a whole number of individuals, 1 or more",
         "fraction" => "a number from 0 to 1",
         "radius" => "a number from 0 to 1e6",
         "x" | "y" | "alpha" | "along" | "direction" => "a number from -1e6 to 1e6",

@@ -71,7 +71,7 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
             step::order(args)?
         }
         "reset" => reset::order(request.args()?)?,
-        "set" => set::order(request.args()?)?,
+        "set" => set::order(request.args().map_err(set::explain)?)?,
         "inform" => inform::order(request.args()?)?,
         "uninform" => uninform::order(request.args()?)?,
         "inject" => inject::order(request.args()?)?,

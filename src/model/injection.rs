@@ -61,7 +61,9 @@ pub enum InjectionError {
         gap: f64,
     },
     /// No place was found for everybody.
-    #[error("only {placed} of {count} fit in the region: the next found no place in {tries} tries")]
+    #[error(
+        "only {placed} of {count} fit in the region: the next found no place in {tries} tries; make it larger, or count smaller"
+    )]
     NoRoom {
         /// How many had a place.
         placed: usize,

@@ -51,7 +51,10 @@ pub enum ParametersError {
         range: &'static str,
     },
     /// A free body could cross its own width in one step.
-    #[error("dt = {dt} is too long: with these parameters at most {largest}")]
+    #[error(
+        "dt = {dt} is too long: with these parameters and weights at most {largest}; lower pi1, \
+         pi3 or the weight, or create with a shorter dt"
+    )]
     StepTooLong {
         /// The duration refused.
         dt: f64,

@@ -60,7 +60,10 @@ pub enum SelectionError {
         candidates: usize,
     },
     /// An id names nobody that may be selected.
-    #[error("select.ids: {id} is not among the {candidates} candidates")]
+    #[error(
+        "select.ids: {id} is none of the {candidates} to choose from; uninform chooses among the \
+         informed, all else among everybody"
+    )]
     UnknownId {
         /// The id.
         id: u32,

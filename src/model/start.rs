@@ -37,7 +37,7 @@ pub enum StartError {
     },
     /// No place was found for everybody.
     #[error(
-        "only {placed} of {n} fit in a disc of radius {radius}: the next found no place in {tries} tries"
+        "only {placed} of {n} fit in a disc of radius {radius}: the next found no place in {tries} tries; make it larger, or n smaller"
     )]
     NoRoom {
         /// How many had a place.
@@ -50,7 +50,7 @@ pub enum StartError {
         tries: u32,
     },
     /// Two axes of a given start cross.
-    #[error("the axes of individuals {first} and {second} cross")]
+    #[error("start: the axes of individuals {first} and {second} cross; move them apart")]
     Crossed {
         /// Index of the first of the pair.
         first: u32,

@@ -348,6 +348,12 @@ impl Dispatcher {
     }
 
     fn create(&self, promise: &Promise, request: &Request) -> Result<(), CommandError> {
+        if request.expect_step.is_some() || request.expect_epoch.is_some() {
+            return Err(CommandError::Field {
+                field: "expect_step",
+                problem: "and expect_epoch are about a swarm that is there: leave them out",
+            });
+        }
         let args: CreateArgs = request.args()?;
         let recipe = create::recipe(&args, self.host.limits())?;
         let timeout = command::timeout(request)?;

@@ -12,6 +12,9 @@ pub const MAX_MESSAGE_BYTES: u64 = 1 << 20;
 /// Why there is no session.
 #[derive(Debug, Error)]
 pub enum SessionError {
+    /// It is no endpoint at all.
+    #[error("{0:?} is no endpoint: give tcp/127.0.0.1:PORT or unixsock-stream/PATH")]
+    NoEndpoint(String),
     /// An address that others could reach is not offered without authentication.
     #[error(
         "{0} can be reached from other machines, and anyone there could steer every swarm: \
@@ -41,6 +44,9 @@ pub enum SessionError {
 /// [`SessionError`].
 pub async fn open(listen: &[String]) -> Result<Session, SessionError> {
     for endpoint in listen {
+        if !endpoint.contains('/') {
+            return Err(SessionError::NoEndpoint(endpoint.clone()));
+        }
         if !is_local(endpoint) {
             return Err(SessionError::NotLoopback(endpoint.clone()));
         }
@@ -55,8 +61,16 @@ pub async fn open(listen: &[String]) -> Result<Session, SessionError> {
         .await
         .map_err(|error| SessionError::Listen {
             endpoints: listen.join(", "),
-            reason: error.to_string(),
+            reason: reason(&error.to_string()),
         })
+}
+
+/// What zenoh says, without the places in its source.
+fn reason(text: &str) -> String {
+    if text.contains("Address already in use") {
+        return "the address is in use".to_owned();
+    }
+    text.split(" at /").next().unwrap_or(text).to_owned()
 }
 
 /// Every setting that differs from zenoh's own default, each measured to matter.

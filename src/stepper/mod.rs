@@ -54,7 +54,9 @@ pub struct StepReport {
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum StepError {
     /// Two axes cross, or would after the step: no normal pushes them apart.
-    #[error("the bodies of individuals {first} and {second} cross")]
+    #[error(
+        "the bodies of individuals {first} and {second} cross: a shorter dt or a smaller pi4 avoids it"
+    )]
     CrossedBodies {
         /// Id of the first.
         first: u32,

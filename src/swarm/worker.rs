@@ -244,6 +244,11 @@ impl Worker {
             Until::Step(step) => step,
             Until::Time(time) => steps_in(time, self.simulation.state.parameters.dt),
         });
+        // What is left out does not change: a running swarm keeps its end.
+        let until = match self.phase {
+            Phase::Running { until: end } => until.or(end),
+            _ => until,
+        };
         let next = phase::next(&self.phase, Cue::Run(until))?;
         if let Some(until) = until
             && until < step
