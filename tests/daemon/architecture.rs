@@ -33,7 +33,7 @@ const ONLY_IN: [(&str, &[&str]); 11] = [
         "jostle_proto",
         &["command", "config", "demo", "publish", "server", "wire"],
     ),
-    ("serde", &["command", "server", "wire"]),
+    ("serde", &["command", "demo", "server", "wire"]),
     ("tokio::", &["demo", "main", "server"]),
     ("clap::", &["main"]),
     ("std::thread", &["host", "publish", "server"]),

@@ -210,6 +210,10 @@ async fn reaching_until_pauses_and_from_there_it_goes_on() {
     assert_eq!(there["result"]["reason"], "finished");
     assert_eq!(client.hash_at("a", 80).await, client.hash("a").await);
     assert_eq!(client.ok("a", "step", json!({})).await["step"], 81);
+    let (code, _) = client.err("a", "run", json!({"until_step": 80})).await;
+    assert_eq!(code, ErrorCode::Conflict);
+    let reply = client.ok("a", "run", json!({"until_step": 81})).await;
+    assert_eq!(reply["phase"], "paused", "there already");
     client
         .ok("a", "run", json!({"until_step": 1_000_000, "rate": 1}))
         .await;
@@ -219,10 +223,6 @@ async fn reaching_until_pauses_and_from_there_it_goes_on() {
         json!({"until_step": 1_000_000, "rate": 2.0})
     );
     client.ok("a", "pause", json!({})).await;
-    let (code, _) = client.err("a", "run", json!({"until_step": 80})).await;
-    assert_eq!(code, ErrorCode::Conflict);
-    let reply = client.ok("a", "run", json!({"until_step": 81})).await;
-    assert_eq!(reply["phase"], "paused", "there already");
     daemon.stop().await;
 }
 

@@ -163,8 +163,7 @@ async fn advance(bus: &Bus, swarm: &str, started: &Reply<RunResult>, bar: &Progr
                 };
                 bar.set_position(sample.step.saturating_sub(started.step));
                 bar.set_message(format!(
-                    "step {}, time {}, order {}, actual rate {}",
-                    sample.step,
+                    "time {}, order {}, rate {}",
                     format::time(sample.time),
                     format::share(Some(sample.order.order)),
                     format::factor(sample.real_time_factor),
@@ -185,7 +184,7 @@ fn bar(output: Output, started: &Reply<RunResult>) -> ProgressBar {
         .until_step
         .map(|target| target.saturating_sub(started.step));
     let template = match steps {
-        Some(_) => "{prefix} {wide_bar} {percent:>3}%  {msg}  {eta_precise} to go",
+        Some(_) => "{prefix} {bar:20} {percent:>3}%  {wide_msg} {eta} left",
         None => "{prefix} {spinner} {msg}",
     };
     let bar = ProgressBar::with_draw_target(steps, ProgressDrawTarget::stderr());

@@ -163,7 +163,10 @@ fn draw(drawn: &mut usize, text: &str, notice: Option<&str>) -> Result<(), Failu
     }
     screen.push_str(DO_NOT_WRAP);
     let lines: Vec<&str> = text.lines().chain(notice).collect();
+    let width = usize::from(console::Term::stdout().size().1);
     for line in &lines {
+        // A terminal that does not wrap would put the end of a long line into its last column.
+        let line = console::truncate_str(line, width, "…");
         screen.push_str(&format!("{line}{CLEAR_LINE}\n"));
     }
     screen.push_str(CLEAR_BELOW);
