@@ -11,6 +11,7 @@ import argparse
 import array
 import json
 import math
+import os
 from typing import Any
 
 import cbor2
@@ -59,7 +60,9 @@ def main() -> None:
     """Informs, follows, turns, follows, and takes the direction away again."""
     parser = argparse.ArgumentParser(description="Steers a running swarm by a tenth of it.")
     parser.add_argument("name", help="of a swarm that runs, such as demo")
-    parser.add_argument("--endpoint", default="tcp/127.0.0.1:7447")
+    parser.add_argument(
+        "--endpoint", default=os.environ.get("JOSTLE_ENDPOINT", "tcp/127.0.0.1:7447")
+    )
     parser.add_argument("--for", dest="time_units", type=float, default=60.0, help="time per leg")
     args = parser.parse_args()
     swarm = f"jostle/{args.name}"
