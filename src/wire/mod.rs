@@ -1,0 +1,11 @@
+//! Between what crosses the wire and what the daemon works with: here, and nowhere else.
+
+mod from_proto;
+mod to_proto;
+
+pub use from_proto::{
+    WireError, count, pose, publish_every, rate, recipe, region, selection, weight, whole,
+};
+pub use to_proto::{
+    Payload, created, event, limits, order_sample, outcome, reply, spec, state, status, summary,
+};
