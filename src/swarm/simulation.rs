@@ -79,12 +79,19 @@ impl Simulation {
     ///
     /// # Errors
     ///
-    /// [`OrderError::Start`] when no start can be drawn with the new seed.
+    /// [`OrderError::Start`] when no start can be drawn with the new seed,
+    /// [`OrderError::NoMemory`] when the group has shrunk and others took its place.
     pub fn fresh(&self, seed: Option<u64>) -> Result<Fresh, OrderError> {
         let mut recipe = self.recipe.clone();
         recipe.seed = seed.unwrap_or(recipe.seed);
-        let state = begin(&recipe)?;
-        Ok(Fresh { recipe, state })
+        (self.admit)(recipe.n)?;
+        match begin(&recipe) {
+            Ok(state) => Ok(Fresh { recipe, state }),
+            Err(error) => {
+                (self.admit)(self.n())?;
+                Err(error)
+            }
+        }
     }
 
     /// Goes back to the start in a new epoch.
