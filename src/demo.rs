@@ -15,9 +15,7 @@ use crate::host::{Created, HostError};
 use crate::server::Server;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::order::{
-    Answer, Answered, Awaited, Expectation, Order, OrderError, Outcome, Sender,
-};
+use crate::swarm::order::{Answer, Answered, Awaited, Order, OrderError, Outcome, Sender, When};
 use crate::swarm::simulation::steps_in;
 use crate::swarm::waiters::Waiter;
 
@@ -96,18 +94,17 @@ pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoE
 async fn play(swarm: &Handle, lasting: Option<Duration>) -> Result<(), DemoError> {
     let end = lasting.map(|lasting| lasting.as_secs_f64() * RATE);
     let until_informed = end.map_or(INFORMED_AT, |end| end.min(INFORMED_AT));
-    // It stands still for a moment at t = 50, so that the same individuals are informed at the
-    // same step in every run.
-    let before = arrival(swarm, run_on(swarm, Some(until_informed)).await?).await?;
+    let dt = swarm.recipe.parameters.dt;
     if until_informed == INFORMED_AT {
-        inform_some(swarm).await?;
+        inform_some(swarm, steps_in(INFORMED_AT, dt)).await?;
     }
     let until = run_on(swarm, end).await?;
+    let before = arrival(swarm, steps_in(until_informed, dt)).await?;
     let Some(end) = end else {
         arrival(swarm, u64::MAX).await?;
         return Err(DemoError::Gone);
     };
-    let from = steps_in((end - LAST).max(until_informed), before.parameters.dt);
+    let from = steps_in((end - LAST).max(until_informed), dt);
     let rest = async {
         let from = arrival(swarm, from).await?;
         Ok::<_, DemoError>((from, arrival(swarm, until).await?))
@@ -147,8 +144,8 @@ async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
     Ok(handle)
 }
 
-/// Tells ten individuals of +x.
-async fn inform_some(swarm: &Handle) -> Result<(), DemoError> {
+/// Tells ten individuals of +x: the same ones at the same step in every run.
+async fn inform_some(swarm: &Handle, at_step: u64) -> Result<(), DemoError> {
     let args = InformArgs {
         select: Select::Count(INFORMED),
         direction: 0.0,
@@ -156,7 +153,7 @@ async fn inform_some(swarm: &Handle) -> Result<(), DemoError> {
         for_time: None,
     };
     let told = serde_json::to_string(&args).unwrap_or_default();
-    command(swarm, "inform", told, inform::order(args)?).await?;
+    command(swarm, "inform", told, inform::order(args)?, Some(at_step)).await?;
     Ok(())
 }
 
@@ -168,7 +165,7 @@ async fn run_on(swarm: &Handle, until_time: Option<f64>) -> Result<u64, DemoErro
         ..RunArgs::default()
     };
     let told = serde_json::to_string(&args).unwrap_or_default();
-    match command(swarm, "run", told, run::order(args)?).await {
+    match command(swarm, "run", told, run::order(args)?, None).await {
         Ok((_, Outcome::Runs(until, _))) => Ok(until.unwrap_or(u64::MAX)),
         Ok(_) => Ok(u64::MAX),
         Err(DemoError::Command(CommandError::Order(OrderError::Past { step, .. }))) => Ok(step),
@@ -254,17 +251,21 @@ async fn command(
     verb: &'static str,
     args: String,
     order: Order,
+    at_step: Option<u64>,
 ) -> Result<(Place, Outcome), DemoError> {
     let (answer, answered) = oneshot::channel();
     swarm.send(Ticket::Command {
         order,
-        expected: Expectation::default(),
-        sender: Sender {
+        when: When {
+            at_step,
+            ..When::default()
+        },
+        sender: Arc::new(Sender {
             verb,
             args,
             client: Some("jostled demo".to_owned()),
             request_id: None,
-        },
+        }),
         answer: Box::new(move |it| drop(answer.send(it))),
     });
     outcome(answered).await

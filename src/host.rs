@@ -29,8 +29,9 @@ const BYTES_PER_INDIVIDUAL: u64 = 4096;
 /// were it full. It is an envelope, and most of it is not there.
 const BYTES_PER_INDIVIDUAL_SQUARED: u64 = 36;
 
-/// Memory per swarm whatever its size: its thread's stack in use, queues and buffers.
-const BYTES_PER_SWARM: u64 = 256 * 1024;
+/// Memory per swarm whatever its size: its thread's stack in use, queues and buffers, its history
+/// and the commands that wait for their step.
+const BYTES_PER_SWARM: u64 = 1024 * 1024;
 
 /// What the daemon refuses to go beyond.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -173,6 +174,7 @@ impl Host {
         let handle = Handle {
             recipe: Arc::new(recipe),
             outlet: Arc::new(outlet),
+            history: Arc::default(),
             tickets,
             summary: Arc::default(),
         };
@@ -318,13 +320,7 @@ impl Host {
             }
         };
         let shortest = Duration::from_secs(1) / self.limits.max_hz.max(1);
-        let worker = Worker::new(
-            simulation,
-            taken,
-            handle.outlet.clone(),
-            handle.summary.clone(),
-            shortest,
-        );
+        let worker = Worker::new(simulation, taken, handle, shortest);
         let (place, frame) = worker.look();
         self.herald.begun(
             name,

@@ -115,6 +115,11 @@ fn main() -> ExitCode {
     } else {
         logs.init();
     }
+    // Tests make the daemon fail at named points; elsewhere the variable is not set.
+    let _failing = std::env::var_os("FAILPOINTS").map(|points| {
+        tracing::warn!(?points, "set to fail");
+        fail::FailScenario::setup()
+    });
     // zenoh needs a runtime of several threads.
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)

@@ -17,6 +17,7 @@ use zenoh::qos::CongestionControl;
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
+use crate::command::error::refusal;
 use crate::swarm::frame::Frame;
 use crate::swarm::outlet::Outlet;
 use crate::wire::{self, Payload};
@@ -190,7 +191,7 @@ impl Publication {
         let publishers = &self.publishers;
         let (frame, events) = self.outlet.take();
         for event in events {
-            let Payload { bytes, .. } = Payload::json(&wire::event(swarm, event));
+            let Payload { bytes, .. } = Payload::json(&wire::event(swarm, event, refusal));
             report(swarm, publishers.event.put(bytes).wait());
         }
         if let Some(frame) = frame {

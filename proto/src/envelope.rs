@@ -2,15 +2,17 @@
 
 use std::fmt;
 
+use schemars::JsonSchema;
 use serde::de::{DeserializeOwned, IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;
 
-use crate::Phase;
+use crate::{LARGEST_WHOLE, Phase};
 
 /// An object with any of these fields is an envelope; no argument of a verb bears their names.
-const ENVELOPE_FIELDS: [&str; 6] = [
+const ENVELOPE_FIELDS: [&str; 7] = [
+    "at_step",
     "request_id",
     "client",
     "expect_epoch",
@@ -22,6 +24,9 @@ const ENVELOPE_FIELDS: [&str; 6] = [
 /// The longest `request_id` and `client`, in bytes.
 pub const MAX_LABEL_LENGTH: usize = 256;
 
+/// What a `request_id` and a `client` may look like: no control characters.
+const LABEL_RULE: &str = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$";
+
 /// The most of a field's path that an error repeats, in characters.
 const MOST_OF_A_FIELD: usize = 100;
 
@@ -29,15 +34,23 @@ const MOST_OF_A_FIELD: usize = 100;
 const MOST_OF_A_PROBLEM: usize = 400;
 
 /// A request: all but the verb's own arguments is optional.
-#[derive(Debug, Default, Serialize, Deserialize)]
+#[derive(Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Request {
-    /// What the sender calls it.
+    /// What the sender calls it. A request that was carried out is not carried out again when it
+    /// comes once more under the same `client` and `request_id`: the first reply is given again.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(length(max = MAX_LABEL_LENGTH), regex(pattern = LABEL_RULE))]
     pub request_id: Option<String>,
     /// Who says to have sent it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(length(max = MAX_LABEL_LENGTH), regex(pattern = LABEL_RULE))]
     pub client: Option<String>,
+    /// Carry it out when the swarm is at this step. One in the past is a `conflict`; one in the
+    /// future is acknowledged at once with `applies_at_step`, and an event tells what came of it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(max = LARGEST_WHOLE))]
+    pub at_step: Option<u64>,
     /// Refuse with `conflict` unless the swarm is in this epoch.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expect_epoch: Option<u64>,
@@ -47,9 +60,11 @@ pub struct Request {
     /// After this many seconds the reply is `deadline_exceeded`; the work goes on. Above 0, at
     /// most 3600; 5 if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 3600.0))]
     pub timeout_secs: Option<f64>,
     /// The verb's arguments.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(with = "Option<serde_json::Map<String, Value>>")]
     pub args: Option<Box<RawValue>>,
 }
 
@@ -125,43 +140,50 @@ impl Request {
     /// [`RequestError`] when a field is missing, unknown, given twice or of the wrong type.
     pub fn args<T: DeserializeOwned + Serialize>(&self) -> Result<T, RequestError> {
         let args = self.args.as_deref().map_or("{}", RawValue::get);
-        let understood: T = read(args)?;
+        let understood: T = read(args).map_err(|mut error| {
+            if error.field.is_empty() {
+                error.field = "args".into();
+            }
+            error
+        })?;
         let (Ok(given), Ok(meant)) = (
             serde_json::from_str(args),
             serde_json::to_value(&understood),
         ) else {
             return Err(whole("cannot be read back".into()));
         };
-        check_objects("args", &given, &meant)?;
+        check_objects("", &given, &meant)?;
         Ok(understood)
     }
 }
 
 /// Refuses a list where an object was meant: it would be read as the fields in their order, which
 /// nobody writes on purpose.
-fn check_objects(field: &str, given: &Value, meant: &Value) -> Result<(), RequestError> {
+fn check_objects(path: &str, given: &Value, meant: &Value) -> Result<(), RequestError> {
+    let wrong = |problem: &str| {
+        Err(RequestError {
+            field: if path.is_empty() { "args" } else { path }.to_owned(),
+            problem: problem.to_owned(),
+        })
+    };
     match (given, meant) {
-        (Value::Array(_), Value::Object(_)) => Err(RequestError {
-            field: field.to_owned(),
-            problem: "is a list where an object with named fields belongs".into(),
-        }),
-        (Value::Object(_), Value::String(_)) => Err(RequestError {
-            field: field.to_owned(),
-            problem: "is an object where a word belongs".into(),
-        }),
+        (Value::Array(_), Value::Object(_)) => {
+            wrong("is a list where an object with named fields belongs")
+        }
+        (Value::Object(_), Value::String(_)) => wrong("is an object where a word belongs"),
         (Value::Array(given), Value::Array(meant)) => {
             // Columns of numbers can be long, and have no objects in them.
             let lists = given.iter().zip(meant).enumerate();
             lists
-                .filter(|(_, (given, _))| given.is_array())
+                .filter(|(_, (given, _))| given.is_array() || given.is_object())
                 .try_for_each(|(i, (given, meant))| {
-                    check_objects(&format!("{field}[{i}]"), given, meant)
+                    check_objects(&format!("{path}[{i}]"), given, meant)
                 })
         }
         (Value::Object(given), Value::Object(meant)) => {
             given.iter().try_for_each(|(name, given)| {
                 let meant = meant.get(name).unwrap_or(&Value::Null);
-                check_objects(name, given, meant)
+                check_objects(&below(path, name), given, meant)
             })
         }
         _ => Ok(()),
@@ -175,14 +197,16 @@ fn read<T: DeserializeOwned>(text: &str) -> Result<T, RequestError> {
         let path = error.path().to_string();
         let path = if path == "." { String::new() } else { path };
         let problem = without_place(&error.into_inner().to_string());
-        // What is missing is a field too, below the one that lacks it.
-        let missing = problem
-            .strip_prefix("missing field `")
+        // What is missing or there twice is a field too, below the one that is being read.
+        let named = ["missing field `", "duplicate field `"]
+            .iter()
+            .find_map(|start| problem.strip_prefix(start))
             .and_then(|rest| rest.strip_suffix('`'));
-        let field = match missing {
-            Some(name) if path.is_empty() => name.to_owned(),
-            Some(name) => format!("{path}.{name}"),
-            None => path,
+        let field = named.map_or(path.clone(), |name| below(&path, name));
+        // What our types are called is no business of the sender's.
+        let problem = match problem.split_once("expected struct ") {
+            Some((given, _)) => format!("{given}expected an object with named fields"),
+            None => problem,
         };
         RequestError {
             field: shortened(&field, MOST_OF_A_FIELD),
@@ -193,6 +217,15 @@ fn read<T: DeserializeOwned>(text: &str) -> Result<T, RequestError> {
         .end()
         .map_err(|error| whole(error.to_string()))?;
     Ok(value)
+}
+
+/// The path of a field of what is at `path`.
+fn below(path: &str, name: &str) -> String {
+    if path.is_empty() {
+        name.to_owned()
+    } else {
+        format!("{path}.{name}")
+    }
 }
 
 /// The first `most` characters: what a client sent is not sent back to it without end.
@@ -212,7 +245,7 @@ fn without_place(problem: &str) -> String {
 fn whole(problem: String) -> RequestError {
     RequestError {
         field: String::new(),
-        problem,
+        problem: shortened(&problem, MOST_OF_A_PROBLEM),
     }
 }
 
@@ -255,8 +288,9 @@ impl<'de> Deserialize<'de> for FieldNames {
 }
 
 /// The answer of a swarm, and of the node that created one. A query on a swarm's `state` alone is
-/// answered with a bare [`State`](crate::State).
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+/// answered with the state alone.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[schemars(rename = "{T}Reply")]
 pub struct Reply<T> {
     /// The swarm's name.
     pub swarm: String,
@@ -275,7 +309,8 @@ pub struct Reply<T> {
 }
 
 /// The answer of a node about itself.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[schemars(rename = "Node{T}Reply")]
 pub struct NodeReply<T> {
     /// The node's name.
     pub node: String,

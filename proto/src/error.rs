@@ -1,9 +1,10 @@
 //! Why a request was refused.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 /// A refused or failed request. Clients branch on `code`; `message` says the remedy.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Error {
     /// The kind.
     pub code: ErrorCode,
@@ -17,8 +18,23 @@ pub struct Error {
     pub step: Option<u64>,
 }
 
+impl Error {
+    /// The same error, of something within a larger argument: the field it names becomes a path.
+    #[must_use]
+    pub fn within(mut self, path: &str) -> Self {
+        self.message = format!("{path}: {}", self.message);
+        let field = match self.details.get("field").and_then(|it| it.as_str()) {
+            Some("args") if path.ends_with(".args") => path.to_owned(),
+            Some(field) => format!("{path}.{field}"),
+            None => path.to_owned(),
+        };
+        self.details.insert("field".into(), field.into());
+        self
+    }
+}
+
 /// The kinds of errors.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ErrorCode {
     /// No such swarm, or no such noun or verb.

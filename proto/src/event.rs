@@ -1,11 +1,12 @@
 //! What happened to a swarm.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::Phase;
+use crate::{Error, Phase};
 
 /// One published event. Its number tells a reader what it missed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Event {
     /// The swarm's name.
     pub swarm: String,
@@ -24,7 +25,7 @@ pub struct Event {
 }
 
 /// What happened.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum EventKind {
     /// The swarm was created.
@@ -46,6 +47,32 @@ pub enum EventKind {
         client: Option<String>,
         /// What the sender called it.
         request_id: Option<String>,
+    },
+    /// A command waits for its step.
+    Scheduled {
+        /// The step it will be carried out at.
+        applies_at_step: u64,
+        /// Its verb.
+        verb: String,
+        /// Its arguments as they came.
+        args: serde_json::Value,
+        /// Who says to have sent it.
+        client: Option<String>,
+        /// What the sender called it.
+        request_id: Option<String>,
+    },
+    /// A command that waited for its step was not carried out after all.
+    Refused {
+        /// Its verb.
+        verb: String,
+        /// Its arguments as they came.
+        args: serde_json::Value,
+        /// Who says to have sent it.
+        client: Option<String>,
+        /// What the sender called it.
+        request_id: Option<String>,
+        /// Why.
+        error: Error,
     },
     /// Individuals informed for a time are uninformed again.
     Lapsed {

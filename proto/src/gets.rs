@@ -1,11 +1,16 @@
 //! What the `get` keys answer.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{Certificate, Order, ParameterValues, Phase};
+use std::collections::BTreeMap;
+
+use serde_json::Value;
+
+use crate::{Certificate, Event, Order, ParameterValues, Phase};
 
 /// A swarm's answer to `get/status`; phase, step and time are in the envelope.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Status {
     /// Why it is paused or faulted.
     pub reason: Option<String>,
@@ -25,6 +30,8 @@ pub struct Status {
     pub dt: f64,
     /// The parameters that may change while it lives.
     pub parameters: ParameterValues,
+    /// Commands that wait for their step.
+    pub scheduled: u64,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
     /// Order and drift.
@@ -33,19 +40,117 @@ pub struct Status {
     pub certificate: Certificate,
 }
 
+/// A swarm's answer to `get/parameters`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Parameters {
+    /// All but the start, in the order of the spec.
+    pub parameters: Vec<Parameter>,
+}
+
+/// A parameter of a swarm, with all that a form or a slider needs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Parameter {
+    /// Its name in the spec.
+    pub name: String,
+    /// What it means, in a line.
+    pub doc: String,
+    /// Its unit; `1` if it has none.
+    pub unit: String,
+    /// What values it takes.
+    pub kind: ParameterKind,
+    /// The least value; `null` if there is none.
+    pub minimum: Option<f64>,
+    /// What it must be above; `null` if nothing.
+    pub exclusive_minimum: Option<f64>,
+    /// The largest value as things are; `null` if there is none.
+    pub maximum: Option<f64>,
+    /// The values of a choice; empty otherwise.
+    pub choices: Vec<Value>,
+    /// Whether `null` is a value.
+    pub nullable: bool,
+    /// What it is if left out; `null` if it must be given.
+    pub default: Value,
+    /// What it is now.
+    pub value: Value,
+    /// Whether it may change while the swarm lives.
+    pub live: bool,
+    /// The verbs that change it.
+    pub changed_by: Vec<String>,
+}
+
+/// What values a parameter takes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ParameterKind {
+    /// A double.
+    Number,
+    /// A whole number.
+    Integer,
+    /// One of several.
+    Choice,
+}
+
+/// A swarm's answer to `get/events?after=NUMBER`: the events it still has, oldest first.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Events {
+    /// Those after the number asked for, as many as one answer holds.
+    pub events: Vec<Event>,
+    /// The number of the oldest it still has; `null` if it has none.
+    pub oldest: Option<u64>,
+    /// The number of the newest: ask again until it is reached. 0 before the first.
+    pub newest: u64,
+}
+
+/// A swarm's answer to `get/journal?after=SEQ`: the commands it applied, oldest first.
+///
+/// With the spec it is all that the swarm's present state comes from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Journal {
+    /// Those after the `seq` asked for, as many as one answer holds.
+    pub entries: Vec<JournalEntry>,
+    /// The `seq` of the oldest it still has; `null` if it has none.
+    pub oldest: Option<u64>,
+    /// The `seq` of the newest: ask again until it is reached. 0 before the first.
+    pub newest: u64,
+}
+
+/// A command that was applied.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct JournalEntry {
+    /// Counts the swarm's applied commands; a `batch` counts each of its changes and stands here
+    /// with the last.
+    pub seq: u64,
+    /// The epoch it was applied in.
+    pub epoch: u64,
+    /// The step it was applied at.
+    pub step: u64,
+    /// `step · dt`.
+    pub time: f64,
+    /// Its verb.
+    pub verb: String,
+    /// Its arguments as they came.
+    pub args: Value,
+    /// Who says to have sent it.
+    pub client: Option<String>,
+    /// What the sender called it.
+    pub request_id: Option<String>,
+}
+
 /// A node's answer to `get/hello`: who is there and what it takes.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Hello {
     /// The daemon's version.
     pub version: String,
     /// The version of the contract it speaks.
     pub wire_version: u32,
+    /// The daemon's clock: seconds since 1970, UTC.
+    pub unix_secs: f64,
     /// The limits it enforces.
     pub limits: Limits,
 }
 
 /// What a daemon refuses to go beyond.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Limits {
     /// Individuals in one swarm.
     pub max_individuals: u64,
@@ -60,7 +165,7 @@ pub struct Limits {
 }
 
 /// A node's answer to `get/status`.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NodeStatus {
     /// Seconds since the daemon started.
     pub uptime_secs: f64,
@@ -78,15 +183,24 @@ pub struct NodeStatus {
     pub clients: u64,
 }
 
+/// A node's answer to `get/schema`: JSON Schemas (2020-12) of every message.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Schemas {
+    /// The version of the contract they describe.
+    pub wire_version: u32,
+    /// By the name of the message, such as `step.args`.
+    pub schemas: BTreeMap<String, Value>,
+}
+
 /// A node's answer to `get/swarms`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Swarms {
     /// All it hosts, ordered by name.
     pub swarms: Vec<SwarmSummary>,
 }
 
 /// A swarm in a list.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SwarmSummary {
     /// Its name.
     pub swarm: String,

@@ -6,15 +6,16 @@
 pub const DEFAULT_PREFIX: &str = "jostle";
 
 /// The nouns that `{prefix}/{swarm}/get/` answers.
-pub const SWARM_GETS: [&str; 3] = ["status", "spec", "wait"];
+pub const SWARM_GETS: [&str; 6] = ["status", "spec", "parameters", "events", "journal", "wait"];
 
 /// The verbs that `{prefix}/{swarm}/cmd/` executes.
-pub const SWARM_VERBS: [&str; 10] = [
+pub const SWARM_VERBS: [&str; 11] = [
     "delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove",
+    "batch",
 ];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
-pub const NODE_GETS: [&str; 3] = ["hello", "status", "swarms"];
+pub const NODE_GETS: [&str; 4] = ["hello", "status", "swarms", "schema"];
 
 /// The verbs that `{prefix}/@node/{node}/cmd/` executes.
 pub const NODE_VERBS: [&str; 1] = ["create"];

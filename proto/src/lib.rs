@@ -9,24 +9,34 @@
 
 pub mod keys;
 
+pub mod asyncapi;
 mod column;
+pub mod contract;
 mod envelope;
 mod error;
 mod event;
 mod gets;
 mod spec;
 mod state;
+mod told;
 pub mod verbs;
 
 pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request, RequestError};
 pub use error::{Error, ErrorCode};
 pub use event::{Event, EventKind};
-pub use gets::{Hello, Limits, NodeStatus, Status, SwarmSummary, Swarms};
+pub use gets::{
+    Events, Hello, Journal, JournalEntry, Limits, NodeStatus, Parameter, ParameterKind, Parameters,
+    Schemas, Status, SwarmSummary, Swarms,
+};
 pub use spec::{Attraction, ContactRule, Spec, Start};
 pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};
+pub use told::Told;
 
 /// The version of this contract; it grows when a message changes its meaning.
 pub const WIRE_VERSION: u32 = 1;
+
+/// The largest whole number that every client can hold: doubles are exact up to here.
+pub const LARGEST_WHOLE: u64 = (1 << 53) - 1;
 
 /// The zenoh encoding of requests, replies, errors, orders and events.
 pub const JSON: &str = "application/json";

@@ -1,51 +1,66 @@
 //! What a swarm is made from.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
+
+use crate::LARGEST_WHOLE;
 
 /// The description of a swarm: same spec, same seed, same bytes.
 ///
 /// Lengths are in body sizes, speeds in free speeds, times in their quotient. Everything but `n`
 /// may be left out.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Spec {
     /// The number of individuals at the start: 1 to the daemon's limit.
+    #[schemars(range(min = 1), extend("x-unit" = "individuals", "x-changed-by" = ["inject", "remove"]))]
     pub n: u64,
     /// Length over width of a body: 1 (a disc) to 32.
     #[serde(default = "default::pi1")]
+    #[schemars(range(min = 1.0, max = 32.0), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
     pub pi1: f64,
     /// Weight of the preferred direction of individuals informed without a weight: 0 or more.
     #[serde(default = "default::pi2")]
+    #[schemars(range(min = 0.0, max = 1e6), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
     pub pi2: f64,
     /// Body size over turning radius: above 0.
     #[serde(default = "default::pi3")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
     pub pi3: f64,
     /// Translational over rotational drag: above 0.
     #[serde(default = "default::pi4")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
     pub pi4: f64,
     /// The time step: above 0, and short enough that a step cannot carry a body across another.
     #[serde(default = "default::dt")]
+    #[schemars(extend("exclusiveMinimum" = 0, "x-unit" = "body size / free speed"), range(max = 1.0))]
     pub dt: f64,
     /// Which of a pair's contacts constrain it.
     #[serde(default)]
+    #[schemars(extend("x-unit" = "1"))]
     pub contacts: ContactRule,
     /// The seed of every draw: 0 to 2⁵³ - 1.
     #[serde(default)]
+    #[schemars(range(max = LARGEST_WHOLE), extend("x-unit" = "1", "x-changed-by" = ["reset"]))]
     pub seed: u64,
     /// Where the individuals begin.
     #[serde(default)]
     pub start: Start,
     /// What an individual turns towards.
     #[serde(default)]
+    #[schemars(extend("x-unit" = "1"))]
     pub attraction: Attraction,
     /// Intensity of the noise on the turning rate; only 0 so far.
     #[serde(default)]
+    #[schemars(range(min = 0.0, max = 0.0), extend("x-unit" = "1"))]
     pub noise: f64,
     /// Steps between two published states: 1 or more.
     #[serde(default = "default::publish_every")]
+    #[schemars(range(min = 1, max = 1_000_000_000), extend("x-unit" = "steps", "x-changed-by" = ["set"]))]
     pub publish_every: u64,
     /// Time units per second of wall clock; `null` is as fast as possible.
     #[serde(default = "default::rate")]
+    #[schemars(extend("exclusiveMinimum" = 0, "x-unit" = "time units / s", "x-changed-by" = ["run"]), range(max = 1e6))]
     pub rate: Option<f64>,
 }
 
@@ -97,7 +112,7 @@ mod default {
 }
 
 /// Which of a pair's contacts constrain it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum ContactRule {
     /// Every endpoint that projects inside the other segment, and mutual endpoint pairs.
@@ -106,7 +121,7 @@ pub enum ContactRule {
 }
 
 /// What an individual turns towards.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Attraction {
     /// The mean of the unit vectors to all the others, eq. (4).
@@ -120,22 +135,26 @@ impl Default for Attraction {
 }
 
 /// Where the individuals begin.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Start {
     /// Uniformly in a disc, one after the other, none overlapping an earlier one.
     Disc {
         /// The radius of the disc in body sizes; √n, at least 1, if left out.
         #[serde(default, skip_serializing_if = "Option::is_none")]
+        #[schemars(range(min = 0.0, max = 1e6))]
         radius: Option<f64>,
     },
     /// Exactly there, to the bit. Three columns of n numbers.
     Given {
         /// Absolute positions, body sizes.
+        #[schemars(inner(range(min = -1e6, max = 1e6)))]
         x: Vec<f64>,
         /// Absolute positions, body sizes.
+        #[schemars(inner(range(min = -1e6, max = 1e6)))]
         y: Vec<f64>,
         /// Headings in radians, counter-clockwise from +x.
+        #[schemars(inner(range(min = -1e6, max = 1e6)))]
         alpha: Vec<f64>,
     },
 }

@@ -1,11 +1,12 @@
 //! What a swarm publishes about itself.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::column;
 
 /// What a swarm is doing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
     /// Standing still, open to every command.
@@ -20,7 +21,7 @@ pub enum Phase {
 ///
 /// An individual's absolute position is `1024 · origin + (x, y)`. In CBOR the columns are RFC 8746
 /// typed arrays, little-endian; in JSON plain arrays.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct State {
     /// The swarm's name.
     pub swarm: String,
@@ -38,21 +39,27 @@ pub struct State {
     pub origin: [i64; 2],
     /// Ids; never used twice.
     #[serde(with = "column::u32_column")]
+    #[schemars(with = "Vec<u32>")]
     pub id: Vec<u32>,
     /// Positions relative to the origin, body sizes.
     #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
     pub x: Vec<f64>,
     /// Positions relative to the origin, body sizes.
     #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
     pub y: Vec<f64>,
     /// Headings in radians, counter-clockwise from +x, never wrapped.
     #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
     pub alpha: Vec<f64>,
     /// Weights of the preferred directions; 0 for the uninformed.
     #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
     pub weight: Vec<f64>,
     /// Preferred directions in radians; 0 for the uninformed.
     #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
     pub direction: Vec<f64>,
     /// Order and drift.
     pub order: Order,
@@ -86,7 +93,7 @@ pub fn to_cbor<T: Serialize>(message: &T) -> Vec<u8> {
 /// How ordered a swarm is and where it drifts, now and on average since the start or reset.
 ///
 /// Speeds are in free speeds; the means are over steps.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Order {
     /// The polar order parameter, eq. (8) without the mean: 0 to 1.
     pub order: f64,
@@ -105,7 +112,7 @@ pub struct Order {
 }
 
 /// What shows that a state is an exact one.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Certificate {
     /// The smallest gap between two bodies, measured apart from the solver; negative is overlap;
     /// `null` if no two are near.
@@ -123,7 +130,7 @@ pub struct Certificate {
 }
 
 /// One published order.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct OrderSample {
     /// The swarm's name.
     pub swarm: String,
@@ -153,7 +160,7 @@ pub struct OrderSample {
 }
 
 /// The values of the parameters that may change while a swarm lives.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ParameterValues {
     /// Length over width of a body.
     pub pi1: f64,

@@ -1,14 +1,18 @@
 //! The arguments and results of every verb, in the order a swarm meets them.
 
+use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::{ParameterValues, Spec, State};
+use crate::keys::NAME_RULE;
+use crate::told::told;
+use crate::{LARGEST_WHOLE, ParameterValues, Spec, State};
 
 /// Creates a swarm; sent to a node. The swarm is created paused.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct CreateArgs {
     /// The new swarm's name.
+    #[schemars(regex(pattern = NAME_RULE))]
     pub name: String,
     /// What it is made from.
     pub spec: Spec,
@@ -18,31 +22,34 @@ pub struct CreateArgs {
 }
 
 /// What `create` did.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CreateResult {
     /// False if an equal swarm was there already.
     pub created: bool,
     /// The spec with every default filled in.
+    #[serde(deserialize_with = "told")]
     pub spec: Spec,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
 }
 
 /// Deletes a swarm.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct DeleteArgs {}
 
 /// Lets a swarm run, to an end or until paused; changes end and rate of one that runs, and leaves
 /// what is left out.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RunArgs {
     /// Pause when this step is reached. At most one of `until_step` and `until_time`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(max = LARGEST_WHOLE))]
     pub until_step: Option<u64>,
     /// Pause at the first step at or after this time.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e12))]
     pub until_time: Option<f64>,
     /// Time units per second of wall clock; `null` is as fast as possible; left out, no change.
     #[serde(
@@ -50,29 +57,32 @@ pub struct RunArgs {
         deserialize_with = "present",
         skip_serializing_if = "Option::is_none"
     )]
+    #[schemars(with = "Option<f64>", extend("exclusiveMinimum" = 0), range(max = 1e6))]
     pub rate: Option<Option<f64>>,
 }
 
 /// How the swarm now runs.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunResult {
     /// The step it will pause at.
+    #[schemars(range(max = LARGEST_WHOLE))]
     pub until_step: Option<u64>,
     /// Time units per second of wall clock; `null` is as fast as possible.
     pub rate: Option<f64>,
 }
 
 /// Pauses a swarm; no change if it is paused.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct PauseArgs {}
 
 /// Runs a paused swarm some steps on, as fast as it can whatever its rate.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StepArgs {
     /// How many steps: 1 to 10⁹.
     #[serde(default = "one")]
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub steps: u64,
     /// What the reply carries.
     #[serde(default, rename = "return")]
@@ -80,7 +90,7 @@ pub struct StepArgs {
 }
 
 /// What the reply to `step` carries.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Return {
     /// The hash alone, as JSON.
@@ -91,7 +101,7 @@ pub enum Return {
 }
 
 /// Where `step` arrived.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StepResult {
     /// How many steps were taken; fewer than asked for if another command came between.
     pub steps: u64,
@@ -103,16 +113,17 @@ pub struct StepResult {
 }
 
 /// Puts a swarm back to the start of its spec, at step 0 of a new epoch, paused.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ResetArgs {
     /// A new seed: 0 to 2⁵³ - 1; left out, the old one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(max = LARGEST_WHOLE))]
     pub seed: Option<u64>,
 }
 
 /// What a reset swarm begins from.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ResetResult {
     /// Its seed.
     pub seed: u64,
@@ -121,23 +132,28 @@ pub struct ResetResult {
 }
 
 /// Changes the parameters named, and no others. At least one must be named.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SetArgs {
     /// Length over width of a body: 1 to 32.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1.0, max = 32.0))]
     pub pi1: Option<f64>,
     /// Weight of individuals informed without one: 0 or more. Those informed keep theirs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub pi2: Option<f64>,
     /// Body size over turning radius: above 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
     pub pi3: Option<f64>,
     /// Translational over rotational drag: above 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
     pub pi4: Option<f64>,
     /// Steps between two published states: 1 or more.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = 1_000_000_000))]
     pub publish_every: Option<u64>,
     /// With `pi1`: scale positions about the centroid by the least factor that makes room.
     #[serde(default)]
@@ -145,7 +161,7 @@ pub struct SetArgs {
 }
 
 /// What `set` did.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SetResult {
     /// The values before.
     pub before: ParameterValues,
@@ -156,7 +172,7 @@ pub struct SetResult {
 }
 
 /// Which individuals a verb is about. A draw is seeded by the swarm's seed and `seq`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Select {
     /// These.
@@ -164,7 +180,7 @@ pub enum Select {
     /// This many, drawn.
     Count(u64),
     /// This share, 0 to 1, drawn; rounded to a whole number of individuals.
-    Fraction(f64),
+    Fraction(#[schemars(range(min = 0.0, max = 1.0))] f64),
     /// All whose centre is in a disc.
     Within(Region),
     /// The ones furthest along a direction.
@@ -172,7 +188,7 @@ pub enum Select {
 }
 
 /// A disc, in absolute positions and body sizes.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Region {
     /// Its centre.
@@ -180,37 +196,42 @@ pub struct Region {
     /// Its centre.
     pub y: f64,
     /// Its radius, 0 or more.
+    #[schemars(range(min = 0.0, max = 1e6))]
     pub radius: f64,
 }
 
 /// The `count` individuals furthest along a direction.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Foremost {
     /// How many.
     pub count: u64,
     /// The direction in radians, counter-clockwise from +x.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub along: f64,
 }
 
 /// Gives individuals a direction of their own.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InformArgs {
     /// Whom; draws are from the whole group.
     pub select: Select,
     /// Their preferred direction in radians, counter-clockwise from +x.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub direction: f64,
     /// How much it counts beside attraction, `pi2` if left out: above 0.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
     pub weight: Option<f64>,
     /// After this many time units they are uninformed again; for good if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e9))]
     pub for_time: Option<f64>,
 }
 
 /// Takes individuals' direction away.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct UninformArgs {
     /// Whom; draws are from the informed.
@@ -218,28 +239,32 @@ pub struct UninformArgs {
 }
 
 /// Adds individuals, informed or not, where they overlap nobody. One of `count` and `at`.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InjectArgs {
     /// How many, at the border of the group, or in `within`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1))]
     pub count: Option<u64>,
     /// Exactly there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(length(min = 1))]
     pub at: Option<Vec<Pose>>,
     /// With `count`: the disc they are drawn in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub within: Option<Region>,
     /// Informs them: their preferred direction in radians.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub direction: Option<f64>,
     /// With `direction`: how much it counts beside attraction, `pi2` if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
     pub weight: Option<f64>,
 }
 
 /// Where a body is, in absolute positions.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Pose {
     /// Its centre, body sizes.
@@ -247,19 +272,83 @@ pub struct Pose {
     /// Its centre, body sizes.
     pub y: f64,
     /// Its heading in radians, counter-clockwise from +x.
+    #[schemars(range(min = -1e6, max = 1e6))]
     pub alpha: f64,
 }
 
 /// Takes individuals out of the group. The last one cannot be removed.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RemoveArgs {
     /// Whom; draws are from the whole group.
     pub select: Select,
 }
 
+/// Applies several changes at one step, or none of them.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct BatchArgs {
+    /// 1 to 256 of them, applied in this order as if each had come alone.
+    #[schemars(length(min = 1, max = MOST_CHANGES))]
+    pub commands: Vec<Change>,
+}
+
+/// The most changes of one `batch`.
+pub const MOST_CHANGES: usize = 256;
+
+/// A verb that changes parameters or the group, with its arguments.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(
+    tag = "verb",
+    content = "args",
+    rename_all = "snake_case",
+    deny_unknown_fields
+)]
+pub enum Change {
+    /// Changes parameters.
+    Set(SetArgs),
+    /// Gives individuals a direction of their own.
+    Inform(InformArgs),
+    /// Takes individuals' direction away.
+    Uninform(UninformArgs),
+    /// Adds individuals.
+    Inject(InjectArgs),
+    /// Takes individuals out of the group.
+    Remove(RemoveArgs),
+}
+
+/// What each change of a `batch` came to, in their order.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct BatchResult {
+    /// One for each.
+    pub results: Vec<Changed>,
+}
+
+/// What a change came to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(tag = "verb", content = "result", rename_all = "snake_case")]
+pub enum Changed {
+    /// The parameters before and now.
+    Set(SetResult),
+    /// Who was informed.
+    Inform(IdsResult),
+    /// Who was uninformed.
+    Uninform(IdsResult),
+    /// Who joined.
+    Inject(IdsResult),
+    /// Who left.
+    Remove(IdsResult),
+}
+
+/// The result of any command whose `at_step` lies ahead: it is yet to be carried out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Scheduled {
+    /// The step it will be carried out at; an event then tells what came of it.
+    pub applies_at_step: u64,
+}
+
 /// The individuals a verb was about.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct IdsResult {
     /// Their ids, ascending.
     pub ids: Vec<u32>,
@@ -268,7 +357,7 @@ pub struct IdsResult {
 }
 
 /// The result of a verb that has nothing more to say.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct EmptyResult {}
 
 fn one() -> u64 {

@@ -5,7 +5,7 @@ use jostle_proto::verbs::CreateArgs;
 
 use crate::command::{CommandError, check_name};
 use crate::host::Limits;
-use crate::swarm::order::Recipe;
+use crate::swarm::order::{OrderError, Recipe};
 use crate::wire;
 
 /// Checks the name and the spec of a new swarm.
@@ -19,11 +19,24 @@ pub fn recipe(args: &CreateArgs, limits: Limits) -> Result<Recipe, CommandError>
     let n = usize::try_from(n)
         .ok()
         .filter(|n| (1..=limits.max_individuals).contains(n));
-    match n {
-        Some(n) => Ok(wire::recipe(&args.spec, n)?),
+    let recipe = match n {
+        Some(n) => wire::recipe(&args.spec, n).map_err(CommandError::from),
         None => Err(CommandError::Individuals {
             n: args.spec.n,
             limit: limits.max_individuals,
         }),
+    };
+    recipe.map_err(within_spec)
+}
+
+/// Why a swarm could not be built from its spec.
+pub fn explain(error: OrderError) -> CommandError {
+    match error {
+        OrderError::Parameters(_) | OrderError::Start(_) => within_spec(error.into()),
+        other => other.into(),
     }
+}
+
+fn within_spec(error: CommandError) -> CommandError {
+    error.within("spec".into())
 }

@@ -54,6 +54,9 @@ pub enum CommandError {
         /// Those there are.
         known: &'static [&'static str],
     },
+    /// A selector gives a parameter twice.
+    #[error("{0} is given twice: give it once")]
+    Twice(&'static str),
     /// The payload is not in an encoding that requests are read in.
     #[error("the payload is {0:?}: requests are application/json")]
     Encoding(String),
@@ -79,6 +82,23 @@ pub enum CommandError {
     /// There is no such swarm.
     #[error("there is no swarm {0:?}: the node's get/swarms lists what there is")]
     UnknownSwarm(String),
+    /// Something within a larger argument is wrong.
+    #[error("{path}: {error}")]
+    Within {
+        /// The path of what it is within, such as `commands[2].args`.
+        path: String,
+        /// What is wrong.
+        error: Box<CommandError>,
+    },
+    /// The id was given to another request before.
+    #[error(
+        "request_id {0:?} was given to another request of this client: give each request one of \
+         its own"
+    )]
+    OtherRequest(String),
+    /// A defect of the daemon.
+    #[error("a defect of the daemon: nothing was changed; please report what you sent")]
+    Internal,
     /// Too much at once for the daemon.
     #[error("too much at once for this daemon: try again in a moment")]
     Busy,
@@ -100,8 +120,26 @@ pub enum CommandError {
 }
 
 impl CommandError {
+    /// The same error, of something within a larger argument.
+    #[must_use]
+    pub fn within(self, path: String) -> Self {
+        CommandError::Within {
+            path,
+            error: Box::new(self),
+        }
+    }
+
     /// The error as it crosses the wire, for a swarm at `step`.
     pub fn to_wire(&self, step: Option<u64>) -> Error {
+        if let CommandError::Within { path, error } = self {
+            return error.to_wire(step).within(path);
+        }
+        if let CommandError::Order(OrderError::InBatch { index, error }) = self {
+            let error = CommandError::Order((**error).clone()).to_wire(step);
+            let mut error = error.within(&format!("commands[{index}].args"));
+            error.message.push_str("; none of the batch was applied");
+            return error;
+        }
         let details = self.details();
         let mut message = self.to_string();
         match (&self, details.get("range")) {
@@ -139,11 +177,15 @@ impl CommandError {
             | CommandError::Name { .. }
             | CommandError::Individuals { .. }
             | CommandError::Parameter { .. }
+            | CommandError::Twice(_)
             | CommandError::Encoding(_)
             | CommandError::Wildcard => ErrorCode::InvalidArgument,
             CommandError::UnknownVerb { .. }
             | CommandError::UnknownNoun { .. }
             | CommandError::UnknownSwarm(_) => ErrorCode::NotFound,
+            CommandError::Within { error, .. } => error.code(),
+            CommandError::OtherRequest(_) => ErrorCode::Conflict,
+            CommandError::Internal => ErrorCode::Internal,
             CommandError::Busy => ErrorCode::Busy,
             CommandError::Deadline { .. } => ErrorCode::DeadlineExceeded,
             CommandError::Host(error) => match error {
@@ -155,7 +197,12 @@ impl CommandError {
             },
             CommandError::Order(error) => match error {
                 OrderError::Phase(_) => ErrorCode::IncorrectState,
-                OrderError::Conflict { .. } | OrderError::Past { .. } => ErrorCode::Conflict,
+                OrderError::Conflict { .. }
+                | OrderError::Past { .. }
+                | OrderError::Late { .. }
+                | OrderError::Overtaken { .. } => ErrorCode::Conflict,
+                OrderError::InBatch { error, .. } => CommandError::Order((**error).clone()).code(),
+                OrderError::Panicked => ErrorCode::Internal,
                 OrderError::Parameters(_)
                 | OrderError::Selection(_)
                 | OrderError::NobodyLeft(_) => ErrorCode::InvalidArgument,
@@ -171,9 +218,9 @@ impl CommandError {
                     ResizeError::Parameters(_) => ErrorCode::InvalidArgument,
                     _ => ErrorCode::ResourceExhausted,
                 },
-                OrderError::TooMany { .. } | OrderError::NoMemory { .. } => {
-                    ErrorCode::ResourceExhausted
-                }
+                OrderError::TooMany { .. }
+                | OrderError::NoMemory { .. }
+                | OrderError::TooManyScheduled { .. } => ErrorCode::ResourceExhausted,
                 OrderError::Busy => ErrorCode::Busy,
                 OrderError::Faulted(_) => ErrorCode::Faulted,
                 OrderError::Gone => ErrorCode::NotFound,
@@ -208,6 +255,7 @@ impl CommandError {
                 json!({"field": "n", "value": n, "range": format!("[1, {limit}]")})
             }
             CommandError::Parameter { name, known } => json!({"field": name, "known": known}),
+            CommandError::Twice(name) => json!({"field": name}),
             CommandError::Value(WireError::Length { field, length, n }) => {
                 json!({"field": field, "length": length, "n": n})
             }
@@ -231,6 +279,16 @@ impl CommandError {
             CommandError::Order(OrderError::Past { until, step }) => {
                 json!({"field": "until_step", "until": until, "step": step})
             }
+            CommandError::Order(OrderError::Late { at_step, step }) => {
+                json!({"field": "at_step", "at_step": at_step, "step": step})
+            }
+            CommandError::Order(OrderError::Overtaken { at_step }) => {
+                json!({"field": "at_step", "at_step": at_step})
+            }
+            CommandError::Order(OrderError::TooManyScheduled { limit }) => {
+                json!({"field": "at_step", "limit": limit})
+            }
+            CommandError::OtherRequest(id) => json!({"field": "request_id", "value": id}),
             CommandError::Order(OrderError::NoMemory { n, needed, free }) => {
                 json!({"field": "n", "n": n, "needed": needed, "free": free})
             }
@@ -247,6 +305,12 @@ impl CommandError {
             CommandError::Order(OrderError::NobodyLeft(n)) => {
                 json!({"field": "select", "selected": n, "n": n})
             }
+            CommandError::Order(OrderError::Injection(InjectionError::Pose { index, error })) => {
+                let mut details = parameters(error);
+                let field = details["field"].as_str().unwrap_or_default().to_owned();
+                details["field"] = json!(format!("at[{index}].{field}"));
+                details
+            }
             CommandError::Order(OrderError::Injection(InjectionError::Overlap { index, gap })) => {
                 json!({"field": format!("at[{index}]"), "gap": gap})
             }
@@ -257,9 +321,9 @@ impl CommandError {
             }
             CommandError::Order(OrderError::Start(error)) => match error {
                 StartError::NoRoom { placed, radius, .. } => {
-                    json!({"field": "spec.start.radius", "value": radius, "placed": placed})
+                    json!({"field": "start.radius", "value": radius, "placed": placed})
                 }
-                _ => json!({"field": "spec.start"}),
+                _ => json!({"field": "start"}),
             },
             CommandError::Order(OrderError::Selection(error)) => match error {
                 SelectionError::Count {
@@ -276,6 +340,11 @@ impl CommandError {
             _ => Map::new(),
         }
     }
+}
+
+/// Words why an order was refused, for a swarm at `step`.
+pub fn refusal(error: OrderError, step: u64) -> Error {
+    CommandError::from(error).to_wire(Some(step))
 }
 
 fn named(field: &str, value: Value, range: Option<&str>) -> Value {
@@ -332,7 +401,13 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "for_time" => "a number above 0, at most 1e9",
         "make_room" | "exist_ok" => "true or false",
         "timeout_secs" => "a number above 0, at most 3600",
-        "expect_step" | "expect_epoch" | "step" => "a whole number, 0 or more",
+        "at_step" => "a whole number from 0 to 9007199254740991",
+        "expect_step" | "expect_epoch" | "step" | "after" => "a whole number, 0 or more",
+        "limit" => "a whole number from 1 to 1000",
+        "commands" => {
+            "a list of 1 to 256 of {\"verb\": \"set\" | \"inform\" | \"uninform\" | \"inject\" | \
+             \"remove\", \"args\": {…}}"
+        }
         "phase" => "paused, running or faulted",
         "format" => "json or cbor",
         "request_id" | "client" => "at most 256 bytes of text without control characters",

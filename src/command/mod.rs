@@ -3,18 +3,21 @@
 //! Each turns the arguments that came over the wire into an order to a swarm, or refuses them
 //! by naming the field, its range and the remedy. Nothing here executes.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
 
-use crate::swarm::order::{Expectation, Order, Sender};
-use crate::wire::WireError;
+use crate::swarm::order::{Order, Sender, When};
+use crate::wire::{self, WireError};
 
+pub mod batch;
 pub mod create;
 pub mod delete;
 pub mod error;
 pub mod inform;
 pub mod inject;
+pub mod page;
 pub mod pause;
 pub mod remove;
 pub mod reset;
@@ -29,6 +32,9 @@ pub use error::CommandError;
 /// How long a reply is waited for unless the request says otherwise.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(5);
 
+/// The most of an unknown word that is repeated to its sender.
+pub const MOST_REPEATED: usize = 64;
+
 /// The longest that a request may wait for its reply, in seconds.
 const LONGEST_TIMEOUT_SECS: f64 = 3600.0;
 
@@ -37,10 +43,10 @@ const LONGEST_TIMEOUT_SECS: f64 = 3600.0;
 pub struct Command {
     /// What to do.
     pub order: Order,
-    /// Where the sender takes the swarm to be.
-    pub expected: Expectation,
+    /// When to do it.
+    pub when: When,
     /// Who sent it.
-    pub sender: Sender,
+    pub sender: Arc<Sender>,
     /// How long its reply is waited for.
     pub timeout: Duration,
     /// Whether the reply is to carry the state.
@@ -76,15 +82,20 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
         "uninform" => uninform::order(request.args()?)?,
         "inject" => inject::order(request.args()?)?,
         "remove" => remove::order(request.args()?)?,
+        "batch" => batch::order(request.args()?)?,
         _ => unreachable!("every known verb is above"),
     };
     Ok(Command {
         order,
-        expected: Expectation {
-            epoch: request.expect_epoch,
-            step: request.expect_step,
+        when: When {
+            at_step: request
+                .at_step
+                .map(|step| wire::whole("at_step", step))
+                .transpose()?,
+            expect_epoch: request.expect_epoch,
+            expect_step: request.expect_step,
         },
-        sender: sender(verb, request)?,
+        sender: Arc::new(sender(verb, request)?),
         timeout: timeout(request)?,
         returns_state,
     })
@@ -114,6 +125,35 @@ pub fn timeout_from_secs(secs: f64) -> Result<Duration, CommandError> {
     Err(WireError::out_of_range("timeout_secs", secs).into())
 }
 
+/// A selector's parameters, each one of `known` and given once. Those of zenoh's own begin with
+/// `_` and are left out.
+///
+/// # Errors
+///
+/// [`CommandError::Parameter`] and [`CommandError::Twice`].
+pub fn selector<'a>(
+    parameters: impl Iterator<Item = (&'a str, &'a str)>,
+    known: &'static [&'static str],
+) -> Result<Vec<(&'static str, &'a str)>, CommandError> {
+    let mut read: Vec<(&'static str, &str)> = Vec::new();
+    for (name, value) in parameters {
+        if name.starts_with('_') {
+            continue;
+        }
+        let Some(name) = known.iter().find(|known| **known == name) else {
+            return Err(CommandError::Parameter {
+                name: name.chars().take(MOST_REPEATED).collect(),
+                known,
+            });
+        };
+        if read.iter().any(|(before, _)| before == name) {
+            return Err(CommandError::Twice(name));
+        }
+        read.push((name, value));
+    }
+    Ok(read)
+}
+
 /// Checks a name that is to become part of a key.
 ///
 /// # Errors
@@ -129,7 +169,12 @@ pub fn check_name(field: &'static str, name: &str) -> Result<(), CommandError> {
     })
 }
 
-fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandError> {
+/// Who sent `request`, and what.
+///
+/// # Errors
+///
+/// [`CommandError::Field`] when a label cannot be one.
+pub fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandError> {
     let label = |field, label: &Option<String>| match label {
         Some(text) if text.len() > MAX_LABEL_LENGTH || text.chars().any(char::is_control) => {
             Err(CommandError::Field {

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::command::{CommandError, timeout_from_secs};
+use crate::command::{CommandError, selector, timeout_from_secs};
 use crate::swarm::order::Awaited;
 
 /// The longest that one `wait` is held; libraries ask again.
@@ -17,7 +17,7 @@ pub fn read<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> Result<(Awaited, Duration), CommandError> {
     let (mut step, mut phase, mut timeout) = (None, None, LONGEST_WAIT);
-    for (name, value) in parameters {
+    for (name, value) in selector(parameters, &["step", "phase", "timeout_secs"])? {
         match name {
             "step" => {
                 let wrong = |_| CommandError::Field {
@@ -39,19 +39,12 @@ pub fn read<'a>(
                     }
                 });
             }
-            "timeout_secs" => {
+            _ => {
                 let secs = value.parse().map_err(|_| CommandError::Field {
                     field: "timeout_secs",
                     problem: "is not a number",
                 })?;
                 timeout = timeout_from_secs(secs)?.min(LONGEST_WAIT);
-            }
-            _ if name.starts_with('_') => {}
-            _ => {
-                return Err(CommandError::Parameter {
-                    name: name.to_owned(),
-                    known: &["step", "phase", "timeout_secs"],
-                });
             }
         }
     }

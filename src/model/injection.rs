@@ -44,6 +44,14 @@ pub enum InjectionError {
     /// A number is outside its range, or the weight needs a shorter step.
     #[error(transparent)]
     Parameters(#[from] ParametersError),
+    /// A number of a pose is outside its range.
+    #[error("pose {index}: {error}")]
+    Pose {
+        /// Which pose.
+        index: usize,
+        /// Which number.
+        error: ParametersError,
+    },
     /// Nobody was to be injected, or more than ids are left.
     #[error("count = {count} is outside [1, {largest}]")]
     Count {
@@ -93,8 +101,9 @@ pub fn at(
     let mut placed = Vec::with_capacity(poses.len());
     let mut others = all_poses(configuration);
     for (index, given) in poses.iter().enumerate() {
-        check_coordinate("at.alpha", given.alpha)?;
-        let [x, y] = relative(configuration, ["at.x", "at.y"], [given.x, given.y])?;
+        let [x, y] = check_coordinate("alpha", given.alpha)
+            .and_then(|()| relative(configuration, ["x", "y"], [given.x, given.y]))
+            .map_err(|error| InjectionError::Pose { index, error })?;
         let pose = Pose {
             x,
             y,

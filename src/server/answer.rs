@@ -5,22 +5,28 @@
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use tracing::debug;
 use zenoh::Wait;
+use zenoh::bytes::ZBytes;
 use zenoh::query::Query;
 
 use crate::command::CommandError;
+use crate::server::ledger::Page;
 use crate::swarm::order::OrderError;
 use crate::wire::Payload;
 
 /// Answers that may wait to be sent; beyond that new queries are turned away.
 const MOST_UNSENT: usize = 8192;
+
+/// Bytes of requests that may be held unanswered; beyond that new queries are turned away.
+const MOST_HELD_BYTES: usize = 64 * 1024 * 1024;
 
 /// Deadlines kept without looking for those that no longer matter.
 const DEADLINES_BEFORE_SWEEP: usize = 4096;
@@ -34,6 +40,8 @@ pub struct Promise(Arc<Owed>);
 
 struct Owed {
     query: Mutex<Option<Query>>,
+    _held: Held,
+    page: Mutex<Option<Page>>,
     key: String,
     desk: Desk,
 }
@@ -44,10 +52,24 @@ pub struct Desk {
     outgoing: Sender<Outgoing>,
     deadlines: Sender<Due>,
     unsent: Arc<AtomicUsize>,
+    held_bytes: Arc<AtomicUsize>,
+}
+
+/// The bytes of a request, counted as long as this lives.
+pub struct Held {
+    bytes: usize,
+    all: Arc<AtomicUsize>,
+}
+
+impl Drop for Held {
+    fn drop(&mut self) {
+        self.all.fetch_sub(self.bytes, Ordering::Relaxed);
+    }
 }
 
 enum Outgoing {
-    Answer(Query, String, Body),
+    /// To whoever still waits, and to the ledger.
+    Answer(Option<(Query, String)>, Option<Page>, Body),
     Stop,
 }
 
@@ -80,21 +102,35 @@ impl Desk {
             outgoing,
             deadlines,
             unsent,
+            held_bytes: Arc::default(),
         })
     }
 
     /// Promises to answer `query` under `key`.
     pub fn promise(&self, query: Query, key: String) -> Promise {
         Promise(Arc::new(Owed {
+            _held: self.hold(&query),
             query: Mutex::new(Some(query)),
+            page: Mutex::default(),
             key,
             desk: self.clone(),
         }))
     }
 
-    /// Whether so many answers are unsent that no more should be promised.
+    /// Counts the bytes of a query's request.
+    pub fn hold(&self, query: &Query) -> Held {
+        let bytes = query.payload().map_or(0, ZBytes::len);
+        self.held_bytes.fetch_add(bytes, Ordering::Relaxed);
+        Held {
+            bytes,
+            all: self.held_bytes.clone(),
+        }
+    }
+
+    /// Whether so much is unanswered or unsent that no more should be promised.
     pub fn is_full(&self) -> bool {
         self.unsent.load(Ordering::Relaxed) >= MOST_UNSENT
+            || self.held_bytes.load(Ordering::Relaxed) >= MOST_HELD_BYTES
     }
 
     /// Ends the sending thread once it has sent what was handed in.
@@ -104,22 +140,40 @@ impl Desk {
 }
 
 impl Promise {
-    /// Keeps the promise, if it has not been kept before.
-    pub fn keep(&self, body: impl FnOnce() -> Result<Payload, Payload> + Send + 'static) {
-        if let Some(query) = self.take() {
-            let Owed { key, desk, .. } = &*self.0;
-            desk.unsent.fetch_add(1, Ordering::Relaxed);
-            // Once the desk is closed the daemon is going, and its silence says so.
-            let _ = desk
-                .outgoing
-                .send(Outgoing::Answer(query, key.clone(), Box::new(body)));
-        }
+    /// Has what the request comes to written down.
+    pub fn note_on(&self, page: Page) {
+        *self.page() = Some(page);
     }
 
-    /// Refuses what was asked for.
+    /// Keeps the promise, if it has not been kept before.
+    pub fn keep(&self, body: impl FnOnce() -> Result<Payload, Payload> + Send + 'static) {
+        self.hand_in(None, Box::new(body));
+    }
+
+    /// Keeps the promise with what the request came to. That is written down even if its sender
+    /// was told in the meantime that it takes long.
+    pub fn fulfil(&self, body: impl FnOnce() -> Result<Payload, Payload> + Send + 'static) {
+        let page = self.page().take();
+        self.hand_in(page, Box::new(body));
+    }
+
+    /// Refuses what was asked for; nothing has changed then.
     pub fn refuse(&self, error: &CommandError, step: Option<u64>) {
         let payload = Payload::json(&error.to_wire(step));
+        if let Some(page) = self.page().take() {
+            page.tear_out(&payload);
+        }
         self.keep(move || Err(payload));
+    }
+
+    fn hand_in(&self, page: Option<Page>, body: Body) {
+        let Owed { key, desk, .. } = &*self.0;
+        let asker = self.take().map(|query| (query, key.clone()));
+        if asker.is_some() || page.is_some() {
+            desk.unsent.fetch_add(1, Ordering::Relaxed);
+            // Once the desk is closed the daemon is going, and its silence says so.
+            let _ = desk.outgoing.send(Outgoing::Answer(asker, page, body));
+        }
     }
 
     /// Refuses at the latest after `patience`, with the step that `step` then tells.
@@ -150,8 +204,12 @@ impl Promise {
         self.lock().take()
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, Option<Query>> {
+    fn lock(&self) -> MutexGuard<'_, Option<Query>> {
         self.0.query.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn page(&self) -> MutexGuard<'_, Option<Page>> {
+        self.0.page.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -167,13 +225,24 @@ impl Drop for Keeper {
 }
 
 fn send_all(to_send: &Receiver<Outgoing>, unsent: &AtomicUsize) {
-    while let Ok(Outgoing::Answer(query, key, body)) = to_send.recv() {
-        let sent = match body() {
-            Ok(Payload { bytes, encoding }) => query.reply(key, bytes).encoding(encoding).wait(),
-            Err(Payload { bytes, encoding }) => query.reply_err(bytes).encoding(encoding).wait(),
-        };
-        if let Err(error) = sent {
-            debug!(%error, "failed to send an answer");
+    while let Ok(Outgoing::Answer(asker, page, body)) = to_send.recv() {
+        let answer = catch_unwind(AssertUnwindSafe(body))
+            .unwrap_or_else(|_| Err(Payload::json(&CommandError::Internal.to_wire(None))));
+        if let Some(page) = page {
+            page.write(&answer);
+        }
+        if let Some((query, key)) = asker {
+            let sent = match answer {
+                Ok(Payload { bytes, encoding }) => {
+                    query.reply(key, bytes).encoding(encoding).wait()
+                }
+                Err(Payload { bytes, encoding }) => {
+                    query.reply_err(bytes).encoding(encoding).wait()
+                }
+            };
+            if let Err(error) = sent {
+                debug!(%error, "failed to send an answer");
+            }
         }
         unsent.fetch_sub(1, Ordering::Relaxed);
     }

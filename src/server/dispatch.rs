@@ -1,25 +1,29 @@
 //! A query in, an order or an answer out. One thread, which never waits for a swarm.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
+use fail::fail_point;
 use jostle_proto::verbs::CreateArgs;
-use jostle_proto::{NodeReply, NodeStatus, Phase, Request, Swarms, keys};
-use tracing::{info, warn};
+use jostle_proto::{NodeReply, NodeStatus, Phase, Request, Schemas, Swarms, keys};
+use tracing::{error, info, warn};
 use zenoh::query::Query;
 use zenoh::{Session, Wait};
 
-use crate::command::{self, Command, CommandError, DEFAULT_TIMEOUT, create, wait};
+use crate::command::error::refusal;
+use crate::command::{self, Command, CommandError, DEFAULT_TIMEOUT, create, page, wait};
 use crate::host::{Created, Herald, Host};
 use crate::publish::Press;
-use crate::server::answer::{Desk, Keeper, Promise};
+use crate::server::answer::{Desk, Held, Keeper, Promise};
 use crate::server::doors::{Doors, LINGER};
+use crate::server::ledger::{Entered, Ledger};
 use crate::server::query::{Topic, format, names, no_parameters, request};
 use crate::server::session::MAX_MESSAGE_BYTES;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::Ticket;
-use crate::swarm::order::{Answer, Answered, Outcome};
+use crate::swarm::order::{Answer, Answered, OrderError, Outcome, Refusal};
 use crate::swarm::waiters::Waiter;
 use crate::wire::{self, Payload};
 
@@ -29,7 +33,7 @@ pub const MOST_QUERIES: usize = 1024;
 /// What the dispatching thread takes.
 pub enum Intake {
     /// A query on one of the daemon's keys.
-    Query(Topic, Query),
+    Query(Topic, Held, Query),
     /// A swarm is built.
     Begun(String, Box<dyn FnOnce() + Send>),
     /// A swarm has ended.
@@ -86,6 +90,10 @@ pub struct Dispatcher {
     pub press: Arc<Press>,
     /// When the daemon started.
     pub started: Instant,
+    /// What the named requests came to.
+    pub ledger: Ledger,
+    /// The schemas of every message.
+    pub schemas: Schemas,
     /// What swarms can be reached by.
     pub doors: Doors,
 }
@@ -95,7 +103,7 @@ impl Dispatcher {
     pub fn run(mut self, intake: &Receiver<Intake>) {
         loop {
             match intake.recv_timeout(LINGER) {
-                Ok(Intake::Query(topic, query)) => self.query(&topic, query),
+                Ok(Intake::Query(topic, _held, query)) => self.survive(&topic, query),
                 Ok(Intake::Begun(swarm, built)) => self.begun(&swarm, built),
                 Ok(Intake::Ended(swarm, ended)) => self.ended(&swarm, ended),
                 Err(RecvTimeoutError::Timeout) => {}
@@ -135,7 +143,19 @@ impl Dispatcher {
         );
     }
 
+    /// Dispatches a query; one that uncovers a defect ends with an error and not with the daemon.
+    fn survive(&self, topic: &Topic, query: Query) {
+        let again = query.clone();
+        if catch_unwind(AssertUnwindSafe(|| self.query(topic, query))).is_err() {
+            let key = again.key_expr().as_str().to_owned();
+            error!(key, "a defect: the query panicked");
+            let promise = self.desk.promise(again, key);
+            promise.refuse(&CommandError::Internal, None);
+        }
+    }
+
     fn query(&self, topic: &Topic, query: Query) {
+        fail_point!("query");
         match topic {
             Topic::State(swarm) => self.state(swarm, query),
             Topic::Get(swarm) => self.get(swarm, &query),
@@ -179,15 +199,35 @@ impl Dispatcher {
                 self.wait(swarm, &promise, query);
                 continue;
             }
-            if let Err(error) = no_parameters(query) {
-                promise.refuse(&error, None);
-                continue;
-            }
+            let read = match noun {
+                "events" | "journal" => page::read(query.parameters().iter()),
+                _ => no_parameters(query).map(|()| (0, 0)),
+            };
+            let (after, limit) = match read {
+                Ok(read) => read,
+                Err(error) => {
+                    promise.refuse(&error, None);
+                    continue;
+                }
+            };
             let (name, handle) = (swarm.clone(), self.host.find(swarm));
+            let limits = self.host.limits();
             self.look(swarm, &promise, move |place, seen| match (noun, handle) {
                 ("spec", Some(handle)) => {
                     let spec = wire::spec(&handle.recipe, seen.seed);
                     Payload::json(&wire::reply(&name, &place, spec))
+                }
+                ("parameters", _) => {
+                    let parameters = wire::parameters(&seen, limits);
+                    Payload::json(&wire::reply(&name, &place, parameters))
+                }
+                ("events", Some(handle)) => {
+                    let events = wire::events(&name, handle.history.events(after, limit), refusal);
+                    Payload::json(&wire::reply(&name, &place, events))
+                }
+                ("journal", Some(handle)) => {
+                    let journal = wire::journal(handle.history.entries(after, limit));
+                    Payload::json(&wire::reply(&name, &place, journal))
                 }
                 _ => Payload::json(&wire::reply(&name, &place, wire::status(&seen))),
             });
@@ -228,25 +268,34 @@ impl Dispatcher {
             Err(CommandError::Wildcard)
         } else {
             let verb = verb.unwrap_or_default();
-            request(query).and_then(|request| command::read(verb, &request))
+            request(query).and_then(|request| {
+                let command = command::read(verb, &request)?;
+                let is_new = self.enter(key, &request, &promise)?;
+                Ok((command, is_new))
+            })
         };
-        let Command {
-            order,
-            expected,
-            sender,
-            timeout,
-            returns_state,
-        } = match read {
+        let (command, is_new) = match read {
             Ok(command) => command,
             Err(error) => {
                 let step = self.host.find(swarm).and_then(|handle| handle.step());
                 return promise.refuse(&error, step);
             }
         };
+        let Command {
+            order,
+            when,
+            sender,
+            timeout,
+            returns_state,
+        } = command;
+        if !is_new {
+            let late = self.host.find(swarm);
+            return promise.keep_within(timeout, move || late?.step());
+        }
         let (press, name) = (self.press.clone(), swarm.clone());
         self.send(swarm, &promise, timeout, |answer| Ticket::Command {
             order,
-            expected,
+            when,
             sender,
             answer: Box::new(move |answered| {
                 answer(answered, move |place, outcome| {
@@ -259,6 +308,21 @@ impl Dispatcher {
                 });
             }),
         });
+    }
+
+    /// Enters a request that has a name into the ledger; false if it need not be carried out.
+    fn enter(&self, key: &str, request: &Request, promise: &Promise) -> Result<bool, CommandError> {
+        let Some(id) = &request.request_id else {
+            return Ok(true);
+        };
+        match self.ledger.enter(key, request, id, promise) {
+            Entered::New(page) => {
+                promise.note_on(page);
+                Ok(true)
+            }
+            Entered::Known => Ok(false),
+            Entered::Other => Err(CommandError::OtherRequest(id.clone())),
+        }
     }
 
     fn node_get(&self, query: &Query) {
@@ -278,9 +342,11 @@ impl Dispatcher {
                 "hello" => self.node_reply(jostle_proto::Hello {
                     version: env!("CARGO_PKG_VERSION").to_owned(),
                     wire_version: jostle_proto::WIRE_VERSION,
+                    unix_secs: unix_secs(),
                     limits: wire::limits(self.host.limits(), MAX_MESSAGE_BYTES),
                 }),
                 "status" => self.node_reply(self.node_status()),
+                "schema" => self.node_reply(&self.schemas),
                 _ => self.node_reply(Swarms {
                     swarms: self
                         .host
@@ -348,34 +414,44 @@ impl Dispatcher {
     }
 
     fn create(&self, promise: &Promise, request: &Request) -> Result<(), CommandError> {
-        if request.expect_step.is_some() || request.expect_epoch.is_some() {
-            return Err(CommandError::Field {
-                field: "expect_step",
-                problem: "and expect_epoch are about a swarm that is there: leave them out",
-            });
+        for (field, given) in [
+            ("at_step", request.at_step),
+            ("expect_step", request.expect_step),
+            ("expect_epoch", request.expect_epoch),
+        ] {
+            if given.is_some() {
+                let problem = "is about a swarm that is there: leave it out";
+                return Err(CommandError::Field { field, problem });
+            }
         }
+        command::sender("create", request)?;
         let args: CreateArgs = request.args()?;
         let recipe = create::recipe(&args, self.host.limits())?;
         let timeout = command::timeout(request)?;
-        let name = args.name;
-        let reply = {
-            let (name, recipe) = (name.clone(), recipe.clone());
-            move |is_new: bool| {
-                let (name, recipe) = (name.clone(), recipe.clone());
-                move |place: Place, outcome| match outcome {
-                    Outcome::Seen(seen) => wire::created(&name, &place, &recipe, &seen, is_new),
-                    other => wire::outcome(&name, &place, other, None),
-                }
-            }
-        };
-        let answer = |is_new: bool| -> Answer {
-            let (answer, reply) = (answer_to(promise), reply(is_new));
-            Box::new(move |answered| answer(answered, reply))
-        };
+        let key = keys::node_cmd(&self.prefix, &self.node, "create");
+        let is_new = self.enter(&key, request, promise)?;
         promise.keep_within(timeout, || None);
+        if !is_new {
+            return Ok(());
+        }
+        let name = args.name;
+        let answer = |created: bool| -> Answer {
+            let (keeper, name, recipe) = (Keeper(promise.clone()), name.clone(), recipe.clone());
+            Box::new(move |answered| match answered {
+                Ok((place, Outcome::Seen(seen))) => keeper
+                    .0
+                    .fulfil(move || Ok(wire::created(&name, &place, &recipe, &seen, created))),
+                Ok((place, other)) => keeper
+                    .0
+                    .fulfil(move || Ok(wire::outcome(&name, &place, other, None))),
+                Err(Refusal { step, error }) => {
+                    keeper.0.refuse(&create::explain(error), step);
+                }
+            })
+        };
         let created = self
             .host
-            .create(&name, recipe, args.exist_ok, || answer(true))?;
+            .create(&name, recipe.clone(), args.exist_ok, || answer(true))?;
         if let Created::Existing(handle) = created {
             handle.send(Ticket::Look(answer(false)));
         }
@@ -441,7 +517,31 @@ where
 {
     let keeper = Keeper(promise.clone());
     Box::new(move |answered, payload| match answered {
-        Ok((place, outcome)) => keeper.0.keep(move || Ok(payload(place, outcome))),
-        Err(refusal) => keeper.0.refuse(&refusal.error.into(), refusal.step),
+        Ok((place, outcome)) => keeper.0.fulfil(move || Ok(payload(place, outcome))),
+        // It was carried out, though not to its end.
+        Err(Refusal {
+            step,
+            error: error @ OrderError::Faulted(_),
+        }) => keeper
+            .0
+            .fulfil(move || Err(Payload::json(&CommandError::from(error).to_wire(step)))),
+        Err(Refusal { step, error }) => keeper.0.refuse(&error.into(), step),
     })
+}
+
+/// The schemas of every message, as `get/schema` answers them.
+pub fn schemas() -> Schemas {
+    let schemas = jostle_proto::contract::schemas().into_iter();
+    Schemas {
+        wire_version: jostle_proto::WIRE_VERSION,
+        schemas: schemas
+            .map(|(name, schema)| (name.to_owned(), schema.to_value()))
+            .collect(),
+    }
+}
+
+/// Seconds since 1970; for people to compare clocks by, never for pacing.
+fn unix_secs() -> f64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH);
+    now.map_or(0.0, |now| now.as_secs_f64())
 }

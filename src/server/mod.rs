@@ -3,6 +3,7 @@
 pub mod answer;
 pub mod dispatch;
 pub mod doors;
+pub mod ledger;
 pub mod query;
 pub mod session;
 
@@ -27,6 +28,7 @@ use crate::publish::Press;
 use crate::server::answer::Desk;
 use crate::server::dispatch::{Crier, Dispatcher, Intake, MOST_QUERIES};
 use crate::server::doors::Doors;
+use crate::server::ledger::Ledger;
 use crate::server::query::{Topic, queryable};
 use crate::server::session::SessionError;
 
@@ -91,6 +93,8 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         desk: desk.clone(),
         press: press.clone(),
         started: Instant::now(),
+        ledger: Ledger::default(),
+        schemas: dispatch::schemas(),
         doors: Doors::new(
             session.clone(),
             prefix.clone(),

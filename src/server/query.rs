@@ -9,13 +9,10 @@ use zenoh::key_expr::KeyExpr;
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
-use crate::command::CommandError;
+use crate::command::{CommandError, MOST_REPEATED, selector};
 use crate::server::answer::Desk;
 use crate::server::dispatch::Intake;
 use crate::wire::Payload;
-
-/// The most of an unknown word that is repeated to its sender.
-const MOST_REPEATED: usize = 64;
 
 /// What a query is about.
 #[derive(Clone, Debug)]
@@ -52,9 +49,9 @@ pub fn queryable(
             let taken = if desk.is_full() {
                 Err(query)
             } else {
-                match intake.try_send(Intake::Query(topic.clone(), query)) {
+                match intake.try_send(Intake::Query(topic.clone(), desk.hold(&query), query)) {
                     Ok(()) => Ok(()),
-                    Err(TrySendError::Full(Intake::Query(_, query))) => Err(query),
+                    Err(TrySendError::Full(Intake::Query(_, _, query))) => Err(query),
                     // The daemon is going, and its silence says so.
                     Err(_) => Ok(()),
                 }
@@ -97,27 +94,14 @@ pub fn request(query: &Query) -> Result<Request, CommandError> {
 ///
 /// [`CommandError`] for another format or another parameter.
 pub fn format(query: &Query) -> Result<bool, CommandError> {
-    let mut as_json = false;
-    for (name, value) in query.parameters().iter() {
-        match (name, value) {
-            ("format", "json") => as_json = true,
-            ("format", "cbor") => as_json = false,
-            ("format", _) => {
-                return Err(CommandError::Field {
-                    field: "format",
-                    problem: "is not json or cbor",
-                });
-            }
-            _ if name.starts_with('_') => {}
-            _ => {
-                return Err(CommandError::Parameter {
-                    name: name.chars().take(MOST_REPEATED).collect(),
-                    known: &["format"],
-                });
-            }
-        }
+    match selector(query.parameters().iter(), &["format"])?.first() {
+        None | Some((_, "cbor")) => Ok(false),
+        Some((_, "json")) => Ok(true),
+        Some(_) => Err(CommandError::Field {
+            field: "format",
+            problem: "is not json or cbor",
+        }),
     }
-    Ok(as_json)
 }
 
 /// Refuses parameters where none mean anything; those of zenoh's own begin with `_`.
@@ -126,17 +110,7 @@ pub fn format(query: &Query) -> Result<bool, CommandError> {
 ///
 /// [`CommandError::Parameter`].
 pub fn no_parameters(query: &Query) -> Result<(), CommandError> {
-    match query
-        .parameters()
-        .iter()
-        .find(|(name, _)| !name.starts_with('_'))
-    {
-        None => Ok(()),
-        Some((name, _)) => Err(CommandError::Parameter {
-            name: name.chars().take(MOST_REPEATED).collect(),
-            known: &[],
-        }),
-    }
+    selector(query.parameters().iter(), &[]).map(drop)
 }
 
 /// Whether a query's key expression takes in `key`.

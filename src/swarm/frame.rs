@@ -1,12 +1,12 @@
 //! What a swarm shows of itself.
 
-use std::sync::OnceLock;
+use std::sync::{Arc, OnceLock};
 
 use crate::model::body::{self, Gaps};
 use crate::model::configuration::Configuration;
 use crate::model::parameters::Parameters;
 use crate::observables::{Order, RunningMeans};
-use crate::swarm::order::{Rate, Sender};
+use crate::swarm::order::{OrderError, Rate, Sender};
 use crate::swarm::phase::Phase;
 
 /// Where a swarm is: the head of every answer.
@@ -35,6 +35,8 @@ pub struct Frame {
     pub publish_every: u64,
     /// The seed of every draw.
     pub seed: u64,
+    /// Commands that wait for their step.
+    pub scheduled: usize,
     /// Everybody.
     pub configuration: Configuration,
     /// Order and drift now.
@@ -111,7 +113,11 @@ pub enum EventKind {
     /// Its phase changed.
     Phase,
     /// A command was applied.
-    Command(Sender),
+    Command(Arc<Sender>),
+    /// A command waits for this step.
+    Scheduled(u64, Arc<Sender>),
+    /// A command that waited for its step was not carried out, for this reason.
+    Refused(Arc<Sender>, OrderError),
     /// These are uninformed again.
     Lapsed(Vec<u32>),
     /// A step failed.

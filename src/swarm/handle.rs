@@ -4,7 +4,8 @@ use std::sync::mpsc::{SyncSender, TrySendError};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::swarm::frame::Summary;
-use crate::swarm::order::{Answer, Expectation, Order, OrderError, Recipe, Refusal, Sender};
+use crate::swarm::history::History;
+use crate::swarm::order::{Answer, Order, OrderError, Recipe, Refusal, Sender, When};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::waiters::Waiter;
 
@@ -14,10 +15,10 @@ pub enum Ticket {
     Command {
         /// What to do.
         order: Order,
-        /// Where the sender takes the swarm to be.
-        expected: Expectation,
+        /// When to do it.
+        when: When,
         /// Who sent it.
-        sender: Sender,
+        sender: Arc<Sender>,
         /// Takes what it came to.
         answer: Answer,
     },
@@ -36,6 +37,8 @@ pub struct Handle {
     pub recipe: Arc<Recipe>,
     /// Where it puts what is to be published.
     pub outlet: Arc<Outlet>,
+    /// What happened to it, and the commands it applied.
+    pub history: Arc<History>,
     pub(crate) tickets: SyncSender<Ticket>,
     pub(crate) summary: Arc<Mutex<Option<Summary>>>,
 }

@@ -2,10 +2,12 @@
 
 pub mod frame;
 pub mod handle;
+pub mod history;
 pub mod order;
 pub mod outlet;
 pub mod pace;
 pub mod phase;
+pub mod schedule;
 pub mod simulation;
 pub mod waiters;
 pub mod worker;

@@ -66,6 +66,8 @@ pub enum Order {
     Reset(Option<u64>),
     /// Change parameters or the group.
     Change(Change),
+    /// Several changes at one step, or none of them.
+    Batch(Vec<Change>),
     /// End.
     Delete,
 }
@@ -106,6 +108,34 @@ pub enum Change {
     },
     /// Takes individuals out of the group.
     Remove(Selection),
+}
+
+impl Change {
+    /// Which change it is.
+    pub fn kind(&self) -> ChangeKind {
+        match self {
+            Change::Set(_) => ChangeKind::Set,
+            Change::Inform { .. } => ChangeKind::Inform,
+            Change::Uninform(_) => ChangeKind::Uninform,
+            Change::Inject { .. } => ChangeKind::Inject,
+            Change::Remove(_) => ChangeKind::Remove,
+        }
+    }
+}
+
+/// Which change something was.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ChangeKind {
+    /// Of parameters.
+    Set,
+    /// Individuals were informed.
+    Inform,
+    /// Individuals were uninformed.
+    Uninform,
+    /// Individuals joined.
+    Inject,
+    /// Individuals left.
+    Remove,
 }
 
 /// New values; what is left out stays.
@@ -149,13 +179,15 @@ pub struct Sender {
     pub request_id: Option<String>,
 }
 
-/// What the sender takes the swarm to be at.
+/// When an order is to be carried out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Expectation {
-    /// The epoch.
-    pub epoch: Option<u64>,
-    /// The step.
-    pub step: Option<u64>,
+pub struct When {
+    /// At this step; at once without one.
+    pub at_step: Option<u64>,
+    /// Only if the swarm is in this epoch when it comes.
+    pub expect_epoch: Option<u64>,
+    /// Only if the swarm is at this step when it comes.
+    pub expect_step: Option<u64>,
 }
 
 /// When a waiting `get` is answered.
@@ -195,6 +227,10 @@ pub enum Outcome {
     },
     /// These individuals, and the size of the group now.
     Ids(Vec<u32>, usize),
+    /// What each change came to.
+    Batch(Vec<(ChangeKind, Outcome)>),
+    /// It will be carried out at this step.
+    Scheduled(u64),
     /// A look at it.
     Seen(Arc<Frame>),
 }
@@ -215,6 +251,37 @@ pub enum OrderError {
         /// Where it is.
         actual: u64,
     },
+    /// The step it was to be carried out at lies behind.
+    #[error("at_step {at_step} is in the past, the swarm is at step {step}: name a later one")]
+    Late {
+        /// The step asked for.
+        at_step: u64,
+        /// Where it is.
+        step: u64,
+    },
+    /// Too many commands wait for their step.
+    #[error("{limit} commands wait for their step already: send this one later, or reset")]
+    TooManyScheduled {
+        /// The limit.
+        limit: usize,
+    },
+    /// The swarm was reset before the command's step came.
+    #[error("the swarm was reset before step {at_step} came: send it again")]
+    Overtaken {
+        /// The step it was to be carried out at.
+        at_step: u64,
+    },
+    /// One of several changes is not possible, so none was made.
+    #[error("commands[{index}]: {error}; none was applied")]
+    InBatch {
+        /// Which.
+        index: usize,
+        /// Why.
+        error: Box<OrderError>,
+    },
+    /// The order uncovered a defect.
+    #[error("a defect of the daemon: nothing was changed; please report what you sent")]
+    Panicked,
     /// The end of a run lies behind.
     #[error("until_step {until} is in the past, the swarm is at step {step}: name a later one")]
     Past {

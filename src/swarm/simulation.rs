@@ -8,7 +8,9 @@ use crate::model::{injection, resize, start};
 use crate::observables::{self, Order, RunningMeans};
 use crate::stepper::{StepError, StepReport, Stepper};
 use crate::swarm::frame::Exactness;
-use crate::swarm::order::{Admit, Change, OrderError, Outcome, Placement, Recipe, Settings, Start};
+use crate::swarm::order::{
+    Admit, Change, ChangeKind, OrderError, Outcome, Placement, Recipe, Settings, Start,
+};
 
 /// A swarm's state, its stepper and the means kept over its steps.
 pub struct Simulation {
@@ -28,6 +30,13 @@ pub struct Simulation {
     pub exactness: Exactness,
     admit: Admit,
     stepper: Stepper,
+}
+
+/// All that changes change, to go back to.
+pub struct Saved {
+    state: State,
+    publish_every: u64,
+    seq: u64,
 }
 
 /// A start to go back to.
@@ -105,12 +114,66 @@ impl Simulation {
         self.stepper = Stepper::new();
     }
 
-    /// Changes parameters or the group. The caller counts `seq` on when it succeeds.
+    /// What changes change, as it is now.
+    pub fn save(&self) -> Saved {
+        Saved {
+            state: self.state.clone(),
+            publish_every: self.publish_every,
+            seq: self.seq,
+        }
+    }
+
+    /// Undoes every change since it was saved.
+    pub fn go_back(&mut self, saved: Saved) {
+        self.state = saved.state;
+        self.publish_every = saved.publish_every;
+        self.seq = saved.seq;
+        // Shrinking is always let, and what it had before it was let have.
+        let _ = (self.admit)(self.n());
+    }
+
+    /// Makes every change in turn, each under a number of its own: the first under the present
+    /// one. Tells which change was not possible; those before it have been made then.
     ///
     /// # Errors
     ///
-    /// [`OrderError`]; nothing has changed then.
-    pub fn apply(&mut self, change: Change) -> Result<Outcome, OrderError> {
+    /// [`OrderError`] and the index of the change.
+    pub fn apply_all(
+        &mut self,
+        changes: &[Change],
+    ) -> Result<Vec<(ChangeKind, Outcome)>, (usize, OrderError)> {
+        let mut outcomes = Vec::with_capacity(changes.len());
+        for (index, change) in changes.iter().enumerate() {
+            self.seq += u64::from(index > 0);
+            let outcome = self.apply(change).map_err(|error| (index, error))?;
+            outcomes.push((change.kind(), outcome));
+        }
+        Ok(outcomes)
+    }
+
+    /// Refuses a change that could not be made as things are because of a number in it.
+    ///
+    /// # Errors
+    ///
+    /// [`OrderError::Parameters`].
+    pub fn check(&self, change: &Change) -> Result<(), OrderError> {
+        match change {
+            Change::Set(settings) => self.with(settings).map(drop),
+            Change::Inform {
+                direction, weight, ..
+            } => self.preference(*direction, *weight).map(drop),
+            Change::Inject {
+                informed: Some((direction, weight)),
+                ..
+            } => self.preference(*direction, *weight).map(drop),
+            Change::Inject { informed: None, .. } | Change::Uninform(_) | Change::Remove(_) => {
+                Ok(())
+            }
+        }
+    }
+
+    /// Changes parameters or the group.
+    fn apply(&mut self, change: &Change) -> Result<Outcome, OrderError> {
         match change {
             Change::Set(settings) => self.set(settings),
             Change::Inform {
@@ -118,16 +181,16 @@ impl Simulation {
                 direction,
                 weight,
                 for_time,
-            } => self.inform(&selection, direction, weight, for_time),
+            } => self.inform(selection, *direction, *weight, *for_time),
             Change::Uninform(selection) => {
-                let chosen = self.choose(Candidates::Informed, &selection)?;
+                let chosen = self.choose(Candidates::Informed, selection)?;
                 for &individual in &chosen {
                     self.state.configuration.uninform(individual);
                 }
                 Ok(self.ids(&chosen))
             }
-            Change::Inject { place, informed } => self.inject(&place, informed),
-            Change::Remove(selection) => self.remove(&selection),
+            Change::Inject { place, informed } => self.inject(place, *informed),
+            Change::Remove(selection) => self.remove(selection),
         }
     }
 
@@ -136,17 +199,23 @@ impl Simulation {
         observables::order(&self.state.configuration)
     }
 
-    fn set(&mut self, settings: Settings) -> Result<Outcome, OrderError> {
-        let before = (self.state.parameters, self.publish_every);
-        let configuration = &self.state.configuration;
+    /// The parameters with these settings, checked.
+    fn with(&self, settings: &Settings) -> Result<Parameters, OrderError> {
+        let before = self.state.parameters;
         let parameters = Parameters {
-            pi1: settings.pi1.unwrap_or(before.0.pi1),
-            pi2: settings.pi2.unwrap_or(before.0.pi2),
-            pi3: settings.pi3.unwrap_or(before.0.pi3),
-            pi4: settings.pi4.unwrap_or(before.0.pi4),
-            ..before.0
+            pi1: settings.pi1.unwrap_or(before.pi1),
+            pi2: settings.pi2.unwrap_or(before.pi2),
+            pi3: settings.pi3.unwrap_or(before.pi3),
+            pi4: settings.pi4.unwrap_or(before.pi4),
+            ..before
         };
-        parameters.check(configuration.largest_weight())?;
+        parameters.check(self.state.configuration.largest_weight())?;
+        Ok(parameters)
+    }
+
+    fn set(&mut self, settings: &Settings) -> Result<Outcome, OrderError> {
+        let before = (self.state.parameters, self.publish_every);
+        let parameters = self.with(settings)?;
         let mut scaled_by = 1.0;
         if parameters.pi1 != before.0.pi1 {
             scaled_by = resize::change_pi1(&mut self.state, parameters.pi1, settings.make_room)?;

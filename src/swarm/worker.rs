@@ -8,16 +8,19 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use fail::fail_point;
 use tracing::warn;
 
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
-use crate::swarm::handle::Ticket;
+use crate::swarm::handle::{Handle, Ticket};
+use crate::swarm::history::History;
 use crate::swarm::order::{
-    Answer, Expectation, Order, OrderError, Outcome, Refusal, Sender, Until,
+    Answer, Answered, Change, ChangeKind, Order, OrderError, Outcome, Refusal, Sender, Until, When,
 };
 use crate::swarm::outlet::Outlet;
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
+use crate::swarm::schedule::{Schedule, Scheduled};
 use crate::swarm::simulation::{Simulation, steps_in};
 use crate::swarm::waiters::Waiters;
 
@@ -35,6 +38,8 @@ pub struct Worker {
     pace: Pace,
     tickets: Receiver<Ticket>,
     outlet: Arc<Outlet>,
+    history: Arc<History>,
+    schedule: Schedule,
     summary: Arc<Mutex<Option<Summary>>>,
     summary_renewed: Instant,
     shortest_between_frames: Duration,
@@ -63,8 +68,7 @@ impl Worker {
     pub fn new(
         simulation: Simulation,
         tickets: Receiver<Ticket>,
-        outlet: Arc<Outlet>,
-        summary: Arc<Mutex<Option<Summary>>>,
+        handle: &Handle,
         shortest_between_frames: Duration,
     ) -> Self {
         let now = Instant::now();
@@ -75,8 +79,10 @@ impl Worker {
             phase: Phase::Paused(PauseReason::Created),
             rate,
             tickets,
-            outlet,
-            summary,
+            outlet: handle.outlet.clone(),
+            history: handle.history.clone(),
+            schedule: Schedule::default(),
+            summary: handle.summary.clone(),
             summary_renewed: now,
             shortest_between_frames,
             frame_due: now,
@@ -117,7 +123,11 @@ impl Worker {
                 }
             }
             match self.wait() {
-                Some(Duration::ZERO) => self.step(),
+                Some(Duration::ZERO) => {
+                    if let Some(end) = self.step() {
+                        return end;
+                    }
+                }
                 Some(wait) => match self.tickets.recv_timeout(wait) {
                     Ok(ticket) => {
                         if let Some(end) = self.take(ticket) {
@@ -161,44 +171,70 @@ impl Worker {
             }
             Ticket::Command {
                 order,
-                expected,
+                when,
                 sender,
                 answer,
-            } => self.command(order, expected, sender, answer),
+            } => self.command(order, when, sender, answer),
             Ticket::Stop => Some(End::Stopped),
         }
     }
 
-    /// Carries out a command and answers it; all but `step` at once.
+    /// Carries out a command now or puts it off until its step.
     fn command(
         &mut self,
         order: Order,
-        expected: Expectation,
-        sender: Sender,
+        when: When,
+        sender: Arc<Sender>,
         answer: Answer,
     ) -> Option<End> {
-        if let Err(error) = self.check(expected) {
-            answer(Err(self.refusal(error)));
-            return None;
+        let step = self.simulation.state.step;
+        let checked = self.check(when);
+        match (checked, when.at_step) {
+            (Ok(()), Some(at_step)) if at_step > step => {
+                let put_off = self.put_off(at_step, order, sender);
+                answer(match put_off {
+                    Ok(()) => Ok((self.place(), Outcome::Scheduled(at_step))),
+                    Err(error) => Err(self.refusal(error)),
+                });
+                None
+            }
+            (Ok(()), _) => self.carry_out(order, sender, answer),
+            (Err(error), _) => {
+                answer(Err(self.refusal(error)));
+                None
+            }
         }
+    }
+
+    /// Carries out a command and answers it; all but `step` at once.
+    fn carry_out(&mut self, order: Order, sender: Arc<Sender>, answer: Answer) -> Option<End> {
         let before = self.phase.clone();
+        let seq = self.simulation.seq;
         // A command's draws are keyed by its own number.
         self.simulation.seq += 1;
         let outcome = match order {
             Order::Delete => return Some(self.delete(answer)),
             Order::Step(steps) => {
-                return self.begin_steps(steps, sender, answer);
+                self.begin_steps(steps, sender, answer);
+                return None;
             }
             Order::Run { until, rate } => self.begin_run(until, rate),
             Order::Pause => self.pause(),
             Order::Reset(seed) => self.reset(seed),
-            Order::Change(change) => phase::next(&self.phase, Cue::Change)
-                .map_err(OrderError::from)
-                .and_then(|_| self.simulation.apply(change)),
+            Order::Change(change) => match self.change(std::slice::from_ref(&change)) {
+                Ok(mut changed) => Ok(changed.remove(0).1),
+                Err(OrderError::InBatch { error, .. }) => Err(*error),
+                Err(error) => Err(error),
+            },
+            Order::Batch(changes) => self.change(&changes).map(Outcome::Batch),
         };
         match outcome {
             Ok(outcome) => {
+                let is_reset = matches!(outcome, Outcome::Reset(_));
                 self.tell(EventKind::Command(sender));
+                if is_reset {
+                    self.drop_scheduled();
+                }
                 self.renew_summary();
                 if self.phase == before && !self.phase.is_moving() {
                     self.show();
@@ -208,17 +244,43 @@ impl Worker {
                 self.answer_waiters();
             }
             Err(error) => {
-                self.simulation.seq -= 1;
+                self.simulation.seq = seq;
                 answer(Err(self.refusal(error)));
             }
         }
         None
     }
 
-    fn check(&self, expected: Expectation) -> Result<(), OrderError> {
+    /// Makes every change or none; a defect that shows on the way undoes them too.
+    fn change(&mut self, changes: &[Change]) -> Result<Vec<(ChangeKind, Outcome)>, OrderError> {
+        phase::next(&self.phase, Cue::Change)?;
+        let before = self.simulation.save();
+        let simulation = &mut self.simulation;
+        let changed = catch_unwind(AssertUnwindSafe(|| {
+            fail_point!("command");
+            simulation.apply_all(changes)
+        }));
+        match changed {
+            Ok(Ok(outcomes)) => Ok(outcomes),
+            Ok(Err((index, error))) => {
+                self.simulation.go_back(before);
+                Err(OrderError::InBatch {
+                    index,
+                    error: Box::new(error),
+                })
+            }
+            Err(_) => {
+                self.simulation.go_back(before);
+                Err(OrderError::Panicked)
+            }
+        }
+    }
+
+    fn check(&self, when: When) -> Result<(), OrderError> {
+        let step = self.simulation.state.step;
         let at = [
-            ("epoch", expected.epoch, self.simulation.epoch),
-            ("step", expected.step, self.simulation.state.step),
+            ("epoch", when.expect_epoch, self.simulation.epoch),
+            ("step", when.expect_step, step),
         ];
         for (what, expected, actual) in at {
             if let Some(expected) = expected
@@ -231,7 +293,78 @@ impl Worker {
                 });
             }
         }
+        match when.at_step {
+            Some(at_step) if at_step < step => Err(OrderError::Late { at_step, step }),
+            _ => Ok(()),
+        }
+    }
+
+    /// Puts a command off until its step. What can be seen to be wrong with it is refused now.
+    fn put_off(
+        &mut self,
+        at_step: u64,
+        order: Order,
+        sender: Arc<Sender>,
+    ) -> Result<(), OrderError> {
+        if !matches!(order, Order::Reset(_) | Order::Delete) {
+            phase::next(&self.phase, Cue::Change)?;
+        }
+        match &order {
+            Order::Change(change) => self.simulation.check(change)?,
+            Order::Batch(changes) => {
+                for (index, change) in changes.iter().enumerate() {
+                    let error = |error| OrderError::InBatch {
+                        index,
+                        error: Box::new(error),
+                    };
+                    self.simulation.check(change).map_err(error)?;
+                }
+            }
+            _ => {}
+        }
+        let command = Scheduled {
+            order,
+            sender: sender.clone(),
+        };
+        self.schedule.add(at_step, command)?;
+        self.tell(EventKind::Scheduled(at_step, sender));
         Ok(())
+    }
+
+    /// Carries out what was put off until this step. Nobody waits for the answers any more, so
+    /// an event tells of what is refused.
+    fn carry_out_due(&mut self) -> Option<End> {
+        while let Some(Scheduled { order, sender }) = self.schedule.take(self.simulation.state.step)
+        {
+            let refused = Arc::new(Mutex::new(None));
+            let answer = {
+                let refused = refused.clone();
+                move |answered: Answered| {
+                    *refused.lock().unwrap_or_else(PoisonError::into_inner) = answered.err();
+                }
+            };
+            if let Some(end) = self.carry_out(order, sender.clone(), Box::new(answer)) {
+                return Some(end);
+            }
+            let refusal = refused
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .take();
+            if let Some(Refusal { error, .. }) = refusal {
+                self.tell(EventKind::Refused(sender, error));
+            }
+        }
+        None
+    }
+
+    /// Refuses what was put off: after a reset its step would be another one.
+    fn drop_scheduled(&mut self) {
+        for (at_step, Scheduled { sender, .. }) in self.schedule.clear() {
+            self.tell(EventKind::Refused(
+                sender,
+                OrderError::Overtaken { at_step },
+            ));
+        }
     }
 
     fn begin_run(
@@ -284,11 +417,13 @@ impl Worker {
         Ok(Outcome::Reset(self.frame(true)))
     }
 
-    fn begin_steps(&mut self, steps: u64, sender: Sender, answer: Answer) -> Option<End> {
+    fn begin_steps(&mut self, steps: u64, sender: Arc<Sender>, answer: Answer) {
         let from = self.simulation.state.step;
         let until = from.saturating_add(steps);
         match phase::next(&self.phase, Cue::Step(until)) {
             Ok(next) => {
+                // One that ends at the step for which this was put off has come to its end.
+                self.answer_pending(&next);
                 // Lock-step sends thousands of these a second: the phase in between, which
                 // every reader of the reply knows, is not worth an event each way.
                 self.phase = next;
@@ -301,7 +436,6 @@ impl Worker {
                 answer(Err(self.refusal(error.into())));
             }
         }
-        None
     }
 
     fn delete(&mut self, answer: Answer) -> End {
@@ -319,9 +453,13 @@ impl Worker {
         End::Deleted(Box::new(move || answer(Ok((place, Outcome::Done)))))
     }
 
-    fn step(&mut self) {
+    /// Takes one step, and carries out what was put off until the step reached.
+    fn step(&mut self) -> Option<End> {
         let simulation = &mut self.simulation;
-        let stepped = catch_unwind(AssertUnwindSafe(|| simulation.step()));
+        let stepped = catch_unwind(AssertUnwindSafe(|| {
+            fail_point!("step");
+            simulation.step()
+        }));
         let now = Instant::now();
         match stepped {
             Ok(Ok(report)) => {
@@ -330,20 +468,31 @@ impl Worker {
                     self.tell(EventKind::Lapsed(report.lapsed));
                 }
             }
-            Ok(Err(error)) => return self.fault(error.to_string()),
-            Err(_) => return self.fault("a defect: the step panicked".into()),
+            Ok(Err(error)) => {
+                self.fault(error.to_string());
+                return None;
+            }
+            Err(_) => {
+                self.fault("a defect: the step panicked".into());
+                return None;
+            }
         }
         let step = self.simulation.state.step;
         if self.phase.until().is_some_and(|until| step >= until) {
-            let was_stepping = matches!(self.phase, Phase::Stepping { .. });
-            if was_stepping {
+            if matches!(self.phase, Phase::Stepping { .. }) {
                 self.phase = Phase::Paused(PauseReason::Finished);
             } else {
                 self.enter_by(Cue::Reached(step));
             }
             self.show();
             self.renew_summary();
-            self.answer_pending(&self.phase.clone());
+            if let Some(end) = self.carry_out_due() {
+                return Some(end);
+            }
+            // Unless what was due has begun to step anew, or has answered it.
+            if !matches!(self.phase, Phase::Stepping { .. }) {
+                self.answer_pending(&self.phase.clone());
+            }
         } else {
             if step.is_multiple_of(self.simulation.publish_every) && now >= self.frame_due {
                 // Counted from when it was due, so that a frame a little late costs no other.
@@ -354,8 +503,12 @@ impl Worker {
             if now.saturating_duration_since(self.summary_renewed) >= SUMMARY_PERIOD {
                 self.renew_summary();
             }
+            if let Some(end) = self.carry_out_due() {
+                return Some(end);
+            }
         }
         self.answer_waiters();
+        None
     }
 
     /// Keeps the last good state and says why.
@@ -430,6 +583,7 @@ impl Worker {
             parameters: simulation.state.parameters,
             publish_every: simulation.publish_every,
             seed: simulation.state.seed,
+            scheduled: self.schedule.len(),
             configuration: simulation.state.configuration.clone(),
             order: simulation.order(),
             means: simulation.means,
@@ -457,11 +611,13 @@ impl Worker {
 
     fn tell(&mut self, kind: EventKind) {
         self.events += 1;
-        self.outlet.tell(Event {
+        let event = Event {
             number: self.events,
             place: self.place(),
             kind,
-        });
+        };
+        self.history.tell(&event);
+        self.outlet.tell(event);
     }
 
     fn renew_summary(&mut self) {

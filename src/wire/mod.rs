@@ -7,5 +7,6 @@ pub use from_proto::{
     WireError, count, pose, publish_every, rate, recipe, region, selection, weight, whole,
 };
 pub use to_proto::{
-    Payload, created, event, limits, order_sample, outcome, reply, spec, state, status, summary,
+    Payload, created, event, events, journal, limits, order_sample, outcome, parameters, reply,
+    spec, state, status, summary,
 };

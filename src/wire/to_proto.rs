@@ -2,14 +2,16 @@
 
 use jostle_proto as proto;
 use jostle_proto::verbs::{
-    CreateResult, EmptyResult, IdsResult, ResetResult, RunResult, SetResult, StepResult,
+    BatchResult, Changed, CreateResult, EmptyResult, IdsResult, ResetResult, RunResult, Scheduled,
+    SetResult, StepResult,
 };
 use serde::Serialize;
 
 use crate::host::Limits;
 use crate::model::parameters::{Attraction, ContactRule, Parameters};
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
-use crate::swarm::order::{Outcome, Recipe, Start};
+use crate::swarm::history::{Entry, Page};
+use crate::swarm::order::{ChangeKind, OrderError, Outcome, Recipe, Sender, Start};
 use crate::swarm::phase::Phase;
 
 /// The reply of `swarm` at `place`.
@@ -85,19 +87,52 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
             before,
             now,
             scaled_by,
-        } => {
-            let result = SetResult {
-                before: parameters(before.0, before.1),
-                now: parameters(now.0, now.1),
-                scaled_by,
-            };
-            Payload::json(&reply(swarm, place, result))
-        }
+        } => Payload::json(&reply(swarm, place, set_result(before, now, scaled_by))),
         Outcome::Ids(ids, n) => {
             let n = n as u64;
             Payload::json(&reply(swarm, place, IdsResult { ids, n }))
         }
+        Outcome::Batch(outcomes) => {
+            let results = outcomes.into_iter().filter_map(changed).collect();
+            Payload::json(&reply(swarm, place, BatchResult { results }))
+        }
+        Outcome::Scheduled(applies_at_step) => {
+            Payload::json(&reply(swarm, place, Scheduled { applies_at_step }))
+        }
         Outcome::Seen(seen) => Payload::json(&reply(swarm, place, status(&seen))),
+    }
+}
+
+/// What one change of several came to.
+fn changed((kind, outcome): (ChangeKind, Outcome)) -> Option<Changed> {
+    match (kind, outcome) {
+        (
+            ChangeKind::Set,
+            Outcome::Set {
+                before,
+                now,
+                scaled_by,
+            },
+        ) => Some(Changed::Set(set_result(before, now, scaled_by))),
+        (kind, Outcome::Ids(ids, n)) => {
+            let result = IdsResult { ids, n: n as u64 };
+            Some(match kind {
+                ChangeKind::Set => return None,
+                ChangeKind::Inform => Changed::Inform(result),
+                ChangeKind::Uninform => Changed::Uninform(result),
+                ChangeKind::Inject => Changed::Inject(result),
+                ChangeKind::Remove => Changed::Remove(result),
+            })
+        }
+        _ => None,
+    }
+}
+
+fn set_result(before: (Parameters, u64), now: (Parameters, u64), scaled_by: f64) -> SetResult {
+    SetResult {
+        before: parameter_values(before.0, before.1),
+        now: parameter_values(now.0, now.1),
+        scaled_by,
     }
 }
 
@@ -157,7 +192,8 @@ pub fn status(seen: &Frame) -> proto::Status {
         informed: informed(seen),
         seed: seen.seed,
         dt: seen.parameters.dt,
-        parameters: parameters(seen.parameters, seen.publish_every),
+        parameters: parameter_values(seen.parameters, seen.publish_every),
+        scheduled: seen.scheduled as u64,
         state_hash: hash(seen),
         order: order(seen),
         certificate: certificate(seen),
@@ -204,8 +240,11 @@ pub fn order_sample(swarm: &str, seen: &Frame, frame: u64) -> proto::OrderSample
     }
 }
 
+/// Words why an order was refused, for a swarm at a step.
+pub type WordRefusal = fn(OrderError, u64) -> proto::Error;
+
 /// An event as it is published.
-pub fn event(swarm: &str, event: Event) -> proto::Event {
+pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
     let Event {
         number,
         place,
@@ -226,16 +265,95 @@ pub fn event(swarm: &str, event: Event) -> proto::Event {
             EventKind::Command(sender) => proto::EventKind::Command {
                 seq: place.seq,
                 verb: sender.verb.to_owned(),
-                // They were read once, so they are JSON.
-                args: serde_json::from_str(&sender.args).unwrap_or_default(),
-                client: sender.client,
-                request_id: sender.request_id,
+                args: args(&sender),
+                client: sender.client.clone(),
+                request_id: sender.request_id.clone(),
+            },
+            EventKind::Scheduled(applies_at_step, sender) => proto::EventKind::Scheduled {
+                applies_at_step,
+                verb: sender.verb.to_owned(),
+                args: args(&sender),
+                client: sender.client.clone(),
+                request_id: sender.request_id.clone(),
+            },
+            EventKind::Refused(sender, error) => proto::EventKind::Refused {
+                verb: sender.verb.to_owned(),
+                args: args(&sender),
+                client: sender.client.clone(),
+                request_id: sender.request_id.clone(),
+                error: word(error, place.step),
             },
             EventKind::Lapsed(ids) => proto::EventKind::Lapsed { ids },
             EventKind::Fault(reason) => proto::EventKind::Fault { reason },
             EventKind::Deleted => proto::EventKind::Deleted {},
         },
     }
+}
+
+/// Events as they are asked for.
+pub fn events(swarm: &str, page: Page<Event>, word: WordRefusal) -> proto::Events {
+    let events = page.records.into_iter();
+    proto::Events {
+        events: events.map(|it| event(swarm, it, word)).collect(),
+        oldest: page.oldest,
+        newest: page.newest,
+    }
+}
+
+/// Applied commands as they are asked for.
+pub fn journal(page: Page<Entry>) -> proto::Journal {
+    let entries = page.records.into_iter().map(|entry| {
+        let Entry { place, sender } = entry;
+        proto::JournalEntry {
+            seq: place.seq,
+            epoch: place.epoch,
+            step: place.step,
+            time: place.time,
+            verb: sender.verb.to_owned(),
+            args: args(&sender),
+            client: sender.client.clone(),
+            request_id: sender.request_id.clone(),
+        }
+    });
+    proto::Journal {
+        entries: entries.collect(),
+        oldest: page.oldest,
+        newest: page.newest,
+    }
+}
+
+/// Every parameter, with the values and bounds that hold for this swarm now.
+pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
+    let mut parameters = proto::contract::parameters();
+    let now = seen.parameters;
+    for parameter in &mut parameters {
+        match parameter.name.as_str() {
+            "n" => {
+                parameter.value = seen.configuration.n().into();
+                parameter.maximum = Some(limits.max_individuals as f64);
+            }
+            "dt" => {
+                let largest = seen.configuration.largest_weight();
+                parameter.value = now.dt.into();
+                parameter.maximum = Some(now.longest_step(largest));
+            }
+            "pi1" => parameter.value = now.pi1.into(),
+            "pi2" => parameter.value = now.pi2.into(),
+            "pi3" => parameter.value = now.pi3.into(),
+            "pi4" => parameter.value = now.pi4.into(),
+            "seed" => parameter.value = seen.seed.into(),
+            "publish_every" => parameter.value = seen.publish_every.into(),
+            "rate" => parameter.value = seen.rate.into(),
+            // There is only one value of the others so far, and it is the default.
+            _ => {}
+        }
+    }
+    proto::Parameters { parameters }
+}
+
+/// A sender's arguments. They were read once, so they are JSON.
+fn args(sender: &Sender) -> serde_json::Value {
+    serde_json::from_str(&sender.args).unwrap_or_default()
 }
 
 /// A swarm in a list.
@@ -273,7 +391,7 @@ fn phase(phase: &Phase) -> proto::Phase {
     }
 }
 
-fn parameters(parameters: Parameters, publish_every: u64) -> proto::ParameterValues {
+fn parameter_values(parameters: Parameters, publish_every: u64) -> proto::ParameterValues {
     proto::ParameterValues {
         pi1: parameters.pi1,
         pi2: parameters.pi2,

@@ -13,7 +13,7 @@ const MAY_USE: [(&str, &[&str]); 14] = [
     ("host", &["model", "swarm"]),
     ("command", &["model", "swarm", "host", "wire"]),
     ("wire", &["model", "swarm", "host"]),
-    ("publish", &["swarm", "wire"]),
+    ("publish", &["swarm", "command", "wire"]),
     ("config", &["host"]),
     (
         "server",

@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
-use jostle_proto::keys;
+use jostle_proto::{ErrorCode, keys};
 use serde_json::json;
 
 use crate::support::{Client, PATIENCE, PREFIX, alone, beside_others, until};
@@ -55,7 +55,13 @@ fn jostled(arguments: &[&str]) -> Command {
 
 /// A serving daemon and where it listens.
 fn serve() -> (Process, String) {
+    serve_with("")
+}
+
+/// A serving daemon that is made to fail at these points.
+fn serve_with(failpoints: &str) -> (Process, String) {
     let mut daemon = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
+    daemon.env("FAILPOINTS", failpoints);
     let mut daemon = Process(daemon.stdout(Stdio::piped()).spawn().unwrap());
     let mut line = String::new();
     BufReader::new(daemon.0.stdout.take().unwrap())
@@ -200,4 +206,61 @@ async fn what_cannot_be_served_is_said_with_its_remedy() {
         assert_eq!(refused.status.code(), Some(code), "{arguments:?}: {text}");
         assert!(text.contains(named), "{arguments:?}: {text}");
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_defect_in_a_command_is_told_changes_nothing_and_hurts_nobody_else() {
+    let _beside_others = beside_others().await;
+    // The second and third change panic.
+    let (_daemon, endpoint) = serve_with("command=1*off->2*panic->off");
+    let client = Client::open(&endpoint).await;
+    client.create("a", json!({"n": 5, "seed": 1})).await;
+    client.ok("a", "inject", json!({"count": 1})).await;
+    let before = client.get("a", "status").await;
+    let inform = json!({"select": {"count": 2}, "direction": 1});
+    let request = json!({"client": "me", "request_id": "1", "args": inform});
+    for verb in ["inform", "batch"] {
+        let request = match verb {
+            "batch" => json!({"commands": [{"verb": "inform", "args": inform}]}),
+            _ => request.clone(),
+        };
+        let error = client.cmd("a", verb, request).await.unwrap_err();
+        assert_eq!(error.code, ErrorCode::Internal, "{error:?}");
+        assert_eq!(error.step, Some(0));
+        assert_eq!(client.get("a", "status").await, before);
+    }
+    // It goes on, under the same name too, as if they had never been sent.
+    client.ok("a", "inform", request).await;
+    client.create("b", json!({"n": 5, "seed": 1})).await;
+    client.ok("b", "inject", json!({"count": 1})).await;
+    client.ok("b", "inform", inform).await;
+    assert_eq!(client.hash("a").await, client.hash("b").await);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_defect_in_a_step_faults_its_swarm_and_no_other() {
+    let _beside_others = beside_others().await;
+    let (_daemon, endpoint) = serve_with("step=3*off->1*panic->off");
+    let client = Client::open(&endpoint).await;
+    client.create("a", json!({"n": 5})).await;
+    client.create("b", json!({"n": 5})).await;
+    let error = client.cmd("a", "step", json!({"steps": 9})).await;
+    let error = error.unwrap_err();
+    assert_eq!((error.code, error.step), (ErrorCode::Faulted, Some(3)));
+    assert_eq!(client.get("a", "status").await["phase"], "faulted");
+    let nine = client.ok("b", "step", json!({"steps": 9})).await;
+    client.ok("a", "reset", json!({})).await;
+    let again = client.ok("a", "step", json!({"steps": 9})).await;
+    assert_eq!(again["result"]["state_hash"], nine["result"]["state_hash"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_defect_in_reading_a_query_is_told_and_the_daemon_goes_on() {
+    let _beside_others = beside_others().await;
+    let (_daemon, endpoint) = serve_with("query=1*panic->off");
+    let client = Client::open(&endpoint).await;
+    let key = keys::node_get(PREFIX, "test", "hello");
+    let error = client.one(&key, None).await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::Internal);
+    assert!(client.one(&key, None).await.is_ok());
 }

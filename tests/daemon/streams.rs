@@ -9,10 +9,10 @@ use zenoh::sample::SampleKind;
 
 use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, alone, until};
 
-type Subscriber =
+pub type Subscriber =
     zenoh::pubsub::Subscriber<zenoh::handlers::FifoChannelHandler<zenoh::sample::Sample>>;
 
-async fn subscribe(client: &Client, key: String) -> Subscriber {
+pub async fn subscribe(client: &Client, key: String) -> Subscriber {
     client
         .session
         .declare_subscriber(key)
@@ -30,7 +30,7 @@ async fn next_state(subscriber: &Subscriber) -> State {
     State::from_cbor(&sample.payload().to_bytes()).unwrap()
 }
 
-async fn next_event(subscriber: &Subscriber) -> Event {
+pub async fn next_event(subscriber: &Subscriber) -> Event {
     let sample = tokio::time::timeout(PATIENCE, subscriber.recv_async())
         .await
         .unwrap()

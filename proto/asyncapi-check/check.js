@@ -1,0 +1,50 @@
+// Holds an AsyncAPI document to the specification, and every example in it to its schema.
+//
+//   node check.js asyncapi.yaml
+
+import { readFileSync } from "node:fs";
+import { dirname, resolve } from "node:path";
+import { Parser, fromFile } from "@asyncapi/parser";
+import { Ajv2020 } from "ajv/dist/2020.js";
+import { load } from "js-yaml";
+
+const path = process.argv[2];
+const problems = [];
+
+// Errors are 0, warnings 1; what is below is a matter of taste.
+const { document, diagnostics } = await fromFile(new Parser(), path).parse();
+for (const { severity, code, message, path: place } of diagnostics) {
+  const line = `${code}: ${message} (${place.join(".")})`;
+  if (severity <= 1) problems.push(line);
+  else console.log(`noted: ${line}`);
+}
+if (!document) problems.push("the parser gives no document");
+
+const ajv = new Ajv2020({ strict: true, allErrors: true, strictTypes: false });
+// Rust's kinds of numbers say how large one may be, which `maximum` says too where it matters.
+for (const format of ["uint32", "uint64", "int64", "uint", "double"]) ajv.addFormat(format, true);
+// What a form wants to know of a parameter.
+for (const keyword of ["x-unit", "x-changed-by"]) ajv.addKeyword(keyword);
+
+const { components } = load(readFileSync(path, "utf8"));
+let examples = 0;
+for (const [name, message] of Object.entries(components.messages)) {
+  if (!message.payload) continue;
+  const schema = JSON.parse(readFileSync(resolve(dirname(path), message.payload.$ref), "utf8"));
+  const validate = ajv.compile(schema);
+  if (!message.examples.length) problems.push(`${name} has no example`);
+  for (const example of message.examples) {
+    examples += 1;
+    if (!validate(example.payload)) {
+      problems.push(`${name}, example ${example.name}: ${ajv.errorsText(validate.errors)}`);
+    }
+  }
+}
+
+for (const problem of problems) console.error(problem);
+if (problems.length) process.exit(1);
+const count = (items) => items.all().length;
+console.log(
+  `${path}: ${count(document.channels())} channels, ${count(document.operations())} operations, ` +
+    `${count(document.components().messages())} messages, ${examples} examples: no error, no warning`,
+);

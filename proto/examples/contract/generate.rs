@@ -1,0 +1,106 @@
+//! Every generated file, by its path below `proto/`.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+
+use jostle_proto::asyncapi::{self, Examples};
+use jostle_proto::contract::{CHANNELS, ChannelKind, schemas};
+use serde_json::Value;
+
+/// The folder `proto/`.
+pub fn folder() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+/// Every file that is made from the contract.
+pub fn files() -> io::Result<BTreeMap<PathBuf, String>> {
+    let mut files = BTreeMap::new();
+    for (name, schema) in schemas() {
+        let text = serde_json::to_string_pretty(&schema)? + "\n";
+        files.insert(Path::new("schema").join(format!("{name}.json")), text);
+    }
+    let document = asyncapi::document(&examples()?);
+    let note = "# Made by `cargo run --release -p jostle-proto --example contract`.\n";
+    let yaml = note.to_owned() + &asyncapi::to_yaml(&document);
+    files.insert("asyncapi.yaml".into(), yaml);
+    let readme = fs::read_to_string(folder().join("README.md"))?;
+    files.insert("README.md".into(), with_tables(&readme));
+    Ok(files)
+}
+
+/// Every fixture in JSON: its message, its name below that message, its text.
+pub fn fixtures() -> io::Result<Vec<(&'static str, String, String)>> {
+    let mut paths: Vec<PathBuf> = fs::read_dir(folder().join("fixtures"))?
+        .map(|entry| entry.map(|entry| entry.path()))
+        .collect::<io::Result<_>>()?;
+    paths.sort();
+    let mut fixtures = Vec::new();
+    for path in paths {
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        if path.extension().is_none_or(|it| it != "json") {
+            continue;
+        }
+        let (message, variant) = message(&stem)
+            .ok_or_else(|| io::Error::other(format!("{stem}: there is no such message")))?;
+        fixtures.push((message, variant, fs::read_to_string(path)?));
+    }
+    Ok(fixtures)
+}
+
+/// The message that a fixture is of, and what is left of its name.
+pub fn message(stem: &str) -> Option<(&'static str, String)> {
+    let named = schemas().into_keys().filter_map(|message| {
+        let rest = stem.strip_prefix(message)?;
+        match rest.strip_prefix('.') {
+            Some(variant) => Some((message, variant.to_owned())),
+            None => rest.is_empty().then(|| (message, message.to_owned())),
+        }
+    });
+    named.max_by_key(|(message, _)| message.len())
+}
+
+fn examples() -> io::Result<Examples> {
+    let mut examples = Examples::new();
+    for (message, variant, text) in fixtures()? {
+        let payload: Value = serde_json::from_str(&text)?;
+        examples.entry(message).or_default().push((variant, payload));
+    }
+    Ok(examples)
+}
+
+/// The text between two marks, `<!-- keys -->` and `<!-- /keys -->`, made anew.
+fn with_tables(readme: &str) -> String {
+    let (begin, end) = ("<!-- keys -->\n", "<!-- /keys -->");
+    let (Some(at), Some(until)) = (readme.find(begin), readme.find(end)) else {
+        return readme.to_owned();
+    };
+    let table = keys();
+    format!("{}{table}{}", &readme[..at + begin.len()], &readme[until..])
+}
+
+/// The table of keys.
+fn keys() -> String {
+    let mut table = "| key below the prefix | how | message | what |\n|---|---|---|---|\n".to_owned();
+    for channel in CHANNELS {
+        let (how, message) = match channel.kind {
+            ChannelKind::Published(message) => ("published", format!("`{message}`")),
+            ChannelKind::Kept(message) => ("published; query", format!("`{message}`")),
+            ChannelKind::Token => ("liveliness token", String::new()),
+            ChannelKind::Get(reply) => ("query", format!("`{reply}`")),
+            ChannelKind::Command(args, reply) => ("command", format!("`{args}`, `{reply}`")),
+        };
+        let parameters: Vec<String> = channel
+            .parameters
+            .iter()
+            .map(|(name, doc)| format!("`{name}`: {doc}"))
+            .collect();
+        let what = match parameters.as_slice() {
+            [] => channel.doc.to_owned(),
+            parameters => format!("{} {}.", channel.doc, parameters.join("; ")),
+        };
+        table += &format!("| `{}` | {how} | {message} | {what} |\n", channel.key);
+    }
+    table
+}

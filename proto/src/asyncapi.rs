@@ -1,0 +1,347 @@
+//! The AsyncAPI document: what is on which key, for people's tools.
+//!
+//! AsyncAPI has no binding for zenoh, so what zenoh adds stands under `x-zenoh`: how a key is
+//! declared, in which encodings, whether wildcards are welcome. The application it describes is
+//! the daemon: what it publishes it sends, a query it receives and answers with a `reply`.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Map, Value, json};
+
+use crate::contract::{CHANNELS, Channel, ChannelKind, schemas};
+use crate::keys::{DEFAULT_PREFIX, NAME_RULE};
+use crate::{CBOR, JSON, WIRE_VERSION};
+
+/// A message's examples: each with its name.
+pub type Examples = BTreeMap<&'static str, Vec<(String, Value)>>;
+
+/// The document, with `examples` of its messages. Payloads are described by `schema/`.
+pub fn document(examples: &Examples) -> Value {
+    let mut channels = Map::new();
+    let mut operations = Map::new();
+    for channel in CHANNELS {
+        channels.insert(id(channel), describe(channel));
+        operations.extend(operate(channel));
+    }
+    json!({
+        "asyncapi": "3.0.0",
+        "info": {
+            "title": "jostle",
+            "version": WIRE_VERSION.to_string(),
+            "description": "A daemon that hosts swarms of bodies which only push each other, on \
+                            zenoh. Requests refuse unknown fields; replies and samples may have \
+                            more than is described here, and readers tolerate it. See README.md \
+                            beside this file.",
+            "license": {"name": "MIT OR Apache-2.0"},
+        },
+        "defaultContentType": JSON,
+        "servers": {"local": {
+            "host": "127.0.0.1:7447",
+            "protocol": "zenoh",
+            "description": "A daemon on this machine, where it listens unless told otherwise.",
+            "x-zenoh": {
+                "endpoint": "tcp/127.0.0.1:7447",
+                "mode": "client",
+                "scouting": false,
+                "gossip": false,
+            },
+        }},
+        "channels": channels,
+        "operations": operations,
+        "components": {
+            "parameters": {
+                "prefix": {
+                    "description": "The first chunk of every key; a setting of the daemon.",
+                    "default": DEFAULT_PREFIX,
+                },
+                "swarm": {"description": format!("A swarm's name: {NAME_RULE}")},
+                "node": {"description": format!("A daemon's name: {NAME_RULE}")},
+            },
+            "messages": messages(examples),
+        },
+    })
+}
+
+/// What a channel is called in the document, such as `swarm_get_status`.
+fn id(channel: &Channel) -> String {
+    let key = channel.key.trim_end_matches("/{node}");
+    key.replace("@node/", "").replace(['{', '}'], "").replace('/', "_")
+}
+
+fn describe(channel: &Channel) -> Value {
+    let parameters = ["prefix", "swarm", "node"].into_iter();
+    let address = format!("{{prefix}}/{}", channel.key);
+    let parameters: Map<String, Value> = parameters
+        .filter(|name| address.contains(&format!("{{{name}}}")))
+        .map(|name| (name.to_owned(), refer(&format!("components/parameters/{name}"))))
+        .collect();
+    let messages = all(channel)
+        .into_iter()
+        .map(|name| (name.to_owned(), refer(&format!("components/messages/{name}"))));
+    let mut description = json!({
+        "address": address,
+        "description": channel.doc,
+        "parameters": parameters,
+        "messages": messages.collect::<Map<_, _>>(),
+        "bindings": {"x-zenoh": zenoh(channel)},
+    });
+    if channel.kind == ChannelKind::Token
+        && let Some(fields) = description.as_object_mut()
+    {
+        fields.remove("messages");
+    }
+    description
+}
+
+/// What zenoh adds.
+fn zenoh(channel: &Channel) -> Value {
+    let publisher = |encoding: &str| {
+        json!({
+            "kind": "publisher",
+            "encoding": encoding,
+            "congestion_control": "drop",
+            "attachment": "none",
+        })
+    };
+    let queryable = |declared: &str, wildcards: &str| {
+        let parameters = channel.parameters.iter();
+        let parameters: Map<String, Value> = parameters
+            .map(|(name, doc)| ((*name).to_owned(), json!(doc)))
+            .collect();
+        json!({
+            "kind": "queryable",
+            "declared": format!("{{prefix}}/{declared}"),
+            "wildcards": wildcards,
+            "selector_parameters": parameters,
+            "errors": "reply_err, application/json",
+            "attachment": "none",
+        })
+    };
+    // One queryable for all nouns, one for all verbs: an unknown one gets an answer too.
+    let declared = match channel.key.rsplit_once('/') {
+        Some((start, _)) => format!("{start}/**"),
+        None => channel.key.to_owned(),
+    };
+    match channel.kind {
+        ChannelKind::Token => json!({"kind": "liveliness"}),
+        ChannelKind::Published("event") => {
+            let mut event = publisher(JSON);
+            event["advanced"] = json!({"cache": 64, "heartbeat_secs": 2});
+            event
+        }
+        ChannelKind::Published(_) => publisher(JSON),
+        ChannelKind::Kept(_) => json!({
+            "kind": "publisher and queryable",
+            "publisher": publisher(CBOR),
+            "queryable": queryable(channel.key, "welcome"),
+        }),
+        // It may take half a minute, which nobody who asks for `**` means.
+        ChannelKind::Get(_) if channel.key.ends_with("/wait") => queryable(&declared, "not answered"),
+        ChannelKind::Get(_) => queryable(&declared, "welcome"),
+        ChannelKind::Command(..) => queryable(&declared, "refused: a wildcard executes nothing"),
+    }
+}
+
+/// The messages a query on a channel may carry.
+fn asked(kind: ChannelKind) -> Vec<&'static str> {
+    match kind {
+        ChannelKind::Published(_) | ChannelKind::Token => vec![],
+        ChannelKind::Kept(_) | ChannelKind::Get(_) => vec!["query"],
+        ChannelKind::Command(args, _) => vec![args, "request"],
+    }
+}
+
+/// The messages it may be answered with.
+fn answered(kind: ChannelKind) -> Vec<&'static str> {
+    match kind {
+        ChannelKind::Published(_) | ChannelKind::Token => vec![],
+        ChannelKind::Kept(reply) | ChannelKind::Get(reply) => vec![reply, "error"],
+        // There is no swarm yet whose step could be waited for.
+        ChannelKind::Command("create.args", reply) => vec![reply, "error"],
+        ChannelKind::Command(_, reply) => vec![reply, "scheduled.reply", "error"],
+    }
+}
+
+/// Every message of a channel.
+fn all(channel: &Channel) -> Vec<&'static str> {
+    match channel.kind {
+        ChannelKind::Published(message) => vec![message],
+        kind => [asked(kind), answered(kind)].concat(),
+    }
+}
+
+/// The operations of a channel, each with its name.
+fn operate(channel: &Channel) -> Vec<(String, Value)> {
+    let id = id(channel);
+    let named = |messages: &[&str]| -> Value {
+        let messages = messages.iter();
+        messages
+            .map(|name| refer(&format!("channels/{id}/messages/{name}")))
+            .collect()
+    };
+    let send = |verb: &str, messages: &[&str]| {
+        let mut operation = json!({
+            "action": "send",
+            "channel": refer(&format!("channels/{id}")),
+            "summary": channel.doc,
+        });
+        if !messages.is_empty() {
+            operation["messages"] = named(messages);
+        }
+        (format!("{verb}_{id}"), operation)
+    };
+    let answer = |verb: &str| {
+        let operation = json!({
+            "action": "receive",
+            "channel": refer(&format!("channels/{id}")),
+            "summary": channel.doc,
+            "messages": named(&asked(channel.kind)),
+            "reply": {
+                "channel": refer(&format!("channels/{id}")),
+                "messages": named(&answered(channel.kind)),
+            },
+        });
+        (format!("{verb}_{id}"), operation)
+    };
+    match channel.kind {
+        ChannelKind::Published(message) => vec![send("publish", &[message])],
+        ChannelKind::Kept(message) => vec![send("publish", &[message]), answer("answer")],
+        ChannelKind::Token => vec![send("hold", &[])],
+        ChannelKind::Get(_) => vec![answer("answer")],
+        ChannelKind::Command(..) => vec![answer("execute")],
+    }
+}
+
+/// Every message: its schema and examples.
+fn messages(examples: &Examples) -> Value {
+    let mut messages = Map::new();
+    for (name, schema) in schemas() {
+        let description = schema.get("description").cloned().unwrap_or_default();
+        let examples: Vec<Value> = examples
+            .get(name)
+            .into_iter()
+            .flatten()
+            .map(|(name, payload)| json!({"name": name, "payload": payload}))
+            .collect();
+        let encodings = match name {
+            "state" => json!([CBOR, JSON]),
+            "step.reply" => json!([JSON, CBOR]),
+            _ => json!([JSON]),
+        };
+        let message = json!({
+            "name": name,
+            "title": schema.get("title"),
+            "summary": description,
+            "contentType": encodings[0],
+            "payload": {"$ref": format!("./schema/{name}.json")},
+            "bindings": {"x-zenoh": {"encodings": encodings}},
+            "examples": examples,
+        });
+        messages.insert(name.to_owned(), message);
+    }
+    let query = json!({
+        "name": "query",
+        "title": "Query",
+        "summary": "A query without a payload; what it asks for is in its key and parameters.",
+    });
+    messages.insert("query".to_owned(), query);
+    messages.into()
+}
+
+fn refer(place: &str) -> Value {
+    json!({"$ref": format!("#/{place}")})
+}
+
+/// Keys that come before all others, in this order.
+const FIRST: [&str; 11] = [
+    "asyncapi",
+    "info",
+    "defaultContentType",
+    "servers",
+    "channels",
+    "operations",
+    "name",
+    "title",
+    "address",
+    "action",
+    "summary",
+];
+
+/// Writes a value as YAML. Text is quoted as in JSON, which YAML reads the same.
+pub fn to_yaml(value: &Value) -> String {
+    let mut text = String::new();
+    write(value, 0, &mut text);
+    text
+}
+
+fn write(value: &Value, depth: usize, text: &mut String) {
+    let indent = "  ".repeat(depth);
+    match value {
+        Value::Object(fields) if !fields.is_empty() => {
+            let mut fields: Vec<_> = fields.iter().collect();
+            let rank = |name: &str| FIRST.iter().position(|it| *it == name);
+            fields.sort_by_key(|(name, _)| rank(name).unwrap_or(FIRST.len()));
+            for (name, field) in fields {
+                text.push_str(&format!("{indent}{}:", key(name)));
+                below(field, depth, text);
+            }
+        }
+        Value::Array(items) if !items.is_empty() => {
+            for item in items {
+                text.push_str(&format!("{indent}-"));
+                below(item, depth, text);
+            }
+        }
+        scalar => text.push_str(&format!("{indent}{}\n", inline(scalar))),
+    }
+}
+
+/// Writes a value on one line. Older readers of YAML take a number for text unless it has a point
+/// and its exponent a sign.
+fn inline(value: &Value) -> String {
+    match value {
+        Value::Array(items) => {
+            let items: Vec<String> = items.iter().map(inline).collect();
+            format!("[{}]", items.join(", "))
+        }
+        Value::Number(number) => {
+            let number = number.to_string();
+            let Some((digits, exponent)) = number.split_once('e') else {
+                return number;
+            };
+            let point = if digits.contains('.') { "" } else { ".0" };
+            let sign = if exponent.starts_with('-') { "" } else { "+" };
+            format!("{digits}{point}e{sign}{exponent}")
+        }
+        other => other.to_string(),
+    }
+}
+
+/// Writes what stands behind a colon or a dash: lists of numbers and scalars on the same line.
+fn below(value: &Value, depth: usize, text: &mut String) {
+    let is_plain = |value: &Value| !value.is_object() && !value.is_array();
+    let is_short = match value {
+        Value::Object(fields) => fields.is_empty(),
+        Value::Array(items) => items.iter().all(is_plain),
+        _ => true,
+    };
+    if is_short {
+        text.push_str(&format!(" {}\n", inline(value)));
+    } else {
+        text.push('\n');
+        write(value, depth + 1, text);
+    }
+}
+
+/// A key, quoted where it could be taken for something else: in older YAML `y` and `n` are truths.
+fn key(name: &str) -> String {
+    let words = ["y", "n", "yes", "no", "on", "off", "true", "false", "null"];
+    let is_plain = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
+    if name.chars().all(is_plain)
+        && name.starts_with(|c: char| c.is_ascii_alphabetic())
+        && !words.contains(&name)
+    {
+        return name.to_owned();
+    }
+    Value::from(name).to_string()
+}

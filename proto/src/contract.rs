@@ -1,0 +1,381 @@
+//! The contract as data: what is on which key, and the JSON Schema of every message.
+//!
+//! Everything that describes the wire is made from here: the files in `schema/`, the AsyncAPI
+//! document, and what a daemon answers on `get/schema`.
+
+use std::collections::BTreeMap;
+
+use schemars::generate::SchemaSettings;
+use schemars::transform::{RecursiveTransform, Transform};
+use schemars::{JsonSchema, Schema};
+use serde_json::Value;
+
+use crate::verbs::{
+    BatchArgs, BatchResult, CreateArgs, CreateResult, DeleteArgs, EmptyResult, IdsResult,
+    InformArgs, InjectArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RunArgs, RunResult,
+    Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
+};
+use crate::{
+    Error, Event, Events, Hello, Journal, NodeReply, NodeStatus, OrderSample, Parameter,
+    ParameterKind, Parameters, Reply, Request, Schemas, Spec, State, Status, Swarms,
+};
+
+/// Something that stands on a key of the bus.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Channel {
+    /// Its key, below the prefix; `{swarm}` and `{node}` stand for names.
+    pub key: &'static str,
+    /// How it is used.
+    pub kind: ChannelKind,
+    /// The parameters of a query's selector: each with what it is.
+    pub parameters: &'static [(&'static str, &'static str)],
+    /// What it is for, in a line.
+    pub doc: &'static str,
+}
+
+/// How a key is used. Messages are named as in [`schemas`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ChannelKind {
+    /// The daemon publishes this message.
+    Published(&'static str),
+    /// The daemon publishes this message, and answers a query with the newest.
+    Kept(&'static str),
+    /// A liveliness token of the daemon's: no payload.
+    Token,
+    /// A query that changes nothing, answered with this message.
+    Get(&'static str),
+    /// A query that changes something: its arguments, within `request` or alone, and its answer.
+    Command(&'static str, &'static str),
+}
+
+const PAGE: &[(&str, &str)] = &[
+    ("after", "a whole number: only what is numbered higher; 0 if left out"),
+    ("limit", "a whole number from 1 to 1000: no more than so many; 256 if left out"),
+];
+
+/// Every key a daemon serves.
+pub const CHANNELS: &[Channel] = &{
+    use ChannelKind::{Command, Get, Kept, Published, Token};
+    const fn plain(key: &'static str, kind: ChannelKind, doc: &'static str) -> Channel {
+        Channel {
+            key,
+            kind,
+            parameters: &[],
+            doc,
+        }
+    }
+    [
+        Channel {
+            key: "{swarm}/state",
+            kind: Kept("state"),
+            parameters: &[("format", "json or cbor, which it is if left out")],
+            doc: "The newest state, as a CBOR map of typed arrays.",
+        },
+        plain("{swarm}/order", Published("order"), "Order and drift beside each state."),
+        plain(
+            "{swarm}/event",
+            Published("event"),
+            "What happened to the swarm, numbered; late joiners get the last 64.",
+        ),
+        plain("{swarm}/alive/{node}", Token, "Stands while the swarm is there."),
+        plain("{swarm}/get/status", Get("status.reply"), "What the swarm is and does."),
+        plain("{swarm}/get/spec", Get("spec.reply"), "What the swarm was made from."),
+        plain(
+            "{swarm}/get/parameters",
+            Get("parameters.reply"),
+            "Every parameter: value, range, unit, default, whether it may change.",
+        ),
+        Channel {
+            key: "{swarm}/get/events",
+            kind: Get("events.reply"),
+            parameters: PAGE,
+            doc: "The events after a number.",
+        },
+        Channel {
+            key: "{swarm}/get/journal",
+            kind: Get("journal.reply"),
+            parameters: PAGE,
+            doc: "The commands applied after a seq.",
+        },
+        Channel {
+            key: "{swarm}/get/wait",
+            kind: Get("status.reply"),
+            parameters: &[
+                ("step", "a whole number: answer when this step is reached"),
+                ("phase", "paused, running or faulted: answer when it is this"),
+                ("timeout_secs", "a number above 0: `deadline_exceeded` after this; at most 30"),
+            ],
+            doc: "The status, when something has come about; one of step and phase.",
+        },
+        plain("{swarm}/cmd/delete", Command("delete.args", "delete.reply"), "Ends the swarm."),
+        plain("{swarm}/cmd/run", Command("run.args", "run.reply"), "Steps at a rate."),
+        plain("{swarm}/cmd/pause", Command("pause.args", "pause.reply"), "Stands still."),
+        plain("{swarm}/cmd/step", Command("step.args", "step.reply"), "Takes some steps."),
+        plain("{swarm}/cmd/reset", Command("reset.args", "reset.reply"), "Back to the start."),
+        plain("{swarm}/cmd/set", Command("set.args", "set.reply"), "Changes parameters."),
+        plain(
+            "{swarm}/cmd/inform",
+            Command("inform.args", "inform.reply"),
+            "Gives individuals a direction of their own.",
+        ),
+        plain(
+            "{swarm}/cmd/uninform",
+            Command("uninform.args", "uninform.reply"),
+            "Takes individuals' direction away.",
+        ),
+        plain(
+            "{swarm}/cmd/inject",
+            Command("inject.args", "inject.reply"),
+            "Adds individuals.",
+        ),
+        plain(
+            "{swarm}/cmd/remove",
+            Command("remove.args", "remove.reply"),
+            "Takes individuals out of the group.",
+        ),
+        plain(
+            "{swarm}/cmd/batch",
+            Command("batch.args", "batch.reply"),
+            "Applies several changes at one step, or none.",
+        ),
+        plain("@node/{node}/alive", Token, "Stands while the daemon is there."),
+        plain(
+            "@node/{node}/get/hello",
+            Get("node.hello.reply"),
+            "Who the daemon is, and its limits.",
+        ),
+        plain("@node/{node}/get/status", Get("node.status.reply"), "How the daemon fares."),
+        plain("@node/{node}/get/swarms", Get("node.swarms.reply"), "Every swarm it hosts."),
+        plain(
+            "@node/{node}/get/schema",
+            Get("node.schema.reply"),
+            "The JSON Schema of every message.",
+        ),
+        plain(
+            "@node/{node}/cmd/create",
+            Command("create.args", "create.reply"),
+            "Creates a swarm, paused.",
+        ),
+    ]
+};
+
+/// The JSON Schema (2020-12) of every message, by name; each stands alone.
+pub fn schemas() -> BTreeMap<&'static str, Schema> {
+    BTreeMap::from([
+        ("request", asked::<Request>()),
+        ("error", told::<Error>()),
+        ("scheduled.reply", told::<Reply<Scheduled>>()),
+        ("state", told::<State>()),
+        ("order", told::<OrderSample>()),
+        ("event", told::<Event>()),
+        ("status.reply", told::<Reply<Status>>()),
+        ("spec.reply", told::<Reply<Spec>>()),
+        ("parameters.reply", told::<Reply<Parameters>>()),
+        ("events.reply", told::<Reply<Events>>()),
+        ("journal.reply", told::<Reply<Journal>>()),
+        ("create.args", asked::<CreateArgs>()),
+        ("create.reply", told::<Reply<CreateResult>>()),
+        ("delete.args", asked::<DeleteArgs>()),
+        ("delete.reply", told::<Reply<EmptyResult>>()),
+        ("run.args", asked::<RunArgs>()),
+        ("run.reply", told::<Reply<RunResult>>()),
+        ("pause.args", asked::<PauseArgs>()),
+        ("pause.reply", told::<Reply<EmptyResult>>()),
+        ("step.args", asked::<StepArgs>()),
+        ("step.reply", told::<Reply<StepResult>>()),
+        ("reset.args", asked::<ResetArgs>()),
+        ("reset.reply", told::<Reply<ResetResult>>()),
+        ("set.args", asked::<SetArgs>()),
+        ("set.reply", told::<Reply<SetResult>>()),
+        ("inform.args", asked::<InformArgs>()),
+        ("inform.reply", told::<Reply<IdsResult>>()),
+        ("uninform.args", asked::<UninformArgs>()),
+        ("uninform.reply", told::<Reply<IdsResult>>()),
+        ("inject.args", asked::<InjectArgs>()),
+        ("inject.reply", told::<Reply<IdsResult>>()),
+        ("remove.args", asked::<RemoveArgs>()),
+        ("remove.reply", told::<Reply<IdsResult>>()),
+        ("batch.args", asked::<BatchArgs>()),
+        ("batch.reply", told::<Reply<BatchResult>>()),
+        ("node.hello.reply", told::<NodeReply<Hello>>()),
+        ("node.status.reply", told::<NodeReply<NodeStatus>>()),
+        ("node.swarms.reply", told::<NodeReply<Swarms>>()),
+        ("node.schema.reply", told::<NodeReply<Schemas>>()),
+    ])
+}
+
+/// What a client sends: unknown fields are refused, what has a default may be left out.
+fn asked<T: JsonSchema>() -> Schema {
+    let settings = SchemaSettings::draft2020_12().for_deserialize();
+    let mut schema = settings.into_generator().into_root_schema_for::<T>();
+    RecursiveTransform(unwrap_description).transform(&mut schema);
+    schema
+}
+
+/// What a daemon sends: a reader tolerates unknown fields, since a newer daemon may have more.
+fn told<T: JsonSchema>() -> Schema {
+    let settings = SchemaSettings::draft2020_12().for_serialize();
+    let mut schema = settings.into_generator().into_root_schema_for::<T>();
+    RecursiveTransform(unwrap_description).transform(&mut schema);
+    RecursiveTransform(|schema: &mut Schema| {
+        if schema.get("additionalProperties") == Some(&Value::Bool(false)) {
+            schema.remove("additionalProperties");
+        }
+    })
+    .transform(&mut schema);
+    schema
+}
+
+/// Descriptions are doc comments; their lines end where the source's had to.
+fn unwrap_description(schema: &mut Schema) {
+    if let Some(Value::String(text)) = schema.get_mut("description") {
+        let paragraphs = text.split("\n\n").map(|it| it.replace('\n', " "));
+        *text = paragraphs.collect::<Vec<_>>().join("\n\n");
+    }
+}
+
+/// Every parameter of a spec but the start, in its order, as its schema describes it; `value` is
+/// the default.
+pub fn parameters() -> Vec<Parameter> {
+    let schema = asked::<Spec>();
+    let given = serde_json::to_value(Spec::new(1)).unwrap_or_default();
+    let told = told::<Spec>();
+    // All of them are in every spec that is told, and lists keep their order.
+    let names = told.get("required").and_then(Value::as_array);
+    let names = names.into_iter().flatten().filter_map(Value::as_str);
+    names
+        .filter(|name| *name != "start")
+        .map(|name| {
+            let field = &schema.as_value()["properties"][name];
+            parameter(name, field, &given[name])
+        })
+        .collect()
+}
+
+/// The parameter that a property describes.
+fn parameter(name: &str, property: &Value, default: &Value) -> Parameter {
+    let number = |key: &str| property[key].as_f64();
+    let text = |key: &str| property[key].as_str().map(str::to_owned);
+    let is = |kind: &str| match &property["type"] {
+        Value::Array(types) => types.iter().any(|it| it == kind),
+        one => one == kind,
+    };
+    let kind = match (is("integer"), is("number")) {
+        (true, _) => ParameterKind::Integer,
+        (_, true) => ParameterKind::Number,
+        _ => ParameterKind::Choice,
+    };
+    let changed_by = property["x-changed-by"].as_array();
+    let changed_by: Vec<String> = changed_by
+        .into_iter()
+        .flatten()
+        .filter_map(|verb| verb.as_str().map(str::to_owned))
+        .collect();
+    Parameter {
+        name: name.to_owned(),
+        doc: text("description").unwrap_or_default(),
+        unit: text("x-unit").unwrap_or_else(|| "1".to_owned()),
+        kind,
+        minimum: number("minimum"),
+        exclusive_minimum: number("exclusiveMinimum"),
+        maximum: number("maximum"),
+        choices: match kind {
+            // There is one of each so far.
+            ParameterKind::Choice => vec![default.clone()],
+            _ => Vec::new(),
+        },
+        nullable: is("null"),
+        // How many individuals there are is the one thing that must be said.
+        default: match name {
+            "n" => Value::Null,
+            _ => default.clone(),
+        },
+        value: default.clone(),
+        live: !changed_by.is_empty(),
+        changed_by,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use std::collections::BTreeSet;
+
+    use super::*;
+    use crate::keys;
+
+    #[test]
+    fn every_message_of_a_channel_has_a_schema_and_every_schema_a_channel() {
+        let mut named = BTreeSet::from(["request", "error", "scheduled.reply"]);
+        for channel in CHANNELS {
+            match channel.kind {
+                ChannelKind::Published(message) | ChannelKind::Kept(message) => {
+                    named.insert(message);
+                }
+                ChannelKind::Token => {}
+                ChannelKind::Get(reply) => {
+                    named.insert(reply);
+                }
+                ChannelKind::Command(args, reply) => {
+                    named.extend([args, reply]);
+                }
+            }
+        }
+        let there: BTreeSet<&str> = schemas().into_keys().collect();
+        assert_eq!(named, there);
+    }
+
+    #[test]
+    fn the_nouns_and_verbs_of_the_keys_are_those_of_the_channels() {
+        let below = |start: &str| -> Vec<&str> {
+            let keys = CHANNELS.iter().map(|channel| channel.key);
+            keys.filter_map(|key| key.strip_prefix(start)).collect()
+        };
+        assert_eq!(below("{swarm}/get/"), keys::SWARM_GETS);
+        assert_eq!(below("{swarm}/cmd/"), keys::SWARM_VERBS);
+        assert_eq!(below("@node/{node}/get/"), keys::NODE_GETS);
+        assert_eq!(below("@node/{node}/cmd/"), keys::NODE_VERBS);
+    }
+
+    #[test]
+    fn no_two_channels_have_one_key() {
+        let keys: BTreeSet<&str> = CHANNELS.iter().map(|channel| channel.key).collect();
+        assert_eq!(keys.len(), CHANNELS.len());
+    }
+
+    #[test]
+    fn what_is_asked_for_is_closed_and_what_is_told_is_open() {
+        for (name, schema) in schemas() {
+            let text = serde_json::to_string(&schema).unwrap();
+            let is_asked = name == "request" || name.ends_with(".args");
+            let is_closed = text.contains("\"additionalProperties\":false");
+            assert_eq!(is_asked, is_closed, "{name}");
+        }
+        // The details of an error may be anything, and its schema says so.
+        let error = schemas().remove("error").unwrap().to_value();
+        assert_eq!(error["properties"]["details"]["additionalProperties"], true);
+    }
+
+    #[test]
+    fn every_parameter_has_a_range_a_unit_and_a_line_of_doc() {
+        let parameters = parameters();
+        let names: Vec<&str> = parameters.iter().map(|it| it.name.as_str()).collect();
+        let written = serde_json::to_string(&Spec::new(1)).unwrap();
+        let at = |name: &&str| written.find(&format!("\"{name}\":")).unwrap();
+        assert!(names.is_sorted_by_key(at), "{names:?} of {written}");
+        assert_eq!(names.len(), 12);
+        for it in &parameters {
+            assert!(!it.doc.is_empty() && !it.doc.contains('\n'), "{it:?}");
+            assert!(!it.unit.is_empty(), "{it:?}");
+            let is_bounded = it.minimum.or(it.exclusive_minimum).is_some();
+            assert_eq!(is_bounded, it.kind != ParameterKind::Choice, "{it:?}");
+            assert_eq!(it.choices.is_empty(), it.kind != ParameterKind::Choice);
+            assert_eq!(it.live, !it.changed_by.is_empty(), "{it:?}");
+            let verbs = it.changed_by.iter().map(String::as_str);
+            for verb in verbs {
+                assert!(keys::SWARM_VERBS.contains(&verb), "{it:?}");
+            }
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! The fixtures leave nothing out: every variant, every constant and every field of every schema
+//! stands in one of them.
+
+use std::collections::BTreeSet;
+
+use jostle_proto::contract::schemas;
+use serde_json::{Value, json};
+
+use crate::generate::fixtures;
+
+/// A schema, and what has been seen of it.
+struct Walk<'a> {
+    message: &'a str,
+    definitions: &'a Value,
+    seen: BTreeSet<String>,
+}
+
+impl<'a> Walk<'a> {
+    fn of(message: &'a str, schema: &'a Value) -> Self {
+        Walk {
+            message,
+            definitions: &schema["$defs"],
+            seen: BTreeSet::new(),
+        }
+    }
+
+    /// The schema that is meant and what it is called. A definition is the same thing wherever it
+    /// is used, but what is asked for may differ from what is told.
+    fn resolve(&self, schema: &'a Value, place: &str) -> (&'a Value, String) {
+        match schema["$ref"].as_str() {
+            Some(name) => {
+                let name = name.trim_start_matches("#/$defs/");
+                let direction = if self.message.ends_with(".args") { "asked" } else { "told" };
+                (&self.definitions[name], format!("{direction} {name}"))
+            }
+            None => (schema, place.to_owned()),
+        }
+    }
+
+    /// Everything there is to see.
+    fn all(&mut self, schema: &'a Value, place: &str) {
+        let (schema, place) = self.resolve(schema, place);
+        for (i, variant) in variants(schema).enumerate() {
+            let variant_place = format!("{place} variant {}", name_of(variant, i));
+            self.see(&variant_place);
+            self.all(variant, &variant_place);
+        }
+        for constant in schema["enum"].as_array().into_iter().flatten() {
+            self.see(&format!("{place} = {constant}"));
+        }
+        for (name, field) in schema["properties"].as_object().into_iter().flatten() {
+            let field_place = format!("{place}.{name}");
+            if self.see(&field_place) {
+                self.all(field, &field_place);
+            }
+        }
+        if schema["items"].is_object() {
+            self.all(&schema["items"], &format!("{place}[]"));
+        }
+    }
+
+    /// What there is to see in `value`.
+    fn one(&mut self, schema: &'a Value, place: &str, value: &Value) {
+        let (schema, place) = self.resolve(schema, place);
+        for (i, variant) in variants(schema).enumerate() {
+            if self.is_of(variant, value) {
+                let variant_place = format!("{place} variant {}", name_of(variant, i));
+                self.see(&variant_place);
+                self.one(variant, &variant_place, value);
+            }
+        }
+        for constant in schema["enum"].as_array().into_iter().flatten() {
+            if constant == value {
+                self.see(&format!("{place} = {constant}"));
+            }
+        }
+        for (name, field) in schema["properties"].as_object().into_iter().flatten() {
+            if let Some(value) = value.get(name) {
+                let field_place = format!("{place}.{name}");
+                self.see(&field_place);
+                self.one(field, &field_place, value);
+            }
+        }
+        if let (Value::Object(_), Some(values)) = (&schema["items"], value.as_array()) {
+            for value in values {
+                self.one(&schema["items"], &format!("{place}[]"), value);
+            }
+        }
+    }
+
+    fn see(&mut self, place: &str) -> bool {
+        self.seen.insert(place.to_owned())
+    }
+
+    fn is_of(&self, variant: &Value, value: &Value) -> bool {
+        let mut alone = variant.clone();
+        alone["$defs"] = self.definitions.clone();
+        jsonschema::is_valid(&alone, value)
+    }
+}
+
+/// The variants of an enum; that something may be `null` is none.
+fn variants(schema: &Value) -> impl Iterator<Item = &Value> {
+    let variants = ["oneOf", "anyOf"].into_iter();
+    variants
+        .flat_map(|kind| schema[kind].as_array().into_iter().flatten())
+        .filter(|variant| variant["type"] != "null")
+}
+
+/// A variant by its constant or its only field, or by its number.
+fn name_of(variant: &Value, number: usize) -> String {
+    let properties = variant["properties"].as_object();
+    let mut constants = properties.into_iter().flatten().map(|(_, it)| &it["const"]);
+    let name = match (&variant["const"], &variant["required"][0]) {
+        (Value::String(text), _) => Some(text),
+        (_, Value::String(field)) => match constants.find(|it| it.is_string()) {
+            Some(Value::String(text)) => Some(text),
+            _ => Some(field),
+        },
+        _ => None,
+    };
+    name.cloned().unwrap_or_else(|| number.to_string())
+}
+
+#[test]
+fn every_variant_and_field_of_every_schema_stands_in_a_fixture() {
+    let fixtures = fixtures().unwrap();
+    let (mut all, mut seen) = (BTreeSet::new(), BTreeSet::new());
+    for (message, schema) in schemas() {
+        let schema = schema.to_value();
+        let mut walk = Walk::of(message, &schema);
+        walk.all(&schema, message);
+        all.append(&mut walk.seen);
+        for (_, _, text) in fixtures.iter().filter(|(of, ..)| *of == message) {
+            walk.one(&schema, message, &serde_json::from_str(text).unwrap());
+        }
+        seen.append(&mut walk.seen);
+    }
+    assert!(all.len() > 300, "{}", all.len());
+    let unseen: Vec<&String> = all.difference(&seen).collect();
+    assert!(unseen.is_empty(), "no fixture has {unseen:#?}");
+}
+
+#[test]
+fn what_no_fixture_has_is_noticed() {
+    let schema = json!({"properties": {"a": {"oneOf": [{"const": "x"}, {"const": "y"}]}, "b": {}}});
+    let mut walk = Walk::of("message", &schema);
+    walk.all(&schema, "message");
+    let all = std::mem::take(&mut walk.seen);
+    walk.one(&schema, "message", &json!({"a": "y"}));
+    let unseen: Vec<&String> = all.difference(&walk.seen).collect();
+    assert_eq!(unseen, ["message.a variant x", "message.b"]);
+}

@@ -1,0 +1,161 @@
+//! Every fixture is a message: its schema takes it, its type reads it and writes it back.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+
+use jostle_proto::contract::schemas;
+use jostle_proto::verbs::StepResult;
+use jostle_proto::{Reply, State, to_cbor};
+use jsonschema::Validator;
+use serde_json::{Value, json};
+
+use crate::generate::{fixtures, folder, message};
+use crate::types::written_back;
+
+fn validators() -> BTreeMap<&'static str, Validator> {
+    let schemas = schemas().into_iter();
+    schemas
+        .map(|(name, schema)| (name, jsonschema::validator_for(schema.as_value()).unwrap()))
+        .collect()
+}
+
+/// Whether a client sends it.
+fn is_asked(message: &str) -> bool {
+    message == "request" || message.ends_with(".args")
+}
+
+#[test]
+fn every_message_and_every_error_code_has_a_fixture() {
+    let fixtures = fixtures().unwrap();
+    let there: BTreeSet<&str> = fixtures.iter().map(|(message, ..)| *message).collect();
+    assert_eq!(there, schemas().into_keys().collect());
+
+    let schema = schemas().remove("error").unwrap().to_value();
+    let codes = schema["$defs"]["ErrorCode"]["oneOf"].as_array().unwrap();
+    assert_eq!(codes.len(), 12);
+    for code in codes {
+        let code = code["const"].as_str().unwrap();
+        let (.., text) = fixtures
+            .iter()
+            .find(|(message, variant, _)| *message == "error" && variant == code)
+            .unwrap_or_else(|| panic!("there is no fixtures/error.{code}.json"));
+        let error: jostle_proto::Error = serde_json::from_str(text).unwrap();
+        assert_eq!(serde_json::to_value(error.code).unwrap(), code);
+    }
+}
+
+#[test]
+fn every_fixture_is_what_its_schema_describes() {
+    let validators = validators();
+    for (message, variant, text) in fixtures().unwrap() {
+        let document = serde_json::from_str(&text).unwrap();
+        let problems = validators[message].iter_errors(&document);
+        let problems: Vec<String> = problems
+            .map(|it| format!("{}: {it}", it.instance_path()))
+            .collect();
+        assert!(problems.is_empty(), "{message} {variant}: {problems:#?}");
+    }
+}
+
+#[test]
+fn every_fixture_reads_into_its_type_and_nothing_is_dropped() {
+    for (message, variant, text) in fixtures().unwrap() {
+        let given: Value = serde_json::from_str(&text).unwrap();
+        let back = written_back(message, &text).unwrap_or_else(|it| panic!("{variant}: {it}"));
+        if is_asked(message) {
+            // What was left out comes back as its default.
+            assert!(holds(&back, &given), "{message} {variant}: {given} came back as {back}");
+            let again = written_back(message, &back.to_string()).unwrap();
+            assert_eq!(back, again, "{message} {variant}");
+        } else {
+            assert_eq!(given, back, "{message} {variant}");
+        }
+    }
+}
+
+/// Whether all of `part` is in `whole`; 4 and 4.0 are one number.
+fn holds(whole: &Value, part: &Value) -> bool {
+    match (whole, part) {
+        (Value::Object(whole), Value::Object(part)) => part
+            .iter()
+            .all(|(name, part)| whole.get(name).is_some_and(|whole| holds(whole, part))),
+        (Value::Array(whole), Value::Array(part)) => {
+            whole.len() == part.len() && whole.iter().zip(part).all(|(a, b)| holds(a, b))
+        }
+        (Value::Number(whole), Value::Number(part)) => whole.as_f64() == part.as_f64(),
+        (whole, part) => whole == part,
+    }
+}
+
+#[test]
+fn a_field_that_nobody_knows_is_refused_in_requests_and_tolerated_in_all_that_is_told() {
+    let validators = validators();
+    for (message, variant, text) in fixtures().unwrap() {
+        let given: Value = serde_json::from_str(&text).unwrap();
+        for place in objects(message, &given, String::new()) {
+            let mut more = given.clone();
+            let object = more.pointer_mut(&place).unwrap();
+            object["from_the_future"] = json!({"is": ["tolerated"]});
+            let read = written_back(message, &more.to_string());
+            let is_valid = validators[message].is_valid(&more);
+            let told = format!("{message} {variant} {place}: {read:?}");
+            if is_asked(message) {
+                assert!(read.is_err() && !is_valid, "{told}");
+            } else {
+                assert_eq!(read.as_ref(), Ok(&given), "{told}");
+                assert!(is_valid, "{told}");
+            }
+        }
+    }
+}
+
+/// The places of all objects whose fields are the contract's: not of arguments as they came, of
+/// an error's details, of JSON Schemas, nor of values that may be anything.
+fn objects(message: &str, value: &Value, place: String) -> Vec<String> {
+    let is_open = match place.rsplit('/').next() {
+        Some("args") => message == "request" || !is_asked(message),
+        Some("details" | "schemas" | "default" | "value" | "choices") => true,
+        _ => false,
+    };
+    let mut places = Vec::new();
+    match value {
+        _ if is_open => {}
+        Value::Object(fields) => {
+            for (name, field) in fields {
+                places.extend(objects(message, field, format!("{place}/{name}")));
+            }
+            places.push(place);
+        }
+        Value::Array(items) => {
+            for (i, item) in items.iter().enumerate() {
+                places.extend(objects(message, item, format!("{place}/{i}")));
+            }
+        }
+        _ => {}
+    }
+    places
+}
+
+#[test]
+fn states_in_cbor_are_those_in_json_to_the_bit() {
+    let read = |name: &str| fs::read(folder().join("fixtures").join(name)).unwrap();
+    let bytes = read("state.cbor");
+    let state: State = serde_json::from_slice(&read("state.json")).unwrap();
+    assert_eq!(State::from_cbor(&bytes).unwrap(), state);
+    assert_eq!(state.to_cbor(), bytes);
+
+    let bytes = read("step.reply.state.cbor");
+    let reply: Reply<StepResult> =
+        serde_json::from_slice(&read("step.reply.state.json")).unwrap();
+    assert_eq!(ciborium::from_reader::<Reply<StepResult>, _>(&bytes[..]).unwrap(), reply);
+    assert_eq!(to_cbor(&reply), bytes);
+}
+
+#[test]
+fn every_file_among_the_fixtures_is_of_a_message() {
+    for entry in fs::read_dir(folder().join("fixtures")).unwrap() {
+        let path = entry.unwrap().path();
+        let stem = path.file_stem().unwrap().to_string_lossy();
+        assert!(message(&stem).is_some(), "{}", path.display());
+    }
+}

@@ -1,0 +1,74 @@
+//! The Rust type of every message.
+
+use jostle_proto::verbs::{
+    BatchArgs, BatchResult, CreateArgs, CreateResult, DeleteArgs, EmptyResult, IdsResult,
+    InformArgs, InjectArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RunArgs, RunResult,
+    Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
+};
+use jostle_proto::{
+    Error, Event, Events, Hello, Journal, NodeReply, NodeStatus, OrderSample, Parameters, Reply,
+    Request, Schemas, Spec, State, Status, Swarms, Told,
+};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+/// Reads a message into its type and writes it back.
+pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
+    match message {
+        "request" => {
+            let request = Request::from_json(text.as_bytes()).map_err(|it| it.to_string())?;
+            serde_json::to_value(request).map_err(|it| it.to_string())
+        }
+        "error" => told::<Error>(text),
+        "scheduled.reply" => told::<Reply<Scheduled>>(text),
+        "state" => told::<State>(text),
+        "order" => told::<OrderSample>(text),
+        "event" => told::<Event>(text),
+        "status.reply" => told::<Reply<Status>>(text),
+        "spec.reply" => told::<Reply<Told<Spec>>>(text),
+        "parameters.reply" => told::<Reply<Parameters>>(text),
+        "events.reply" => told::<Reply<Events>>(text),
+        "journal.reply" => told::<Reply<Journal>>(text),
+        "create.args" => asked::<CreateArgs>(text),
+        "create.reply" => told::<Reply<CreateResult>>(text),
+        "delete.args" => asked::<DeleteArgs>(text),
+        "delete.reply" | "pause.reply" => told::<Reply<EmptyResult>>(text),
+        "run.args" => asked::<RunArgs>(text),
+        "run.reply" => told::<Reply<RunResult>>(text),
+        "pause.args" => asked::<PauseArgs>(text),
+        "step.args" => asked::<StepArgs>(text),
+        "step.reply" => told::<Reply<StepResult>>(text),
+        "reset.args" => asked::<ResetArgs>(text),
+        "reset.reply" => told::<Reply<ResetResult>>(text),
+        "set.args" => asked::<SetArgs>(text),
+        "set.reply" => told::<Reply<SetResult>>(text),
+        "inform.args" => asked::<InformArgs>(text),
+        "uninform.args" => asked::<UninformArgs>(text),
+        "inject.args" => asked::<InjectArgs>(text),
+        "remove.args" => asked::<RemoveArgs>(text),
+        "inform.reply" | "uninform.reply" | "inject.reply" | "remove.reply" => {
+            told::<Reply<IdsResult>>(text)
+        }
+        "batch.args" => asked::<BatchArgs>(text),
+        "batch.reply" => told::<Reply<BatchResult>>(text),
+        "node.hello.reply" => told::<NodeReply<Hello>>(text),
+        "node.status.reply" => told::<NodeReply<NodeStatus>>(text),
+        "node.swarms.reply" => told::<NodeReply<Swarms>>(text),
+        "node.schema.reply" => told::<NodeReply<Schemas>>(text),
+        other => panic!("{other} has no type here"),
+    }
+}
+
+/// As a daemon reads arguments.
+fn asked<T: DeserializeOwned + Serialize>(text: &str) -> Result<Value, String> {
+    let request = Request::from_json(text.as_bytes()).map_err(|it| it.to_string())?;
+    let args: T = request.args().map_err(|it| it.to_string())?;
+    serde_json::to_value(args).map_err(|it| it.to_string())
+}
+
+/// As a client reads an answer or a sample.
+fn told<T: DeserializeOwned + Serialize>(text: &str) -> Result<Value, String> {
+    let message: T = serde_json::from_str(text).map_err(|it| it.to_string())?;
+    serde_json::to_value(message).map_err(|it| it.to_string())
+}

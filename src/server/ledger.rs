@@ -1,0 +1,173 @@
+//! Every request that has a name is carried out once: its first answer is given again.
+//!
+//! A client that got no answer cannot know whether its command was carried out. It sends the same
+//! request under the same `client` and `request_id` once more, and gets the answer it missed. What
+//! was refused changed nothing, is not kept, and may be tried again under the same name.
+
+use std::collections::{HashMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use jostle_proto::Request;
+
+use crate::server::answer::Promise;
+use crate::wire::Payload;
+
+/// Answers remembered, and the bytes they may take; the oldest give way.
+const MOST: (usize, usize) = (100_000, 64 * 1024 * 1024);
+
+/// What an answer takes beside its bytes.
+const ANSWER_BYTES: usize = 256;
+
+/// A request's name: who says to have sent it, and what they called it.
+type Name = (Option<String>, String);
+
+/// A request without what may differ when it is sent again.
+type Digest = [u8; 32];
+
+/// The named requests, and what they came to.
+#[derive(Clone, Default)]
+pub struct Ledger(Arc<Mutex<Requests>>);
+
+#[derive(Default)]
+struct Requests {
+    by_name: HashMap<Name, (Digest, Progress)>,
+    done: VecDeque<Name>,
+    bytes: usize,
+}
+
+enum Progress {
+    /// Being carried out; these have asked again meanwhile.
+    Underway(Vec<Promise>),
+    /// Carried out.
+    Done(Result<Payload, Payload>),
+}
+
+/// What is to be done with a named request.
+pub enum Entered {
+    /// It is new: carry it out and write down what it came to.
+    New(Page),
+    /// It is known, and answered now or as soon as it is carried out.
+    Known,
+    /// Another request has this name.
+    Other,
+}
+
+/// Where the answer to one request is to be written. Dropped unwritten, the request is forgotten.
+pub struct Page {
+    ledger: Ledger,
+    name: Name,
+    is_written: bool,
+}
+
+impl Ledger {
+    /// Enters a request under its name. `promise` is kept from here if it is a known one.
+    pub fn enter(&self, key: &str, request: &Request, id: &str, promise: &Promise) -> Entered {
+        let name = (request.client.clone(), id.to_owned());
+        let digest = digest(key, request);
+        let mut requests = self.lock();
+        match requests.by_name.get_mut(&name) {
+            Some((known, _)) if *known != digest => Entered::Other,
+            Some((_, Progress::Underway(promises))) => {
+                promises.push(promise.clone());
+                Entered::Known
+            }
+            Some((_, Progress::Done(answer))) => {
+                let answer = answer.clone();
+                promise.keep(move || answer);
+                Entered::Known
+            }
+            None => {
+                let progress = Progress::Underway(Vec::new());
+                requests.by_name.insert(name.clone(), (digest, progress));
+                Entered::New(Page {
+                    ledger: self.clone(),
+                    name,
+                    is_written: false,
+                })
+            }
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Requests> {
+        // Nothing between two changes can panic.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Page {
+    /// Writes the answer down, so that it can be given again.
+    pub fn write(mut self, answer: &Result<Payload, Payload>) {
+        self.is_written = true;
+        let mut requests = self.ledger.lock();
+        let Some((_, progress)) = requests.by_name.get_mut(&self.name) else {
+            return;
+        };
+        let before = std::mem::replace(progress, Progress::Done(answer.clone()));
+        requests.done.push_back(self.name.clone());
+        requests.bytes += bytes(answer);
+        requests.forget_oldest();
+        drop(requests);
+        if let Progress::Underway(promises) = before {
+            for promise in promises {
+                let answer = answer.clone();
+                promise.keep(move || answer);
+            }
+        }
+    }
+
+    /// Forgets the request, which changed nothing. Whoever asked again hears why.
+    pub fn tear_out(mut self, refusal: &Payload) {
+        for promise in self.remove() {
+            let refusal = refusal.clone();
+            promise.keep(move || Err(refusal));
+        }
+    }
+
+    fn remove(&mut self) -> Vec<Promise> {
+        self.is_written = true;
+        match self.ledger.lock().by_name.remove(&self.name) {
+            Some((_, Progress::Underway(promises))) => promises,
+            _ => Vec::new(),
+        }
+    }
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        if !self.is_written {
+            self.remove();
+        }
+    }
+}
+
+impl Requests {
+    fn forget_oldest(&mut self) {
+        let (most, most_bytes) = MOST;
+        while self.done.len() > most || (self.bytes > most_bytes && self.done.len() > 1) {
+            let Some(name) = self.done.pop_front() else {
+                return;
+            };
+            if let Some((_, Progress::Done(answer))) = self.by_name.remove(&name) {
+                self.bytes -= bytes(&answer);
+            }
+        }
+    }
+}
+
+fn bytes(answer: &Result<Payload, Payload>) -> usize {
+    let (Ok(payload) | Err(payload)) = answer;
+    ANSWER_BYTES + payload.bytes.len()
+}
+
+/// What makes two requests the same one: not how long their senders wait.
+fn digest(key: &str, request: &Request) -> Digest {
+    let mut hasher = blake3::Hasher::new();
+    let args = request.args.as_ref().map_or("", |args| args.get());
+    hasher.update(key.as_bytes());
+    for number in [request.at_step, request.expect_epoch, request.expect_step] {
+        hasher.update(&[u8::from(number.is_some())]);
+        hasher.update(&number.unwrap_or_default().to_le_bytes());
+    }
+    hasher.update(args.as_bytes());
+    *hasher.finalize().as_bytes()
+}

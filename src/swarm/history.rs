@@ -1,0 +1,170 @@
+//! What happened to a swarm and the commands it applied, kept in memory within bounds.
+//!
+//! The swarm's thread writes before it answers, so whoever was answered finds it here.
+
+use std::collections::VecDeque;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use crate::swarm::frame::{Event, EventKind, Place};
+use crate::swarm::order::Sender;
+
+/// Events kept, and the bytes they may take.
+const MOST_EVENTS: (usize, usize) = (1024, 256 * 1024);
+
+/// Applied commands kept, and the bytes they may take.
+const MOST_ENTRIES: (usize, usize) = (4096, 256 * 1024);
+
+/// What a record takes beside the text in it.
+const RECORD_BYTES: usize = 64;
+
+/// A command that was applied.
+#[derive(Clone, Debug)]
+pub struct Entry {
+    /// Where the swarm was; its `seq` numbers the entry.
+    pub place: Place,
+    /// The command and who sent it.
+    pub sender: Arc<Sender>,
+}
+
+/// Records after a number, and which there are at all.
+#[derive(Clone, Debug)]
+pub struct Page<T> {
+    /// Oldest first.
+    pub records: Vec<T>,
+    /// The number of the oldest that is kept.
+    pub oldest: Option<u64>,
+    /// The number of the newest there ever was; 0 before the first.
+    pub newest: u64,
+}
+
+/// What happened to a swarm and the commands it applied. The oldest give way.
+#[derive(Default)]
+pub struct History(Mutex<Records>);
+
+#[derive(Default)]
+struct Records {
+    events: Ring<Event>,
+    entries: Ring<Entry>,
+}
+
+impl History {
+    /// Keeps an event, and the command it tells of if it was applied.
+    pub fn tell(&self, event: &Event) {
+        let mut records = self.lock();
+        if let EventKind::Command(sender) = &event.kind {
+            let entry = Entry {
+                place: event.place.clone(),
+                sender: sender.clone(),
+            };
+            let bytes = RECORD_BYTES + sender.bytes();
+            let number = entry.place.seq;
+            records.entries.push(number, bytes, entry, MOST_ENTRIES);
+        }
+        let bytes = RECORD_BYTES + event.kind.bytes();
+        records
+            .events
+            .push(event.number, bytes, event.clone(), MOST_EVENTS);
+    }
+
+    /// The events after number `after`, at most `limit`.
+    pub fn events(&self, after: u64, limit: usize) -> Page<Event> {
+        self.lock().events.after(after, limit)
+    }
+
+    /// The commands applied after `seq`, at most `limit`.
+    pub fn entries(&self, seq: u64, limit: usize) -> Page<Entry> {
+        self.lock().entries.after(seq, limit)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Records> {
+        // A panic between two assignments of a ring could at worst miscount its bytes.
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Numbered records within bounds.
+struct Ring<T> {
+    records: VecDeque<(u64, usize, T)>,
+    bytes: usize,
+    newest: u64,
+}
+
+impl<T> Default for Ring<T> {
+    fn default() -> Self {
+        Ring {
+            records: VecDeque::new(),
+            bytes: 0,
+            newest: 0,
+        }
+    }
+}
+
+impl<T: Clone> Ring<T> {
+    fn push(&mut self, number: u64, bytes: usize, record: T, (most, most_bytes): (usize, usize)) {
+        self.newest = number;
+        self.bytes += bytes;
+        self.records.push_back((number, bytes, record));
+        // The newest stays even if it alone takes more.
+        while self.records.len() > 1 && (self.records.len() > most || self.bytes > most_bytes) {
+            if let Some((_, bytes, _)) = self.records.pop_front() {
+                self.bytes -= bytes;
+            }
+        }
+    }
+
+    fn after(&self, number: u64, limit: usize) -> Page<T> {
+        // Numbers grow, so those wanted are the last ones.
+        let first = self.records.partition_point(|(it, ..)| *it <= number);
+        let wanted = self.records.range(first..);
+        // An answer is bounded like the ring, so that it fits a message.
+        Page {
+            records: wanted.take(limit).map(|(.., it)| it.clone()).collect(),
+            oldest: self.records.front().map(|(number, ..)| *number),
+            newest: self.newest,
+        }
+    }
+}
+
+impl EventKind {
+    /// What the text in it takes.
+    fn bytes(&self) -> usize {
+        match self {
+            EventKind::Command(sender)
+            | EventKind::Scheduled(_, sender)
+            | EventKind::Refused(sender, _) => sender.bytes(),
+            EventKind::Lapsed(ids) => 4 * ids.len(),
+            EventKind::Fault(reason) => reason.len(),
+            EventKind::Created | EventKind::Phase | EventKind::Deleted => 0,
+        }
+    }
+}
+
+impl Sender {
+    /// What the text in it takes.
+    pub fn bytes(&self) -> usize {
+        let label = |label: &Option<String>| label.as_ref().map_or(0, String::len);
+        self.args.len() + label(&self.client) + label(&self.request_id)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_oldest_give_way_to_count_and_to_bytes_and_the_newest_stays() {
+        let mut ring = Ring::default();
+        for number in 1..=10 {
+            ring.push(number, 10, number, (4, 1000));
+        }
+        let page = ring.after(0, 100);
+        assert_eq!(page.records, [7, 8, 9, 10]);
+        assert_eq!((page.oldest, page.newest), (Some(7), 10));
+        assert_eq!(ring.after(8, 100).records, [9, 10]);
+        assert_eq!(ring.after(6, 2).records, [7, 8]);
+        assert_eq!(ring.after(10, 2).records, []);
+        assert_eq!(ring.after(u64::MAX, 2).newest, 10);
+        ring.push(11, 2000, 11, (4, 1000));
+        assert_eq!(ring.after(0, 100).records, [11]);
+    }
+}

@@ -1,0 +1,150 @@
+//! A request that has a name is carried out once.
+
+use std::time::Duration;
+
+use jostle_proto::{ErrorCode, keys};
+use serde_json::{Value, json};
+
+use crate::support::{Daemon, NODE, PREFIX};
+
+fn named(id: &str, args: Value) -> Value {
+    json!({"client": "me", "request_id": id, "args": args})
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_request_sent_again_is_answered_again_and_carried_out_once() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 5})).await;
+    let request = named("1", json!({"steps": 3}));
+    let first = client.ok("a", "step", request.clone()).await;
+    client.ok("a", "step", json!({})).await;
+    let hash = client.hash("a").await;
+    for _ in 0..3 {
+        assert_eq!(client.ok("a", "step", request.clone()).await, first);
+    }
+    // How long the sender waits does not make it another request; from elsewhere it is the same.
+    let mut patient = request.clone();
+    patient["timeout_secs"] = json!(60);
+    let other = daemon.another_client().await;
+    assert_eq!(other.ok("a", "step", patient).await, first);
+    assert_eq!(client.hash("a").await, hash);
+    // Another client's request of the same name is another one.
+    let mut theirs = request.clone();
+    theirs["client"] = json!("they");
+    assert_eq!(client.ok("a", "step", theirs).await["step"], 7);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_name_for_two_requests_is_a_conflict() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 5})).await;
+    client.create("b", json!({"n": 5})).await;
+    client
+        .ok("a", "step", named("1", json!({"steps": 3})))
+        .await;
+    let mut later = named("1", json!({"steps": 3}));
+    later["at_step"] = json!(3);
+    for (swarm, verb, request) in [
+        ("a", "step", named("1", json!({"steps": 4}))),
+        ("b", "step", named("1", json!({"steps": 3}))),
+        ("a", "run", named("1", json!({}))),
+        ("a", "step", later),
+    ] {
+        let error = client.cmd(swarm, verb, request).await.unwrap_err();
+        assert_eq!(error.code, ErrorCode::Conflict);
+        assert_eq!(error.details["field"], "request_id");
+    }
+    assert_eq!(client.get("a", "status").await["step"], 3);
+    assert_eq!(client.get("b", "status").await["step"], 0);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_refused_may_be_tried_again_under_its_name() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 5, "rate": 1})).await;
+    client.ok("a", "run", json!({})).await;
+    let request = named("1", json!({"steps": 3}));
+    let (code, _) = client.err("a", "step", request.clone()).await;
+    assert_eq!(code, ErrorCode::IncorrectState);
+    client.ok("a", "pause", json!({})).await;
+    let reply = client.ok("a", "step", request.clone()).await;
+    assert_eq!(client.ok("a", "step", request).await, reply);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_asks_again_while_it_is_under_way_or_after_a_deadline_gets_what_it_came_to() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 20})).await;
+    let mut hasty = named("1", json!({"steps": 20_000}));
+    hasty["timeout_secs"] = json!(0.01);
+    let (code, _) = client.err("a", "step", hasty).await;
+    assert_eq!(code, ErrorCode::DeadlineExceeded);
+    let mut patient = named("1", json!({"steps": 20_000}));
+    patient["timeout_secs"] = json!(60);
+    let both = tokio::join!(
+        client.cmd("a", "step", patient.clone()),
+        client.cmd("a", "step", patient.clone()),
+    );
+    let (one, other) = (both.0.unwrap(), both.1.unwrap());
+    assert_eq!(one, other);
+    assert_eq!(one["step"], 20_000);
+    assert_eq!(client.ok("a", "step", patient).await, one);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn creating_deleting_and_putting_off_are_done_once_too() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let key = keys::node_cmd(PREFIX, NODE, "create");
+    let create = named("1", json!({"name": "a", "spec": {"n": 5}})).to_string();
+    let create = async || client.one(&key, Some(create.as_bytes())).await;
+    let created = create().await.unwrap();
+    assert_eq!(create().await.unwrap(), created);
+
+    let put_off = json!({"client": "me", "request_id": "2", "at_step": 9, "args": {"count": 1}});
+    let waits = client.ok("a", "inject", put_off.clone()).await;
+    assert_eq!(client.ok("a", "inject", put_off.clone()).await, waits);
+    client.ok("a", "step", json!({"steps": 10})).await;
+    assert_eq!(client.ok("a", "inject", put_off).await, waits);
+    assert_eq!(client.get("a", "status").await["result"]["n"], 6);
+
+    // The one of that name now is not the one that was to be deleted.
+    let delete = named("3", json!({}));
+    let deleted = client.ok("a", "delete", delete.clone()).await;
+    client.create("a", json!({"n": 7})).await;
+    assert_eq!(client.ok("a", "delete", delete).await, deleted);
+    assert_eq!(client.get("a", "status").await["result"]["n"], 7);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reply_with_a_state_and_the_fault_of_a_step_are_given_again() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 5})).await;
+    let request = named("1", json!({"steps": 3, "return": "state"}));
+    let first = client.ok("a", "step", request.clone()).await;
+    assert_eq!(first["result"]["state"]["step"], 3);
+    assert_eq!(client.ok("a", "step", request).await, first);
+
+    let spec = json!({"n": 60, "pi4": 1e6, "dt": 0.2497, "seed": 2});
+    client.create("faulting", spec).await;
+    let mut request = named("2", json!({"steps": 20_000}));
+    request["timeout_secs"] = json!(Duration::from_secs(60).as_secs());
+    let first = client.cmd("faulting", "step", request.clone()).await;
+    let first = first.unwrap_err();
+    assert_eq!(first.code, ErrorCode::Faulted);
+    client.ok("faulting", "reset", json!({})).await;
+    let again = client.cmd("faulting", "step", request).await.unwrap_err();
+    assert_eq!(again, first);
+    assert_eq!(client.get("faulting", "status").await["step"], 0);
+    daemon.stop().await;
+}

@@ -1,0 +1,325 @@
+//! Commands for a step to come, and several at one step.
+
+use jostle_proto::{ErrorCode, Event, EventKind, Events, keys};
+use serde_json::{Value, json};
+
+use crate::streams::{next_event, subscribe};
+use crate::support::{Client, Daemon, PREFIX, until};
+
+/// Every event a swarm still has.
+async fn events(client: &Client, swarm: &str) -> Vec<Event> {
+    let reply = client.get(swarm, "events").await;
+    let events: Events = serde_json::from_value(reply["result"].clone()).unwrap();
+    events.events
+}
+
+fn at(step: u64, args: Value) -> Value {
+    json!({"at_step": step, "args": args})
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_for_a_step_to_come_is_acknowledged_announced_and_carried_out_there() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 8, "seed": 3})).await;
+    client.create("b", json!({"n": 8, "seed": 3})).await;
+    let set = json!({"pi3": 1.5});
+
+    // Put off while it stands, and in passing.
+    let request = json!({"at_step": 7, "client": "me", "request_id": "later", "args": set});
+    let reply = client.ok("a", "set", request).await;
+    assert_eq!(reply["result"], json!({"applies_at_step": 7}));
+    assert_eq!((&reply["step"], &reply["seq"]), (&json!(0), &json!(0)));
+    assert_eq!(client.get("a", "status").await["result"]["scheduled"], 1);
+    let reply = client.ok("a", "step", json!({"steps": 12})).await;
+    assert_eq!(reply["seq"], 2);
+    assert_eq!(client.get("a", "status").await["result"]["scheduled"], 0);
+
+    // By hand, at the same step.
+    client.ok("b", "step", json!({"steps": 7})).await;
+    client.ok("b", "set", set.clone()).await;
+    let by_hand = client.ok("b", "step", json!({"steps": 5})).await;
+    assert_eq!(
+        reply["result"]["state_hash"],
+        by_hand["result"]["state_hash"]
+    );
+
+    let told = events(client, "a").await;
+    let scheduled = told.iter().find_map(|event| match &event.event {
+        EventKind::Scheduled {
+            applies_at_step,
+            verb,
+            request_id,
+            ..
+        } => Some((*applies_at_step, verb.as_str(), request_id.clone())),
+        _ => None,
+    });
+    assert_eq!(scheduled, Some((7, "set", Some("later".into()))));
+    let applied = told.iter().find_map(|event| match &event.event {
+        EventKind::Command {
+            verb, request_id, ..
+        } if verb == "set" => Some((event.step, request_id.clone())),
+        _ => None,
+    });
+    assert_eq!(applied, Some((7, Some("later".into()))));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_step_in_the_past_is_a_conflict_and_the_present_one_is_now() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 4})).await;
+    client.ok("a", "step", json!({"steps": 5})).await;
+    let request = at(4, json!({"pi3": 2}));
+    let error = client.cmd("a", "set", request).await.unwrap_err();
+    assert_eq!(error.code, ErrorCode::Conflict);
+    assert_eq!(error.details["field"], "at_step");
+    assert_eq!((&error.details["step"], error.step), (&json!(5), Some(5)));
+    let reply = client.ok("a", "set", at(5, json!({"pi3": 2}))).await;
+    assert_eq!(reply["result"]["now"]["pi3"], 2.0);
+    let largest = (1_u64 << 53) - 1;
+    client.ok("a", "set", at(largest, json!({"pi3": 2}))).await;
+    let beyond = client.err("a", "set", at(largest + 1, json!({"pi3": 2})));
+    assert_eq!(beyond.await.0, ErrorCode::InvalidArgument);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_running_swarm_pauses_steps_on_and_ends_just_where_it_was_told_to() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 4, "rate": null})).await;
+    for (step, verb) in [(100, "pause"), (100, "step"), (101, "run"), (200, "delete")] {
+        let reply = client.ok("a", verb, at(step, json!({}))).await;
+        assert_eq!(reply["result"]["applies_at_step"], step, "{verb}");
+    }
+    let subscriber = subscribe(client, keys::event(PREFIX, "a")).await;
+    client.ok("a", "run", json!({})).await;
+    let mut told = Vec::new();
+    let is_end = |event: &Event| event.event == EventKind::Deleted {};
+    while !told.last().is_some_and(is_end) {
+        told.push(next_event(&subscriber).await);
+    }
+    let applied: Vec<(u64, &str)> = told
+        .iter()
+        .filter_map(|event| match &event.event {
+            EventKind::Command { verb, .. } => Some((event.step, verb.as_str())),
+            EventKind::Deleted {} => Some((event.step, "delete")),
+            _ => None,
+        })
+        .collect();
+    let expected = [
+        (0, "run"),
+        (100, "pause"),
+        (100, "step"),
+        (101, "run"),
+        (200, "delete"),
+    ];
+    assert_eq!(applied, expected);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_done_when_its_step_comes_is_told_by_an_event() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 3})).await;
+    // What can be seen to be wrong is refused at once.
+    let (code, message) = client.err("a", "set", at(9, json!({"pi1": 0.5}))).await;
+    assert_eq!(code, ErrorCode::InvalidArgument, "{message}");
+    // That nobody of this id will be there cannot.
+    let remove = json!({"select": {"ids": [2]}});
+    client.ok("a", "remove", at(3, remove.clone())).await;
+    client.ok("a", "remove", at(3, remove)).await;
+    // It runs when this one's turn comes.
+    client.ok("a", "step", at(4, json!({}))).await;
+    let reply = client.ok("a", "step", json!({"steps": 5})).await;
+    assert_eq!(reply["step"], 5);
+    let refused: Vec<(u64, String, ErrorCode)> = events(client, "a")
+        .await
+        .into_iter()
+        .filter_map(|event| match event.event {
+            EventKind::Refused { verb, error, .. } => Some((event.step, verb, error.code)),
+            _ => None,
+        })
+        .collect();
+    let expected = [
+        (3, "remove".to_owned(), ErrorCode::InvalidArgument),
+        (4, "step".to_owned(), ErrorCode::IncorrectState),
+    ];
+    assert_eq!(refused, expected);
+    assert_eq!(client.get("a", "status").await["result"]["n"], 2);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reset_refuses_all_that_waits() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 3})).await;
+    for step in [10, 20] {
+        client.ok("a", "set", at(step, json!({"pi3": 2}))).await;
+    }
+    client.ok("a", "reset", json!({})).await;
+    assert_eq!(client.get("a", "status").await["result"]["scheduled"], 0);
+    let refused: Vec<Value> = events(client, "a")
+        .await
+        .into_iter()
+        .filter_map(|event| match event.event {
+            EventKind::Refused { error, .. } => Some(json!([error.code, error.details["at_step"]])),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(refused, [json!(["conflict", 10]), json!(["conflict", 20])]);
+    client.ok("a", "step", json!({"steps": 30})).await;
+    let status = client.get("a", "status").await;
+    assert_eq!(status["result"]["parameters"]["pi3"], 1.0);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_so_many_wait_and_the_rest_is_refused() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 3})).await;
+    let mut refused = 0;
+    for step in 0..1030 {
+        let request = at(1000 + step, json!({"pi3": 2}));
+        if let Err(error) = client.cmd("a", "set", request).await {
+            assert_eq!(error.code, ErrorCode::ResourceExhausted);
+            refused += 1;
+        }
+    }
+    assert_eq!(refused, 1030 - 1024);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_faulted_swarm_takes_nothing_for_later_but_its_reset() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    crate::commands::fault(client, "a").await;
+    let step = client.get("a", "status").await["step"].as_u64().unwrap();
+    let (code, _) = client
+        .err("a", "set", at(step + 5, json!({"pi3": 2})))
+        .await;
+    assert_eq!(code, ErrorCode::IncorrectState);
+    client.ok("a", "reset", at(step, json!({}))).await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_batch_is_as_if_each_had_come_alone_at_that_step() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let changes = [
+        ("set", json!({"pi3": 1.5, "pi4": 5})),
+        ("inform", json!({"select": {"count": 3}, "direction": 0.5})),
+        ("inject", json!({"count": 2, "direction": 1})),
+        ("remove", json!({"select": {"fraction": 0.2}})),
+        ("uninform", json!({"select": {"count": 1}})),
+    ];
+    let commands: Vec<Value> = changes
+        .iter()
+        .map(|(verb, args)| json!({"verb": verb, "args": args}))
+        .collect();
+    for name in ["a", "b"] {
+        client.create(name, json!({"n": 10, "seed": 4})).await;
+        client.ok(name, "step", json!({"steps": 3})).await;
+    }
+    let batch = client.ok("a", "batch", json!({"commands": commands})).await;
+    assert_eq!((&batch["step"], &batch["seq"]), (&json!(3), &json!(6)));
+    for ((verb, args), result) in changes
+        .iter()
+        .zip(batch["result"]["results"].as_array().unwrap())
+    {
+        let alone = client.ok("b", verb, args.clone()).await;
+        assert_eq!(*result, json!({"verb": verb, "result": alone["result"]}));
+    }
+    assert_eq!(client.hash("a").await, client.hash("b").await);
+    // One event and one entry for all of them.
+    let journal = client.get("a", "journal").await;
+    let last = &journal["result"]["entries"][1];
+    assert_eq!((&last["verb"], &last["seq"]), (&json!("batch"), &json!(6)));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_batch_with_one_impossible_change_changes_nothing() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 10, "seed": 4})).await;
+    let before = client.get("a", "status").await;
+    for (bad, field) in [
+        (
+            json!({"verb": "set", "args": {"pi1": 99}}),
+            "commands[3].args.pi1",
+        ),
+        (
+            json!({"verb": "remove", "args": {"select": {"ids": [77]}}}),
+            "commands[3].args.select.ids",
+        ),
+        (
+            json!({"verb": "inform", "args": {"select": {"count": 1}, "direction": 1, "weight": -1}}),
+            "commands[3].args.weight",
+        ),
+    ] {
+        let commands = json!({"commands": [
+            {"verb": "set", "args": {"pi3": 2, "publish_every": 9}},
+            {"verb": "inject", "args": {"count": 3}},
+            {"verb": "inform", "args": {"select": {"count": 5}, "direction": 0}},
+            bad,
+            {"verb": "set", "args": {"pi4": 3}},
+        ]});
+        let error = client.cmd("a", "batch", commands).await.unwrap_err();
+        assert_eq!(error.code, ErrorCode::InvalidArgument, "{error:?}");
+        assert_eq!(error.details["field"], field, "{error:?}");
+        assert_eq!(client.get("a", "status").await, before);
+    }
+    // Draws come out as if it had never been sent.
+    client.create("b", json!({"n": 10, "seed": 4})).await;
+    let inform = json!({"select": {"count": 5}, "direction": 0});
+    for name in ["a", "b"] {
+        client.ok(name, "inform", inform.clone()).await;
+    }
+    assert_eq!(client.hash("a").await, client.hash("b").await);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_batch_for_later_happens_whole_between_two_steps_of_a_running_swarm() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client
+        .create("a", json!({"n": 6, "seed": 1, "rate": null}))
+        .await;
+    client.ok("a", "run", json!({})).await;
+    let step = client.get("a", "status").await["step"].as_u64().unwrap() + 50_000;
+    let commands = json!({"commands": [
+        {"verb": "set", "args": {"pi3": 1.25}},
+        {"verb": "inject", "args": {"count": 2}},
+    ]});
+    client.ok("a", "batch", at(step, commands)).await;
+    client.ok("a", "pause", at(step + 10, json!({}))).await;
+    until("its step", async || {
+        client.get("a", "status").await["phase"] == "paused"
+    })
+    .await;
+    let status = client.get("a", "status").await;
+    assert_eq!(status["step"], step + 10);
+    assert_eq!(status["result"]["n"], 8);
+    let journal = client.get("a", "journal").await;
+    let entries = journal["result"]["entries"].as_array().unwrap();
+    let steps: Vec<(&str, u64)> = entries
+        .iter()
+        .map(|entry| {
+            (
+                entry["verb"].as_str().unwrap(),
+                entry["step"].as_u64().unwrap(),
+            )
+        })
+        .collect();
+    assert_eq!(steps[1..], [("batch", step), ("pause", step + 10)]);
+    daemon.stop().await;
+}
