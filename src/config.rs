@@ -3,10 +3,13 @@
 //! Every value knows where it comes from, so that a refusal can name the place to mend. Values
 //! are merged as text and read once, here.
 
+pub mod explain;
+
 use std::collections::BTreeMap;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use jostle_proto::keys;
 use thiserror::Error;
 
 use crate::host::Limits;
@@ -83,14 +86,14 @@ pub enum ConfigError {
         reason: String,
     },
     /// There is no such setting.
-    #[error("{source_}: there is no setting {name:?}; there are {known}")]
+    #[error("{source_}: there is no setting {name:?}; {remedy}")]
     Unknown {
         /// As it came.
         name: String,
         /// From where.
         source_: Source,
-        /// Those there are.
-        known: String,
+        /// The one that was probably meant, or those there are.
+        remedy: String,
     },
     /// A value is not what the setting takes.
     #[error("{name} = {value:?} from {source_} is not {expected}")]
@@ -181,8 +184,13 @@ impl Config {
         }
         let node = match text("node") {
             name if name.is_empty() => machine_name(),
-            name => name,
+            name if keys::is_name(&name) => name,
+            _ => return Err(wrong(merged, "node", NAME)),
         };
+        let prefix = text("prefix");
+        if !keys::is_name(&prefix) {
+            return Err(wrong(merged, "prefix", NAME));
+        }
         let logs_json = match text("log_format").as_str() {
             "text" => false,
             "json" => true,
@@ -192,7 +200,7 @@ impl Config {
         Ok(Config {
             listen,
             node,
-            prefix: text("prefix"),
+            prefix,
             log: text("log"),
             logs_json,
             limits: Limits {
@@ -204,6 +212,9 @@ impl Config {
         })
     }
 }
+
+/// What a chunk of a key is.
+const NAME: &str = "a name: 1 to 64 of a-z, 0-9, - and _, the first a letter or digit";
 
 /// A whole number from 1 to `largest`.
 fn number(merged: &Merged, name: &'static str, largest: u32) -> Result<u32, ConfigError> {
@@ -227,14 +238,44 @@ fn wrong(merged: &Merged, name: &'static str, expected: &str) -> ConfigError {
 }
 
 fn known(name: &str, source: &Source) -> Result<&'static str, ConfigError> {
-    let found = SETTINGS.iter().find(|(known, ..)| *known == name);
-    found
-        .map(|(known, ..)| *known)
-        .ok_or_else(|| ConfigError::Unknown {
-            name: name.to_owned(),
-            source_: source.clone(),
-            known: SETTINGS.map(|(known, ..)| known).join(", "),
-        })
+    let names = SETTINGS.map(|(name, ..)| name);
+    if let Some(known) = names.into_iter().find(|known| *known == name) {
+        return Ok(known);
+    }
+    let nearest = names.into_iter().min_by_key(|known| edits(name, known));
+    let remedy = match nearest.filter(|nearest| 3 * edits(name, nearest) <= nearest.len()) {
+        Some(nearest) => match source {
+            Source::Environment(_) => format!("did you mean {}?", variable(nearest)),
+            _ => format!("did you mean {nearest}?"),
+        },
+        None => format!("there are {}", names.join(", ")),
+    };
+    Err(ConfigError::Unknown {
+        name: name.to_owned(),
+        source_: source.clone(),
+        remedy,
+    })
+}
+
+/// The environment variable of a setting.
+fn variable(name: &str) -> String {
+    format!("JOSTLED_{}", name.to_uppercase())
+}
+
+/// How many letters must be put in, left out or changed to make `b` of `a`.
+fn edits(a: &str, b: &str) -> usize {
+    // What it takes to make each beginning of `b` of what was read of `a` so far.
+    let mut row: Vec<usize> = (0..=b.chars().count()).collect();
+    for (i, x) in a.chars().enumerate() {
+        let mut corner = i;
+        row[0] = i + 1;
+        for (j, y) in b.chars().enumerate() {
+            let changed = corner + usize::from(x != y);
+            corner = row[j + 1];
+            row[j + 1] = changed.min(corner + 1).min(row[j] + 1);
+        }
+    }
+    row[row.len() - 1]
 }
 
 /// The settings in a TOML file, each as text. A list is joined by commas.
@@ -278,10 +319,10 @@ fn machine_name() -> String {
         .to_lowercase()
         .chars()
         .map(|c| if c.is_ascii_alphanumeric() { c } else { '-' })
-        .take(jostle_proto::keys::MAX_NAME_LENGTH)
+        .take(keys::MAX_NAME_LENGTH)
         .collect();
     let name = name.trim_matches('-');
-    if jostle_proto::keys::is_name(name) {
+    if keys::is_name(name) {
         name.to_owned()
     } else {
         "node".to_owned()
@@ -317,7 +358,7 @@ mod tests {
         let merged = merge(None, environment(&[]), &[]).unwrap();
         let config = Config::new(&merged).unwrap();
         assert_eq!(config.listen, ["tcp/127.0.0.1:7447"]);
-        assert!(jostle_proto::keys::is_name(&config.node));
+        assert!(keys::is_name(&config.node));
     }
 
     #[test]
@@ -347,10 +388,41 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_exist_or_fit_is_refused_with_its_place() {
-        let typo = merge(None, environment(&[("JOSTLED_MAX_SWARM", "4")]), &[]).unwrap_err();
-        assert!(typo.to_string().contains("JOSTLED_MAX_SWARM"), "{typo}");
+    fn a_setting_that_does_not_exist_is_refused_with_the_one_that_was_meant() {
+        let refused = |variable| {
+            let merged = merge(None, environment(&[(variable, "4")]), &[]);
+            merged.unwrap_err().to_string()
+        };
+        let typo = refused("JOSTLED_MAX_SWARM");
+        assert!(typo.contains("did you mean JOSTLED_MAX_SWARMS?"), "{typo}");
+        let strange = refused("JOSTLED_WINGS");
+        assert!(strange.contains("there are listen, node"), "{strange}");
 
+        for (line, meant) in [("max-hz = 3", "max_hz"), ("lisen = 'x'", "listen")] {
+            let path = file(line);
+            let typo = merge(Some(&path), environment(&[]), &[]).unwrap_err();
+            std::fs::remove_file(&path).unwrap();
+            let typo = typo.to_string();
+            assert!(typo.contains(&format!("did you mean {meant}?")), "{typo}");
+            assert!(typo.contains(".toml"), "{typo}");
+        }
+    }
+
+    #[test]
+    fn edits_are_counted() {
+        for (a, b, count) in [
+            ("", "", 0),
+            ("", "ab", 2),
+            ("lisen", "listen", 1),
+            ("ab", "ba", 2),
+        ] {
+            assert_eq!(edits(a, b), count, "{a} {b}");
+            assert_eq!(edits(b, a), count, "{b} {a}");
+        }
+    }
+
+    #[test]
+    fn what_does_not_fit_is_refused_with_its_place() {
         let path = file("max_swarms = 'many'\n");
         let merged = merge(Some(&path), environment(&[]), &[]).unwrap();
         let wrong = Config::new(&merged).unwrap_err().to_string();
@@ -360,10 +432,22 @@ mod tests {
         let absent = merge(Some(Path::new("/nowhere.toml")), environment(&[]), &[]);
         assert!(matches!(absent, Err(ConfigError::Unreadable { .. })));
 
-        for bad in ["0", "-1", "1e3", "99999999999", ""] {
-            let flags = [("max_hz", Some(bad.to_owned()))];
+        for (name, bad) in [
+            ("max_hz", "0"),
+            ("max_hz", "-1"),
+            ("max_hz", "1e3"),
+            ("max_hz", "99999999999"),
+            ("max_hz", ""),
+            ("node", "no/name"),
+            ("prefix", ""),
+            ("prefix", "a/b"),
+            ("listen", " , "),
+            ("log_format", "xml"),
+        ] {
+            let flags = [(name, Some(bad.to_owned()))];
             let merged = merge(None, environment(&[]), &flags).unwrap();
-            assert!(Config::new(&merged).is_err(), "{bad}");
+            let refused = Config::new(&merged).unwrap_err().to_string();
+            assert!(refused.starts_with(&format!("{name} = ")), "{refused}");
         }
     }
 }

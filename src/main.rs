@@ -6,8 +6,10 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
-use jostled::config::{self, Config};
-use jostled::{demo, server};
+use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
+use jostled::demo;
+use jostled::server::session::SessionError;
+use jostled::server::{self, ServerError};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -31,6 +33,23 @@ enum Command {
         #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
         lasting: Option<Duration>,
     },
+    /// Say what the settings are, and serve nothing.
+    Config {
+        #[command(subcommand)]
+        command: Show,
+    },
+}
+
+#[derive(Subcommand)]
+enum Show {
+    /// Every setting in force: its value, where it comes from, what it means.
+    Explain {
+        /// As JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// A commented file of every setting at its default, to begin from: `jostled --config FILE`.
+    Default,
 }
 
 /// What a file and the environment can say, flags say too, and they have the last word.
@@ -69,7 +88,7 @@ struct Settings {
 }
 
 impl Settings {
-    fn read(self) -> Result<Config, config::ConfigError> {
+    fn merge(self) -> Result<Merged, ConfigError> {
         let flags = [
             ("listen", self.listen),
             ("node", self.node),
@@ -81,30 +100,54 @@ impl Settings {
             ("max_memory_mb", self.max_memory_mb),
             ("max_hz", self.max_hz),
         ];
-        let environment = std::env::vars_os().filter_map(|(name, value)| {
-            Some((name.into_string().ok()?, value.into_string().ok()?))
+        // What is not UTF-8 is not passed over: it is refused as what it then reads.
+        let environment = std::env::vars_os().map(|(name, value)| {
+            let [name, value] = [name, value].map(|it| it.to_string_lossy().into_owned());
+            (name, value)
         });
-        Config::new(&config::merge(self.config.as_deref(), environment, &flags)?)
+        config::merge(self.config.as_deref(), environment, &flags)
     }
 }
 
 fn main() -> ExitCode {
-    let Arguments {
-        command,
-        mut settings,
-    } = Arguments::parse();
-    let is_demo = matches!(command, Some(Command::Demo { .. }));
-    if is_demo && std::env::var_os("JOSTLED_LOG").is_none() {
-        // The demo's own lines are to be read; `--log` brings the rest back.
-        settings.log.get_or_insert("warn,zenoh=error".to_owned());
+    let Arguments { command, settings } = Arguments::parse();
+    let command = command.unwrap_or(Command::Serve);
+    if let Command::Config {
+        command: Show::Default,
+    } = command
+    {
+        return show(&explain::default_file());
     }
-    let config = match settings.read() {
+    let mut merged = match settings.merge() {
+        Ok(merged) => merged,
+        Err(error) => return fail(2, &error),
+    };
+    if let (Command::Demo { .. }, Some((log, Source::Default))) = (&command, merged.get_mut("log"))
+    {
+        // The demo's own lines are to be read; whoever sets `log` gets the rest.
+        "warn,zenoh=error".clone_into(log);
+    }
+    let config = match Config::new(&merged) {
         Ok(config) => config,
         Err(error) => return fail(2, &error),
     };
     let filter = match EnvFilter::try_new(&config.log) {
         Ok(filter) => filter,
-        Err(error) => return fail(2, &format_args!("log = {:?}: {error}", config.log)),
+        Err(error) => {
+            let (log, source) = &merged["log"];
+            return fail(2, &format_args!("log = {log:?} from {source}: {error}"));
+        }
+    };
+    let demo = match command {
+        Command::Serve => None,
+        Command::Demo { lasting } => Some(lasting),
+        Command::Config { command } => {
+            return show(&match command {
+                Show::Explain { json: true } => explain::json(&merged),
+                Show::Explain { json: false } => explain::table(&merged),
+                Show::Default => explain::default_file(),
+            });
+        }
     };
     let logs = tracing_subscriber::fmt()
         .with_env_filter(filter)
@@ -126,7 +169,7 @@ fn main() -> ExitCode {
         .enable_all()
         .build();
     let code = match runtime {
-        Ok(runtime) => runtime.block_on(serve(command.unwrap_or(Command::Serve), &config)),
+        Ok(runtime) => runtime.block_on(serve(&config, demo)),
         Err(error) => {
             fail(1, &error);
             1
@@ -138,25 +181,26 @@ fn main() -> ExitCode {
     signal_hook::low_level::exit(code)
 }
 
-/// Serves until told to stop; returns the process's exit code.
-async fn serve(command: Command, config: &Config) -> i32 {
+/// Serves, a demo or whatever comes, until told to stop; returns the process's exit code.
+async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
     let server = match server::start(config).await {
         Ok(server) => server,
         Err(error) => {
-            fail(1, &error);
-            return 1;
+            let code = if is_setting(&error) { 2 } else { 1 };
+            fail(code, &error);
+            return code.into();
         }
     };
     for endpoint in server.endpoints() {
         // Whoever started it may have closed its output.
         let _ = writeln!(std::io::stdout(), "listening on {endpoint}");
     }
-    let code = match command {
-        Command::Serve => {
+    let code = match demo {
+        None => {
             told_to_stop().await;
             0
         }
-        Command::Demo { lasting } => tokio::select! {
+        Some(lasting) => tokio::select! {
             ended = demo::run(&server, lasting) => match ended {
                 Ok(()) => 0,
                 Err(demo::DemoError::Gone) if lasting.is_none() => {
@@ -176,6 +220,15 @@ async fn serve(command: Command, config: &Config) -> i32 {
     code
 }
 
+/// Whether a setting is to blame, and not the machine.
+fn is_setting(error: &ServerError) -> bool {
+    matches!(
+        error,
+        ServerError::Name(_)
+            | ServerError::Session(SessionError::NoEndpoint(_) | SessionError::NotLoopback(_))
+    )
+}
+
 /// Waits for SIGTERM or Ctrl-C.
 async fn told_to_stop() {
     let (Ok(mut terminate), Ok(mut interrupt)) = (
@@ -189,6 +242,12 @@ async fn told_to_stop() {
         _ = terminate.recv() => {}
         _ = interrupt.recv() => {}
     }
+}
+
+/// Prints what was asked for; whoever asked may have closed the output.
+fn show(text: &str) -> ExitCode {
+    let _ = std::io::stdout().write_all(text.as_bytes());
+    ExitCode::SUCCESS
 }
 
 fn fail(code: u8, error: &dyn std::fmt::Display) -> ExitCode {

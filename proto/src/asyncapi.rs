@@ -65,7 +65,9 @@ pub fn document(examples: &Examples) -> Value {
 /// What a channel is called in the document, such as `swarm_get_status`.
 fn id(channel: &Channel) -> String {
     let key = channel.key.trim_end_matches("/{node}");
-    key.replace("@node/", "").replace(['{', '}'], "").replace('/', "_")
+    key.replace("@node/", "")
+        .replace(['{', '}'], "")
+        .replace('/', "_")
 }
 
 fn describe(channel: &Channel) -> Value {
@@ -73,11 +75,19 @@ fn describe(channel: &Channel) -> Value {
     let address = format!("{{prefix}}/{}", channel.key);
     let parameters: Map<String, Value> = parameters
         .filter(|name| address.contains(&format!("{{{name}}}")))
-        .map(|name| (name.to_owned(), refer(&format!("components/parameters/{name}"))))
+        .map(|name| {
+            (
+                name.to_owned(),
+                refer(&format!("components/parameters/{name}")),
+            )
+        })
         .collect();
-    let messages = all(channel)
-        .into_iter()
-        .map(|name| (name.to_owned(), refer(&format!("components/messages/{name}"))));
+    let messages = all(channel).into_iter().map(|name| {
+        (
+            name.to_owned(),
+            refer(&format!("components/messages/{name}")),
+        )
+    });
     let mut description = json!({
         "address": address,
         "description": channel.doc,
@@ -136,7 +146,9 @@ fn zenoh(channel: &Channel) -> Value {
             "queryable": queryable(channel.key, "welcome"),
         }),
         // It may take half a minute, which nobody who asks for `**` means.
-        ChannelKind::Get(_) if channel.key.ends_with("/wait") => queryable(&declared, "not answered"),
+        ChannelKind::Get(_) if channel.key.ends_with("/wait") => {
+            queryable(&declared, "not answered")
+        }
         ChannelKind::Get(_) => queryable(&declared, "welcome"),
         ChannelKind::Command(..) => queryable(&declared, "refused: a wildcard executes nothing"),
     }

@@ -49,8 +49,14 @@ pub enum ChannelKind {
 }
 
 const PAGE: &[(&str, &str)] = &[
-    ("after", "a whole number: only what is numbered higher; 0 if left out"),
-    ("limit", "a whole number from 1 to 1000: no more than so many; 256 if left out"),
+    (
+        "after",
+        "a whole number: only what is numbered higher; 0 if left out",
+    ),
+    (
+        "limit",
+        "a whole number from 1 to 1000: no more than so many; 256 if left out",
+    ),
 ];
 
 /// Every key a daemon serves.
@@ -71,15 +77,31 @@ pub const CHANNELS: &[Channel] = &{
             parameters: &[("format", "json or cbor, which it is if left out")],
             doc: "The newest state, as a CBOR map of typed arrays.",
         },
-        plain("{swarm}/order", Published("order"), "Order and drift beside each state."),
+        plain(
+            "{swarm}/order",
+            Published("order"),
+            "Order and drift beside each state.",
+        ),
         plain(
             "{swarm}/event",
             Published("event"),
             "What happened to the swarm, numbered; late joiners get the last 64.",
         ),
-        plain("{swarm}/alive/{node}", Token, "Stands while the swarm is there."),
-        plain("{swarm}/get/status", Get("status.reply"), "What the swarm is and does."),
-        plain("{swarm}/get/spec", Get("spec.reply"), "What the swarm was made from."),
+        plain(
+            "{swarm}/alive/{node}",
+            Token,
+            "Stands while the swarm is there.",
+        ),
+        plain(
+            "{swarm}/get/status",
+            Get("status.reply"),
+            "What the swarm is and does.",
+        ),
+        plain(
+            "{swarm}/get/spec",
+            Get("spec.reply"),
+            "What the swarm was made from.",
+        ),
         plain(
             "{swarm}/get/parameters",
             Get("parameters.reply"),
@@ -102,17 +124,47 @@ pub const CHANNELS: &[Channel] = &{
             kind: Get("status.reply"),
             parameters: &[
                 ("step", "a whole number: answer when this step is reached"),
-                ("phase", "paused, running or faulted: answer when it is this"),
-                ("timeout_secs", "a number above 0: `deadline_exceeded` after this; at most 30"),
+                (
+                    "phase",
+                    "paused, running or faulted: answer when it is this",
+                ),
+                (
+                    "timeout_secs",
+                    "a number above 0: `deadline_exceeded` after this; at most 30",
+                ),
             ],
             doc: "The status, when something has come about; one of step and phase.",
         },
-        plain("{swarm}/cmd/delete", Command("delete.args", "delete.reply"), "Ends the swarm."),
-        plain("{swarm}/cmd/run", Command("run.args", "run.reply"), "Steps at a rate."),
-        plain("{swarm}/cmd/pause", Command("pause.args", "pause.reply"), "Stands still."),
-        plain("{swarm}/cmd/step", Command("step.args", "step.reply"), "Takes some steps."),
-        plain("{swarm}/cmd/reset", Command("reset.args", "reset.reply"), "Back to the start."),
-        plain("{swarm}/cmd/set", Command("set.args", "set.reply"), "Changes parameters."),
+        plain(
+            "{swarm}/cmd/delete",
+            Command("delete.args", "delete.reply"),
+            "Ends the swarm.",
+        ),
+        plain(
+            "{swarm}/cmd/run",
+            Command("run.args", "run.reply"),
+            "Steps at a rate.",
+        ),
+        plain(
+            "{swarm}/cmd/pause",
+            Command("pause.args", "pause.reply"),
+            "Stands still.",
+        ),
+        plain(
+            "{swarm}/cmd/step",
+            Command("step.args", "step.reply"),
+            "Takes some steps.",
+        ),
+        plain(
+            "{swarm}/cmd/reset",
+            Command("reset.args", "reset.reply"),
+            "Back to the start.",
+        ),
+        plain(
+            "{swarm}/cmd/set",
+            Command("set.args", "set.reply"),
+            "Changes parameters.",
+        ),
         plain(
             "{swarm}/cmd/inform",
             Command("inform.args", "inform.reply"),
@@ -138,14 +190,26 @@ pub const CHANNELS: &[Channel] = &{
             Command("batch.args", "batch.reply"),
             "Applies several changes at one step, or none.",
         ),
-        plain("@node/{node}/alive", Token, "Stands while the daemon is there."),
+        plain(
+            "@node/{node}/alive",
+            Token,
+            "Stands while the daemon is there.",
+        ),
         plain(
             "@node/{node}/get/hello",
             Get("node.hello.reply"),
             "Who the daemon is, and its limits.",
         ),
-        plain("@node/{node}/get/status", Get("node.status.reply"), "How the daemon fares."),
-        plain("@node/{node}/get/swarms", Get("node.swarms.reply"), "Every swarm it hosts."),
+        plain(
+            "@node/{node}/get/status",
+            Get("node.status.reply"),
+            "How the daemon fares.",
+        ),
+        plain(
+            "@node/{node}/get/swarms",
+            Get("node.swarms.reply"),
+            "Every swarm it hosts.",
+        ),
         plain(
             "@node/{node}/get/schema",
             Get("node.schema.reply"),

@@ -140,6 +140,12 @@ impl Request {
     /// [`RequestError`] when a field is missing, unknown, given twice or of the wrong type.
     pub fn args<T: DeserializeOwned + Serialize>(&self) -> Result<T, RequestError> {
         let args = self.args.as_deref().map_or("{}", RawValue::get);
+        if !args.starts_with('{') {
+            return Err(RequestError {
+                field: "args".into(),
+                problem: "is not an object with named fields".into(),
+            });
+        }
         let understood: T = read(args).map_err(|mut error| {
             if error.field.is_empty() {
                 error.field = "args".into();
@@ -162,7 +168,7 @@ impl Request {
 fn check_objects(path: &str, given: &Value, meant: &Value) -> Result<(), RequestError> {
     let wrong = |problem: &str| {
         Err(RequestError {
-            field: if path.is_empty() { "args" } else { path }.to_owned(),
+            field: path.to_owned(),
             problem: problem.to_owned(),
         })
     };
@@ -392,7 +398,16 @@ mod tests {
             request.args::<InjectArgs>().map_err(|error| error.field)
         };
         assert!(read(r#"{"at": [{"x": 1, "y": 2, "alpha": 3}]}"#).is_ok());
-        assert_eq!(read(r#"{"args": [3]}"#).unwrap_err(), "args");
+        for args in ["[3]", "[]", "3", "\"at\"", "null"] {
+            let request = format!(r#"{{"client": "me", "args": {args}}}"#);
+            let refused = read(&request);
+            // Arguments of null are none.
+            if args == "null" {
+                assert!(refused.is_ok());
+            } else {
+                assert_eq!(refused.unwrap_err(), "args", "{args}");
+            }
+        }
         assert_eq!(read(r#"{"at": [[1, 2, 3]]}"#).unwrap_err(), "at[0]");
         let word = Request::from_json(br#"{"return": {"state": null}}"#).unwrap();
         assert_eq!(word.args::<StepArgs>().unwrap_err().field, "return");

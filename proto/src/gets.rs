@@ -158,7 +158,8 @@ pub struct Limits {
     pub max_swarms: u64,
     /// Memory of all swarms together, in bytes.
     pub max_memory_bytes: u64,
-    /// The largest payload, in bytes; larger ones vanish on the way.
+    /// The longest request, in bytes; a longer one is refused, and beyond 1 MiB zenoh drops it
+    /// without a word.
     pub max_message_bytes: u64,
     /// States published per second and swarm.
     pub max_hz: u64,

@@ -80,7 +80,13 @@ mod tests {
             y: vec![0.0, 9.0],
             alpha: vec![0.0, 1.0],
         };
-        assert_eq!(spec, Spec { start, ..Spec::new(2) });
+        assert_eq!(
+            spec,
+            Spec {
+                start,
+                ..Spec::new(2)
+            }
+        );
     }
 
     #[test]

@@ -1,6 +1,9 @@
 //! The arguments and results of every verb, in the order a swarm meets them.
 
+use std::fmt;
+
 use schemars::JsonSchema;
+use serde::de::{Error as _, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
 use crate::keys::NAME_RULE;
@@ -289,6 +292,7 @@ pub struct RemoveArgs {
 #[serde(deny_unknown_fields)]
 pub struct BatchArgs {
     /// 1 to 256 of them, applied in this order as if each had come alone.
+    #[serde(deserialize_with = "no_more_changes")]
     #[schemars(length(min = 1, max = MOST_CHANGES))]
     pub commands: Vec<Change>,
 }
@@ -362,6 +366,35 @@ pub struct EmptyResult {}
 
 fn one() -> u64 {
     1
+}
+
+/// Reads no more changes than a batch may have, however many there are.
+fn no_more_changes<'de, D>(deserializer: D) -> Result<Vec<Change>, D::Error>
+where
+    D: serde::Deserializer<'de>,
+{
+    struct Changes;
+    impl<'de> Visitor<'de> for Changes {
+        type Value = Vec<Change>;
+
+        fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+            write!(formatter, "a list of 1 to {MOST_CHANGES} commands")
+        }
+
+        fn visit_seq<A: SeqAccess<'de>>(self, mut given: A) -> Result<Vec<Change>, A::Error> {
+            let mut changes = Vec::new();
+            while changes.len() < MOST_CHANGES
+                && let Some(change) = given.next_element()?
+            {
+                changes.push(change);
+            }
+            if changes.len() == MOST_CHANGES && given.next_element::<IgnoredAny>()?.is_some() {
+                return Err(A::Error::invalid_length(MOST_CHANGES + 1, &self));
+            }
+            Ok(changes)
+        }
+    }
+    deserializer.deserialize_seq(Changes)
 }
 
 /// Tells a `null` from a field that was left out.

@@ -57,6 +57,14 @@ pub enum CommandError {
     /// A selector gives a parameter twice.
     #[error("{0} is given twice: give it once")]
     Twice(&'static str),
+    /// The payload is longer than any that says something useful here.
+    #[error("the request has {bytes} bytes, the most is {most_bytes}: send less at once")]
+    TooLong {
+        /// Its length.
+        bytes: usize,
+        /// The most there may be.
+        most_bytes: usize,
+    },
     /// The payload is not in an encoding that requests are read in.
     #[error("the payload is {0:?}: requests are application/json")]
     Encoding(String),
@@ -186,6 +194,7 @@ impl CommandError {
             CommandError::Within { error, .. } => error.code(),
             CommandError::OtherRequest(_) => ErrorCode::Conflict,
             CommandError::Internal => ErrorCode::Internal,
+            CommandError::TooLong { .. } => ErrorCode::ResourceExhausted,
             CommandError::Busy => ErrorCode::Busy,
             CommandError::Deadline { .. } => ErrorCode::DeadlineExceeded,
             CommandError::Host(error) => match error {
@@ -256,6 +265,9 @@ impl CommandError {
             }
             CommandError::Parameter { name, known } => json!({"field": name, "known": known}),
             CommandError::Twice(name) => json!({"field": name}),
+            CommandError::TooLong { bytes, most_bytes } => {
+                json!({"bytes": bytes, "limit": most_bytes})
+            }
             CommandError::Value(WireError::Length { field, length, n }) => {
                 json!({"field": field, "length": length, "n": n})
             }

@@ -1,8 +1,10 @@
 //! The daemon on the bus: query in, reply out; liveliness; shutdown.
 
 pub mod answer;
+mod commands;
 pub mod dispatch;
 pub mod doors;
+mod gets;
 pub mod ledger;
 pub mod query;
 pub mod session;
@@ -94,7 +96,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         press: press.clone(),
         started: Instant::now(),
         ledger: Ledger::default(),
-        schemas: dispatch::schemas(),
+        schemas: gets::schemas(),
         doors: Doors::new(
             session.clone(),
             prefix.clone(),

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc::{SyncSender, TrySendError};
 
 use jostle_proto::Request;
-use zenoh::bytes::Encoding;
+use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::key_expr::KeyExpr;
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
@@ -64,13 +64,17 @@ pub fn queryable(
         .wait()
 }
 
-/// Reads the request in a query.
+/// Reads the request in a query, of at most so many bytes.
 ///
 /// # Errors
 ///
 /// [`CommandError`] when it is no JSON object, or has selector parameters beside it.
-pub fn request(query: &Query) -> Result<Request, CommandError> {
+pub fn request(query: &Query, most_bytes: usize) -> Result<Request, CommandError> {
     no_parameters(query)?;
+    let bytes = query.payload().map_or(0, ZBytes::len);
+    if bytes > most_bytes {
+        return Err(CommandError::TooLong { bytes, most_bytes });
+    }
     if let Some(encoding) = query.encoding() {
         let readable = [
             Encoding::APPLICATION_JSON,

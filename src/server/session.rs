@@ -7,7 +7,7 @@ use thiserror::Error;
 use zenoh::Session;
 
 /// The largest message accepted from the bus, in bytes. Larger ones vanish.
-pub const MAX_MESSAGE_BYTES: u64 = 1 << 20;
+pub const MAX_MESSAGE_BYTES: usize = 1 << 20;
 
 /// Why there is no session.
 #[derive(Debug, Error)]

@@ -1,186 +1,24 @@
-//! A swarm's thread: the only one that touches its state, and its only clock.
-//!
-//! It takes tickets between steps in the order of arrival, paces itself, and puts what is to be
-//! published in its outlet. It never waits for a reader.
+//! What a swarm's thread does when it is told something: now, or when its step has come.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
-use std::sync::{Arc, Mutex, OnceLock, PoisonError};
-use std::time::{Duration, Instant};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
 use fail::fail_point;
-use tracing::warn;
 
-use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
-use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::history::History;
+use crate::swarm::frame::EventKind;
 use crate::swarm::order::{
     Answer, Answered, Change, ChangeKind, Order, OrderError, Outcome, Refusal, Sender, Until, When,
 };
-use crate::swarm::outlet::Outlet;
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
-use crate::swarm::schedule::{Schedule, Scheduled};
-use crate::swarm::simulation::{Simulation, steps_in};
-use crate::swarm::waiters::Waiters;
-
-/// Tickets taken between two steps, so that a flood of them slows a swarm but never stops it.
-const TICKETS_PER_STEP: usize = 64;
-
-/// How often the summary of a moving swarm is renewed.
-const SUMMARY_PERIOD: Duration = Duration::from_millis(100);
-
-/// A running swarm, owned by its thread.
-pub struct Worker {
-    simulation: Simulation,
-    phase: Phase,
-    rate: Option<f64>,
-    pace: Pace,
-    tickets: Receiver<Ticket>,
-    outlet: Arc<Outlet>,
-    history: Arc<History>,
-    schedule: Schedule,
-    summary: Arc<Mutex<Option<Summary>>>,
-    summary_renewed: Instant,
-    shortest_between_frames: Duration,
-    frame_due: Instant,
-    events: u64,
-    pending: Option<Pending>,
-    waiters: Waiters,
-}
-
-/// A `step` command that is being carried out.
-struct Pending {
-    answer: Answer,
-    from: u64,
-}
-
-/// What ended a swarm's thread.
-pub enum End {
-    /// Its deletion; the answer is due when it is gone for everyone.
-    Deleted(Box<dyn FnOnce() + Send>),
-    /// The daemon stops.
-    Stopped,
-}
+use crate::swarm::schedule::Scheduled;
+use crate::swarm::simulation::steps_in;
+use crate::swarm::worker::{End, Pending, Worker};
 
 impl Worker {
-    /// A paused worker around a swarm that was just built.
-    pub fn new(
-        simulation: Simulation,
-        tickets: Receiver<Ticket>,
-        handle: &Handle,
-        shortest_between_frames: Duration,
-    ) -> Self {
-        let now = Instant::now();
-        let rate = simulation.recipe.rate;
-        let mut worker = Worker {
-            pace: Pace::new(rate, simulation.recipe.parameters.dt, now),
-            simulation,
-            phase: Phase::Paused(PauseReason::Created),
-            rate,
-            tickets,
-            outlet: handle.outlet.clone(),
-            history: handle.history.clone(),
-            schedule: Schedule::default(),
-            summary: handle.summary.clone(),
-            summary_renewed: now,
-            shortest_between_frames,
-            frame_due: now,
-            events: 0,
-            pending: None,
-            waiters: Waiters::default(),
-        };
-        worker.tell(EventKind::Created);
-        worker.renew_summary();
-        worker
-    }
-
-    /// The swarm as it is now.
-    pub fn look(&self) -> (Place, Arc<Frame>) {
-        (self.place(), self.frame(true))
-    }
-
-    /// Steps and takes tickets until the swarm ends.
-    pub fn run(mut self) -> End {
-        loop {
-            if !self.phase.is_moving() {
-                match self.tickets.recv() {
-                    Ok(ticket) => {
-                        if let Some(end) = self.take(ticket) {
-                            return end;
-                        }
-                    }
-                    Err(_) => return End::Stopped,
-                }
-                continue;
-            }
-            for _ in 0..TICKETS_PER_STEP {
-                let Ok(ticket) = self.tickets.try_recv() else {
-                    break;
-                };
-                if let Some(end) = self.take(ticket) {
-                    return end;
-                }
-            }
-            match self.wait() {
-                Some(Duration::ZERO) => {
-                    if let Some(end) = self.step() {
-                        return end;
-                    }
-                }
-                Some(wait) => match self.tickets.recv_timeout(wait) {
-                    Ok(ticket) => {
-                        if let Some(end) = self.take(ticket) {
-                            return end;
-                        }
-                    }
-                    Err(RecvTimeoutError::Timeout) => {}
-                    Err(RecvTimeoutError::Disconnected) => return End::Stopped,
-                },
-                None => {}
-            }
-        }
-    }
-
-    /// How long until the next step; `None` if there is none to be taken.
-    fn wait(&self) -> Option<Duration> {
-        match self.phase {
-            Phase::Stepping { .. } => Some(Duration::ZERO),
-            Phase::Running { .. } => Some(
-                self.pace
-                    .until_due(Instant::now())
-                    .unwrap_or(Duration::ZERO),
-            ),
-            Phase::Paused(_) | Phase::Faulted(_) => None,
-        }
-    }
-
-    fn take(&mut self, ticket: Ticket) -> Option<End> {
-        match ticket {
-            Ticket::Look(answer) => {
-                let (place, frame) = self.look();
-                answer(Ok((place, Outcome::Seen(frame))));
-                None
-            }
-            Ticket::Wait(waiter) => {
-                if let Some(waiter) = self.waiters.add(waiter) {
-                    (waiter.answer)(Err(self.refusal(OrderError::Busy)));
-                }
-                self.answer_waiters();
-                None
-            }
-            Ticket::Command {
-                order,
-                when,
-                sender,
-                answer,
-            } => self.command(order, when, sender, answer),
-            Ticket::Stop => Some(End::Stopped),
-        }
-    }
-
     /// Carries out a command now or puts it off until its step.
-    fn command(
+    pub(super) fn command(
         &mut self,
         order: Order,
         when: When,
@@ -333,7 +171,7 @@ impl Worker {
 
     /// Carries out what was put off until this step. Nobody waits for the answers any more, so
     /// an event tells of what is refused.
-    fn carry_out_due(&mut self) -> Option<End> {
+    pub(super) fn carry_out_due(&mut self) -> Option<End> {
         while let Some(Scheduled { order, sender }) = self.schedule.take(self.simulation.state.step)
         {
             let refused = Arc::new(Mutex::new(None));
@@ -453,79 +291,8 @@ impl Worker {
         End::Deleted(Box::new(move || answer(Ok((place, Outcome::Done)))))
     }
 
-    /// Takes one step, and carries out what was put off until the step reached.
-    fn step(&mut self) -> Option<End> {
-        let simulation = &mut self.simulation;
-        let stepped = catch_unwind(AssertUnwindSafe(|| {
-            fail_point!("step");
-            simulation.step()
-        }));
-        let now = Instant::now();
-        match stepped {
-            Ok(Ok(report)) => {
-                self.pace.stepped(now);
-                if !report.lapsed.is_empty() {
-                    self.tell(EventKind::Lapsed(report.lapsed));
-                }
-            }
-            Ok(Err(error)) => {
-                self.fault(error.to_string());
-                return None;
-            }
-            Err(_) => {
-                self.fault("a defect: the step panicked".into());
-                return None;
-            }
-        }
-        let step = self.simulation.state.step;
-        if self.phase.until().is_some_and(|until| step >= until) {
-            if matches!(self.phase, Phase::Stepping { .. }) {
-                self.phase = Phase::Paused(PauseReason::Finished);
-            } else {
-                self.enter_by(Cue::Reached(step));
-            }
-            self.show();
-            self.renew_summary();
-            if let Some(end) = self.carry_out_due() {
-                return Some(end);
-            }
-            // Unless what was due has begun to step anew, or has answered it.
-            if !matches!(self.phase, Phase::Stepping { .. }) {
-                self.answer_pending(&self.phase.clone());
-            }
-        } else {
-            if step.is_multiple_of(self.simulation.publish_every) && now >= self.frame_due {
-                // Counted from when it was due, so that a frame a little late costs no other.
-                let grace = now.checked_sub(self.shortest_between_frames).unwrap_or(now);
-                self.frame_due = self.frame_due.max(grace) + self.shortest_between_frames;
-                self.show();
-            }
-            if now.saturating_duration_since(self.summary_renewed) >= SUMMARY_PERIOD {
-                self.renew_summary();
-            }
-            if let Some(end) = self.carry_out_due() {
-                return Some(end);
-            }
-        }
-        self.answer_waiters();
-        None
-    }
-
-    /// Keeps the last good state and says why.
-    fn fault(&mut self, reason: String) {
-        warn!(swarm = self.outlet.name, reason, "faulted");
-        self.phase = Phase::Faulted(reason.clone());
-        self.tell(EventKind::Fault(reason.clone()));
-        self.show();
-        self.renew_summary();
-        if let Some(pending) = self.pending.take() {
-            (pending.answer)(Err(self.refusal(OrderError::Faulted(reason))));
-        }
-        self.answer_waiters();
-    }
-
     /// Enters the phase that `cue` leads to, if it leads to another.
-    fn enter_by(&mut self, cue: Cue) {
+    pub(super) fn enter_by(&mut self, cue: Cue) {
         if let Ok(next) = phase::next(&self.phase, cue) {
             self.enter(next);
         }
@@ -540,97 +307,12 @@ impl Worker {
     }
 
     /// Tells a pending `step` how far it came, and what the swarm does from then on.
-    fn answer_pending(&mut self, from_then_on: &Phase) {
+    pub(super) fn answer_pending(&mut self, from_then_on: &Phase) {
         if let Some(Pending { answer, from }) = self.pending.take() {
             let (mut place, frame) = self.look();
             place.phase = from_then_on.clone();
             let taken = place.step - from;
             answer(Ok((place, Outcome::Stepped(taken, frame))));
         }
-    }
-
-    fn answer_waiters(&mut self) {
-        let mut waiters = std::mem::take(&mut self.waiters);
-        let step = self.simulation.state.step;
-        waiters.answer(step, &self.phase, || {
-            let (place, frame) = self.look();
-            Ok((place, Outcome::Seen(frame)))
-        });
-        self.waiters = waiters;
-    }
-
-    fn refusal(&self, error: OrderError) -> Refusal {
-        Refusal {
-            step: Some(self.simulation.state.step),
-            error,
-        }
-    }
-
-    fn place(&self) -> Place {
-        Place {
-            epoch: self.simulation.epoch,
-            step: self.simulation.state.step,
-            time: self.simulation.state.time(),
-            phase: self.phase.clone(),
-            seq: self.simulation.seq,
-        }
-    }
-
-    fn frame(&self, hashed: bool) -> Arc<Frame> {
-        let simulation = &self.simulation;
-        Arc::new(Frame {
-            place: self.place(),
-            parameters: simulation.state.parameters,
-            publish_every: simulation.publish_every,
-            seed: simulation.state.seed,
-            scheduled: self.schedule.len(),
-            configuration: simulation.state.configuration.clone(),
-            order: simulation.order(),
-            means: simulation.means,
-            exactness: simulation.exactness,
-            rate: self.rate,
-            real_time_factor: self.real_time_factor(),
-            hash: hashed.then(|| simulation.state.hash()),
-            gaps: OnceLock::new(),
-        })
-    }
-
-    fn real_time_factor(&self) -> Option<f64> {
-        self.phase
-            .is_moving()
-            .then(|| self.pace.real_time_factor())
-            .flatten()
-    }
-
-    /// Shows the state to whoever reads.
-    fn show(&self) {
-        if self.outlet.is_watched() {
-            self.outlet.show(self.frame(false));
-        }
-    }
-
-    fn tell(&mut self, kind: EventKind) {
-        self.events += 1;
-        let event = Event {
-            number: self.events,
-            place: self.place(),
-            kind,
-        };
-        self.history.tell(&event);
-        self.outlet.tell(event);
-    }
-
-    fn renew_summary(&mut self) {
-        self.summary_renewed = Instant::now();
-        let configuration = &self.simulation.state.configuration;
-        let summary = Summary {
-            place: self.place(),
-            n: configuration.n(),
-            informed: configuration.weight.iter().filter(|w| **w > 0.0).count(),
-            order: self.simulation.order().order,
-            rate: self.rate,
-            real_time_factor: self.real_time_factor(),
-        };
-        *self.summary.lock().unwrap_or_else(PoisonError::into_inner) = Some(summary);
     }
 }

@@ -1,0 +1,174 @@
+//! What changes something: commands to swarms, and to the daemon.
+
+use std::sync::Arc;
+
+use jostle_proto::verbs::CreateArgs;
+use jostle_proto::{Request, keys};
+use zenoh::query::Query;
+
+use crate::command::{self, Command, CommandError, create};
+use crate::host::Created;
+use crate::server::answer::{Keeper, Promise};
+use crate::server::dispatch::Dispatcher;
+use crate::server::ledger::Entered;
+use crate::server::query::request;
+use crate::server::session::MAX_MESSAGE_BYTES;
+use crate::swarm::handle::Ticket;
+use crate::swarm::order::{Answer, Outcome, Refusal};
+use crate::wire;
+
+/// The longest request that says nothing of every individual, in bytes.
+const BYTES_OF_REQUEST: usize = 64 * 1024;
+
+/// The longest that a request says where an individual is, in bytes.
+const BYTES_PER_POSE: usize = 96;
+
+/// The longest request of all: what zenoh lets through, less its own framing.
+const MOST_BYTES: usize = MAX_MESSAGE_BYTES - 4096;
+
+impl Dispatcher {
+    /// Executes only what its own key names: a wildcard changes nothing.
+    pub(super) fn command(&self, swarm: &Arc<str>, query: &Query) {
+        let promise = self
+            .desk
+            .promise(query.clone(), query.key_expr().as_str().to_owned());
+        let key = query.key_expr().as_str();
+        let verb = key.strip_prefix(&keys::cmd(&self.prefix, swarm, ""));
+        let read = if query.key_expr().is_wild() {
+            Err(CommandError::Wildcard)
+        } else {
+            let verb = verb.unwrap_or_default();
+            request(query, self.most_bytes()).and_then(|request| {
+                let command = command::read(verb, &request)?;
+                let is_new = self.enter(key, &request, &promise)?;
+                Ok((command, is_new))
+            })
+        };
+        let (command, is_new) = match read {
+            Ok(command) => command,
+            Err(error) => {
+                let step = self.host.find(swarm).and_then(|handle| handle.step());
+                return promise.refuse(&error, step);
+            }
+        };
+        let Command {
+            order,
+            when,
+            sender,
+            timeout,
+            returns_state,
+        } = command;
+        if !is_new {
+            let late = self.host.find(swarm);
+            return promise.keep_within(timeout, move || late?.step());
+        }
+        let (press, name) = (self.press.clone(), swarm.clone());
+        self.send(swarm, &promise, timeout, |answer| Ticket::Command {
+            order,
+            when,
+            sender,
+            answer: Box::new(move |answered| {
+                answer(answered, move |place, outcome| {
+                    let frame = returns_state.then(|| {
+                        press
+                            .find(&name)
+                            .map_or(0, |publication| publication.frames())
+                    });
+                    wire::outcome(&name, &place, outcome, frame)
+                });
+            }),
+        });
+    }
+
+    pub(super) fn node_command(&self, query: &Query) {
+        let promise = self
+            .desk
+            .promise(query.clone(), query.key_expr().as_str().to_owned());
+        if query.key_expr().is_wild() {
+            return promise.refuse(&CommandError::Wildcard, None);
+        }
+        let verb =
+            query
+                .key_expr()
+                .as_str()
+                .strip_prefix(&keys::node_cmd(&self.prefix, &self.node, ""));
+        let done = match verb {
+            Some("create") => request(query, self.most_bytes())
+                .and_then(|request| self.create(&promise, &request)),
+            verb => Err(CommandError::UnknownVerb {
+                verb: verb.unwrap_or_default().to_owned(),
+                known: &keys::NODE_VERBS,
+            }),
+        };
+        if let Err(error) = done {
+            promise.refuse(&error, None);
+        }
+    }
+
+    fn create(&self, promise: &Promise, request: &Request) -> Result<(), CommandError> {
+        for (field, given) in [
+            ("at_step", request.at_step),
+            ("expect_step", request.expect_step),
+            ("expect_epoch", request.expect_epoch),
+        ] {
+            if given.is_some() {
+                let problem = "is about a swarm that is there: leave it out";
+                return Err(CommandError::Field { field, problem });
+            }
+        }
+        command::sender("create", request)?;
+        let args: CreateArgs = request.args()?;
+        let recipe = create::recipe(&args, self.host.limits())?;
+        let timeout = command::timeout(request)?;
+        let key = keys::node_cmd(&self.prefix, &self.node, "create");
+        let is_new = self.enter(&key, request, promise)?;
+        promise.keep_within(timeout, || None);
+        if !is_new {
+            return Ok(());
+        }
+        let name = args.name;
+        let answer = |created: bool| -> Answer {
+            let (keeper, name, recipe) = (Keeper(promise.clone()), name.clone(), recipe.clone());
+            Box::new(move |answered| match answered {
+                Ok((place, Outcome::Seen(seen))) => keeper
+                    .0
+                    .fulfil(move || Ok(wire::created(&name, &place, &recipe, &seen, created))),
+                Ok((place, other)) => keeper
+                    .0
+                    .fulfil(move || Ok(wire::outcome(&name, &place, other, None))),
+                Err(Refusal { step, error }) => {
+                    keeper.0.refuse(&create::explain(error), step);
+                }
+            })
+        };
+        let created = self
+            .host
+            .create(&name, recipe.clone(), args.exist_ok, || answer(true))?;
+        if let Created::Existing(handle) = created {
+            handle.send(Ticket::Look(answer(false)));
+        }
+        Ok(())
+    }
+
+    /// Enters a request that has a name into the ledger; false if it need not be carried out.
+    fn enter(&self, key: &str, request: &Request, promise: &Promise) -> Result<bool, CommandError> {
+        let Some(id) = &request.request_id else {
+            return Ok(true);
+        };
+        match self.ledger.enter(key, request, id, promise) {
+            Entered::New(page) => {
+                promise.note_on(page);
+                Ok(true)
+            }
+            Entered::Known => Ok(false),
+            Entered::Other => Err(CommandError::OtherRequest(id.clone())),
+        }
+    }
+
+    /// The longest request that is read. One that is a little longer is refused by name; only what
+    /// zenoh does not let through is lost without a word.
+    pub(super) fn most_bytes(&self) -> usize {
+        let everybody = BYTES_PER_POSE.saturating_mul(self.host.limits().max_individuals);
+        everybody.saturating_add(BYTES_OF_REQUEST).min(MOST_BYTES)
+    }
+}

@@ -1,0 +1,203 @@
+//! What is asked of swarms and of the daemon, and changes nothing.
+
+use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use jostle_proto::{NodeReply, NodeStatus, Phase, Schemas, Swarms, keys};
+use zenoh::Wait;
+use zenoh::query::Query;
+
+use crate::command::error::refusal;
+use crate::command::{CommandError, page, wait};
+use crate::server::answer::Promise;
+use crate::server::dispatch::Dispatcher;
+use crate::server::query::{format, names, no_parameters};
+use crate::swarm::handle::Ticket;
+use crate::swarm::waiters::Waiter;
+use crate::wire::{self, Payload};
+
+impl Dispatcher {
+    pub(super) fn state(&self, swarm: &Arc<str>, query: Query) {
+        let key = keys::state(&self.prefix, swarm);
+        let as_json = match format(&query) {
+            Ok(as_json) => as_json,
+            Err(error) => return self.desk.promise(query, key).refuse(&error, None),
+        };
+        let promise = self.desk.promise(query, key);
+        let (press, name) = (self.press.clone(), swarm.clone());
+        self.look(swarm, &promise, move |_, seen| {
+            let frame = press.find(&name).map_or(0, |it| it.frames());
+            let state = wire::state(&name, &seen, frame);
+            if as_json {
+                Payload::json(&state)
+            } else {
+                Payload::cbor(&state)
+            }
+        });
+    }
+
+    /// Answers every noun that the query names; wildcards are welcome.
+    pub(super) fn get(&self, swarm: &Arc<str>, query: &Query) {
+        let is_concrete = !query.key_expr().is_wild();
+        let mut is_known = false;
+        for noun in keys::SWARM_GETS {
+            let key = keys::get(&self.prefix, swarm, noun);
+            if !names(query, &key) || (noun == "wait" && !is_concrete) {
+                continue;
+            }
+            is_known = true;
+            let promise = self.desk.promise(query.clone(), key);
+            if noun == "wait" {
+                self.wait(swarm, &promise, query);
+                continue;
+            }
+            let read = match noun {
+                "events" | "journal" => page::read(query.parameters().iter()),
+                _ => no_parameters(query).map(|()| (0, 0)),
+            };
+            let (after, limit) = match read {
+                Ok(read) => read,
+                Err(error) => {
+                    promise.refuse(&error, None);
+                    continue;
+                }
+            };
+            let (name, handle) = (swarm.clone(), self.host.find(swarm));
+            let limits = self.host.limits();
+            self.look(swarm, &promise, move |place, seen| match (noun, handle) {
+                ("spec", Some(handle)) => {
+                    let spec = wire::spec(&handle.recipe, seen.seed);
+                    Payload::json(&wire::reply(&name, &place, spec))
+                }
+                ("parameters", _) => {
+                    let parameters = wire::parameters(&seen, limits);
+                    Payload::json(&wire::reply(&name, &place, parameters))
+                }
+                ("events", Some(handle)) => {
+                    let events = wire::events(&name, handle.history.events(after, limit), refusal);
+                    Payload::json(&wire::reply(&name, &place, events))
+                }
+                ("journal", Some(handle)) => {
+                    let journal = wire::journal(handle.history.entries(after, limit));
+                    Payload::json(&wire::reply(&name, &place, journal))
+                }
+                _ => Payload::json(&wire::reply(&name, &place, wire::status(&seen))),
+            });
+        }
+        if !is_known && is_concrete {
+            self.unknown_noun(query, &keys::SWARM_GETS);
+        }
+    }
+
+    fn wait(&self, swarm: &Arc<str>, promise: &Promise, query: &Query) {
+        let (awaited, patience) = match wait::read(query.parameters().iter()) {
+            Ok(read) => read,
+            Err(error) => return promise.refuse(&error, None),
+        };
+        let name = swarm.clone();
+        let abandoned = promise.clone();
+        self.send(swarm, promise, patience, |answer| {
+            Ticket::Wait(Waiter {
+                awaited,
+                is_abandoned: Box::new(move || abandoned.is_kept()),
+                answer: Box::new(move |answered| {
+                    answer(answered, move |place, outcome| {
+                        wire::outcome(&name, &place, outcome, None)
+                    });
+                }),
+            })
+        });
+    }
+
+    pub(super) fn node_get(&self, query: &Query) {
+        let mut is_known = false;
+        for noun in keys::NODE_GETS {
+            let key = keys::node_get(&self.prefix, &self.node, noun);
+            if !names(query, &key) {
+                continue;
+            }
+            is_known = true;
+            let promise = self.desk.promise(query.clone(), key);
+            if let Err(error) = no_parameters(query) {
+                promise.refuse(&error, None);
+                continue;
+            }
+            let payload = match noun {
+                "hello" => self.node_reply(jostle_proto::Hello {
+                    version: env!("CARGO_PKG_VERSION").to_owned(),
+                    wire_version: jostle_proto::WIRE_VERSION,
+                    unix_secs: unix_secs(),
+                    limits: wire::limits(self.host.limits(), self.most_bytes() as u64),
+                }),
+                "status" => self.node_reply(self.node_status()),
+                "schema" => self.node_reply(&self.schemas),
+                _ => self.node_reply(Swarms {
+                    swarms: self
+                        .host
+                        .list()
+                        .iter()
+                        .map(|(name, summary)| wire::summary(name, summary))
+                        .collect(),
+                }),
+            };
+            promise.keep(move || Ok(payload));
+        }
+        if !is_known && !query.key_expr().is_wild() {
+            self.unknown_noun(query, &keys::NODE_GETS);
+        }
+    }
+
+    fn node_status(&self) -> NodeStatus {
+        let swarms: Vec<_> = self
+            .host
+            .list()
+            .iter()
+            .map(|(name, summary)| wire::summary(name, summary))
+            .collect();
+        let count = |phase| swarms.iter().filter(|swarm| swarm.phase == phase).count() as u64;
+        NodeStatus {
+            uptime_secs: self.started.elapsed().as_secs_f64(),
+            swarms: swarms.len() as u64,
+            running: count(Phase::Running),
+            faulted: count(Phase::Faulted),
+            individuals: swarms.iter().map(|swarm| swarm.n).sum(),
+            memory_bytes: self.host.memory_bytes(),
+            clients: self.session.info().transports().wait().count() as u64,
+        }
+    }
+
+    fn node_reply<T: serde::Serialize>(&self, result: T) -> Payload {
+        Payload::json(&NodeReply {
+            node: self.node.clone(),
+            result,
+        })
+    }
+
+    fn unknown_noun(&self, query: &Query, known: &'static [&'static str]) {
+        let key = query.key_expr().as_str();
+        let noun = key.split_once("/get/").map_or(key, |(_, noun)| noun);
+        let error = CommandError::UnknownNoun {
+            noun: noun.to_owned(),
+            known,
+        };
+        let promise = self.desk.promise(query.clone(), key.to_owned());
+        promise.refuse(&error, None);
+    }
+}
+
+/// The schemas of every message, as `get/schema` answers them.
+pub fn schemas() -> Schemas {
+    let schemas = jostle_proto::contract::schemas().into_iter();
+    Schemas {
+        wire_version: jostle_proto::WIRE_VERSION,
+        schemas: schemas
+            .map(|(name, schema)| (name.to_owned(), schema.to_value()))
+            .collect(),
+    }
+}
+
+/// Seconds since 1970; for people to compare clocks by, never for pacing.
+fn unix_secs() -> f64 {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH);
+    now.map_or(0.0, |now| now.as_secs_f64())
+}
