@@ -22,8 +22,9 @@ use crate::server::ledger::Page;
 use crate::swarm::order::OrderError;
 use crate::wire::Payload;
 
-/// Answers that may wait to be sent; beyond that new queries are turned away.
-const MOST_UNSENT: usize = 8192;
+/// Queries by one door that may be unanswered; beyond that new ones are turned away. So many are
+/// answered within a few milliseconds, and no door takes all the room there is for others.
+const MOST_TURNS: usize = 256;
 
 /// Bytes of requests that may be held unanswered; beyond that new queries are turned away.
 const MOST_HELD_BYTES: usize = 64 * 1024 * 1024;
@@ -39,8 +40,7 @@ type Body = Box<dyn FnOnce() -> Result<Payload, Payload> + Send>;
 pub struct Promise(Arc<Owed>);
 
 struct Owed {
-    query: Mutex<Option<Query>>,
-    _held: Held,
+    asked: Mutex<Option<Asked>>,
     page: Mutex<Option<Page>>,
     key: String,
     desk: Desk,
@@ -51,25 +51,45 @@ struct Owed {
 pub struct Desk {
     outgoing: Sender<Outgoing>,
     deadlines: Sender<Due>,
-    unsent: Arc<AtomicUsize>,
     held_bytes: Arc<AtomicUsize>,
 }
 
-/// The bytes of a request, counted as long as this lives.
-pub struct Held {
-    bytes: usize,
-    all: Arc<AtomicUsize>,
+/// A query that was taken in. Clones are the same one.
+#[derive(Clone)]
+pub struct Asked {
+    /// What came in.
+    pub query: Query,
+    turn: Option<Arc<Turn>>,
 }
 
-impl Drop for Held {
+impl Asked {
+    /// The same query, when it is to wait for something: it then keeps nobody else out.
+    #[must_use]
+    pub fn aside(&self) -> Asked {
+        Asked {
+            query: self.query.clone(),
+            turn: None,
+        }
+    }
+}
+
+/// What a query takes up from when it comes in until its answer is sent.
+struct Turn {
+    bytes: usize,
+    all_bytes: Arc<AtomicUsize>,
+    turns: Arc<AtomicUsize>,
+}
+
+impl Drop for Turn {
     fn drop(&mut self) {
-        self.all.fetch_sub(self.bytes, Ordering::Relaxed);
+        self.all_bytes.fetch_sub(self.bytes, Ordering::Relaxed);
+        self.turns.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
 enum Outgoing {
     /// To whoever still waits, and to the ledger.
-    Answer(Option<(Query, String)>, Option<Page>, Body),
+    Answer(Option<(Asked, String)>, Option<Page>, Body),
     Stop,
 }
 
@@ -90,47 +110,52 @@ impl Desk {
     pub fn start() -> std::io::Result<Self> {
         let (outgoing, to_send) = channel();
         let (deadlines, to_watch) = channel();
-        let unsent = Arc::new(AtomicUsize::new(0));
-        let sent = unsent.clone();
         thread::Builder::new()
             .name("replies".into())
-            .spawn(move || send_all(&to_send, &sent))?;
+            .spawn(move || send_all(&to_send))?;
         thread::Builder::new()
             .name("deadlines".into())
             .spawn(move || watch_all(&to_watch))?;
         Ok(Desk {
             outgoing,
             deadlines,
-            unsent,
             held_bytes: Arc::default(),
         })
     }
 
-    /// Promises to answer `query` under `key`.
-    pub fn promise(&self, query: Query, key: String) -> Promise {
+    /// Promises to answer a query under `key`.
+    pub fn promise(&self, asked: &Asked, key: String) -> Promise {
         Promise(Arc::new(Owed {
-            _held: self.hold(&query),
-            query: Mutex::new(Some(query)),
+            asked: Mutex::new(Some(asked.clone())),
             page: Mutex::default(),
             key,
             desk: self.clone(),
         }))
     }
 
-    /// Counts the bytes of a query's request.
-    pub fn hold(&self, query: &Query) -> Held {
+    /// Takes in a query, unless so much is unanswered already that it is to be turned away; it is
+    /// given back then. `turns` counts those that came in by the same door.
+    ///
+    /// # Errors
+    ///
+    /// The query, when it is turned away.
+    pub fn take_in(&self, query: Query, turns: &Arc<AtomicUsize>) -> Result<Asked, Query> {
         let bytes = query.payload().map_or(0, ZBytes::len);
-        self.held_bytes.fetch_add(bytes, Ordering::Relaxed);
-        Held {
+        // What is taken first and found to be too much is given back by its end.
+        let others = turns.fetch_add(1, Ordering::Relaxed);
+        let other_bytes = self.held_bytes.fetch_add(bytes, Ordering::Relaxed);
+        let turn = Turn {
             bytes,
-            all: self.held_bytes.clone(),
+            all_bytes: self.held_bytes.clone(),
+            turns: turns.clone(),
+        };
+        if others >= MOST_TURNS || (bytes > 0 && other_bytes >= MOST_HELD_BYTES) {
+            return Err(query);
         }
-    }
-
-    /// Whether so much is unanswered or unsent that no more should be promised.
-    pub fn is_full(&self) -> bool {
-        self.unsent.load(Ordering::Relaxed) >= MOST_UNSENT
-            || self.held_bytes.load(Ordering::Relaxed) >= MOST_HELD_BYTES
+        Ok(Asked {
+            query,
+            turn: Some(Arc::new(turn)),
+        })
     }
 
     /// Ends the sending thread once it has sent what was handed in.
@@ -168,9 +193,8 @@ impl Promise {
 
     fn hand_in(&self, page: Option<Page>, body: Body) {
         let Owed { key, desk, .. } = &*self.0;
-        let asker = self.take().map(|query| (query, key.clone()));
+        let asker = self.lock().take().map(|asked| (asked, key.clone()));
         if asker.is_some() || page.is_some() {
-            desk.unsent.fetch_add(1, Ordering::Relaxed);
             // Once the desk is closed the daemon is going, and its silence says so.
             let _ = desk.outgoing.send(Outgoing::Answer(asker, page, body));
         }
@@ -200,12 +224,8 @@ impl Promise {
         self.lock().is_none()
     }
 
-    fn take(&self) -> Option<Query> {
-        self.lock().take()
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Option<Query>> {
-        self.0.query.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> MutexGuard<'_, Option<Asked>> {
+        self.0.asked.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn page(&self) -> MutexGuard<'_, Option<Page>> {
@@ -224,14 +244,14 @@ impl Drop for Keeper {
     }
 }
 
-fn send_all(to_send: &Receiver<Outgoing>, unsent: &AtomicUsize) {
+fn send_all(to_send: &Receiver<Outgoing>) {
     while let Ok(Outgoing::Answer(asker, page, body)) = to_send.recv() {
         let answer = catch_unwind(AssertUnwindSafe(body))
             .unwrap_or_else(|_| Err(Payload::json(&CommandError::Internal.to_wire(None))));
         if let Some(page) = page {
             page.write(&answer);
         }
-        if let Some((query, key)) = asker {
+        if let Some((Asked { query, turn: _turn }, key)) = asker {
             let sent = match answer {
                 Ok(Payload { bytes, encoding }) => {
                     query.reply(key, bytes).encoding(encoding).wait()
@@ -244,7 +264,6 @@ fn send_all(to_send: &Receiver<Outgoing>, unsent: &AtomicUsize) {
                 debug!(%error, "failed to send an answer");
             }
         }
-        unsent.fetch_sub(1, Ordering::Relaxed);
     }
 }
 

@@ -4,11 +4,10 @@ use std::sync::Arc;
 
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Request, keys};
-use zenoh::query::Query;
 
 use crate::command::{self, Command, CommandError, create};
 use crate::host::Created;
-use crate::server::answer::{Keeper, Promise};
+use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::dispatch::Dispatcher;
 use crate::server::ledger::Entered;
 use crate::server::query::request;
@@ -28,10 +27,11 @@ const MOST_BYTES: usize = MAX_MESSAGE_BYTES - 4096;
 
 impl Dispatcher {
     /// Executes only what its own key names: a wildcard changes nothing.
-    pub(super) fn command(&self, swarm: &Arc<str>, query: &Query) {
+    pub(super) fn command(&self, swarm: &Arc<str>, asked: &Asked) {
+        let query = &asked.query;
         let promise = self
             .desk
-            .promise(query.clone(), query.key_expr().as_str().to_owned());
+            .promise(asked, query.key_expr().as_str().to_owned());
         let key = query.key_expr().as_str();
         let verb = key.strip_prefix(&keys::cmd(&self.prefix, swarm, ""));
         let read = if query.key_expr().is_wild() {
@@ -80,10 +80,11 @@ impl Dispatcher {
         });
     }
 
-    pub(super) fn node_command(&self, query: &Query) {
+    pub(super) fn node_command(&self, asked: &Asked) {
+        let query = &asked.query;
         let promise = self
             .desk
-            .promise(query.clone(), query.key_expr().as_str().to_owned());
+            .promise(asked, query.key_expr().as_str().to_owned());
         if query.key_expr().is_wild() {
             return promise.refuse(&CommandError::Wildcard, None);
         }

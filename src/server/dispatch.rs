@@ -9,12 +9,11 @@ use fail::fail_point;
 use jostle_proto::Schemas;
 use tracing::{error, info, warn};
 use zenoh::Session;
-use zenoh::query::Query;
 
 use crate::command::{CommandError, DEFAULT_TIMEOUT};
 use crate::host::{Herald, Host};
 use crate::publish::Press;
-use crate::server::answer::{Desk, Held, Keeper, Promise};
+use crate::server::answer::{Asked, Desk, Keeper, Promise};
 use crate::server::doors::{Doors, LINGER};
 use crate::server::ledger::Ledger;
 use crate::server::query::Topic;
@@ -29,7 +28,7 @@ pub const MOST_QUERIES: usize = 1024;
 /// What the dispatching thread takes.
 pub enum Intake {
     /// A query on one of the daemon's keys.
-    Query(Topic, Held, Query),
+    Query(Topic, Asked),
     /// A swarm is built.
     Begun(String, Box<dyn FnOnce() + Send>),
     /// A swarm has ended.
@@ -99,7 +98,7 @@ impl Dispatcher {
     pub fn run(mut self, intake: &Receiver<Intake>) {
         loop {
             match intake.recv_timeout(LINGER) {
-                Ok(Intake::Query(topic, _held, query)) => self.survive(&topic, query),
+                Ok(Intake::Query(topic, asked)) => self.survive(&topic, &asked),
                 Ok(Intake::Begun(swarm, built)) => self.begun(&swarm, built),
                 Ok(Intake::Ended(swarm, ended)) => self.ended(&swarm, ended),
                 Err(RecvTimeoutError::Timeout) => {}
@@ -140,33 +139,35 @@ impl Dispatcher {
     }
 
     /// Dispatches a query; one that uncovers a defect ends with an error and not with the daemon.
-    fn survive(&self, topic: &Topic, query: Query) {
-        let again = query.clone();
-        if catch_unwind(AssertUnwindSafe(|| self.query(topic, query))).is_err() {
-            let key = again.key_expr().as_str().to_owned();
+    fn survive(&self, topic: &Topic, asked: &Asked) {
+        if catch_unwind(AssertUnwindSafe(|| self.query(topic, asked))).is_err() {
+            let key = asked.query.key_expr().as_str().to_owned();
             error!(key, "a defect: the query panicked");
-            let promise = self.desk.promise(again, key);
+            let promise = self.desk.promise(asked, key);
             promise.refuse(&CommandError::Internal, None);
         }
     }
 
-    fn query(&self, topic: &Topic, query: Query) {
+    fn query(&self, topic: &Topic, asked: &Asked) {
         fail_point!("query");
-        let has_payload = query.payload().is_some_and(|payload| !payload.is_empty());
+        let has_payload = asked
+            .query
+            .payload()
+            .is_some_and(|payload| !payload.is_empty());
         if has_payload && !matches!(topic, Topic::Command(_) | Topic::NodeCommand) {
             let error = CommandError::Field {
                 field: "payload",
                 problem: "means nothing to a get: what it takes goes behind the key's `?`",
             };
-            let key = query.key_expr().as_str().to_owned();
-            return self.desk.promise(query, key).refuse(&error, None);
+            let key = asked.query.key_expr().as_str().to_owned();
+            return self.desk.promise(asked, key).refuse(&error, None);
         }
         match topic {
-            Topic::State(swarm) => self.state(swarm, query),
-            Topic::Get(swarm) => self.get(swarm, &query),
-            Topic::Command(swarm) => self.command(swarm, &query),
-            Topic::NodeGet => self.node_get(&query),
-            Topic::NodeCommand => self.node_command(&query),
+            Topic::State(swarm) => self.state(swarm, asked),
+            Topic::Get(swarm) => self.get(swarm, asked),
+            Topic::Command(swarm) => self.command(swarm, asked),
+            Topic::NodeGet => self.node_get(asked),
+            Topic::NodeCommand => self.node_command(asked),
         }
     }
 

@@ -9,7 +9,7 @@ use zenoh::query::Query;
 
 use crate::command::error::refusal;
 use crate::command::{CommandError, page, wait};
-use crate::server::answer::Promise;
+use crate::server::answer::{Asked, Promise};
 use crate::server::dispatch::Dispatcher;
 use crate::server::query::{format, names, no_parameters};
 use crate::swarm::handle::Ticket;
@@ -17,13 +17,13 @@ use crate::swarm::waiters::Waiter;
 use crate::wire::{self, Payload};
 
 impl Dispatcher {
-    pub(super) fn state(&self, swarm: &Arc<str>, query: Query) {
+    pub(super) fn state(&self, swarm: &Arc<str>, asked: &Asked) {
         let key = keys::state(&self.prefix, swarm);
-        let as_json = match format(&query) {
+        let as_json = match format(&asked.query) {
             Ok(as_json) => as_json,
-            Err(error) => return self.desk.promise(query, key).refuse(&error, None),
+            Err(error) => return self.desk.promise(asked, key).refuse(&error, None),
         };
-        let promise = self.desk.promise(query, key);
+        let promise = self.desk.promise(asked, key);
         let (press, name) = (self.press.clone(), swarm.clone());
         self.look(swarm, &promise, move |_, seen| {
             let frame = press.find(&name).map_or(0, |it| it.frames());
@@ -37,7 +37,8 @@ impl Dispatcher {
     }
 
     /// Answers every noun that the query names; wildcards are welcome.
-    pub(super) fn get(&self, swarm: &Arc<str>, query: &Query) {
+    pub(super) fn get(&self, swarm: &Arc<str>, asked: &Asked) {
+        let query = &asked.query;
         let is_concrete = !query.key_expr().is_wild();
         let mut is_known = false;
         for noun in keys::SWARM_GETS {
@@ -46,11 +47,12 @@ impl Dispatcher {
                 continue;
             }
             is_known = true;
-            let promise = self.desk.promise(query.clone(), key);
             if noun == "wait" {
+                let promise = self.desk.promise(&asked.aside(), key);
                 self.wait(swarm, &promise, query);
                 continue;
             }
+            let promise = self.desk.promise(asked, key);
             let read = match noun {
                 "events" | "journal" => page::read(query.parameters().iter()),
                 _ => no_parameters(query).map(|()| (0, 0)),
@@ -85,7 +87,7 @@ impl Dispatcher {
             });
         }
         if !is_known && is_concrete {
-            self.unknown_noun(query, &keys::SWARM_GETS);
+            self.unknown_noun(asked, &keys::SWARM_GETS);
         }
     }
 
@@ -109,7 +111,8 @@ impl Dispatcher {
         });
     }
 
-    pub(super) fn node_get(&self, query: &Query) {
+    pub(super) fn node_get(&self, asked: &Asked) {
+        let query = &asked.query;
         let mut is_known = false;
         for noun in keys::NODE_GETS {
             let key = keys::node_get(&self.prefix, &self.node, noun);
@@ -117,7 +120,7 @@ impl Dispatcher {
                 continue;
             }
             is_known = true;
-            let promise = self.desk.promise(query.clone(), key);
+            let promise = self.desk.promise(asked, key);
             if let Err(error) = no_parameters(query) {
                 promise.refuse(&error, None);
                 continue;
@@ -143,7 +146,7 @@ impl Dispatcher {
             promise.keep(move || Ok(payload));
         }
         if !is_known && !query.key_expr().is_wild() {
-            self.unknown_noun(query, &keys::NODE_GETS);
+            self.unknown_noun(asked, &keys::NODE_GETS);
         }
     }
 
@@ -173,14 +176,14 @@ impl Dispatcher {
         })
     }
 
-    fn unknown_noun(&self, query: &Query, known: &'static [&'static str]) {
-        let key = query.key_expr().as_str();
+    fn unknown_noun(&self, asked: &Asked, known: &'static [&'static str]) {
+        let key = asked.query.key_expr().as_str();
         let noun = key.split_once("/get/").map_or(key, |(_, noun)| noun);
         let error = CommandError::UnknownNoun {
             noun: noun.to_owned(),
             known,
         };
-        let promise = self.desk.promise(query.clone(), key.to_owned());
+        let promise = self.desk.promise(asked, key.to_owned());
         promise.refuse(&error, None);
     }
 }

@@ -1,6 +1,7 @@
 //! What a query says: its key, its parameters, the request in it. And how queries come in.
 
 use std::sync::Arc;
+use std::sync::atomic::AtomicUsize;
 use std::sync::mpsc::{SyncSender, TrySendError};
 
 use jostle_proto::Request;
@@ -43,18 +44,18 @@ pub fn queryable(
 ) -> zenoh::Result<Queryable<()>> {
     let intake: SyncSender<Intake> = intake.clone();
     let desk = desk.clone();
+    let turns = Arc::new(AtomicUsize::new(0));
     session
         .declare_queryable(key)
         .callback(move |query| {
-            let taken = if desk.is_full() {
-                Err(query)
-            } else {
-                match intake.try_send(Intake::Query(topic.clone(), desk.hold(&query), query)) {
+            let taken = match desk.take_in(query, &turns) {
+                Ok(asked) => match intake.try_send(Intake::Query(topic.clone(), asked)) {
                     Ok(()) => Ok(()),
-                    Err(TrySendError::Full(Intake::Query(_, _, query))) => Err(query),
+                    Err(TrySendError::Full(Intake::Query(_, asked))) => Err(asked.query),
                     // The daemon is going, and its silence says so.
                     Err(_) => Ok(()),
-                }
+                },
+                Err(query) => Err(query),
             };
             if let Err(query) = taken {
                 let busy = Payload::json(&CommandError::Busy.to_wire(None));

@@ -162,7 +162,7 @@ mod tests {
         assert_eq!((page.oldest, page.newest), (Some(7), 10));
         assert_eq!(ring.after(8, 100).records, [9, 10]);
         assert_eq!(ring.after(6, 2).records, [7, 8]);
-        assert_eq!(ring.after(10, 2).records, []);
+        assert_eq!(ring.after(10, 2).records, Vec::<u64>::new());
         assert_eq!(ring.after(u64::MAX, 2).newest, 10);
         ring.push(11, 2000, 11, (4, 1000));
         assert_eq!(ring.after(0, 100).records, [11]);
