@@ -71,28 +71,25 @@ fn id(channel: &Channel) -> String {
 }
 
 fn describe(channel: &Channel) -> Value {
-    let parameters = ["prefix", "swarm", "node"].into_iter();
     let address = format!("{{prefix}}/{}", channel.key);
-    let parameters: Map<String, Value> = parameters
+    let link = |folder: &str, name: &str| {
+        let place = format!("components/{folder}/{name}");
+        (name.to_owned(), refer(&place))
+    };
+    let parameters: Map<String, Value> = ["prefix", "swarm", "node"]
+        .into_iter()
         .filter(|name| address.contains(&format!("{{{name}}}")))
-        .map(|name| {
-            (
-                name.to_owned(),
-                refer(&format!("components/parameters/{name}")),
-            )
-        })
+        .map(|name| link("parameters", name))
         .collect();
-    let messages = all(channel).into_iter().map(|name| {
-        (
-            name.to_owned(),
-            refer(&format!("components/messages/{name}")),
-        )
-    });
+    let messages: Map<String, Value> = all(channel)
+        .into_iter()
+        .map(|name| link("messages", name))
+        .collect();
     let mut description = json!({
         "address": address,
         "description": channel.doc,
         "parameters": parameters,
-        "messages": messages.collect::<Map<_, _>>(),
+        "messages": messages,
         "bindings": {"x-zenoh": zenoh(channel)},
     });
     if channel.kind == ChannelKind::Token

@@ -98,13 +98,13 @@ impl Request {
     /// an unknown or ill-typed field.
     pub fn from_json(payload: &[u8]) -> Result<Self, RequestError> {
         let text = std::str::from_utf8(payload)
-            .map_err(|error| whole(format!("the payload is not UTF-8: {error}")))?
+            .map_err(|error| whole(&format!("the payload is not UTF-8: {error}")))?
             .trim();
         if text.is_empty() {
             return Ok(Request::default());
         }
         let fields: FieldNames = serde_json::from_str(text)
-            .map_err(|error| whole(format!("the payload is not a JSON object: {error}")))?;
+            .map_err(|error| whole(&format!("the payload is not a JSON object: {error}")))?;
         if let Some(twice) = fields.twice {
             return Err(RequestError {
                 field: shortened(&twice, MOST_OF_A_FIELD),
@@ -126,7 +126,7 @@ impl Request {
             Ok(Request {
                 args: Some(
                     RawValue::from_string(text.to_owned())
-                        .map_err(|error| whole(error.to_string()))?,
+                        .map_err(|error| whole(&error.to_string()))?,
                 ),
                 ..Request::default()
             })
@@ -156,7 +156,7 @@ impl Request {
             serde_json::from_str(args),
             serde_json::to_value(&understood),
         ) else {
-            return Err(whole("cannot be read back".into()));
+            return Err(whole("cannot be read back"));
         };
         check_objects("", &given, &meant)?;
         Ok(understood)
@@ -221,7 +221,7 @@ fn read<T: DeserializeOwned>(text: &str) -> Result<T, RequestError> {
     })?;
     deserializer
         .end()
-        .map_err(|error| whole(error.to_string()))?;
+        .map_err(|error| whole(&error.to_string()))?;
     Ok(value)
 }
 
@@ -248,10 +248,10 @@ fn without_place(problem: &str) -> String {
     problem[..end].to_owned()
 }
 
-fn whole(problem: String) -> RequestError {
+fn whole(problem: &str) -> RequestError {
     RequestError {
         field: String::new(),
-        problem: shortened(&problem, MOST_OF_A_PROBLEM),
+        problem: shortened(problem, MOST_OF_A_PROBLEM),
     }
 }
 

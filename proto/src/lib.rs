@@ -43,3 +43,8 @@ pub const JSON: &str = "application/json";
 
 /// The zenoh encoding of states.
 pub const CBOR: &str = "application/cbor";
+
+/// The examples of the page for people.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -140,9 +140,9 @@ impl Default for Attraction {
 pub enum Start {
     /// Uniformly in a disc, one after the other, none overlapping an earlier one.
     Disc {
-        /// The radius of the disc in body sizes; √n, at least 1, if left out.
+        /// The radius of the disc in body sizes, above 0; √n, at least 1, if left out.
         #[serde(default, skip_serializing_if = "Option::is_none")]
-        #[schemars(range(min = 0.0, max = 1e6))]
+        #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
         radius: Option<f64>,
     },
     /// Exactly there, to the bit. Three columns of n numbers.

@@ -198,8 +198,8 @@ pub struct Region {
     pub x: f64,
     /// Its centre.
     pub y: f64,
-    /// Its radius, 0 or more.
-    #[schemars(range(min = 0.0, max = 1e6))]
+    /// Its radius, above 0.
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
     pub radius: f64,
 }
 

@@ -49,7 +49,8 @@ struct Owed {
 /// Where answers are handed in.
 #[derive(Clone)]
 pub struct Desk {
-    outgoing: Sender<Outgoing>,
+    /// Nothing ends it.
+    outgoing: Sender<Option<Outgoing>>,
     deadlines: Sender<Due>,
     held_bytes: Arc<AtomicUsize>,
 }
@@ -87,10 +88,11 @@ impl Drop for Turn {
     }
 }
 
-enum Outgoing {
-    /// To whoever still waits, and to the ledger.
-    Answer(Option<(Asked, String)>, Option<Page>, Body),
-    Stop,
+/// An answer to whoever still waits under a key, and to the ledger.
+struct Outgoing {
+    asker: Option<(Asked, String)>,
+    page: Option<Page>,
+    body: Body,
 }
 
 /// A promise, when it is to be kept, and what is said if it was not.
@@ -133,13 +135,9 @@ impl Desk {
         }))
     }
 
-    /// Takes in a query, unless so much is unanswered already that it is to be turned away; it is
-    /// given back then. `turns` counts those that came in by the same door.
-    ///
-    /// # Errors
-    ///
-    /// The query, when it is turned away.
-    pub fn take_in(&self, query: Query, turns: &Arc<AtomicUsize>) -> Result<Asked, Query> {
+    /// Takes in a query, unless so much is unanswered already that it is to be turned away.
+    /// `turns` counts those that came in by the same door.
+    pub fn take_in(&self, query: &Query, turns: &Arc<AtomicUsize>) -> Option<Asked> {
         let bytes = query.payload().map_or(0, ZBytes::len);
         // What is taken first and found to be too much is given back by its end.
         let others = turns.fetch_add(1, Ordering::Relaxed);
@@ -150,17 +148,17 @@ impl Desk {
             turns: turns.clone(),
         };
         if others >= MOST_TURNS || (bytes > 0 && other_bytes >= MOST_HELD_BYTES) {
-            return Err(query);
+            return None;
         }
-        Ok(Asked {
-            query,
+        Some(Asked {
+            query: query.clone(),
             turn: Some(Arc::new(turn)),
         })
     }
 
     /// Ends the sending thread once it has sent what was handed in.
     pub fn stop(&self) {
-        let _ = self.outgoing.send(Outgoing::Stop);
+        let _ = self.outgoing.send(None);
     }
 }
 
@@ -196,7 +194,7 @@ impl Promise {
         let asker = self.lock().take().map(|asked| (asked, key.clone()));
         if asker.is_some() || page.is_some() {
             // Once the desk is closed the daemon is going, and its silence says so.
-            let _ = desk.outgoing.send(Outgoing::Answer(asker, page, body));
+            let _ = desk.outgoing.send(Some(Outgoing { asker, page, body }));
         }
     }
 
@@ -244,8 +242,8 @@ impl Drop for Keeper {
     }
 }
 
-fn send_all(to_send: &Receiver<Outgoing>) {
-    while let Ok(Outgoing::Answer(asker, page, body)) = to_send.recv() {
+fn send_all(to_send: &Receiver<Option<Outgoing>>) {
+    while let Ok(Some(Outgoing { asker, page, body })) = to_send.recv() {
         let answer = catch_unwind(AssertUnwindSafe(body))
             .unwrap_or_else(|_| Err(Payload::json(&CommandError::Internal.to_wire(None))));
         if let Some(page) = page {

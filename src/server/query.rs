@@ -48,16 +48,13 @@ pub fn queryable(
     session
         .declare_queryable(key)
         .callback(move |query| {
-            let taken = match desk.take_in(query, &turns) {
-                Ok(asked) => match intake.try_send(Intake::Query(topic.clone(), asked)) {
-                    Ok(()) => Ok(()),
-                    Err(TrySendError::Full(Intake::Query(_, asked))) => Err(asked.query),
-                    // The daemon is going, and its silence says so.
-                    Err(_) => Ok(()),
-                },
-                Err(query) => Err(query),
-            };
-            if let Err(query) = taken {
+            let asked = desk.take_in(&query, &turns);
+            let is_taken = asked.is_some_and(|asked| {
+                let sent = intake.try_send(Intake::Query(topic.clone(), asked));
+                // A daemon that is going takes nothing, and its silence says so.
+                !matches!(sent, Err(TrySendError::Full(_)))
+            });
+            if !is_taken {
                 let busy = Payload::json(&CommandError::Busy.to_wire(None));
                 let _ = query.reply_err(busy.bytes).encoding(busy.encoding).wait();
             }

@@ -29,7 +29,8 @@ def open_session(endpoint: str) -> zenoh.Session:
 
 def ask(session: zenoh.Session, key: str, args: dict[str, Any] | None = None) -> dict[str, Any]:
     """Sends a query; returns its answer: swarm, epoch, step, time, phase, seq and `result`."""
-    for reply in session.get(key, payload=json.dumps(args or {}), encoding="application/json"):
+    payload = None if args is None else json.dumps(args)
+    for reply in session.get(key, payload=payload, encoding="application/json"):
         if reply.ok:
             return dict(json.loads(reply.ok.payload.to_bytes()))
         raise SystemExit(f"{key}: {reply.err.payload.to_string() if reply.err else 'no answer'}")

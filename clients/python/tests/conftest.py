@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import itertools
 import os
 import re
 import selectors
 import signal
+import socket
 import subprocess
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import zenoh
 
 import jostle
 
@@ -26,7 +30,9 @@ PATIENCE_SECS = 20.0
 class Daemon:
     """A `jostled serve` of this test run's own."""
 
-    def __init__(self, folder: Path, listen: str = "tcp/127.0.0.1:0") -> None:
+    def __init__(
+        self, folder: Path, listen: str = "tcp/127.0.0.1:0", failing: str | None = None
+    ) -> None:
         self.log = folder / "jostled.log"
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
@@ -35,6 +41,8 @@ class Daemon:
                 stdout=subprocess.PIPE,
                 stderr=log,
                 cwd=folder,
+                # Where it is to fail, such as `command=panic`.
+                env=os.environ if failing is None else {**os.environ, "FAILPOINTS": failing},
             )
         try:
             self.endpoint = self._read_endpoint()
@@ -90,6 +98,71 @@ class Daemon:
             self.process.stdout.close()
 
 
+class Wire:
+    """A cable between clients and a daemon, to be cut."""
+
+    def __init__(self, endpoint: str) -> None:
+        self.daemon = endpoint
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
+        self._lock = threading.Lock()
+        self._is_mute = False
+        self._ends: list[socket.socket] = []
+        threading.Thread(target=self._accept, daemon=True).start()
+
+    def mute(self) -> None:
+        """Lets nothing more through from the daemon, until it is cut."""
+        self._is_mute = True
+
+    def cut(self) -> None:
+        """Ends every connection; those made from now on work."""
+        with self._lock:
+            ends, self._ends = self._ends, []
+            self._is_mute = False
+        for end in ends:
+            with contextlib.suppress(OSError):
+                end.shutdown(socket.SHUT_RDWR)
+            end.close()
+
+    def close(self) -> None:
+        """Ends every connection and takes no more."""
+        self._listener.close()
+        self.cut()
+
+    def _accept(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self._listener.accept()
+                host, port = self.daemon.removeprefix("tcp/").split(":")
+                try:
+                    daemon = socket.create_connection((host, int(port)))
+                except OSError:
+                    client.close()
+                    continue
+                with self._lock:
+                    self._ends += [client, daemon]
+                for ends, may_be_mute in (((client, daemon), False), ((daemon, client), True)):
+                    threading.Thread(
+                        target=self._carry, args=(*ends, may_be_mute), daemon=True
+                    ).start()
+
+    def _carry(self, source: socket.socket, target: socket.socket, may_be_mute: bool) -> None:
+        with contextlib.suppress(OSError):
+            while data := source.recv(65536):
+                if not (may_be_mute and self._is_mute):
+                    target.sendall(data)
+        with contextlib.suppress(OSError):
+            target.shutdown(socket.SHUT_RDWR)
+
+
+@pytest.fixture
+def wire(daemon: Daemon) -> Iterator[Wire]:
+    """A cable to the shared daemon."""
+    wire = Wire(daemon.endpoint)
+    yield wire
+    wire.close()
+
+
 @pytest.fixture(scope="session")
 def daemon(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
     """One daemon for every test that does it no harm."""
@@ -139,3 +212,20 @@ def eventually(what: str, holds: Callable[[], bool]) -> None:
     deadline = time.monotonic() + PATIENCE_SECS
     while not holds():
         assert time.monotonic() < deadline, f"{what}: not within {PATIENCE_SECS} s"
+
+
+@pytest.fixture
+def free_endpoint() -> str:
+    """An endpoint that nobody listens on yet."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        return f"tcp/127.0.0.1:{free.getsockname()[1]}"
+
+
+def zenoh_session(endpoint: str, mode: str = "connect") -> zenoh.Session:
+    """A session of zenoh's own, that connects or listens there."""
+    config = zenoh.Config()
+    config.insert_json5("mode", '"client"' if mode == "connect" else '"peer"')
+    config.insert_json5("scouting/multicast/enabled", "false")
+    config.insert_json5(f"{mode}/endpoints", f'["{endpoint}"]')
+    return zenoh.open(config)

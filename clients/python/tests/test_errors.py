@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ import pytest
 import zenoh
 
 import jostle
-from conftest import PATIENCE_SECS, Daemon, eventually
+from conftest import PATIENCE_SECS, Daemon, eventually, zenoh_session
 
 Create = Callable[..., jostle.Swarm]
 
@@ -102,7 +103,7 @@ def test_invalid_arguments_name_the_field(client: jostle.Client, create: Create)
     calls: list[tuple[str, Callable[[], object]]] = [
         ("steps", lambda: swarm.step(0)),
         ("steps", lambda: swarm.step(1.5)),  # type: ignore[call-overload]
-        ("direction", lambda: swarm.inform(jostle.count(1), "east")),  # type: ignore[arg-type]
+        ("direction", lambda: swarm.inform(jostle.count(1), "east")),  # type: ignore[call-overload]
         ("direction", lambda: swarm.inform(jostle.count(1), np.nan)),
         ("pi1", lambda: swarm.set(pi1=0.5)),
         ("ids", lambda: swarm.inform(jostle.ids([99]), 0.0)),
@@ -145,9 +146,10 @@ def test_limits_of_the_daemon_are_told(client: jostle.Client) -> None:
 
 def test_the_longest_request_taken_here_arrives_there(client: jostle.Client) -> None:
     limit = client.hello().limits.max_message_bytes
-    spaces = limit - 4096 - 400
     with pytest.raises(jostle.InvalidArgument):
-        client.create("padded", {"n": 1, "contacts": "x" * spaces})
+        client.create("padded", {"n": 1, "contacts": "x" * (limit - 400)})
+    with pytest.raises(jostle.ResourceExhausted, match="max_message_bytes"):
+        client.create("padded", {"n": 1, "contacts": "x" * limit})
 
 
 def test_an_expected_step_or_epoch_that_is_not_is_a_conflict(create: Create) -> None:
@@ -219,23 +221,45 @@ def test_a_fault_is_told_and_reset_goes_on(create: Create) -> None:
         swarm.run(until_step=2000, wait=True)
 
 
-def zenoh_session(endpoint: str, mode: str = "connect") -> zenoh.Session:
-    config = zenoh.Config()
-    config.insert_json5("mode", '"client"' if mode == "connect" else '"peer"')
-    config.insert_json5("scouting/multicast/enabled", "false")
-    config.insert_json5(f"{mode}/endpoints", f'["{endpoint}"]')
-    return zenoh.open(config)
+def test_a_defect_of_the_daemon_is_internal_and_changes_nothing(tmp_path: Path) -> None:
+    # The second command that changes something meets a defect.
+    daemon = Daemon(tmp_path, failing="command=1*off->1*panic->off")
+    try:
+        with jostle.connect(daemon.endpoint) as client:
+            swarm = client.create("struck", jostle.Spec(n=3))
+            swarm.set(pi3=2.0)
+            before = swarm.status()
+            with pytest.raises(jostle.Internal) as caught:
+                swarm.inject(1, request_id="struck")
+            assert caught.value.step == 0
+            assert swarm.status() == before
+            assert swarm.inject(1, request_id="struck").ids == [3]
+    finally:
+        daemon.kill()
 
 
-def test_alive_but_silent_is_not_permitted() -> None:
+def test_a_fault_is_told_again_when_its_step_is_sent_again(tmp_path: Path) -> None:
+    daemon = Daemon(tmp_path, failing="step=3*off->panic")
+    try:
+        with jostle.connect(daemon.endpoint) as client:
+            swarm = client.create("struck", jostle.Spec(n=3))
+            for _ in range(2):
+                with pytest.raises(jostle.Faulted) as caught:
+                    swarm.step(5, request_id="five")
+                assert caught.value.step == 3
+            with pytest.raises(jostle.IncorrectState):
+                swarm.step(5)
+            assert [event.kind for event in swarm.history()] == ["created", "command", "fault"]
+    finally:
+        daemon.kill()
+
+
+def test_alive_but_silent_is_not_permitted(free_endpoint: str) -> None:
     # A daemon whose access control swallows queries looks like this from outside.
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    with zenoh_session(endpoint, "listen") as silent:
+    with zenoh_session(free_endpoint, "listen") as silent:
         token = silent.liveliness().declare_token("jostle/@node/silent/alive")
         with pytest.raises(jostle.PermissionDenied, match="silent"):
-            jostle.connect(endpoint)
+            jostle.connect(free_endpoint)
         token.undeclare()
 
 

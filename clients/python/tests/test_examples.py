@@ -57,13 +57,30 @@ def test_the_controller_closes_its_loop(daemon: Daemon, client: jostle.Client) -
     assert "looped" not in [summary.swarm for summary in client.swarms()]
 
 
+def test_a_repeated_experiment_is_the_same_to_the_bit(
+    daemon: Daemon, client: jostle.Client
+) -> None:
+    ran = run("repeat.py", JOSTLE_ENDPOINT=daemon.endpoint)
+    assert (ran.returncode, ran.stderr) == (0, "")
+    assert "step 1000: batch" in ran.stdout
+    assert "the same to the bit" in ran.stdout
+    assert not {"once", "again"} & {summary.swarm for summary in client.swarms()}
+
+
 def test_the_readme_runs(
     daemon: Daemon, client: jostle.Client, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    (code,) = re.findall(r"```python\n(.*?)```", (FOLDER / "README.md").read_text(), re.S)
+    readme = (FOLDER / "README.md").read_text(encoding="utf-8")
+    first, *more = re.findall(r"```python\n(.*?)```", readme, re.S)
     monkeypatch.setenv("JOSTLE_ENDPOINT", daemon.endpoint)
-    exec(compile(code, "README.md", "exec"), {})
-    client.swarm("school").delete()
+    exec(compile(first, "README.md", "exec"), {})
+    swarm = client.swarm("school")
+    # The others are about a swarm that there is.
+    assert len(more) == 2
+    for code in more:
+        names = {"jostle": jostle, "client": client, "swarm": swarm}
+        exec(compile(code, "README.md", "exec"), names)
+    swarm.delete()
 
 
 def test_steering_a_swarm_that_stands_ends_with_a_remedy(daemon: Daemon, create: Create) -> None:

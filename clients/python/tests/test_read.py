@@ -13,8 +13,8 @@ import pytest
 import jostle
 from jostle._arguments import check_name, poses, to_json
 from jostle._errors import read_error
-from jostle._messages import read_event, read_reply
-from jostle._state import read_state, read_state_reply
+from jostle._reading import read_event, read_reply
+from jostle._state import read_state, read_step_reply
 
 ORDER = {
     "order": 0.5,
@@ -33,6 +33,7 @@ CERTIFICATE = {
     "contacts": 0,
     "iterations": 0,
 }
+ENVELOPE = {"swarm": "demo", "epoch": 1, "step": 3, "time": 0.06, "phase": "paused", "seq": 5}
 X = [0.1, -511.9999999999999]
 ALPHA = [-270.02419291642303, 5e-324]
 
@@ -88,8 +89,10 @@ def test_an_empty_column_and_what_a_newer_daemon_adds_are_read() -> None:
 
 
 def test_the_state_within_the_answer_to_step_bears_its_hash() -> None:
-    reply = {"step": 3, "result": {"state_hash": "abc", "state": state_map()}}
-    assert read_state_reply(cbor2.dumps(reply)).state_hash == "abc"
+    within = {"steps": 2, "state_hash": "abc", "state": state_map()}
+    result, state = read_step_reply(cbor2.dumps({**ENVELOPE, "result": within}))
+    assert (result.steps, result.seq, result.state_hash) == (2, 5, "abc")
+    assert (state.state_hash, state.n) == ("abc", 2)
 
 
 @pytest.mark.parametrize(
@@ -118,7 +121,7 @@ def test_a_state_without_a_column_or_cut_short_is_refused() -> None:
         with pytest.raises(jostle.Internal):
             read_state(wrong)
     with pytest.raises(jostle.Internal):
-        read_state_reply(cbor2.dumps({"result": {"state_hash": "abc"}}))
+        read_step_reply(cbor2.dumps({**ENVELOPE, "result": {"steps": 2, "state_hash": "abc"}}))
 
 
 @pytest.mark.parametrize(

@@ -34,7 +34,12 @@ def describe(name: str, thing: object) -> Iterator[str]:
         elif typing.is_typeddict(thing):
             for key, annotation in thing.__annotations__.items():
                 yield f"    {key}: {getattr(annotation, '__forward_arg__', annotation)}"
-        for member, value in sorted(vars(thing).items()):
+        members = dict(vars(thing))
+        for base in thing.__mro__:
+            # What a class has from one of the package's that is not public is its own.
+            if base.__module__.startswith("jostle.") and base.__name__ not in jostle.__all__:
+                members = {**vars(base), **members}
+        for member, value in sorted(members.items()):
             if member.startswith("_"):
                 continue
             if isinstance(value, property):

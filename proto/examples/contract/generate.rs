@@ -65,7 +65,10 @@ fn examples() -> io::Result<Examples> {
     let mut examples = Examples::new();
     for (message, variant, text) in fixtures()? {
         let payload: Value = serde_json::from_str(&text)?;
-        examples.entry(message).or_default().push((variant, payload));
+        examples
+            .entry(message)
+            .or_default()
+            .push((variant, payload));
     }
     Ok(examples)
 }
@@ -82,7 +85,8 @@ fn with_tables(readme: &str) -> String {
 
 /// The table of keys.
 fn keys() -> String {
-    let mut table = "| key below the prefix | how | message | what |\n|---|---|---|---|\n".to_owned();
+    let mut table =
+        "| key below the prefix | how | message | what |\n|---|---|---|---|\n".to_owned();
     for channel in CHANNELS {
         let (how, message) = match channel.kind {
             ChannelKind::Published(message) => ("published", format!("`{message}`")),

@@ -24,16 +24,20 @@ impl<'a> Walk<'a> {
         }
     }
 
-    /// The schema that is meant and what it is called. A definition is the same thing wherever it
-    /// is used, but what is asked for may differ from what is told.
+    /// The schema that is meant and what it is called. A type is the same thing wherever it is
+    /// used, but what is asked for may differ from what is told.
     fn resolve(&self, schema: &'a Value, place: &str) -> (&'a Value, String) {
-        match schema["$ref"].as_str() {
-            Some(name) => {
+        let direction = match self.message.ends_with(".args") {
+            true => "asked",
+            false => "told",
+        };
+        match (schema["$ref"].as_str(), schema["title"].as_str()) {
+            (Some(name), _) => {
                 let name = name.trim_start_matches("#/$defs/");
-                let direction = if self.message.ends_with(".args") { "asked" } else { "told" };
                 (&self.definitions[name], format!("{direction} {name}"))
             }
-            None => (schema, place.to_owned()),
+            (None, Some(title)) => (schema, format!("{direction} {title}")),
+            (None, None) => (schema, place.to_owned()),
         }
     }
 
@@ -94,7 +98,9 @@ impl<'a> Walk<'a> {
 
     fn is_of(&self, variant: &Value, value: &Value) -> bool {
         let mut alone = variant.clone();
-        alone["$defs"] = self.definitions.clone();
+        if self.definitions.is_object() {
+            alone["$defs"] = self.definitions.clone();
+        }
         jsonschema::is_valid(&alone, value)
     }
 }

@@ -11,7 +11,11 @@ const COMMAND: &str = "cargo run --release -p jostle-proto --example contract";
 fn generated_files_are_up_to_date() {
     for (path, text) in files().unwrap() {
         let there = fs::read_to_string(folder().join(&path)).unwrap_or_default();
-        assert!(there == text, "{} is out of date: run {COMMAND}", path.display());
+        assert!(
+            there == text,
+            "{} is out of date: run {COMMAND}",
+            path.display()
+        );
     }
 }
 
@@ -21,6 +25,10 @@ fn no_schema_is_left_of_a_message_that_is_gone() {
     for entry in fs::read_dir(folder().join("schema")).unwrap() {
         let path = entry.unwrap().path();
         let below = path.strip_prefix(folder()).unwrap();
-        assert!(made.contains(below), "{} is of no message: run {COMMAND}", path.display());
+        assert!(
+            made.contains(below),
+            "{} is of no message: run {COMMAND}",
+            path.display()
+        );
     }
 }

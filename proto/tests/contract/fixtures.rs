@@ -64,7 +64,10 @@ fn every_fixture_reads_into_its_type_and_nothing_is_dropped() {
         let back = written_back(message, &text).unwrap_or_else(|it| panic!("{variant}: {it}"));
         if is_asked(message) {
             // What was left out comes back as its default.
-            assert!(holds(&back, &given), "{message} {variant}: {given} came back as {back}");
+            assert!(
+                holds(&back, &given),
+                "{message} {variant}: {given} came back as {back}"
+            );
             let again = written_back(message, &back.to_string()).unwrap();
             assert_eq!(back, again, "{message} {variant}");
         } else {
@@ -145,9 +148,11 @@ fn states_in_cbor_are_those_in_json_to_the_bit() {
     assert_eq!(state.to_cbor(), bytes);
 
     let bytes = read("step.reply.state.cbor");
-    let reply: Reply<StepResult> =
-        serde_json::from_slice(&read("step.reply.state.json")).unwrap();
-    assert_eq!(ciborium::from_reader::<Reply<StepResult>, _>(&bytes[..]).unwrap(), reply);
+    let reply: Reply<StepResult> = serde_json::from_slice(&read("step.reply.state.json")).unwrap();
+    assert_eq!(
+        ciborium::from_reader::<Reply<StepResult>, _>(&bytes[..]).unwrap(),
+        reply
+    );
     assert_eq!(to_cbor(&reply), bytes);
 }
 

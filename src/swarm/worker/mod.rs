@@ -284,7 +284,7 @@ impl Worker {
             parameters: simulation.state.parameters,
             publish_every: simulation.publish_every,
             seed: simulation.state.seed,
-            scheduled: self.schedule.len(),
+            scheduled: self.schedule.count(),
             configuration: simulation.state.configuration.clone(),
             order: simulation.order(),
             means: simulation.means,

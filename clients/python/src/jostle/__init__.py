@@ -16,6 +16,7 @@ counter-clockwise from +x. Everything raised on purpose is a `JostleError`.
 """
 
 from ._arguments import (
+    Pose,
     Region,
     Select,
     count,
@@ -24,14 +25,18 @@ from ._arguments import (
     fraction,
     given,
     ids,
+    poses,
     within,
 )
+from ._changes import Change, Inform, Inject, Remove, Set, Uninform
 from ._client import Client, connect
+from ._commands import Options
 from ._errors import (
     AlreadyExists,
     Busy,
     Conflict,
     DeadlineExceeded,
+    ErrorMessage,
     Faulted,
     IncorrectState,
     Internal,
@@ -43,64 +48,76 @@ from ._errors import (
     StorageFull,
     Unavailable,
 )
+from ._events import Event, JournalEntry
 from ._messages import (
+    BatchResult,
     Certificate,
-    Disc,
-    Event,
-    Given,
-    Hello,
+    Changed,
     IdsResult,
-    Limits,
-    NodeStatus,
     Order,
     OrderSample,
+    Parameter,
     ParameterValues,
     Phase,
     Reply,
     ResetResult,
     RunResult,
+    Scheduled,
     SetResult,
-    Spec,
     Status,
     StepResult,
-    SwarmSummary,
 )
+from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
+from ._spec import Disc, Given, Spec
 from ._state import State
 from ._stream import Stream
-from ._swarm import Options, Swarm
+from ._swarm import Swarm
 
 __all__ = [
     "AlreadyExists",
+    "BatchResult",
     "Busy",
     "Certificate",
+    "Change",
+    "Changed",
     "Client",
     "Conflict",
     "DeadlineExceeded",
     "Disc",
+    "ErrorMessage",
     "Event",
     "Faulted",
     "Given",
     "Hello",
     "IdsResult",
     "IncorrectState",
+    "Inform",
+    "Inject",
     "Internal",
     "InvalidArgument",
     "JostleError",
+    "JournalEntry",
     "Limits",
     "NodeStatus",
     "NotFound",
     "Options",
     "Order",
     "OrderSample",
+    "Parameter",
     "ParameterValues",
     "PermissionDenied",
     "Phase",
+    "Pose",
     "Region",
+    "Remove",
     "Reply",
     "ResetResult",
     "ResourceExhausted",
     "RunResult",
+    "Scheduled",
+    "Schemas",
     "Select",
+    "Set",
     "SetResult",
     "Spec",
     "State",
@@ -111,6 +128,7 @@ __all__ = [
     "Swarm",
     "SwarmSummary",
     "Unavailable",
+    "Uninform",
     "connect",
     "count",
     "disc",
@@ -118,5 +136,6 @@ __all__ = [
     "fraction",
     "given",
     "ids",
+    "poses",
     "within",
 ]

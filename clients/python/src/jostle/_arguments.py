@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ._errors import InvalidArgument
-from ._messages import Disc, Given
+from ._spec import Disc, Given
 
 _NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,63}")
 _MAX_LABEL_BYTES = 256
@@ -49,6 +49,14 @@ class Region(TypedDict):
     x: float
     y: float
     radius: float
+
+
+class Pose(TypedDict):
+    """Where a body is: absolute position, body sizes, and heading, radians from +x."""
+
+    x: float
+    y: float
+    alpha: float
 
 
 class Within(TypedDict):
@@ -142,8 +150,11 @@ def _column(name: str, values: ArrayLike) -> list[float]:
     return cast("list[float]", column.tolist())
 
 
-def poses(rows: ArrayLike) -> list[dict[str, float]]:
-    """Rows of x, y, alpha, shape (m, 3), as the wire has them.
+def poses(rows: ArrayLike) -> list[Pose]:
+    """Where bodies are to be, one row each, for `jostle.Inject(at=…)`.
+
+    Args:
+        rows: x, y, alpha: shape (m, 3), absolute positions in body sizes, headings in radians.
 
     Raises:
         InvalidArgument: They are of another shape, or no numbers.
@@ -176,6 +187,19 @@ def whole(what: str, number: SupportsIndex) -> int:
         ) from error
 
 
+def whole_from_0(what: str, number: SupportsIndex) -> int:
+    """Returns `number` as an int, if it is whole and not below 0.
+
+    Raises:
+        InvalidArgument: It is not.
+    """
+    if whole(what, number) < 0:
+        raise InvalidArgument(
+            f"{what} is {number}, but must not be below 0", details={"field": what}
+        )
+    return whole(what, number)
+
+
 def check_name(what: str, name: str) -> str:
     """Returns `name` if it may name a swarm or a node.
 
@@ -196,11 +220,12 @@ def check_label(what: str, label: str) -> str:
     """Returns `label` if a request may bear it.
 
     Raises:
-        InvalidArgument: It is longer than 256 bytes.
+        InvalidArgument: It is no text, empty, or longer than 256 bytes.
     """
-    if len(label.encode()) > _MAX_LABEL_BYTES:
+    if not isinstance(label, str) or not 0 < len(label.encode()) <= _MAX_LABEL_BYTES:
         raise InvalidArgument(
-            f"{what} is longer than {_MAX_LABEL_BYTES} bytes", details={"field": what}
+            f"{what} is {str(label)[:40]!r}, but must be a text of 1 to {_MAX_LABEL_BYTES} bytes",
+            details={"field": what},
         )
     return label
 
@@ -211,7 +236,9 @@ def check_seconds(what: str, seconds: float) -> float:
     Raises:
         InvalidArgument: They are not finite, or not above 0.
     """
-    if not isinstance(seconds, SupportsFloat) or not 0.0 < float(seconds) < math.inf:
+    # Lock-step comes by here thousands of times a second, and a protocol is slow to look at: last.
+    is_number = isinstance(seconds, float | int | SupportsFloat)
+    if not is_number or not 0.0 < float(seconds) < math.inf:
         raise InvalidArgument(
             f"{what} is {seconds!r}, but must be finite seconds above 0", details={"field": what}
         )

@@ -9,8 +9,11 @@ from typing import Any, Self, TypeVar
 
 from ._arguments import check_label, check_name, check_seconds
 from ._errors import InvalidArgument, Unavailable
-from ._link import Link, open_session
-from ._messages import WIRE_VERSION, Hello, NodeStatus, Spec, Swarms, SwarmSummary, read_reply
+from ._link import GRACE_SECS, Link, open_session
+from ._messages import CreateResult
+from ._node import WIRE_VERSION, Hello, NodeStatus, Schemas, Swarms, SwarmSummary
+from ._reading import read_reply
+from ._spec import Spec
 from ._swarm import Swarm
 
 T = TypeVar("T")
@@ -33,7 +36,8 @@ def connect(
             else that.
         node: The daemon's name; None is the one that answers, if it is only one.
         prefix: The first part of every key, as the daemon is configured.
-        client: Who commands say they are from; others see it in events. None is made up.
+        client: Who commands say they are from; others see it in events, and a daemon remembers
+            each client's `request_id`s apart. None is made up from the process's id.
         timeout: Seconds that connecting, and every command after it, may take unless it says
             otherwise.
 
@@ -65,9 +69,8 @@ def connect(
 
 def _greet(link: Link, node: str | None) -> Hello:
     """Finds out who is at the other end."""
-    answers = link.ask_all(
-        link.node_key("*" if node is None else node, "get/hello"), timeout=link.timeout
-    )
+    key = link.node_key("*" if node is None else node, "get/hello")
+    answers = link.ask_all(key, link.timeout + GRACE_SECS)
     hellos = [read_reply(answer, Hello) for answer in answers]
     if not hellos:
         raise _nobody(link, node)
@@ -134,6 +137,7 @@ class Client:
         *,
         exist_ok: bool = False,
         timeout: float | None = None,
+        request_id: str | None = None,
     ) -> Swarm:
         """Creates a swarm, paused.
 
@@ -142,6 +146,7 @@ class Client:
             spec: What it is made from, such as `Spec(n=50, seed=1)` or `{"n": 50, "seed": 1}`.
             exist_ok: Take a swarm of that name with an equal spec as it is.
             timeout: Seconds it may take; None is the client's.
+            request_id: What to call it, see `Options`; None is a new one.
 
         Raises:
             AlreadyExists: The name is taken.
@@ -151,7 +156,8 @@ class Client:
         swarm = Swarm(self._link, name)
         args = {"name": name, "spec": spec, "exist_ok": exist_ok}
         key = self._link.node_key(self._node, "cmd/create")
-        self._link.command(key, args, swarm=None, timeout=timeout)
+        payload = self._link.command(key, args, swarm=None, timeout=timeout, request_id=request_id)
+        read_reply(payload, CreateResult)
         return swarm
 
     def swarm(self, name: str) -> Swarm:
@@ -170,6 +176,10 @@ class Client:
         """How the daemon fares."""
         return self._get("status", NodeStatus)
 
+    def schema(self) -> Schemas:
+        """The JSON Schema of every message, as the daemon speaks it."""
+        return self._get("schema", Schemas)
+
     def close(self) -> None:
         """Ends every stream and the connection; harmless when done already."""
         self._link.close()
@@ -187,4 +197,4 @@ class Client:
 
     def _get(self, noun: str, kind: type[T]) -> T:
         key = self._link.node_key(self._node, f"get/{noun}")
-        return read_reply(self._link.ask(key, swarm=None, timeout=self._link.timeout), kind)
+        return read_reply(self._link.get(key, swarm=None), kind)

@@ -2,9 +2,26 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
+
+import msgspec
+
+
+class ErrorMessage(msgspec.Struct, frozen=True, kw_only=True):
+    """An error as the wire has it: what an answer raises, and what an event tells as `error`.
+
+    Attributes:
+        code: The kind of error, such as `conflict`.
+        message: For people: what is wrong and what to do.
+        details: For programs, such as `field` and `range`; may be empty.
+        step: The swarm's step when it happened; None if it was about no swarm.
+    """
+
+    code: str
+    message: str
+    details: dict[str, Any]
+    step: int | None = None
 
 
 class JostleError(Exception):
@@ -63,13 +80,13 @@ class ResourceExhausted(JostleError):
 
 
 class Busy(JostleError):
-    """Too much at once; try again."""
+    """Too much at once, and still so after asking again until the deadline."""
 
     code = "busy"
 
 
 class Conflict(JostleError):
-    """The swarm is not at the step or epoch that the request expects."""
+    """The swarm is not at the step or epoch that is expected, or a request's id is taken."""
 
     code = "conflict"
 
@@ -136,16 +153,10 @@ def read_error(payload: bytes) -> JostleError | None:
     older client can meet a newer daemon.
     """
     try:
-        fields = json.loads(payload)
-    except ValueError:
+        said = msgspec.json.decode(payload, type=ErrorMessage)
+    except msgspec.DecodeError:
         return None
-    if not isinstance(fields, dict) or not isinstance(fields.get("code"), str):
-        return None
-    code = fields["code"]
-    error = _BY_CODE.get(code, JostleError)(
-        str(fields.get("message", code)),
-        details=fields.get("details"),
-        step=fields.get("step"),
-    )
-    error.code = code
+    kind = _BY_CODE.get(said.code, JostleError)
+    error = kind(said.message, details=said.details, step=said.step)
+    error.code = said.code
     return error

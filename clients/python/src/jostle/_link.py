@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING, Any, SupportsIndex
 
 import zenoh
 
-from ._arguments import to_json
+from ._arguments import check_label, check_seconds, to_json
 from ._errors import (
+    Busy,
     InvalidArgument,
     JostleError,
     NotFound,
@@ -24,6 +25,7 @@ from ._errors import (
     Unavailable,
     read_error,
 )
+from ._patience import Patience
 
 if TYPE_CHECKING:
     from ._stream import Stream
@@ -31,9 +33,14 @@ if TYPE_CHECKING:
 GRACE_SECS = 2.0
 """How much longer than the daemon's own deadline an answer is waited for, seconds."""
 
+# A command not answered for this long is sent again beside it, and then after twice as long each
+# time: zenoh loses a query that is sent while its connection breaks.
+_FIRST_LISTEN_SECS = 1.0
+_LONGEST_LISTEN_SECS = 30.0
+# A lost connection with a daemon that is still there is made again within this time.
+_RETURN_SECS = 2.0
+_LOOK_AGAIN_SECS = 0.02
 _LIVELINESS_SECS = 2.0
-# zenoh's own framing counts against the limit too; a key has at most 64 + 64 bytes and a prefix.
-_FRAMING_BYTES = 4096
 _JOIN_SECS = 1.0
 
 _open_links: weakref.WeakSet[Link] = weakref.WeakSet()
@@ -116,32 +123,111 @@ class Link:
         args: dict[str, Any],
         *,
         swarm: str | None,
+        at_step: SupportsIndex | None = None,
         expect_step: SupportsIndex | None = None,
         expect_epoch: SupportsIndex | None = None,
         timeout: float | None = None,
+        request_id: str | None = None,
     ) -> bytes:
-        """Has a verb executed and returns the answer's payload.
+        """Has a verb executed, once, and returns the answer's payload.
+
+        When the answer is lost or the daemon is busy the same request is sent again: under the
+        same id the daemon carries it out only if it has not yet.
 
         `swarm` is whom `key` is about; None if it is about a daemon.
 
         Raises:
             JostleError: The daemon's own error, or what its silence means.
         """
-        seconds = self.timeout if timeout is None else timeout
+        seconds = self.timeout if timeout is None else check_seconds("timeout", timeout)
+        if request_id is not None:
+            check_label("request_id", request_id)
         request = {
-            "request_id": str(uuid.uuid4()),
+            "request_id": uuid.uuid4().hex if request_id is None else request_id,
             "client": self.client,
+            "at_step": at_step,
             "expect_step": expect_step,
             "expect_epoch": expect_epoch,
             "timeout_secs": seconds,
             "args": args,
         }
-        payload = to_json({name: value for name, value in request.items() if value is not None})
+        request = {name: value for name, value in request.items() if value is not None}
+        began = time.monotonic()
+        before = self._connected() or self._await_connection(seconds)
+        listen = _FIRST_LISTEN_SECS if seconds > _FIRST_LISTEN_SECS else seconds + GRACE_SECS
+        try:
+            return self._ask(key, swarm, listen, self._write(request), before)
+        except (Busy, Unavailable) as error:
+            # What lock-step sends thousands of times a second needs none of this.
+            patience = Patience(began, seconds, self.timeout)
+            return self._ask_again(key, swarm, request, before, patience, error)
+
+    def _ask_again(
+        self,
+        key: str,
+        swarm: str | None,
+        request: dict[str, Any],
+        before: frozenset[str],
+        patience: Patience,
+        trouble: JostleError,
+    ) -> bytes:
+        """Sends a command again until it is answered, after `trouble` with its first sending."""
+        listen = _FIRST_LISTEN_SECS
+        while True:
+            if not trouble.details.get("is_late"):
+                wait = patience.pause(trouble)
+            elif (wait := patience.remaining) > 0.0:
+                # It may take its time, which is no trouble.
+                patience.recover()
+                listen = min(2.0 * listen, _LONGEST_LISTEN_SECS)
+            else:
+                raise self._late(patience.elapsed) from trouble
+            # Another daemon, even of the same name, knows nothing of what was carried out.
+            if isinstance(trouble, Unavailable) and (
+                not before or self._await_connection(wait) != before
+            ):
+                raise self.gone() from trouble
+            # A daemon takes no deadline that is over.
+            remaining = max(patience.remaining, 0.001)
+            payload = self._write({**request, "timeout_secs": remaining})
+            listen_now = listen if remaining > listen else remaining + GRACE_SECS
+            try:
+                return self._ask(key, swarm, listen_now, payload, before)
+            except (Busy, Unavailable) as error:
+                trouble = error
+
+    def get(self, selector: str, *, swarm: str | None, timeout: float | None = None) -> bytes:
+        """Asks something that changes nothing and returns the answer's payload.
+
+        When the daemon is busy it is asked again.
+
+        Raises:
+            JostleError: The daemon's own error, or what its silence means.
+        """
+        seconds = self.timeout if timeout is None else timeout
+        before = self._connected()
+        patience: Patience | None = None
+        while True:
+            try:
+                return self._ask(selector, swarm, seconds + GRACE_SECS, None, before)
+            except Busy as error:
+                patience = patience or Patience(time.monotonic(), seconds, self.timeout)
+                patience.pause(error)
+
+    def _await_connection(self, seconds: float) -> frozenset[str]:
+        """Who is connected, waiting a little for a connection that is being made again."""
+        give_up = time.monotonic() + min(seconds, _RETURN_SECS)
+        while not (connected := self._connected()) and time.monotonic() < give_up:
+            time.sleep(_LOOK_AGAIN_SECS)
+        return connected
+
+    def _write(self, request: dict[str, Any]) -> bytes:
+        payload = to_json(request)
         limit = self.max_message_bytes
-        if limit is not None and len(payload) + _FRAMING_BYTES > limit:
-            # The daemon's transport drops it without a word, which would look like silence.
+        if limit is not None and len(payload) > limit:
+            # One much longer is dropped by the transport without a word, which is like silence.
             raise ResourceExhausted(
-                f"the request has {len(payload)} bytes and the daemon takes messages of at most "
+                f"the request has {len(payload)} bytes and the daemon takes requests of at most "
                 f"{limit} (max_message_bytes): send less at once",
                 details={
                     "limit": "max_message_bytes",
@@ -149,30 +235,34 @@ class Link:
                     "got": len(payload),
                 },
             )
-        return self.ask(key, swarm=swarm, timeout=seconds, payload=payload)
+        return payload
 
-    def ask(
-        self, selector: str, *, swarm: str | None, timeout: float, payload: bytes | None = None
+    def _ask(
+        self,
+        selector: str,
+        swarm: str | None,
+        listen_secs: float,
+        payload: bytes | None,
+        before: frozenset[str],
     ) -> bytes:
-        """Sends a query and returns the first answer's payload.
+        """Sends a query once and returns the first answer's payload.
 
         Raises:
             JostleError: The daemon's own error, or what its silence means.
         """
-        before = self._connected()
-        for answer in self.ask_all(selector, timeout=timeout, payload=payload):
+        for answer in self.ask_all(selector, listen_secs, payload):
             return answer
         error = self.explain_silence(swarm, before)
         if not isinstance(error, PermissionDenied):
             raise error
         # A connection just made again does not know the daemon's keys yet, and then sends
         # nothing. By now it does; what was refused is refused again.
-        for answer in self.ask_all(selector, timeout=timeout, payload=payload):
+        for answer in self.ask_all(selector, listen_secs, payload):
             return answer
         raise self.explain_silence(swarm, before)
 
     def ask_all(
-        self, selector: str, *, timeout: float, payload: bytes | None = None
+        self, selector: str, listen_secs: float, payload: bytes | None = None
     ) -> list[bytes]:
         """Sends a query and returns every answer's payload; none if nobody answers.
 
@@ -185,7 +275,7 @@ class Link:
                 selector,
                 payload=payload,
                 encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
-                timeout=timeout + GRACE_SECS,
+                timeout=listen_secs,
                 consolidation=zenoh.ConsolidationMode.NONE,
             )
         except zenoh.ZError as error:
@@ -195,11 +285,16 @@ class Link:
             if reply.ok is not None:
                 answers.append(reply.ok.payload.to_bytes())
             elif reply.err is not None:
-                raise read_error(reply.err.payload.to_bytes()) or Unavailable(
-                    f"the daemon at {self.endpoint} is connected but gave no answer within "
-                    f"{time.monotonic() - began:.1f} s; what was asked of it may still happen"
-                )
+                said = read_error(reply.err.payload.to_bytes())
+                raise self._late(time.monotonic() - began) if said is None else said
         return answers
+
+    def _late(self, seconds: float) -> Unavailable:
+        return Unavailable(
+            f"the daemon at {self.endpoint} is connected but gave no answer within "
+            f"{seconds:.1f} s; what was asked of it may still happen",
+            details={"is_late": True},
+        )
 
     def alive(self, key: str) -> list[str]:
         """The liveliness tokens that stand on `key`.

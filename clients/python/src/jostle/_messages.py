@@ -1,81 +1,23 @@
-"""What crosses the wire as JSON, as msgspec structs.
+"""What swarms answer, as msgspec structs.
 
 Unknown fields in what a daemon sends are ignored, so that this version can read a newer daemon.
 Unless said otherwise lengths are in body sizes, speeds in free speeds, times in their quotient,
 and angles are in radians, counter-clockwise from +x.
+
+The wire puts what was asked for into `result`, within what every answer tells; here both are the
+fields of one struct, which `_reading` makes of them.
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal
 
 import msgspec
 
-from ._errors import Internal
-
-WIRE_VERSION = 1
-"""The version of the contract this package speaks."""
+from ._spec import Spec
 
 Phase = Literal["paused", "running", "faulted"]
 """What a swarm is doing: standing still, stepping, or stopped by a step that failed."""
-
-
-class Disc(msgspec.Struct, frozen=True, tag_field="kind", tag="disc"):
-    """A start: uniformly in a disc, one after the other, none overlapping an earlier one.
-
-    Attributes:
-        radius: Of the disc, body sizes; None is √n, at least 1.
-    """
-
-    radius: float | None = None
-
-
-class Given(msgspec.Struct, frozen=True, tag_field="kind", tag="given"):
-    """A start: exactly there, to the bit. `jostle.given` makes one from arrays.
-
-    Attributes:
-        x: Absolute positions, body sizes, n of them.
-        y: Absolute positions, body sizes, n of them.
-        alpha: Headings in radians, n of them.
-    """
-
-    x: list[float]
-    y: list[float]
-    alpha: list[float]
-
-
-class Spec(msgspec.Struct, frozen=True, kw_only=True):
-    """What a swarm is made from: same spec, same seed, same bytes.
-
-    Attributes:
-        n: The number of individuals at the start: 1 to the daemon's limit.
-        pi1: Length over width of a body: 1 (a disc) to 32.
-        pi2: Weight of individuals informed without a weight: 0 or more.
-        pi3: Body size over turning radius: above 0.
-        pi4: Translational over rotational drag: above 0.
-        dt: The time step: above 0, and short enough that no body is carried across another.
-        contacts: Which of a pair's contacts constrain it.
-        seed: The seed of every draw: 0 to 2⁵³ - 1.
-        start: Where the individuals begin.
-        attraction: What an individual turns towards.
-        noise: Intensity of the noise on the turning rate.
-        publish_every: Steps between two published states: 1 or more.
-        rate: Time units per second of wall clock; None is as fast as possible.
-    """
-
-    n: int
-    pi1: float = 4.0
-    pi2: float = 0.5
-    pi3: float = 1.0
-    pi4: float = 10.0
-    dt: float = 0.02
-    contacts: str = "endpoints"
-    seed: int = 0
-    start: Disc | Given = Disc()
-    attraction: dict[str, Any] = msgspec.field(default_factory=lambda: {"kind": "all"})
-    noise: float = 0.0
-    publish_every: int = 5
-    rate: float | None = 1.0
 
 
 class Order(msgspec.Struct, frozen=True, kw_only=True):
@@ -151,6 +93,33 @@ class Reply(msgspec.Struct, frozen=True, kw_only=True):
     seq: int
 
 
+class Scheduled(Reply, frozen=True, kw_only=True):
+    """A command that waits for its step, as one does whose `at_step` lies ahead.
+
+    When its step comes an event `command` of the same `request_id` tells that it was carried out,
+    or one `refused` why it was not.
+
+    Attributes:
+        applies_at_step: The step it will be carried out at.
+    """
+
+    applies_at_step: int
+
+
+class CreateResult(Reply, frozen=True, kw_only=True):
+    """What `create` did.
+
+    Attributes:
+        created: False if an equal swarm was there already.
+        spec: What it is made from, every default filled in.
+        state_hash: BLAKE3 of the state, in hexadecimal.
+    """
+
+    created: bool
+    spec: Spec
+    state_hash: str
+
+
 class RunResult(Reply, frozen=True, kw_only=True):
     """How a swarm now runs.
 
@@ -213,6 +182,36 @@ class IdsResult(Reply, frozen=True, kw_only=True):
     n: int
 
 
+class Changed(msgspec.Struct, frozen=True, kw_only=True):
+    """What one change of a `batch` came to; what is not of its verb is None.
+
+    Attributes:
+        verb: `set`, `inform`, `uninform`, `inject` or `remove`.
+        before: For `set`: the values before.
+        now: For `set`: the values now.
+        scaled_by: For `set`: by how much positions were scaled to make room; 1 if not at all.
+        ids: For the others: the ids of those it was about, ascending.
+        n: For the others: the size of the group after it.
+    """
+
+    verb: str
+    before: ParameterValues | None = None
+    now: ParameterValues | None = None
+    scaled_by: float | None = None
+    ids: list[int] | None = None
+    n: int | None = None
+
+
+class BatchResult(Reply, frozen=True, kw_only=True):
+    """What a `batch` came to; `seq` has grown by the number of its changes.
+
+    Attributes:
+        results: One for each change, in their order.
+    """
+
+    results: list[Changed]
+
+
 class Status(Reply, frozen=True, kw_only=True):
     """What a swarm is and does.
 
@@ -226,6 +225,7 @@ class Status(Reply, frozen=True, kw_only=True):
         seed: The seed of every draw.
         dt: The time step.
         parameters: Those that may change while it lives.
+        scheduled: How many commands wait for their step.
         state_hash: BLAKE3 of the state, in hexadecimal.
         order: Order and drift.
         certificate: How exact the state is.
@@ -240,9 +240,50 @@ class Status(Reply, frozen=True, kw_only=True):
     seed: int
     dt: float
     parameters: ParameterValues
+    scheduled: int
     state_hash: str
     order: Order
     certificate: Certificate
+
+
+class Parameter(msgspec.Struct, frozen=True, kw_only=True):
+    """A parameter of a swarm, with all that a form or a slider needs.
+
+    Attributes:
+        name: Its name in the spec.
+        doc: What it means, in a line.
+        unit: Its unit; `1` if it has none.
+        kind: What values it takes: `number`, `integer` or `choice`.
+        minimum: The least value; None if there is none.
+        exclusive_minimum: What it must be above; None if nothing.
+        maximum: The largest value as things are; None if there is none.
+        choices: The values of a choice; empty otherwise.
+        nullable: Whether None is a value.
+        default: What it is if left out; None if it must be given.
+        value: What it is now.
+        live: Whether it may change while the swarm lives.
+        changed_by: The verbs that change it.
+    """
+
+    name: str
+    doc: str
+    unit: str
+    kind: str
+    minimum: float | None = None
+    exclusive_minimum: float | None = None
+    maximum: float | None = None
+    choices: list[Any]
+    nullable: bool
+    default: Any = None
+    value: Any = None
+    live: bool
+    changed_by: list[str]
+
+
+class Parameters(Reply, frozen=True, kw_only=True):
+    """All parameters of a swarm but its start, in the order of its spec."""
+
+    parameters: list[Parameter]
 
 
 class SpecReply(Reply, frozen=True, kw_only=True):
@@ -266,173 +307,3 @@ class OrderSample(msgspec.Struct, frozen=True, kw_only=True):
     certificate: Certificate
     rate: float | None = None
     real_time_factor: float | None = None
-
-
-class Event(msgspec.Struct, frozen=True, kw_only=True):
-    """Something that happened to a swarm.
-
-    Attributes:
-        swarm: The swarm's name.
-        number: Counts the swarm's events from 1; a gap tells that some were missed.
-        epoch: Grows whenever `step` does not continue what was published before.
-        step: The step it happened at.
-        time: `step · dt`.
-        phase: What the swarm does from then on.
-        kind: `created`, `phase`, `command`, `lapsed`, `fault` or `deleted`.
-        reason: Why, for `phase` and `fault`.
-        seq: For `command`: counts the swarm's applied commands.
-        verb: For `command`.
-        args: For `command`: its arguments as they came.
-        client: For `command`: who says to have sent it.
-        request_id: For `command`: what the sender called it.
-        ids: For `lapsed`: who is uninformed again, ascending.
-    """
-
-    swarm: str
-    number: int
-    epoch: int
-    step: int
-    time: float
-    phase: Phase
-    kind: str
-    reason: str | None = None
-    seq: int | None = None
-    verb: str | None = None
-    args: Any = None
-    client: str | None = None
-    request_id: str | None = None
-    ids: list[int] | None = None
-
-
-class Limits(msgspec.Struct, frozen=True, kw_only=True):
-    """What a daemon refuses to go beyond.
-
-    Attributes:
-        max_individuals: In one swarm.
-        max_swarms: At once.
-        max_memory_bytes: Of all swarms together.
-        max_message_bytes: The largest payload; larger ones vanish on the way.
-        max_hz: States published per second and swarm.
-    """
-
-    max_individuals: int
-    max_swarms: int
-    max_memory_bytes: int
-    max_message_bytes: int
-    max_hz: int
-
-
-class Hello(msgspec.Struct, frozen=True, kw_only=True):
-    """Who a daemon is.
-
-    Attributes:
-        node: Its name.
-        version: Its version.
-        wire_version: The version of the contract it speaks.
-        limits: What it refuses to go beyond.
-    """
-
-    node: str
-    version: str
-    wire_version: int
-    limits: Limits
-
-
-class NodeStatus(msgspec.Struct, frozen=True, kw_only=True):
-    """How a daemon fares.
-
-    Attributes:
-        node: Its name.
-        uptime_secs: Seconds since it started.
-        swarms: How many it hosts.
-        running: How many of them run.
-        faulted: How many of them faulted.
-        individuals: In all swarms together.
-        memory_bytes: Set aside for the swarms.
-        clients: Connected.
-    """
-
-    node: str
-    uptime_secs: float
-    swarms: int
-    running: int
-    faulted: int
-    individuals: int
-    memory_bytes: int
-    clients: int
-
-
-class SwarmSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """A swarm in a list; the fields mean what they mean in `Status`, `order` is that now."""
-
-    swarm: str
-    phase: Phase
-    reason: str | None = None
-    step: int
-    time: float
-    n: int
-    informed: int
-    order: float
-    rate: float | None = None
-    real_time_factor: float | None = None
-
-
-class Swarms(msgspec.Struct, frozen=True, kw_only=True):
-    """All that a daemon hosts, ordered by name."""
-
-    swarms: list[SwarmSummary]
-
-
-T = TypeVar("T")
-
-
-def read_reply(payload: bytes, kind: type[T]) -> T:
-    """Reads an answer: the fields of its `result` and of the envelope around it, as one struct.
-
-    Raises:
-        Internal: It is not what the contract says.
-    """
-    fields = read_json(payload, dict[str, Any])
-    result = fields.pop("result", None)
-    # No result has a field of the envelope's names; if one ever has, the envelope's stands.
-    return convert({**(result if isinstance(result, dict) else {}), **fields}, kind)
-
-
-def read_event(payload: bytes) -> Event:
-    """Reads an event, what happened beside when it happened.
-
-    Raises:
-        Internal: It is not what the contract says.
-    """
-    fields = read_json(payload, dict[str, Any])
-    event = fields.pop("event", None)
-    return convert({**(event if isinstance(event, dict) else {}), **fields}, Event)
-
-
-def read_json(payload: bytes, kind: type[T]) -> T:
-    """Reads JSON as `kind`.
-
-    Raises:
-        Internal: It is not what the contract says.
-    """
-    try:
-        return msgspec.json.decode(payload, type=kind)
-    except msgspec.DecodeError as error:
-        raise _unreadable(kind, error) from error
-
-
-def convert(fields: object, kind: type[T]) -> T:
-    """Reads what was decoded already as `kind`.
-
-    Raises:
-        Internal: It is not what the contract says.
-    """
-    try:
-        return msgspec.convert(fields, kind)
-    except msgspec.ValidationError as error:
-        raise _unreadable(kind, error) from error
-
-
-def _unreadable(kind: type[object], error: Exception) -> Internal:
-    name = getattr(kind, "__name__", str(kind))
-    return Internal(f"the daemon sent a {name} that cannot be read: {error}")

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import Any, Generic, TypeVar, cast
 
 import cbor2
 import msgspec
@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._errors import Internal
-from ._messages import Certificate, Order, OrderSample, Phase, convert
+from ._messages import Certificate, Order, OrderSample, Phase, StepResult
+from ._reading import convert
 
 ORIGIN_UNIT = 1024.0
 """An origin counts in units of so many body sizes."""
@@ -116,16 +117,18 @@ def read_state(payload: bytes) -> State:
     return _state(_read_map(payload))
 
 
-def read_state_reply(payload: bytes) -> State:
-    """Reads the state within the CBOR answer to `step`.
+def read_step_reply(payload: bytes) -> tuple[StepResult, State]:
+    """Reads the CBOR answer to `step`, and the state within it.
 
     Raises:
         Internal: It is not what the contract says.
     """
-    result = _read_map(payload).get("result")
-    if not isinstance(result, dict) or not isinstance(result.get("state"), dict):
+    fields = _read_map(payload)
+    within = fields.pop("result", None)
+    if not isinstance(within, dict) or not isinstance(within.get("state"), dict):
         raise Internal("the daemon's answer holds no state")
-    return _state(result["state"], result.get("state_hash"))
+    result = convert({**within, **fields}, StepResult)
+    return result, _state(within["state"], result.state_hash)
 
 
 def _read_map(payload: bytes) -> dict[str, Any]:
@@ -175,17 +178,43 @@ def _column(fields: Mapping[str, Any], name: str, tag: int, dtype: np.dtype[Any]
         raise Internal(f"the daemon sent a state whose {name!r} is cut short: {error}") from error
 
 
-class Newest:
-    """Lets nothing through that is older than what went before, and counts what was skipped."""
+S = TypeVar("S", bound=State | OrderSample)
 
-    def __init__(self) -> None:
+
+class FrameReader(Generic[S]):
+    """Lets nothing through that is older than what went before, and counts what was skipped.
+
+    `first` is asked what there is now, and `mark` notes how many frames were skipped before one.
+    """
+
+    def __init__(
+        self,
+        read: Callable[[bytes], S],
+        first: Callable[[], S | None],
+        mark: Callable[[S, int], S],
+    ) -> None:
+        self._read = read
+        self._ask_first = first
+        self._mark = mark
         self._position: tuple[int, int, int] | None = None
 
-    def admit(self, sample: State | OrderSample) -> int | None:
-        """How many published frames were skipped before `sample`; None if it is not newer."""
-        position = (sample.epoch, sample.step, sample.frame)
+    def first(self) -> list[S]:
+        """The frame there is now, if one is to come before those published."""
+        frame = self._ask_first()
+        return [] if frame is None else self._admit(frame)
+
+    def read(self, payload: bytes) -> list[S]:
+        """The frame in `payload`, unless a newer one has been seen."""
+        return self._admit(self._read(payload))
+
+    def look(self) -> list[S]:
+        """Nothing: a frame that was lost is as good as one that was skipped."""
+        return []
+
+    def _admit(self, frame: S) -> list[S]:
+        position = (frame.epoch, frame.step, frame.frame)
         if self._position is not None and position <= self._position:
-            return None
-        skipped = 0 if self._position is None else sample.frame - self._position[2] - 1
+            return []
+        skipped = 0 if self._position is None else frame.frame - self._position[2] - 1
         self._position = position
-        return max(0, skipped)
+        return [self._mark(frame, max(0, skipped))]

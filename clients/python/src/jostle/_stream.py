@@ -5,23 +5,40 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from types import TracebackType
-from typing import Generic, Self, TypeVar
+from typing import Generic, Protocol, Self, TypeVar
 
 import zenoh
 
 from ._arguments import check_seconds
 from ._errors import DeadlineExceeded, Internal, Unavailable
 from ._link import Link, listen
-from ._messages import read_event
+from ._reading import read_event
 
 T = TypeVar("T")
+T_co = TypeVar("T_co", covariant=True)
 
 # When a swarm's token goes without the event that says so, this is how long its daemon's token is
 # watched: a daemon that stops takes both away, one after the other.
 _FAREWELL_SECS = 1.0
 _LOOK_AGAIN_SECS = 0.05
+# What is published last may be lost without a later one that shows it: after such a silence it is
+# asked for.
+_SILENCE_SECS = 5.0
+
+
+class Reader(Protocol[T_co]):
+    """Makes what a swarm publishes into what a stream yields."""
+
+    def first(self) -> Iterable[T_co]:
+        """What comes before all that is published; called once the stream listens."""
+
+    def read(self, payload: bytes) -> Iterable[T_co]:
+        """What a payload brings."""
+
+    def look(self) -> Iterable[T_co]:
+        """What may have been missed in a silence."""
 
 
 class _Inbox:
@@ -90,17 +107,17 @@ class Stream(Generic[T]):
         link: Link,
         swarm: str,
         noun: str,
-        read: Callable[[bytes], T | None],
-        first: Callable[[], T | None],
+        reader: Reader[T],
         *,
         capacity: int,
         timeout: float | None,
     ) -> None:
         self._link = link
         self._swarm = swarm
-        self._read = read
+        self._reader = reader
         self._inbox = _Inbox(capacity)
-        self._first: T | None = None
+        self._ready: deque[T] = deque()
+        self._silent_since = time.monotonic()
         self._subscribers: list[zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]] = []
         self._timeout = None if timeout is None else check_seconds("timeout", timeout)
         inbox, session = self._inbox, link.session
@@ -121,7 +138,7 @@ class Stream(Generic[T]):
                 self._listen(samples, inbox.take_sample)
             # What was there before anything that will be published, asked for when nothing can be
             # missed any more. Nothing comes of a swarm that is not there, and this says so.
-            self._first = first()
+            self._ready.extend(reader.first())
         except zenoh.ZError as error:
             self.close()
             raise Unavailable(f"cannot subscribe to swarm {swarm!r}: {error}") from error
@@ -142,38 +159,42 @@ class Stream(Generic[T]):
         return self
 
     def __next__(self) -> T:
-        if self._first is not None:
-            first, self._first = self._first, None
-            return first
         deadline = None if self._timeout is None else time.monotonic() + self._timeout
         while True:
-            payload = self._take(deadline)
-            if payload is None:
+            # `close` puts another in its place, from whatever thread.
+            ready = self._ready
+            if ready:
+                return ready.popleft()
+            items = self._take(deadline)
+            if items is None:
                 self.close()
                 raise StopIteration
-            item = self._read(payload.to_bytes())
-            if item is not None:
-                return item
+            ready.extend(items)
 
-    def _take(self, deadline: float | None) -> zenoh.ZBytes | None:
-        """The next payload; None at the end."""
+    def _take(self, deadline: float | None) -> Iterable[T] | None:
+        """What comes next; None at the end."""
         inbox = self._inbox
         while True:
+            silence_ends = self._silent_since + _SILENCE_SECS
+            until = silence_ends if deadline is None else min(deadline, silence_ends)
             with inbox.changed:
-                remaining = None if deadline is None else deadline - time.monotonic()
-                news = inbox.changed.wait_for(inbox.has_news, remaining)
-                if inbox.closed:
+                news = inbox.changed.wait_for(inbox.has_news, until - time.monotonic())
+                if inbox.closed or (inbox.deleted and not inbox.payloads):
                     return None
-                if inbox.payloads:
-                    return inbox.payloads.popleft()
-                if inbox.deleted:
-                    return None
-            if not news:
+                payload = inbox.payloads.popleft() if inbox.payloads else None
+            if payload is not None:
+                self._silent_since = time.monotonic()
+                return self._reader.read(payload.to_bytes())
+            if news:
+                self._await_farewell()
+            elif time.monotonic() >= silence_ends:
+                self._silent_since = time.monotonic()
+                return self._reader.look()
+            elif deadline is not None and time.monotonic() >= deadline:
                 raise DeadlineExceeded(
                     f"swarm {self._swarm!r} published nothing within {self._timeout:g} s: "
                     "it may be paused"
                 )
-            self._await_farewell()
 
     def _await_farewell(self) -> None:
         """Finds out why the swarm's token went: deleted, back again, or its daemon is gone.
@@ -196,7 +217,7 @@ class Stream(Generic[T]):
 
     def close(self) -> None:
         """Stops listening; harmless when done already."""
-        self._first = None
+        self._ready = deque()
         self._inbox.close()
         subscribers, self._subscribers = self._subscribers, []
         for subscriber in subscribers:

@@ -1,0 +1,149 @@
+"""What a swarm can be asked: it changes nothing."""
+
+from __future__ import annotations
+
+import time
+from typing import SupportsIndex, overload
+
+from ._arguments import check_name, check_seconds, whole, whole_from_0
+from ._errors import DeadlineExceeded, Faulted, IncorrectState, InvalidArgument
+from ._events import Event, Journal, JournalEntry
+from ._history import mark_entry_gaps, mark_event_gaps, pages
+from ._link import Link
+from ._messages import Parameter, Parameters, Phase, SpecReply, Status
+from ._reading import read_events, read_json, read_reply
+from ._spec import Spec
+from ._state import State, read_state
+
+# The daemon holds a `get/wait` no longer than this; it is asked again until the caller's deadline.
+_HOLD_SECS = 30.0
+
+
+class Questions:
+    """The part of a `Swarm` that asks its daemon."""
+
+    def __init__(self, link: Link, name: str) -> None:
+        self._link = link
+        self._name = check_name("swarm", name)
+
+    @property
+    def name(self) -> str:
+        """The swarm's name."""
+        return self._name
+
+    def status(self) -> Status:
+        """What it is and does now."""
+        return read_reply(self._get("get/status"), Status)
+
+    def spec(self) -> Spec:
+        """What it was made from, with every default filled in."""
+        return read_json(self._get("get/spec"), SpecReply).result
+
+    def state(self) -> State:
+        """Its state now, never older than an answer already given."""
+        return read_state(self._get("state"))
+
+    def parameters(self) -> dict[str, Parameter]:
+        """Every parameter but the start, by name, in the order of the spec.
+
+        Each tells its value now, range, unit, default, and what changes it while the swarm lives.
+        """
+        reply = read_reply(self._get("get/parameters"), Parameters)
+        return {parameter.name: parameter for parameter in reply.parameters}
+
+    def history(self, after: SupportsIndex = 0) -> list[Event]:
+        """What happened to it, oldest first, as far back as its daemon remembers.
+
+        Args:
+            after: The number of the last event known already; 0 is none. What the daemon no
+                longer has is counted by `skipped` of the first event returned.
+
+        Raises:
+            InvalidArgument: `after` is no whole number, or below 0.
+        """
+        known = whole_from_0("after", after)
+        return mark_event_gaps(self._events_after(known)[0], known)
+
+    def journal(self, after: SupportsIndex = 0) -> list[JournalEntry]:
+        """The commands it applied, oldest first, as far back as its daemon remembers.
+
+        With its spec that is all that its present state comes from. The daemon remembers some
+        thousand of them.
+
+        Args:
+            after: Only commands of a higher `seq`. What the daemon no longer has is counted by
+                `skipped` of the first entry returned.
+
+        Raises:
+            InvalidArgument: `after` is no whole number, or below 0.
+        """
+
+        def ask(seq: int) -> tuple[list[JournalEntry], int]:
+            page = read_reply(self._get(f"get/journal?after={seq};limit=1000"), Journal)
+            return page.entries, page.newest
+
+        known = whole_from_0("after", after)
+        return mark_entry_gaps(pages(ask, lambda entry: entry.seq, known)[0], known)
+
+    @overload
+    def wait(self, *, step: SupportsIndex, timeout: float | None = None) -> Status: ...
+    @overload
+    def wait(self, *, phase: Phase, timeout: float | None = None) -> Status: ...
+    def wait(
+        self,
+        *,
+        step: SupportsIndex | None = None,
+        phase: Phase | None = None,
+        timeout: float | None = None,
+    ) -> Status:
+        """Waits until it has reached a step or entered a phase.
+
+        Args:
+            step: Return at this step or a later one.
+            phase: Return in this phase; exactly one of the two.
+            timeout: Seconds; None is however long it takes.
+
+        Raises:
+            DeadlineExceeded: Not within `timeout`.
+            Faulted: It faulted before `step`.
+            IncorrectState: It was paused before `step`, and gets no further by itself.
+        """
+        if (step is None) == (phase is None):
+            raise InvalidArgument("wait for a `step` or for a `phase`: exactly one of them")
+        target = None if step is None else whole("step", step)
+        condition = f"phase={phase}" if target is None else f"step={target}"
+        seconds = None if timeout is None else check_seconds("timeout", timeout)
+        deadline = None if seconds is None else time.monotonic() + seconds
+        while True:
+            hold = _HOLD_SECS if deadline is None else min(_HOLD_SECS, deadline - time.monotonic())
+            hold = max(hold, 0.001)
+            selector = f"get/wait?{condition};timeout_secs={hold:.3f}"
+            try:
+                status = read_reply(self._get(selector, timeout=hold), Status)
+            except DeadlineExceeded:
+                if deadline is not None and time.monotonic() >= deadline:
+                    raise
+                continue
+            if target is not None and status.step < target:
+                kind = Faulted if status.phase == "faulted" else IncorrectState
+                raise kind(
+                    f"swarm {self._name!r} is {status.phase} at step {status.step} and will not "
+                    f"reach step {target} by itself: {status.reason or 'no reason given'}",
+                    details={"phase": status.phase, "reason": status.reason},
+                    step=status.step,
+                )
+            return status
+
+    def _events_after(self, number: int) -> tuple[list[Event], int]:
+        """The events of higher numbers, and the newest number there is."""
+
+        def ask(after: int) -> tuple[list[Event], int]:
+            page = read_events(self._get(f"get/events?after={after};limit=1000"))
+            return page.events, page.newest
+
+        return pages(ask, lambda event: event.number, number)
+
+    def _get(self, rest: str, timeout: float | None = None) -> bytes:
+        return self._link.get(
+            self._link.swarm_key(self._name, rest), swarm=self._name, timeout=timeout
+        )

@@ -1,0 +1,263 @@
+"""What the tests of the contract share: its files, and which type of this package reads which."""
+
+from __future__ import annotations
+
+import inspect
+import json
+import types
+import typing
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+import jostle
+from jostle._events import Events, Journal
+from jostle._messages import CreateResult, Parameters, SpecReply
+from jostle._node import Swarms
+
+PROTO = Path(__file__).resolve().parents[3] / "proto"
+
+READ: dict[str, type[Any]] = {
+    "batch.reply": jostle.BatchResult,
+    "create.reply": CreateResult,
+    "delete.reply": jostle.Reply,
+    "error": jostle.ErrorMessage,
+    "event": jostle.Event,
+    "events.reply": Events,
+    "inform.reply": jostle.IdsResult,
+    "inject.reply": jostle.IdsResult,
+    "journal.reply": Journal,
+    "node.hello.reply": jostle.Hello,
+    "node.schema.reply": jostle.Schemas,
+    "node.status.reply": jostle.NodeStatus,
+    "node.swarms.reply": Swarms,
+    "order": jostle.OrderSample,
+    "parameters.reply": Parameters,
+    "pause.reply": jostle.Reply,
+    "remove.reply": jostle.IdsResult,
+    "reset.reply": jostle.ResetResult,
+    "run.reply": jostle.RunResult,
+    "scheduled.reply": jostle.Scheduled,
+    "set.reply": jostle.SetResult,
+    "spec.reply": SpecReply,
+    "state": jostle.State,
+    "status.reply": jostle.Status,
+    "step.reply": jostle.StepResult,
+    "uninform.reply": jostle.IdsResult,
+}
+"""What a daemon sends."""
+
+CHANGES: dict[str, type[Any]] = {
+    "inform.args": jostle.Inform,
+    "inject.args": jostle.Inject,
+    "remove.args": jostle.Remove,
+    "set.args": jostle.Set,
+    "uninform.args": jostle.Uninform,
+}
+"""What a `batch` takes several of."""
+
+
+def schemas() -> dict[str, dict[str, Any]]:
+    """Every schema of the contract, by the name of its message."""
+    return {
+        path.stem: json.loads(path.read_text(encoding="utf-8"))
+        for path in sorted((PROTO / "schema").glob("*.json"))
+    }
+
+
+def fixtures(suffix: str) -> list[tuple[str, Path]]:
+    """Every fixture of that suffix: the name of its message, and where it is."""
+    names = schemas()
+    found = []
+    for path in sorted((PROTO / "fixtures").glob(f"*.{suffix}")):
+        # Of a name such as `set.reply.make_room` the last part may be the variant.
+        (name,) = {path.stem, path.stem.rpartition(".")[0]} & names.keys()
+        found.append((name, path))
+    return found
+
+
+# Where the contract has one field and this package another way to the same thing.
+ADDED = {
+    ("event", "skipped"),  # Counted by the reader.
+    ("events.reply.events[]", "skipped"),
+    ("journal.reply.entries[]", "skipped"),
+    ("state", "skipped"),
+    ("state", "state_hash"),  # From the answer around the state.
+}
+ELSEWHERE = {
+    ("step.reply", "state"),  # `Swarm.step(state=True)` returns it.
+}
+# Any dictionary does, since so far there is one kind.
+LOOSE = {"spec.reply.result.attraction", "create.reply.spec.attraction"}
+LOOSE |= {"create.args.spec.attraction"}
+
+
+class Checker:
+    """Compares a type with a schema and collects what does not agree."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.is_asked = name == "request" or name.endswith(".args")
+        self.definitions = schemas()[name].get("$defs", {})
+        self.problems: list[str] = []
+
+    def resolve(self, schema: dict[str, Any]) -> dict[str, Any]:
+        """The schema that a reference stands for."""
+        while "$ref" in schema:
+            schema = self.definitions[schema["$ref"].removeprefix("#/$defs/")]
+        return schema
+
+    def fields(
+        self, schema: dict[str, Any], within: frozenset[str]
+    ) -> dict[str, tuple[dict[str, Any], bool]]:
+        """The fields of an object and whether each is required.
+
+        Those of several variants, and those inside the fields `within`, count as the object's own.
+        """
+        schema = self.resolve(schema)
+        variants = [self.fields(variant, within) for variant in schema.get("oneOf", [])]
+        if variants:
+            merged: dict[str, tuple[dict[str, Any], bool]] = {}
+            for name in {name: None for variant in variants for name in variant}:
+                having = [variant[name] for variant in variants if name in variant]
+                always = len(having) == len(variants) and all(needed for _, needed in having)
+                # Of several the one that may be null, as the field then is.
+                merged[name] = (max(having, key=lambda it: self.kind(it[0])[1])[0], always)
+                if len({self.kind(schema)[0] for schema, _ in having}) > 1:
+                    self.problems.append(f"{name} is not of one type in all variants")
+            return merged
+        own = {
+            name: (field, name in schema.get("required", []))
+            for name, field in schema.get("properties", {}).items()
+        }
+        for name in within & own.keys():
+            own |= self.fields(own.pop(name)[0], within)
+        return own
+
+    def kind(self, schema: dict[str, Any]) -> tuple[str | None, bool]:
+        """Its type without `null`, and whether `null` is allowed; None is any type."""
+        schema = self.resolve(schema)
+        if "anyOf" in schema:
+            (one,) = [s for s in schema["anyOf"] if s.get("type") != "null"]
+            return self.kind(one)[0], len(schema["anyOf"]) == 2
+        if "oneOf" in schema:
+            (one,) = {variant["type"] for variant in schema["oneOf"]}
+            return one, False
+        types_ = schema.get("type")
+        if types_ is None:
+            return None, True
+        if isinstance(types_, str):
+            return types_, False
+        (one,) = [kind for kind in types_ if kind != "null"]
+        return one, "null" in types_
+
+    def check_object(self, where: str, hint: Any, schema: dict[str, Any]) -> None:
+        """Compares every field of a struct with one of the schema, and the reverse."""
+        hints = typing.get_type_hints(hint)
+        needed = needed_fields(hint)
+        within = frozenset({"result", "event"} - needed.keys())
+        fields = self.fields(schema, within)
+        for name in fields.keys() - needed.keys():
+            if (where, name) not in ELSEWHERE:
+                self.problems.append(f"{where}.{name} has no field in {hint.__name__}")
+        for name in needed.keys() - fields.keys():
+            if (where, name) not in ADDED:
+                self.problems.append(f"{hint.__name__}.{name} is nothing of {where}")
+        for name in needed.keys() & fields.keys():
+            field, is_required = fields[name]
+            nullable = self.kind(field)[1] or (not is_required and "default" not in field)
+            at = f"{where}.{name}"
+            if needed[name] and not is_required:
+                self.problems.append(f"{at} may be left out, but not in {hint.__name__}")
+            may_default = not self.is_asked and (nullable or hint is jostle.Spec)
+            if is_required and not needed[name] and not may_default:
+                self.problems.append(f"{at} is required, but not in {hint.__name__}")
+            takes_none = type(None) in typing.get_args(hints[name]) or hints[name] is Any
+            if takes_none != nullable:
+                self.problems.append(f"{at}: None in the contract is {nullable}, not {takes_none}")
+            self.check(at, hints[name], field)
+
+    def check(self, where: str, hint: Any, schema: dict[str, Any]) -> None:
+        """Compares what is no None."""
+        schema = self.resolve(schema)
+        kind, _ = self.kind(schema)
+        if kind is None or hint is Any:
+            if kind is not None or hint is not Any:
+                self.problems.append(f"{where} is {kind} and not {hint}")
+            return
+        if isinstance(hint, types.UnionType) or typing.get_origin(hint) is typing.Union:
+            hints = [one for one in typing.get_args(hint) if one is not type(None)]
+            if len(hints) > 1:
+                self.check_union(where, hints, schema)
+                return
+            (hint,) = hints
+        if "anyOf" in schema:
+            (schema,) = [self.resolve(s) for s in schema["anyOf"] if s.get("type") != "null"]
+        if kind == "array":
+            self.check_array(where, hint, schema)
+        elif kind == "object":
+            if schema.keys() & {"properties", "oneOf"} and where not in LOOSE:
+                self.check_object(where, hint, schema)
+            elif hint != dict[str, Any]:
+                self.problems.append(f"{where} is an object and not {hint}")
+        elif typing.get_origin(hint) is Literal:
+            words = {variant["const"] for variant in schema.get("oneOf", [])}
+            if words != set(typing.get_args(hint)):
+                self.problems.append(f"{where} is one of {words} and not {hint}")
+        elif hint is not {"string": str, "integer": int, "number": float, "boolean": bool}[kind]:
+            self.problems.append(f"{where} is {kind} and not {hint}")
+
+    def check_union(self, where: str, hints: list[Any], schema: dict[str, Any]) -> None:
+        """Every variant is one of the types, by its tag or by its only field."""
+        variants = {}
+        for variant in schema["oneOf"]:
+            (tag,) = {
+                field.get("const", name)
+                for name, field in variant["properties"].items()
+                if "const" in field or len(variant["properties"]) == 1
+            }
+            variants[tag] = variant
+        tagged: dict[str, Any] = {}
+        for hint in hints:
+            is_struct = isinstance(hint, type) and issubclass(hint, msgspec.Struct)
+            tag = hint.__struct_config__.tag if is_struct else next(iter(hint.__annotations__))
+            tagged[str(tag)] = hint
+        if variants.keys() != tagged.keys():
+            self.problems.append(f"{where} is one of {set(variants)} and not {set(tagged)}")
+        for tag in variants.keys() & tagged.keys():
+            variant = dict(variants[tag])
+            variant["properties"] = {
+                name: field for name, field in variant["properties"].items() if "const" not in field
+            }
+            self.check_object(f"{where}<{tag}>", tagged[tag], variant)
+
+    def check_array(self, where: str, hint: Any, schema: dict[str, Any]) -> None:
+        """Compares a list, a tuple or a column."""
+        origin, args = typing.get_origin(hint), typing.get_args(hint)
+        items = schema["items"]
+        if origin is np.ndarray:
+            dtype = typing.get_args(args[1])[0]
+            expected = {"uint32": np.uint32, "double": np.float64}[items["format"]]
+            if dtype is not expected:
+                self.problems.append(f"{where} is a column of {expected} and not {dtype}")
+        elif origin is tuple:
+            if schema.get("minItems") != len(args) or schema.get("maxItems") != len(args):
+                self.problems.append(f"{where} has not {len(args)} items")
+            for arg in args:
+                self.check(f"{where}[]", arg, items)
+        elif isinstance(origin, type) and issubclass(list, origin):
+            self.check(f"{where}[]", args[0], {} if items is True else items)
+        else:
+            self.problems.append(f"{where} is an array and not {hint}")
+
+
+def needed_fields(hint: Any) -> dict[str, bool]:
+    """The fields of a struct, dataclass or typed dictionary, and whether each must be given."""
+    if typing.is_typeddict(hint):
+        return {name: name in hint.__required_keys__ for name in hint.__annotations__}
+    if issubclass(hint, msgspec.Struct):
+        return {field.name: field.required for field in msgspec.structs.fields(hint)}
+    parameters = inspect.signature(hint).parameters
+    return {name: one.default is one.empty for name, one in parameters.items()}

@@ -1,0 +1,169 @@
+"""The types of this package against the contract's schemas, both ways."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any
+
+import msgspec
+import pytest
+
+import contract
+import jostle
+from jostle._link import Link
+
+SCHEMAS = contract.schemas()
+
+
+@pytest.mark.parametrize("name", sorted(contract.READ | contract.CHANGES))
+def test_every_message_has_the_fields_of_its_schema(name: str) -> None:
+    checker = contract.Checker(name)
+    checker.check_object(name, {**contract.READ, **contract.CHANGES}[name], SCHEMAS[name])
+    assert checker.problems == []
+
+
+def test_the_check_notices_what_differs() -> None:
+    checker = contract.Checker("order")
+    checker.check_object("order", jostle.Status, SCHEMAS["order"])
+    assert any("frame" in problem for problem in checker.problems)
+    assert any("state_hash" in problem for problem in checker.problems)
+
+    class Wrong(msgspec.Struct, kw_only=True):
+        code: int
+        message: str | None
+        details: dict[str, Any]
+        step: int = 0
+
+    checker = contract.Checker("error")
+    checker.check_object("error", Wrong, SCHEMAS["error"])
+    assert len(checker.problems) == 3
+
+
+# The arguments of a command that are not called what the wire calls them, and why.
+RENAMED = {
+    "until_time": "until",  # The one most often given, so it comes first.
+    "return": "state",  # `return` is a keyword of Python, and a state all that can be returned.
+    "commands": "changes",  # Not every command may be in a batch.
+}
+OPTIONS = {"expect_step", "expect_epoch", "request_id", "timeout", "at_step", "options"}
+
+
+def test_every_message_of_the_contract_has_its_type() -> None:
+    verbs = {name.removesuffix(".args") for name in SCHEMAS if name.endswith(".args")}
+    assert SCHEMAS.keys() == contract.READ.keys() | {f"{verb}.args" for verb in verbs} | {"request"}
+    assert all(callable(getattr(jostle.Swarm, verb)) for verb in verbs - {"create"})
+
+
+@pytest.mark.parametrize("name", sorted(name for name in SCHEMAS if name.endswith(".args")))
+def test_every_command_takes_the_arguments_of_its_schema(name: str) -> None:
+    verb = name.removesuffix(".args")
+    method = getattr(jostle.Client if verb == "create" else jostle.Swarm, verb)
+    mine = dict(inspect.signature(method).parameters)
+    asked = {RENAMED.get(key, key) for key in SCHEMAS[name].get("properties", {})}
+    own = {"run": {"wait"}}.get(verb, set[str]())
+    assert mine.keys() - {"self"} - OPTIONS - own == asked
+    for key in SCHEMAS[name].get("required", []):
+        assert mine[RENAMED.get(key, key)].default is inspect.Parameter.empty
+
+
+def test_a_spec_is_the_one_of_the_contract_and_its_defaults_too() -> None:
+    schema = SCHEMAS["create.args"]["$defs"]["Spec"]
+    checker = contract.Checker("create.args")
+    checker.check_object("create.args.spec", jostle.Spec, schema)
+    assert checker.problems == []
+    spec = msgspec.to_builtins(jostle.Spec(n=1))
+    defaults = {
+        name: field["default"] for name, field in schema["properties"].items() if name != "n"
+    }
+    assert {name: spec[name] for name in defaults} == defaults
+
+
+class Sent(Exception):
+    """Ends a command with what it would have sent."""
+
+    def __init__(self, payload: bytes) -> None:
+        super().__init__()
+        self.message: dict[str, Any] = msgspec.json.decode(payload)
+
+
+class Recorder(Link):
+    """A link with nobody that raises `Sent` instead of sending."""
+
+    def __init__(self) -> None:
+        self.client = "ada@lab"
+        self.timeout = 5.0
+        self.max_message_bytes = None
+        self.prefix = "jostle"
+        self.endpoint = "nowhere"
+
+    def _connected(self) -> frozenset[str]:
+        return frozenset({"nobody"})
+
+    def _ask(self, selector: str, swarm: Any, timeout: Any, payload: Any, before: Any) -> bytes:
+        raise Sent(payload)
+
+
+def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
+    """What the method of a verb sends when it is given these arguments."""
+    arguments = {RENAMED.get(name, name): value for name, value in args.items()}
+    if verb == "create":
+        method: Callable[..., object] = jostle.Client(Recorder(), "main").create
+    else:
+        method = getattr(jostle.Swarm(Recorder(), "school"), verb)
+    if verb == "step" and "state" in arguments:
+        arguments["state"] = arguments["state"] == "state"
+    if verb == "inject" and "at" in arguments:
+        arguments["at"] = [(pose["x"], pose["y"], pose["alpha"]) for pose in arguments["at"]]
+    with pytest.raises(Sent) as caught:
+        method(**arguments, **options)
+    return caught.value.message
+
+
+def without_defaults(name: str, args: Mapping[str, Any]) -> dict[str, Any]:
+    properties = SCHEMAS[name].get("properties", {})
+    return {
+        key: value
+        for key, value in args.items()
+        if "default" not in properties[key] or value != properties[key]["default"]
+    }
+
+
+def args_fixtures() -> Iterator[Any]:
+    for name, path in contract.fixtures("json"):
+        if name.endswith(".args"):
+            yield pytest.param(name, msgspec.json.decode(path.read_bytes()), id=path.stem)
+
+
+@pytest.mark.parametrize(("name", "args"), list(args_fixtures()))
+def test_commands_send_what_the_fixtures_say(name: str, args: dict[str, Any]) -> None:
+    sent = call(name.removesuffix(".args"), args)
+    assert without_defaults(name, sent["args"]) == without_defaults(name, args)
+    if name in contract.CHANGES:
+        change = contract.CHANGES[name](**args)
+        (command,) = call("batch", {"changes": [change]})["args"]["commands"]
+        assert command["verb"] == name.removesuffix(".args")
+        assert without_defaults(name, command["args"]) == without_defaults(name, args)
+
+
+def test_the_envelope_is_the_one_of_the_fixture() -> None:
+    fixture = msgspec.json.decode((contract.PROTO / "fixtures" / "request.json").read_bytes())
+    assert fixture.keys() == SCHEMAS["request"]["properties"].keys()
+    options = {
+        key: fixture[key] for key in ("request_id", "at_step", "expect_step", "expect_epoch")
+    }
+    sent = call("inform", fixture["args"], **options, timeout=fixture["timeout_secs"])
+    assert sent == fixture
+
+
+def test_a_request_left_to_itself_has_an_id_of_its_own_and_no_more_than_needed() -> None:
+    first, second = call("pause", {}), call("pause", {})
+    assert first.keys() == {"request_id", "client", "timeout_secs", "args"}
+    assert first["request_id"] != second["request_id"]
+    assert len(first["request_id"]) == 32
+
+
+def test_the_daemon_serves_the_same_schemas(client: jostle.Client) -> None:
+    told = client.schema()
+    assert (told.node, told.wire_version) == (client.node, client.hello().wire_version)
+    assert told.schemas == SCHEMAS

@@ -1,0 +1,278 @@
+"""A command is carried out once, whatever becomes of its answer."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+import zenoh
+
+import jostle
+from conftest import PATIENCE_SECS, Daemon, Wire, eventually, zenoh_session
+
+Create = Callable[..., jostle.Swarm]
+
+COMMANDS: dict[str, Callable[[jostle.Swarm], Any]] = {
+    "inject": lambda swarm: swarm.inject(1).ids,
+    "step": lambda swarm: swarm.step(3).steps,
+    "step with state": lambda swarm: swarm.step(3, state=True).step,
+    "set": lambda swarm: swarm.set(pi3=2.0).before.pi3,
+    "batch": lambda swarm: swarm.batch([jostle.Inject(1)]).results[0].ids,
+    "reset": lambda swarm: swarm.reset().seq,
+    "waiting for its step": lambda swarm: swarm.pause(at_step=7).phase,
+}
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_a_command_whose_answer_is_lost_is_not_carried_out_twice(
+    name: str, wire: Wire, create: Create
+) -> None:
+    swarm, twin = create(n=3, seed=1), create(n=3, seed=1)
+    command = COMMANDS[name]
+    expected = command(twin)
+    with jostle.connect(wire.endpoint) as client, ThreadPoolExecutor(1) as pool:
+        mine = client.swarm(swarm.name)
+        assert mine.status().seq == 0
+        wire.mute()
+        answer = pool.submit(command, mine)
+        eventually("it is carried out", lambda: len(swarm.history()) == len(twin.history()))
+        assert not answer.done()
+        wire.cut()
+        assert answer.result(PATIENCE_SECS) == expected
+    after, twins = swarm.status(), twin.status()
+    assert (after.seq, after.state_hash, after.scheduled) == (
+        twins.seq,
+        twins.state_hash,
+        twins.scheduled,
+    )
+
+
+def test_a_swarm_whose_creation_was_not_heard_of_is_not_taken_for_anothers(
+    wire: Wire, client: jostle.Client
+) -> None:
+    with jostle.connect(wire.endpoint) as mine, ThreadPoolExecutor(1) as pool:
+        wire.mute()
+        creation = pool.submit(mine.create, "unheard", jostle.Spec(n=3))
+        eventually("it is created", lambda: "unheard" in [s.swarm for s in client.swarms()])
+        wire.cut()
+        swarm = creation.result(PATIENCE_SECS)
+        assert swarm.status().n == 3
+        wire.mute()
+        deletion = pool.submit(swarm.delete)
+        eventually("it is deleted", lambda: "unheard" not in [s.swarm for s in client.swarms()])
+        wire.cut()
+        assert deletion.result(PATIENCE_SECS).swarm == "unheard"
+
+
+def test_a_long_step_survives_a_cut_and_is_answered_once(wire: Wire, create: Create) -> None:
+    swarm = create(n=100)
+    with jostle.connect(wire.endpoint) as client, ThreadPoolExecutor(1) as pool:
+        answer = pool.submit(client.swarm(swarm.name).step, 1000)
+        swarm.wait(phase="running", timeout=PATIENCE_SECS)
+        wire.cut()
+        result = answer.result(PATIENCE_SECS)
+    assert (result.steps, result.step, swarm.status().step) == (1000, 1000, 1000)
+
+
+def test_a_connection_cut_again_and_again_loses_and_doubles_nothing(
+    wire: Wire, create: Create
+) -> None:
+    swarm = create(n=1)
+    with jostle.connect(wire.endpoint) as client, ThreadPoolExecutor(1) as pool:
+        mine = client.swarm(swarm.name)
+
+        def work() -> list[int]:
+            return [mine.set(pi3=1.0 + number / 128).seq for number in range(60)]
+
+        answers = pool.submit(work)
+        seen = -1
+        while not answers.done():
+            # One cut each time it got some further.
+            seq = swarm.status().seq
+            if seq >= seen + 12:
+                seen = seq
+                wire.cut()
+        assert answers.result() == list(range(1, 61))
+    assert [entry.args["pi3"] for entry in swarm.journal()] == [
+        1.0 + number / 128 for number in range(60)
+    ]
+
+
+def test_another_daemon_is_not_sent_what_the_first_may_have_done(tmp_path: Path) -> None:
+    folders = tmp_path / "first", tmp_path / "second"
+    for folder in folders:
+        folder.mkdir()
+    first, second = Daemon(folders[0]), Daemon(folders[1])
+    wire = Wire(first.endpoint)
+    try:
+        with (
+            jostle.connect(first.endpoint) as one,
+            jostle.connect(second.endpoint) as other,
+            jostle.connect(wire.endpoint) as client,
+            ThreadPoolExecutor(1) as pool,
+        ):
+            swarms = [each.create("same", jostle.Spec(n=3)) for each in (one, other)]
+            wire.mute()
+            answer = pool.submit(client.swarm("same").inject, 1)
+            eventually("it is carried out", lambda: swarms[0].status().seq == 1)
+            wire.daemon = second.endpoint
+            wire.cut()
+            with pytest.raises(jostle.Unavailable):
+                answer.result(PATIENCE_SECS)
+            # It is this one that the client speaks with from now on.
+            eventually("the client speaks with it", lambda: is_at(client, seq=0))
+            assert swarms[1].status().seq == 0
+    finally:
+        wire.close()
+        first.kill()
+        second.kill()
+
+
+def is_at(client: jostle.Client, seq: int) -> bool:
+    try:
+        return client.swarm("same").status().seq == seq
+    except jostle.JostleError:
+        return False
+
+
+def test_an_id_of_ones_own_names_one_command_over_clients(daemon: Daemon, create: Create) -> None:
+    swarm = create(n=3)
+
+    def inject(client: str, count: int = 1) -> jostle.IdsResult:
+        with jostle.connect(daemon.endpoint, client=client) as mine:
+            return mine.swarm(swarm.name).inject(count, request_id="night 1")
+
+    first = inject("ada")
+    assert first.ids == [3]
+    assert inject("ada") == first
+    with pytest.raises(jostle.Conflict) as caught:
+        inject("ada", count=2)
+    assert caught.value.details["field"] == "request_id"
+    assert inject("bob").ids == [4]
+    assert swarm.status().n == 5
+    wrong: list[Any] = ["", "a" * 257, 7, b"bytes"]
+    for request_id in wrong:
+        with pytest.raises(jostle.InvalidArgument) as refused:
+            swarm.pause(request_id=request_id)
+        assert refused.value.details == {"field": "request_id"}
+
+
+def test_a_refused_command_may_be_tried_again_under_its_id(create: Create) -> None:
+    swarm = create(n=3)
+    with pytest.raises(jostle.Conflict):
+        swarm.set(pi3=2.0, request_id="again", expect_step=5)
+    swarm.step(5)
+    assert swarm.set(pi3=2.0, request_id="again", expect_step=5).now.pi3 == 2.0
+
+
+class BusyDaemon:
+    """Something that is busy, says so some times, and then answers."""
+
+    def __init__(self, endpoint: str, times: int) -> None:
+        self.session = zenoh_session(endpoint, "listen")
+        self.times = times
+        self.heard: list[dict[str, Any]] = []
+        self.unanswered: list[zenoh.Query] = []
+        self.is_deaf = False
+        self.keep = [
+            self.session.liveliness().declare_token("jostle/@node/busy/alive"),
+            self.session.liveliness().declare_token("jostle/school/alive/busy"),
+            self.session.declare_queryable("jostle/@node/busy/get/hello", self.hello),
+            self.session.declare_queryable("jostle/school/**", self.answer),
+        ]
+
+    def hello(self, query: zenoh.Query) -> None:
+        """Tells who it is."""
+        limits = dict.fromkeys(jostle.Limits.__struct_fields__, 1 << 20)
+        result = {"version": "0", "wire_version": 1, "unix_secs": 0.0, "limits": limits}
+        query.reply(query.key_expr, json.dumps({"node": "busy", "result": result}))
+
+    def answer(self, query: zenoh.Query) -> None:
+        """Writes down what it is asked and answers with what all answers have."""
+        payload = query.payload
+        if self.is_deaf:
+            # One that is let go counts as answered by nobody.
+            self.unanswered.append(query)
+            self.is_deaf = False
+            return
+        self.heard.append({} if payload is None else json.loads(payload.to_bytes()))
+        if len(self.heard) <= self.times:
+            error: dict[str, Any] = {
+                "code": "busy",
+                "message": "later",
+                "details": {},
+                "step": None,
+            }
+            query.reply_err(json.dumps(error))
+            return
+        place = {"swarm": "school", "epoch": 1, "step": 0, "time": 0.0, "phase": "paused"}
+        query.reply(query.key_expr, json.dumps({**place, "seq": 1, "result": {}}))
+
+
+@pytest.fixture
+def busy_daemon(free_endpoint: str) -> Iterator[BusyDaemon]:
+    daemon = BusyDaemon(free_endpoint, times=3)
+    yield daemon
+    daemon.session.close()
+
+
+def test_a_busy_daemon_is_asked_again_with_the_same_request(
+    busy_daemon: BusyDaemon, free_endpoint: str
+) -> None:
+    with jostle.connect(free_endpoint, timeout=10.0) as client:
+        assert client.swarm("school").pause(expect_step=0).seq == 1
+    heard = busy_daemon.heard
+    assert len(heard) == 4
+    waits = [request.pop("timeout_secs") for request in heard]
+    assert waits == sorted(waits, reverse=True)
+    assert waits[0] == 10.0
+    assert waits[-1] > 9.0
+    assert heard == [heard[0]] * 4
+
+
+def test_a_request_that_was_lost_on_the_way_is_sent_again(
+    busy_daemon: BusyDaemon, free_endpoint: str
+) -> None:
+    busy_daemon.times = 0
+    with jostle.connect(free_endpoint) as client:
+        for call in (client.swarm("school").pause, client.swarm("school").delete):
+            busy_daemon.is_deaf = True
+            busy_daemon.heard.clear()
+            began = time.monotonic()
+            assert call().seq == 1
+            assert time.monotonic() - began < 4.0
+            assert len(busy_daemon.heard) == 1
+            lost = busy_daemon.unanswered.pop().payload
+            assert lost is not None
+            first, again = json.loads(lost.to_bytes()), busy_daemon.heard[0]
+            assert first.pop("timeout_secs") > again.pop("timeout_secs") > 0.0
+            assert first == again
+        busy_daemon.is_deaf = True
+        with pytest.raises(jostle.Unavailable, match="gave no answer"):
+            client.swarm("school").pause(timeout=0.2)
+        busy_daemon.unanswered.clear()
+
+
+def test_what_stays_busy_is_told_at_the_deadline(
+    busy_daemon: BusyDaemon, free_endpoint: str
+) -> None:
+    busy_daemon.times = 1_000_000
+    with jostle.connect(free_endpoint, timeout=0.5) as client:
+        calls: list[Callable[[], object]] = [
+            client.swarm("school").pause,
+            # Its own deadline is an hour away.
+            client.swarm("school").step,
+            client.swarm("school").status,
+        ]
+        for call in calls:
+            began = time.monotonic()
+            busy_daemon.heard.clear()
+            with pytest.raises(jostle.Busy, match="later"):
+                call()
+            assert time.monotonic() - began < 2.0
+            assert 2 < len(busy_daemon.heard) < 50
