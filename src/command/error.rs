@@ -407,7 +407,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "ids" => "a list of ids that are there",
         "count" => "a whole number of individuals, 1 or more",
         "fraction" => "a number from 0 to 1",
-        "radius" => "a number from 0 to 1e6",
+        "radius" => "a number above 0, at most 1e6",
         "x" | "y" | "alpha" | "along" | "direction" => "a number from -1e6 to 1e6",
         "weight" => "a number above 0, at most 1e6",
         "for_time" => "a number above 0, at most 1e9",

@@ -199,6 +199,8 @@ async fn what_cannot_be_served_is_said_with_its_remedy() {
         (vec!["--config", "/nowhere.toml"], "/nowhere.toml"),
         (vec!["--log", "=,="], "log"),
         (vec!["--wings"], "--wings"),
+        (vec!["config", "explain", "--max-hz", "often"], "--max-hz"),
+        (vec!["config", "explain", "--config", "/nowhere.toml"], "/nowhere.toml"),
         (vec!["demo", "--for", "soon"], "soon"),
     ] {
         let refused = output(&arguments);

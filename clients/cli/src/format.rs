@@ -1,6 +1,7 @@
 //! Numbers as people read them.
 
-use jostle_proto::Phase;
+use jostle_proto::{LARGEST_WHOLE, Phase};
+use serde_json::Value;
 
 /// What stands where there is no number.
 pub const NONE: &str = "-";
@@ -60,6 +61,84 @@ pub fn magnitude(number: Option<f64>) -> String {
     number.map_or_else(|| NONE.into(), |number| format!("{number:.1e}"))
 }
 
+/// A number without digits nobody asked for, a large one in powers of ten.
+pub fn number(number: f64) -> String {
+    if number.to_bits() == (LARGEST_WHOLE as f64).to_bits() {
+        "2^53-1".into()
+    } else if number.abs() >= 1e6 && (number / 1e6).fract() == 0.0 {
+        format!("{number:e}")
+    } else {
+        number.to_string()
+    }
+}
+
+/// A duration in its two largest units.
+pub fn duration(secs: f64) -> String {
+    const UNITS: [(f64, &str); 4] = [(86_400.0, "d"), (3600.0, "h"), (60.0, "min"), (1.0, "s")];
+    let whole = secs.max(0.0).floor();
+    let Some(largest) = UNITS.iter().position(|(size, _)| whole >= *size) else {
+        return "0 s".into();
+    };
+    let (size, unit) = UNITS[largest];
+    let first = format!("{} {unit}", (whole / size).floor());
+    match UNITS.get(largest + 1) {
+        Some((small, unit)) => format!("{first} {} {unit}", (whole % size / small).floor()),
+        None => first,
+    }
+}
+
+/// A time a computer takes.
+pub fn millis(secs: f64) -> String {
+    let millis = secs * 1e3;
+    match millis.abs() {
+        size if size < 10.0 => format!("{millis:.2} ms"),
+        size if size < 1000.0 => format!("{millis:.0} ms"),
+        _ => format!("{secs:.1} s"),
+    }
+}
+
+/// A number of bytes in the unit that fits.
+pub fn bytes(bytes: u64) -> String {
+    const UNITS: [&str; 4] = ["B", "KiB", "MiB", "GiB"];
+    let (mut size, mut unit) = (bytes as f64, 0);
+    while size >= 1024.0 && unit + 1 < UNITS.len() {
+        size /= 1024.0;
+        unit += 1;
+    }
+    if unit == 0 || size >= 100.0 {
+        format!("{size:.0} {}", UNITS[unit])
+    } else {
+        format!("{size:.1} {}", UNITS[unit])
+    }
+}
+
+/// A command as a line: its verb and its arguments, the long ones cut.
+pub fn command(verb: &str, args: &Value) -> String {
+    const LONGEST: usize = 100;
+    let mut line = String::from(verb);
+    match (verb, args) {
+        ("batch", Value::Object(fields)) => {
+            let changes = fields.get("commands").and_then(Value::as_array);
+            for (index, change) in changes.into_iter().flatten().enumerate() {
+                line.push_str(if index == 0 { ": " } else { "; " });
+                let verb = change["verb"].as_str().unwrap_or(NONE);
+                line.push_str(&command(verb, &change["args"]));
+            }
+        }
+        (_, Value::Object(fields)) => {
+            for (name, value) in fields {
+                line.push_str(&format!(" {name}={value}"));
+            }
+        }
+        (_, Value::Null) => {}
+        (_, other) => line.push_str(&format!(" {other}")),
+    }
+    match line.char_indices().nth(LONGEST) {
+        Some((end, _)) => format!("{}…", &line[..end]),
+        None => line,
+    }
+}
+
 /// A bar of `width` characters for a number from 0 to 1.
 pub fn bar(share: f64, width: usize) -> String {
     const EIGHTHS: [&str; 8] = ["", "▏", "▎", "▍", "▌", "▋", "▊", "▉"];
@@ -90,6 +169,8 @@ pub fn ids(ids: &[u32]) -> String {
 
 #[cfg(test)]
 mod tests {
+    use serde_json::json;
+
     use super::*;
 
     #[test]
@@ -108,6 +189,40 @@ mod tests {
         assert_eq!(bar(0.5, 4), "██░░");
         assert_eq!(bar(1.0, 2), "██");
         assert_eq!(bar(0.0, 2), "░░");
+    }
+
+    #[test]
+    fn sizes_have_the_unit_that_fits() {
+        assert_eq!(number(1e6), "1e6");
+        assert_eq!(number(LARGEST_WHOLE as f64), "2^53-1");
+        assert_eq!(number(0.02), "0.02");
+        assert_eq!(number(12_345_678.0), "12345678");
+        assert_eq!(duration(0.4), "0 s");
+        assert_eq!(duration(61.0), "1 min 1 s");
+        assert_eq!(duration(90_000.0), "1 d 1 h");
+        assert_eq!(millis(0.000_25), "0.25 ms");
+        assert_eq!(millis(-0.25), "-250 ms");
+        assert_eq!(millis(3.0), "3.0 s");
+        assert_eq!(bytes(512), "512 B");
+        assert_eq!(bytes(1536), "1.5 KiB");
+        assert_eq!(bytes(1 << 30), "1.0 GiB");
+    }
+
+    #[test]
+    fn a_command_fits_a_line() {
+        assert_eq!(command("pause", &json!({})), "pause");
+        assert_eq!(
+            command("inform", &json!({"select": {"count": 5}, "direction": 0})),
+            r#"inform direction=0 select={"count":5}"#
+        );
+        let change = json!({"verb": "set", "args": {"pi3": 2}});
+        assert_eq!(
+            command("batch", &json!({"commands": [change, change]})),
+            "batch: set pi3=2; set pi3=2"
+        );
+        let long = command("inform", &json!({"select": {"ids": vec![7; 1000]}}));
+        assert_eq!(long.chars().count(), 101);
+        assert!(long.ends_with('…'));
     }
 
     #[test]

@@ -2,10 +2,14 @@
 
 mod arguments;
 mod bus;
+mod completion;
 mod failure;
+mod file;
 mod format;
 mod interrupt;
+mod nearest;
 mod output;
+mod screen;
 mod selection;
 mod table;
 mod values;
@@ -20,6 +24,7 @@ use crate::failure::Failure;
 use crate::output::Output;
 
 fn main() -> ExitCode {
+    completion::complete_if_asked();
     let arguments = match Arguments::try_parse() {
         Ok(arguments) => arguments,
         Err(error) => return output::usage(&error),

@@ -5,9 +5,13 @@ use jostle_proto::verbs::SetResult;
 use jostle_proto::{ParameterValues, Reply, Status, SwarmSummary};
 
 use crate::format;
+use crate::output;
 
 /// A table of these columns.
-fn table<const COLUMNS: usize>(header: [&str; COLUMNS], rows: Vec<[String; COLUMNS]>) -> String {
+pub fn table<const COLUMNS: usize>(
+    header: [&str; COLUMNS],
+    rows: Vec<[String; COLUMNS]>,
+) -> String {
     let mut table = Table::new();
     table.load_style(NOTHING).set_header(header.to_vec());
     // Numbers are aligned to the right.
@@ -24,6 +28,49 @@ fn table<const COLUMNS: usize>(header: [&str; COLUMNS], rows: Vec<[String; COLUM
         }
     }
     table.trim_fmt()
+}
+
+/// A table with a line of doc about each row: in a column of its own, or below where the terminal
+/// is too narrow for that.
+pub fn documented<const COLUMNS: usize>(
+    header: [&str; COLUMNS],
+    rows: Vec<[String; COLUMNS]>,
+    docs: &[String],
+) -> String {
+    let width = if output::is_terminal() {
+        usize::from(console::Term::stdout().size().1)
+    } else {
+        usize::MAX
+    };
+    beside_or_below(&table(header, rows), docs, width)
+}
+
+fn beside_or_below(table: &str, docs: &[String], width: usize) -> String {
+    let lines: Vec<&str> = table.lines().collect();
+    let wide = |text: &str| console::measure_text_width(text);
+    let column = lines.iter().map(|line| wide(line)).max().unwrap_or(0) + 2;
+    let longest = docs.iter().map(|doc| wide(doc)).max().unwrap_or(0);
+    let is_beside = longest <= width.saturating_sub(column);
+    let mut text = String::new();
+    for (index, line) in lines.iter().enumerate() {
+        let doc = match index.checked_sub(1) {
+            Some(row) => docs.get(row).map_or("", String::as_str),
+            None if is_beside => "meaning",
+            None => "",
+        };
+        let between = if is_beside {
+            " ".repeat(column - wide(line))
+        } else {
+            "\n    ".into()
+        };
+        text.push_str(line);
+        if !doc.is_empty() {
+            text.push_str(&between);
+            text.push_str(doc);
+        }
+        text.push('\n');
+    }
+    text.trim_end().into()
 }
 
 /// The swarms of a daemon, a line each.
@@ -60,6 +107,7 @@ pub fn status(reply: &Reply<Status>) -> String {
         seed,
         dt,
         parameters,
+        scheduled,
         state_hash,
         order,
         certificate,
@@ -109,6 +157,10 @@ pub fn status(reply: &Reply<Status>) -> String {
         ("n", format!("{n}, {informed} informed")),
         ("order", with_mean(Some(order.order), order.mean_order)),
     ];
+    if *scheduled > 0 {
+        let commands = format::count(*scheduled, "command");
+        lines.push(("scheduled", format!("{commands} for a step to come")));
+    }
     if let Some(direction) = order.direction {
         let drift = with_mean(order.drift, order.mean_drift);
         lines.push((
@@ -147,6 +199,11 @@ pub fn status(reply: &Reply<Status>) -> String {
 
 /// What `set` changed.
 pub fn changes(result: &SetResult) -> String {
+    table(["parameter", "before", "now"], changed(result))
+}
+
+/// The parameters that `set` changed, each before and now.
+pub fn changed(result: &SetResult) -> Vec<[String; 3]> {
     let SetResult { before, now, .. } = result;
     let rows = [
         ("pi1", before.pi1, now.pi1),
@@ -159,12 +216,10 @@ pub fn changes(result: &SetResult) -> String {
             now.publish_every as f64,
         ),
     ];
-    let rows = rows
-        .into_iter()
+    rows.into_iter()
         .filter(|(_, before, now)| before.to_bits() != now.to_bits())
         .map(|(name, before, now)| [name.into(), before.to_string(), now.to_string()])
-        .collect();
-    table(["parameter", "before", "now"], rows)
+        .collect()
 }
 
 fn with_mean(now: Option<f64>, mean: Option<f64>) -> String {
@@ -181,4 +236,24 @@ fn pairs(pairs: &[(&str, String)]) -> String {
         .iter()
         .map(|(name, value)| format!("{name:width$}  {value}"));
     lines.collect::<Vec<_>>().join("\n")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn docs_stand_beside_the_rows_or_below_where_it_is_narrow() {
+        let rows = vec![["pi1".into(), "4".into()], ["seed".into(), "0".into()]];
+        let table = table(["name", "now"], rows);
+        let docs = ["A ratio".to_owned(), "Of every draw".to_owned()];
+        assert_eq!(
+            beside_or_below(&table, &docs, usize::MAX),
+            "name  now  meaning\npi1     4  A ratio\nseed    0  Of every draw"
+        );
+        assert_eq!(
+            beside_or_below(&table, &docs, 20),
+            "name  now\npi1     4\n    A ratio\nseed    0\n    Of every draw"
+        );
+    }
 }

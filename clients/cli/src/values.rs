@@ -2,6 +2,7 @@
 //!
 //! Only what cannot be sent is refused here; what a value may be, the daemon says.
 
+use jostle_proto::MAX_LABEL_LENGTH;
 use jostle_proto::keys::{NAME_RULE, is_name};
 use jostle_proto::verbs::{Pose, Region};
 use serde_json::Value;
@@ -54,6 +55,44 @@ pub fn seconds(text: &str) -> Result<f64, String> {
     match number(text) {
         Ok(seconds) if seconds > 0.0 && seconds <= 1e9 => Ok(seconds),
         _ => Err(format!("`{text}` is not a number of seconds above 0")),
+    }
+}
+
+/// Reads a whole number, 0 or more.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn whole(text: &str) -> Result<u64, String> {
+    text.parse()
+        .map_err(|_| format!("`{text}` is not a whole number"))
+}
+
+/// Reads how many, at least one.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn count(text: &str) -> Result<usize, String> {
+    text.parse()
+        .ok()
+        .filter(|&count| count > 0)
+        .ok_or_else(|| format!("`{text}` is not a whole number above 0"))
+}
+
+/// Reads what names a request or its sender in events and in the journal.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn label(text: &str) -> Result<String, String> {
+    match text {
+        "" => Err("it is empty".into()),
+        _ if text.len() > MAX_LABEL_LENGTH => {
+            Err(format!("it is longer than {MAX_LABEL_LENGTH} bytes"))
+        }
+        _ if text.chars().any(char::is_control) => Err("it has control characters".into()),
+        _ => Ok(text.into()),
     }
 }
 
@@ -164,6 +203,18 @@ mod tests {
         assert_eq!(seconds("0.5"), Ok(0.5));
         for text in ["0", "-1", "1e300", "soon"] {
             assert!(seconds(text).is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn counts_and_labels_are_what_the_wire_takes() {
+        assert_eq!(whole("0"), Ok(0));
+        assert!(whole("-1").is_err() && whole("1.5").is_err());
+        assert_eq!(count("1"), Ok(1));
+        assert!(count("0").is_err() && count("many").is_err());
+        assert_eq!(label("ada@desk").as_deref(), Ok("ada@desk"));
+        for text in ["", "a\nb", &"a".repeat(257)] {
+            assert!(label(text).is_err(), "{text:?}");
         }
     }
 

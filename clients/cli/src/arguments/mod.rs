@@ -1,12 +1,21 @@
 //! What may be typed.
 
+mod looking;
+mod sending;
 mod verbs;
 
 use clap::{Args, Parser, Subcommand};
+use clap_complete::engine::ArgValueCompleter;
 use jostle_proto::keys::DEFAULT_PREFIX;
 
+pub use self::looking::*;
+pub use self::sending::*;
 pub use self::verbs::*;
+use crate::completion;
 use crate::values;
+
+/// Where a daemon listens unless told otherwise.
+pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
 
 const EXAMPLES_AND_EXIT_CODES: &str = "\
 Examples:
@@ -15,10 +24,15 @@ Examples:
   jostle run demo --until 100 --rate max --wait
   jostle watch demo
   jostle --json watch demo --frames --count 3
+  jostle set demo pi1=6 --make-room --at-step 9000
+  jostle status demo --watch
+  jostle doctor
 
 Lengths are in body sizes, speeds in free speeds, times in their quotient; angles are radians
 counter-clockwise from +x. Data goes to stdout, talk to stderr. With --json a reply is printed
-as it came, a stream as a line per sample, and an error as an object on stderr.
+as it came, a stream as a line per sample or event, and an error as an object on stderr. A command
+whose answer is lost, or that comes when too much is going on, is sent again under its request_id
+until --timeout; the daemon carries it out once.
 
 Exit codes:
     0  done
@@ -63,11 +77,11 @@ pub struct GlobalArguments {
         global = true,
         env = "JOSTLE_ENDPOINT",
         hide_env_values = true,
-        default_value = "tcp/127.0.0.1:7447"
+        default_value = DEFAULT_ENDPOINT
     )]
     pub endpoint: String,
-    /// Which daemon, if several are reached there; for create and list
-    #[arg(long, global = true, value_name = "NAME", value_parser = values::name)]
+    /// Which daemon, if several are reached there
+    #[arg(long, global = true, value_name = "NAME", value_parser = values::name, add = ArgValueCompleter::new(completion::nodes))]
     pub node: Option<String>,
     /// The first chunk of the daemon's keys
     #[arg(long, global = true, value_name = "NAME", default_value = DEFAULT_PREFIX, value_parser = values::name)]
@@ -75,12 +89,6 @@ pub struct GlobalArguments {
     /// How long to wait for an answer; the daemon finishes its work anyway
     #[arg(long, global = true, value_name = "SECS", default_value = "5", value_parser = values::seconds, allow_negative_numbers = true)]
     pub timeout: f64,
-    /// Refuse with `conflict` unless the swarm is at this step
-    #[arg(long, global = true, value_name = "STEP")]
-    pub expect_step: Option<u64>,
-    /// Who the daemon is told has sent it, your user@host if left out
-    #[arg(long, global = true, value_name = "NAME")]
-    pub client: Option<String>,
     /// Print replies as they came, streams as JSON Lines
     #[arg(long, global = true)]
     pub json: bool,
@@ -91,16 +99,17 @@ pub struct GlobalArguments {
 pub enum Verb {
     /// Creates a swarm, paused
     Create(CreateArguments),
-    /// Lists the swarms of a daemon
-    List,
-    /// Shows how a swarm is doing
-    Status(NameArgument),
-    /// Prints what a swarm was made from, as `create --spec` reads it
-    Spec(NameArgument),
+    /// Looks.
+    #[command(flatten)]
+    Look(Look),
+    /// Shows what happened to a swarm
+    Events(EventsArguments),
+    /// Shows live how a swarm is doing
+    Watch(WatchArguments),
     /// Lets a swarm run; changes target and rate of one that runs
     Run(RunArguments),
     /// Pauses a swarm
-    Pause(NameArgument),
+    Pause(PauseArguments),
     /// Runs a paused swarm some steps on, as fast as it can
     Step(StepArguments),
     /// Puts a swarm back to its start, paused
@@ -115,10 +124,18 @@ pub enum Verb {
     Inject(InjectArguments),
     /// Takes individuals out of the group
     Remove(SelectArguments),
+    /// Applies several changes at one step, or none
+    Batch(BatchArguments),
     /// Deletes swarms
     Delete(DeleteArguments),
-    /// Shows live how a swarm is doing
-    Watch(WatchArguments),
+    /// Finds out whether everything works from here, and what to do if not
+    Doctor,
+    /// Describes the messages on the wire, as JSON Schemas
+    Schema(SchemaArguments),
+    /// Prints the line that makes a shell complete verbs, options, swarms and parameters
+    Completions(CompletionsArguments),
+    /// Prints the manual page, or writes one for each verb
+    Man(ManArguments),
 }
 
 #[cfg(test)]
@@ -146,6 +163,8 @@ mod tests {
                 let flags = argument.get_long().map(|long| format!("--{long}"));
                 let flags = flags.unwrap_or_else(|| format!("<{}>", argument.get_id()));
                 lines.push(format!("{} {flags}", verb.get_name()));
+                let short = argument.get_short().map(|short| format!("-{short}"));
+                lines.extend(short.map(|short| format!("{} {short}", verb.get_name())));
             }
             if is_verb {
                 lines.push(verb.get_name().to_owned());
@@ -217,6 +236,14 @@ mod tests {
             "delete demo a/b",
             "--node ** list",
             "--prefix a* list",
+            "status demo --expect-step 3",
+            "list --client me",
+            "create demo --n 3 --at-step 4",
+            "pause demo --at-step -1",
+            "run demo --until 3 --wait --at-step 4",
+            "status demo --watch 0",
+            "events demo --limit 0",
+            "completions tcsh",
         ] {
             assert!(read(line).is_err(), "{line}");
         }

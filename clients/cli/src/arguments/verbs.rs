@@ -2,29 +2,38 @@
 
 use std::path::PathBuf;
 
-use clap::{ArgGroup, Args};
+use clap::{ArgGroup, Args, ValueHint};
+use clap_complete::engine::ArgValueCompleter;
 use jostle_proto::verbs::{Pose, Region};
 
+use crate::arguments::{SenderArguments, SendingArguments};
+use crate::completion;
 use crate::selection::SelectionArguments;
 use crate::values::{self, Assignment, Rate};
 
-/// A swarm.
+/// Which swarm to pause.
 #[derive(Debug, Args)]
-pub struct NameArgument {
+pub struct PauseArguments {
     /// The swarm
-    #[arg(value_parser = values::name)]
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
 }
 
 /// A swarm and some of its individuals.
 #[derive(Debug, Args)]
 pub struct SelectArguments {
     /// The swarm
-    #[arg(value_parser = values::name)]
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
     /// Whom.
     #[command(flatten)]
     pub selection: SelectionArguments,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
 }
 
 /// What a swarm is made from.
@@ -69,18 +78,21 @@ pub struct CreateArguments {
     #[arg(long, value_name = "RATE", value_parser = values::rate, allow_hyphen_values = true)]
     pub rate: Option<Rate>,
     /// A JSON file with the spec, - for stdin; the options above override it
-    #[arg(long, value_name = "FILE")]
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath)]
     pub spec: Option<PathBuf>,
     /// Be content with a swarm of that name and an equal spec
     #[arg(long)]
     pub exist_ok: bool,
+    /// Who sends it.
+    #[command(flatten)]
+    pub sender: SenderArguments,
 }
 
 /// How a swarm should run.
 #[derive(Debug, Args)]
 pub struct RunArguments {
     /// The swarm
-    #[arg(value_parser = values::name)]
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
     /// Pause at the first step at or after this time
     #[arg(long, value_name = "TIME", value_parser = values::number, allow_hyphen_values = true)]
@@ -97,15 +109,18 @@ pub struct RunArguments {
     #[arg(long, value_name = "RATE", value_parser = values::rate, allow_hyphen_values = true)]
     pub rate: Option<Rate>,
     /// Return only when it is there; without an end, when it is paused
-    #[arg(long)]
+    #[arg(long, conflicts_with = "at_step")]
     pub wait: bool,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
 }
 
 /// How far to step.
 #[derive(Debug, Args)]
 pub struct StepArguments {
     /// The swarm
-    #[arg(value_parser = values::name)]
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
     /// How many steps
     #[arg(default_value_t = 1, allow_negative_numbers = true)]
@@ -113,31 +128,40 @@ pub struct StepArguments {
     /// Print the state reached, as JSON
     #[arg(long)]
     pub state: bool,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
 }
 
 /// How to begin anew.
 #[derive(Debug, Args)]
 pub struct ResetArguments {
     /// The swarm
-    #[arg(value_parser = values::name)]
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
     /// A new seed; left out, the old one
     #[arg(long, allow_negative_numbers = true)]
     pub seed: Option<u64>,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
 }
 
 /// What to change.
 #[derive(Debug, Args)]
 pub struct SetArguments {
     /// The swarm
-    #[arg(value_parser = values::name)]
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
     /// pi1, pi2, pi3, pi4 or publish_every, such as pi1=6
-    #[arg(required = true, value_name = "NAME=VALUE", value_parser = values::assignment)]
+    #[arg(required = true, value_name = "NAME=VALUE", value_parser = values::assignment, add = ArgValueCompleter::new(completion::assignments))]
     pub assignments: Vec<Assignment>,
     /// With pi1: spread the individuals by the least factor that makes room
     #[arg(long)]
     pub make_room: bool,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
 }
 
 /// Whom to give which direction.
@@ -145,7 +169,7 @@ pub struct SetArguments {
 #[command(group = ArgGroup::new("towards").args(["direction", "degrees"]).required(true))]
 pub struct InformArguments {
     /// The swarm
-    #[arg(value_parser = values::name)]
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
     /// Their direction, counter-clockwise from +x
     #[arg(long, value_name = "RADIANS", value_parser = values::number, allow_hyphen_values = true)]
@@ -162,6 +186,9 @@ pub struct InformArguments {
     /// Whom.
     #[command(flatten)]
     pub selection: SelectionArguments,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
 }
 
 /// Whom to add where.
@@ -172,7 +199,7 @@ pub struct InformArguments {
 )]
 pub struct InjectArguments {
     /// The swarm
-    #[arg(value_parser = values::name)]
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
     /// This many, at the border of the group or in --within
     #[arg(long, value_name = "COUNT", allow_negative_numbers = true)]
@@ -192,29 +219,33 @@ pub struct InjectArguments {
     /// How much their direction counts beside attraction [default: the swarm's pi2]
     #[arg(long, value_parser = values::number, allow_hyphen_values = true)]
     pub weight: Option<f64>,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
+}
+
+/// Several changes at once.
+#[derive(Debug, Args)]
+pub struct BatchArguments {
+    /// The swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: String,
+    /// A JSON list such as [{"verb": "set", "args": {"pi3": 2}}], - for stdin; set, inform,
+    /// uninform, inject and remove are the verbs
+    #[arg(value_hint = ValueHint::FilePath)]
+    pub file: PathBuf,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
 }
 
 /// Which swarms to delete.
 #[derive(Debug, Args)]
 pub struct DeleteArguments {
     /// The swarms
-    #[arg(required = true, value_name = "NAME", value_parser = values::name)]
+    #[arg(required = true, value_name = "NAME", value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub names: Vec<String>,
-}
-
-/// What to show live, and for how long.
-#[derive(Debug, Args)]
-pub struct WatchArguments {
-    /// The swarm
-    #[arg(value_parser = values::name)]
-    pub name: String,
-    /// Print whole states as JSON Lines instead
-    #[arg(long)]
-    pub frames: bool,
-    /// End after this many samples, states or lines
-    #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
-    pub count: Option<u64>,
-    /// End after this long
-    #[arg(long = "for", value_name = "SECS", value_parser = values::seconds, allow_negative_numbers = true)]
-    pub for_secs: Option<f64>,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
 }

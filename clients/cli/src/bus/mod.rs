@@ -1,11 +1,13 @@
 //! The session with the daemon: requests out, answers in.
 
+mod again;
 mod answer;
 mod opening;
 mod presence;
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
 use jostle_proto::{Error, Hello, JSON, NodeReply, Request};
@@ -13,9 +15,10 @@ use serde::Serialize;
 use zenoh::Session;
 use zenoh::handlers::{RingChannel, RingChannelHandler};
 use zenoh::pubsub::Subscriber;
-use zenoh::sample::Sample;
+use zenoh::sample::{Sample, SampleKind};
 
-use crate::arguments::GlobalArguments;
+use crate::arguments::{GlobalArguments, SenderArguments, SendingArguments};
+use crate::bus::again::Again;
 pub use crate::bus::answer::Answer;
 pub use crate::bus::presence::node_of;
 use crate::failure::Failure;
@@ -24,6 +27,8 @@ use crate::failure::Failure;
 const MARGIN: Duration = Duration::from_secs(2);
 /// How long a goodbye may take.
 const CLOSING: Duration = Duration::from_secs(1);
+/// The longest a daemon holds a request.
+const LONGEST_HELD_SECS: f64 = 3600.0;
 /// Payloads up to this length pass every daemon's limit.
 const SURELY_FITS: usize = 256 * 1024;
 
@@ -36,16 +41,19 @@ pub struct Bus {
     endpoint: String,
     prefix: String,
     node: Option<String>,
-    client: String,
+    user_and_host: String,
     timeout_secs: f64,
-    expect_step: Option<u64>,
     asked: AtomicU64,
+    /// How many connections were lost.
+    lost: Arc<AtomicU64>,
 }
 
 /// Who is asked.
 #[derive(Clone, Copy)]
-enum Whom<'a> {
+pub enum Whom<'a> {
+    /// A swarm.
     Swarm(&'a str),
+    /// A daemon.
     Node(&'a str),
 }
 
@@ -61,8 +69,6 @@ impl Bus {
             node,
             prefix,
             timeout,
-            expect_step,
-            client,
             json: _,
         } = global;
         let config = opening::config(&endpoint, timeout)?;
@@ -72,15 +78,28 @@ impl Bus {
                 endpoint: endpoint.clone(),
                 cause: opening::words(&error),
             })?;
+        let lost = Arc::new(AtomicU64::new(0));
+        let counting = lost.clone();
+        session
+            .info()
+            .transport_events_listener()
+            .callback(move |event| {
+                if event.kind() == SampleKind::Delete {
+                    counting.fetch_add(1, Ordering::SeqCst);
+                }
+            })
+            .background()
+            .await
+            .map_err(Failure::defect)?;
         Ok(Bus {
             session,
             endpoint,
             prefix,
             node,
-            client: client.unwrap_or_else(opening::user_and_host),
+            user_and_host: opening::user_and_host(),
             timeout_secs: timeout,
-            expect_step,
             asked: AtomicU64::new(0),
+            lost,
         })
     }
 
@@ -108,7 +127,12 @@ impl Bus {
         &self.prefix
     }
 
-    /// Executes a verb on a swarm.
+    /// How many connections were lost so far.
+    pub fn lost(&self) -> u64 {
+        self.lost.load(Ordering::SeqCst)
+    }
+
+    /// Executes a verb on a swarm, once, however often it has to be sent.
     ///
     /// # Errors
     ///
@@ -118,20 +142,26 @@ impl Bus {
         swarm: &str,
         verb: &str,
         args: &A,
+        sending: &SendingArguments,
     ) -> Result<Answer, Failure> {
         let key = keys::cmd(&self.prefix, swarm, verb);
-        let payload = self.request(args, self.expect_step)?;
+        let payload = payload(&Request {
+            at_step: sending.at_step,
+            expect_epoch: sending.expect_epoch,
+            expect_step: sending.expect_step,
+            ..self.request(args, &sending.sender)?
+        })?;
         if payload.len() > SURELY_FITS {
             // Without a token there is no swarm, which the daemon's silence will tell.
             if let Some(node) = self.hosts_of(swarm).await?.first() {
                 self.check_length(node, payload.len()).await?;
             }
         }
-        self.ask(Whom::Swarm(swarm), &key, Some(payload), self.patience())
+        self.ask_again(Whom::Swarm(swarm), &key, Some(payload))
             .await
     }
 
-    /// Executes a verb on the daemon.
+    /// Executes a verb on the daemon, once, however often it has to be sent.
     ///
     /// # Errors
     ///
@@ -140,24 +170,23 @@ impl Bus {
         &self,
         verb: &str,
         args: &A,
+        sender: &SenderArguments,
     ) -> Result<Answer, Failure> {
         let node = self.node().await?;
-        let payload = self.request(args, None)?;
+        let payload = payload(&self.request(args, sender)?)?;
         self.check_length(&node, payload.len()).await?;
         let key = keys::node_cmd(&self.prefix, &node, verb);
-        self.ask(Whom::Node(&node), &key, Some(payload), self.patience())
-            .await
+        self.ask_again(Whom::Node(&node), &key, Some(payload)).await
     }
 
-    /// Asks a swarm something.
+    /// Asks a swarm something, such as `status` or `events?after=7`.
     ///
     /// # Errors
     ///
     /// What the daemon says, or why it says nothing.
     pub async fn get(&self, swarm: &str, noun: &str) -> Result<Answer, Failure> {
         let key = keys::get(&self.prefix, swarm, noun);
-        self.ask(Whom::Swarm(swarm), &key, None, self.patience())
-            .await
+        self.ask_again(Whom::Swarm(swarm), &key, None).await
     }
 
     /// Asks a swarm to answer when `what`, such as `step=5000`, has come about; the daemon holds
@@ -180,8 +209,7 @@ impl Bus {
     /// What the daemon says, or why it says nothing.
     pub async fn state(&self, swarm: &str) -> Result<Answer, Failure> {
         let key = keys::state(&self.prefix, swarm);
-        self.ask(Whom::Swarm(swarm), &key, None, self.patience())
-            .await
+        self.ask_again(Whom::Swarm(swarm), &key, None).await
     }
 
     /// Asks the daemon something.
@@ -192,12 +220,42 @@ impl Bus {
     pub async fn get_node(&self, noun: &str) -> Result<Answer, Failure> {
         let node = self.node().await?;
         let key = keys::node_get(&self.prefix, &node, noun);
-        self.ask(Whom::Node(&node), &key, None, self.patience())
-            .await
+        self.ask_again(Whom::Node(&node), &key, None).await
+    }
+
+    /// Sends the same request until it is answered, a repetition cannot help or the time is over.
+    ///
+    /// # Errors
+    ///
+    /// What the daemon says, or why it says nothing.
+    pub async fn ask_again(
+        &self,
+        whom: Whom<'_>,
+        key: &str,
+        payload: Option<Vec<u8>>,
+    ) -> Result<Answer, Failure> {
+        let deadline = Instant::now() + Duration::from_secs_f64(self.timeout_secs);
+        let mut again = Again::until(deadline, payload.is_some());
+        let lost_before = self.lost();
+        loop {
+            let failure = match self.ask(whom, key, payload.clone(), self.patience()).await {
+                Ok(answer) => return Ok(answer),
+                Err(failure) => failure,
+            };
+            let is_cut_off = self.lost() != lost_before;
+            match again.rest(&failure, is_cut_off, Instant::now()) {
+                Some(rest) => tokio::time::sleep(rest).await,
+                None => return Err(failure),
+            }
+        }
     }
 
     /// Sends one query and returns its first answer.
-    async fn ask(
+    ///
+    /// # Errors
+    ///
+    /// What the daemon says, or why it says nothing.
+    pub async fn ask(
         &self,
         whom: Whom<'_>,
         selector: &str,
@@ -222,7 +280,7 @@ impl Bus {
             Err(error) => {
                 let error: Error = serde_json::from_slice(&error.payload().to_bytes())
                     .map_err(Failure::unreadable)?;
-                Err(Failure::Refused(Box::new(error)))
+                Err(Failure::refused(error))
             }
         }
     }
@@ -246,22 +304,24 @@ impl Bus {
     fn request<A: Serialize>(
         &self,
         args: &A,
-        expect_step: Option<u64>,
-    ) -> Result<Vec<u8>, Failure> {
-        let number = self.asked.fetch_add(1, Ordering::Relaxed);
-        let request = Request {
-            request_id: Some(format!("{}-{number}", self.session.zid())),
-            client: Some(self.client.clone()),
-            expect_step,
-            timeout_secs: Some(self.timeout_secs),
+        sender: &SenderArguments,
+    ) -> Result<Request, Failure> {
+        let new_id = || {
+            let number = self.asked.fetch_add(1, Ordering::Relaxed);
+            format!("{}-{number}", self.session.zid())
+        };
+        let client = sender.client.as_ref().unwrap_or(&self.user_and_host);
+        Ok(Request {
+            request_id: Some(sender.request_id.clone().unwrap_or_else(new_id)),
+            client: Some(client.clone()),
+            timeout_secs: Some(self.timeout_secs.min(LONGEST_HELD_SECS)),
             args: Some(serde_json::value::to_raw_value(args).map_err(Failure::defect)?),
             ..Request::default()
-        };
-        serde_json::to_vec(&request).map_err(Failure::defect)
+        })
     }
 
     fn patience(&self) -> Duration {
-        Duration::from_secs_f64(self.timeout_secs) + MARGIN
+        Duration::from_secs_f64(self.timeout_secs.min(LONGEST_HELD_SECS)) + MARGIN
     }
 }
 
@@ -272,4 +332,8 @@ impl std::fmt::Display for Whom<'_> {
             Whom::Node(node) => write!(formatter, "node {node}"),
         }
     }
+}
+
+fn payload(request: &Request) -> Result<Vec<u8>, Failure> {
+    serde_json::to_vec(request).map_err(Failure::defect)
 }

@@ -30,8 +30,31 @@ impl Bus {
         self.tokens(&keys::node_alive(&self.prefix, "*")).await
     }
 
+    /// The swarms that are there, on whatever node.
+    ///
+    /// # Errors
+    ///
+    /// [`Failure::Unreadable`] when zenoh does not take the key.
+    pub async fn swarms(&self) -> Result<Vec<String>, Failure> {
+        let prefix = format!("{}/", self.prefix);
+        let mut swarms: Vec<String> = self
+            .keys_of_tokens(&keys::alive(&self.prefix, "*", "*"))
+            .await?
+            .iter()
+            .filter_map(|key| key.strip_prefix(&prefix)?.split('/').next())
+            .map(str::to_owned)
+            .collect();
+        swarms.sort();
+        swarms.dedup();
+        Ok(swarms)
+    }
+
     /// The node to ask: the one named, or the only one.
-    pub(super) async fn node(&self) -> Result<String, Failure> {
+    ///
+    /// # Errors
+    ///
+    /// That there is none, or several.
+    pub async fn node(&self) -> Result<String, Failure> {
         if let Some(node) = &self.node {
             return Ok(node.clone());
         }
@@ -45,6 +68,18 @@ impl Bus {
 
     /// The nodes in the keys of liveliness tokens, ordered.
     async fn tokens(&self, key: &str) -> Result<Vec<String>, Failure> {
+        let keys = self.keys_of_tokens(key).await?;
+        let mut nodes: Vec<String> = keys
+            .iter()
+            .filter_map(|key| node_of(&self.prefix, key))
+            .collect();
+        nodes.sort();
+        nodes.dedup();
+        Ok(nodes)
+    }
+
+    /// The keys of the liveliness tokens that stand.
+    async fn keys_of_tokens(&self, key: &str) -> Result<Vec<String>, Failure> {
         let replies = self
             .session
             .liveliness()
@@ -52,15 +87,13 @@ impl Bus {
             .timeout(LOOKING)
             .await
             .map_err(Failure::unreadable)?;
-        let mut nodes = Vec::new();
+        let mut keys = Vec::new();
         while let Ok(reply) = replies.recv_async().await {
             if let Ok(token) = reply.result() {
-                nodes.extend(node_of(&self.prefix, token.key_expr().as_str()));
+                keys.push(token.key_expr().to_string());
             }
         }
-        nodes.sort();
-        nodes.dedup();
-        Ok(nodes)
+        Ok(keys)
     }
 
     /// Subscribes to liveliness tokens, those that stand included; the latest win.
@@ -96,6 +129,7 @@ impl Bus {
             _ if there.is_empty() => self.nobody().await,
             Whom::Swarm(swarm) => Failure::NoSwarm {
                 swarm: swarm.into(),
+                there: self.swarms().await.unwrap_or_default(),
             },
             Whom::Node(node) if there.iter().any(|name| name == node) => Failure::Silent {
                 whom: whom.to_string(),
@@ -108,7 +142,7 @@ impl Bus {
     }
 
     /// No node is there: is there anything at all?
-    async fn nobody(&self) -> Failure {
+    pub async fn nobody(&self) -> Failure {
         let info = self.session.info();
         let connected = info.peers_zid().await.count() + info.routers_zid().await.count() > 0;
         if connected {

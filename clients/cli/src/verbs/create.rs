@@ -9,6 +9,7 @@ use serde_json::{Map, Value, json};
 use crate::arguments::CreateArguments;
 use crate::bus::Bus;
 use crate::failure::Failure;
+use crate::file;
 use crate::format;
 use crate::output::Output;
 use crate::values::Rate;
@@ -25,7 +26,7 @@ pub async fn create(bus: &Bus, output: Output, arguments: &CreateArguments) -> R
         "spec": spec(arguments)?,
         "exist_ok": arguments.exist_ok,
     });
-    let answer = bus.command_node("create", &args).await?;
+    let answer = bus.command_node("create", &args, &arguments.sender).await?;
     print(output, &answer, |reply: &Reply<CreateResult>| {
         let CreateResult {
             created,
@@ -72,12 +73,7 @@ fn read(path: &Path) -> Result<Map<String, Value>, Failure> {
         argument: "--spec".into(),
         problem,
     };
-    let text = if path == Path::new("-") {
-        std::io::read_to_string(std::io::stdin())
-    } else {
-        std::fs::read_to_string(path)
-    };
-    let text = text.map_err(|error| wrong(format!("{}: {error}", path.display())))?;
+    let text = file::read(path).map_err(wrong)?;
     serde_json::from_str(&text)
         .map_err(|error| wrong(format!("{} is no JSON object: {error}", path.display())))
 }

@@ -2,15 +2,14 @@
 
 use jostle_proto::Reply;
 use jostle_proto::verbs::{IdsResult, InformArgs, InjectArgs, RemoveArgs, UninformArgs};
-use serde::Serialize;
 
 use crate::arguments::{InformArguments, InjectArguments, SelectArguments};
-use crate::bus::Bus;
+use crate::bus::{Answer, Bus};
 use crate::failure::Failure;
 use crate::format;
 use crate::output::Output;
 use crate::selection::radians;
-use crate::verbs::print;
+use crate::verbs::print_outcome;
 
 /// Gives individuals a direction.
 ///
@@ -18,6 +17,7 @@ use crate::verbs::print;
 ///
 /// Why nobody was informed.
 pub async fn inform(bus: &Bus, output: Output, arguments: &InformArguments) -> Result<(), Failure> {
+    let InformArguments { name, sending, .. } = arguments;
     let direction = radians(arguments.direction, arguments.degrees);
     let args = InformArgs {
         select: arguments.selection.select(),
@@ -25,7 +25,8 @@ pub async fn inform(bus: &Bus, output: Output, arguments: &InformArguments) -> R
         weight: arguments.weight,
         for_time: arguments.for_time,
     };
-    change(bus, output, &arguments.name, "inform", &args, "informed").await
+    let answer = bus.command(name, "inform", &args, sending).await?;
+    tell(output, &answer, "inform", "informed")
 }
 
 /// Takes individuals' direction away.
@@ -38,11 +39,12 @@ pub async fn uninform(
     output: Output,
     arguments: &SelectArguments,
 ) -> Result<(), Failure> {
+    let SelectArguments { name, sending, .. } = arguments;
     let args = UninformArgs {
         select: arguments.selection.select(),
     };
-    let name = &arguments.name;
-    change(bus, output, name, "uninform", &args, "uninformed").await
+    let answer = bus.command(name, "uninform", &args, sending).await?;
+    tell(output, &answer, "uninform", "uninformed")
 }
 
 /// Adds individuals.
@@ -51,7 +53,9 @@ pub async fn uninform(
 ///
 /// Why nobody was added.
 pub async fn inject(bus: &Bus, output: Output, arguments: &InjectArguments) -> Result<(), Failure> {
-    let at = &arguments.at;
+    let InjectArguments {
+        name, at, sending, ..
+    } = arguments;
     let args = InjectArgs {
         count: arguments.count,
         at: (!at.is_empty()).then(|| at.clone()),
@@ -59,7 +63,8 @@ pub async fn inject(bus: &Bus, output: Output, arguments: &InjectArguments) -> R
         direction: radians(arguments.direction, arguments.degrees),
         weight: arguments.weight,
     };
-    change(bus, output, &arguments.name, "inject", &args, "injected").await
+    let answer = bus.command(name, "inject", &args, sending).await?;
+    tell(output, &answer, "inject", "injected")
 }
 
 /// Takes individuals out of the group.
@@ -68,29 +73,27 @@ pub async fn inject(bus: &Bus, output: Output, arguments: &InjectArguments) -> R
 ///
 /// Why nobody was removed.
 pub async fn remove(bus: &Bus, output: Output, arguments: &SelectArguments) -> Result<(), Failure> {
+    let SelectArguments { name, sending, .. } = arguments;
     let args = RemoveArgs {
         select: arguments.selection.select(),
     };
-    change(bus, output, &arguments.name, "remove", &args, "removed").await
+    let answer = bus.command(name, "remove", &args, sending).await?;
+    tell(output, &answer, "remove", "removed")
 }
 
-/// Sends it and says who it was about.
-async fn change<A: Serialize + Sync>(
-    bus: &Bus,
-    output: Output,
-    swarm: &str,
-    verb: &str,
-    args: &A,
-    done: &str,
-) -> Result<(), Failure> {
-    let answer = bus.command(swarm, verb, args).await?;
-    print(output, &answer, |reply: &Reply<IdsResult>| {
-        let IdsResult { ids, n } = &reply.result;
-        let (swarm, step) = (&reply.swarm, reply.step);
-        let whom = match ids.len() {
-            0 => "nobody".into(),
-            count => format!("{count} ({})", format::ids(ids)),
-        };
+/// Says who it was about.
+fn tell(output: Output, answer: &Answer, verb: &str, done: &str) -> Result<(), Failure> {
+    print_outcome(output, answer, verb, |reply: &Reply<IdsResult>| {
+        let whom = whom(&reply.result.ids);
+        let (swarm, step, n) = (&reply.swarm, reply.step, reply.result.n);
         format!("{done} {whom} at step {step}; {swarm} has {n}")
     })
+}
+
+/// How many, and who.
+pub fn whom(ids: &[u32]) -> String {
+    match ids.len() {
+        0 => "nobody".into(),
+        count => format!("{count} ({})", format::ids(ids)),
+    }
 }

@@ -1,13 +1,20 @@
 //! What each verb does: arguments to a request, the answer to words or JSON.
 
+mod batch;
 mod create;
+mod doctor;
+mod events;
 mod individuals;
+mod look;
+mod lookout;
 mod run;
-mod show;
+mod schema;
+mod shell;
 mod steer;
 mod watch;
 
 use jostle_proto::Reply;
+use jostle_proto::verbs::Scheduled;
 use serde::de::DeserializeOwned;
 
 use crate::arguments::{Arguments, Verb};
@@ -23,8 +30,16 @@ use crate::output::Output;
 ///
 /// Why it was not done.
 pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure> {
-    let bus = interrupt::either(Bus::open(arguments.global)).await?;
-    let outcome = match arguments.verb {
+    let Arguments { global, verb } = arguments;
+    // These need no daemon, or want to see for themselves.
+    let verb = match verb {
+        Verb::Completions(arguments) => return shell::completions(output, &arguments),
+        Verb::Man(arguments) => return shell::man(output, &arguments),
+        Verb::Doctor => return interrupt::either(doctor::doctor(output, global)).await,
+        verb => verb,
+    };
+    let bus = interrupt::either(Bus::open(global)).await?;
+    let outcome = match verb {
         // These two have something to say when interrupted.
         Verb::Run(arguments) => run::run(&bus, output, &arguments).await,
         Verb::Watch(arguments) => watch::watch(&bus, output, &arguments).await,
@@ -36,14 +51,13 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
     outcome
 }
 
-/// The verbs that are one request and one answer.
+/// The verbs that end at once when interrupted.
 async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
     match verb {
         Verb::Create(arguments) => create::create(bus, output, &arguments).await,
-        Verb::List => show::list(bus, output).await,
-        Verb::Status(arguments) => show::status(bus, output, &arguments.name).await,
-        Verb::Spec(arguments) => show::spec(bus, output, &arguments.name).await,
-        Verb::Pause(arguments) => steer::pause(bus, output, &arguments.name).await,
+        Verb::Look(arguments) => look::look(bus, output, &arguments).await,
+        Verb::Events(arguments) => events::events(bus, output, &arguments).await,
+        Verb::Pause(arguments) => steer::pause(bus, output, &arguments).await,
         Verb::Step(arguments) => steer::step(bus, output, &arguments).await,
         Verb::Reset(arguments) => steer::reset(bus, output, &arguments).await,
         Verb::Set(arguments) => steer::set(bus, output, &arguments).await,
@@ -52,8 +66,11 @@ async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
         Verb::Uninform(arguments) => individuals::uninform(bus, output, &arguments).await,
         Verb::Inject(arguments) => individuals::inject(bus, output, &arguments).await,
         Verb::Remove(arguments) => individuals::remove(bus, output, &arguments).await,
-        Verb::Run(arguments) => run::run(bus, output, &arguments).await,
-        Verb::Watch(arguments) => watch::watch(bus, output, &arguments).await,
+        Verb::Batch(arguments) => batch::batch(bus, output, &arguments).await,
+        Verb::Schema(arguments) => schema::schema(bus, output, &arguments).await,
+        Verb::Run(_) | Verb::Watch(_) | Verb::Doctor | Verb::Completions(_) | Verb::Man(_) => {
+            unreachable!("these are carried out elsewhere")
+        }
     }
 }
 
@@ -68,6 +85,30 @@ fn print<T: DeserializeOwned>(
     } else {
         output.data(&tell(&answer.read()?))
     }
+}
+
+/// Prints the answer to a command as it came, that it waits for its step, or in the words of
+/// `tell`.
+fn print_outcome<T: DeserializeOwned>(
+    output: Output,
+    answer: &Answer,
+    verb: &str,
+    tell: impl FnOnce(&T) -> String,
+) -> Result<(), Failure> {
+    match scheduled(answer) {
+        Some(reply) if !output.json => output.data(&format!(
+            "{verb} will be applied at step {}; {} is {}",
+            reply.result.applies_at_step,
+            reply.swarm,
+            place(&reply)
+        )),
+        _ => print(output, answer, tell),
+    }
+}
+
+/// The answer to a command that waits for its step; no other answer says when it applies.
+fn scheduled(answer: &Answer) -> Option<Reply<Scheduled>> {
+    answer.read().ok()
 }
 
 /// Where a swarm stands, as the end of a sentence.

@@ -13,7 +13,8 @@ use crate::format;
 use crate::interrupt;
 use crate::output::Output;
 use crate::values::Rate;
-use crate::verbs::{place, print};
+use crate::verbs::lookout::RISE;
+use crate::verbs::{place, print, print_outcome};
 
 /// How long the daemon holds a question before it is asked again.
 const HELD: Duration = Duration::from_secs(30);
@@ -34,9 +35,9 @@ pub async fn run(bus: &Bus, output: Output, arguments: &RunArguments) -> Result<
         rate: arguments.rate.map(|Rate(rate)| rate),
     };
     let swarm = &arguments.name;
-    let answer = interrupt::either(bus.command(swarm, "run", &args)).await?;
+    let answer = interrupt::either(bus.command(swarm, "run", &args, &arguments.sending)).await?;
     if !arguments.wait {
-        return print(output, &answer, tell);
+        return print_outcome(output, &answer, "run", tell);
     }
     let reply: Reply<RunResult> = answer.read()?;
     let began = Instant::now();
@@ -87,7 +88,8 @@ async fn reached(
     let swarm = &started.swarm;
     let target = started.result.until_step;
     let what = target.map_or_else(|| "phase=paused".into(), |step| format!("step={step}"));
-    let mut lost: Option<Instant> = None;
+    let lost_before = bus.lost();
+    let (mut lost, mut missing): (Option<Instant>, Option<Instant>) = (None, None);
     loop {
         match bus.wait(swarm, &what, HELD).await {
             Ok(answer) => {
@@ -95,15 +97,15 @@ async fn reached(
                 if let Some(verdict) = verdict(started, &reply) {
                     return Ok((answer, verdict));
                 }
-                lost = None;
+                (lost, missing) = (None, None);
             }
-            Err(Failure::Refused(error)) if error.code == ErrorCode::DeadlineExceeded => {
-                lost = None;
+            Err(Failure::Refused { error, .. }) if error.code == ErrorCode::DeadlineExceeded => {
+                (lost, missing) = (None, None);
                 continue;
             }
             Err(failure) if failure.is_passing() => {
                 let since = *lost.get_or_insert_with(|| {
-                    bar.suspend(|| output.note(&format!("{failure}; asking again")));
+                    bar.suspend(|| output.note(&waiting(&failure)));
                     Instant::now()
                 });
                 if since.elapsed() > PATIENCE {
@@ -111,15 +113,32 @@ async fn reached(
                 }
             }
             Err(failure) if failure.code() == "not_found" => {
-                let swarm = swarm.clone();
-                return Err(match lost {
-                    Some(_) => Failure::LeftBehind { swarm },
-                    None => Failure::Deleted { swarm },
-                });
+                // One look is too few: a swarm is known a moment later than the daemon that
+                // hosts it.
+                let was_lost = lost.is_some() || bus.lost() != lost_before;
+                let since = *missing.get_or_insert_with(Instant::now);
+                if since.elapsed() >= if was_lost { RISE } else { REST } {
+                    let swarm = swarm.clone();
+                    return Err(match lost {
+                        Some(_) => Failure::LeftBehind { swarm },
+                        None => Failure::Deleted { swarm },
+                    });
+                }
             }
             Err(failure) => return Err(failure),
         }
         tokio::time::sleep(REST).await;
+    }
+}
+
+/// What people are told once when the answers stop coming.
+fn waiting(failure: &Failure) -> String {
+    let secs = PATIENCE.as_secs();
+    match failure {
+        Failure::NoDaemon { .. } | Failure::NoNode { .. } => {
+            format!("the daemon is gone; waiting up to {secs} s for it to come back, Ctrl-C ends")
+        }
+        _ => format!("{failure}; asking again for up to {secs} s, Ctrl-C ends"),
     }
 }
 
@@ -220,7 +239,7 @@ mod tests {
             "reason": "because", "until_step": null, "rate": 1.0, "real_time_factor": null,
             "n": 3, "informed": 0, "seed": 0, "dt": 0.02,
             "parameters": {"pi1": 4.0, "pi2": 0.5, "pi3": 1.0, "pi4": 10.0, "publish_every": 5},
-            "state_hash": "",
+            "scheduled": 0, "state_hash": "",
             "order": {
                 "order": 0.0, "mean_order": null, "velocity": [0.0, 0.0], "mean_velocity": null,
                 "direction": null, "drift": null, "mean_drift": null,

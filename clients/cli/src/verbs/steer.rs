@@ -1,28 +1,32 @@
 //! `pause`, `step`, `reset`, `set` and `delete`: the swarm as a whole.
 
-use jostle_proto::Reply;
 use jostle_proto::verbs::{
     DeleteArgs, EmptyResult, PauseArgs, ResetArgs, ResetResult, Return, SetResult, StepArgs,
     StepResult,
 };
+use jostle_proto::{Parameter, Reply, contract};
 use serde_json::{Map, Value};
 
-use crate::arguments::{DeleteArguments, ResetArguments, SetArguments, StepArguments};
+use crate::arguments::{
+    DeleteArguments, PauseArguments, ResetArguments, SetArguments, StepArguments,
+};
 use crate::bus::Bus;
 use crate::failure::Failure;
 use crate::format;
+use crate::nearest::did_you_mean;
 use crate::output::Output;
 use crate::table;
-use crate::verbs::{place, print};
+use crate::verbs::{place, print_outcome, scheduled};
 
 /// Pauses a swarm.
 ///
 /// # Errors
 ///
 /// Why it was not paused.
-pub async fn pause(bus: &Bus, output: Output, swarm: &str) -> Result<(), Failure> {
-    let answer = bus.command(swarm, "pause", &PauseArgs {}).await?;
-    print(output, &answer, |reply: &Reply<EmptyResult>| {
+pub async fn pause(bus: &Bus, output: Output, arguments: &PauseArguments) -> Result<(), Failure> {
+    let PauseArguments { name, sending } = arguments;
+    let answer = bus.command(name, "pause", &PauseArgs {}, sending).await?;
+    print_outcome(output, &answer, "pause", |reply: &Reply<EmptyResult>| {
         format!("{} is {}", reply.swarm, place(reply))
     })
 }
@@ -41,9 +45,10 @@ pub async fn step(bus: &Bus, output: Output, arguments: &StepArguments) -> Resul
             Return::None
         },
     };
-    let answer = bus.command(&arguments.name, "step", &args).await?;
-    if !arguments.state {
-        return print(output, &answer, |reply: &Reply<StepResult>| {
+    let StepArguments { name, sending, .. } = arguments;
+    let answer = bus.command(name, "step", &args, sending).await?;
+    if !arguments.state || scheduled(&answer).is_some() {
+        return print_outcome(output, &answer, "step", |reply: &Reply<StepResult>| {
             let StepResult {
                 steps, state_hash, ..
             } = &reply.result;
@@ -78,8 +83,9 @@ pub async fn reset(bus: &Bus, output: Output, arguments: &ResetArguments) -> Res
     let args = ResetArgs {
         seed: arguments.seed,
     };
-    let answer = bus.command(&arguments.name, "reset", &args).await?;
-    print(output, &answer, |reply: &Reply<ResetResult>| {
+    let ResetArguments { name, sending, .. } = arguments;
+    let answer = bus.command(name, "reset", &args, sending).await?;
+    print_outcome(output, &answer, "reset", |reply: &Reply<ResetResult>| {
         format!(
             "{} is {}, seed {}\nstate hash {}",
             reply.swarm,
@@ -112,8 +118,10 @@ pub async fn set(bus: &Bus, output: Output, arguments: &SetArguments) -> Result<
     if arguments.make_room {
         args.insert("make_room".into(), Value::Bool(true));
     }
-    let answer = bus.command(&arguments.name, "set", &args).await?;
-    print(output, &answer, |reply: &Reply<SetResult>| {
+    let SetArguments { name, sending, .. } = arguments;
+    let answer = bus.command(name, "set", &args, sending).await;
+    let answer = answer.map_err(|failure| failure.with_advice(advice_on_set(args.keys())))?;
+    print_outcome(output, &answer, "set", |reply: &Reply<SetResult>| {
         let mut text = table::changes(&reply.result);
         let scaled_by = reply.result.scaled_by;
         if scaled_by > 1.0 {
@@ -131,17 +139,26 @@ pub async fn set(bus: &Bus, output: Output, arguments: &SetArguments) -> Result<
 ///
 /// Why the first that is still there was not deleted.
 pub async fn delete(bus: &Bus, output: Output, arguments: &DeleteArguments) -> Result<(), Failure> {
+    let DeleteArguments { names, sending } = arguments;
+    if names.len() > 1 && sending.sender.request_id.is_some() {
+        return Err(Failure::Argument {
+            argument: "--request-id".into(),
+            problem: "names one request, and each swarm is one of its own".into(),
+        });
+    }
     let mut first = None;
-    for swarm in &arguments.names {
-        match bus.command(swarm, "delete", &DeleteArgs {}).await {
-            Ok(answer) => print(output, &answer, |reply: &Reply<EmptyResult>| {
-                format!(
-                    "deleted {} at step {}, time {}",
-                    reply.swarm,
-                    reply.step,
-                    format::time(reply.time)
-                )
-            })?,
+    for swarm in names {
+        match bus.command(swarm, "delete", &DeleteArgs {}, sending).await {
+            Ok(answer) => {
+                print_outcome(output, &answer, "delete", |reply: &Reply<EmptyResult>| {
+                    format!(
+                        "deleted {} at step {}, time {}",
+                        reply.swarm,
+                        reply.step,
+                        format::time(reply.time)
+                    )
+                })?;
+            }
             Err(failure) => {
                 if let Some(earlier) = first.replace(failure) {
                     output.failure(&earlier);
@@ -152,6 +169,37 @@ pub async fn delete(bus: &Bus, output: Output, arguments: &DeleteArguments) -> R
     first.map_or(Ok(()), Err)
 }
 
+/// What people may have meant by a field that no swarm has; of all others the daemon says what
+/// can be done.
+pub fn advice_on_set<'a>(fields: impl Iterator<Item = &'a String>) -> Option<String> {
+    let parameters = contract::parameters();
+    let names = |is_wanted: fn(&Parameter) -> bool| {
+        let wanted = parameters.iter().filter(move |it| is_wanted(it));
+        wanted.map(|it| it.name.as_str()).chain(["make_room"])
+    };
+    let mut fields = fields.into_iter();
+    let unknown = fields.find(|field| names(|_| true).all(|known| known != *field))?;
+    did_you_mean(
+        unknown,
+        names(|parameter| parameter.changed_by.iter().any(|verb| verb == "set")),
+    )
+}
+
 fn json<T: serde::Serialize>(value: &T) -> Result<String, Failure> {
     serde_json::to_string(value).map_err(Failure::defect)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slip_in_a_parameter_is_recognised() {
+        let advice = |field: &str| advice_on_set([field.to_owned()].iter()).unwrap_or_default();
+        assert_eq!(advice("pi3"), "");
+        assert_eq!(advice("make_room"), "");
+        assert!(advice("publish_evry").contains("`publish_every`"));
+        assert_eq!(advice("dt"), "", "it is known and cannot be set");
+        assert_eq!(advice("colour"), "");
+    }
 }

@@ -7,49 +7,50 @@ use crate::bus::Bus;
 use crate::failure::Failure;
 use crate::output::Output;
 use crate::table;
-use crate::verbs::print;
+use crate::verbs::look::Sight;
 
-/// Lists the swarms of a daemon.
+/// The swarms of a daemon.
 ///
 /// # Errors
 ///
 /// Why there is no list.
-pub async fn list(bus: &Bus, output: Output) -> Result<(), Failure> {
+pub async fn list(bus: &Bus, output: Output) -> Result<Sight, Failure> {
     let answer = bus.get_node("swarms").await?;
-    if output.json {
-        return output.data(answer.json()?);
-    }
     let reply: NodeReply<Swarms> = answer.read()?;
-    if reply.result.swarms.is_empty() {
-        output.note(&format!(
+    if output.json || !reply.result.swarms.is_empty() {
+        return Sight::of_answer(output, &answer, |reply: &NodeReply<Swarms>| {
+            table::swarms(&reply.result.swarms)
+        });
+    }
+    Ok(Sight {
+        data: None,
+        note: Some(format!(
             "no swarms on {}: `jostle create demo --n 50` makes one",
             reply.node
-        ));
-        return Ok(());
-    }
-    output.data(&table::swarms(&reply.result.swarms))
+        )),
+    })
 }
 
-/// Shows how a swarm is doing.
+/// How a swarm is doing.
 ///
 /// # Errors
 ///
 /// Why there is no status.
-pub async fn status(bus: &Bus, output: Output, swarm: &str) -> Result<(), Failure> {
+pub async fn status(bus: &Bus, output: Output, swarm: &str) -> Result<Sight, Failure> {
     let answer = bus.get(swarm, "status").await?;
-    print(output, &answer, |reply: &Reply<Status>| {
+    Sight::of_answer(output, &answer, |reply: &Reply<Status>| {
         table::status(reply)
     })
 }
 
-/// Prints what a swarm was made from, as `create --spec` reads it.
+/// What a swarm was made from, as `create --spec` reads it.
 ///
 /// # Errors
 ///
 /// Why there is no spec.
-pub async fn spec(bus: &Bus, output: Output, swarm: &str) -> Result<(), Failure> {
+pub async fn spec(bus: &Bus, output: Output, swarm: &str) -> Result<Sight, Failure> {
     let answer = bus.get(swarm, "spec").await?;
-    print(output, &answer, |reply: &Reply<Value>| {
+    Sight::of_answer(output, &answer, |reply: &Reply<Value>| {
         format!("{:#}", reply.result)
     })
 }

@@ -1,22 +1,21 @@
 //! `watch`: a swarm live, through restarts of connections, until it is deleted.
 
 mod view;
-mod whereabouts;
 
 use std::pin::pin;
 use std::time::Duration;
 
 use jostle_proto::{Event, EventKind, OrderSample, Phase, Reply, State, Status, keys};
-use tokio::time::{Instant, interval, sleep_until};
-use zenoh::sample::{Sample, SampleKind};
+use tokio::time::{Instant, interval};
+use zenoh::sample::Sample;
 
 use self::view::View;
-use self::whereabouts::{News, Whereabouts};
 use crate::arguments::WatchArguments;
-use crate::bus::{Answer, Bus, Samples, node_of};
+use crate::bus::{Answer, Bus, Samples};
 use crate::failure::Failure;
 use crate::interrupt;
 use crate::output::Output;
+use crate::verbs::lookout::{BACK, GONE, Lookout, News, reach};
 
 /// How many samples may wait to be printed before the oldest are dropped.
 const BACKLOG: usize = 64;
@@ -47,10 +46,7 @@ struct Watching<'a> {
     view: View,
     samples: Samples,
     events: Samples,
-    swarm_tokens: Samples,
-    node_tokens: Samples,
-    whereabouts: Whereabouts,
-    node: Option<String>,
+    lookout: Lookout<'a>,
     /// Epoch, step, frame and phase of what was asked for, lest it is printed twice.
     looked: Option<(u64, u64, u64, Phase)>,
     left: Option<u64>,
@@ -76,18 +72,11 @@ impl<'a> Watching<'a> {
         let mut watching = Watching {
             samples: bus.subscribe(&key, backlog).await?,
             events: bus.subscribe(&keys::event(prefix, swarm), BACKLOG).await?,
-            swarm_tokens: bus
-                .subscribe_tokens(&keys::alive(prefix, swarm, "*"), BACKLOG)
-                .await?,
-            node_tokens: bus
-                .subscribe_tokens(&keys::node_alive(prefix, "*"), BACKLOG)
-                .await?,
+            lookout: Lookout::begin(bus, swarm).await?,
             bus,
             output,
             swarm,
             view,
-            whereabouts: Whereabouts::Here,
-            node: None,
             looked: None,
             left: arguments.count,
             end: arguments
@@ -111,12 +100,11 @@ impl<'a> Watching<'a> {
                 event = self.events.recv_async() => {
                     let event = Answer::from(&received(event)?).read::<Event>();
                     if event.is_ok_and(|event| event.event == (EventKind::Deleted {})) {
-                        return Err(self.deleted());
+                        let swarm = self.swarm.into();
+                        return Err(Failure::Deleted { swarm });
                     }
                 }
-                token = self.swarm_tokens.recv_async() => self.swarm_token(&received(token)?).await?,
-                token = self.node_tokens.recv_async() => self.node_token(&received(token)?),
-                () = reach(self.whereabouts.deadline()) => self.judge().await?,
+                news = self.lookout.news() => self.hear(news?).await?,
                 sample = self.samples.recv_async() => self.sample(&received(sample)?)?,
                 _ = ticks.tick() => {
                     let shown = self.view.tick()?;
@@ -186,57 +174,18 @@ impl<'a> Watching<'a> {
         Ok(())
     }
 
-    async fn swarm_token(&mut self, token: &Sample) -> Result<(), Failure> {
-        let is_alive = token.kind() == SampleKind::Put;
-        if is_alive {
-            self.node = node_of(self.bus.prefix(), token.key_expr().as_str());
+    async fn hear(&mut self, news: News) -> Result<(), Failure> {
+        if news == News::Gone {
+            return self.view.notice(self.output, Some(GONE));
         }
-        let news = self.whereabouts.swarm_token(is_alive, Instant::now());
-        if news == Some(News::Back) {
-            self.view.notice(self.output, None)?;
-            if !self.view.is_panel() {
-                self.output.note("the daemon is back");
-            }
-            // Whatever prevents a look now, the next sample shows how it is.
-            if let Err(failure @ Failure::Pipe) = self.look().await {
-                return Err(failure);
-            }
+        self.view.notice(self.output, None)?;
+        if !self.view.is_panel() {
+            self.output.note(BACK);
         }
-        Ok(())
-    }
-
-    fn node_token(&mut self, token: &Sample) {
-        if self.is_its_node(node_of(self.bus.prefix(), token.key_expr().as_str()).as_ref()) {
-            let is_alive = token.kind() == SampleKind::Put;
-            self.whereabouts.node_token(is_alive, Instant::now());
-        }
-    }
-
-    /// Says what became of a swarm whose token is gone.
-    async fn judge(&mut self) -> Result<(), Failure> {
-        let nodes = self.bus.nodes().await?;
-        let is_node_there = nodes.iter().any(|node| self.is_its_node(Some(node)));
-        match self.whereabouts.judge(is_node_there) {
-            Some(News::Deleted) => Err(self.deleted()),
-            Some(News::LeftBehind) => Err(Failure::LeftBehind {
-                swarm: self.swarm.into(),
-            }),
-            Some(News::Gone) => {
-                let text = "the daemon went away; waiting for it to come back";
-                self.view.notice(self.output, Some(text))
-            }
-            Some(News::Back) | None => Ok(()),
-        }
-    }
-
-    /// Whether a node is the one that hosts the swarm, as far as is known.
-    fn is_its_node(&self, node: Option<&String>) -> bool {
-        self.node.is_none() || self.node.as_ref() == node
-    }
-
-    fn deleted(&self) -> Failure {
-        Failure::Deleted {
-            swarm: self.swarm.into(),
+        // Whatever prevents a look now, the next sample shows how it is.
+        match self.look().await {
+            Err(failure @ Failure::Pipe) => Err(failure),
+            _ => Ok(()),
         }
     }
 
@@ -261,14 +210,6 @@ fn sample_of(reply: Reply<Status>, frame: u64) -> OrderSample {
         certificate: status.certificate,
         rate: status.rate,
         real_time_factor: status.real_time_factor,
-    }
-}
-
-/// Completes at `deadline`; never if there is none.
-async fn reach(deadline: Option<Instant>) {
-    match deadline {
-        Some(deadline) => sleep_until(deadline).await,
-        None => std::future::pending().await,
     }
 }
 

@@ -5,13 +5,8 @@ use jostle_proto::{OrderSample, State};
 use crate::failure::Failure;
 use crate::format;
 use crate::output::{self, Output};
+use crate::screen::Screen;
 
-/// Control sequences of every terminal but a dumb one. Long lines are cut rather than wrapped, or
-/// the number of lines to go up would be wrong.
-const DO_NOT_WRAP: &str = "\x1b[?7l";
-const WRAP: &str = "\x1b[?7h";
-const CLEAR_LINE: &str = "\x1b[K";
-const CLEAR_BELOW: &str = "\x1b[J";
 /// The width of the order's bar.
 const BAR_WIDTH: usize = 20;
 
@@ -23,8 +18,8 @@ pub enum View {
     Samples,
     /// On a terminal: a few lines that change in place.
     Panel {
-        /// How many are on the screen.
-        drawn: usize,
+        /// Where they are drawn.
+        screen: Screen,
         /// The lines about the swarm.
         text: String,
         /// The line below, when there is something to say.
@@ -55,7 +50,7 @@ impl View {
             };
         }
         View::Panel {
-            drawn: 0,
+            screen: Screen::default(),
             text: String::new(),
             notice: None,
         }
@@ -94,12 +89,12 @@ impl View {
         match self {
             View::Frames | View::Samples => Ok(0),
             View::Panel {
-                drawn,
+                screen,
                 text,
                 notice,
             } => {
                 *text = panel(&sample);
-                draw(drawn, text, *notice).map(|()| 1)
+                screen.draw(text, *notice).map(|()| 1)
             }
             View::Lines { latest, is_begun } => {
                 *latest = Some(Box::new(sample));
@@ -137,14 +132,14 @@ impl View {
         match (self, said) {
             (
                 View::Panel {
-                    drawn,
+                    screen,
                     text,
                     notice,
                 },
                 said,
             ) => {
                 *notice = said;
-                draw(drawn, text, said)
+                screen.draw(text, said)
             }
             (_, Some(said)) => {
                 output.note(said);
@@ -153,26 +148,6 @@ impl View {
             (_, None) => Ok(()),
         }
     }
-}
-
-/// Draws a panel over the one before. The cursor stays below, where an echoed ^C does no harm.
-fn draw(drawn: &mut usize, text: &str, notice: Option<&str>) -> Result<(), Failure> {
-    let mut screen = String::from("\r");
-    if *drawn > 0 {
-        screen.push_str(&format!("\x1b[{drawn}A"));
-    }
-    screen.push_str(DO_NOT_WRAP);
-    let lines: Vec<&str> = text.lines().chain(notice).collect();
-    let width = usize::from(console::Term::stdout().size().1);
-    for line in &lines {
-        // A terminal that does not wrap would put the end of a long line into its last column.
-        let line = console::truncate_str(line, width, "…");
-        screen.push_str(&format!("{line}{CLEAR_LINE}\n"));
-    }
-    screen.push_str(CLEAR_BELOW);
-    screen.push_str(WRAP);
-    *drawn = lines.len();
-    output::write(&screen)
 }
 
 /// A swarm on five lines.

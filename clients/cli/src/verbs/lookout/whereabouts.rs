@@ -7,7 +7,7 @@ use tokio::time::Instant;
 /// How long after a swarm's token its node's token may fall, if the whole node goes.
 const FALL: Duration = Duration::from_secs(1);
 /// How long after a node's token its swarms' tokens may rise.
-const RISE: Duration = Duration::from_secs(3);
+pub const RISE: Duration = Duration::from_secs(3);
 
 /// Where a swarm is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

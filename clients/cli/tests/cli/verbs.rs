@@ -1,25 +1,13 @@
-//! The command line as a shell meets it: the real binary against a daemon in this process.
-
-#![expect(clippy::unwrap_used, reason = "tests")]
-
-mod support;
+//! One request, one answer: in JSON, in words, and what it exits with.
 
 use serde_json::{Value, json};
 
-use crate::support::{Daemon, Ended, Impostor, until};
-
-/// One object on stdout, exit code 0.
-fn object(ended: &Ended) -> Value {
-    assert_eq!(ended.code, Some(0), "{ended:?}");
-    let lines = ended.json_lines();
-    assert_eq!(lines.len(), 1, "{ended:?}");
-    lines[0].clone()
-}
+use crate::support::{Daemon, Impostor, object};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_verb_answers_json_as_it_came() {
     let daemon = Daemon::start().await;
-    let reply = async |line: &str| object(&daemon.jostle(&format!("--json {line}")).await);
+    let reply = async |line: &str| daemon.reply(line).await;
 
     assert_eq!(reply("list").await["result"]["swarms"], json!([]));
     let created = reply("create demo --n 20 --seed 3 --pi1 5 --rate max --radius 9").await;
@@ -91,11 +79,7 @@ async fn people_are_told_in_words_and_tables() {
     assert_eq!((nothing.code, nothing.stdout.as_str()), (Some(0), ""));
     assert!(nothing.stderr.contains("jostle create"), "{nothing:?}");
 
-    let said = async |line: &str| {
-        let ended = daemon.jostle(line).await;
-        assert_eq!(ended.code, Some(0), "{ended:?}");
-        ended.stdout
-    };
+    let said = async |line: &str| daemon.said(line).await;
     assert!(
         said("create demo --n 20")
             .await
@@ -180,7 +164,8 @@ async fn each_kind_of_error_has_its_exit_code_and_a_json_object() {
         ("list --node nobody", 3, "not_found"),
         ("create demo --n 21", 4, "already_exists"),
         ("step busy", 4, "incorrect_state"),
-        ("--expect-step 9 pause demo", 4, "conflict"),
+        ("pause demo --expect-step 9", 4, "conflict"),
+        ("pause demo --expect-epoch 9", 4, "conflict"),
         ("list --prefix other", 6, "unreachable"),
         ("list -e tcp/127.0.0.1:1", 6, "unreachable"),
         ("create a --n 3 --spec /dev/null", 2, "invalid_argument"),
@@ -229,162 +214,6 @@ async fn deleting_several_deletes_those_that_are_there() {
         object(&daemon.jostle("--json list").await)["result"]["swarms"],
         json!([])
     );
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_run_is_waited_for_until_it_is_there() {
-    let daemon = Daemon::start().await;
-    daemon.jostle("create demo --n 10").await;
-    let ended = daemon
-        .jostle("--json run demo --until 2 --rate max --wait")
-        .await;
-    let reached = object(&ended);
-    assert_eq!(
-        (&reached["step"], &reached["phase"]),
-        (&json!(100), &json!("paused"))
-    );
-    assert_eq!(ended.stderr, "", "no bar where there is no terminal");
-    let ended = daemon.jostle("run demo --until-step 150 --wait").await;
-    assert_eq!(ended.code, Some(0), "{ended:?}");
-    assert!(
-        ended
-            .stdout
-            .starts_with("demo is paused at step 150, time 3"),
-        "{ended:?}"
-    );
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_wait_ends_when_somebody_else_ends_the_run() {
-    for (verb, exit_code, code) in [
-        ("pause demo", 4, "incorrect_state"),
-        ("reset demo", 4, "conflict"),
-        ("delete demo", 3, "not_found"),
-    ] {
-        let daemon = Daemon::start().await;
-        daemon.jostle("create demo --n 10").await;
-        let waiting = daemon.begin("--json run demo --until 1e6 --wait");
-        daemon.until_running("demo").await;
-        assert_eq!(daemon.jostle(verb).await.code, Some(0));
-        let ended = waiting.end().await;
-        assert_eq!(ended.code, Some(exit_code), "{verb}: {ended:?}");
-        let error: Value = serde_json::from_str(&ended.stderr).unwrap();
-        assert_eq!(error["code"], code);
-        daemon.stop().await;
-    }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn ctrl_c_ends_the_wait_and_not_the_swarm() {
-    let daemon = Daemon::start().await;
-    daemon.jostle("create demo --n 10").await;
-    let waiting = daemon.begin("run demo --until 1e6 --wait");
-    daemon.until_running("demo").await;
-    waiting.interrupt();
-    let ended = waiting.end().await;
-    assert_eq!(ended.code, Some(130), "{ended:?}");
-    assert!(ended.stderr.contains("demo runs on"), "{ended:?}");
-    let status = object(&daemon.jostle("--json status demo").await);
-    assert_eq!(status["phase"], "running");
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_watched_swarm_shows_its_states_and_its_order() {
-    let daemon = Daemon::start().await;
-    daemon.jostle("create demo --n 10").await;
-
-    let still = daemon.jostle("watch demo --frames --count 1").await;
-    assert_eq!(object(&still)["step"], 0, "a paused swarm is shown at once");
-    let still = daemon.jostle("--json watch demo --count 1").await;
-    assert_eq!(object(&still)["phase"], "paused");
-
-    daemon.jostle("run demo").await;
-    let frames = daemon.jostle("watch demo --frames --count 3").await;
-    assert_eq!(frames.code, Some(0), "{frames:?}");
-    let frames = frames.json_lines();
-    assert_eq!(frames.len(), 3);
-    let steps: Vec<u64> = frames
-        .iter()
-        .map(|frame| frame["step"].as_u64().unwrap())
-        .collect();
-    assert!(steps.is_sorted() && steps[0] < steps[2], "{steps:?}");
-    assert!(
-        frames
-            .iter()
-            .all(|frame| frame["x"].as_array().unwrap().len() == 10)
-    );
-
-    let samples = daemon
-        .jostle("--json watch demo --count 3")
-        .await
-        .json_lines();
-    assert_eq!(samples.len(), 3);
-    assert!(
-        samples
-            .iter()
-            .all(|sample| sample["order"]["order"].is_number())
-    );
-
-    let lines = daemon.jostle("watch demo --count 2").await;
-    let words: Vec<&str> = lines.stdout.lines().collect();
-    assert_eq!(words.len(), 3, "a header and two lines: {lines:?}");
-    assert!(words[0].trim_start().starts_with("step") && words[1].contains("running"));
-
-    let ended = daemon.jostle("--json watch demo --for 0.2").await;
-    assert_eq!(ended.code, Some(0), "{ended:?}");
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_watch_ends_with_the_swarm() {
-    let daemon = Daemon::start().await;
-    for (line, exit_code) in [("watch demo", 0), ("watch demo --count 99", 3)] {
-        daemon.jostle("create demo --n 10").await;
-        let mut watching = daemon.begin(line);
-        watching.lines(2);
-        assert_eq!(daemon.jostle("delete demo").await.code, Some(0));
-        let ended = watching.end().await;
-        assert_eq!(ended.code, Some(exit_code), "{ended:?}");
-        assert!(ended.stderr.contains("demo was deleted"), "{ended:?}");
-    }
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_watch_outlives_the_daemon_and_tells_what_it_came_back_with() {
-    let daemon = Daemon::start().await;
-    daemon.jostle("create demo --n 10").await;
-    let mut watching = daemon.begin("watch demo");
-    watching.lines(2);
-    let endpoint = daemon.endpoint.clone();
-    daemon.stop().await;
-    assert!(watching.complaint().contains("the daemon went away"));
-    let daemon = Daemon::with(&[("listen", &endpoint)]).await;
-    let ended = watching.end().await;
-    assert_eq!(ended.code, Some(3), "{ended:?}");
-    assert!(ended.stderr.contains("back, but without demo"), "{ended:?}");
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_reader_that_goes_away_ends_a_stream_quietly() {
-    let daemon = Daemon::start().await;
-    daemon.jostle("create demo --n 10").await;
-    daemon.jostle("run demo").await;
-    for line in ["watch demo --frames", "--json watch demo", "watch demo"] {
-        let mut watching = daemon.begin(line);
-        watching.lines(1);
-        watching.stop_reading();
-        let ended = watching.end().await;
-        assert_eq!((ended.code, ended.stderr.as_str()), (Some(0), ""), "{line}");
-    }
-    until("the daemon forgets them", async || {
-        daemon.server.subscribers("demo").await == 0
-    })
-    .await;
     daemon.stop().await;
 }
 

@@ -1,17 +1,27 @@
 //! Why a command failed: its kind, its exit code and, in the message, its remedy.
 
+mod code;
+
 use std::io;
 
 use jostle_proto::{Error, ErrorCode};
 use serde_json::{Map, Value, json};
 use thiserror::Error as ThisError;
 
+use self::code::{exit_code, name};
+use crate::nearest::{did_you_mean, nearest};
+
 /// Why a command failed.
 #[derive(Debug, ThisError)]
 pub enum Failure {
     /// The daemon said no.
-    #[error("{}{}", .0.message, hint(.0.code))]
-    Refused(Box<Error>),
+    #[error("{}{}{}", .error.message, hint(.error.code), sentence(.advice.as_deref()))]
+    Refused {
+        /// What it said.
+        error: Box<Error>,
+        /// What the command line knows to add for people.
+        advice: Option<String>,
+    },
     /// An argument cannot be sent as it is.
     #[error("{argument}: {problem}")]
     Argument {
@@ -51,7 +61,7 @@ pub enum Failure {
         prefix: String,
     },
     /// The node that was named is not there.
-    #[error("no node {node} here; there are: {}", .there.join(", "))]
+    #[error("no node {node} here; there are: {}{}", .there.join(", "), sentence(did_you_mean(.node, .there.iter().map(String::as_str)).as_deref()))]
     UnknownNode {
         /// What was given.
         node: String,
@@ -65,10 +75,30 @@ pub enum Failure {
         there: Vec<String>,
     },
     /// Nobody hosts a swarm of that name.
-    #[error("no swarm {swarm} on this daemon: `jostle list` shows what there is")]
+    #[error("no swarm {swarm} on this daemon: {}", remedy(.swarm, .there, "`jostle list` shows what there is"))]
     NoSwarm {
         /// What was given.
         swarm: String,
+        /// Those that are there.
+        there: Vec<String>,
+    },
+    /// There is no such message on the wire.
+    #[error("no message {message}: {}", remedy(.message, .there, "`jostle schema` lists them"))]
+    NoMessage {
+        /// What was given.
+        message: String,
+        /// Those that are there.
+        there: Vec<String>,
+    },
+    /// The doctor found something.
+    #[error("{count} of {of} checks failed")]
+    Unwell {
+        /// How many checks failed.
+        count: usize,
+        /// How many there were.
+        of: usize,
+        /// The kind of the first.
+        code: &'static str,
     },
     /// Who was asked is there, but the question did not reach it.
     #[error(
@@ -132,6 +162,14 @@ pub enum Failure {
         /// The swarm.
         swarm: String,
     },
+    /// A file cannot be written.
+    #[error("{path}: {error}")]
+    File {
+        /// Which one.
+        path: String,
+        /// Why.
+        error: io::Error,
+    },
     /// The daemon came back, the swarm did not.
     #[error("the daemon is back, but without {swarm}")]
     LeftBehind {
@@ -159,6 +197,25 @@ pub enum Failure {
 }
 
 impl Failure {
+    /// What the daemon said.
+    pub fn refused(error: Error) -> Self {
+        Failure::Refused {
+            error: Box::new(error),
+            advice: None,
+        }
+    }
+
+    /// The same with something to add for people, if there is anything.
+    pub fn with_advice(self, said: Option<String>) -> Self {
+        match self {
+            Failure::Refused { error, advice } => Failure::Refused {
+                error,
+                advice: said.or(advice),
+            },
+            failure => failure,
+        }
+    }
+
     /// Something that should not happen.
     #[expect(clippy::needless_pass_by_value, reason = "`map_err` hands it over")]
     pub fn defect(error: impl ToString) -> Self {
@@ -178,12 +235,13 @@ impl Failure {
     /// The kind, in the words of the wire where it has one.
     pub fn code(&self) -> &'static str {
         match self {
-            Failure::Refused(error) => code_name(error.code),
+            Failure::Refused { error, .. } => name(error.code),
             Failure::Argument { .. } | Failure::ManyNodes { .. } => "invalid_argument",
             Failure::TooLarge { .. } => "resource_exhausted",
             Failure::NoDaemon { .. } | Failure::NoNode { .. } => "unreachable",
             Failure::UnknownNode { .. }
             | Failure::NoSwarm { .. }
+            | Failure::NoMessage { .. }
             | Failure::Deleted { .. }
             | Failure::LeftBehind { .. } => "not_found",
             Failure::Silent { .. } => "permission_denied",
@@ -193,7 +251,11 @@ impl Failure {
             Failure::Faulted { .. } => "faulted",
             Failure::Interrupted { .. } => "interrupted",
             Failure::Pipe => "broken_pipe",
-            Failure::Unreadable { .. } | Failure::Output(_) | Failure::Defect { .. } => "internal",
+            Failure::Unwell { code, .. } => code,
+            Failure::Unreadable { .. }
+            | Failure::File { .. }
+            | Failure::Output(_)
+            | Failure::Defect { .. } => "internal",
         }
     }
 
@@ -205,13 +267,21 @@ impl Failure {
     /// The error as programs read it: what the daemon said, or the same shape.
     pub fn to_json(&self) -> Value {
         let (details, step) = match self {
-            Failure::Refused(error) => (error.details.clone(), error.step),
+            Failure::Refused { error, .. } => (error.details.clone(), error.step),
             Failure::NoDaemon { endpoint, cause } => {
                 (object(json!({"endpoint": endpoint, "cause": cause})), None)
             }
             Failure::ManyNodes { there } | Failure::UnknownNode { there, .. } => {
                 (object(json!({"nodes": there})), None)
             }
+            Failure::NoSwarm { swarm, there } => (
+                object(json!({"swarm": swarm, "nearest": nearest_of(swarm, there)})),
+                None,
+            ),
+            Failure::NoMessage { message, there } => (
+                object(json!({"message": message, "nearest": nearest_of(message, there)})),
+                None,
+            ),
             Failure::Argument { argument, .. } => (object(json!({"field": argument})), None),
             Failure::Stopped { step, reason, .. } | Failure::Faulted { step, reason, .. } => {
                 (object(json!({"reason": reason})), Some(*step))
@@ -220,7 +290,7 @@ impl Failure {
             _ => (Map::new(), None),
         };
         let message = match self {
-            Failure::Refused(error) => error.message.clone(),
+            Failure::Refused { error, .. } => error.message.clone(),
             failure => failure.to_string(),
         };
         json!({
@@ -240,46 +310,27 @@ impl Failure {
     }
 }
 
-/// The exit code of an error's kind; `jostle --help` has the same table.
-fn exit_code(code: &str) -> u8 {
-    match code {
-        "broken_pipe" => 0,
-        "invalid_argument" => 2,
-        "not_found" => 3,
-        "conflict" | "incorrect_state" | "already_exists" => 4,
-        "permission_denied" => 5,
-        "unreachable" | "deadline_exceeded" | "timeout" => 6,
-        "busy" | "resource_exhausted" => 7,
-        "storage_full" => 8,
-        "interrupted" => 130,
-        _ => 1,
-    }
-}
-
-/// The wire's word for a kind of error.
-fn code_name(code: ErrorCode) -> &'static str {
-    match code {
-        ErrorCode::NotFound => "not_found",
-        ErrorCode::AlreadyExists => "already_exists",
-        ErrorCode::InvalidArgument => "invalid_argument",
-        ErrorCode::IncorrectState => "incorrect_state",
-        ErrorCode::ResourceExhausted => "resource_exhausted",
-        ErrorCode::Busy => "busy",
-        ErrorCode::Conflict => "conflict",
-        ErrorCode::PermissionDenied => "permission_denied",
-        ErrorCode::StorageFull => "storage_full",
-        ErrorCode::DeadlineExceeded => "deadline_exceeded",
-        ErrorCode::Faulted => "faulted",
-        ErrorCode::Internal => "internal",
-    }
-}
-
 /// The daemon's remedies are fields of requests; what it is called here, where that differs.
 fn hint(code: ErrorCode) -> &'static str {
     match code {
         ErrorCode::DeadlineExceeded => " (here: `jostle status` and --timeout)",
         _ => "",
     }
+}
+
+/// What may have been meant, and where to look.
+fn remedy(word: &str, there: &[String], where_to_look: &str) -> String {
+    let question = did_you_mean(word, there.iter().map(String::as_str));
+    question.map_or_else(String::new, |question| question + " ") + where_to_look
+}
+
+fn nearest_of<'a>(word: &str, among: &'a [String]) -> Vec<&'a str> {
+    nearest(word, among.iter().map(String::as_str))
+}
+
+/// Something to add, after what was said.
+fn sentence(added: Option<&str>) -> String {
+    added.map(|added| format!("; {added}")).unwrap_or_default()
 }
 
 fn object(value: Value) -> Map<String, Value> {
@@ -303,40 +354,15 @@ fn because(reason: Option<&str>) -> String {
 
 #[cfg(test)]
 mod tests {
-    #![expect(clippy::unwrap_used, reason = "tests")]
-
     use super::*;
 
     fn refused(code: ErrorCode) -> Failure {
-        Failure::Refused(Box::new(Error {
+        Failure::refused(Error {
             code,
             message: "no".into(),
             details: Map::new(),
             step: Some(7),
-        }))
-    }
-
-    #[test]
-    fn every_kind_of_error_has_the_exit_code_the_help_promises() {
-        let table = [
-            (ErrorCode::NotFound, 3),
-            (ErrorCode::AlreadyExists, 4),
-            (ErrorCode::InvalidArgument, 2),
-            (ErrorCode::IncorrectState, 4),
-            (ErrorCode::ResourceExhausted, 7),
-            (ErrorCode::Busy, 7),
-            (ErrorCode::Conflict, 4),
-            (ErrorCode::PermissionDenied, 5),
-            (ErrorCode::StorageFull, 8),
-            (ErrorCode::DeadlineExceeded, 6),
-            (ErrorCode::Faulted, 1),
-            (ErrorCode::Internal, 1),
-        ];
-        for (code, exit_code) in table {
-            assert_eq!(refused(code).exit_code(), exit_code, "{code:?}");
-            let name = serde_json::to_value(code).unwrap();
-            assert_eq!(name, code_name(code), "the wire's own word");
-        }
+        })
     }
 
     #[test]
@@ -349,13 +375,24 @@ mod tests {
         assert_eq!(Failure::Interrupted { left: None }.exit_code(), 130);
         assert_eq!(Failure::Pipe.exit_code(), 0);
         let whom = || "demo".to_owned();
-        assert_eq!(Failure::NoSwarm { swarm: whom() }.exit_code(), 3);
+        let swarm = Failure::NoSwarm {
+            swarm: whom(),
+            there: vec!["demos".into(), "herd".into()],
+        };
+        assert_eq!(swarm.exit_code(), 3);
+        assert!(
+            swarm.to_string().contains("did you mean `demos`?"),
+            "{swarm}"
+        );
+        assert_eq!(swarm.to_json()["details"]["nearest"], json!(["demos"]));
         assert_eq!(Failure::Silent { whom: whom() }.exit_code(), 5);
     }
 
     #[test]
     fn what_the_daemon_said_is_passed_on_as_it_was() {
-        let json = refused(ErrorCode::Conflict).to_json();
+        let refused = refused(ErrorCode::Conflict).with_advice(Some("rather this".into()));
+        assert_eq!(refused.to_string(), "no; rather this");
+        let json = refused.to_json();
         assert_eq!(
             json,
             json!({"code": "conflict", "message": "no", "details": {}, "step": 7})

@@ -1,5 +1,8 @@
 //! A daemon in this process, and command lines in theirs.
 
+mod impostor;
+mod link;
+
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
@@ -9,6 +12,9 @@ use std::time::{Duration, Instant};
 use jostled::config::{self, Config};
 use jostled::server::{self, Server};
 use serde_json::Value;
+
+pub use self::impostor::Impostor;
+pub use self::link::Link;
 
 /// How long anything may take that should come at once, on a machine busy with other tests.
 pub const PATIENCE: Duration = Duration::from_secs(60);
@@ -82,6 +88,25 @@ impl Daemon {
         Running::begin(&self.endpoint, line, stdin).end().await
     }
 
+    /// Runs a command line to its end and returns what it says to people.
+    pub async fn said(&self, line: &str) -> String {
+        let ended = self.jostle(line).await;
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        ended.stdout
+    }
+
+    /// Runs a command line to its end and returns its answer.
+    pub async fn reply(&self, line: &str) -> Value {
+        object(&self.jostle(&format!("--json {line}")).await)
+    }
+
+    /// Runs a command line to its end and returns why it failed.
+    pub async fn refusal(&self, line: &str) -> Value {
+        let ended = self.jostle(&format!("--json {line}")).await;
+        assert_ne!(ended.code, Some(0), "{ended:?}");
+        serde_json::from_str(&ended.stderr).unwrap()
+    }
+
     /// Waits until a swarm runs.
     pub async fn until_running(&self, swarm: &str) {
         until("the swarm runs", async || {
@@ -103,9 +128,12 @@ impl Ended {
 }
 
 impl Running {
-    fn begin(endpoint: &str, line: &str, stdin: &str) -> Self {
+    /// Starts a command line that is to reach its daemon there.
+    pub fn begin(endpoint: &str, line: &str, stdin: &str) -> Self {
         let mut child = Command::new(env!("CARGO_BIN_EXE_jostle"))
             .args(line.split(' '))
+            // Whoever runs the tests has a name of their own.
+            .env("USER", "tester")
             .env("JOSTLE_ENDPOINT", endpoint)
             .stdin(Stdio::piped())
             .stdout(Stdio::piped())
@@ -170,6 +198,14 @@ impl Running {
     }
 }
 
+/// One object on stdout, exit code 0.
+pub fn object(ended: &Ended) -> Value {
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let lines = ended.json_lines();
+    assert_eq!(lines.len(), 1, "{ended:?}");
+    lines[0].clone()
+}
+
 /// The lines of a pipe, read as they come; dropping them closes the pipe at its next line.
 fn lines_of(pipe: impl Read + Send + 'static) -> Receiver<String> {
     let (to_read, lines) = channel();
@@ -195,61 +231,5 @@ pub async fn until(what: &str, mut holds: impl AsyncFnMut() -> bool) {
     while !holds().await {
         assert!(Instant::now() < deadline, "{what} did not come about");
         tokio::time::sleep(Duration::from_millis(10)).await;
-    }
-}
-
-/// Something that looks like daemons from afar and answers little.
-pub struct Impostor {
-    /// Where it listens.
-    pub endpoint: String,
-    session: zenoh::Session,
-}
-
-impl Impostor {
-    /// Holds the tokens of these keys, and is asked on `silent` without ever answering.
-    pub async fn start(tokens: &[&str], silent: &str, nonsense: &str) -> Self {
-        let mut config = zenoh::Config::default();
-        for (key, value) in [
-            ("listen/endpoints", r#"["tcp/127.0.0.1:0"]"#),
-            ("scouting/multicast/enabled", "false"),
-            ("scouting/gossip/enabled", "false"),
-        ] {
-            config.insert_json5(key, value).unwrap();
-        }
-        let session = zenoh::open(config).await.unwrap();
-        for token in tokens {
-            let token = session.liveliness().declare_token(*token).await.unwrap();
-            // It lives as long as the session.
-            std::mem::forget(token);
-        }
-        let held = std::sync::Mutex::new(Vec::new());
-        let hold = move |query| held.lock().unwrap().push(query);
-        session
-            .declare_queryable(silent)
-            .callback(hold)
-            .background()
-            .await
-            .unwrap();
-        session
-            .declare_queryable(nonsense)
-            .callback(|query| {
-                let key = query.key_expr().clone();
-                zenoh::Wait::wait(query.reply(key, "nonsense")).unwrap();
-            })
-            .background()
-            .await
-            .unwrap();
-        let endpoint = session.info().locators().await[0].to_string();
-        Impostor { endpoint, session }
-    }
-
-    /// Runs a command line against it.
-    pub async fn jostle(&self, line: &str) -> Ended {
-        Running::begin(&self.endpoint, line, "").end().await
-    }
-
-    /// Goes away.
-    pub async fn stop(self) {
-        self.session.close().await.unwrap();
     }
 }

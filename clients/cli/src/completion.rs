@@ -1,0 +1,212 @@
+//! What a shell completes: verbs and options by clap, names of swarms and daemons by asking.
+
+use std::ffi::OsStr;
+use std::time::Duration;
+
+use clap::CommandFactory;
+use clap::builder::StyledStr;
+use clap_complete::CompleteEnv;
+use clap_complete::engine::CompletionCandidate;
+use jostle_proto::contract;
+use jostle_proto::keys::DEFAULT_PREFIX;
+
+use crate::arguments::{Arguments, DEFAULT_ENDPOINT, GlobalArguments};
+use crate::bus::Bus;
+
+/// The variable by which a shell asks.
+const VARIABLE: &str = "JOSTLE_COMPLETE";
+/// How long a shell may be kept waiting.
+const PATIENCE: Duration = Duration::from_millis(300);
+
+/// The shells that can be completed in.
+pub const SHELLS: [&str; 5] = ["bash", "zsh", "fish", "elvish", "powershell"];
+
+/// Answers a shell that asks for completions, and ends; does nothing otherwise.
+pub fn complete_if_asked() {
+    CompleteEnv::with_factory(Arguments::command)
+        .var(VARIABLE)
+        .complete();
+}
+
+/// The line that makes a shell complete, and the file where it belongs.
+pub fn line(shell: &str) -> (String, &'static str) {
+    match shell {
+        "fish" => (
+            format!("{VARIABLE}=fish jostle | source"),
+            "~/.config/fish/completions/jostle.fish",
+        ),
+        "elvish" => (
+            format!("set E:{VARIABLE} = elvish; eval (jostle | slurp); unset-env {VARIABLE}"),
+            "~/.config/elvish/rc.elv",
+        ),
+        "powershell" => (
+            format!(
+                "$env:{VARIABLE} = \"powershell\"; jostle | Out-String | Invoke-Expression; \
+                 Remove-Item Env:\\{VARIABLE}"
+            ),
+            "$PROFILE",
+        ),
+        "zsh" => (format!("source <({VARIABLE}=zsh jostle)"), "~/.zshrc"),
+        _ => (format!("source <({VARIABLE}=bash jostle)"), "~/.bashrc"),
+    }
+}
+
+/// The swarms that are there.
+pub fn swarms(typed: &OsStr) -> Vec<CompletionCandidate> {
+    beginning_with(
+        typed,
+        ask(async |bus| bus.swarms().await.unwrap_or_default()),
+    )
+}
+
+/// The daemons that are there.
+pub fn nodes(typed: &OsStr) -> Vec<CompletionCandidate> {
+    beginning_with(
+        typed,
+        ask(async |bus| bus.nodes().await.unwrap_or_default()),
+    )
+}
+
+/// The messages on the wire.
+pub fn messages(typed: &OsStr) -> Vec<CompletionCandidate> {
+    let messages = contract::schemas().into_keys();
+    beginning_with(typed, messages.map(str::to_owned).collect())
+}
+
+/// The parameters that `set` changes, each up to its `=`.
+pub fn assignments(typed: &OsStr) -> Vec<CompletionCandidate> {
+    let Some(typed) = typed.to_str() else {
+        return Vec::new();
+    };
+    contract::parameters()
+        .into_iter()
+        .filter(|parameter| parameter.changed_by.iter().any(|verb| verb == "set"))
+        .map(|parameter| (format!("{}=", parameter.name), parameter.doc))
+        .filter(|(assignment, _)| assignment.starts_with(typed))
+        .map(|(assignment, doc)| {
+            CompletionCandidate::new(assignment).help(Some(StyledStr::from(doc)))
+        })
+        .collect()
+}
+
+fn beginning_with(typed: &OsStr, names: Vec<String>) -> Vec<CompletionCandidate> {
+    let typed = typed.to_string_lossy();
+    names
+        .into_iter()
+        .filter(|name| name.starts_with(&*typed))
+        .map(CompletionCandidate::new)
+        .collect()
+}
+
+/// Asks the daemon; nobody there is no reason to disturb whoever is typing.
+fn ask(question: impl AsyncFnOnce(&Bus) -> Vec<String>) -> Vec<String> {
+    let words: Vec<String> = std::env::args().collect();
+    let global = GlobalArguments {
+        endpoint: option(&words, &["-e", "--endpoint"])
+            .or_else(|| std::env::var("JOSTLE_ENDPOINT").ok())
+            .unwrap_or_else(|| DEFAULT_ENDPOINT.into()),
+        node: None,
+        prefix: option(&words, &["--prefix"]).unwrap_or_else(|| DEFAULT_PREFIX.into()),
+        timeout: PATIENCE.as_secs_f64(),
+        json: false,
+    };
+    let Ok(runtime) = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(1)
+        .enable_all()
+        .build()
+    else {
+        return Vec::new();
+    };
+    let names = runtime.block_on(async {
+        let asked = async {
+            let bus = Bus::open(global).await.ok()?;
+            let names = question(&bus).await;
+            bus.close().await;
+            Some(names)
+        };
+        tokio::time::timeout(PATIENCE, asked).await.ok().flatten()
+    });
+    // A thread may still wait for an answer that never comes.
+    runtime.shutdown_background();
+    names.unwrap_or_default()
+}
+
+/// The value of an option on the line that is being typed.
+fn option(words: &[String], names: &[&str]) -> Option<String> {
+    words.iter().enumerate().find_map(|(index, word)| {
+        if names.contains(&word.as_str()) {
+            let value = words.get(index + 1)?;
+            // bash takes host and port of an address for two words, and the colon for a third.
+            return match words.get(index + 2..index + 4) {
+                Some([colon, port]) if colon == ":" => Some(format!("{value}:{port}")),
+                _ => Some(value.clone()),
+            };
+        }
+        names
+            .iter()
+            .filter(|name| name.starts_with("--"))
+            .find_map(|name| word.strip_prefix(name)?.strip_prefix('='))
+            .map(str::to_owned)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn completed(candidates: &[CompletionCandidate]) -> Vec<String> {
+        candidates
+            .iter()
+            .map(|candidate| candidate.get_value().to_string_lossy().into_owned())
+            .collect()
+    }
+
+    #[test]
+    fn parameters_are_completed_up_to_their_value() {
+        let of = |typed: &str| completed(&assignments(OsStr::new(typed)));
+        assert_eq!(of("pi"), ["pi1=", "pi2=", "pi3=", "pi4="]);
+        assert_eq!(of("pu"), ["publish_every="]);
+        assert_eq!(of("n"), [""; 0], "`set` does not change it");
+        assert_eq!(of("pi1=6"), [""; 0]);
+    }
+
+    #[test]
+    fn messages_are_completed() {
+        assert_eq!(
+            completed(&messages(OsStr::new("batch"))),
+            ["batch.args", "batch.reply"]
+        );
+    }
+
+    #[test]
+    fn the_line_that_is_typed_says_where_to_ask() {
+        let words: Vec<String> = [
+            "jostle",
+            "--",
+            "jostle",
+            "-e",
+            "tcp/h:1",
+            "--prefix=p",
+            "status",
+        ]
+        .map(str::to_owned)
+        .into();
+        assert_eq!(
+            option(&words, &["-e", "--endpoint"]).as_deref(),
+            Some("tcp/h:1")
+        );
+        assert_eq!(option(&words, &["--prefix"]).as_deref(), Some("p"));
+        assert_eq!(option(&words, &["--node"]), None);
+        let split = ["-e", "tcp/h", ":", "1", "status"].map(str::to_owned);
+        assert_eq!(option(&split, &["-e"]).as_deref(), Some("tcp/h:1"));
+    }
+
+    #[test]
+    fn every_shell_has_a_line() {
+        for shell in SHELLS {
+            let (line, file) = line(shell);
+            assert!(line.contains(shell) && line.contains(VARIABLE), "{line}");
+            assert!(!file.is_empty());
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! `batch`: several changes at one step, or none.
+
+use jostle_proto::Reply;
+use jostle_proto::verbs::{BatchResult, Changed};
+use serde_json::{Value, json};
+
+use crate::arguments::BatchArguments;
+use crate::bus::Bus;
+use crate::failure::Failure;
+use crate::file;
+use crate::format;
+use crate::nearest::did_you_mean;
+use crate::output::Output;
+use crate::table;
+use crate::verbs::individuals::whom;
+use crate::verbs::print_outcome;
+use crate::verbs::steer::advice_on_set;
+
+/// The verbs that a batch may hold.
+const CHANGES: [&str; 5] = ["set", "inform", "uninform", "inject", "remove"];
+
+/// Applies several changes.
+///
+/// # Errors
+///
+/// Why nothing was changed.
+pub async fn batch(bus: &Bus, output: Output, arguments: &BatchArguments) -> Result<(), Failure> {
+    let BatchArguments {
+        name,
+        file,
+        sending,
+    } = arguments;
+    let text = file::read(file).map_err(wrong)?;
+    let args = args(&text).map_err(|problem| wrong(format!("{}: {problem}", file.display())))?;
+    let answer = bus.command(name, "batch", &args, sending).await;
+    let answer = answer.map_err(|failure| failure.with_advice(advice(&args)))?;
+    print_outcome(output, &answer, "batch", |reply: &Reply<BatchResult>| {
+        let results = &reply.result.results;
+        let rows = results.iter().zip(1_u64..).map(|(changed, number)| {
+            let (verb, outcome) = outcome(changed);
+            [number.to_string(), verb.into(), outcome]
+        });
+        let table = table::table(["change", "verb", "outcome"], rows.collect());
+        let count = format::count(results.len() as u64, "change");
+        format!(
+            "{count} applied to {} at step {}\n{table}",
+            reply.swarm, reply.step
+        )
+    })
+}
+
+/// The arguments on the wire: a list of changes, or an object around it.
+fn args(text: &str) -> Result<Value, String> {
+    match serde_json::from_str(text) {
+        Ok(Value::Array(commands)) => Ok(json!({ "commands": commands })),
+        Ok(args @ Value::Object(_)) => Ok(args),
+        Ok(_) => Err("is neither a JSON list nor {\"commands\": …}".into()),
+        Err(error) => Err(format!("is no JSON: {error}")),
+    }
+}
+
+/// What people may have meant by a verb or a field that there is not.
+fn advice(args: &Value) -> Option<String> {
+    let commands = args["commands"].as_array()?;
+    commands.iter().find_map(|command| {
+        let verb = command["verb"].as_str()?;
+        if !CHANGES.contains(&verb) {
+            return did_you_mean(verb, CHANGES);
+        }
+        let fields = command["args"].as_object()?;
+        (verb == "set").then(|| advice_on_set(fields.keys()))?
+    })
+}
+
+/// The verb of a change, and what it came to.
+fn outcome(changed: &Changed) -> (&'static str, String) {
+    match changed {
+        Changed::Set(result) => {
+            let changes = table::changed(result);
+            let changes: Vec<String> = changes
+                .iter()
+                .map(|[name, before, now]| format!("{name} {before} -> {now}"))
+                .collect();
+            match changes.as_slice() {
+                [] => ("set", "as it was".into()),
+                changes => ("set", changes.join(", ")),
+            }
+        }
+        Changed::Inform(result) => ("inform", whom(&result.ids)),
+        Changed::Uninform(result) => ("uninform", whom(&result.ids)),
+        Changed::Inject(result) => ("inject", whom(&result.ids)),
+        Changed::Remove(result) => ("remove", whom(&result.ids)),
+    }
+}
+
+fn wrong(problem: String) -> Failure {
+    Failure::Argument {
+        argument: "FILE".into(),
+        problem,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use jostle_proto::keys::SWARM_VERBS;
+    use jostle_proto::verbs::Change;
+
+    use super::*;
+
+    #[test]
+    fn a_list_and_an_object_around_it_read_the_same() {
+        let list = r#"[{"verb": "set", "args": {"pi3": 2}}]"#;
+        let object = format!(r#"{{"commands": {list}}}"#);
+        assert_eq!(args(list).unwrap(), args(&object).unwrap());
+        for text in ["", "3", "\"set\"", "[", "null"] {
+            assert!(args(text).is_err(), "{text:?}");
+        }
+    }
+
+    #[test]
+    fn a_slip_in_a_verb_or_a_field_is_recognised() {
+        let advice = |commands: Value| advice(&json!({ "commands": commands })).unwrap_or_default();
+        assert!(advice(json!([{"verb": "infrom", "args": {}}])).contains("`inform`"));
+        let set = json!([{"verb": "inform", "args": {}}, {"verb": "set", "args": {"pi_1": 2}}]);
+        assert!(advice(set).contains("`pi1`"));
+        assert_eq!(advice(json!([{"verb": "set", "args": {"pi3": 2}}, 7])), "");
+    }
+
+    #[test]
+    fn a_batch_holds_the_verbs_the_wire_allows() {
+        for verb in SWARM_VERBS {
+            let read = serde_json::from_value::<Change>(json!({"verb": verb, "args": {}}));
+            let is_unknown =
+                read.is_err_and(|error| error.to_string().starts_with("unknown variant"));
+            assert_eq!(CHANGES.contains(&verb), !is_unknown, "{verb}");
+        }
+    }
+}

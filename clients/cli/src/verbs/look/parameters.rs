@@ -1,0 +1,142 @@
+//! `parameters`: what can be set, to what, and what it is now.
+
+use jostle_proto::{Parameter, ParameterKind, Parameters, Reply};
+use serde_json::Value;
+
+use crate::bus::Bus;
+use crate::failure::Failure;
+use crate::format;
+use crate::output::Output;
+use crate::table;
+use crate::verbs::look::Sight;
+
+/// The parameters of a swarm.
+///
+/// # Errors
+///
+/// Why there are none.
+pub async fn sight(bus: &Bus, output: Output, swarm: &str) -> Result<Sight, Failure> {
+    let answer = bus.get(swarm, "parameters").await?;
+    Sight::of_answer(output, &answer, |reply: &Reply<Parameters>| {
+        let parameters = &reply.result.parameters;
+        let rows = parameters.iter().map(|parameter| {
+            [
+                parameter.name.clone(),
+                value(&parameter.value, parameter.nullable),
+                value(&parameter.default, parameter.nullable),
+                range(parameter),
+                match parameter.changed_by.as_slice() {
+                    [] => format::NONE.into(),
+                    verbs => verbs.join(", "),
+                },
+            ]
+        });
+        let docs: Vec<String> = parameters.iter().map(meaning).collect();
+        let header = ["parameter", "now", "default", "range", "changed by"];
+        table::documented(header, rows.collect(), &docs)
+    })
+}
+
+/// A value as a person writes it.
+fn value(value: &Value, is_nullable: bool) -> String {
+    match value {
+        // The one parameter of which that is a value is the rate.
+        Value::Null if is_nullable => "max".into(),
+        Value::Null => format::NONE.into(),
+        Value::String(word) => word.clone(),
+        Value::Object(choice) => match choice.get("kind").and_then(Value::as_str) {
+            Some(kind) => kind.into(),
+            None => value.to_string(),
+        },
+        Value::Number(number) => match number.as_f64() {
+            Some(number) => format::number(number),
+            None => number.to_string(),
+        },
+        other => other.to_string(),
+    }
+}
+
+/// What values it takes.
+fn range(parameter: &Parameter) -> String {
+    let Parameter {
+        minimum,
+        exclusive_minimum,
+        maximum,
+        choices,
+        nullable,
+        ..
+    } = parameter;
+    if parameter.kind == ParameterKind::Choice {
+        let choices: Vec<String> = choices.iter().map(|choice| value(choice, false)).collect();
+        return choices.join(" or ");
+    }
+    let mut text = match (minimum, exclusive_minimum, maximum) {
+        (Some(least), _, Some(most)) if least.to_bits() == most.to_bits() => {
+            format!("only {}", format::number(*least))
+        }
+        (Some(least), _, Some(most)) => {
+            format!("{} to {}", format::number(*least), format::number(*most))
+        }
+        (Some(least), _, None) => format!("{} or more", format::number(*least)),
+        (None, Some(least), Some(most)) => format!(
+            "above {}, to {}",
+            format::number(*least),
+            format::number(*most)
+        ),
+        (None, Some(least), None) => format!("above {}", format::number(*least)),
+        (None, None, Some(most)) => format!("0 to {}", format::number(*most)),
+        (None, None, None) => format::NONE.into(),
+    };
+    if *nullable {
+        text.push_str(", or max");
+    }
+    text
+}
+
+/// What a line of doc says besides the range, which has a column of its own, and the unit.
+fn meaning(parameter: &Parameter) -> String {
+    let Parameter { doc, unit, .. } = parameter;
+    let end = doc.find([':', ';', '.']).unwrap_or(doc.len());
+    let counted = unit.split(" /").next().unwrap_or_default();
+    let is_said = unit == "1" || doc.to_lowercase().contains(counted);
+    let unit = if is_said {
+        String::new()
+    } else {
+        format!(" [{unit}]")
+    };
+    format!("{}{unit}", &doc[..end])
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use jostle_proto::contract;
+
+    use super::*;
+
+    #[test]
+    fn ranges_and_values_read_as_people_write_them() {
+        let parameters = contract::parameters();
+        let of = |name: &str| {
+            let parameter = parameters.iter().find(|it| it.name == name).unwrap();
+            let default = value(&parameter.default, parameter.nullable);
+            format!("{} | {default}", range(parameter))
+        };
+        assert_eq!(of("n"), "1 or more | -");
+        assert_eq!(of("pi1"), "1 to 32 | 4");
+        assert_eq!(of("pi3"), "above 0, to 1e6 | 1");
+        assert_eq!(of("attraction"), "all | all");
+        assert_eq!(of("rate"), "above 0, to 1e6, or max | 1");
+        assert_eq!(value(&Value::Null, true), "max");
+    }
+
+    #[test]
+    fn the_meaning_is_what_stands_before_the_range() {
+        let parameters = contract::parameters();
+        let of = |name: &str| meaning(parameters.iter().find(|it| it.name == name).unwrap());
+        assert_eq!(of("pi1"), "Length over width of a body");
+        assert_eq!(of("dt"), "The time step [body size / free speed]");
+        assert_eq!(of("n"), "The number of individuals at the start");
+    }
+}

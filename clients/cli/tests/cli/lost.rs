@@ -1,0 +1,102 @@
+//! Answers that are lost, daemons that are busy or gone: a command is carried out once.
+
+use serde_json::{Value, json};
+
+use crate::support::{Daemon, Impostor, Link, Running, object, until};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_whose_answer_is_lost_is_carried_out_once() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10").await;
+    let link = Link::to(&daemon.endpoint);
+    link.lose_answers();
+    let stepping = Running::begin(&link.endpoint, "--json step demo 3 --timeout 60", "");
+    until("the command is carried out", async || {
+        daemon.reply("status demo").await["step"] == 3
+    })
+    .await;
+    link.cut();
+    link.mend();
+    let answer = object(&stepping.end().await);
+    assert_eq!((&answer["step"], &answer["seq"]), (&json!(3), &json!(1)));
+    let status = daemon.reply("status demo").await;
+    assert_eq!((&status["step"], &status["seq"]), (&json!(3), &json!(1)));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_busy_daemon_is_sent_the_same_request_again() {
+    let impostor = Impostor::start(&["jostle/demo/alive/a"], "jostle/x", "jostle/y").await;
+    let busy = || Err(json!({"code": "busy", "message": "too much at once", "details": {}}));
+    let reply = json!({
+        "swarm": "demo", "epoch": 1, "step": 7, "time": 0.14, "phase": "paused", "seq": 1,
+        "result": {},
+    });
+    let received = impostor
+        .answer(
+            "jostle/demo/cmd/pause",
+            vec![busy(), Err(Value::Null), busy(), Ok(reply)],
+        )
+        .await;
+    let answer = object(&impostor.jostle("--json pause demo --timeout 60").await);
+    assert_eq!(answer["step"], 7);
+    let requests = received.lock().unwrap().clone();
+    assert_eq!(requests.len(), 4, "busy, silence, busy, done");
+    assert!(requests.iter().all(|request| *request == requests[0]));
+    let request: Value = serde_json::from_slice(&requests[0]).unwrap();
+    assert!(!request["request_id"].as_str().unwrap().is_empty());
+    assert!(request["client"].as_str().unwrap().starts_with("tester@"));
+
+    let never = impostor.answer("jostle/demo/cmd/reset", vec![busy()]).await;
+    let ended = impostor.jostle("--json reset demo --timeout 0.5").await;
+    assert_eq!(ended.code, Some(7), "{ended:?}");
+    assert!(
+        never.lock().unwrap().len() > 1,
+        "it was asked again for half a second"
+    );
+    impostor.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn those_who_watch_are_told_once_that_the_daemon_is_gone() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10").await;
+    daemon.said("run demo").await;
+    let link = Link::to(&daemon.endpoint);
+    let begin = |line: &str| Running::begin(&link.endpoint, line, "");
+    let mut watching = begin("watch demo");
+    watching.lines(2);
+    let mut following = begin("events demo --follow");
+    following.lines(2);
+    let mut looking = begin("status demo --watch 0.1");
+    looking.lines(2);
+    let mut waiting = begin("run demo --until 1e6 --wait");
+    until("the run has an end", async || {
+        daemon.reply("status demo").await["result"]["until_step"].is_u64()
+    })
+    .await;
+
+    link.cut();
+    let gone = "the daemon is gone; waiting for it to come back, Ctrl-C ends";
+    assert_eq!(watching.complaint(), gone);
+    assert_eq!(following.complaint(), gone);
+    assert_eq!(looking.complaint(), gone);
+    let said = waiting.complaint();
+    assert!(
+        said.starts_with("the daemon is gone; waiting up to 60 s"),
+        "{said}"
+    );
+
+    link.mend();
+    assert_eq!(watching.complaint(), "the daemon is back");
+    assert_eq!(following.complaint(), "the daemon is back");
+    watching.lines(1);
+    looking.lines(1);
+    daemon.said("delete demo").await;
+    for (running, code) in [(watching, 0), (following, 0), (looking, 3), (waiting, 3)] {
+        let ended = running.end().await;
+        assert_eq!(ended.code, Some(code), "{ended:?}");
+        assert!(!ended.stderr.contains("is gone"), "{ended:?}");
+    }
+    daemon.stop().await;
+}

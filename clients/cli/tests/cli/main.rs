@@ -1,0 +1,12 @@
+//! The command line as a shell meets it: the real binary against a daemon in this process.
+
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+mod doctor;
+mod live;
+mod looking;
+mod lost;
+mod sending;
+mod shell;
+mod support;
+mod verbs;

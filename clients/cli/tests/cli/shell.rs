@@ -1,0 +1,121 @@
+//! What a shell completes, the manual, and what is meant by slips of the finger.
+
+use std::process::Command;
+
+use crate::support::Daemon;
+
+/// What bash would offer for the last of these words.
+fn completed(endpoint: &str, words: &[&str]) -> Vec<String> {
+    let output = Command::new(env!("CARGO_BIN_EXE_jostle"))
+        .args(["--", "jostle"])
+        .args(words)
+        .env("JOSTLE_COMPLETE", "bash")
+        .env("_CLAP_COMPLETE_INDEX", words.len().to_string())
+        .env("JOSTLE_ENDPOINT", endpoint)
+        .output()
+        .unwrap();
+    assert!(
+        output.status.success() && output.stderr.is_empty(),
+        "{output:?}"
+    );
+    let candidates = String::from_utf8(output.stdout).unwrap();
+    candidates.lines().map(str::to_owned).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_shell_completes_the_names_of_swarms_and_parameters() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 3").await;
+    daemon.said("create desk --n 3").await;
+    let here = |words: &[&str]| completed(&daemon.endpoint, words);
+    assert_eq!(here(&["stat"]), ["status"]);
+    assert_eq!(here(&["status", "de"]), ["demo", "desk"]);
+    assert_eq!(here(&["delete", "demo", "des"]), ["desk"]);
+    assert_eq!(
+        here(&["set", "demo", "pi"]),
+        ["pi1=", "pi2=", "pi3=", "pi4="]
+    );
+    assert_eq!(here(&["list", "--node", ""]), ["test"]);
+    assert_eq!(here(&["schema", "batch."]), ["batch.args", "batch.reply"]);
+    assert_eq!(here(&["pause", "demo", "--expect-s"]), ["--expect-step"]);
+    let named = ["-e", &daemon.endpoint, "status", "des"];
+    assert_eq!(completed("tcp/127.0.0.1:1", &named), ["desk"]);
+    let nobody = completed("tcp/127.0.0.1:1", &["status", "de"]);
+    assert_eq!(nobody, [""; 0], "nobody answers, and nothing is said");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_shell_is_told_its_line_and_bash_takes_it() {
+    let daemon = Daemon::start().await;
+    for shell in ["bash", "zsh", "fish", "elvish", "powershell"] {
+        let line = daemon.said(&format!("completions {shell}")).await;
+        assert!(line.contains("JOSTLE_COMPLETE"), "{line}");
+        assert_eq!(
+            daemon.reply(&format!("completions {shell}")).await["line"],
+            line.trim()
+        );
+    }
+    let line = daemon.said("completions bash").await;
+    let binary = std::path::Path::new(env!("CARGO_BIN_EXE_jostle"));
+    let path = format!(
+        "{}:{}",
+        binary.parent().unwrap().display(),
+        std::env::var("PATH").unwrap()
+    );
+    let registered = Command::new("bash")
+        .args(["-c", &format!("{line}\ncomplete -p jostle")])
+        .env("PATH", path)
+        .output()
+        .unwrap();
+    assert!(registered.status.success(), "{registered:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_verb_has_a_page_in_the_manual() {
+    let daemon = Daemon::start().await;
+    let page = daemon.said("man").await;
+    assert!(page.contains(".TH jostle 1"), "{page}");
+    assert!(page.contains("Exit codes"), "{page}");
+    let directory = std::env::temp_dir().join(format!("jostle-man-{}", std::process::id()));
+    let line = format!("man --out {}", directory.display());
+    let written = daemon.reply(&line).await;
+    let written = written["written"].as_array().unwrap();
+    let surface = include_str!("../../surface.txt");
+    let verbs = surface.lines().filter(|line| !line.contains(' ')).count();
+    assert_eq!(written.len(), verbs + 1, "and one about them all");
+    let page = std::fs::read_to_string(directory.join("jostle-set.1")).unwrap();
+    std::fs::remove_dir_all(&directory).unwrap();
+    assert!(page.contains(r"\-\-make\-room"), "{page}");
+    let ended = daemon.jostle("man --out /proc/nowhere").await;
+    assert_eq!(ended.code, Some(1), "{ended:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_slip_of_the_finger_is_answered_with_what_may_be_meant() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 3").await;
+    for (line, exit_code, meant) in [
+        ("stauts demo", 2, "'status'"),
+        ("status demo --wtach", 2, "'--watch'"),
+        ("status dmeo", 3, "did you mean `demo`?"),
+        ("pause dem", 3, "did you mean `demo`?"),
+        ("list --node tset", 3, "did you mean `test`?"),
+        ("set demo pi_1=3", 2, "did you mean `pi1`"),
+        (
+            "set demo publish-evry=3",
+            2,
+            "did you mean `publish_every`?",
+        ),
+        ("schema state.reply", 3, "did you mean"),
+    ] {
+        let ended = daemon.jostle(line).await;
+        assert_eq!(ended.code, Some(exit_code), "{ended:?}");
+        assert!(ended.stderr.contains(meant), "{line}: {ended:?}");
+    }
+    let unknown = daemon.refusal("status dmeo").await;
+    assert_eq!(unknown["details"]["nearest"][0], "demo");
+    daemon.stop().await;
+}

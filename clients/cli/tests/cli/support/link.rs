@@ -1,0 +1,119 @@
+//! The wire between a command line and its daemon, which a test can cut and mend.
+
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+/// Passes on what a command line and a daemon say to each other.
+pub struct Link {
+    /// Where the command line connects.
+    pub endpoint: String,
+    wire: Arc<Wire>,
+}
+
+struct Wire {
+    daemon: String,
+    /// Nothing is passed on, and nobody is let in.
+    is_cut: AtomicBool,
+    /// The daemon's answers are lost from the moment a request passes.
+    loses_answers: AtomicBool,
+    /// A request has passed.
+    is_mute: AtomicBool,
+    streams: Mutex<Vec<TcpStream>>,
+}
+
+impl Link {
+    /// A link to the daemon at `endpoint`.
+    pub fn to(endpoint: &str) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let wire = Arc::new(Wire {
+            daemon: endpoint.strip_prefix("tcp/").unwrap().to_owned(),
+            is_cut: AtomicBool::new(false),
+            loses_answers: AtomicBool::new(false),
+            is_mute: AtomicBool::new(false),
+            streams: Mutex::new(Vec::new()),
+        });
+        let address = listener.local_addr().unwrap();
+        let accepting = wire.clone();
+        thread::spawn(move || {
+            for client in listener.incoming() {
+                accepting.connect(client.unwrap());
+            }
+        });
+        Link {
+            endpoint: format!("tcp/{address}"),
+            wire,
+        }
+    }
+
+    /// Loses the daemon's answers from the next request on, until it is cut.
+    pub fn lose_answers(&self) {
+        self.wire.loses_answers.store(true, Ordering::SeqCst);
+    }
+
+    /// Cuts every connection, as the death of a daemon would.
+    pub fn cut(&self) {
+        self.wire.is_cut.store(true, Ordering::SeqCst);
+        for stream in self.wire.streams.lock().unwrap().drain(..) {
+            // It may be closed from the other side already.
+            let _ = stream.shutdown(Shutdown::Both);
+        }
+    }
+
+    /// Lets connections through again.
+    pub fn mend(&self) {
+        self.wire.loses_answers.store(false, Ordering::SeqCst);
+        self.wire.is_mute.store(false, Ordering::SeqCst);
+        self.wire.is_cut.store(false, Ordering::SeqCst);
+    }
+}
+
+impl Wire {
+    fn connect(self: &Arc<Self>, client: TcpStream) {
+        if self.is_cut.load(Ordering::SeqCst) {
+            return;
+        }
+        let Ok(daemon) = TcpStream::connect(&self.daemon) else {
+            return;
+        };
+        let mut streams = self.streams.lock().unwrap();
+        streams.push(client.try_clone().unwrap());
+        streams.push(daemon.try_clone().unwrap());
+        drop(streams);
+        let (requests, answers) = (self.clone(), self.clone());
+        let (to_daemon, to_client) = (daemon.try_clone().unwrap(), client.try_clone().unwrap());
+        thread::spawn(move || requests.pass_requests(client, to_daemon));
+        thread::spawn(move || answers.pass_answers(daemon, to_client));
+    }
+
+    fn pass_requests(&self, mut client: TcpStream, mut daemon: TcpStream) {
+        const REQUEST: &[u8] = b"request_id";
+        // What came last, since a request may come in two pieces.
+        let (mut buffer, mut tail) = ([0; 65_536], Vec::new());
+        while let Ok(length @ 1..) = client.read(&mut buffer) {
+            tail.extend_from_slice(&buffer[..length]);
+            let is_request = tail.windows(REQUEST.len()).any(|window| window == REQUEST);
+            if is_request && self.loses_answers.load(Ordering::SeqCst) {
+                self.is_mute.store(true, Ordering::SeqCst);
+            }
+            tail.drain(..tail.len().saturating_sub(REQUEST.len()));
+            if daemon.write_all(&buffer[..length]).is_err() {
+                break;
+            }
+        }
+        let _ = daemon.shutdown(Shutdown::Both);
+    }
+
+    fn pass_answers(&self, mut daemon: TcpStream, mut client: TcpStream) {
+        let mut buffer = [0; 65_536];
+        while let Ok(length @ 1..) = daemon.read(&mut buffer) {
+            let is_lost = self.is_mute.load(Ordering::SeqCst);
+            if !is_lost && client.write_all(&buffer[..length]).is_err() {
+                break;
+            }
+        }
+        let _ = client.shutdown(Shutdown::Both);
+    }
+}

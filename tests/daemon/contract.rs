@@ -1,0 +1,356 @@
+//! The documents in `proto/` and a running daemon say the same, both ways.
+
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
+
+use jostle_proto::asyncapi::{self, Examples};
+use jostle_proto::{Error, ErrorCode, Event, keys};
+use serde_json::{Value, json};
+use zenoh::Session;
+use zenoh_ext::{AdvancedSubscriberBuilderExt, HistoryConfig};
+
+use crate::support::{Answer, Client, Daemon, NODE, PREFIX, until};
+
+mod bounds;
+#[path = "../../proto/tests/contract/types.rs"]
+mod types;
+
+/// A key of the document with what zenoh adds to it.
+struct Channel {
+    key: String,
+    zenoh: Value,
+}
+
+/// The document's channels for a swarm.
+fn channels(swarm: &str) -> Vec<Channel> {
+    let document = asyncapi::document(&Examples::new());
+    let channels = document["channels"].as_object().unwrap().values();
+    channels
+        .map(|channel| Channel {
+            key: filled(&channel["address"], swarm),
+            zenoh: channel["bindings"]["x-zenoh"].clone(),
+        })
+        .collect()
+}
+
+/// An address with names for its parameters.
+fn filled(address: &Value, swarm: &str) -> String {
+    let address = address.as_str().unwrap().replace("{prefix}", PREFIX);
+    address.replace("{swarm}", swarm).replace("{node}", NODE)
+}
+
+fn proto() -> &'static Path {
+    Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/proto"))
+}
+
+/// The fixtures of a message, each with the rest of its name.
+fn fixtures(message: &str) -> Vec<(String, Value)> {
+    let mut fixtures = Vec::new();
+    for entry in fs::read_dir(proto().join("fixtures")).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_name().unwrap().to_str().unwrap().to_owned();
+        let Some(rest) = name
+            .strip_prefix(message)
+            .and_then(|it| it.strip_suffix("json"))
+        else {
+            continue;
+        };
+        if rest.starts_with('.') {
+            let text = fs::read_to_string(&path).unwrap();
+            fixtures.push((name, serde_json::from_str(&text).unwrap()));
+        }
+    }
+    assert!(!fixtures.is_empty(), "{message} has fixtures");
+    fixtures.sort_by(|(a, _), (b, _)| a.cmp(b));
+    fixtures
+}
+
+/// Fails unless a reply is just what its type says.
+fn check_reply(message: &str, reply: &Value) {
+    let back = types::written_back(message, &reply.to_string());
+    assert_eq!(back.as_ref(), Ok(reply), "{message}");
+}
+
+/// The spec of the fixtures: four individuals, paused, one of them informed.
+async fn create(client: &Client, name: &str) {
+    let (_, create) = fixtures("create.args.everything").remove(0);
+    client.create(name, create["spec"].clone()).await;
+    let informed = json!({"select": {"ids": [3]}, "direction": 1});
+    client.ok(name, "inform", informed).await;
+}
+
+/// Sends a command's arguments to a swarm of its own, or to the node.
+async fn send(client: &Client, swarm: &str, verb: &str, request: &Value) -> Answer {
+    let key = if verb == "create" {
+        keys::node_cmd(PREFIX, NODE, verb)
+    } else {
+        create(client, swarm).await;
+        keys::cmd(PREFIX, swarm, verb)
+    };
+    client.one(&key, Some(request.to_string().as_bytes())).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn every_channel_of_the_document_is_served() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    create(client, "a").await;
+    let samples = client.session.declare_subscriber(keys::state(PREFIX, "a"));
+    let state = samples.await.unwrap();
+    let samples = client.session.declare_subscriber(keys::order(PREFIX, "a"));
+    let order = samples.await.unwrap();
+    let samples = client.session.declare_subscriber(keys::event(PREFIX, "a"));
+    let event = samples.await.unwrap();
+    let published = [("state", state), ("order", order), ("event", event)];
+    client.ok("a", "step", json!({"steps": 10})).await;
+
+    let mut verbs = Vec::new();
+    for Channel { key, zenoh } in channels("a") {
+        let kind = zenoh["kind"].as_str().unwrap();
+        let last = key.rsplit('/').next().unwrap();
+        if kind.contains("publisher") {
+            let publisher = zenoh.get("publisher").unwrap_or(&zenoh);
+            let (_, samples) = published.iter().find(|(name, _)| *name == last).unwrap();
+            let sample = samples.recv_async().await.unwrap();
+            assert_eq!(sample.key_expr().as_str(), key);
+            assert_eq!(
+                sample.encoding().to_string(),
+                publisher["encoding"],
+                "{key}"
+            );
+            assert!(sample.attachment().is_none(), "{key}");
+        }
+        if kind == "liveliness" {
+            assert_eq!(tokens(&client.session, &key).await, [key]);
+        } else if key.contains("/cmd/") {
+            verbs.push(last.to_owned());
+        } else if kind.contains("queryable") {
+            let parameters = if last == "wait" { "?step=0" } else { "" };
+            let reply = client
+                .one(&format!("{key}{parameters}"), None)
+                .await
+                .unwrap();
+            let message = match last {
+                "state" => "state".to_owned(),
+                "wait" => "status.reply".to_owned(),
+                noun if key.contains("/@node/") => format!("node.{noun}.reply"),
+                noun => format!("{noun}.reply"),
+            };
+            check_reply(&message, &reply);
+        }
+    }
+    for verb in verbs {
+        for (i, (fixture, args)) in fixtures(&format!("{verb}.args")).into_iter().enumerate() {
+            let swarm = format!("{verb}-{i}");
+            let answer = send(client, &swarm, &verb, &args).await;
+            let reply = answer.unwrap_or_else(|error| panic!("{fixture}: {error:?}"));
+            check_reply(&format!("{verb}.reply"), &reply);
+            if verb != "create" && verb != "delete" {
+                let later = json!({"at_step": 1_000_000, "args": args});
+                let reply = client.ok(&swarm, &verb, later).await;
+                check_reply("scheduled.reply", &reply);
+                client.ok(&swarm, "delete", json!({})).await;
+            }
+        }
+    }
+    daemon.stop().await;
+}
+
+async fn tokens(session: &Session, key: &str) -> Vec<String> {
+    let replies = session.liveliness().get(key).await.unwrap();
+    let mut tokens = Vec::new();
+    while let Ok(reply) = replies.recv_async().await {
+        tokens.push(reply.into_result().unwrap().key_expr().as_str().to_owned());
+    }
+    tokens
+}
+
+/// A peer of the daemon, which is told of all that the daemon declares.
+async fn peer(daemon: &Daemon) -> Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", json!("peer")),
+        ("connect/endpoints", json!(daemon.server.endpoints())),
+        ("listen/endpoints", json!([])),
+        ("scouting/multicast/enabled", json!(false)),
+        ("scouting/gossip/enabled", json!(false)),
+        ("adminspace/enabled", json!(true)),
+    ] {
+        config.insert_json5(key, &value.to_string()).unwrap();
+    }
+    zenoh::open(config).await.unwrap()
+}
+
+/// The keys of a kind that `peer` was told of; those below `@node` are not shown to anyone.
+async fn declared(peer: &Session, kind: &str) -> BTreeSet<String> {
+    let start = format!("@/{}/peer/{kind}/", peer.zid());
+    let replies = peer.get(format!("{start}**")).await.unwrap();
+    let mut declared = BTreeSet::new();
+    while let Ok(reply) = replies.recv_async().await {
+        let sample = reply.into_result().unwrap();
+        let key = sample.key_expr().as_str().strip_prefix(&start).unwrap();
+        declared.insert(key.to_owned());
+    }
+    declared
+}
+
+/// The documented keys of a kind, those of a swarm or those of the node; of a queryable what is
+/// declared for it.
+fn documented(kind: &str, is_node: bool) -> BTreeSet<String> {
+    let channels = channels("a").into_iter();
+    let of_kind = channels.filter(|channel| {
+        let is = channel.zenoh["kind"].as_str().unwrap();
+        is.split(" and ").any(|it| it == kind) && channel.key.contains("/@node/") == is_node
+    });
+    of_kind
+        .map(|Channel { key, zenoh }| {
+            let queryable = zenoh.get("queryable").unwrap_or(&zenoh);
+            match queryable.get("declared") {
+                Some(declared) if kind == "queryable" => filled(declared, "a"),
+                _ => key,
+            }
+        })
+        .collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whatever_the_daemon_declares_is_in_the_document() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    create(client, "a").await;
+    let peer = peer(&daemon).await;
+    let [queryable, token] = ["queryable", "liveliness"].map(|kind| documented(kind, false));
+    until("all declarations", async || {
+        declared(&peer, "queryable").await.len() >= queryable.len()
+            && declared(&peer, "token").await.len() >= token.len()
+    })
+    .await;
+    assert_eq!(declared(&peer, "queryable").await, queryable);
+    assert_eq!(declared(&peer, "token").await, token);
+    assert_eq!(declared(&peer, "subscriber").await, BTreeSet::new());
+    let of_nodes = tokens(&client.session, "**/@node/**").await;
+    assert_eq!(
+        BTreeSet::from_iter(of_nodes),
+        documented("liveliness", true)
+    );
+
+    let everything = peer.declare_subscriber("**").await.unwrap();
+    let nodes = peer.declare_subscriber("**/@node/**").await.unwrap();
+    let mut published = BTreeSet::new();
+    until("all publications", async || {
+        client.ok("a", "step", json!({"steps": 10})).await;
+        while let Ok(Some(sample)) = everything.try_recv() {
+            published.insert(sample.key_expr().as_str().to_owned());
+        }
+        published.len() >= documented("publisher", false).len()
+    })
+    .await;
+    assert_eq!(published, documented("publisher", false));
+    assert!(nodes.try_recv().unwrap().is_none());
+    peer.close().await.unwrap();
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn late_joiners_get_as_many_events_as_the_document_says() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    create(client, "a").await;
+    for _ in 0..70 {
+        client.ok("a", "set", json!({"pi3": 1.2})).await;
+    }
+    let key = keys::event(PREFIX, "a");
+    let channel = channels("a").into_iter().find(|it| it.key == key).unwrap();
+    let cached = channel.zenoh["advanced"]["cache"].as_u64().unwrap();
+    let page = client.get("a", "events").await;
+    let newest = page["result"]["newest"].as_u64().unwrap();
+    let late = daemon.another_client().await.session;
+    let events = late
+        .declare_subscriber(&key)
+        .history(HistoryConfig::default())
+        .await
+        .unwrap();
+    for number in newest - cached + 1..=newest {
+        let sample = events.recv_async().await.unwrap();
+        let event: Event = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+        assert_eq!(event.number, number);
+    }
+    late.close().await.unwrap();
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn wildcards_are_answered_where_the_document_welcomes_them() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    create(client, "a").await;
+    for (everything, is_node) in [("jostle/**", false), ("jostle/@node/**", true)] {
+        let replies = client.session.get(everything).await.unwrap();
+        let (mut answered, mut refused) = (BTreeSet::new(), 0);
+        while let Ok(reply) = replies.recv_async().await {
+            match reply.into_result() {
+                Ok(sample) => {
+                    answered.insert(sample.key_expr().as_str().to_owned());
+                }
+                Err(error) => {
+                    let error: Error = serde_json::from_slice(&error.payload().to_bytes()).unwrap();
+                    assert!(
+                        error.message.contains("a wildcard executes nothing"),
+                        "{error:?}"
+                    );
+                    refused += 1;
+                }
+            }
+        }
+        let channels = channels("a").into_iter();
+        let welcoming = channels.filter(|Channel { key, zenoh }| {
+            let queryable = zenoh.get("queryable").unwrap_or(zenoh);
+            key.contains("/@node/") == is_node && queryable["wildcards"] == "welcome"
+        });
+        assert_eq!(answered, welcoming.map(|channel| channel.key).collect());
+        assert_eq!(refused, 1, "one queryable for all verbs");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_verbs_and_nouns_that_errors_name_are_those_of_the_document() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    create(client, "a").await;
+    for folder in [
+        keys::get(PREFIX, "a", ""),
+        keys::cmd(PREFIX, "a", ""),
+        keys::node_get(PREFIX, NODE, ""),
+        keys::node_cmd(PREFIX, NODE, ""),
+    ] {
+        let error = client
+            .one(&format!("{folder}jump"), None)
+            .await
+            .unwrap_err();
+        assert_eq!(error.code, ErrorCode::NotFound);
+        let known: BTreeSet<String> =
+            serde_json::from_value(error.details["known"].clone()).unwrap();
+        let channels = channels("a").into_iter();
+        let documented = channels.filter_map(|it| Some(it.key.strip_prefix(&folder)?.to_owned()));
+        assert_eq!(known, documented.collect(), "{folder}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_schemas_that_a_daemon_serves_are_those_in_the_repository() {
+    let daemon = Daemon::start().await;
+    let mut served = daemon.client.node("schema").await;
+    let served = served["schemas"].as_object_mut().unwrap();
+    for entry in fs::read_dir(proto().join("schema")).unwrap() {
+        let path = entry.unwrap().path();
+        let name = path.file_stem().unwrap().to_str().unwrap();
+        let text = fs::read_to_string(&path).unwrap();
+        let schema: Value = serde_json::from_str(&text).unwrap();
+        assert_eq!(served.remove(name), Some(schema), "{name}");
+    }
+    assert!(served.is_empty(), "{served:?}");
+    daemon.stop().await;
+}

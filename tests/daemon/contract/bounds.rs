@@ -1,0 +1,168 @@
+//! The bounds that the schemas set are those the daemon keeps to.
+
+use std::collections::BTreeSet;
+
+use jostle_proto::contract::schemas;
+use jostle_proto::{Error, ErrorCode, keys};
+use serde_json::{Value, json};
+
+use super::{fixtures, send};
+use crate::support::{Daemon, PREFIX};
+
+/// A field of a request with a value at one of its bounds and one just outside of it.
+struct Bound {
+    /// As an error names it.
+    field: String,
+    /// As JSON points to it.
+    place: String,
+    outside: Value,
+    at: Value,
+}
+
+/// The bounds that `schema` sets to what is in `value`.
+fn bounds(schema: &Value, root: &Value, value: &Value, field: &str, place: &str) -> Vec<Bound> {
+    if let Some(name) = schema["$ref"].as_str() {
+        let definition = &root["$defs"][name.trim_start_matches("#/$defs/")];
+        return bounds(definition, root, value, field, place);
+    }
+    let bound = |outside: Value, at: Value| Bound {
+        field: field.to_owned(),
+        place: place.to_owned(),
+        outside,
+        at,
+    };
+    let mut found = Vec::new();
+    let types = schema["type"].to_string();
+    if types.contains("\"integer\"") {
+        let limit = |name: &str| schema[name].as_i64();
+        found.extend(limit("minimum").map(|it| bound(json!(it - 1), json!(it))));
+        found.extend(limit("maximum").map(|it| bound(json!(it + 1), json!(it))));
+    } else if types.contains("\"number\"") {
+        let limit = |name: &str| schema[name].as_f64();
+        found.extend(limit("minimum").map(|it| bound(json!(it.next_down()), json!(it))));
+        found.extend(limit("maximum").map(|it| bound(json!(it.next_up()), json!(it))));
+        // A tiny number is within, and large enough for a body to turn.
+        found.extend(limit("exclusiveMinimum").map(|it| bound(json!(it), json!(it + 1e-6))));
+    }
+    if let Some(pattern) = schema["pattern"].as_str() {
+        // There are two: that of names, and that of labels, which takes nearly all.
+        let (outside, at) = match pattern {
+            keys::NAME_RULE => ("a/b", "a".repeat(64)),
+            _ => ("a\u{7}b", "ü \u{2028} *".to_owned()),
+        };
+        found.push(bound(json!(outside), json!(at)));
+    }
+    if let Some(longest) = schema["maxLength"].as_u64() {
+        let text = |length: u64| json!("a".repeat(usize::try_from(length).unwrap()));
+        found.push(bound(text(longest + 1), text(longest)));
+    }
+    if let Value::Array(items) = value {
+        let many = |count: &Value| {
+            let count = usize::try_from(count.as_u64().unwrap()).unwrap();
+            vec![items[0].clone(); count]
+        };
+        if let least @ Value::Number(_) = &schema["minItems"] {
+            found.push(bound(json!(many(least)[1..]), json!(many(least))));
+        }
+        if let most @ Value::Number(_) = &schema["maxItems"] {
+            let mut more = many(most);
+            more.push(items[0].clone());
+            found.push(bound(json!(more), json!(many(most))));
+        }
+        // Of numbers the first stands for all: ids must differ.
+        let some = match items.first() {
+            Some(Value::Number(_)) => &items[..1],
+            _ => &items[..],
+        };
+        for (i, item) in some.iter().enumerate() {
+            let (field, place) = (format!("{field}[{i}]"), format!("{place}/{i}"));
+            found.extend(bounds(&schema["items"], root, item, &field, &place));
+        }
+    }
+    for (name, property) in schema["properties"].as_object().into_iter().flatten() {
+        let dot = if field.is_empty() { "" } else { "." };
+        let (field, place) = (format!("{field}{dot}{name}"), format!("{place}/{name}"));
+        if let Some(value) = value.get(name) {
+            found.extend(bounds(property, root, value, &field, &place));
+        }
+    }
+    for kind in ["oneOf", "anyOf"] {
+        let variants = schema[kind].as_array().into_iter().flatten();
+        for variant in variants.filter(|variant| is_meant(variant, value)) {
+            found.extend(bounds(variant, root, value, field, place));
+        }
+    }
+    found
+}
+
+/// Whether a value is of this variant: it has all fields, and the constants in them.
+fn is_meant(variant: &Value, value: &Value) -> bool {
+    let required = variant["required"].as_array().into_iter().flatten();
+    let constants = variant["properties"].as_object().into_iter().flatten();
+    required
+        .map(|name| name.as_str().unwrap())
+        .all(|name| value.get(name).is_some())
+        && constants
+            .filter_map(|(name, property)| Some((name, property.get("const")?)))
+            .all(|(name, constant)| value.get(name) == Some(constant))
+}
+
+/// Whether an error says that this field is wrong.
+fn is_about(error: &Error, field: &str) -> bool {
+    // A column is refused as a whole, and so is a change of a batch whose arguments came before
+    // its verb.
+    let column = field.strip_suffix(']').and_then(|it| it.rsplit_once('['));
+    let change = field.split_once(".args").map(|(change, _)| change);
+    let named = error.details.get("field").and_then(Value::as_str);
+    error.code == ErrorCode::InvalidArgument
+        && named.is_some()
+        && [Some(field), column.map(|(column, _)| column), change].contains(&named)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let (mut tried, mut wrong) = (BTreeSet::new(), Vec::new());
+    let schemas = schemas();
+    let requests = schemas.iter().filter_map(|(message, schema)| {
+        let verb = match *message {
+            "request" => "inform",
+            message => message.strip_suffix(".args")?,
+        };
+        Some((*message, verb, schema.as_value()))
+    });
+    for (message, verb, schema) in requests {
+        for (_, fixture) in fixtures(message) {
+            for bound in bounds(schema, schema, &fixture, "", "") {
+                let is_new = tried.insert(format!("{message} {} {}", bound.field, bound.outside));
+                if !is_new {
+                    continue;
+                }
+                let swarm = format!("s{}", tried.len());
+                for (value, is_outside) in [(&bound.outside, true), (&bound.at, false)] {
+                    let mut request = fixture.clone();
+                    *request.pointer_mut(&bound.place).unwrap() = value.clone();
+                    if message != "request" {
+                        request = json!({"timeout_secs": 0.5, "args": request});
+                    }
+                    let answer = send(client, &swarm, verb, &request).await;
+                    let is_refused = matches!(&answer, Err(error) if is_about(error, &bound.field));
+                    // A time step has a tighter bound, which depends on the other parameters.
+                    let is_tighter = !is_outside && bound.field == "spec.dt";
+                    if is_refused != is_outside && !is_tighter {
+                        wrong.push(format!("{message} {} = {value}: {answer:?}", bound.field));
+                    }
+                    let named = request["args"]["name"].as_str();
+                    let name = named.filter(|it| keys::is_name(it)).unwrap_or(&swarm);
+                    // Where nothing was created nobody answers.
+                    client.ask(&keys::cmd(PREFIX, name, "delete"), None).await;
+                }
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+    assert!(tried.len() > 100, "{}", tried.len());
+    println!("{} bounds hold", tried.len());
+    daemon.stop().await;
+}
