@@ -33,7 +33,7 @@ pub use error::CommandError;
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(5);
 
 /// The most of an unknown word that is repeated to its sender.
-pub const MOST_REPEATED: usize = 64;
+const MOST_REPEATED: usize = 64;
 
 /// The longest that a request may wait for its reply, in seconds.
 const LONGEST_TIMEOUT_SECS: f64 = 3600.0;
@@ -62,7 +62,7 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
     let known = keys::SWARM_VERBS.iter().find(|known| **known == verb);
     let Some(verb) = known.copied() else {
         return Err(CommandError::UnknownVerb {
-            verb: verb.to_owned(),
+            verb: shortened(verb),
             known: &keys::SWARM_VERBS,
         });
     };
@@ -142,7 +142,7 @@ pub fn selector<'a>(
         }
         let Some(name) = known.iter().find(|known| **known == name) else {
             return Err(CommandError::Parameter {
-                name: name.chars().take(MOST_REPEATED).collect(),
+                name: shortened(name),
                 known,
             });
         };
@@ -152,6 +152,11 @@ pub fn selector<'a>(
         read.push((name, value));
     }
     Ok(read)
+}
+
+/// The beginning of an unknown word, to be repeated to its sender.
+pub fn shortened(word: &str) -> String {
+    word.chars().take(MOST_REPEATED).collect()
 }
 
 /// Checks a name that is to become part of a key.

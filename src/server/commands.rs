@@ -97,7 +97,7 @@ impl Dispatcher {
             Some("create") => request(query, self.most_bytes())
                 .and_then(|request| self.create(&promise, &request)),
             verb => Err(CommandError::UnknownVerb {
-                verb: verb.unwrap_or_default().to_owned(),
+                verb: command::shortened(verb.unwrap_or_default()),
                 known: &keys::NODE_VERBS,
             }),
         };

@@ -8,7 +8,7 @@ use zenoh::Wait;
 use zenoh::query::Query;
 
 use crate::command::error::refusal;
-use crate::command::{CommandError, page, wait};
+use crate::command::{CommandError, page, shortened, wait};
 use crate::server::answer::{Asked, Promise};
 use crate::server::dispatch::Dispatcher;
 use crate::server::query::{format, names, no_parameters};
@@ -180,7 +180,7 @@ impl Dispatcher {
         let key = asked.query.key_expr().as_str();
         let noun = key.split_once("/get/").map_or(key, |(_, noun)| noun);
         let error = CommandError::UnknownNoun {
-            noun: noun.to_owned(),
+            noun: shortened(noun),
             known,
         };
         let promise = self.desk.promise(asked, key.to_owned());

@@ -10,7 +10,7 @@ use zenoh::key_expr::KeyExpr;
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
-use crate::command::{CommandError, MOST_REPEATED, selector};
+use crate::command::{CommandError, selector, shortened};
 use crate::server::answer::Desk;
 use crate::server::dispatch::Intake;
 use crate::wire::Payload;
@@ -82,8 +82,7 @@ pub fn request(query: &Query, most_bytes: usize) -> Result<Request, CommandError
             Encoding::ZENOH_BYTES,
         ];
         if !readable.contains(encoding) {
-            let encoding = encoding.to_string().chars().take(MOST_REPEATED).collect();
-            return Err(CommandError::Encoding(encoding));
+            return Err(CommandError::Encoding(shortened(&encoding.to_string())));
         }
     }
     let payload = query.payload().map(|payload| payload.to_bytes());

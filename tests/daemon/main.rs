@@ -3,9 +3,11 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 mod abuse;
+mod apart;
 mod architecture;
 mod claim;
 mod commands;
+mod contract;
 mod corpora;
 mod history;
 mod load;

@@ -8,7 +8,9 @@ use serde_json::{Value, json};
 use crate::support::{Daemon, NODE, PREFIX};
 
 fn named(id: &str, args: Value) -> Value {
-    json!({"client": "me", "request_id": id, "args": args})
+    let mut request = json!({"client": "me", "request_id": id});
+    request["args"] = args;
+    request
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,81 +1,19 @@
 //! The daemon as a process: its demo, its end, and a client that stops taking what it is sent.
 
-use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Output, Stdio};
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use jostle_proto::{ErrorCode, keys};
 use serde_json::json;
 
-use crate::support::{Client, PATIENCE, PREFIX, alone, beside_others, until};
-
-/// Ends a process when the test does.
-struct Process(Child);
-
-impl Drop for Process {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-impl Process {
-    fn signal(&self, signal: &str) {
-        let id = self.0.id().to_string();
-        assert!(
-            Command::new("kill")
-                .args([signal, &id])
-                .status()
-                .unwrap()
-                .success()
-        );
-    }
-
-    /// Waits for its end and tells how long that took.
-    fn end(&mut self) -> (Option<i32>, Duration) {
-        let began = Instant::now();
-        loop {
-            if let Some(status) = self.0.try_wait().unwrap() {
-                return (status.code(), began.elapsed());
-            }
-            assert!(began.elapsed() < PATIENCE, "it does not end");
-            std::thread::sleep(Duration::from_millis(5));
-        }
-    }
-}
-
-fn jostled(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_jostled"));
-    command
-        .args(arguments)
-        .stdin(Stdio::null())
-        .stderr(Stdio::null());
-    command
-}
-
-/// A serving daemon and where it listens.
-fn serve() -> (Process, String) {
-    serve_with("")
-}
-
-/// A serving daemon that is made to fail at these points.
-fn serve_with(failpoints: &str) -> (Process, String) {
-    let mut daemon = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
-    daemon.env("FAILPOINTS", failpoints);
-    let mut daemon = Process(daemon.stdout(Stdio::piped()).spawn().unwrap());
-    let mut line = String::new();
-    BufReader::new(daemon.0.stdout.take().unwrap())
-        .read_line(&mut line)
-        .unwrap();
-    let endpoint = line.trim().strip_prefix("listening on ").unwrap();
-    (daemon, endpoint.to_owned())
-}
+use crate::apart::{Process, jostled};
+use crate::support::{Client, PREFIX, alone, beside_others, until};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn sigterm_and_ctrl_c_end_it_within_two_seconds() {
     let _alone = alone().await;
     for signal in ["-TERM", "-INT"] {
-        let (mut daemon, endpoint) = serve();
+        let (mut daemon, endpoint) = Process::serve();
         let client = Client::open(&endpoint).await;
         for i in 0..20 {
             let name = format!("s{i}");
@@ -108,7 +46,7 @@ async fn a_subscribing_process() {
 #[tokio::test(flavor = "multi_thread")]
 async fn frozen_clients_delay_neither_steps_nor_answers_nor_the_end() {
     let _alone = alone().await;
-    let (mut daemon, endpoint) = serve();
+    let (mut daemon, endpoint) = Process::serve();
     let client = Client::open(&endpoint).await;
     client
         .create(
@@ -186,7 +124,7 @@ async fn the_demo_ends_by_itself_and_says_what_came_of_it() {
 #[tokio::test(flavor = "multi_thread")]
 async fn what_cannot_be_served_is_said_with_its_remedy() {
     let _machine = beside_others().await;
-    let (_daemon, endpoint) = serve();
+    let (_daemon, endpoint) = Process::serve();
     let taken = output(&["--listen", &endpoint]);
     let text = String::from_utf8(taken.stderr).unwrap();
     assert_eq!(taken.status.code(), Some(1));
@@ -200,7 +138,10 @@ async fn what_cannot_be_served_is_said_with_its_remedy() {
         (vec!["--log", "=,="], "log"),
         (vec!["--wings"], "--wings"),
         (vec!["config", "explain", "--max-hz", "often"], "--max-hz"),
-        (vec!["config", "explain", "--config", "/nowhere.toml"], "/nowhere.toml"),
+        (
+            vec!["config", "explain", "--config", "/nowhere.toml"],
+            "/nowhere.toml",
+        ),
         (vec!["demo", "--for", "soon"], "soon"),
     ] {
         let refused = output(&arguments);
@@ -214,7 +155,7 @@ async fn what_cannot_be_served_is_said_with_its_remedy() {
 async fn a_defect_in_a_command_is_told_changes_nothing_and_hurts_nobody_else() {
     let _beside_others = beside_others().await;
     // The second and third change panic.
-    let (_daemon, endpoint) = serve_with("command=1*off->2*panic->off");
+    let (_daemon, endpoint) = Process::serve_failing("command=1*off->2*panic->off");
     let client = Client::open(&endpoint).await;
     client.create("a", json!({"n": 5, "seed": 1})).await;
     client.ok("a", "inject", json!({"count": 1})).await;
@@ -242,7 +183,7 @@ async fn a_defect_in_a_command_is_told_changes_nothing_and_hurts_nobody_else() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_defect_in_a_step_faults_its_swarm_and_no_other() {
     let _beside_others = beside_others().await;
-    let (_daemon, endpoint) = serve_with("step=3*off->1*panic->off");
+    let (_daemon, endpoint) = Process::serve_failing("step=3*off->1*panic->off");
     let client = Client::open(&endpoint).await;
     client.create("a", json!({"n": 5})).await;
     client.create("b", json!({"n": 5})).await;
@@ -259,7 +200,7 @@ async fn a_defect_in_a_step_faults_its_swarm_and_no_other() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_defect_in_reading_a_query_is_told_and_the_daemon_goes_on() {
     let _beside_others = beside_others().await;
-    let (_daemon, endpoint) = serve_with("query=1*panic->off");
+    let (_daemon, endpoint) = Process::serve_failing("query=1*panic->off");
     let client = Client::open(&endpoint).await;
     let key = keys::node_get(PREFIX, "test", "hello");
     let error = client.one(&key, None).await.unwrap_err();

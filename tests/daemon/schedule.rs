@@ -14,7 +14,9 @@ async fn events(client: &Client, swarm: &str) -> Vec<Event> {
 }
 
 fn at(step: u64, args: Value) -> Value {
-    json!({"at_step": step, "args": args})
+    let mut request = json!({"at_step": step});
+    request["args"] = args;
+    request
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,0 +1,81 @@
+//! A daemon in a process of its own, whose memory, time and end are nobody else's.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use crate::support::PATIENCE;
+
+/// A process that ends when the test does.
+pub struct Process(pub Child);
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// A daemon with these arguments, not yet started.
+pub fn jostled(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_jostled"));
+    command
+        .args(arguments)
+        .stdin(Stdio::null())
+        .stderr(Stdio::null());
+    command
+}
+
+impl Process {
+    /// Starts a daemon and tells where it listens.
+    pub fn serve() -> (Self, String) {
+        Self::start(&mut jostled(&SERVE))
+    }
+
+    /// Starts a daemon that fails at these points.
+    pub fn serve_failing(points: &str) -> (Self, String) {
+        Self::start(jostled(&SERVE).env("FAILPOINTS", points))
+    }
+
+    fn start(command: &mut Command) -> (Self, String) {
+        let mut process = Process(command.stdout(Stdio::piped()).spawn().unwrap());
+        let mut line = String::new();
+        let output = process.0.stdout.take().unwrap();
+        BufReader::new(output).read_line(&mut line).unwrap();
+        let endpoint = line.trim().strip_prefix("listening on ").unwrap();
+        (process, endpoint.to_owned())
+    }
+
+    pub fn signal(&self, signal: &str) {
+        let id = self.0.id().to_string();
+        assert!(
+            Command::new("kill")
+                .args([signal, &id])
+                .status()
+                .unwrap()
+                .success()
+        );
+    }
+
+    /// Waits for its end and tells how long that took.
+    pub fn end(&mut self) -> (Option<i32>, Duration) {
+        let began = Instant::now();
+        loop {
+            if let Some(status) = self.0.try_wait().unwrap() {
+                return (status.code(), began.elapsed());
+            }
+            assert!(began.elapsed() < PATIENCE, "it does not end");
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// Memory it has in use.
+    pub fn resident_bytes(&self) -> u64 {
+        let path = format!("/proc/{}/statm", self.0.id());
+        let statm = std::fs::read_to_string(path).unwrap();
+        let pages: u64 = statm.split(' ').nth(1).unwrap().parse().unwrap();
+        pages * 4096
+    }
+}
+
+const SERVE: [&str; 5] = ["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"];

@@ -1,0 +1,52 @@
+//! What fuzzers found to be interesting, once more: each file of `fuzz/corpus`, whole and cut short.
+
+use std::path::{Path, PathBuf};
+
+fn fuzz() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("fuzz")
+}
+
+/// Hands every file of a target's corpus to it.
+fn holds(target: &str, hold: fn(&[u8])) {
+    let bin = fuzz().join("fuzz_targets").join(format!("{target}.rs"));
+    assert!(bin.exists(), "{target} is not fuzzed");
+    let mut files = 0;
+    for file in std::fs::read_dir(fuzz().join("corpus").join(target)).unwrap() {
+        let path = file.unwrap().path();
+        let data = std::fs::read(&path).unwrap();
+        // Shown if it panics, so that the file is known.
+        println!("{}", path.display());
+        for length in [data.len(), data.len() / 2, data.len().saturating_sub(1)] {
+            hold(&data[..length]);
+        }
+        files += 1;
+    }
+    assert!(files >= 10, "{target}: {files} files");
+}
+
+macro_rules! targets {
+    ($($target:ident),*) => {
+        $(
+            #[test]
+            fn $target() {
+                holds(stringify!($target), crate::targets::$target::hold);
+            }
+        )*
+
+        const TARGETS: &[&str] = &[$(stringify!($target)),*];
+    };
+}
+
+targets!(
+    messages, names, orders, requests, selectors, sequences, settings, states
+);
+
+#[test]
+fn every_corpus_has_its_target() {
+    let folders = std::fs::read_dir(fuzz().join("corpus")).unwrap();
+    let mut names: Vec<String> = folders
+        .map(|folder| folder.unwrap().file_name().into_string().unwrap())
+        .collect();
+    names.sort_unstable();
+    assert_eq!(names, TARGETS);
+}

@@ -1,0 +1,152 @@
+//! Requests as the daemon makes orders of them, or refuses them in words.
+
+use jostle_proto::verbs::CreateArgs;
+use jostle_proto::{Error, ErrorCode, Request, keys};
+use jostled::command::{self, Command, CommandError, create};
+use jostled::host::Limits;
+use jostled::swarm::order::{Change, Order, Placement, Recipe, Start, Until};
+
+const LIMITS: Limits = Limits {
+    max_individuals: 2000,
+    max_swarms: 16,
+    max_memory_bytes: 1 << 30,
+    max_hz: 50,
+};
+
+/// The first byte chooses the verb. What is ordered is in range as far as can be told without a
+/// swarm; what is refused is refused in few words, by a code that is the sender's fault.
+pub fn hold(data: &[u8]) {
+    let [verb, payload @ ..] = data else {
+        return;
+    };
+    let request = match Request::from_json(payload) {
+        Ok(request) => request,
+        Err(error) => return is_worded(&error.into()),
+    };
+    let verb = usize::from(*verb) % (keys::SWARM_VERBS.len() + 2);
+    match keys::SWARM_VERBS.get(verb) {
+        Some(verb) => match command::read(verb, &request) {
+            Ok(command) => is_in_range(&command),
+            Err(error) => is_worded(&error),
+        },
+        None if verb == keys::SWARM_VERBS.len() => {
+            let args: Result<CreateArgs, _> = request.args();
+            match args
+                .map_err(CommandError::from)
+                .and_then(|args| create::recipe(&args, LIMITS))
+            {
+                Ok(recipe) => can_be_built(&recipe),
+                Err(error) => is_worded(&error),
+            }
+        }
+        None => {
+            // A verb that is no verb: whatever stands in the payload.
+            let verb: String = String::from_utf8_lossy(payload).into_owned();
+            let error = command::read(&verb, &request).err();
+            is_worded(&error.expect("no JSON is a verb"));
+        }
+    }
+}
+
+fn is_worded(error: &CommandError) {
+    let Error {
+        code,
+        message,
+        details,
+        ..
+    } = error.to_wire(Some(3));
+    let codes = [
+        ErrorCode::InvalidArgument,
+        ErrorCode::NotFound,
+        ErrorCode::ResourceExhausted,
+    ];
+    assert!(codes.contains(&code), "{error:?}");
+    assert!(
+        !message.is_empty() && message.chars().count() < 1000,
+        "{message}"
+    );
+    let details = serde_json::to_string(&details).expect("details are JSON");
+    assert!(details.len() < 2000, "{details}");
+}
+
+fn is_in_range(command: &Command) {
+    assert!(command.timeout.as_secs_f64() > 0.0 && command.timeout.as_secs() <= 3600);
+    let sender = &command.sender;
+    for label in [&sender.client, &sender.request_id].into_iter().flatten() {
+        assert!(
+            label.len() <= 256 && !label.chars().any(char::is_control),
+            "{label:?}"
+        );
+    }
+    let whole = 0..1 << 53;
+    assert!(
+        command
+            .when
+            .at_step
+            .is_none_or(|step| whole.contains(&step))
+    );
+    let rate = |rate: f64| rate > 0.0 && rate <= 1e6;
+    match &command.order {
+        Order::Run { until, rate: new } => {
+            assert!(new.is_none_or(|new| new.is_none_or(rate)), "{command:?}");
+            match until {
+                Some(Until::Step(step)) => assert!(whole.contains(step)),
+                Some(Until::Time(time)) => assert!((0.0..=1e12).contains(time)),
+                None => {}
+            }
+        }
+        Order::Step(steps) => assert!((1..=1_000_000_000).contains(steps)),
+        Order::Reset(seed) => assert!(seed.is_none_or(|seed| whole.contains(&seed))),
+        Order::Change(change) => can_be_tried(change),
+        Order::Batch(changes) => {
+            assert!((1..=256).contains(&changes.len()));
+            changes.iter().for_each(can_be_tried);
+        }
+        Order::Pause | Order::Delete => {}
+    }
+}
+
+fn can_be_tried(change: &Change) {
+    let weight = |weight: f64| weight > 0.0;
+    match change {
+        Change::Set(settings) => {
+            let numbers = [settings.pi1, settings.pi2, settings.pi3, settings.pi4];
+            let named = numbers.into_iter().flatten().count();
+            assert!(numbers.into_iter().flatten().all(f64::is_finite));
+            assert!(named > 0 || settings.publish_every.is_some());
+            let often = 1..=1_000_000_000;
+            assert!(
+                settings
+                    .publish_every
+                    .is_none_or(|steps| often.contains(&steps))
+            );
+        }
+        Change::Inform {
+            direction,
+            weight: own,
+            for_time,
+            ..
+        } => {
+            assert!(direction.is_finite() && own.is_none_or(weight));
+            assert!(for_time.is_none_or(|time| time > 0.0 && time <= 1e9));
+        }
+        Change::Inject { place, informed } => {
+            match place {
+                Placement::At(poses) => assert!(!poses.is_empty()),
+                Placement::Border(count) | Placement::Within(count, _) => assert!(*count > 0),
+            }
+            assert!(informed.is_none_or(|(direction, own)| {
+                direction.is_finite() && own.is_none_or(weight)
+            }));
+        }
+        Change::Uninform(_) | Change::Remove(_) => {}
+    }
+}
+
+fn can_be_built(recipe: &Recipe) {
+    assert!((1..=LIMITS.max_individuals).contains(&recipe.n));
+    assert!(recipe.seed < 1 << 53 && recipe.publish_every > 0);
+    if let Start::Given { x, y, alpha } = &recipe.start {
+        assert_eq!([x.len(), y.len(), alpha.len()], [recipe.n; 3]);
+    }
+}

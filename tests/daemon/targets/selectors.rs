@@ -1,0 +1,28 @@
+//! The parameters behind the question mark of a selector.
+
+use jostle_proto::ErrorCode;
+use jostled::command::{CommandError, page, wait};
+use zenoh::query::Parameters;
+
+/// What is waited for is one thing, a page is within its limits, and what is refused is worded.
+pub fn hold(data: &[u8]) {
+    let Ok(text) = std::str::from_utf8(data) else {
+        return;
+    };
+    let parameters = Parameters::from(text);
+    match wait::read(parameters.iter()) {
+        Ok((_, patience)) => assert!(patience <= wait::LONGEST_WAIT),
+        Err(error) => is_worded(&error),
+    }
+    match page::read(parameters.iter()) {
+        Ok((_, limit)) => assert!((1..=1000).contains(&limit)),
+        Err(error) => is_worded(&error),
+    }
+}
+
+fn is_worded(error: &CommandError) {
+    let error = error.to_wire(None);
+    assert_eq!(error.code, ErrorCode::InvalidArgument);
+    assert!(error.message.chars().count() < 1000, "{}", error.message);
+    assert!(error.details.contains_key("field"), "{error:?}");
+}
