@@ -6,6 +6,7 @@ mod abuse;
 mod apart;
 mod architecture;
 mod claim;
+mod codes;
 mod commands;
 mod contract;
 mod corpora;
