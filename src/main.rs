@@ -8,7 +8,7 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
 use jostled::demo;
-use jostled::server::session::SessionError;
+use jostled::server::session::{self, SessionError};
 use jostled::server::{self, ServerError};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
@@ -142,6 +142,9 @@ fn main() -> ExitCode {
         Command::Serve => None,
         Command::Demo { lasting } => Some(lasting),
         Command::Config { command } => {
+            if let Err(error) = session::check(&config.listen) {
+                return fail(2, &error);
+            }
             return show(&match command {
                 Show::Explain { json: true } => explain::json(&merged),
                 Show::Explain { json: false } => explain::table(&merged),

@@ -25,7 +25,7 @@ const ENVELOPE_FIELDS: [&str; 7] = [
 pub const MAX_LABEL_LENGTH: usize = 256;
 
 /// What a `request_id` and a `client` may look like: no control characters.
-const LABEL_RULE: &str = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$";
+const LABEL_RULE: &str = "^[^\\u0000-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069]*$";
 
 /// The most of a field's path that an error repeats, in characters.
 const MOST_OF_A_FIELD: usize = 100;
@@ -210,9 +210,17 @@ fn read<T: DeserializeOwned>(text: &str) -> Result<T, RequestError> {
             .and_then(|rest| rest.strip_suffix('`'));
         let field = named.map_or(path.clone(), |name| below(&path, name));
         // What our types are called is no business of the sender's.
-        let problem = match problem.split_once("expected struct ") {
-            Some((given, _)) => format!("{given}expected an object with named fields"),
-            None => problem,
+        let problem = match problem.split_once("expected ") {
+            Some((given, "f64")) => format!("{given}expected a number"),
+            Some((given, "u64" | "u32")) => format!("{given}expected a whole number"),
+            Some((given, kind)) if kind.starts_with("struct ") => {
+                format!("{given}expected an object with named fields")
+            }
+            // A field beside the tag and the content of a variant.
+            Some((_, known)) if problem.starts_with("invalid value: string") && is_field(known) => {
+                format!("unknown field, expected {known}")
+            }
+            _ => problem,
         };
         RequestError {
             field: shortened(&field, MOST_OF_A_FIELD),
@@ -223,6 +231,11 @@ fn read<T: DeserializeOwned>(text: &str) -> Result<T, RequestError> {
         .end()
         .map_err(|error| whole(&error.to_string()))?;
     Ok(value)
+}
+
+/// Whether serde expected one of the two fields of a change.
+fn is_field(known: &str) -> bool {
+    known == "\"verb\" or \"args\""
 }
 
 /// The path of a field of what is at `path`.

@@ -12,7 +12,7 @@ use crate::LARGEST_WHOLE;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Spec {
-    /// The number of individuals at the start: 1 to the daemon's limit.
+    /// The number of individuals: 1 to the daemon's limit; in a spec that at the start.
     #[schemars(range(min = 1), extend("x-unit" = "individuals", "x-changed-by" = ["inject", "remove"]))]
     pub n: u64,
     /// Length over width of a body: 1 (a disc) to 32.

@@ -1,6 +1,6 @@
 //! `batch`: several changes at one step, or none of them.
 
-use jostle_proto::verbs::{BatchArgs, Change, MOST_CHANGES};
+use jostle_proto::verbs::{BatchArgs, Change};
 
 use crate::command::{CommandError, inform, inject, remove, set, uninform};
 use crate::swarm::order::Order;
@@ -11,10 +11,11 @@ use crate::swarm::order::Order;
 ///
 /// [`CommandError`] names the first field that is wrong, by its path.
 pub fn order(args: BatchArgs) -> Result<Order, CommandError> {
-    if args.commands.is_empty() || args.commands.len() > MOST_CHANGES {
+    // Reading stops at one too many.
+    if args.commands.is_empty() {
         return Err(CommandError::Field {
             field: "commands",
-            problem: "holds no command or too many",
+            problem: "holds none: give at least one",
         });
     }
     let mut changes = Vec::with_capacity(args.commands.len());

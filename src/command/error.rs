@@ -119,6 +119,12 @@ pub enum CommandError {
         /// How long it was waited for.
         after_secs: f64,
     },
+    /// What was waited for has not come about.
+    #[error("not yet so after {after_secs} s: ask again")]
+    NotYet {
+        /// How long it was waited for.
+        after_secs: f64,
+    },
     /// The daemon refuses the swarm.
     #[error(transparent)]
     Host(#[from] HostError),
@@ -128,6 +134,16 @@ pub enum CommandError {
 }
 
 impl CommandError {
+    /// The reply took longer than this.
+    pub fn deadline(after_secs: f64) -> Self {
+        CommandError::Deadline { after_secs }
+    }
+
+    /// What was waited for did not come about in this time.
+    pub fn not_yet(after_secs: f64) -> Self {
+        CommandError::NotYet { after_secs }
+    }
+
     /// The same error, of something within a larger argument.
     #[must_use]
     pub fn within(self, path: String) -> Self {
@@ -164,7 +180,11 @@ impl CommandError {
             (CommandError::UnknownVerb { known, .. }, _)
             | (CommandError::UnknownNoun { known, .. }, _)
             | (CommandError::Parameter { known, .. }, _) => {
-                message = format!("{message}: there are {}", known.join(", "));
+                let known = match known {
+                    [] => "none".to_owned(),
+                    known => known.join(", "),
+                };
+                message = format!("{message}: there are {known}");
             }
             _ => {}
         }
@@ -196,7 +216,9 @@ impl CommandError {
             CommandError::Internal => ErrorCode::Internal,
             CommandError::TooLong { .. } => ErrorCode::ResourceExhausted,
             CommandError::Busy => ErrorCode::Busy,
-            CommandError::Deadline { .. } => ErrorCode::DeadlineExceeded,
+            CommandError::Deadline { .. } | CommandError::NotYet { .. } => {
+                ErrorCode::DeadlineExceeded
+            }
             CommandError::Host(error) => match error {
                 HostError::OtherSpec | HostError::SameSpec => ErrorCode::AlreadyExists,
                 HostError::TooManySwarms { .. }
@@ -243,7 +265,7 @@ impl CommandError {
                 field,
                 value,
                 range,
-            } => named(field, number(value), Some(range)),
+            } => named(field, number(value), range_of(field).or(Some(range))),
             ParametersError::StepTooLong { dt, largest } => json!({
                 "field": "dt", "value": dt, "range": format!("(0, {largest}]"),
             }),
@@ -251,12 +273,12 @@ impl CommandError {
         let details = match self {
             CommandError::Request(error) if !error.field.is_empty() => {
                 // A field that should not be there has no range that would help.
-                let is_known = !error.problem.starts_with("unknown field");
+                let is_known = !error.problem.starts_with("unknown");
                 let range = is_known.then(|| range_of(&error.field)).flatten();
                 named(&error.field, Value::Null, range)
             }
             CommandError::Value(WireError::OutOfRange { field, value }) => {
-                named(field, number(*value), range_of(field))
+                named(field, value.clone(), range_of(field))
             }
             CommandError::Field { field, .. } => named(field, Value::Null, range_of(field)),
             CommandError::Name { field, name } => named(field, json!(name), Some(keys::NAME_RULE)),
@@ -274,7 +296,9 @@ impl CommandError {
             CommandError::UnknownVerb { known, .. } | CommandError::UnknownNoun { known, .. } => {
                 json!({"known": known})
             }
-            CommandError::Deadline { after_secs } => json!({"after_secs": after_secs}),
+            CommandError::Deadline { after_secs } | CommandError::NotYet { after_secs } => {
+                json!({"after_secs": after_secs})
+            }
             CommandError::Host(HostError::TooManySwarms { limit }) => json!({"limit": limit}),
             CommandError::Host(HostError::TooMuchMemory {
                 needed,
@@ -405,7 +429,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
              {\"within\": {\"x\", \"y\", \"radius\"}}, {\"foremost\": {\"count\", \"along\"}}"
         }
         "ids" => "a list of ids that are there",
-        "count" => "a whole number of individuals, 1 or more",
+        "count" => "a whole number of individuals",
         "fraction" => "a number from 0 to 1",
         "radius" => "a number above 0, at most 1e6",
         "x" | "y" | "alpha" | "along" | "direction" => "a number from -1e6 to 1e6",
@@ -422,7 +446,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         }
         "phase" => "paused, running or faulted",
         "format" => "json or cbor",
-        "request_id" | "client" => "at most 256 bytes of text without control characters",
+        "request_id" | "client" => "at most 256 bytes of text, each character to be seen",
         "name" => keys::NAME_RULE,
         _ => return None,
     })

@@ -109,20 +109,11 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
 pub fn timeout(request: &Request) -> Result<Duration, CommandError> {
     match request.timeout_secs {
         None => Ok(DEFAULT_TIMEOUT),
-        Some(secs) => timeout_from_secs(secs),
+        Some(secs) if secs > 0.0 && secs <= LONGEST_TIMEOUT_SECS => {
+            Ok(Duration::from_secs_f64(secs))
+        }
+        Some(secs) => Err(WireError::out_of_range("timeout_secs", secs).into()),
     }
-}
-
-/// A time to wait, checked.
-///
-/// # Errors
-///
-/// [`WireError::OutOfRange`].
-pub fn timeout_from_secs(secs: f64) -> Result<Duration, CommandError> {
-    if secs > 0.0 && secs <= LONGEST_TIMEOUT_SECS {
-        return Ok(Duration::from_secs_f64(secs));
-    }
-    Err(WireError::out_of_range("timeout_secs", secs).into())
 }
 
 /// A selector's parameters, each one of `known` and given once. Those of zenoh's own begin with
@@ -174,6 +165,12 @@ pub fn check_name(field: &'static str, name: &str) -> Result<(), CommandError> {
     })
 }
 
+/// Whether a character is what it seems on a terminal or a page: it neither controls anything nor
+/// turns the direction of reading.
+fn is_plain(c: char) -> bool {
+    !c.is_control() && !matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
 /// Who sent `request`, and what.
 ///
 /// # Errors
@@ -181,10 +178,10 @@ pub fn check_name(field: &'static str, name: &str) -> Result<(), CommandError> {
 /// [`CommandError::Field`] when a label cannot be one.
 pub fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandError> {
     let label = |field, label: &Option<String>| match label {
-        Some(text) if text.len() > MAX_LABEL_LENGTH || text.chars().any(char::is_control) => {
+        Some(text) if text.len() > MAX_LABEL_LENGTH || !text.chars().all(is_plain) => {
             Err(CommandError::Field {
                 field,
-                problem: "is too long or has control characters",
+                problem: "is too long or has characters that are not seen",
             })
         }
         other => Ok(other.clone()),

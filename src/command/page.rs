@@ -18,7 +18,7 @@ pub fn read<'a>(
     for (name, value) in selector(parameters, &["after", "limit"])? {
         let wrong = |field| CommandError::Field {
             field,
-            problem: "is not a whole number in its range",
+            problem: "is not a whole number in its range; `;` is what parts two parameters",
         };
         match name {
             "after" => after = value.parse().map_err(|_| wrong("after"))?,

@@ -18,7 +18,7 @@ pub fn order(args: StepArgs) -> Result<Order, CommandError> {
     if (1..=MOST_STEPS).contains(&args.steps) {
         return Ok(Order::Step(args.steps));
     }
-    Err(WireError::out_of_range("steps", args.steps as f64).into())
+    Err(WireError::out_of_range("steps", args.steps).into())
 }
 
 /// Whether the reply is to carry the state reached.

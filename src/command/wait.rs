@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::command::{CommandError, selector, timeout_from_secs};
+use crate::command::{CommandError, selector};
 use crate::swarm::order::Awaited;
 
 /// The longest that one `wait` is held; libraries ask again.
@@ -44,7 +44,7 @@ pub fn read<'a>(
                     field: "timeout_secs",
                     problem: "is not a number",
                 })?;
-                timeout = timeout_from_secs(secs)?.min(LONGEST_WAIT);
+                timeout = held(secs)?;
             }
         }
     }
@@ -55,4 +55,15 @@ pub fn read<'a>(
             problem: "or phase is to be given, and only one of them: wait?step=100",
         }),
     }
+}
+
+/// How long a wait is held.
+fn held(secs: f64) -> Result<Duration, CommandError> {
+    if secs > 0.0 && secs <= LONGEST_WAIT.as_secs_f64() {
+        return Ok(Duration::from_secs_f64(secs));
+    }
+    Err(CommandError::Field {
+        field: "timeout_secs",
+        problem: "of a wait is above 0 and at most 30: ask again for longer",
+    })
 }

@@ -41,7 +41,7 @@ pub struct Parameters {
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum ParametersError {
     /// A number is outside its range, or not a number.
-    #[error("{field} = {value} is outside {range}")]
+    #[error("{field} = {value:?} is outside {range}")]
     OutOfRange {
         /// The field's name.
         field: &'static str,

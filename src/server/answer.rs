@@ -32,6 +32,9 @@ const MOST_HELD_BYTES: usize = 64 * 1024 * 1024;
 /// Deadlines kept without looking for those that no longer matter.
 const DEADLINES_BEFORE_SWEEP: usize = 4096;
 
+/// Words that an answer did not come within so many seconds.
+pub type Excuse = fn(f64) -> CommandError;
+
 /// Makes a payload when it is about to be sent, so that encoding costs its sender nothing.
 type Body = Box<dyn FnOnce() -> Result<Payload, Payload> + Send>;
 
@@ -198,17 +201,16 @@ impl Promise {
         }
     }
 
-    /// Refuses at the latest after `patience`, with the step that `step` then tells.
+    /// Refuses at the latest after `patience`, as `excuse` words it and with the step that `step`
+    /// then tells.
     pub fn keep_within(
         &self,
         patience: Duration,
+        excuse: Excuse,
         step: impl FnOnce() -> Option<u64> + Send + 'static,
     ) {
         static NUMBERS: AtomicU64 = AtomicU64::new(0);
-        let excuse = move || {
-            let after_secs = patience.as_secs_f64();
-            Payload::json(&CommandError::Deadline { after_secs }.to_wire(step()))
-        };
+        let excuse = move || Payload::json(&excuse(patience.as_secs_f64()).to_wire(step()));
         let _ = self.0.desk.deadlines.send(Due {
             at: Instant::now() + patience,
             number: NUMBERS.fetch_add(1, Ordering::Relaxed),

@@ -60,24 +60,29 @@ impl Dispatcher {
         } = command;
         if !is_new {
             let late = self.host.find(swarm);
-            return promise.keep_within(timeout, move || late?.step());
+            return promise.keep_within(timeout, CommandError::deadline, move || late?.step());
         }
         let (press, name) = (self.press.clone(), swarm.clone());
-        self.send(swarm, &promise, timeout, |answer| Ticket::Command {
-            order,
-            when,
-            sender,
-            answer: Box::new(move |answered| {
-                answer(answered, move |place, outcome| {
-                    let frame = returns_state.then(|| {
-                        press
-                            .find(&name)
-                            .map_or(0, |publication| publication.frames())
+        self.send(
+            swarm,
+            &promise,
+            (timeout, CommandError::deadline),
+            |answer| Ticket::Command {
+                order,
+                when,
+                sender,
+                answer: Box::new(move |answered| {
+                    answer(answered, move |place, outcome| {
+                        let frame = returns_state.then(|| {
+                            press
+                                .find(&name)
+                                .map_or(0, |publication| publication.frames())
+                        });
+                        wire::outcome(&name, &place, outcome, frame)
                     });
-                    wire::outcome(&name, &place, outcome, frame)
-                });
-            }),
-        });
+                }),
+            },
+        );
     }
 
     pub(super) fn node_command(&self, asked: &Asked) {
@@ -123,7 +128,7 @@ impl Dispatcher {
         let timeout = command::timeout(request)?;
         let key = keys::node_cmd(&self.prefix, &self.node, "create");
         let is_new = self.enter(&key, request, promise)?;
-        promise.keep_within(timeout, || None);
+        promise.keep_within(timeout, CommandError::deadline, || None);
         if !is_new {
             return Ok(());
         }

@@ -13,7 +13,7 @@ use zenoh::Session;
 use crate::command::{CommandError, DEFAULT_TIMEOUT};
 use crate::host::{Herald, Host};
 use crate::publish::Press;
-use crate::server::answer::{Asked, Desk, Keeper, Promise};
+use crate::server::answer::{Asked, Desk, Excuse, Keeper, Promise};
 use crate::server::doors::{Doors, LINGER};
 use crate::server::ledger::Ledger;
 use crate::server::query::Topic;
@@ -179,14 +179,19 @@ impl Dispatcher {
         payload: impl FnOnce(Place, Arc<Frame>) -> Payload + Send + 'static,
     ) {
         let name = swarm.to_owned();
-        self.send(swarm, promise, DEFAULT_TIMEOUT, |answer| {
-            Ticket::Look(Box::new(move |answered| {
-                answer(answered, move |place, outcome| match outcome {
-                    Outcome::Seen(seen) => payload(place, seen),
-                    other => wire::outcome(&name, &place, other, None),
-                });
-            }))
-        });
+        self.send(
+            swarm,
+            promise,
+            (DEFAULT_TIMEOUT, CommandError::deadline),
+            |answer| {
+                Ticket::Look(Box::new(move |answered| {
+                    answer(answered, move |place, outcome| match outcome {
+                        Outcome::Seen(seen) => payload(place, seen),
+                        other => wire::outcome(&name, &place, other, None),
+                    });
+                }))
+            },
+        );
     }
 
     /// Hands a ticket to a swarm. The promise is kept by its answer, in time or with an excuse.
@@ -194,7 +199,7 @@ impl Dispatcher {
         &self,
         swarm: &str,
         promise: &Promise,
-        patience: Duration,
+        (patience, excuse): (Duration, Excuse),
         ticket: impl FnOnce(AnswerTo<A>) -> Ticket,
     ) where
         A: FnOnce(Place, Outcome) -> Payload + Send + 'static,
@@ -204,7 +209,7 @@ impl Dispatcher {
             return promise.refuse(&error, None);
         };
         let late = handle.clone();
-        promise.keep_within(patience, move || late.step());
+        promise.keep_within(patience, excuse, move || late.step());
         handle.send(ticket(answer_to(promise)));
     }
 }

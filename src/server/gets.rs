@@ -86,8 +86,18 @@ impl Dispatcher {
                 _ => Payload::json(&wire::reply(&name, &place, wire::status(&seen))),
             });
         }
-        if !is_known && is_concrete {
+        if is_known {
+            return;
+        }
+        if is_concrete {
             self.unknown_noun(asked, &keys::SWARM_GETS);
+        } else if query.key_expr().as_str().ends_with("/wait") {
+            let error = CommandError::Field {
+                field: "swarm",
+                problem: "is a wildcard: a wait is for one swarm, by its own key",
+            };
+            let key = query.key_expr().as_str().to_owned();
+            self.desk.promise(asked, key).refuse(&error, None);
         }
     }
 
@@ -98,17 +108,22 @@ impl Dispatcher {
         };
         let name = swarm.clone();
         let abandoned = promise.clone();
-        self.send(swarm, promise, patience, |answer| {
-            Ticket::Wait(Waiter {
-                awaited,
-                is_abandoned: Box::new(move || abandoned.is_kept()),
-                answer: Box::new(move |answered| {
-                    answer(answered, move |place, outcome| {
-                        wire::outcome(&name, &place, outcome, None)
-                    });
-                }),
-            })
-        });
+        self.send(
+            swarm,
+            promise,
+            (patience, CommandError::not_yet),
+            |answer| {
+                Ticket::Wait(Waiter {
+                    awaited,
+                    is_abandoned: Box::new(move || abandoned.is_kept()),
+                    answer: Box::new(move |answered| {
+                        answer(answered, move |place, outcome| {
+                            wire::outcome(&name, &place, outcome, None)
+                        });
+                    }),
+                })
+            },
+        );
     }
 
     pub(super) fn node_get(&self, asked: &Asked) {

@@ -4,16 +4,20 @@
 //! request under the same `client` and `request_id` once more, and gets the answer it missed. What
 //! was refused changed nothing, is not kept, and may be tried again under the same name.
 
-use std::collections::{HashMap, VecDeque};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use jostle_proto::Request;
+use serde_json::Value;
 
 use crate::server::answer::Promise;
 use crate::wire::Payload;
 
 /// Answers remembered, and the bytes they may take; the oldest give way.
 const MOST: (usize, usize) = (100_000, 64 * 1024 * 1024);
+
+/// Below this every whole number is a double.
+const EXACT: f64 = 9_007_199_254_740_992.0;
 
 /// What an answer takes beside its bytes.
 const ANSWER_BYTES: usize = 256;
@@ -162,12 +166,56 @@ fn bytes(answer: &Result<Payload, Payload>) -> usize {
 /// What makes two requests the same one: not how long their senders wait.
 fn digest(key: &str, request: &Request) -> Digest {
     let mut hasher = blake3::Hasher::new();
-    let args = request.args.as_ref().map_or("", |args| args.get());
     hasher.update(key.as_bytes());
     for number in [request.at_step, request.expect_epoch, request.expect_step] {
         hasher.update(&[u8::from(number.is_some())]);
         hasher.update(&number.unwrap_or_default().to_le_bytes());
     }
-    hasher.update(args.as_bytes());
+    // By value: however it is spelled, and in whichever order its fields come.
+    let args = request.args.as_ref().map_or("{}", |args| args.get());
+    match serde_json::from_str(args) {
+        Ok(args) => add(&mut hasher, &args),
+        Err(_) => drop(hasher.update(args.as_bytes())),
+    }
     *hasher.finalize().as_bytes()
+}
+
+/// Adds a value to a digest, with what tells it from any other.
+fn add(hasher: &mut blake3::Hasher, value: &Value) {
+    match value {
+        Value::Null => drop(hasher.update(b"n")),
+        Value::Bool(is_true) => drop(hasher.update(if *is_true { b"t" } else { b"f" })),
+        Value::Number(number) => {
+            // 1 and 1.0 are one number; what a double cannot hold differs in its text.
+            let double = number.as_f64().unwrap_or(f64::NAN);
+            let text = match number.as_f64() {
+                Some(double) if double.fract() == 0.0 && double.abs() < EXACT => String::new(),
+                _ => number.to_string(),
+            };
+            hasher.update(b"d").update(&double.to_le_bytes());
+            add_text(hasher, &text);
+        }
+        Value::String(text) => {
+            hasher.update(b"s");
+            add_text(hasher, text);
+        }
+        Value::Array(values) => {
+            hasher.update(b"l").update(&values.len().to_le_bytes());
+            values.iter().for_each(|value| add(hasher, value));
+        }
+        Value::Object(fields) => {
+            hasher.update(b"o").update(&fields.len().to_le_bytes());
+            let fields: BTreeMap<_, _> = fields.iter().collect();
+            for (name, value) in fields {
+                add_text(hasher, name);
+                add(hasher, value);
+            }
+        }
+    }
+}
+
+fn add_text(hasher: &mut blake3::Hasher, text: &str) {
+    hasher
+        .update(&text.len().to_le_bytes())
+        .update(text.as_bytes());
 }

@@ -181,6 +181,7 @@ impl Server {
     /// Stops: no new orders, every swarm between two steps, goodbye. Takes less than two
     /// seconds whatever the clients do.
     pub async fn stop(self) {
+        info!("stopping");
         let _ = self.intake.try_send(Intake::Stop);
         let host = self.host.clone();
         let running = tokio::task::spawn_blocking(move || host.stop(PATIENCE_WITH_SWARMS));

@@ -37,12 +37,12 @@ pub enum SessionError {
     Setting(String),
 }
 
-/// Opens the session on `listen`.
+/// Checks that only this machine can reach each endpoint.
 ///
 /// # Errors
 ///
-/// [`SessionError`].
-pub async fn open(listen: &[String]) -> Result<Session, SessionError> {
+/// [`SessionError::NoEndpoint`] and [`SessionError::NotLoopback`].
+pub fn check(listen: &[String]) -> Result<(), SessionError> {
     for endpoint in listen {
         if !endpoint.contains('/') {
             return Err(SessionError::NoEndpoint(endpoint.clone()));
@@ -51,6 +51,16 @@ pub async fn open(listen: &[String]) -> Result<Session, SessionError> {
             return Err(SessionError::NotLoopback(endpoint.clone()));
         }
     }
+    Ok(())
+}
+
+/// Opens the session on `listen`.
+///
+/// # Errors
+///
+/// [`SessionError`].
+pub async fn open(listen: &[String]) -> Result<Session, SessionError> {
+    check(listen)?;
     let mut config = zenoh::Config::default();
     for (key, value) in settings(listen) {
         config

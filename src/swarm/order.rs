@@ -266,7 +266,9 @@ pub enum OrderError {
         limit: usize,
     },
     /// The swarm was reset before the command's step came.
-    #[error("the swarm was reset before step {at_step} came: send it again")]
+    #[error(
+        "the swarm was reset before step {at_step} came: send it anew, under another request_id"
+    )]
     Overtaken {
         /// The step it was to be carried out at.
         at_step: u64,

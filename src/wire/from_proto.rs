@@ -2,6 +2,7 @@
 
 use jostle_proto as proto;
 use jostle_proto::verbs::{Pose, Region, Select};
+use serde_json::Value;
 use thiserror::Error;
 
 use crate::model::injection;
@@ -27,7 +28,7 @@ pub enum WireError {
         /// Which.
         field: &'static str,
         /// The value refused.
-        value: f64,
+        value: Value,
     },
     /// A column does not have one number for each individual.
     #[error("{field} has {length} numbers, n is {n}")]
@@ -43,8 +44,15 @@ pub enum WireError {
 
 impl WireError {
     /// A number outside its range.
-    pub fn out_of_range(field: &'static str, value: f64) -> Self {
-        WireError::OutOfRange { field, value }
+    pub fn out_of_range<V: Copy + Into<Value> + ToString>(field: &'static str, value: V) -> Self {
+        WireError::OutOfRange {
+            field,
+            // What JSON has no number for is spelled out.
+            value: match value.into() {
+                Value::Null => value.to_string().into(),
+                value => value,
+            },
+        }
     }
 }
 
@@ -114,7 +122,7 @@ pub fn whole(field: &'static str, number: u64) -> Result<u64, WireError> {
     if number <= LARGEST_WHOLE {
         return Ok(number);
     }
-    Err(WireError::out_of_range(field, number as f64))
+    Err(WireError::out_of_range(field, number))
 }
 
 /// A rate.
@@ -140,7 +148,7 @@ pub fn publish_every(steps: u64) -> Result<u64, WireError> {
     if (1..=LONGEST_PUBLISHING).contains(&steps) {
         return Ok(steps);
     }
-    Err(WireError::out_of_range("publish_every", steps as f64))
+    Err(WireError::out_of_range("publish_every", steps))
 }
 
 /// The weight of someone who is to be informed: 0 would inform nobody.

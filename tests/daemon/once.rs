@@ -31,6 +31,19 @@ async fn a_request_sent_again_is_answered_again_and_carried_out_once() {
     let other = daemon.another_client().await;
     assert_eq!(other.ok("a", "step", patient).await, first);
     assert_eq!(client.hash("a").await, hash);
+    // Spelled otherwise it is the same one too.
+    let key = keys::cmd(PREFIX, "a", "step");
+    for spelled in [
+        r#"{"args":{"steps":3},"request_id":"1","client":"me"}"#,
+        r#"{ "client": "me", "request_id": "1", "args": { "return": "none", "steps": 3 } }"#,
+    ] {
+        let answer = client.one(&key, Some(spelled.as_bytes())).await;
+        if spelled.contains("return") {
+            assert_eq!(answer.unwrap_err().code, ErrorCode::Conflict);
+        } else {
+            assert_eq!(answer.unwrap(), first);
+        }
+    }
     // Another client's request of the same name is another one.
     let mut theirs = request.clone();
     theirs["client"] = json!("they");

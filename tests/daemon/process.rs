@@ -139,6 +139,10 @@ async fn what_cannot_be_served_is_said_with_its_remedy() {
         (vec!["--wings"], "--wings"),
         (vec!["config", "explain", "--max-hz", "often"], "--max-hz"),
         (
+            vec!["config", "explain", "--listen", "tcp/0.0.0.0:7447"],
+            "other machines",
+        ),
+        (
             vec!["config", "explain", "--config", "/nowhere.toml"],
             "/nowhere.toml",
         ),

@@ -97,11 +97,16 @@ impl<'a> Walk<'a> {
     }
 
     fn is_of(&self, variant: &Value, value: &Value) -> bool {
-        let mut alone = variant.clone();
-        if self.definitions.is_object() {
-            alone["$defs"] = self.definitions.clone();
+        let (variant, _) = self.resolve(variant, "");
+        if !variant["const"].is_null() {
+            return variant["const"] == *value;
         }
-        jsonschema::is_valid(&alone, value)
+        let fields = variant["properties"].as_object().into_iter().flatten();
+        let mut constants = fields.filter(|(_, field)| !field["const"].is_null());
+        let mut required = variant["required"].as_array().into_iter().flatten();
+        !value.is_null()
+            && constants.all(|(name, field)| value[name] == field["const"])
+            && required.all(|name| value.get(name.as_str().unwrap_or_default()).is_some())
     }
 }
 

@@ -48,7 +48,7 @@ fn bounds(schema: &Value, root: &Value, value: &Value, field: &str, place: &str)
         // There are two: that of names, and that of labels, which takes nearly all.
         let (outside, at) = match pattern {
             keys::NAME_RULE => ("a/b", "a".repeat(64)),
-            _ => ("a\u{7}b", "ü \u{2028} *".to_owned()),
+            _ => ("a\u{7}b", "ü \u{2020} *".to_owned()),
         };
         found.push(bound(json!(outside), json!(at)));
     }

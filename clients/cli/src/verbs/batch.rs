@@ -2,7 +2,8 @@
 
 use jostle_proto::Reply;
 use jostle_proto::verbs::{BatchResult, Changed};
-use serde_json::{Value, json};
+use serde_json::Value;
+use serde_json::value::RawValue;
 
 use crate::arguments::BatchArguments;
 use crate::bus::Bus;
@@ -32,8 +33,9 @@ pub async fn batch(bus: &Bus, output: Output, arguments: &BatchArguments) -> Res
     } = arguments;
     let text = file::read(file).map_err(wrong)?;
     let args = args(&text).map_err(|problem| wrong(format!("{}: {problem}", file.display())))?;
+    let meant: Value = serde_json::from_str(args.get()).unwrap_or_default();
     let answer = bus.command(name, "batch", &args, sending).await;
-    let answer = answer.map_err(|failure| failure.with_advice(advice(&args)))?;
+    let answer = answer.map_err(|failure| failure.with_advice(advice(&meant)))?;
     print_outcome(output, &answer, "batch", |reply: &Reply<BatchResult>| {
         let results = &reply.result.results;
         let rows = results.iter().zip(1_u64..).map(|(changed, number)| {
@@ -49,14 +51,16 @@ pub async fn batch(bus: &Bus, output: Output, arguments: &BatchArguments) -> Res
     })
 }
 
-/// The arguments on the wire: a list of changes, or an object around it.
-fn args(text: &str) -> Result<Value, String> {
-    match serde_json::from_str(text) {
-        Ok(Value::Array(commands)) => Ok(json!({ "commands": commands })),
-        Ok(args @ Value::Object(_)) => Ok(args),
+/// The arguments on the wire: a list of changes, or an object around it. The text goes as it is,
+/// so that the daemon sees a field that is given twice.
+fn args(text: &str) -> Result<Box<RawValue>, String> {
+    let whole = match serde_json::from_str(text) {
+        Ok(Value::Array(_)) => Ok(format!("{{\"commands\": {text}}}")),
+        Ok(Value::Object(_)) => Ok(text.to_owned()),
         Ok(_) => Err("is neither a JSON list nor {\"commands\": …}".into()),
         Err(error) => Err(format!("is no JSON: {error}")),
-    }
+    };
+    RawValue::from_string(whole?).map_err(|error| error.to_string())
 }
 
 /// What people may have meant by a verb or a field that there is not.

@@ -134,7 +134,7 @@ impl Told<'_> {
             self.tell(event, raw.get())?;
         }
         if past.is_empty() && !self.is_begun && !self.output.json {
-            self.output.note("no events so far");
+            self.output.note("no events after that");
         }
         Ok(())
     }
