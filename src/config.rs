@@ -292,7 +292,9 @@ fn read_file(path: &Path) -> Result<Vec<(String, String)>, ConfigError> {
         toml::Value::Integer(_) | toml::Value::Float(_) | toml::Value::Boolean(_) => {
             Ok(value.to_string())
         }
-        _ => Err(unreadable(format!("{name} is neither text nor a number, and there are no sections"))),
+        _ => Err(unreadable(format!(
+            "{name} is neither text nor a number, and there are no sections"
+        ))),
     };
     table
         .iter()
