@@ -110,14 +110,19 @@ mod tests {
 
     use jostle_proto::keys::SWARM_VERBS;
     use jostle_proto::verbs::Change;
+    use serde_json::json;
 
     use super::*;
 
     #[test]
-    fn a_list_and_an_object_around_it_read_the_same() {
+    fn a_list_and_an_object_around_it_are_sent_the_same_and_as_they_are() {
         let list = r#"[{"verb": "set", "args": {"pi3": 2}}]"#;
         let object = format!(r#"{{"commands": {list}}}"#);
-        assert_eq!(args(list).unwrap(), args(&object).unwrap());
+        assert_eq!(args(list).unwrap().get(), object);
+        assert_eq!(args(&object).unwrap().get(), object);
+        // The daemon is to see what is there twice.
+        let twice = r#"{"commands": [{"verb": "set", "args": {"pi3": 1, "pi3": 2}}]}"#;
+        assert_eq!(args(twice).unwrap().get(), twice);
         for text in ["", "3", "\"set\"", "[", "null"] {
             assert!(args(text).is_err(), "{text:?}");
         }
