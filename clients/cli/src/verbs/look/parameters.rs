@@ -137,6 +137,6 @@ mod tests {
         let of = |name: &str| meaning(parameters.iter().find(|it| it.name == name).unwrap());
         assert_eq!(of("pi1"), "Length over width of a body");
         assert_eq!(of("dt"), "The time step [body size / free speed]");
-        assert_eq!(of("n"), "The number of individuals at the start");
+        assert_eq!(of("n"), "The number of individuals");
     }
 }
