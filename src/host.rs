@@ -356,7 +356,7 @@ mod tests {
 
     #[test]
     fn the_memory_of_any_number_of_individuals_is_a_number() {
-        assert!(memory_of(50) < 1 << 20);
+        assert!((BYTES_PER_SWARM..2 * BYTES_PER_SWARM).contains(&memory_of(50)));
         assert_eq!(memory_of(usize::MAX), u64::MAX);
     }
 }

@@ -382,8 +382,8 @@ mod tests {
                 Pose { alpha: bad, ..free },
             ] {
                 assert!(matches!(
-                    inject(&[pose]),
-                    Err(InjectionError::Parameters(_))
+                    inject(&[free, pose]),
+                    Err(InjectionError::Pose { index: 1, .. })
                 ));
             }
         }
