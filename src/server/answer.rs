@@ -7,8 +7,8 @@ use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -23,8 +23,9 @@ use crate::swarm::order::OrderError;
 use crate::wire::Payload;
 
 /// Queries by one door that may be unanswered; beyond that new ones are turned away. So many are
-/// answered within a few milliseconds, and no door takes all the room there is for others.
-const MOST_TURNS: usize = 256;
+/// answered within a few milliseconds, and no door takes all the room there is for others, who wait
+/// behind these: with 256 twice as long, with 64 or 16 no shorter. A hundred at once are served.
+const MOST_TURNS: usize = 128;
 
 /// Bytes of requests that may be held unanswered; beyond that new queries are turned away.
 const MOST_HELD_BYTES: usize = 64 * 1024 * 1024;
@@ -54,7 +55,7 @@ struct Owed {
 pub struct Desk {
     /// Nothing ends it.
     outgoing: Sender<Option<Outgoing>>,
-    deadlines: Sender<Due>,
+    deadlines: Arc<Deadlines>,
     held_bytes: Arc<AtomicUsize>,
 }
 
@@ -98,6 +99,22 @@ struct Outgoing {
     body: Body,
 }
 
+/// When promises are to be kept at the latest. Whoever watches them is woken by a time that comes
+/// before all others, and not by every promise: in a flood those are ten thousands a second.
+#[derive(Default)]
+struct Deadlines {
+    dues: Mutex<Dues>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct Dues {
+    heap: BinaryHeap<Reverse<Due>>,
+    /// How many there are to be before those are dropped that no longer matter.
+    sweep_at: usize,
+    is_stopped: bool,
+}
+
 /// A promise, when it is to be kept, and what is said if it was not.
 struct Due {
     at: Instant,
@@ -114,13 +131,14 @@ impl Desk {
     /// When no thread can be started.
     pub fn start() -> std::io::Result<Self> {
         let (outgoing, to_send) = channel();
-        let (deadlines, to_watch) = channel();
+        let deadlines = Arc::new(Deadlines::default());
+        let to_watch = deadlines.clone();
         thread::Builder::new()
             .name("replies".into())
             .spawn(move || send_all(&to_send))?;
         thread::Builder::new()
             .name("deadlines".into())
-            .spawn(move || watch_all(&to_watch))?;
+            .spawn(move || to_watch.watch())?;
         Ok(Desk {
             outgoing,
             deadlines,
@@ -159,9 +177,10 @@ impl Desk {
         })
     }
 
-    /// Ends the sending thread once it has sent what was handed in.
+    /// Ends the sending thread once it has sent what was handed in, and the watching one.
     pub fn stop(&self) {
         let _ = self.outgoing.send(None);
+        self.deadlines.stop();
     }
 }
 
@@ -211,7 +230,7 @@ impl Promise {
     ) {
         static NUMBERS: AtomicU64 = AtomicU64::new(0);
         let excuse = move || Payload::json(&excuse(patience.as_secs_f64()).to_wire(step()));
-        let _ = self.0.desk.deadlines.send(Due {
+        self.0.desk.deadlines.add(Due {
             at: Instant::now() + patience,
             number: NUMBERS.fetch_add(1, Ordering::Relaxed),
             promise: self.clone(),
@@ -267,35 +286,66 @@ fn send_all(to_send: &Receiver<Option<Outgoing>>) {
     }
 }
 
-fn watch_all(to_watch: &Receiver<Due>) {
-    let mut dues: BinaryHeap<Reverse<Due>> = BinaryHeap::new();
-    let mut sweep_at = DEADLINES_BEFORE_SWEEP;
-    loop {
-        let now = Instant::now();
-        while dues.peek().is_some_and(|Reverse(due)| due.at <= now) {
+impl Deadlines {
+    fn add(&self, due: Due) {
+        let mut dues = self.lock();
+        if dues.is_stopped {
+            return;
+        }
+        if dues.heap.len() >= dues.sweep_at {
+            dues.heap.retain(|Reverse(due)| !due.promise.is_kept());
+            dues.sweep_at = (2 * dues.heap.len()).max(DEADLINES_BEFORE_SWEEP);
+        }
+        let is_first = dues
+            .heap
+            .peek()
+            .is_none_or(|Reverse(first)| due.at < first.at);
+        dues.heap.push(Reverse(due));
+        drop(dues);
+        if is_first {
+            self.changed.notify_one();
+        }
+    }
+
+    /// Refuses what is not kept in time, until stopped.
+    fn watch(&self) {
+        let mut dues = self.lock();
+        while !dues.is_stopped {
+            let Some(Reverse(first)) = dues.heap.peek() else {
+                let woken = self.changed.wait(dues);
+                dues = woken.unwrap_or_else(PoisonError::into_inner);
+                continue;
+            };
+            let left = first.at.saturating_duration_since(Instant::now());
+            if !left.is_zero() {
+                let woken = self.changed.wait_timeout(dues, left);
+                dues = woken.unwrap_or_else(PoisonError::into_inner).0;
+                continue;
+            }
+            let due = dues.heap.pop();
+            drop(dues);
             if let Some(Reverse(Due {
                 promise, excuse, ..
-            })) = dues.pop()
+            })) = due
                 && !promise.is_kept()
             {
                 promise.keep(move || Err(excuse()));
             }
+            dues = self.lock();
         }
-        if dues.len() >= sweep_at {
-            dues.retain(|Reverse(due)| !due.promise.is_kept());
-            sweep_at = (2 * dues.len()).max(DEADLINES_BEFORE_SWEEP);
-        }
-        let next = match dues.peek() {
-            Some(Reverse(due)) => {
-                to_watch.recv_timeout(due.at.saturating_duration_since(Instant::now()))
-            }
-            None => to_watch.recv().map_err(|_| RecvTimeoutError::Disconnected),
-        };
-        match next {
-            Ok(due) => dues.push(Reverse(due)),
-            Err(RecvTimeoutError::Timeout) => {}
-            Err(RecvTimeoutError::Disconnected) => return,
-        }
+        // What is owed holds the desk, and letting go of a query may wait for a frozen client.
+        let left = std::mem::take(&mut dues.heap);
+        drop(dues);
+        drop(left);
+    }
+
+    fn stop(&self) {
+        self.lock().is_stopped = true;
+        self.changed.notify_one();
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Dues> {
+        self.dues.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

@@ -45,6 +45,8 @@ pub fn queryable(
     let intake: SyncSender<Intake> = intake.clone();
     let desk = desk.clone();
     let turns = Arc::new(AtomicUsize::new(0));
+    let Payload { bytes, encoding } = Payload::json(&CommandError::Busy.to_wire(None));
+    let busy = ZBytes::from(bytes);
     session
         .declare_queryable(key)
         .callback(move |query| {
@@ -55,8 +57,8 @@ pub fn queryable(
                 !matches!(sent, Err(TrySendError::Full(_)))
             });
             if !is_taken {
-                let busy = Payload::json(&CommandError::Busy.to_wire(None));
-                let _ = query.reply_err(busy.bytes).encoding(busy.encoding).wait();
+                let refusal = query.reply_err(busy.clone());
+                let _ = refusal.encoding(encoding).wait();
             }
         })
         .wait()

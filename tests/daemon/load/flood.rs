@@ -1,0 +1,271 @@
+//! A flood from many clients, of the daemon and, beside it, of a zenoh queryable that does nothing
+//! else: what the bus and the machine take is not the daemon's.
+
+use std::io::{BufRead, BufReader, Lines};
+use std::process::{ChildStdout, Command, Stdio};
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use jostle_proto::{ErrorCode, keys};
+use serde_json::json;
+use tokio::sync::Semaphore;
+use zenoh::Wait;
+use zenoh::bytes::{Encoding, ZBytes};
+
+use crate::apart::Process;
+use crate::support::{Client, PATIENCE, PREFIX, alone, until};
+
+/// How many clients flood, and for how long.
+const CLIENTS: usize = 32;
+const FLOODING: Duration = Duration::from_secs(3);
+
+/// How long meanwhile the others are watched.
+const WATCHING: Duration = Duration::from_secs(2);
+
+/// How soon others are answered meanwhile, at the median.
+const SOON: Duration = Duration::from_millis(10);
+
+/// What the daemon may add to the median and the 99th percentile of a bare queryable.
+const ADDED: (Duration, Duration) = (Duration::from_millis(2), Duration::from_millis(15));
+
+/// Runs one of the tests below, which are none by themselves, as a process of its own, until it
+/// prints a line with `word`; returns what follows that.
+fn helper(nice: &str, test: &str, asked: &str, word: &str) -> (Process, String, Output) {
+    let mut command = Command::new("nice");
+    command
+        .args(["-n", nice])
+        .arg(std::env::current_exe().unwrap())
+        .args(["--exact", &format!("load::flood::{test}"), "--nocapture"])
+        .env("JOSTLE_TEST_HELPER", asked)
+        .stdout(Stdio::piped());
+    let mut process = Process(command.spawn().unwrap());
+    let mut output = BufReader::new(process.0.stdout.take().unwrap()).lines();
+    let told = find(&mut output, word);
+    (process, told, output)
+}
+
+type Output = Lines<BufReader<ChildStdout>>;
+
+/// What follows `word` in the next line that has it.
+fn find(output: &mut Output, word: &str) -> String {
+    let mut found = output.filter_map(|line| line.unwrap().split_once(word).map(|it| it.1.into()));
+    found.next().unwrap()
+}
+
+/// The clients that flood `asked`: an endpoint, and how many requests of each may be unanswered.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_flooding_process() {
+    let Ok(asked) = std::env::var("JOSTLE_TEST_HELPER") else {
+        return;
+    };
+    let (endpoint, unanswered) = asked.split_once(' ').unwrap();
+    let unanswered: u32 = unanswered.parse().unwrap();
+    let mut clients = Vec::new();
+    for _ in 0..CLIENTS {
+        clients.push(Client::open(endpoint).await);
+    }
+    println!("flooding");
+    let (told, heard) = channel();
+    let tasks = clients.into_iter().map(|client| {
+        let told = told.clone();
+        tokio::spawn(async move {
+            let (began, room) = (Instant::now(), Semaphore::new(unanswered as usize));
+            let room = Arc::new(room);
+            while began.elapsed() < FLOODING {
+                let place = Mutex::new(Some(room.clone().acquire_owned().await.unwrap()));
+                let (told, sent) = (told.clone(), Instant::now());
+                let query = client.session.get("jostle/flooded/cmd/set");
+                let query = query.payload("{\"pi3\": 1}").timeout(2 * PATIENCE);
+                let answered = move |reply: zenoh::query::Reply| {
+                    told.send((reply.result().is_err(), sent.elapsed()))
+                        .unwrap();
+                    place.lock().unwrap().take();
+                };
+                query.callback(answered).await.unwrap();
+            }
+            // Until all are answered.
+            drop(room.acquire_many(unanswered).await.unwrap());
+        })
+    });
+    for task in tasks.collect::<Vec<_>>() {
+        task.await.unwrap();
+    }
+    drop(told);
+    let answers: Vec<(bool, Duration)> = heard.iter().collect();
+    let busy = answers.iter().filter(|(is_busy, _)| *is_busy);
+    let busy: Vec<Duration> = busy.map(|(_, took)| *took).collect();
+    println!(
+        "flooders: {} answered, busy {}",
+        answers.len(),
+        spread(busy)
+    );
+}
+
+/// A queryable and nothing else, on a session like the daemon's, that answers what the daemon
+/// answers when it turns somebody away.
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_bare_process() {
+    if std::env::var("JOSTLE_TEST_HELPER").is_err() {
+        return;
+    }
+    let listen = ["tcp/127.0.0.1:0".to_owned()];
+    let session = jostled::server::session::open(&listen).await.unwrap();
+    let busy = r#"{"code":"busy","message":"too many requests wait already: try again"}"#;
+    let busy = ZBytes::from(busy);
+    let refuse = move |query: zenoh::query::Query| {
+        let refusal = query.reply_err(busy.clone());
+        let refusal = refusal.encoding(Encoding::APPLICATION_JSON);
+        refusal.wait().unwrap();
+    };
+    let queryable = session.declare_queryable("jostle/*/cmd/**");
+    let _queryable = queryable.callback(refuse).await.unwrap();
+    println!("listening on {}", session.info().locators().await[0]);
+    std::future::pending::<()>().await;
+}
+
+/// The median, the 99th percentile and the largest.
+fn percentiles(mut all: Vec<Duration>) -> [Duration; 3] {
+    all.sort_unstable();
+    [50, 99, 100].map(|percent| {
+        let at = all.get(all.len() * percent / 100).or(all.last());
+        at.copied().unwrap_or_default()
+    })
+}
+
+fn spread(all: Vec<Duration>) -> String {
+    let count = all.len();
+    let [half, most, longest] = percentiles(all);
+    format!("{count} of them after {half:.1?}, {most:.1?}, {longest:.1?}")
+}
+
+/// What a flood did to others: how long those waited that ask one by one, at the flooded swarm and
+/// at another one, how many of the former and of the flooders were turned away.
+struct Flood {
+    probe: [Duration; 3],
+    commands: [Duration; 3],
+    commands_failed: usize,
+    turned_away: usize,
+}
+
+/// Floods who listens at `endpoint`.
+async fn flood(endpoint: &str, unanswered: usize) -> Flood {
+    // What floods from elsewhere takes no time from the daemon's cores; from here it ranks last.
+    let asked = format!("{endpoint} {unanswered}");
+    let (_flooders, _, mut output) = helper("19", "a_flooding_process", &asked, "flooding");
+    // One whose own requests do not wait for each other sees how long an answer takes.
+    let probe = Client::open(endpoint).await;
+    let probing = tokio::spawn(async move {
+        let (began, mut busy, mut all) = (Instant::now(), Vec::new(), Vec::new());
+        while began.elapsed() < WATCHING {
+            let asked = Instant::now();
+            let answer = probe.cmd("flooded", "set", json!({"pi3": 1})).await;
+            all.push(asked.elapsed());
+            if answer.is_err_and(|error| error.code == ErrorCode::Busy) {
+                busy.push(asked.elapsed());
+            }
+        }
+        (all, busy)
+    });
+    let client = Client::open(endpoint).await;
+    let (mut commands, mut commands_failed) = (Vec::new(), 0);
+    while !probing.is_finished() {
+        let asked = Instant::now();
+        let answer = client.cmd("other0", "set", json!({"pi3": 1})).await;
+        commands.push(asked.elapsed());
+        commands_failed += usize::from(answer.is_err());
+    }
+    let (all, busy) = probing.await.unwrap();
+    let flooders = find(&mut output, "flooders: ");
+    println!("  one by one: {}", spread(all.clone()));
+    println!("  of these busy: {}", spread(busy));
+    println!("  another's commands: {}", spread(commands.clone()));
+    println!("  flooders: {flooders}");
+    let (_, turned_away) = flooders.split_once("busy ").unwrap();
+    Flood {
+        probe: percentiles(all),
+        commands: percentiles(commands),
+        commands_failed,
+        turned_away: turned_away.split(' ').next().unwrap().parse().unwrap(),
+    }
+}
+
+/// Floods a daemon of nine swarms; tells the slowest rate of the other swarms too, of 1.
+async fn flood_daemon(unanswered: usize) -> (Flood, f64) {
+    let (_daemon, endpoint) = Process::serve();
+    let client = Client::open(&endpoint).await;
+    let swarms: Vec<String> = (0..8).map(|k| format!("other{k}")).collect();
+    for name in swarms.iter().map(String::as_str).chain(["flooded"]) {
+        client.create(name, json!({"n": 20, "rate": 1})).await;
+        client.ok(name, "run", json!({})).await;
+    }
+    // Asked again when turned away, so that the rates are known even if the rest fails.
+    let times = async || {
+        let mut times = Vec::new();
+        for name in &swarms {
+            let key = keys::get(PREFIX, name, "status");
+            until("a status", async || match client.one(&key, None).await {
+                Ok(status) => {
+                    times.push((Instant::now(), status["time"].as_f64().unwrap()));
+                    true
+                }
+                Err(_) => false,
+            })
+            .await;
+        }
+        times
+    };
+    println!("{unanswered} each, the daemon:");
+    let before = times().await;
+    let flood = flood(&endpoint, unanswered).await;
+    let after = times().await;
+    let rates = before
+        .iter()
+        .zip(&after)
+        .map(|((then, from), (now, to))| (to - from) / now.duration_since(*then).as_secs_f64());
+    let slowest = rates.fold(f64::INFINITY, f64::min);
+    println!("  slowest of the other swarms: {slowest:.3} of 1");
+    assert_eq!(flood.commands_failed, 0, "others have room of their own");
+    (flood, slowest)
+}
+
+async fn flood_bare(unanswered: usize) -> Flood {
+    let (_bare, endpoint, _output) = helper("0", "a_bare_process", "", "listening on ");
+    println!("{unanswered} each, a bare queryable:");
+    flood(&endpoint, unanswered).await
+}
+
+/// The best of so many: what else goes on here makes one slow now and then, a slow daemon makes
+/// them all so.
+const ROUNDS: usize = 5;
+
+/// Whom a flood leaves alone: the median is soon, and what the daemon, which carries out what it
+/// does not turn away, adds to a bare queryable's median and 99th percentile is little. Those of a
+/// bare one are what the bus and the flooders take of the same cores; its longest is often above
+/// [`SOON`] by itself.
+#[tokio::test(flavor = "multi_thread")]
+async fn a_flood_from_32_clients_is_turned_away_and_hurts_nobody() {
+    let _alone = alone().await;
+    for unanswered in [64, 8, 1] {
+        let mut problems = Vec::new();
+        for _ in 0..ROUNDS {
+            let (flood, slowest) = flood_daemon(unanswered).await;
+            let bare = flood_bare(unanswered).await;
+            let [half, most, _] = flood.probe;
+            let [bare_half, bare_most, _] = bare.probe;
+            // Below this many nothing needs to be turned away.
+            let is_turned_away = unanswered < 64 || flood.turned_away > 0;
+            let is_soon = half < SOON && flood.commands[0] < SOON;
+            let adds_little = half < bare_half + ADDED.0 && most < bare_most + ADDED.1;
+            if slowest > 0.95 && is_turned_away && is_soon && adds_little {
+                problems.clear();
+                break;
+            }
+            problems.push(format!(
+                "{:?} beside {:?}, {:?}, {} turned away, rate {slowest:.3}",
+                flood.probe, bare.probe, flood.commands, flood.turned_away
+            ));
+        }
+        assert!(problems.is_empty(), "{unanswered} each: {problems:#?}");
+    }
+}
