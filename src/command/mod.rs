@@ -110,10 +110,15 @@ pub fn timeout(request: &Request) -> Result<Duration, CommandError> {
     match request.timeout_secs {
         None => Ok(DEFAULT_TIMEOUT),
         Some(secs) if secs > 0.0 && secs <= LONGEST_TIMEOUT_SECS => {
-            Ok(Duration::from_secs_f64(secs))
+            Ok(duration(secs))
         }
         Some(secs) => Err(WireError::out_of_range("timeout_secs", secs).into()),
     }
+}
+
+/// Seconds above 0 as a duration above 0, however few they are.
+fn duration(secs: f64) -> Duration {
+    Duration::from_secs_f64(secs).max(Duration::from_nanos(1))
 }
 
 /// A selector's parameters, each one of `known` and given once. Those of zenoh's own begin with

@@ -60,7 +60,7 @@ pub fn read<'a>(
 /// How long a wait is held.
 fn held(secs: f64) -> Result<Duration, CommandError> {
     if secs > 0.0 && secs <= LONGEST_WAIT.as_secs_f64() {
-        return Ok(Duration::from_secs_f64(secs));
+        return Ok(super::duration(secs));
     }
     Err(CommandError::Field {
         field: "timeout_secs",
