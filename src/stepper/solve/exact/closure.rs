@@ -6,7 +6,7 @@
 //! grows, so this ends.
 
 use super::WRONG;
-use super::factor::Factor;
+use super::factor::{Factor, Path};
 use super::rows::{Part, Row};
 use super::tableau::Tableau;
 
@@ -21,14 +21,20 @@ const OUTSIDE: u32 = u32::MAX;
 /// The doubtful contacts.
 #[derive(Clone, Debug, Default)]
 pub struct Closure {
+    /// Multipliers with everybody on the right side of the pass's problem.
+    pub multipliers: Vec<f64>,
+    slacks: Vec<f64>,
     /// Which rows they are.
     members: Vec<u32>,
+    /// dbg
+    pub rounds: usize,
+    /// dbg
+    pub pivots: usize,
     /// The rank of each row among them.
     rank: Vec<u32>,
-    /// Paths in the elimination tree, one after the other: `path_start`, places, entries.
+    /// Where each member's path begins, and where the last one ends.
     path_start: Vec<usize>,
-    nodes: Vec<u32>,
-    parts: Vec<Part>,
+    path: Path,
     /// `b_a K⁻¹ b_b` of all pairs of members, row by row.
     gram: Vec<f64>,
     tableau: Tableau,
@@ -52,6 +58,8 @@ pub struct Base<'a> {
 }
 
 impl Closure {
+    /// dbg
+    pub fn size(&self) -> usize { self.members.len() }
     /// Forgets all members.
     pub fn clear(&mut self) {
         self.members.clear();
@@ -59,6 +67,7 @@ impl Closure {
     }
 
     /// Whether row `k` has changed sides since `K` was factored.
+    #[inline(always)]
     pub fn is_exchanged(&self, k: usize) -> bool {
         !self.exchanged.is_empty()
             && self.rank[k] != OUTSIDE
@@ -67,7 +76,9 @@ impl Closure {
 
     /// Collects who is on the wrong side: those that would pull, by who stops pushing first,
     /// and before them those that would overlap, the deepest first.
-    fn find_wrong(&mut self, base: &Base, multipliers: &[f64], slacks: &[f64]) {
+    #[inline(always)]
+    fn find_wrong(&mut self, base: &Base) {
+        let (multipliers, slacks) = (&self.multipliers, &self.slacks);
         self.wrong.clear();
         for k in 0..base.rows.len() {
             if self.rank[k] != OUTSIDE {
@@ -92,35 +103,37 @@ impl Closure {
         }
     }
 
-    /// Finds multipliers with nobody on the wrong side of the pass's problem; they are written
-    /// to `multipliers`, and who pushes to `pushing`. Tells whether it came to an end.
+    /// Finds multipliers with nobody on the wrong side of the pass's problem, and tells whether it
+    /// came to an end.
+    #[inline(always)]
     pub fn close(
         &mut self,
         base: &Base,
         factor: &mut Factor,
         change: &mut Vec<Part>,
-        multipliers: &mut [f64],
-        slacks: &mut [f64],
     ) -> bool {
+        self.multipliers.clear();
+        self.multipliers.extend_from_slice(base.multipliers);
+        self.slacks.clear();
+        self.slacks.extend_from_slice(base.slacks);
         self.rank.clear();
         self.rank.resize(base.rows.len(), OUTSIDE);
-        for list in [&mut self.members, &mut self.nodes, &mut self.exchanged] {
-            list.clear();
-        }
-        self.parts.clear();
+        self.members.clear();
+        self.exchanged.clear();
+        self.path.clear();
         self.path_start.clear();
         self.path_start.push(0);
-        factor.take_roots();
-        let mut pivots = 0;
+        let mut pivots = 0; self.rounds = 0;
         loop {
-            self.find_wrong(base, multipliers, slacks);
+        self.pivots = pivots;
+            self.find_wrong(base);
             if self.wrong.is_empty() {
                 return true;
             }
             if self.members.len() + self.wrong.len() > MOST_MEMBERS {
                 return false;
             }
-            self.join(base, factor);
+            self.rounds += 1; self.join(base, factor);
             self.pose(base);
             if !self.tableau.solve(0.1 * WRONG, &mut pivots) {
                 return false;
@@ -138,24 +151,25 @@ impl Closure {
                 let push = self.tableau.value[a]
                     * if base.active[k] { base.rows[k].penalty } else { 1.0 };
                 let path = self.path_start[a]..self.path_start[a + 1];
-                factor.descend(&self.nodes[path.clone()], &self.parts[path], push, change);
+                self.path.descend(path, push, change);
             }
             factor.back(change);
             for (k, row) in base.rows.iter().enumerate() {
                 if self.rank[k] != OUTSIDE {
                     let a = self.rank[k] as usize;
                     let pushes = base.active[k] != self.tableau.exchanged[a];
-                    multipliers[k] = if pushes { self.tableau.value[a] } else { 0.0 };
+                    self.multipliers[k] = if pushes { self.tableau.value[a] } else { 0.0 };
                 } else if base.active[k] {
-                    multipliers[k] = base.multipliers[k] - row.penalty * row.along(change);
+                    self.multipliers[k] = base.multipliers[k] - row.penalty * row.along(change);
                 } else {
-                    slacks[k] = base.slacks[k] + row.along(change);
+                    self.slacks[k] = base.slacks[k] + row.along(change);
                 }
             }
         }
     }
 
     /// Takes those found wrong for members, with their paths and products.
+    #[inline(always)]
     fn join(&mut self, base: &Base, factor: &mut Factor) {
         let old = self.members.len();
         for &(_, name) in &self.wrong {
@@ -163,8 +177,8 @@ impl Closure {
             let rank = self.members.len() as u32;
             self.rank[name as usize] = rank;
             self.members.push(name);
-            factor.climb(&base.rows[name as usize], &mut self.nodes, &mut self.parts);
-            self.path_start.push(self.nodes.len());
+            factor.climb(&base.rows[name as usize], &mut self.path);
+            self.path_start.push(self.path.nodes.len());
         }
         let size = self.members.len();
         self.gram.resize(size * (size + 1) / 2, 0.0);
@@ -177,19 +191,25 @@ impl Closure {
     }
 
     /// `b_a K⁻¹ b_b`, along the common end of two paths.
+    #[inline(always)]
     fn product(&self, a: usize, b: usize) -> f64 {
         let [one, other] = [a, b].map(|member| self.path_start[member]..self.path_start[member + 1]);
-        let (nodes_a, nodes_b) = (&self.nodes[one.clone()], &self.nodes[other.clone()]);
-        let common = common_end(nodes_a, nodes_b);
-        let parts_a = &self.parts[one.end - common..one.end];
-        let parts_b = &self.parts[other.end - common..other.end];
-        dot(parts_a.as_flattened(), parts_b.as_flattened())
+        let Path {
+            nodes,
+            parts,
+            scaled,
+        } = &self.path;
+        let common = common_end(&nodes[one.clone()], &nodes[other.clone()]);
+        let parts = &parts[one.end - common..one.end];
+        let scaled = &scaled[other.end - common..other.end];
+        dot(parts.as_flattened(), scaled.as_flattened())
     }
 
     /// Poses the complementarity problem of the members.
     ///
     /// A member that was taken to push is free to open its gap, by `z`, and its multiplier must
     /// not become negative; one that was not is free to push, by `z`, and its gap must not.
+    #[inline(always)]
     fn pose(&mut self, base: &Base) {
         let size = self.members.len();
         self.tableau.begin(size);
@@ -220,6 +240,7 @@ impl Closure {
     /// `change` is `K⁻¹` of the pass's right-hand side; `slack` gives the gaps before it. Adds
     /// what the exchanged contribute, and returns through `multipliers` the change of those that
     /// now push.
+    #[inline(always)]
     pub fn correct(
         &mut self,
         base_active: &[bool],
@@ -260,7 +281,7 @@ impl Closure {
                 multipliers[k] += sum;
                 sum
             };
-            factor.descend(&self.nodes[path.clone()], &self.parts[path], push, extra);
+            self.path.descend(path, push, extra);
         }
         factor.back(extra);
         for (part, more) in change.iter_mut().zip(extra) {
@@ -272,6 +293,7 @@ impl Closure {
 }
 
 /// How many nodes two paths to a root share at their ends.
+#[inline(always)]
 fn common_end(a: &[u32], b: &[u32]) -> usize {
     // Once met, paths stay together, so the shared lengths are all those up to the answer.
     let (mut shared, mut apart) = (0, a.len().min(b.len()) + 1);
@@ -287,6 +309,7 @@ fn common_end(a: &[u32], b: &[u32]) -> usize {
 }
 
 /// The sum of products, in lanes whose order no machine changes.
+#[inline(always)]
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     const LANES: usize = 8;
     let (a_blocks, a_rest) = a.as_chunks::<LANES>();

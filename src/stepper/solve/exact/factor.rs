@@ -3,6 +3,9 @@
 //! `K` lives on the individuals and is positive definite whatever contacts depend on each other.
 //! It is factored as `L D Lᵀ`, column by column, each gathering from the columns to its left.
 
+use std::hint::black_box;
+use std::ops::Range;
+
 use super::rows::{Part, Row};
 use super::structure::{NONE, Structure};
 
@@ -38,6 +41,37 @@ impl Corner {
     }
 }
 
+/// Vectors `L⁻¹ b_k` where they are not zero, one after the other.
+#[derive(Clone, Debug, Default)]
+pub struct Path {
+    /// Places.
+    pub nodes: Vec<u32>,
+    /// `L⁻¹ b_k`.
+    pub parts: Vec<Part>,
+    /// `D⁻¹ L⁻¹ b_k`.
+    pub scaled: Vec<Part>,
+}
+
+impl Path {
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.nodes.clear();
+        self.parts.clear();
+        self.scaled.clear();
+    }
+
+    /// Adds `factor D⁻¹ L⁻¹ b_k` of one vector to what [`Factor::back`] is to be given.
+    #[inline(always)]
+    pub fn descend(&self, range: Range<usize>, factor: f64, vector: &mut [Part]) {
+        for (&node, part) in self.nodes[range.clone()].iter().zip(&self.scaled[range]) {
+            let entry = &mut vector[node as usize];
+            for lane in 0..4 {
+                entry[lane] += factor * part[lane];
+            }
+        }
+    }
+}
+
 /// The factor's numbers.
 #[derive(Clone, Debug, Default)]
 pub struct Factor {
@@ -46,19 +80,19 @@ pub struct Factor {
     below: Vec<Block>,
     diagonal: Vec<Block>,
     corner: Vec<Corner>,
-    /// The root of the inverse of `D`; filled by [`Factor::take_roots`].
-    root: Vec<Part>,
     slot: Vec<u32>,
     sparse: Vec<Part>,
 }
 
 impl Factor {
     /// Factors `K` of the rows that `active` tells.
+    #[inline(always)]
     pub fn factor(&mut self, rows: &[Row], active: &[bool]) {
         self.assemble(rows, active);
         eliminate(self);
     }
 
+    #[inline(always)]
     fn assemble(&mut self, rows: &[Row], active: &[bool]) {
         let Self {
             structure,
@@ -93,6 +127,7 @@ impl Factor {
     }
 
     /// Replaces `vector` by `K⁻¹ vector`.
+    #[inline(always)]
     pub fn solve(&self, vector: &mut [Part]) {
         let Self {
             structure,
@@ -113,6 +148,7 @@ impl Factor {
     }
 
     /// Replaces `vector` by `L⁻ᵀ vector`.
+    #[inline(always)]
     pub fn back(&self, vector: &mut [Part]) {
         let Self {
             structure,
@@ -131,6 +167,8 @@ impl Factor {
                     }
                 }
             }
+            // Unseen by the compiler, which would otherwise sum in pairs of axes, not in lanes.
+            let sums = black_box(sums);
             let left = |axis: usize| {
                 vector[column][axis] - ((sums[axis][0] + sums[axis][1]) + sums[axis][2])
             };
@@ -138,26 +176,18 @@ impl Factor {
         }
     }
 
-    /// Prepares [`Factor::climb`].
-    pub fn take_roots(&mut self) {
-        self.root.clear();
-        self.root
-            .extend(self.corner.iter().map(|corner| corner.inverse.map(f64::sqrt)));
-        self.sparse.clear();
-        self.sparse.resize(self.structure.columns, [0.0; 4]);
-    }
-
-    /// Appends `√D⁻¹ L⁻¹ b_k` where it is not zero, with the places: a path in the elimination
-    /// tree, from the earlier of the two individuals to a root.
-    pub fn climb(&mut self, row: &Row, nodes: &mut Vec<u32>, parts: &mut Vec<Part>) {
+    /// Appends to `path` where `L⁻¹ b_k` is not zero: a path in the elimination tree, from the
+    /// earlier of the two individuals to a root.
+    #[inline(always)]
+    pub fn climb(&mut self, row: &Row, path: &mut Path) {
         let Self {
             structure,
             below,
             corner,
-            root,
             sparse,
             ..
         } = self;
+        sparse.resize(structure.columns, [0.0; 4]);
         for (place, part) in row.place.iter().zip(row.parts) {
             sparse[*place as usize] = part;
         }
@@ -169,24 +199,18 @@ impl Factor {
             for (block, &row) in below[blocks.clone()].iter().zip(&structure.row[blocks]) {
                 subtract(&mut sparse[row as usize], block, &part);
             }
-            nodes.push(node);
-            parts.push([0, 1, 2, 3].map(|lane| part[lane] * root[column][lane]));
+            let inverse = &corner[column].inverse;
+            path.nodes.push(node);
+            path.parts.push(part);
+            path.scaled
+                .push([0, 1, 2, 3].map(|lane| part[lane] * inverse[lane]));
             node = structure.parent[column];
-        }
-    }
-
-    /// Adds `factor D⁻¹ L⁻¹ b_k` from a climbed path to a vector for [`Factor::back`].
-    pub fn descend(&self, nodes: &[u32], parts: &[Part], factor: f64, vector: &mut [Part]) {
-        for (&node, part) in nodes.iter().zip(parts) {
-            let (entry, root) = (&mut vector[node as usize], &self.root[node as usize]);
-            for lane in 0..4 {
-                entry[lane] += factor * part[lane] * root[lane];
-            }
         }
     }
 }
 
 /// Replaces the matrix by its factor.
+#[inline(always)]
 fn eliminate(factor: &mut Factor) {
     let Factor {
         structure,
@@ -214,7 +238,7 @@ fn eliminate(factor: &mut Factor) {
             let at = at as usize;
             let joint = &done[at];
             // A pair that is listed but not active joins nothing.
-            if joint.iter().flatten().all(|&entry| entry == 0.0) {
+            if is_zero(joint) {
                 continue;
             }
             let pivot = &corner[other as usize].pivot;
@@ -248,18 +272,35 @@ fn eliminate(factor: &mut Factor) {
     }
 }
 
+#[inline(always)]
+fn is_zero(block: &Block) -> bool {
+    let mut bits = [0; 4];
+    for entries in block {
+        for lane in 0..4 {
+            bits[lane] |= entries[lane].to_bits();
+        }
+    }
+    // Either sign.
+    ((bits[0] | bits[1]) | (bits[2] | bits[3])) << 1 == 0
+}
+
+/// What a pivot is at least: `K` is never below the unit matrix, but for rounding.
+#[inline(always)]
+fn at_least_one(pivot: f64) -> f64 {
+    if pivot > 1.0 { pivot } else { 1.0 }
+}
+
 /// Factors a diagonal block.
 #[inline(always)]
 fn pivot(block: &Block) -> Corner {
-    // Never below the unit matrix it began as, but for rounding.
-    let first = block[0][0].max(1.0);
+    let first = at_least_one(block[0][0]);
     let i = 1.0 / first;
     let (a, b) = (block[0][1] * i, block[0][2] * i);
-    let second = (block[1][1] - a * block[0][1]).max(1.0);
+    let second = at_least_one(block[1][1] - a * block[0][1]);
     let j = 1.0 / second;
     let cross = block[1][2] - a * block[0][2];
     let c = cross * j;
-    let third = (block[2][2] - b * block[0][2] - c * cross).max(1.0);
+    let third = at_least_one(block[2][2] - b * block[0][2] - c * cross);
     Corner {
         lower: [a, b, c],
         pivot: [first, second, third, 0.0],

@@ -14,6 +14,7 @@ mod structure;
 mod tableau;
 
 use super::{Hints, Solution, TARGET};
+use crate::model::lanes::{self, multiversion};
 use crate::stepper::qp::Qp;
 use closure::{Base, Closure};
 use factor::Factor;
@@ -48,6 +49,8 @@ const ORDER_LASTS: u32 = 25;
 /// The solver's memory within a step.
 #[derive(Clone, Debug, Default)]
 pub struct Exact {
+    /// dbg
+    pub dbg: [usize; 6],
     dissection: Dissection,
     /// An order found in this step.
     order: Vec<u32>,
@@ -66,6 +69,13 @@ pub struct Exact {
     vector: Vec<Part>,
     change: Vec<Part>,
     extra: Vec<Part>,
+}
+
+multiversion! {
+    /// Solves with everything that it calls compiled for one level.
+    fn attempt(level, exact: &mut Exact, qp: &Qp, solution: &mut Solution) {
+        exact.attempt(qp, solution);
+    }
 }
 
 impl Exact {
@@ -87,6 +97,11 @@ impl Exact {
     /// Solves `qp`; the best solution found is offered to `solution`.
     pub(super) fn solve(&mut self, qp: &Qp, hints: &Hints, solution: &mut Solution) {
         self.prepare(qp, hints);
+        attempt(lanes::level(), self, qp, solution);
+    }
+
+    #[inline(always)]
+    fn attempt(&mut self, qp: &Qp, solution: &mut Solution) {
         for _ in 0..MOST_FACTORS {
             self.factor.factor(&self.rows, &self.active);
             solution.iterations += 1;
@@ -128,38 +143,41 @@ impl Exact {
     }
 
     /// Passes with the present factor until the solution is exact; tells whether it is.
+    #[inline(always)]
     fn converge(&mut self, qp: &Qp, solution: &mut Solution) -> bool {
         let mut before = f64::INFINITY;
         for pass in 0..MOST_PASSES {
-            let open = self.displace();
-            if GAIN * open > before {
+            self.dbg[0] += 1; let open = self.displace();
+            if pass > 0 && open <= WRONG {
+                // Those that push are exact, so another is wrong.
+                self.cut_off();
                 return false;
+            }
+            if GAIN * open > before {
+                self.reach_ahead(open / (before - open));
+                return solution.residual <= TARGET;
             }
             before = open;
             self.pass();
             if pass == 0 && self.anybody_wrong() {
-                let base = Base {
+                self.dbg[1] += 1; let base = Base {
                     rows: &self.rows,
                     active: &self.active,
                     before: &self.multipliers,
                     multipliers: &self.proposed,
                     slacks: &self.ahead,
                 };
-                let (mut multipliers, mut slacks) = (self.proposed.clone(), self.ahead.clone());
-                let closed = self.closure.close(
-                    &base,
-                    &mut self.factor,
-                    &mut self.change,
-                    &mut multipliers,
-                    &mut slacks,
-                );
-                for (k, value) in multipliers.iter().enumerate() {
+                let closed = self.closure.close(&base, &mut self.factor, &mut self.change);
+                for (k, &value) in self.closure.multipliers.iter().enumerate() {
                     self.pushing[k] = self.active[k] != self.closure.is_exchanged(k);
-                    self.multipliers[k] = if self.pushing[k] { value.max(0.0) } else { 0.0 };
+                    let pushes = self.pushing[k] && value > 0.0;
+                    self.multipliers[k] = if pushes { value } else { 0.0 };
                 }
+                self.dbg[2] += self.closure.size();self.dbg[3] += self.closure.rounds; self.dbg[4] += self.closure.pivots;
                 if !closed {
                     return false;
                 }
+                // Exact up to the rounding of a small tableau, which another pass takes away.
                 before = f64::INFINITY;
             } else {
                 std::mem::swap(&mut self.multipliers, &mut self.proposed);
@@ -172,7 +190,43 @@ impl Exact {
         false
     }
 
+    /// Leaves no multiplier negative.
+    #[inline(always)]
+    fn cut_off(&mut self) {
+        for value in &mut self.multipliers {
+            *value = if *value > 0.0 { *value } else { 0.0 };
+        }
+    }
+
+    /// Goes on as the last pass went, `far` times as far or until the first would pull, which
+    /// then pushes no more.
+    ///
+    /// Where contacts nearly depend on each other, passes gain nothing: each shifts the load by
+    /// as much as the penalty allows, along a line that ends where somebody lets go.
+    #[inline(always)]
+    fn reach_ahead(&mut self, far: f64) {
+        let mut share = if far > 0.0 { far } else { f64::INFINITY };
+        let mut blocking = None;
+        for (k, (&now, &before)) in self.multipliers.iter().zip(&self.proposed).enumerate() {
+            if self.pushing[k] && now < before && now < share * (before - now) {
+                share = now / (before - now);
+                blocking = Some(k);
+            }
+        }
+        if share < f64::INFINITY {
+            for (now, before) in self.multipliers.iter_mut().zip(&self.proposed) {
+                *now += share * (*now - before);
+            }
+        }
+        if let Some(k) = blocking {
+            self.pushing[k] = false;
+            self.multipliers[k] = 0.0;
+        }
+        self.cut_off();
+    }
+
     /// Computes `w` from the multipliers, and all gaps; returns the largest gap left open.
+    #[inline(always)]
     fn displace(&mut self) -> f64 {
         self.vector.clear();
         self.vector
@@ -195,6 +249,7 @@ impl Exact {
     }
 
     /// One pass: `K δ = -Σ σ_k s_k b_k`, then `λ_k -= σ_k (s_k + b_k·δ)`, over those that push.
+    #[inline(always)]
     fn pass(&mut self) {
         self.change.clear();
         self.change
@@ -226,6 +281,7 @@ impl Exact {
     }
 
     /// Whether the last pass would have anybody pull or overlap.
+    #[inline(always)]
     fn anybody_wrong(&self) -> bool {
         (0..self.rows.len()).any(|k| {
             if self.active[k] {

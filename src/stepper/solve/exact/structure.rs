@@ -34,6 +34,7 @@ pub struct Structure {
 
 #[derive(Clone, Debug, Default)]
 struct Scratch {
+    ends: Vec<[u32; 2]>,
     upward_start: Vec<u32>,
     upward: Vec<u32>,
     unsorted_start: Vec<u32>,
@@ -96,40 +97,35 @@ impl Structure {
         *columns = next as usize;
     }
 
-    /// The places that a pair's individuals have, the lower first.
-    fn places(&self, [i, j]: [u32; 2]) -> [usize; 2] {
-        let [a, b] = [i, j].map(|individual| self.place[individual as usize] as usize);
-        [a.min(b), a.max(b)]
-    }
-
-    /// Lists the later neighbours of every column.
+    /// Lists every pair once by its places, the lower first, and the later neighbours of every
+    /// column.
     fn point_upward(&mut self) {
-        let mut scratch = std::mem::take(&mut self.scratch);
-        count_up(
-            &mut scratch.upward_start,
-            self.columns,
-            self.distinct().map(|pair| self.places(pair)[0]),
-        );
-        scratch.upward.clear();
-        scratch.upward.resize(self.pairs.len(), 0);
-        scratch.next.clear();
-        scratch.next.extend_from_slice(&scratch.upward_start);
-        for pair in self.distinct() {
-            let [low, high] = self.places(pair);
-            let next = &mut scratch.next[low];
-            scratch.upward[*next as usize] = small(high);
+        let Scratch {
+            ends,
+            upward_start,
+            upward,
+            next,
+            ..
+        } = &mut self.scratch;
+        ends.clear();
+        let mut last = [NONE, NONE];
+        for &pair in &self.pairs {
+            if pair != last {
+                last = pair;
+                let [a, b] = pair.map(|individual| self.place[individual as usize]);
+                ends.push([a.min(b), a.max(b)]);
+            }
+        }
+        count_up(upward_start, self.columns, ends.iter().map(|[low, _]| *low));
+        upward.clear();
+        upward.resize(ends.len(), 0);
+        next.clear();
+        next.extend_from_slice(upward_start);
+        for &[low, high] in ends.iter() {
+            let next = &mut next[low as usize];
+            upward[*next as usize] = high;
             *next += 1;
         }
-        self.scratch = scratch;
-    }
-
-    /// Every pair once.
-    fn distinct(&self) -> impl Iterator<Item = [u32; 2]> {
-        let mut last = [NONE, NONE];
-        self.pairs
-            .iter()
-            .copied()
-            .filter(move |pair| std::mem::replace(&mut last, *pair) != *pair)
     }
 
     /// Finds the rows of every column: its own neighbours and what its children leave.
@@ -193,7 +189,7 @@ impl Structure {
         count_up(
             &mut self.left_start,
             self.columns,
-            unsorted.iter().map(|&row| row as usize),
+            unsorted.iter().copied(),
         );
         next.clear();
         next.extend_from_slice(&self.left_start);
@@ -225,28 +221,27 @@ impl Structure {
     }
 
     fn find_blocks(&mut self) {
-        let mut block = std::mem::take(&mut self.block);
-        block.clear();
+        self.block.clear();
+        let mut ends = self.scratch.ends.iter();
         let (mut last, mut found) = ([NONE, NONE], 0);
         for &pair in &self.pairs {
-            if std::mem::replace(&mut last, pair) != pair {
-                let [low, high] = self.places(pair);
-                let (begin, end) = (self.start[low] as usize, self.start[low + 1] as usize);
-                let rows = &self.row[begin..end];
-                let at = rows.partition_point(|&row| (row as usize) < high);
-                found = small(begin + at);
+            if pair != last {
+                last = pair;
+                let [low, high] = ends.next().expect("every pair once").map(|end| end as usize);
+                let begin = self.start[low] as usize;
+                let rows = &self.row[begin..self.start[low + 1] as usize];
+                found = small(begin + rows.partition_point(|&row| (row as usize) < high));
             }
-            block.push(found);
+            self.block.push(found);
         }
-        self.block = block;
     }
 }
 
 /// Fills `start` so that bin `k` of `bins` begins at `start[k]` when all are sorted into bins.
-fn count_up(start: &mut Vec<u32>, bins: usize, all: impl Iterator<Item = usize>) {
+fn count_up(start: &mut Vec<u32>, bins: usize, all: impl Iterator<Item = u32>) {
     start.clear();
     start.resize(bins + 1, 0);
-    all.for_each(|bin| start[bin + 1] += 1);
+    all.for_each(|bin| start[bin as usize + 1] += 1);
     for bin in 0..bins {
         start[bin + 1] += start[bin];
     }

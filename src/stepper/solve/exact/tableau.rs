@@ -28,6 +28,7 @@ pub struct Tableau {
 
 impl Tableau {
     /// Starts a problem of `size` unknowns; entries and values are then to be set.
+    #[inline(always)]
     pub fn begin(&mut self, size: usize) {
         let stride = size.next_multiple_of(8);
         self.size = size;
@@ -41,16 +42,19 @@ impl Tableau {
     }
 
     /// One row of `T`.
+    #[inline(always)]
     pub fn row_mut(&mut self, row: usize) -> &mut [f64] {
         &mut self.entries[row * self.stride..][..self.size]
     }
 
     /// One row of `T`.
+    #[inline(always)]
     pub fn row(&self, row: usize) -> &[f64] {
         &self.entries[row * self.stride..][..self.size]
     }
 
     /// Solves; values down to `-tolerance` count as not negative. Tells whether it ended.
+    #[inline(always)]
     pub fn solve(&mut self, tolerance: f64, pivots: &mut usize) -> bool {
         loop {
             let mut worst = (-tolerance, None);
@@ -78,6 +82,7 @@ impl Tableau {
     }
 
     /// Raises `z` of `driven` until its `w` or another's is zero, and returns whose.
+    #[inline(always)]
     fn raise(&mut self, driven: usize, tolerance: f64) -> usize {
         let (stride, entries) = (self.stride, &self.entries);
         let along = |k: usize| entries[k * stride + driven];
@@ -102,6 +107,7 @@ impl Tableau {
     }
 
     /// Exchanges `w` and `z` of one unknown: a principal pivot.
+    #[inline(always)]
     pub fn exchange(&mut self, at: usize) {
         self.exchanged[at] = !self.exchanged[at];
         let (stride, size) = (self.stride, self.size);
@@ -130,6 +136,7 @@ impl Tableau {
 }
 
 /// `target -= factor · other`.
+#[inline(always)]
 fn subtract_scaled(target: &mut [f64], factor: f64, other: &[f64]) {
     for (entry, other) in target.iter_mut().zip(other) {
         *entry -= factor * other;
