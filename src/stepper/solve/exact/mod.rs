@@ -10,6 +10,7 @@ mod closure;
 mod factor;
 mod order;
 mod rows;
+mod small;
 mod structure;
 mod tableau;
 
@@ -20,6 +21,7 @@ use closure::{Base, Closure};
 use factor::Factor;
 use order::Dissection;
 use rows::{Part, Row};
+use small::Small;
 
 /// σ, the penalty on a gap whose gradient has unit length in the metric of `W`. Each pass
 /// shrinks the error by σ times the least eigenvalue of `A W⁻¹ Aᵀ`; beyond 1e8 rounding in `K`
@@ -58,6 +60,7 @@ pub struct Exact {
     rows: Vec<Row>,
     factor: Factor,
     closure: Closure,
+    small: Small,
     /// Who was taken to push when `K` was factored.
     active: Vec<bool>,
     /// Who is taken to push now.
@@ -69,6 +72,13 @@ pub struct Exact {
     vector: Vec<Part>,
     change: Vec<Part>,
     extra: Vec<Part>,
+}
+
+multiversion! {
+    /// Solves for few contacts, with everything that it calls compiled for one level.
+    fn few(level, exact: &mut Exact, qp: &Qp, guess: &[f64], solution: &mut Solution) -> bool {
+        exact.small.solve(qp, &exact.rows, guess, solution)
+    }
 }
 
 multiversion! {
@@ -96,6 +106,11 @@ impl Exact {
 
     /// Solves `qp`; the best solution found is offered to `solution`.
     pub(super) fn solve(&mut self, qp: &Qp, hints: &Hints, solution: &mut Solution) {
+        rows::fill(qp, &mut self.rows);
+        let pushed = hints.multipliers.iter().filter(|&&value| value > 0.0);
+        if (1..=small::FEW).contains(&pushed.count()) && few(lanes::level(), self, qp, hints.multipliers, solution) {
+            return;
+        }
         self.prepare(qp, hints);
         attempt(lanes::level(), self, qp, solution);
     }
@@ -124,7 +139,6 @@ impl Exact {
         self.age += 1;
         let structure = &mut self.factor.structure;
         structure.update(&self.order, &qp.contacts);
-        rows::fill(qp, &mut self.rows);
         for ((row, contact), &block) in self.rows.iter_mut().zip(&qp.contacts).zip(&structure.block)
         {
             row.place = [contact.i, contact.j].map(|k| structure.place[k as usize]);

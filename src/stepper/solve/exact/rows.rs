@@ -12,7 +12,7 @@ pub type Part = [f64; 4];
 /// One constraint.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
-    /// The places of the two individuals in the order of elimination.
+    /// The places of the two individuals in vectors.
     pub place: [u32; 2],
     /// `b_k` at each of them.
     pub parts: [Part; 2],
@@ -54,7 +54,7 @@ impl Row {
     }
 }
 
-/// Fills `rows` from the program; places and blocks are left to the factor.
+/// Fills `rows` from the program; places are individuals, until the factor has others.
 pub fn fill(qp: &Qp, rows: &mut Vec<Row>) {
     let [drag_x, drag_y, drag_angle] = qp.weights.map(|weight| 1.0 / weight.sqrt());
     rows.clear();
@@ -63,7 +63,7 @@ pub fn fill(qp: &Qp, rows: &mut Vec<Row>) {
         let [one, two] = contact.lever.map(|lever| lever * drag_angle);
         let squares = 2.0 * (x * x + y * y) + (one * one + two * two);
         Row {
-            place: [0, 0],
+            place: [contact.i, contact.j],
             parts: [[-x, -y, -one, 0.0], [x, y, two, 0.0]],
             gap: contact.linearised_gap(&qp.free),
             penalty: PENALTY / squares,

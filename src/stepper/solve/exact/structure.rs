@@ -28,12 +28,15 @@ pub struct Structure {
     /// The block that joins the two individuals of each contact.
     pub block: Vec<u32>,
     order: Vec<u32>,
+    /// Every pair in contact, once.
     pairs: Vec<[u32; 2]>,
+    pair_block: Vec<u32>,
     scratch: Scratch,
 }
 
 #[derive(Clone, Debug, Default)]
 struct Scratch {
+    pairs: Vec<[u32; 2]>,
     ends: Vec<[u32; 2]>,
     upward_start: Vec<u32>,
     upward: Vec<u32>,
@@ -50,25 +53,34 @@ impl Structure {
     ///
     /// - Shapes: an order of all n individuals; contacts ordered by (i, j).
     pub fn update(&mut self, order: &[u32], contacts: &[Contact]) {
-        let same = self.order == order
-            && self.pairs.len() == contacts.len()
-            && contacts
-                .iter()
-                .zip(&self.pairs)
-                .all(|(contact, pair)| *pair == [contact.i, contact.j]);
-        if same {
-            return;
+        let pairs = &mut self.scratch.pairs;
+        pairs.clear();
+        let mut last = [NONE, NONE];
+        for contact in contacts {
+            let pair = [contact.i, contact.j];
+            if pair != last {
+                pairs.push(pair);
+                last = pair;
+            }
         }
-        self.order.clear();
-        self.order.extend_from_slice(order);
-        self.pairs.clear();
-        self.pairs
-            .extend(contacts.iter().map(|contact| [contact.i, contact.j]));
-        self.number();
-        self.point_upward();
-        self.eliminate();
-        self.sort();
-        self.find_blocks();
+        if self.order != order || self.pairs != *pairs {
+            self.order.clear();
+            self.order.extend_from_slice(order);
+            std::mem::swap(&mut self.pairs, pairs);
+            self.number();
+            self.point_upward();
+            self.eliminate();
+            self.sort();
+            self.find_blocks();
+        }
+        self.block.clear();
+        let (mut next, mut last) = (0, [NONE, NONE]);
+        for contact in contacts {
+            let pair = [contact.i, contact.j];
+            next += usize::from(pair != last);
+            last = pair;
+            self.block.push(self.pair_block[next - 1]);
+        }
     }
 
     /// Gives places to those in contact, in the order.
@@ -97,8 +109,7 @@ impl Structure {
         *columns = next as usize;
     }
 
-    /// Lists every pair once by its places, the lower first, and the later neighbours of every
-    /// column.
+    /// Lists pairs by their places, the lower first, and the later neighbours of every column.
     fn point_upward(&mut self) {
         let Scratch {
             ends,
@@ -108,13 +119,9 @@ impl Structure {
             ..
         } = &mut self.scratch;
         ends.clear();
-        let mut last = [NONE, NONE];
-        for &pair in &self.pairs {
-            if pair != last {
-                last = pair;
-                let [a, b] = pair.map(|individual| self.place[individual as usize]);
-                ends.push([a.min(b), a.max(b)]);
-            }
+        for pair in &self.pairs {
+            let [a, b] = pair.map(|individual| self.place[individual as usize]);
+            ends.push([a.min(b), a.max(b)]);
         }
         count_up(upward_start, self.columns, ends.iter().map(|[low, _]| *low));
         upward.clear();
@@ -221,18 +228,12 @@ impl Structure {
     }
 
     fn find_blocks(&mut self) {
-        self.block.clear();
-        let mut ends = self.scratch.ends.iter();
-        let (mut last, mut found) = ([NONE, NONE], 0);
-        for &pair in &self.pairs {
-            if pair != last {
-                last = pair;
-                let [low, high] = ends.next().expect("every pair once").map(|end| end as usize);
-                let begin = self.start[low] as usize;
-                let rows = &self.row[begin..self.start[low + 1] as usize];
-                found = small(begin + rows.partition_point(|&row| (row as usize) < high));
-            }
-            self.block.push(found);
+        self.pair_block.clear();
+        for &[low, high] in &self.scratch.ends {
+            let begin = self.start[low as usize] as usize;
+            let rows = &self.row[begin..self.start[low as usize + 1] as usize];
+            let found = begin + rows.partition_point(|&row| row < high);
+            self.pair_block.push(small(found));
         }
     }
 }
