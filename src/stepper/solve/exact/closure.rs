@@ -26,10 +26,6 @@ pub struct Closure {
     slacks: Vec<f64>,
     /// Which rows they are.
     members: Vec<u32>,
-    /// dbg
-    pub rounds: usize,
-    /// dbg
-    pub pivots: usize,
     /// The rank of each row among them.
     rank: Vec<u32>,
     /// Where each member's path begins, and where the last one ends.
@@ -58,8 +54,6 @@ pub struct Base<'a> {
 }
 
 impl Closure {
-    /// dbg
-    pub fn size(&self) -> usize { self.members.len() }
     /// Forgets all members.
     pub fn clear(&mut self) {
         self.members.clear();
@@ -123,9 +117,8 @@ impl Closure {
         self.path.clear();
         self.path_start.clear();
         self.path_start.push(0);
-        let mut pivots = 0; self.rounds = 0;
+        let mut pivots = 0;
         loop {
-        self.pivots = pivots;
             self.find_wrong(base);
             if self.wrong.is_empty() {
                 return true;
@@ -133,7 +126,7 @@ impl Closure {
             if self.members.len() + self.wrong.len() > MOST_MEMBERS {
                 return false;
             }
-            self.rounds += 1; self.join(base, factor);
+            self.join(base, factor);
             self.pose(base);
             if !self.tableau.solve(0.1 * WRONG, &mut pivots) {
                 return false;

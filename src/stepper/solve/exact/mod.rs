@@ -51,8 +51,6 @@ const ORDER_LASTS: u32 = 25;
 /// The solver's memory within a step.
 #[derive(Clone, Debug, Default)]
 pub struct Exact {
-    /// dbg
-    pub dbg: [usize; 6],
     dissection: Dissection,
     /// An order found in this step.
     order: Vec<u32>,
@@ -161,7 +159,7 @@ impl Exact {
     fn converge(&mut self, qp: &Qp, solution: &mut Solution) -> bool {
         let mut before = f64::INFINITY;
         for pass in 0..MOST_PASSES {
-            self.dbg[0] += 1; let open = self.displace();
+            let open = self.displace();
             if pass > 0 && open <= WRONG {
                 // Those that push are exact, so another is wrong.
                 self.cut_off();
@@ -174,7 +172,7 @@ impl Exact {
             before = open;
             self.pass();
             if pass == 0 && self.anybody_wrong() {
-                self.dbg[1] += 1; let base = Base {
+                let base = Base {
                     rows: &self.rows,
                     active: &self.active,
                     before: &self.multipliers,
@@ -187,7 +185,6 @@ impl Exact {
                     let pushes = self.pushing[k] && value > 0.0;
                     self.multipliers[k] = if pushes { value } else { 0.0 };
                 }
-                self.dbg[2] += self.closure.size();self.dbg[3] += self.closure.rounds; self.dbg[4] += self.closure.pivots;
                 if !closed {
                     return false;
                 }
