@@ -56,7 +56,8 @@ impl State {
     /// contact rule, attraction law; seed; step; origin; the next id; the columns id, x, y,
     /// alpha, weight, direction, lapses; the solver's memory as columns first, second, code,
     /// multiplier. A column is its length as 64 bits, then its entries; an entry of "lapses" is
-    /// a byte 0, or a byte 1 and the step. Floats are hashed by their bits.
+    /// a byte 0, or a byte 1 and the step; the attraction law, a byte 0, or a byte 1 and the
+    /// accuracy. Floats are hashed by their bits.
     #[must_use]
     pub fn hash(&self) -> [u8; 32] {
         let Self {
@@ -83,9 +84,15 @@ impl State {
         bytes.put(match contacts {
             ContactRule::Endpoints => [0],
         });
-        bytes.put(match attraction {
-            Attraction::All => [0],
-        });
+        match attraction {
+            Attraction::All { accuracy: None } => bytes.put([0]),
+            Attraction::All {
+                accuracy: Some(accuracy),
+            } => {
+                bytes.put([1]);
+                bytes.put(accuracy.to_le_bytes());
+            }
+        }
         bytes.put(seed.to_le_bytes());
         bytes.put(step.to_le_bytes());
         let Configuration {
@@ -166,6 +173,12 @@ mod tests {
         }
     }
 
+    fn accurate(accuracy: f64) -> Attraction {
+        Attraction::All {
+            accuracy: Some(accuracy),
+        }
+    }
+
     /// A change of any of these bytes is a change of the model's version.
     #[test]
     fn the_layout_does_not_change() {
@@ -196,12 +209,14 @@ mod tests {
 
     #[test]
     fn everything_that_decides_the_future_is_hashed() {
-        let changes: [fn(&mut State); 20] = [
+        let changes: [fn(&mut State); 22] = [
             |state| state.parameters.pi1 = 5.0,
             |state| state.parameters.pi2 = 5.0,
             |state| state.parameters.pi3 = 5.0,
             |state| state.parameters.pi4 = 5.0,
             |state| state.parameters.dt = 0.01,
+            |state| state.parameters.attraction = accurate(1e-6),
+            |state| state.parameters.attraction = accurate(1e-7),
             |state| state.seed += 1,
             |state| state.step += 1,
             |state| state.configuration.origin[1] += 1,
