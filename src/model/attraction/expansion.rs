@@ -10,6 +10,11 @@
 //!
 //! where the coefficients factor into real ones of `(k, a)` and of `(q, b)` and powers of `Z`.
 
+#![expect(
+    clippy::needless_range_loop,
+    reason = "rows and columns are named by the powers they belong to"
+)]
+
 use crate::model::lanes::{Lanes, Level, WIDTH, multiversion};
 
 /// Coefficients of `z^row conj(z)^column`.
