@@ -216,8 +216,7 @@ impl<const N: usize> Apart<N> {
 }
 
 multiversion! {
-    /// Adds to the local series of a target what the `moments` of a source pull with; `apart`
-    /// is from the target's centre to the source's.
+    /// The first half of a transfer: every moment in units of its powers of `Z`, summed over `a`.
     fn transfer_rows<const N: usize>(
         level,
         halfway: &mut Series<N>,
@@ -247,7 +246,7 @@ multiversion! {
 }
 
 multiversion! {
-    /// The other half of a transfer.
+    /// The other half: summed over `b`, and back in units of the target's powers.
     fn transfer_columns<const N: usize>(
         level,
         local: &mut Series<N>,
