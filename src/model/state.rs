@@ -59,8 +59,9 @@ impl State {
     /// BLAKE3 over little-endian bytes in this order: model version; `pi1, pi2, pi3, pi4, dt`,
     /// contact rule, attraction law; seed; step; origin; the next id; the columns id, x, y,
     /// alpha, weight, direction, lapses; the solver's memory as columns first, second, code,
-    /// multiplier, then the order of elimination and its age. A column is its length as 64 bits, then its entries; an entry of "lapses" is
-    /// a byte 0, or a byte 1 and the step. Floats are hashed by their bits.
+    /// multiplier, then the order of elimination and its age. A column is its length as 64 bits,
+    /// then its entries; an entry of "lapses" is a byte 0, or a byte 1 and the step; the attraction
+    /// law, a byte 0, or a byte 1 and the accuracy. Floats are hashed by their bits.
     #[must_use]
     pub fn hash(&self) -> [u8; 32] {
         let Self {
@@ -87,9 +88,15 @@ impl State {
         bytes.put(match contacts {
             ContactRule::Endpoints => [0],
         });
-        bytes.put(match attraction {
-            Attraction::All => [0],
-        });
+        match attraction {
+            Attraction::All { accuracy: None } => bytes.put([0]),
+            Attraction::All {
+                accuracy: Some(accuracy),
+            } => {
+                bytes.put([1]);
+                bytes.put(accuracy.to_le_bytes());
+            }
+        }
         bytes.put(seed.to_le_bytes());
         bytes.put(step.to_le_bytes());
         let Configuration {
@@ -180,6 +187,12 @@ mod tests {
         }
     }
 
+    fn accurate(accuracy: f64) -> Attraction {
+        Attraction::All {
+            accuracy: Some(accuracy),
+        }
+    }
+
     /// A change of any of these bytes is a change of the model's version.
     #[test]
     fn the_layout_does_not_change() {
@@ -218,6 +231,8 @@ mod tests {
             |state| state.parameters.pi3 = 5.0,
             |state| state.parameters.pi4 = 5.0,
             |state| state.parameters.dt = 0.01,
+            |state| state.parameters.attraction = accurate(1e-6),
+            |state| state.parameters.attraction = accurate(1e-7),
             |state| state.seed += 1,
             |state| state.step += 1,
             |state| state.configuration.origin[1] += 1,

@@ -4,7 +4,7 @@ use crate::model::lanes::{Lanes, Level, WIDTH, multiversion};
 
 /// What a lane without an individual holds. The square of its distance to anybody rounds to an
 /// infinite `f32`, so it pulls with exactly 0.
-pub(super) const NOWHERE: f64 = 1e30;
+const NOWHERE: f64 = 1e30;
 
 /// Added to the square of a distance: an individual itself, and any at the same place, is then
 /// at exactly zero without a branch. Beside the square of any distance that doubles resolve
@@ -32,8 +32,8 @@ impl Direct {
     ///
     /// - Shapes: n coordinates each in; the sums of x and of y, n of each and some more, out.
     pub fn sum(&mut self, level: Level, x: &[f64], y: &[f64]) -> [&[f64]; 2] {
-        fill_lanes(&mut self.x, x);
-        fill_lanes(&mut self.y, y);
+        fill_lanes(&mut self.x, x.iter().copied());
+        fill_lanes(&mut self.y, y.iter().copied());
         for sum in [&mut self.sum_x, &mut self.sum_y] {
             sum.clear();
             sum.resize(self.x.len(), [0.0; WIDTH]);
@@ -48,14 +48,12 @@ impl Direct {
     }
 }
 
-fn fill_lanes(lanes: &mut Vec<Lanes>, values: &[f64]) {
-    let (whole, rest) = values.as_chunks::<WIDTH>();
+/// Fills whole lanes with `values`, and the rest of the last ones with nobody.
+pub(super) fn fill_lanes(lanes: &mut Vec<Lanes>, values: impl ExactSizeIterator<Item = f64>) {
     lanes.clear();
-    lanes.extend_from_slice(whole);
-    if !rest.is_empty() {
-        let mut last = [NOWHERE; WIDTH];
-        last[..rest.len()].copy_from_slice(rest);
-        lanes.push(last);
+    lanes.resize(values.len().div_ceil(WIDTH), [NOWHERE; WIDTH]);
+    for (place, value) in lanes.as_flattened_mut().iter_mut().zip(values) {
+        *place = value;
     }
 }
 
