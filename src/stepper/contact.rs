@@ -1,7 +1,7 @@
 //! Contacts: where two bodies could touch during a step, and how their gap changes.
 
 use super::StepError;
-use crate::model::{Configuration, ContactRule, Parameters, SolverMemory};
+use crate::model::{Configuration, ContactRule, Parameters};
 
 /// One end of a body near another body.
 ///
@@ -72,7 +72,6 @@ pub fn find(
         let (a, b) = (i as usize, j as usize);
         let limit = width + reach(a, b);
         let pair = Pair {
-            h,
             offset: [
                 configuration.x[b] - configuration.x[a],
                 configuration.y[b] - configuration.y[a],
@@ -87,30 +86,15 @@ pub fn find(
             let [first, second] = [a, b].map(|index| configuration.id[index]);
             return Err(StepError::CrossedBodies { first, second });
         }
-        let start = contacts.len();
-        let mut push = |code: u8, arms: [f64; 2]| {
-            let separation = pair.separation(arms);
-            let distance = dot(separation, separation).sqrt();
-            if distance > limit {
-                return;
-            }
-            let normal = [separation[0] / distance, separation[1] / distance];
-            let lever = |body: usize| arms[body] * cross(pair.heading[body], normal);
-            let gap = distance - width;
-            contacts.push(Contact {
-                i,
-                j,
-                code,
-                gap,
-                normal,
-                lever: [lever(0), lever(1)],
-            });
+        let ends = pair.ends(h);
+        let mut codes = match h {
+            0.0 => 1,
+            _ => ends.codes(limit),
         };
-        if h == 0.0 {
-            push(0, [0.0, 0.0]);
-        } else {
-            pair.ends(&mut push);
-            contacts[start..].sort_unstable_by_key(|contact| contact.code);
+        while codes != 0 {
+            let code = codes.trailing_zeros() as u8;
+            codes &= codes - 1;
+            contacts.push(ends.contact((i, j), code, pair.heading, width));
         }
     }
     Ok(())
@@ -120,116 +104,122 @@ pub fn find(
 /// Discs meet when their centres coincide.
 #[must_use]
 pub fn axes_cross(h: f64, offset: [f64; 2], heading_i: [f64; 2], heading_j: [f64; 2]) -> bool {
-    if dot(offset, offset) > 4.0 * h * h {
-        return false;
-    }
-    // Each axis must meet the other's line: the ends of one lie on both sides of it.
-    let sine = cross(heading_i, heading_j);
-    let across_i = cross(heading_i, offset);
-    let across_j = cross(heading_j, offset);
-    let spread = h * sine.abs();
-    if across_i.abs() > spread || across_j.abs() > spread {
-        return false;
-    }
-    // Parallel axes on one line overlap, being nearer than two half-lengths.
-    true
+    // Each axis must meet the other's line: the ends of one lie on both sides of it. Parallel
+    // axes on one line meet where they are nearer than two half-lengths. All is asked at once,
+    // as nobody can foretell the answers.
+    let spread = h * cross(heading_i, heading_j).abs();
+    let apart = (dot(offset, offset) > 4.0 * h * h)
+        | (cross(heading_i, offset).abs() > spread)
+        | (cross(heading_j, offset).abs() > spread);
+    !apart
 }
 
-/// Guesses the multipliers of `contacts` from the last step's.
-///
-/// A contact not seen before, of a pair that was in contact, inherits from one of the pair's
-/// contacts that shares an end and is gone: the contact has passed from a side to a cap.
-pub fn recall(memory: &SolverMemory, id: &[u32], contacts: &[Contact], guess: &mut Vec<f64>) {
-    guess.clear();
-    guess.resize(contacts.len(), 0.0);
-    let mut remembered = &memory.contacts[..];
-    let mut start = 0;
-    while start < contacts.len() {
-        let (i, j) = (contacts[start].i, contacts[start].j);
-        let count = contacts[start..]
-            .iter()
-            .take_while(|contact| (contact.i, contact.j) == (i, j))
-            .count();
-        let now = start..start + count;
-        start += count;
-        let pair = (id[i as usize], id[j as usize]);
-        let skipped = remembered.partition_point(|old| (old.first, old.second) < pair);
-        remembered = &remembered[skipped..];
-        let known = remembered.partition_point(|old| (old.first, old.second) == pair);
-        let mut gone: Vec<_> = remembered[..known].to_vec();
-        remembered = &remembered[known..];
-        for k in now.clone() {
-            if let Some(place) = gone.iter().position(|old| old.code == contacts[k].code) {
-                guess[k] = gone.remove(place).multiplier;
-            }
-        }
-        for k in now.filter(|&k| guess[k] == 0.0).collect::<Vec<_>>() {
-            let shares_end =
-                |old: &crate::model::Remembered| ends(old.code) & ends(contacts[k].code) != 0;
-            if let Some(place) = gone.iter().position(shares_end) {
-                guess[k] = gone.remove(place).multiplier;
-            }
-        }
-    }
-}
-
-/// The ends a code names, as bits: head and tail of the first, head and tail of the second.
-fn ends(code: u8) -> u8 {
-    match code {
-        0..4 => 1 << code,
-        _ => 1 << ((code - 4) / 2) | 4 << ((code - 4) % 2),
-    }
+/// Whether two axes of half-length `h` come nearer than `distance` anywhere.
+#[must_use]
+pub fn axes_within(
+    distance: f64,
+    h: f64,
+    offset: [f64; 2],
+    heading_i: [f64; 2],
+    heading_j: [f64; 2],
+) -> bool {
+    let pair = Pair {
+        offset,
+        heading: [heading_i, heading_j],
+    };
+    let near = pair.ends(h).within(distance) != 0;
+    near | axes_cross(h, offset, heading_i, heading_j)
 }
 
 /// Two axes: the centre of the second seen from the first, and both headings.
 struct Pair {
-    h: f64,
     offset: [f64; 2],
     heading: [[f64; 2]; 2],
 }
 
-/// An end's nearest point on the other axis.
-#[derive(Clone, Copy, PartialEq)]
-enum Foot {
-    Inside(f64),
-    End(u8),
+/// The four ends of a pair, each with the nearest point on the other's axis: head and tail of
+/// the first, then head and tail of the second.
+struct Ends {
+    /// Where on each axis that is, the end or the point.
+    arms: [[f64; 4]; 2],
+    /// From the place on the first axis to that on the second.
+    separation: [[f64; 4]; 2],
+    squared: [f64; 4],
+    /// Bit k: the point nearest to end k is the other's head.
+    at_head: u8,
+    /// Bit k: it is the other's tail.
+    at_tail: u8,
 }
 
 impl Pair {
-    /// From the point of the first axis at `arms[0]` to the point of the second at `arms[1]`.
-    fn separation(&self, arms: [f64; 2]) -> [f64; 2] {
-        let [u, v] = self.heading;
-        [0, 1].map(|axis| self.offset[axis] + arms[1] * v[axis] - arms[0] * u[axis])
-    }
-
-    /// Where an end's projection falls on an axis; an end is 0 for the head, 1 for the tail.
-    fn foot(&self, along: f64) -> Foot {
-        match along {
-            along if along >= self.h => Foot::End(0),
-            along if along <= -self.h => Foot::End(1),
-            along => Foot::Inside(along),
-        }
-    }
-
-    fn ends(&self, push: &mut impl FnMut(u8, [f64; 2])) {
-        let [u, v] = self.heading;
-        let arm = [self.h, -self.h];
+    #[inline(always)]
+    fn ends(&self, h: f64) -> Ends {
+        let ([u, v], [dx, dy]) = (self.heading, self.offset);
         let cosine = dot(u, v);
         let (offset_u, offset_v) = (dot(self.offset, u), dot(self.offset, v));
-        let of_first = arm.map(|arm| self.foot(arm * cosine - offset_v));
-        let of_second = arm.map(|arm| self.foot(arm * cosine + offset_u));
-        for end in 0..2u8 {
-            let at = usize::from(end);
-            match of_first[at] {
-                Foot::Inside(along) => push(end, [arm[at], along]),
-                Foot::End(other) if of_second[usize::from(other)] == Foot::End(end) => {
-                    push(4 + 2 * end + other, [arm[at], arm[usize::from(other)]]);
-                }
-                Foot::End(_) => {}
-            }
-            if let Foot::Inside(along) = of_second[at] {
-                push(2 + end, [along, arm[at]]);
-            }
+        let end = [h, -h, h, -h];
+        let beside = [-offset_v, -offset_v, offset_u, offset_u];
+        let (mut foot, mut at_head, mut at_tail) = ([0.0; 4], 0, 0);
+        for k in 0..4 {
+            let along = end[k] * cosine + beside[k];
+            at_head |= u8::from(along >= h) << k;
+            at_tail |= u8::from(along <= -h) << k;
+            foot[k] = if along >= h { h } else { along };
+            foot[k] = if along <= -h { -h } else { foot[k] };
+        }
+        let arms = [[h, -h, foot[2], foot[3]], [foot[0], foot[1], h, -h]];
+        let (mut separation, mut squared) = ([[0.0; 4]; 2], [0.0; 4]);
+        for k in 0..4 {
+            let x = dx + arms[1][k] * v[0] - arms[0][k] * u[0];
+            let y = dy + arms[1][k] * v[1] - arms[0][k] * u[1];
+            (separation[0][k], separation[1][k]) = (x, y);
+            squared[k] = x * x + y * y;
+        }
+        Ends {
+            arms,
+            separation,
+            squared,
+            at_head,
+            at_tail,
+        }
+    }
+}
+
+impl Ends {
+    /// Which ends are within `distance`, as bits.
+    #[inline(always)]
+    fn within(&self, distance: f64) -> u8 {
+        let limit = distance * distance;
+        (0..4).fold(0, |bits, k| bits | u8::from(self.squared[k] <= limit) << k)
+    }
+
+    /// The codes of the contacts within `distance`, as bits.
+    #[inline(always)]
+    fn codes(&self, distance: f64) -> u8 {
+        let (near, head, tail) = (self.within(distance), self.at_head, self.at_tail);
+        let sides = near & !(head | tail);
+        // Ends of the first (bits 0, 1) with ends of the second (bits 2, 3), each nearest to
+        // the other.
+        let head_head = near & head & (head >> 2) & 1;
+        let head_tail = near & tail & (head >> 3) & 1;
+        let tail_head = (near & head) >> 1 & (tail >> 2) & 1;
+        let tail_tail = (near & tail & (tail >> 2)) >> 1 & 1;
+        sides | head_head << 4 | head_tail << 5 | tail_head << 6 | tail_tail << 7
+    }
+
+    #[inline(always)]
+    fn contact(&self, (i, j): (u32, u32), code: u8, heading: [[f64; 2]; 2], width: f64) -> Contact {
+        let end = usize::from(if code < 4 { code } else { (code - 4) / 2 });
+        let distance = self.squared[end].sqrt();
+        let normal = self.separation.map(|axis| axis[end] / distance);
+        let lever = |body: usize| self.arms[body][end] * cross(heading[body], normal);
+        Contact {
+            i,
+            j,
+            code,
+            gap: distance - width,
+            normal,
+            lever: [lever(0), lever(1)],
         }
     }
 }
@@ -248,7 +238,6 @@ mod tests {
     use std::f64::consts::{FRAC_PI_2, TAU};
 
     use super::*;
-    use crate::model::Remembered;
     use crate::model::body::{Body, Pose};
     use crate::model::random::{Purpose, Stream};
 
@@ -437,44 +426,5 @@ mod tests {
                 assert!(contact.closing(&turned).abs() < 1e-13, "{pose:?}");
             }
         }
-    }
-
-    #[test]
-    fn multipliers_are_recalled_by_name_then_by_a_shared_end() {
-        let contact = |i, j, code| Contact {
-            i,
-            j,
-            code,
-            gap: 0.0,
-            normal: [1.0, 0.0],
-            lever: [0.0; 2],
-        };
-        let old = |first, second, code, multiplier| Remembered {
-            first,
-            second,
-            code,
-            multiplier,
-        };
-        // The middle individual, id 20, is gone since.
-        let contacts = vec![
-            old(10, 20, 0, 1.0),
-            old(10, 30, 1, 2.0),
-            old(10, 30, 3, 3.0),
-            old(20, 30, 0, 4.0),
-            old(30, 40, 0, 5.0),
-        ];
-        let memory = SolverMemory { contacts };
-        let now = [
-            contact(0, 1, 1),
-            contact(0, 1, 5),
-            contact(0, 2, 0),
-            contact(1, 2, 2),
-            contact(1, 2, 4),
-        ];
-        let mut guess = Vec::new();
-        recall(&memory, &[10, 30, 40], &now, &mut guess);
-        // 5 is head with tail: it inherits from 3, the tail on a side; 4 is head with head: from
-        // 0; 2, the other's head on a side, has no end in common with what was there.
-        assert_eq!(guess, [2.0, 3.0, 0.0, 0.0, 5.0]);
     }
 }
