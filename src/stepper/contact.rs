@@ -1,6 +1,7 @@
 //! Contacts: where two bodies could touch during a step, and how their gap changes.
 
 use super::StepError;
+use super::ends::{self, Axis, End, LANES, Pairs};
 use crate::model::{Configuration, ContactRule, Parameters};
 
 /// One end of a body near another body.
@@ -68,167 +69,98 @@ pub fn find(
 ) -> Result<(), StepError> {
     let (h, width) = (parameters.half_length(), 2.0 * parameters.radius());
     let ContactRule::Endpoints = parameters.contacts;
-    for &(i, j) in pairs {
-        let (a, b) = (i as usize, j as usize);
-        let limit = width + reach(a, b);
-        let pair = Pair {
-            offset: [
-                configuration.x[b] - configuration.x[a],
-                configuration.y[b] - configuration.y[a],
-            ],
-            heading: [heading[a], heading[b]],
-        };
-        let centres = limit + 2.0 * h;
-        if dot(pair.offset, pair.offset) > centres * centres {
-            continue;
+    let axes = Axes::new(configuration, heading);
+    let mut lanes = Pairs::default();
+    for pairs in pairs.chunks(LANES) {
+        for (lane, &(i, j)) in pairs.iter().enumerate() {
+            let limit = width + reach(i as usize, j as usize);
+            lanes.set(lane, &axes.at(i), &axes.at(j), limit);
         }
-        if axes_cross(h, pair.offset, heading[a], heading[b]) {
-            let [first, second] = [a, b].map(|index| configuration.id[index]);
-            return Err(StepError::CrossedBodies { first, second });
-        }
-        let ends = pair.ends(h);
-        let mut codes = match h {
-            0.0 => 1,
-            _ => ends.codes(limit),
-        };
-        while codes != 0 {
-            let code = codes.trailing_zeros() as u8;
-            codes &= codes - 1;
-            contacts.push(ends.contact((i, j), code, pair.heading, width));
+        for (&(i, j), signs) in pairs.iter().zip(lanes.signs(h)) {
+            if ends::crossed(signs) {
+                let [first, second] = [i, j].map(|index| configuration.id[index as usize]);
+                return Err(StepError::CrossedBodies { first, second });
+            }
+            let mut codes = ends::codes(h, signs);
+            if codes == 0 {
+                continue;
+            }
+            let (first, second) = (axes.at(i), axes.at(j));
+            while codes != 0 {
+                let code = codes.trailing_zeros() as u8;
+                codes &= codes - 1;
+                contacts.push(contact((i, j), code, h, width, &first, &second));
+            }
         }
     }
     Ok(())
 }
 
-/// Whether two axes of half-length `h` meet, the second's centre at `offset` from the first's.
-/// Discs meet when their centres coincide.
-#[must_use]
-pub fn axes_cross(h: f64, offset: [f64; 2], heading_i: [f64; 2], heading_j: [f64; 2]) -> bool {
-    // Each axis must meet the other's line: the ends of one lie on both sides of it. Parallel
-    // axes on one line meet where they are nearer than two half-lengths. All is asked at once,
-    // as nobody can foretell the answers.
-    let spread = h * cross(heading_i, heading_j).abs();
-    let apart = (dot(offset, offset) > 4.0 * h * h)
-        | (cross(heading_i, offset).abs() > spread)
-        | (cross(heading_j, offset).abs() > spread);
-    !apart
+/// All axes; one length for all columns, so that an index is checked once.
+#[derive(Clone, Copy)]
+pub struct Axes<'a> {
+    x: &'a [f64],
+    y: &'a [f64],
+    heading: &'a [[f64; 2]],
 }
 
-/// Whether two axes of half-length `h` come nearer than `distance` anywhere.
-#[must_use]
-pub fn axes_within(
-    distance: f64,
+impl<'a> Axes<'a> {
+    /// Sees a configuration and its headings as axes.
+    #[must_use]
+    pub fn new(configuration: &'a Configuration, heading: &'a [[f64; 2]]) -> Self {
+        let n = heading.len();
+        let (x, y) = (&configuration.x[..n], &configuration.y[..n]);
+        Self { x, y, heading }
+    }
+
+    /// The axis of individual `index`.
+    #[inline(always)]
+    #[must_use]
+    pub fn at(&self, index: u32) -> Axis {
+        let index = index as usize;
+        Axis {
+            centre: [self.x[index], self.y[index]],
+            heading: self.heading[index],
+        }
+    }
+}
+
+#[inline(always)]
+fn contact(
+    (i, j): (u32, u32),
+    code: u8,
     h: f64,
-    offset: [f64; 2],
-    heading_i: [f64; 2],
-    heading_j: [f64; 2],
-) -> bool {
-    let pair = Pair {
-        offset,
-        heading: [heading_i, heading_j],
-    };
-    let near = pair.ends(h).within(distance) != 0;
-    near | axes_cross(h, offset, heading_i, heading_j)
-}
-
-/// Two axes: the centre of the second seen from the first, and both headings.
-struct Pair {
-    offset: [f64; 2],
-    heading: [[f64; 2]; 2],
-}
-
-/// The four ends of a pair, each with the nearest point on the other's axis: head and tail of
-/// the first, then head and tail of the second.
-struct Ends {
-    /// Where on each axis that is, the end or the point.
-    arms: [[f64; 4]; 2],
-    /// From the place on the first axis to that on the second.
-    separation: [[f64; 4]; 2],
-    squared: [f64; 4],
-    /// Bit k: the point nearest to end k is the other's head.
-    at_head: u8,
-    /// Bit k: it is the other's tail.
-    at_tail: u8,
-}
-
-impl Pair {
-    #[inline(always)]
-    fn ends(&self, h: f64) -> Ends {
-        let ([u, v], [dx, dy]) = (self.heading, self.offset);
-        let cosine = dot(u, v);
-        let (offset_u, offset_v) = (dot(self.offset, u), dot(self.offset, v));
-        let end = [h, -h, h, -h];
-        let beside = [-offset_v, -offset_v, offset_u, offset_u];
-        let (mut foot, mut at_head, mut at_tail) = ([0.0; 4], 0, 0);
-        for k in 0..4 {
-            let along = end[k] * cosine + beside[k];
-            at_head |= u8::from(along >= h) << k;
-            at_tail |= u8::from(along <= -h) << k;
-            foot[k] = if along >= h { h } else { along };
-            foot[k] = if along <= -h { -h } else { foot[k] };
-        }
-        let arms = [[h, -h, foot[2], foot[3]], [foot[0], foot[1], h, -h]];
-        let (mut separation, mut squared) = ([[0.0; 4]; 2], [0.0; 4]);
-        for k in 0..4 {
-            let x = dx + arms[1][k] * v[0] - arms[0][k] * u[0];
-            let y = dy + arms[1][k] * v[1] - arms[0][k] * u[1];
-            (separation[0][k], separation[1][k]) = (x, y);
-            squared[k] = x * x + y * y;
-        }
-        Ends {
-            arms,
-            separation,
-            squared,
-            at_head,
-            at_tail,
-        }
+    width: f64,
+    first: &Axis,
+    second: &Axis,
+) -> Contact {
+    let end = usize::from(if code < 4 { code } else { (code - 4) / 2 });
+    let (u, v) = (first.heading, second.heading);
+    let offset = [0, 1].map(|axis| second.centre[axis] - first.centre[axis]);
+    let end = End::new(end, h, offset, u, v);
+    let separation = end.separation(offset, u, v);
+    let distance = dot(separation, separation).sqrt();
+    let normal = separation.map(|component| component / distance);
+    Contact {
+        i,
+        j,
+        code,
+        gap: distance - width,
+        normal,
+        lever: [
+            end.arms[0] * cross(u, normal),
+            end.arms[1] * cross(v, normal),
+        ],
     }
 }
 
-impl Ends {
-    /// Which ends are within `distance`, as bits.
-    #[inline(always)]
-    fn within(&self, distance: f64) -> u8 {
-        let limit = distance * distance;
-        (0..4).fold(0, |bits, k| bits | u8::from(self.squared[k] <= limit) << k)
-    }
-
-    /// The codes of the contacts within `distance`, as bits.
-    #[inline(always)]
-    fn codes(&self, distance: f64) -> u8 {
-        let (near, head, tail) = (self.within(distance), self.at_head, self.at_tail);
-        let sides = near & !(head | tail);
-        // Ends of the first (bits 0, 1) with ends of the second (bits 2, 3), each nearest to
-        // the other.
-        let head_head = near & head & (head >> 2) & 1;
-        let head_tail = near & tail & (head >> 3) & 1;
-        let tail_head = (near & head) >> 1 & (tail >> 2) & 1;
-        let tail_tail = (near & tail & (tail >> 2)) >> 1 & 1;
-        sides | head_head << 4 | head_tail << 5 | tail_head << 6 | tail_tail << 7
-    }
-
-    #[inline(always)]
-    fn contact(&self, (i, j): (u32, u32), code: u8, heading: [[f64; 2]; 2], width: f64) -> Contact {
-        let end = usize::from(if code < 4 { code } else { (code - 4) / 2 });
-        let distance = self.squared[end].sqrt();
-        let normal = self.separation.map(|axis| axis[end] / distance);
-        let lever = |body: usize| self.arms[body][end] * cross(heading[body], normal);
-        Contact {
-            i,
-            j,
-            code,
-            gap: distance - width,
-            normal,
-            lever: [lever(0), lever(1)],
-        }
-    }
-}
-
-fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+#[inline(always)]
+pub(super) fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[0] + a[1] * b[1]
 }
 
-fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
+#[inline(always)]
+pub(super) fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[1] - a[1] * b[0]
 }
 

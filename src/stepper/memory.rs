@@ -1,5 +1,7 @@
 //! What one step remembers for the next: who pushed, and how hard.
 
+use std::ops::Range;
+
 use super::contact::Contact;
 use crate::model::{Remembered, SolverMemory};
 
@@ -13,26 +15,30 @@ const MOST_OF_A_PAIR: usize = 8;
 pub fn recall(memory: &SolverMemory, id: &[u32], contacts: &[Contact], guess: &mut Vec<f64>) {
     guess.clear();
     guess.resize(contacts.len(), 0.0);
-    // Both lists are ordered by pair, ids being ordered as indices are.
-    let mut remembered = &memory.contacts[..];
-    let mut start = 0;
-    while start < contacts.len() && !remembered.is_empty() {
-        let Contact { i, j, .. } = contacts[start];
-        let mut end = start + 1;
-        while end < contacts.len() && (contacts[end].i, contacts[end].j) == (i, j) {
-            end += 1;
+    let old = &memory.contacts[..];
+    let pair_of = |contact: &Contact| named(id[contact.i as usize], id[contact.j as usize]);
+    let pair_then = |old: &Remembered| named(old.first, old.second);
+    // Both lists are ordered by pair and code, ids being ordered as indices are.
+    let (mut k, mut index) = (0, 0);
+    while k < old.len() {
+        let pair = pair_then(&old[k]);
+        let pair_now = contacts.get(index).map_or(u64::MAX, pair_of);
+        if pair == pair_now && old[k].code == contacts[index].code {
+            guess[index] = old[k].multiplier;
+            (k, index) = (k + 1, index + 1);
+        } else if pair > pair_now {
+            index += 1;
+        } else if pair == pair_now || index > 0 && pair_of(&contacts[index - 1]) == pair {
+            // Here the pair has other contacts than it had: it is looked at as a whole.
+            let known = around(old, k, |old| pair_then(old) == pair);
+            let now = around(contacts, index, |contact| pair_of(contact) == pair);
+            (k, index) = (known.end, now.end);
+            let most = known.start + MOST_OF_A_PAIR;
+            let known = &old[known.start..known.end.min(most)];
+            inherit(known, &contacts[now.clone()], &mut guess[now]);
+        } else {
+            k += 1;
         }
-        let pair = (id[i as usize], id[j as usize]);
-        let skipped = count_while(remembered, |old| (old.first, old.second) < pair);
-        remembered = &remembered[skipped..];
-        let known = count_while(remembered, |old| (old.first, old.second) == pair);
-        inherit(
-            &remembered[..known.min(MOST_OF_A_PAIR)],
-            &contacts[start..end],
-            &mut guess[start..end],
-        );
-        remembered = &remembered[known..];
-        start = end;
     }
 }
 
@@ -51,34 +57,45 @@ pub fn remember(id: &[u32], contacts: &[Contact], multipliers: &[f64], memory: &
     }
 }
 
-fn count_while(remembered: &[Remembered], matches: impl Fn(&Remembered) -> bool) -> usize {
-    let mut count = 0;
-    while count < remembered.len() && matches(&remembered[count]) {
-        count += 1;
-    }
-    count
+/// The entries before and from `index` on that match, without a gap.
+fn around<T>(entries: &[T], index: usize, matches: impl Fn(&T) -> bool) -> Range<usize> {
+    let before = entries[..index]
+        .iter()
+        .rev()
+        .take_while(|&entry| matches(entry));
+    let after = entries[index..].iter().take_while(|&entry| matches(entry));
+    index - before.count()..index + after.count()
+}
+
+/// A pair as one number, in the order of pairs.
+fn named(first: u32, second: u32) -> u64 {
+    u64::from(first) << 32 | u64::from(second)
 }
 
 /// Hands what a pair's contacts had on to those it has.
 fn inherit(known: &[Remembered], contacts: &[Contact], guess: &mut [f64]) {
-    if known.is_empty() {
+    // Bit k: contact k of the last step has been handed on.
+    let (mut taken, mut k) = (0u32, 0);
+    for (contact, guess) in contacts.iter().zip(&mut *guess) {
+        while k < known.len() && known[k].code < contact.code {
+            k += 1;
+        }
+        if k < known.len() && known[k].code == contact.code {
+            *guess = known[k].multiplier;
+            taken |= 1 << k;
+        }
+    }
+    if taken + 1 == 1 << known.len() {
         return;
     }
-    // Bit k: contact k of the last step has been handed on.
-    let mut taken = 0u8;
-    let mut hand_on = |guess: &mut f64, fits: &dyn Fn(u8) -> bool| {
-        let place = (0..known.len()).find(|&k| taken & 1 << k == 0 && fits(known[k].code));
-        if let Some(k) = place {
-            taken |= 1 << k;
-            *guess = known[k].multiplier;
-        }
-    };
-    for (contact, guess) in contacts.iter().zip(&mut *guess) {
-        hand_on(guess, &|code| code == contact.code);
-    }
     for (contact, guess) in contacts.iter().zip(guess) {
-        if *guess == 0.0 {
-            hand_on(guess, &|code| ends(code) & ends(contact.code) != 0);
+        let shares_end = |old: &Remembered| ends(old.code) & ends(contact.code) != 0;
+        let fits = |&k: &usize| taken & 1 << k == 0 && shares_end(&known[k]);
+        if *guess == 0.0
+            && let Some(k) = (0..known.len()).find(fits)
+        {
+            *guess = known[k].multiplier;
+            taken |= 1 << k;
         }
     }
 }

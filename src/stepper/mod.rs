@@ -6,6 +6,7 @@
 //! saves allocations.
 
 pub mod contact;
+mod ends;
 pub mod free;
 pub mod heading;
 mod memory;
@@ -316,7 +317,7 @@ impl Stepper {
         for &(i, j) in self.neighbours.pairs() {
             let ((from, heading_i), (to, heading_j)) = (after(i), after(j));
             let offset = [to[0] - from[0], to[1] - from[1]];
-            if contact::axes_cross(h, offset, heading_i, heading_j) {
+            if ends::axes_cross(h, offset, heading_i, heading_j) {
                 let [first, second] = [i, j].map(|index| configuration.id[index as usize]);
                 return Err(StepError::CrossedBodies { first, second });
             }

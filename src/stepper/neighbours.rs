@@ -1,6 +1,7 @@
 //! Which pairs could touch, listed once for many steps.
 
-use super::contact::axes_within;
+use super::contact::Axes;
+use super::ends::{self, Pairs};
 use crate::model::body::Body;
 use crate::model::pairs::PairSearch;
 use crate::model::{Configuration, Parameters};
@@ -22,6 +23,8 @@ const ROUNDING: f64 = 1e-6;
 #[derive(Debug, Default)]
 pub struct Neighbours {
     search: PairSearch,
+    /// Pairs near enough by their centres.
+    near: Vec<(u32, u32)>,
     pairs: Vec<(u32, u32)>,
     /// The bodies that were listed, up to which gap, and where they were.
     body: Option<Body>,
@@ -68,16 +71,21 @@ impl Neighbours {
         self.body = Some(body);
         self.limit = reach + reach.max(SLACK);
         let axes = self.limit + 2.0 * body.radius;
-        let pairs = &mut self.pairs;
-        pairs.clear();
         let centres = body.centre_distance(self.limit);
-        self.search.visit(x, y, centres, |i, j| {
-            let (a, b) = (i as usize, j as usize);
-            let offset = [x[b] - x[a], y[b] - y[a]];
-            if axes_within(axes, body.half_length, offset, heading[a], heading[b]) {
-                pairs.push((i, j));
+        self.near.clear();
+        let near = &mut self.near;
+        self.search.visit(x, y, centres, |i, j| near.push((i, j)));
+        self.pairs.clear();
+        let all = Axes::new(configuration, heading);
+        let mut lanes = Pairs::default();
+        for near in self.near.chunks(ends::LANES) {
+            for (lane, &(i, j)) in near.iter().enumerate() {
+                lanes.set(lane, &all.at(i), &all.at(j), axes);
             }
-        });
+            let signs = near.iter().zip(lanes.signs(body.half_length));
+            let listed = signs.filter(|&(_, signs)| ends::within(signs));
+            self.pairs.extend(listed.map(|(&pair, _)| pair));
+        }
         self.x.clone_from(x);
         self.y.clone_from(y);
         self.alpha.clone_from(alpha);
