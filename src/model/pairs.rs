@@ -1,10 +1,9 @@
 //! All pairs of points nearer than a distance, in a time that grows with their number alone.
 
+use super::lanes::{self, Lanes, WIDTH, multiversion};
+
 /// Up to here comparing all with all is quicker than sorting into cells.
 const FEW: usize = 160;
-
-/// How many distances are compared side by side.
-const LANES: usize = 8;
 
 /// Cells are this much wider than the distance, so that rounding moves nobody past a neighbour:
 /// enough up to a billion distances from the origin.
@@ -27,7 +26,8 @@ pub struct PairSearch {
 }
 
 impl PairSearch {
-    /// Visits all pairs of points nearer than `distance`, ordered by (i, j), i < j.
+    /// Visits all pairs of points nearer than `distance`, i < j, ordered by i: [`order`] does
+    /// the rest, for those that are kept.
     pub fn visit(&mut self, x: &[f64], y: &[f64], distance: f64, visit: impl FnMut(u32, u32)) {
         if x.len() <= FEW {
             all_with_all(x, y, distance, visit);
@@ -46,23 +46,35 @@ impl PairSearch {
         let side = self.sort(x, y, 1.0 / (distance * MARGIN));
         let near = distance * distance;
         for (i, (&xi, &yi)) in (0u32..).zip(x.iter().zip(y)) {
-            self.partners.clear();
+            let mut count = 0;
             let [column, row] = [self.cell[i as usize] / side, self.cell[i as usize] % side];
-            // Neither sum can overflow: there are fewer cells than 2³¹.
+            // No sum can overflow: there are fewer cells than 2³¹.
+            let rows = match row {
+                row if row == 0 || row == side - 1 => {
+                    [row + side - 1, row, row + 1].map(|row| row % side..row % side + 1)
+                }
+                // Neighbours in a column lie side by side in `order` as well.
+                row => [row - 1..row + 2, 0..0, 0..0],
+            };
             for column in [column + side - 1, column, column + 1] {
-                for row in [row + side - 1, row, row + 1] {
-                    let cell = (column % side * side + row % side) as usize;
-                    let members = self.start[cell] as usize..self.start[cell + 1] as usize;
-                    for &(j, [xj, yj]) in &self.order[members] {
+                let first = column % side * side;
+                for rows in &rows {
+                    let [from, to] = [rows.start, rows.end]
+                        .map(|row| self.start[(first + row) as usize] as usize);
+                    let members = &self.order[from..to];
+                    if self.partners.len() < count + members.len() {
+                        self.partners.resize(count + members.len(), 0);
+                    }
+                    // Nobody can foretell who is near, so all are written down, most of them
+                    // where the next one is written too.
+                    for &(j, [xj, yj]) in members {
                         let (dx, dy) = (xj - xi, yj - yi);
-                        if dx * dx + dy * dy < near && j > i {
-                            self.partners.push(j);
-                        }
+                        self.partners[count] = j;
+                        count += usize::from((dx * dx + dy * dy < near) & (j > i));
                     }
                 }
             }
-            self.partners.sort_unstable();
-            self.partners.iter().for_each(|&j| visit(i, j));
+            self.partners[..count].iter().for_each(|&j| visit(i, j));
         }
     }
 
@@ -116,26 +128,39 @@ fn folded(coordinate: f64, side: u32) -> u32 {
     last_bits & (side - 1)
 }
 
+multiversion! {
+    /// Marks in `found`, as a bit of its block, each of the others nearer to a point than the
+    /// root of `near`.
+    fn mark(level, at: [f64; 2], others: [&[Lanes]; 2], near: f64, found: &mut [u64]) {
+        for ((x, y), found) in others[0].iter().zip(others[1]).zip(found) {
+            let mut bits = [0; WIDTH];
+            for lane in 0..WIDTH {
+                let (dx, dy) = (x[lane] - at[0], y[lane] - at[1]);
+                bits[lane] = if dx * dx + dy * dy < near { 1u64 << lane } else { 0 };
+            }
+            *found = bits.into_iter().fold(0, |all, bit| all | bit);
+        }
+    }
+}
+
 fn all_with_all(x: &[f64], y: &[f64], distance: f64, mut visit: impl FnMut(u32, u32)) {
-    let near = distance * distance;
+    let (level, near) = (lanes::level(), distance * distance);
     for (i, (&xi, &yi)) in (0u32..).zip(x.iter().zip(y)) {
         let others = i as usize + 1..;
-        let (x_blocks, x_rest) = x[others.clone()].as_chunks::<LANES>();
-        let (y_blocks, y_rest) = y[others].as_chunks::<LANES>();
-        let mut first = i + 1;
-        for (block_x, block_y) in x_blocks.iter().zip(y_blocks) {
-            let mut found = 0u64;
-            for lane in 0..LANES {
-                let (dx, dy) = (block_x[lane] - xi, block_y[lane] - yi);
-                found |= u64::from(dx * dx + dy * dy < near) << lane;
-            }
+        let (x_blocks, x_rest) = x[others.clone()].as_chunks();
+        let (y_blocks, y_rest) = y[others].as_chunks();
+        let mut found = [0; FEW / WIDTH];
+        let found = &mut found[..x_blocks.len()];
+        mark(level, [xi, yi], [x_blocks, y_blocks], near, found);
+        let mut blocks = (i + 1..).step_by(WIDTH);
+        for (&mut mut found, first) in found.iter_mut().zip(&mut blocks) {
             while found != 0 {
                 visit(i, first + found.trailing_zeros());
                 found &= found - 1;
             }
-            first += LANES as u32;
         }
-        for (j, (&xj, &yj)) in (first..).zip(x_rest.iter().zip(y_rest)) {
+        let rest = blocks.next().expect("indices go on")..;
+        for (j, (&xj, &yj)) in rest.zip(x_rest.iter().zip(y_rest)) {
             let (dx, dy) = (xj - xi, yj - yi);
             if dx * dx + dy * dy < near {
                 visit(i, j);
@@ -149,7 +174,15 @@ fn all_with_all(x: &[f64], y: &[f64], distance: f64, mut visit: impl FnMut(u32, 
 pub fn pairs_within(x: &[f64], y: &[f64], distance: f64) -> Vec<(u32, u32)> {
     let mut pairs = Vec::new();
     PairSearch::default().visit(x, y, distance, |i, j| pairs.push((i, j)));
+    order(&mut pairs);
     pairs
+}
+
+/// Orders pairs by (i, j) that are ordered by i.
+pub fn order(pairs: &mut [(u32, u32)]) {
+    for of_one in pairs.chunk_by_mut(|one, other| one.0 == other.0) {
+        of_one.sort_unstable();
+    }
 }
 
 #[cfg(test)]
@@ -190,10 +223,12 @@ mod tests {
                 for distance in [0.25, 1.0, 3.0] {
                     let mut found = Vec::new();
                     search.visit(&x, &y, distance, |i, j| found.push((i, j)));
+                    order(&mut found);
                     assert_eq!(found, plainly(&x, &y, distance), "{n} {centre} {distance}");
                     assert!(n < 160 || !found.is_empty());
                     let mut found = Vec::new();
                     search.cell_by_cell(&x, &y, distance, |i, j| found.push((i, j)));
+                    order(&mut found);
                     assert_eq!(found, plainly(&x, &y, distance), "{n} {centre} {distance}");
                 }
             }

@@ -2,7 +2,7 @@
 
 use super::StepError;
 use super::ends::{self, Axis, End, LANES, Pairs};
-use crate::model::{Configuration, ContactRule, Parameters};
+use crate::model::{Configuration, ContactRule, Parameters, lanes};
 
 /// One end of a body near another body.
 ///
@@ -48,6 +48,10 @@ impl Contact {
     }
 }
 
+/// Pairs whose ends are looked at before the first of their contacts is measured: what is
+/// foreseeable is not held up by what is not.
+const BLOCK: usize = 64;
+
 /// Finds every contact of `pairs` with a gap up to `reach(i, j)`, appending to `contacts`.
 ///
 /// - Shapes: pairs ordered by (i, j), i < j; contacts come ordered by (i, j, code).
@@ -70,26 +74,27 @@ pub fn find(
     let (h, width) = (parameters.half_length(), 2.0 * parameters.radius());
     let ContactRule::Endpoints = parameters.contacts;
     let axes = Axes::new(configuration, heading);
-    let mut lanes = Pairs::default();
-    for pairs in pairs.chunks(LANES) {
-        for (lane, &(i, j)) in pairs.iter().enumerate() {
-            let limit = width + reach(i as usize, j as usize);
-            lanes.set(lane, &axes.at(i), &axes.at(j), limit);
+    let (level, mut lanes) = (lanes::level(), Pairs::default());
+    let mut signs = [[0; LANES]; BLOCK / LANES];
+    for pairs in pairs.chunks(BLOCK) {
+        for (pairs, signs) in pairs.chunks(LANES).zip(&mut signs) {
+            for (lane, &(i, j)) in pairs.iter().enumerate() {
+                let limit = width + reach(i as usize, j as usize);
+                lanes.set(lane, &axes.at(i), &axes.at(j), limit);
+            }
+            *signs = lanes.signs(level, h);
         }
-        for (&(i, j), signs) in pairs.iter().zip(lanes.signs(h)) {
+        for (&(i, j), &signs) in pairs.iter().zip(signs.as_flattened()) {
             if ends::crossed(signs) {
                 let [first, second] = [i, j].map(|index| configuration.id[index as usize]);
                 return Err(StepError::CrossedBodies { first, second });
             }
             let mut codes = ends::codes(h, signs);
-            if codes == 0 {
-                continue;
-            }
-            let (first, second) = (axes.at(i), axes.at(j));
             while codes != 0 {
+                #[expect(clippy::cast_possible_truncation, reason = "codes are below 8")]
                 let code = codes.trailing_zeros() as u8;
                 codes &= codes - 1;
-                contacts.push(contact((i, j), code, h, width, &first, &second));
+                contacts.push(contact((i, j), code, h, width, &axes.at(i), &axes.at(j)));
             }
         }
     }
@@ -134,10 +139,10 @@ fn contact(
     first: &Axis,
     second: &Axis,
 ) -> Contact {
-    let end = usize::from(if code < 4 { code } else { (code - 4) / 2 });
+    let end = if code < 4 { code } else { (code - 4) / 2 };
     let (u, v) = (first.heading, second.heading);
     let offset = [0, 1].map(|axis| second.centre[axis] - first.centre[axis]);
-    let end = End::new(end, h, offset, u, v);
+    let end = End::new(end & 1 != 0, end & 2 != 0, h, offset, u, v);
     let separation = end.separation(offset, u, v);
     let distance = dot(separation, separation).sqrt();
     let normal = separation.map(|component| component / distance);

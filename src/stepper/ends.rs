@@ -1,19 +1,19 @@
 //! Where the ends of two bodies are nearest to each other's axes, for many pairs side by side.
 
 use super::contact::{cross, dot};
+use crate::model::lanes::{self, Lanes, Level, multiversion};
 
-/// How many pairs are looked at side by side. The lanes are explicit so that the compiler may
-/// use vector registers, and every lane counts for itself alone.
-pub const LANES: usize = 8;
+/// How many pairs are looked at side by side.
+pub const LANES: usize = lanes::WIDTH;
 
 /// Pairs of axes, the second seen from the first.
 #[derive(Default)]
 pub struct Pairs {
     /// How near an end must be to the other axis.
-    limit: [f64; LANES],
-    offset: [[f64; LANES]; 2],
-    first: [[f64; LANES]; 2],
-    second: [[f64; LANES]; 2],
+    limit: Lanes,
+    offset: [Lanes; 2],
+    first: [Lanes; 2],
+    second: [Lanes; 2],
 }
 
 /// What holds for the ends of a pair: head and tail of the first, then head and tail of the
@@ -41,21 +41,28 @@ impl Pairs {
         }
     }
 
-    /// Finds what holds for every pair's ends, axes being of half-length `h`.
+    /// The offset and both headings of a lane.
     #[inline(always)]
-    pub fn signs(&self, h: f64) -> [Signs; LANES] {
+    fn axes(&self, lane: usize) -> [[f64; 2]; 3] {
+        let columns = [&self.offset, &self.first, &self.second];
+        columns.map(|column| [column[0][lane], column[1][lane]])
+    }
+
+    /// Finds what holds for every pair's ends, axes being of half-length `h`.
+    pub fn signs(&self, level: Level, h: f64) -> [Signs; LANES] {
+        signs(level, h, self)
+    }
+}
+
+multiversion! {
+    fn signs(level, h: f64, pairs: &Pairs) -> [Signs; LANES] {
         let mut signs = [0; LANES];
         for (lane, signs) in signs.iter_mut().enumerate() {
-            let [offset, u, v] = [&self.offset, &self.first, &self.second]
-                .map(|column| [column[0][lane], column[1][lane]]);
-            let limit = self.limit[lane] * self.limit[lane];
-            *signs = if axes_cross(h, offset, u, v) {
-                CROSSED
-            } else {
-                0
-            };
+            let [offset, u, v] = pairs.axes(lane);
+            let limit = pairs.limit[lane] * pairs.limit[lane];
+            *signs = if axes_cross(h, offset, u, v) { CROSSED } else { 0 };
             for k in 0..4 {
-                let end = End::new(k, h, offset, u, v);
+                let end = End::new(k & 1 != 0, k & 2 != 0, h, offset, u, v);
                 *signs |= if end.along >= h { AT_HEAD << k } else { 0 };
                 *signs |= if end.along <= -h { AT_TAIL << k } else { 0 };
                 let separation = end.separation(offset, u, v);
@@ -85,20 +92,24 @@ pub struct End {
 }
 
 impl End {
-    /// Finds the point nearest to end `k` of a pair: head and tail of the first axis, then head
-    /// and tail of the second.
+    /// Finds the point nearest to head or tail of the first or of the second axis.
     #[inline(always)]
-    pub fn new(k: usize, h: f64, offset: [f64; 2], u: [f64; 2], v: [f64; 2]) -> Self {
-        let end = if k % 2 == 0 { h } else { -h };
-        let beside = if k < 2 {
-            -dot(offset, v)
-        } else {
-            dot(offset, u)
-        };
+    pub fn new(
+        is_tail: bool,
+        of_second: bool,
+        h: f64,
+        offset: [f64; 2],
+        u: [f64; 2],
+        v: [f64; 2],
+    ) -> Self {
+        let end = if is_tail { -h } else { h };
+        let (along_u, along_v) = (dot(offset, u), dot(offset, v));
+        let beside = if of_second { along_u } else { -along_v };
         let along = end * dot(u, v) + beside;
         let foot = if along >= h { h } else { along };
         let foot = if along <= -h { -h } else { foot };
-        let arms = if k < 2 { [end, foot] } else { [foot, end] };
+        let (first, second) = if of_second { (foot, end) } else { (end, foot) };
+        let arms = [first, second];
         Self { arms, along }
     }
 
@@ -133,7 +144,7 @@ pub fn crossed(signs: Signs) -> bool {
 /// Whether the axes cross or any end is within the limit.
 #[must_use]
 pub fn within(signs: Signs) -> bool {
-    signs & (CROSSED | NEAR * 0b1111) != 0
+    signs & (CROSSED | (NEAR * 0b1111)) != 0
 }
 
 /// The codes of the contacts that a pair has, as bits; discs have one, of code 0.
@@ -151,4 +162,35 @@ pub fn codes(h: f64, signs: Signs) -> u64 {
     let tail_head = (near & head) >> 1 & (tail >> 2) & 1;
     let tail_tail = (near & tail & (tail >> 2)) >> 1 & 1;
     sides | head_head << 4 | head_tail << 5 | tail_head << 6 | tail_tail << 7
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::random::{Purpose, Stream};
+
+    #[test]
+    fn every_level_sees_the_same() {
+        let mut stream = Stream::new(1, 0, 0, Purpose::Start);
+        let mut seen = 0;
+        for _ in 0..5000 {
+            let mut pairs = Pairs::default();
+            for lane in 0..LANES {
+                let mut axis = || {
+                    let (sin, cos) = libm::sincos(7.0 * stream.uniform());
+                    Axis {
+                        centre: [2.0 * stream.uniform(), 2.0 * stream.uniform()],
+                        heading: [cos, sin],
+                    }
+                };
+                pairs.set(lane, &axis(), &axis(), 0.5);
+            }
+            let signs = pairs.signs(Level::BASELINE, 0.6);
+            seen |= signs.into_iter().fold(0, |all, signs| all | signs);
+            for level in Level::available() {
+                assert_eq!(pairs.signs(level, 0.6), signs, "{level:?}");
+            }
+        }
+        assert_eq!(seen, 0x1FFF, "every sign occurs");
+    }
 }

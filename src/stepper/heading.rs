@@ -14,6 +14,8 @@
 
 use std::f64::consts::FRAC_PI_4;
 
+use crate::model::lanes::{self, multiversion};
+
 /// Angles between two looks for any left to `libm`: few enough to be in the cache still.
 const BLOCK: usize = 64;
 
@@ -61,14 +63,9 @@ const SMALLEST: f64 = 1e-9;
 /// - Shapes: n angles in, n unit vectors out. What is not finite gives what is not a number.
 pub fn unit_vectors(angles: &[f64], units: &mut Vec<[f64; 2]>) {
     units.resize(angles.len(), [0.0; 2]);
+    let level = lanes::level();
     for (angles, units) in angles.chunks(BLOCK).zip(units.chunks_mut(BLOCK)) {
-        let mut left = false;
-        for (&angle, unit) in angles.iter().zip(&mut *units) {
-            let (ordinary, cos, sin) = ordinary_unit_vector(angle);
-            *unit = [if ordinary { cos } else { f64::NAN }, sin];
-            left |= !ordinary;
-        }
-        if left {
+        if ordinary_unit_vectors(level, angles, units) {
             let unset = angles
                 .iter()
                 .zip(units)
@@ -83,6 +80,20 @@ pub fn unit_vectors(angles: &[f64], units: &mut Vec<[f64; 2]>) {
 pub fn unit_vector(angle: f64) -> [f64; 2] {
     let (sin, cos) = libm::sincos(angle);
     [cos, sin]
+}
+
+multiversion! {
+    /// Computes the unit vectors of the ordinary; those of others get a cosine that is not a
+    /// number. Returns whether there are any.
+    fn ordinary_unit_vectors(level, angles: &[f64], units: &mut [[f64; 2]]) -> bool {
+        let mut left = false;
+        for (&angle, unit) in angles.iter().zip(units) {
+            let (ordinary, cos, sin) = ordinary_unit_vector(angle);
+            *unit = [if ordinary { cos } else { f64::NAN }, sin];
+            left |= !ordinary;
+        }
+        left
+    }
 }
 
 /// Whether the angle is one of those for which this is `libm`'s result; cosine and sine.
@@ -131,9 +142,20 @@ mod tests {
     use std::f64::consts::{FRAC_PI_2, TAU};
 
     use super::*;
+    use crate::model::lanes::Level;
     use crate::model::random::{Purpose, Stream};
 
     fn assert_same(angles: &[f64]) {
+        // What is left to `libm` may hold any bits that are not a number.
+        let at = |level| {
+            let mut units = vec![[0.0; 2]; angles.len()];
+            ordinary_unit_vectors(level, angles, &mut units);
+            let bits = |unit: [f64; 2]| (!unit[0].is_nan()).then(|| unit.map(f64::to_bits));
+            units.into_iter().map(bits).collect::<Vec<_>>()
+        };
+        for level in Level::available() {
+            assert_eq!(at(level), at(Level::BASELINE), "{level:?}");
+        }
         let mut units = vec![[7.0; 2]; 3];
         unit_vectors(angles, &mut units);
         assert_eq!(units.len(), angles.len());

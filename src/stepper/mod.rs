@@ -3,7 +3,7 @@
 //! P. L. Várkonyi, *Communication and collective consensus making in animal groups via
 //! mechanical interactions*, J. Nonlinear Sci. 21 (2011) 387-401: eqs. (1)-(7) and the appendix,
 //! referred to below as "the paper". A step is a function of the state alone. The workspace only
-//! saves allocations.
+//! saves time.
 
 pub mod contact;
 mod ends;

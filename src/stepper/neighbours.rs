@@ -3,8 +3,8 @@
 use super::contact::Axes;
 use super::ends::{self, Pairs};
 use crate::model::body::Body;
-use crate::model::pairs::PairSearch;
-use crate::model::{Configuration, Parameters};
+use crate::model::pairs::{PairSearch, order};
+use crate::model::{Configuration, Parameters, lanes};
 
 /// How much further than asked pairs are listed, in body sizes: more makes every step look at
 /// more pairs, less makes lists last for fewer steps.
@@ -77,15 +77,16 @@ impl Neighbours {
         self.search.visit(x, y, centres, |i, j| near.push((i, j)));
         self.pairs.clear();
         let all = Axes::new(configuration, heading);
-        let mut lanes = Pairs::default();
+        let (level, mut lanes) = (lanes::level(), Pairs::default());
         for near in self.near.chunks(ends::LANES) {
             for (lane, &(i, j)) in near.iter().enumerate() {
                 lanes.set(lane, &all.at(i), &all.at(j), axes);
             }
-            let signs = near.iter().zip(lanes.signs(body.half_length));
+            let signs = near.iter().zip(lanes.signs(level, body.half_length));
             let listed = signs.filter(|&(_, signs)| ends::within(signs));
             self.pairs.extend(listed.map(|(&pair, _)| pair));
         }
+        order(&mut self.pairs);
         self.x.clone_from(x);
         self.y.clone_from(y);
         self.alpha.clone_from(alpha);
