@@ -8,6 +8,7 @@ pub mod body;
 pub mod configuration;
 pub mod injection;
 pub mod lanes;
+pub mod pairs;
 pub mod parameters;
 pub mod random;
 pub mod resize;

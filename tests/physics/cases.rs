@@ -181,8 +181,6 @@ fn every_case_is_reproduced_by_the_referee_alone() {
         }
         let hints = Hints {
             multipliers: &vec![1.0; qp.contacts.len()],
-            order: &[],
-            order_age: 0,
             x: &case.state.configuration.x,
             y: &case.state.configuration.y,
         };

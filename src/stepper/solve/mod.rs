@@ -43,11 +43,7 @@ pub enum Backend {
 pub struct Hints<'a> {
     /// A guess of the multipliers, one per contact.
     pub multipliers: &'a [f64],
-    /// An order of elimination; one of another length than n is none.
-    pub order: &'a [u32],
-    /// How many solutions the order has served.
-    pub order_age: u32,
-    /// Where the individuals are, for another order.
+    /// Where the individuals are, from which an order of elimination is found.
     pub x: &'a [f64],
     /// Where the individuals are.
     pub y: &'a [f64],
@@ -109,7 +105,6 @@ pub fn solve(
     solution: &mut Solution,
 ) {
     solution.clear();
-    workspace.exact.recall(hints);
     if hints.multipliers.iter().all(|&value| value <= 0.0) {
         solution.offer(qp, hints.multipliers);
         if solution.residual <= TARGET {
@@ -177,8 +172,6 @@ mod tests {
         let x: Vec<f64> = (0..qp.free.len()).map(|k| k as f64).collect();
         let hints = Hints {
             multipliers: guess,
-            order: &[],
-            order_age: 0,
             x: &x,
             y: &vec![0.0; x.len()],
         };

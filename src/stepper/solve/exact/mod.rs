@@ -93,13 +93,14 @@ impl Exact {
         (&self.order, self.age)
     }
 
-    /// Takes over the order of elimination that a step before has found.
-    pub(super) fn recall(&mut self, hints: &Hints) {
-        if self.order != hints.order {
+    /// Takes over the order of elimination that a step before has found, with how many solutions
+    /// it has served. One of another length than n is none.
+    pub fn recall(&mut self, order: &[u32], age: u32) {
+        if self.order != order {
             self.order.clear();
-            self.order.extend_from_slice(hints.order);
+            self.order.extend_from_slice(order);
         }
-        self.age = hints.order_age;
+        self.age = age;
     }
 
     /// Solves `qp`; the best solution found is offered to `solution`.
