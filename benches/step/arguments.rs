@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::Parser;
 
 use super::backend::Backend;
+use super::rapier;
 use super::settled::Case;
 
 /// µs a step of settled groups costs, in thread CPU time: ours, and outsiders on the same work
@@ -26,6 +27,9 @@ pub struct Arguments {
     /// Fewer steps, fewer repetitions: to a tenth or so
     #[arg(long)]
     pub quick: bool,
+    /// How often rapier sweeps over its contacts in a step
+    #[arg(long, value_name = "COUNT", default_value_t = rapier::SWEEPS)]
+    pub sweeps: usize,
     /// Also draws cost against n at pi1 = 4
     #[arg(long, value_name = "FILE")]
     pub svg: Option<PathBuf>,

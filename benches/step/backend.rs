@@ -6,7 +6,7 @@ use jostled::stepper::qp::Qp;
 use jostled::stepper::solve;
 
 use super::clarabel;
-use super::settled::Recorded;
+use super::record::Recorded;
 
 /// Who solves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]

@@ -14,6 +14,7 @@ mod outsiders;
 mod phases;
 mod picture;
 mod rapier;
+mod record;
 mod settled;
 mod table;
 

@@ -4,7 +4,6 @@
 //! last long enough to be read from it. Samples of all phases and backends alternate, so that a
 //! spell of a slow machine falls on all of them, and of each the quickest counts.
 
-use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use jostled::model::State;
@@ -16,7 +15,8 @@ use super::backend::{Backend, Quality, Solver};
 use super::outsiders;
 use super::phases::Phases;
 use super::rapier;
-use super::settled::{Case, Recorded, record};
+use super::record::{Recorded, record};
+use super::settled::Case;
 use super::table::Row;
 
 /// A sample lasts at least so long: a thousand times what reading the clock costs.
@@ -45,11 +45,6 @@ pub fn cpu_time() -> Duration {
     let seconds = u64::try_from(now.tv_sec).expect("CPU time is positive");
     let nanoseconds = u32::try_from(now.tv_nsec).expect("nanoseconds are below a billion");
     Duration::new(seconds, nanoseconds)
-}
-
-/// Where the bench keeps its files, below cargo's target directory.
-pub fn target() -> PathBuf {
-    Path::new(env!("CARGO_TARGET_TMPDIR")).join("bench-step")
 }
 
 /// How many successive steps are recorded.
@@ -92,7 +87,7 @@ pub fn measure(case: Case, arguments: &Arguments) -> Vec<Row> {
         }));
     }
     if arguments.wants(Backend::Rapier) {
-        let (run, quality) = rapier::Run::new(&start, count, rapier::SWEEPS);
+        let (run, quality) = rapier::Run::new(&start, count, arguments.sweeps);
         rows.push(Row::new(&start, Backend::Rapier, quality));
         tasks.push(Task {
             who: Some(Backend::Rapier),

@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 
 use super::arguments::Arguments;
 use super::backend::{Backend, Quality};
-use super::measure::target;
-use super::settled::{Case, Recorded};
+use super::record::Recorded;
+use super::settled::{Case, target};
 
 /// The script, beside this file.
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/benches/step/outsiders.py");

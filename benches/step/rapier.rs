@@ -24,7 +24,7 @@ use super::backend::Quality;
 use super::measure::cpu_time;
 use super::phases::Phases;
 
-/// Sweeps over all contacts in a step.
+/// Sweeps over all contacts in a step, unless told otherwise.
 pub const SWEEPS: usize = 50;
 
 /// Steps from the settled state until its impulses are warm.

@@ -1,14 +1,16 @@
-//! Settled groups, and a record of successive steps of them.
+//! Settled groups, made once and kept below `target/`.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use jostled::model::{MODEL_VERSION, Parameters, SolverMemory, State, start};
 use jostled::stepper::Stepper;
-use jostled::stepper::qp::Qp;
 use serde_json::{Value, json};
 
-use super::phases::Phases;
+/// Where benches keep their files, below cargo's target directory.
+pub fn target() -> PathBuf {
+    Path::new(env!("CARGO_TARGET_TMPDIR")).join("bench-step")
+}
 
 /// Which group.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -24,17 +26,6 @@ const SEED: u64 = 1;
 
 /// Steps taken after a settled group is read from its file, which holds no solver's memory.
 const WARMING: usize = 10;
-
-/// One recorded step: the state before it and its program.
-#[derive(Clone, Debug)]
-pub struct Recorded {
-    /// The state that the step starts from, with the memory of the step before.
-    pub state: State,
-    /// The program of the step.
-    pub qp: Qp,
-    /// The multipliers guessed from the memory.
-    pub guess: Vec<f64>,
-}
 
 impl Case {
     /// All other parameters are the defaults; nobody is informed.
@@ -54,23 +45,27 @@ impl Case {
     pub fn settled(self) -> State {
         let parameters = self.parameters();
         let path = self.file();
-        let mut state = read(&path, parameters).unwrap_or_else(|| {
-            let mut state = State {
-                parameters,
-                seed: SEED,
-                configuration: start::disc(&parameters, self.n, None, SEED)
-                    .expect("the disc has room for everybody"),
-                ..State::default()
-            };
-            let mut stepper = Stepper::new();
-            while state.time() < self.settling_time() {
-                stepper.step(&mut state).expect("every step is solved");
-            }
-            fs::create_dir_all(path.parent().expect("the file is in a directory"))
-                .and_then(|()| fs::write(&path, written(&state)))
-                .expect("target/ can be written");
-            state
-        });
+        let file = fs::read_to_string(&path).ok();
+        let group = file.and_then(|text| serde_json::from_str(&text).ok());
+        let mut state = group
+            .and_then(|group| read(&group, parameters))
+            .unwrap_or_else(|| {
+                let mut state = State {
+                    parameters,
+                    seed: SEED,
+                    configuration: start::disc(&parameters, self.n, None, SEED)
+                        .expect("the disc has room for everybody"),
+                    ..State::default()
+                };
+                let mut stepper = Stepper::new();
+                while state.time() < self.settling_time() {
+                    stepper.step(&mut state).expect("every step is solved");
+                }
+                fs::create_dir_all(path.parent().expect("the file is in a directory"))
+                    .and_then(|()| fs::write(&path, written(&state).to_string()))
+                    .expect("target/ can be written");
+                state
+            });
         state.memory = SolverMemory::default();
         let mut stepper = Stepper::new();
         for _ in 0..WARMING {
@@ -86,11 +81,12 @@ impl Case {
         let key = format!("{MODEL_VERSION} {:?} {n} {SEED} {time}", self.parameters());
         let hash = blake3::hash(key.as_bytes()).to_hex();
         let name = format!("pi1-{pi1}-n-{n}-{}.json", &hash[..12]);
-        super::measure::target().join("settled").join(name)
+        target().join("settled").join(name)
     }
 }
 
-fn written(state: &State) -> String {
+/// The positions and angles of a group, without what its solver remembers.
+pub fn written(state: &State) -> Value {
     let configuration = &state.configuration;
     json!({
         "step": state.step,
@@ -99,12 +95,10 @@ fn written(state: &State) -> String {
         "y": configuration.y,
         "alpha": configuration.alpha,
     })
-    .to_string()
 }
 
-fn read(path: &PathBuf, parameters: Parameters) -> Option<State> {
-    let text = fs::read_to_string(path).ok()?;
-    let value: Value = serde_json::from_str(&text).ok()?;
+/// The group that `value` tells of; none if it tells of none.
+pub fn read(value: &Value, parameters: Parameters) -> Option<State> {
     let column = |name: &str| -> Option<Vec<f64>> {
         value[name].as_array()?.iter().map(Value::as_f64).collect()
     };
@@ -123,20 +117,4 @@ fn read(path: &PathBuf, parameters: Parameters) -> Option<State> {
     }
     state.configuration.origin = [value["origin"][0].as_i64()?, value["origin"][1].as_i64()?];
     Some(state)
-}
-
-/// Records `count` successive steps from `state`.
-pub fn record(mut state: State, count: usize) -> Vec<Recorded> {
-    let (mut stepper, mut phases) = (Stepper::new(), Phases::default());
-    let mut records = Vec::with_capacity(count);
-    for _ in 0..count {
-        let qp = phases.program(&state);
-        records.push(Recorded {
-            state: state.clone(),
-            qp,
-            guess: phases.guess(),
-        });
-        stepper.step(&mut state).expect("every step is solved");
-    }
-    records
 }
