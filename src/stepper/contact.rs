@@ -463,7 +463,10 @@ mod tests {
             old(20, 30, 0, 4.0),
             old(30, 40, 0, 5.0),
         ];
-        let memory = SolverMemory { contacts };
+        let memory = SolverMemory {
+            contacts,
+            ..SolverMemory::default()
+        };
         let now = [
             contact(0, 1, 1),
             contact(0, 1, 5),

@@ -1,6 +1,6 @@
 //! What every individual would do alone in one step.
 
-use crate::model::attraction;
+use crate::model::attraction::Social;
 use crate::model::{Configuration, Parameters};
 
 /// Free motion of all individuals.
@@ -10,6 +10,7 @@ pub struct Free {
     pub heading: Vec<[f64; 2]>,
     /// Displacement in x, y and angle.
     pub displacement: Vec<[f64; 3]>,
+    social: Social,
     pull: Vec<[f64; 2]>,
 }
 
@@ -20,7 +21,8 @@ impl Free {
     /// - Source: paper, eqs. (1)-(3), (5), (6), with `c_s = π3` and `c_p` the weight times that.
     pub fn compute(&mut self, parameters: &Parameters, configuration: &Configuration) {
         let Parameters { pi3, dt, .. } = *parameters;
-        attraction::social(parameters.attraction, configuration, &mut self.pull);
+        self.social
+            .compute(parameters.attraction, configuration, &mut self.pull);
         self.heading.clear();
         self.displacement.clear();
         for (index, social) in self.pull.iter().enumerate() {

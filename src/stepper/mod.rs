@@ -29,6 +29,7 @@ pub struct Stepper {
     solution: solve::Solution,
     solver: solve::Workspace,
     travel: Vec<f64>,
+    backend: solve::Backend,
 }
 
 /// What a step was like.
@@ -84,6 +85,15 @@ impl Stepper {
         Self::default()
     }
 
+    /// Creates an empty workspace that solves by `backend`.
+    #[must_use]
+    pub fn with_backend(backend: solve::Backend) -> Self {
+        Self {
+            backend,
+            ..Self::default()
+        }
+    }
+
     /// Advances `state` by one step.
     ///
     /// - Source: paper, Principle 1, and the four parts of a step at the end of its appendix.
@@ -110,6 +120,22 @@ impl Stepper {
         }
         self.remember(state);
         Ok(report)
+    }
+
+    /// Returns the program of `state`'s next step, and the guess it is solved from.
+    ///
+    /// # Errors
+    ///
+    /// [`StepError`] as for a step.
+    pub fn program(&mut self, state: &State) -> Result<(Qp, Vec<f64>), StepError> {
+        self.assemble(state)?;
+        contact::recall(
+            &state.memory,
+            &state.configuration.id,
+            &self.qp.contacts,
+            &mut self.guess,
+        );
+        Ok((self.qp.clone(), self.guess.clone()))
     }
 
     /// Assembles the program of one step; returns the pairs that were looked at.
@@ -165,8 +191,20 @@ impl Stepper {
             &self.qp.contacts,
             &mut self.guess,
         );
+        let crate::model::SolverMemory {
+            order, order_age, ..
+        } = memory;
+        let order_age = *order_age;
         for _ in 0..MOST_LISTS {
-            solve::solve(&self.qp, &self.guess, &mut self.solver, &mut self.solution);
+            let hints = solve::Hints {
+                multipliers: &self.guess,
+                order,
+                order_age,
+                x: &configuration.x,
+                y: &configuration.y,
+            };
+            let (solver, solution) = (&mut self.solver, &mut self.solution);
+            solve::solve(self.backend, &self.qp, &hints, solver, solution);
             let solution = &self.solution;
             report.iterations += solution.iterations;
             report.referee += solution.referee;
@@ -295,6 +333,12 @@ impl Stepper {
     }
 
     fn remember(&self, state: &mut State) {
+        let (order, age) = self.solver.exact.order();
+        if state.memory.order != order {
+            state.memory.order.clear();
+            state.memory.order.extend_from_slice(order);
+        }
+        state.memory.order_age = age;
         let id = &state.configuration.id;
         let remembered = &mut state.memory.contacts;
         remembered.clear();

@@ -1,0 +1,261 @@
+//! Where the factor of `K` has entries: elimination on the contact graph, without numbers.
+
+use crate::stepper::contact::Contact;
+
+/// No column.
+pub const NONE: u32 = u32::MAX;
+
+/// The columns of the factor, one for each individual that any contact names.
+///
+/// Depends on the order and on who is listed with whom, on nothing else; so it may be kept
+/// while both stay the same.
+#[derive(Clone, Debug, Default)]
+pub struct Structure {
+    /// How many columns there are.
+    pub columns: usize,
+    /// The place of each individual; [`NONE`] without a contact.
+    pub place: Vec<u32>,
+    /// Column `k` has the blocks `start[k]..start[k + 1]`.
+    pub start: Vec<u32>,
+    /// The place of each block's row, increasing within a column.
+    pub row: Vec<u32>,
+    /// Row `k` has the entries `left_start[k]..left_start[k + 1]` of `left`.
+    pub left_start: Vec<u32>,
+    /// Column and block of every entry left of the diagonal, by row.
+    pub left: Vec<[u32; 2]>,
+    /// The first row below the diagonal of each column, its parent in the elimination tree.
+    pub parent: Vec<u32>,
+    /// The block that joins the two individuals of each contact.
+    pub block: Vec<u32>,
+    order: Vec<u32>,
+    pairs: Vec<[u32; 2]>,
+    scratch: Scratch,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Scratch {
+    upward_start: Vec<u32>,
+    upward: Vec<u32>,
+    unsorted_start: Vec<u32>,
+    unsorted: Vec<u32>,
+    child: Vec<u32>,
+    sibling: Vec<u32>,
+    seen: Vec<u32>,
+    next: Vec<u32>,
+}
+
+impl Structure {
+    /// Builds the structure anew if the order or the pairs in contact have changed.
+    ///
+    /// - Shapes: an order of all n individuals; contacts ordered by (i, j).
+    pub fn update(&mut self, order: &[u32], contacts: &[Contact]) {
+        let same = self.order == order
+            && self.pairs.len() == contacts.len()
+            && contacts
+                .iter()
+                .zip(&self.pairs)
+                .all(|(contact, pair)| *pair == [contact.i, contact.j]);
+        if same {
+            return;
+        }
+        self.order.clear();
+        self.order.extend_from_slice(order);
+        self.pairs.clear();
+        self.pairs
+            .extend(contacts.iter().map(|contact| [contact.i, contact.j]));
+        self.number();
+        self.point_upward();
+        self.eliminate();
+        self.sort();
+        self.find_blocks();
+    }
+
+    /// Gives places to those in contact, in the order.
+    fn number(&mut self) {
+        let Self {
+            place,
+            pairs,
+            order,
+            columns,
+            ..
+        } = self;
+        place.clear();
+        place.resize(order.len(), NONE);
+        pairs
+            .iter()
+            .flatten()
+            .for_each(|&individual| place[individual as usize] = 0);
+        let mut next = 0;
+        for &individual in order.iter() {
+            let place = &mut place[individual as usize];
+            if *place != NONE {
+                *place = next;
+                next += 1;
+            }
+        }
+        *columns = next as usize;
+    }
+
+    /// The places that a pair's individuals have, the lower first.
+    fn places(&self, [i, j]: [u32; 2]) -> [usize; 2] {
+        let [a, b] = [i, j].map(|individual| self.place[individual as usize] as usize);
+        [a.min(b), a.max(b)]
+    }
+
+    /// Lists the later neighbours of every column.
+    fn point_upward(&mut self) {
+        let mut scratch = std::mem::take(&mut self.scratch);
+        count_up(
+            &mut scratch.upward_start,
+            self.columns,
+            self.distinct().map(|pair| self.places(pair)[0]),
+        );
+        scratch.upward.clear();
+        scratch.upward.resize(self.pairs.len(), 0);
+        scratch.next.clear();
+        scratch.next.extend_from_slice(&scratch.upward_start);
+        for pair in self.distinct() {
+            let [low, high] = self.places(pair);
+            let next = &mut scratch.next[low];
+            scratch.upward[*next as usize] = small(high);
+            *next += 1;
+        }
+        self.scratch = scratch;
+    }
+
+    /// Every pair once.
+    fn distinct(&self) -> impl Iterator<Item = [u32; 2]> {
+        let mut last = [NONE, NONE];
+        self.pairs
+            .iter()
+            .copied()
+            .filter(move |pair| std::mem::replace(&mut last, *pair) != *pair)
+    }
+
+    /// Finds the rows of every column: its own neighbours and what its children leave.
+    fn eliminate(&mut self) {
+        let Scratch {
+            upward_start,
+            upward,
+            unsorted_start,
+            unsorted,
+            child,
+            sibling,
+            seen,
+            ..
+        } = &mut self.scratch;
+        for list in [&mut *child, &mut *sibling, &mut *seen, &mut self.parent] {
+            list.clear();
+            list.resize(self.columns, NONE);
+        }
+        unsorted.clear();
+        unsorted_start.clear();
+        unsorted_start.push(0);
+        for column in 0..self.columns {
+            let begin = unsorted.len();
+            let mut first = NONE;
+            seen[column] = small(column);
+            let mut take = |row: u32, unsorted: &mut Vec<u32>| {
+                if std::mem::replace(&mut seen[row as usize], small(column)) != small(column) {
+                    unsorted.push(row);
+                    first = first.min(row);
+                }
+            };
+            for &row in &upward[upward_start[column] as usize..upward_start[column + 1] as usize] {
+                take(row, unsorted);
+            }
+            let mut below = child[column];
+            while below != NONE {
+                let at = below as usize;
+                for k in unsorted_start[at]..unsorted_start[at + 1] {
+                    let row = unsorted[k as usize];
+                    take(row, unsorted);
+                }
+                below = sibling[at];
+            }
+            if unsorted.len() > begin {
+                self.parent[column] = first;
+                sibling[column] = child[first as usize];
+                child[first as usize] = small(column);
+            }
+            unsorted_start.push(small(unsorted.len()));
+        }
+    }
+
+    /// Sorts the rows of every column, by transposing twice.
+    fn sort(&mut self) {
+        let Scratch {
+            unsorted_start,
+            unsorted,
+            next,
+            ..
+        } = &mut self.scratch;
+        count_up(
+            &mut self.left_start,
+            self.columns,
+            unsorted.iter().map(|&row| row as usize),
+        );
+        next.clear();
+        next.extend_from_slice(&self.left_start);
+        self.left.clear();
+        self.left.resize(unsorted.len(), [0, 0]);
+        for column in 0..self.columns {
+            for k in unsorted_start[column]..unsorted_start[column + 1] {
+                let next = &mut next[unsorted[k as usize] as usize];
+                self.left[*next as usize][0] = small(column);
+                *next += 1;
+            }
+        }
+        self.start.clear();
+        self.start.extend_from_slice(unsorted_start);
+        next.clear();
+        next.extend_from_slice(unsorted_start);
+        self.row.clear();
+        self.row.resize(unsorted.len(), 0);
+        for row in 0..self.columns {
+            for entry in &mut self.left
+                [self.left_start[row] as usize..self.left_start[row + 1] as usize]
+            {
+                let next = &mut next[entry[0] as usize];
+                entry[1] = *next;
+                self.row[*next as usize] = small(row);
+                *next += 1;
+            }
+        }
+    }
+
+    fn find_blocks(&mut self) {
+        let mut block = std::mem::take(&mut self.block);
+        block.clear();
+        let (mut last, mut found) = ([NONE, NONE], 0);
+        for &pair in &self.pairs {
+            if std::mem::replace(&mut last, pair) != pair {
+                let [low, high] = self.places(pair);
+                let (begin, end) = (self.start[low] as usize, self.start[low + 1] as usize);
+                let rows = &self.row[begin..end];
+                let at = rows.partition_point(|&row| (row as usize) < high);
+                found = small(begin + at);
+            }
+            block.push(found);
+        }
+        self.block = block;
+    }
+}
+
+/// Fills `start` so that bin `k` of `bins` begins at `start[k]` when all are sorted into bins.
+fn count_up(start: &mut Vec<u32>, bins: usize, all: impl Iterator<Item = usize>) {
+    start.clear();
+    start.resize(bins + 1, 0);
+    all.for_each(|bin| start[bin + 1] += 1);
+    for bin in 0..bins {
+        start[bin + 1] += start[bin];
+    }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "individuals are named by 32 bits, and a planar graph has few entries for each"
+)]
+fn small(count: usize) -> u32 {
+    count as u32
+}
