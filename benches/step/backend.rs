@@ -1,7 +1,9 @@
 //! Who solves the recorded programs, and how good the answers are.
 
+use std::f64::consts::TAU;
+
 use clap::ValueEnum;
-use jostled::model::{Configuration, State, body};
+use jostled::model::{State, body};
 use jostled::stepper::qp::Qp;
 use jostled::stepper::solve;
 
@@ -35,20 +37,32 @@ impl Backend {
 
 /// A solver in this process, with its room.
 pub enum Solver {
-    /// What the daemon uses.
-    Exact(solve::Workspace, solve::Solution),
-    /// Clarabel and our polish, without a guess.
-    Referee(solve::Workspace, solve::Solution),
+    /// One of the daemon's two backends.
+    Ours(Box<Ours>),
     /// The multipliers of the last program.
     Clarabel(Vec<f64>, usize),
+}
+
+/// A backend of the daemon, with what it keeps.
+pub struct Ours {
+    backend: solve::Backend,
+    workspace: solve::Workspace,
+    solution: solve::Solution,
 }
 
 impl Solver {
     /// The solver of `backend`, if it lives in this process and solves programs.
     pub fn new(backend: Backend) -> Option<Self> {
+        let ours = |backend| {
+            Self::Ours(Box::new(Ours {
+                backend,
+                workspace: solve::Workspace::default(),
+                solution: solve::Solution::default(),
+            }))
+        };
         match backend {
-            Backend::Exact => Some(Self::Exact(Default::default(), Default::default())),
-            Backend::Referee => Some(Self::Referee(Default::default(), Default::default())),
+            Backend::Exact => Some(ours(solve::Backend::Exact)),
+            Backend::Referee => Some(ours(solve::Backend::Referee)),
             Backend::Clarabel => Some(Self::Clarabel(Vec::new(), 0)),
             Backend::Rapier | Backend::Daqp | Backend::Piqp => None,
         }
@@ -56,18 +70,14 @@ impl Solver {
 
     /// Solves one program; this is what is timed.
     pub fn solve(&mut self, recorded: &Recorded) {
-        let Recorded { qp, guess, .. } = recorded;
         match self {
-            Self::Exact(workspace, solution) => solve::solve(qp, guess, workspace, solution),
-            Self::Referee(workspace, solution) => {
-                *solution = solve::Solution {
-                    residual: f64::INFINITY,
-                    ..solve::Solution::default()
-                };
-                solve::by_referee(qp, workspace, solution);
+            Self::Ours(ours) => {
+                let (hints, workspace) = (recorded.hints(), &mut ours.workspace);
+                let solution = &mut ours.solution;
+                solve::solve(ours.backend, &recorded.qp, &hints, workspace, solution);
             }
             Self::Clarabel(multipliers, iterations) => {
-                (*multipliers, *iterations) = clarabel::solve(qp);
+                (*multipliers, *iterations) = clarabel::solve(&recorded.qp);
             }
         }
     }
@@ -75,13 +85,14 @@ impl Solver {
     /// The last program's multipliers, systems factored, and calls of a second solver.
     pub fn answer(&self) -> (&[f64], usize, usize) {
         match self {
-            Self::Exact(_, solution) => {
-                (&solution.multipliers, solution.iterations, solution.referee)
-            }
-            // Its own first call is no fallback.
-            Self::Referee(_, solution) => {
-                let again = solution.referee.saturating_sub(1);
-                (&solution.multipliers, solution.iterations, again)
+            Self::Ours(ours) => {
+                let Ours {
+                    backend, solution, ..
+                } = &**ours;
+                // The referee's own first call is no fallback.
+                let own = usize::from(*backend == solve::Backend::Referee);
+                let fallbacks = solution.referee.saturating_sub(own);
+                (&solution.multipliers, solution.iterations, fallbacks)
             }
             Self::Clarabel(multipliers, iterations) => (multipliers, *iterations, 0),
         }
@@ -132,23 +143,17 @@ impl Quality {
         self.add_errors(errors, state.parameters.dt);
     }
 
-    /// Adds one step that went from `before` to `after` where the exact one goes to `exact`.
-    pub fn add_displacement(&mut self, before: &State, exact: &State, after: &State, qp: &Qp) {
-        let [from, to, truth] =
-            [before, after, exact].map(|state| &state.configuration as &Configuration);
-        let displacement: Vec<[f64; 3]> = (0..from.n())
-            .map(|i| {
-                let turned = to.alpha[i] - from.alpha[i];
-                let turns = libm::round(turned / std::f64::consts::TAU);
-                let turned = turned - turns * std::f64::consts::TAU;
-                [to.x[i] - from.x[i], to.y[i] - from.y[i], turned]
-            })
-            .collect();
+    /// Adds one step that went from `before` to `after` where `exact` are the true displacements.
+    pub fn add_displacement(&mut self, before: &State, after: &State, exact: &[[f64; 3]], qp: &Qp) {
+        let displacement = displacement(before, after);
         for contact in &qp.contacts {
             let overlap = -contact.linearised_gap(&displacement);
             self.worst_residual = self.worst_residual.max(overlap);
         }
-        let errors = (0..from.n()).map(|i| [to.x[i] - truth.x[i], to.y[i] - truth.y[i]]);
+        let gap = body::worst_gap(&after.parameters, &after.configuration);
+        self.worst_overlap = self.worst_overlap.max(-gap.unwrap_or(0.0));
+        let pairs = displacement.iter().zip(exact);
+        let errors = pairs.map(|(one, other)| [one[0] - other[0], one[1] - other[1]]);
         self.add_errors(errors, before.parameters.dt);
     }
 
@@ -168,4 +173,19 @@ impl Quality {
         self.iterations /= count;
         self.mean_velocity_error /= count;
     }
+}
+
+/// How far everybody moved and turned, where angles may have been wrapped on the way.
+pub fn displacement(before: &State, after: &State) -> Vec<[f64; 3]> {
+    let (from, to) = (&before.configuration, &after.configuration);
+    let moved = |i: usize| {
+        let turned = to.alpha[i] - from.alpha[i];
+        let turns = libm::round(turned / TAU);
+        [
+            to.x[i] - from.x[i],
+            to.y[i] - from.y[i],
+            turned - turns * TAU,
+        ]
+    };
+    (0..from.n()).map(moved).collect()
 }

@@ -61,13 +61,15 @@ fn steps(n: usize, quick: bool) -> usize {
 
 /// Measures one group: a row for each backend asked for and present.
 pub fn measure(case: Case, arguments: &Arguments) -> Vec<Row> {
-    let start = case.settled();
     let count = steps(case.n, arguments.quick);
-    let records = record(start.clone(), count);
-    let truth = exact_displacements(&records);
+    // Only rapier needs the first ones: nobody else keeps anything that is not in the record.
+    let all = record(case.settled(), rapier::WARMING + count);
+    let records = &all[rapier::WARMING..];
+    let start = records[0].state.clone();
+    let truth = exact_displacements(records);
 
     let mut rows: Vec<Row> = Vec::new();
-    let mut tasks = phases(&records, &start);
+    let mut tasks = phases(records, &start);
     for backend in [Backend::Exact, Backend::Referee, Backend::Clarabel] {
         // Ours is always measured: the whole step of the others is its, but for the program.
         if !arguments.wants(backend) && backend != Backend::Exact {
@@ -78,17 +80,19 @@ pub fn measure(case: Case, arguments: &Arguments) -> Vec<Row> {
             rows.push(Row::new(
                 &start,
                 backend,
-                judge(&mut solver, &records, &truth),
+                judge(&mut solver, records, &truth),
             ));
         }
-        let records = &records;
         tasks.push(Task::of(Some(backend), move || {
             records.iter().for_each(|recorded| solver.solve(recorded));
         }));
     }
     if arguments.wants(Backend::Rapier) {
-        let (run, quality) = rapier::Run::new(&start, count, arguments.sweeps);
-        rows.push(Row::new(&start, Backend::Rapier, quality));
+        let (run, alone) = rapier::Run::new(&start, count, arguments.sweeps);
+        let quality = rapier::judge(&all, &truth, arguments.sweeps);
+        let mut row = Row::new(&start, Backend::Rapier, quality);
+        row.alone = Some(alone);
+        rows.push(row);
         tasks.push(Task {
             who: Some(Backend::Rapier),
             pass: Box::new(move || run.again()),

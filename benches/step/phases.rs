@@ -1,12 +1,14 @@
 //! The phases of a step before it is solved, apart from one another.
 
-use jostled::model::{State, attraction, body};
+use jostled::model::attraction::Social;
+use jostled::model::{State, body};
 use jostled::stepper::qp::Qp;
 use jostled::stepper::{contact, free};
 
 /// Room for the phases; like the stepper's, it is used again and again.
 #[derive(Default)]
 pub struct Phases {
+    social: Social,
     free: free::Free,
     pull: Vec<[f64; 2]>,
     qp: Qp,
@@ -17,7 +19,8 @@ impl Phases {
     /// Attraction alone.
     pub fn attraction(&mut self, state: &State) {
         let law = state.parameters.attraction;
-        attraction::social(law, &state.configuration, &mut self.pull);
+        self.social
+            .compute(law, &state.configuration, &mut self.pull);
     }
 
     /// All that a step does before it solves: attraction, trigonometry, neighbours, contacts, and

@@ -186,12 +186,18 @@ fn placed(curves: &[Curve], up: impl Fn(f64) -> f64) -> Vec<(&Curve, f64)> {
     placed
 }
 
-/// A whole number with its thousands apart; fractions as they are.
+/// A whole number, from five digits on with its thousands apart; fractions as they are.
 fn grouped(value: f64) -> String {
     let digits = value.to_string();
     if value < 10_000.0 {
         return digits;
     }
-    let (head, tail) = digits.split_at(digits.len() - 3);
-    format!("{head},{tail}")
+    let mut grouped = String::new();
+    for (place, digit) in digits.chars().enumerate() {
+        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+            grouped.push(',');
+        }
+        grouped.push(digit);
+    }
+    grouped
 }

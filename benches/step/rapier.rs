@@ -7,28 +7,33 @@
 //! impulses of the step before. Two things differ: a pair's second contact shares the first
 //! one's normal, and a pair at more than an eighth of a turn has only one.
 //!
-//! It runs along its own trajectory from the settled state: bodies and colliders persist, so
-//! that nothing but a plain step of its pipeline is timed, broad and narrow phase included.
+//! Its answers are judged on the recorded steps: before each, bodies are put where the record has
+//! them, and the impulses it kept from the step before are its start. It is timed along its own
+//! trajectory from the first recorded state: bodies and colliders persist, so that nothing but a
+//! plain step of its pipeline counts, broad and narrow phase included. There its errors add up.
 
 use std::time::Duration;
 
 use jostled::model::{State, body};
 use jostled::stepper::Stepper;
+use jostled::stepper::qp::Qp;
 use rapier2d_f64::prelude::{
     BroadPhaseBvh, CCDSolver, ColliderBuilder, ColliderSet, ImpulseJointSet, IntegrationParameters,
     IslandManager, MassProperties, MultibodyJointSet, NarrowPhase, PhysicsPipeline, Real,
-    RigidBodyBuilder, RigidBodyHandle, RigidBodySet, SoftBodySet, SpringCoefficients, Vector,
+    RigidBodyBuilder, RigidBodyHandle, RigidBodySet, Rotation, SoftBodySet, SpringCoefficients,
+    Vector,
 };
 
-use super::backend::Quality;
+use super::backend::{Quality, displacement};
 use super::measure::cpu_time;
 use super::phases::Phases;
+use super::record::Recorded;
 
 /// Sweeps over all contacts in a step, unless told otherwise.
 pub const SWEEPS: usize = 50;
 
-/// Steps from the settled state until its impulses are warm.
-const WARMING: usize = 10;
+/// Steps until its impulses are warm.
+pub const WARMING: usize = 10;
 
 /// A spring so stiff, and undamped, that an overlap is pushed out in one step and impulses are
 /// not softened: 1 / (2π dt frequency)² vanishes beside 1.
@@ -60,47 +65,68 @@ struct World {
     pipeline: PhysicsPipeline,
 }
 
+/// Solves the recorded steps, and says how good that was; the first [`WARMING`] only warm.
+pub fn judge(records: &[Recorded], truth: &[Vec<[f64; 3]>], sweeps: usize) -> Quality {
+    let mut world = World::new(&records[0].state, sweeps);
+    let mut quality = Quality::default();
+    let warming = records.len() - truth.len();
+    for (step, recorded) in records.iter().enumerate() {
+        let Recorded { state, qp, .. } = recorded;
+        world.place(state);
+        world.drive(&velocities(qp, state));
+        world.step();
+        let Some(place) = step.checked_sub(warming) else {
+            continue;
+        };
+        let mut after = state.clone();
+        world.read(&mut after);
+        quality.add_displacement(state, &after, &truth[place], qp);
+        quality.active += world.pushing() as f64;
+        quality.iterations += sweeps as f64;
+    }
+    quality.divide(truth.len());
+    quality
+}
+
+/// The free velocities: x, y and turning rate.
+fn velocities(qp: &Qp, state: &State) -> Vec<[f64; 3]> {
+    let rate = |free: &[f64; 3]| free.map(|part| part / state.parameters.dt);
+    qp.free.iter().map(rate).collect()
+}
+
 impl Run {
     /// Runs `count` steps from `start`, and compares each with the exact step from the same
     /// place.
     pub fn new(start: &State, count: usize, sweeps: usize) -> (Self, Quality) {
         let mut world = World::new(start, sweeps);
-        let (mut state, mut velocities) = (start.clone(), Vec::new());
+        let (mut state, mut velocities_of) = (start.clone(), Vec::new());
         let (mut phases, mut quality) = (Phases::default(), Quality::default());
         let mut stepper = Stepper::new();
         for step in 0..WARMING + count {
             world.read(&mut state);
             let program = phases.program(&state);
-            let free: Vec<[f64; 3]> = program
-                .free
-                .iter()
-                .map(|free| free.map(|part| part / start.parameters.dt))
-                .collect();
+            let free = velocities(&program, &state);
             world.drive(&free);
-            velocities.push(free);
+            velocities_of.push(free);
             world.step();
+            if step < WARMING {
+                continue;
+            }
             let mut exact = state.clone();
             stepper
                 .step(&mut exact)
                 .expect("the exact step from rapier's place is solved");
             state.memory = exact.memory.clone();
-            if step < WARMING {
-                continue;
-            }
             let mut after = state.clone();
             world.read(&mut after);
-            quality.add_displacement(&state, &exact, &after, &program);
-            quality.active += world.pushing() as f64;
-            quality.iterations += sweeps as f64;
-            let gap = body::worst_gap(&after.parameters, &after.configuration);
-            quality.worst_overlap = quality.worst_overlap.max(-gap.unwrap_or(0.0));
+            let truth = displacement(&state, &exact);
+            quality.add_displacement(&state, &after, &truth, &program);
         }
         quality.divide(count);
-        let start = start.clone();
         let run = Self {
-            start,
+            start: start.clone(),
             sweeps,
-            velocities,
+            velocities: velocities_of,
         };
         (run, quality)
     }
@@ -170,6 +196,15 @@ impl World {
             soft_bodies: SoftBodySet::new(),
             ccd: CCDSolver::new(),
             pipeline: PhysicsPipeline::new(),
+        }
+    }
+
+    fn place(&mut self, state: &State) {
+        for (index, &handle) in self.handles.iter().enumerate() {
+            let pose = body::pose(&state.configuration, index);
+            let body = &mut self.bodies[handle];
+            body.set_translation(Vector::new(pose.x, pose.y), false);
+            body.set_rotation(Rotation::new(pose.alpha), false);
         }
     }
 

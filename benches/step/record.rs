@@ -3,6 +3,7 @@
 use jostled::model::State;
 use jostled::stepper::Stepper;
 use jostled::stepper::qp::Qp;
+use jostled::stepper::solve::Hints;
 
 use super::phases::Phases;
 
@@ -15,6 +16,24 @@ pub struct Recorded {
     pub qp: Qp,
     /// The multipliers guessed from the memory.
     pub guess: Vec<f64>,
+}
+
+impl Recorded {
+    /// What the step before tells about this one.
+    pub fn hints(&self) -> Hints<'_> {
+        let State {
+            configuration,
+            memory,
+            ..
+        } = &self.state;
+        Hints {
+            multipliers: &self.guess,
+            order: &memory.order,
+            order_age: memory.order_age,
+            x: &configuration.x,
+            y: &configuration.y,
+        }
+    }
 }
 
 /// Records `count` successive steps from `state`.

@@ -26,6 +26,8 @@ pub struct Row {
     pub contacts_us: Option<f64>,
     /// How good the answers were.
     pub quality: Quality,
+    /// And along the backend's own trajectory, where errors add up.
+    pub alone: Option<Quality>,
 }
 
 impl Row {
@@ -41,6 +43,7 @@ impl Row {
             attraction_us: f64::NAN,
             contacts_us: None,
             quality,
+            alone: None,
         }
     }
 
@@ -92,15 +95,15 @@ pub fn figures(value: f64) -> String {
 
 /// The head of the table.
 pub fn heading() -> String {
-    aligned(COLUMNS.map(|(name, _)| name.to_owned()))
+    aligned(&COLUMNS.map(|(name, _)| name.to_owned()))
 }
 
 /// One line of the table.
 pub fn text(row: &Row) -> String {
-    aligned(row.cells())
+    aligned(&row.cells())
 }
 
-fn aligned(cells: [String; 12]) -> String {
+fn aligned(cells: &[String; 12]) -> String {
     let padded = cells.iter().zip(COLUMNS).map(|(cell, (name, width))| {
         if name == "backend" {
             format!("{cell:<width$}")
@@ -135,23 +138,32 @@ pub fn json(row: &Row) -> String {
 /// How wrong the steps of those are who do not solve to the target.
 pub fn errors(rows: &[Row]) -> String {
     let mut lines = vec![format!(
-        "{:>3}  {:>5}  {:<9}  {:>12}  {:>12}",
+        "{:>3}  {:>5}  {:<13}  {:>12}  {:>12}",
         "pi1", "n", "backend", "worst_error", "mean_error"
     )];
-    lines.extend(inexact(rows).map(|row| {
-        let Quality {
-            worst_velocity_error: worst,
-            mean_velocity_error: mean,
-            ..
-        } = row.quality;
-        let name = row.backend.name();
-        format!(
-            "{:>3}  {:>5}  {name:<9}  {worst:>12.1e}  {mean:>12.1e}",
-            row.pi1, row.n
-        )
+    lines.extend(errors_of(rows).map(|[pi1, n, name, worst, mean]| {
+        format!("{pi1:>3}  {n:>5}  {name:<13}  {worst:>12}  {mean:>12}")
     }));
     lines.push("errors are distances from the exact step, over dt v0".to_owned());
     lines.join("\n")
+}
+
+/// The cells of the table of errors.
+fn errors_of(rows: &[Row]) -> impl Iterator<Item = [String; 5]> {
+    inexact(rows).flat_map(|row| {
+        let name = row.backend.name();
+        let alone = row.alone.map(|quality| (format!("{name}, alone"), quality));
+        let both = [Some((name, row.quality)), alone];
+        both.into_iter().flatten().map(|(name, quality)| {
+            [
+                row.pi1.to_string(),
+                row.n.to_string(),
+                name,
+                format!("{:.1e}", quality.worst_velocity_error),
+                format!("{:.1e}", quality.mean_velocity_error),
+            ]
+        })
+    })
 }
 
 /// Those rows whose answers miss the target of a step.
@@ -178,16 +190,6 @@ pub fn errors_markdown(rows: &[Row]) -> String {
         "| pi1 | n | backend | worst error | mean error |".to_owned(),
         "|--:|--:|:--|--:|--:|".to_owned(),
     ];
-    lines.extend(inexact(rows).map(|row| {
-        let quality = &row.quality;
-        format!(
-            "| {} | {} | {} | {:.1e} | {:.1e} |",
-            row.pi1,
-            row.n,
-            row.backend.name(),
-            quality.worst_velocity_error,
-            quality.mean_velocity_error
-        )
-    }));
+    lines.extend(errors_of(rows).map(|cells| format!("| {} |", cells.join(" | "))));
     lines.join("\n")
 }
