@@ -74,6 +74,8 @@ impl Solver {
             Self::Ours(ours) => {
                 let (hints, workspace) = (recorded.hints(), &mut ours.workspace);
                 let solution = &mut ours.solution;
+                let memory = &recorded.state.memory;
+                workspace.exact.recall(&memory.order, memory.order_age);
                 solve::solve(ours.backend, &recorded.qp, &hints, workspace, solution);
             }
             Self::Clarabel(multipliers, iterations) => {

@@ -111,9 +111,9 @@ pub fn measure(case: Case, arguments: &Arguments) -> Vec<Row> {
             row.step_us = own;
             continue;
         }
-        row.contacts_us = Some(assembly - attraction);
+        row.contacts_us = Some(assembly);
         row.qp_us = Some(own);
-        row.step_us = whole - attraction - exact + own;
+        row.step_us = whole - exact + own;
     }
     let handed = &records[..count.min(HANDED)];
     for backend in [Backend::Daqp, Backend::Piqp] {
@@ -121,9 +121,9 @@ pub fn measure(case: Case, arguments: &Arguments) -> Vec<Row> {
         if let Some(answers) = answers {
             let mut row = Row::new(&start, backend, answers.judge(handed, &truth));
             row.attraction_us = attraction;
-            row.contacts_us = Some(assembly - attraction);
+            row.contacts_us = Some(assembly);
             row.qp_us = Some(answers.microseconds);
-            row.step_us = whole - attraction - exact + answers.microseconds;
+            row.step_us = whole - exact + answers.microseconds;
             rows.push(row);
         }
     }
@@ -145,7 +145,7 @@ impl<'a> Task<'a> {
     }
 }
 
-/// Attraction, all that comes before the program is solved, and the whole step, in this order.
+/// Attraction; all that comes between it and the program; and the step without attraction.
 fn phases<'a>(records: &'a [Recorded], start: &'a State) -> Vec<Task<'a>> {
     let (mut one, mut other) = (Phases::default(), Phases::default());
     let mut stepper = Stepper::new();
@@ -158,13 +158,15 @@ fn phases<'a>(records: &'a [Recorded], start: &'a State) -> Vec<Task<'a>> {
         Task::of(None, move || {
             records
                 .iter()
-                .for_each(|recorded| other.assemble(&recorded.state));
+                .for_each(|recorded| other.assemble(&recorded.state, &recorded.pull));
         }),
         // From the first state on, the steps are the recorded ones, to the bit.
         Task::of(None, move || {
             let mut state = start.clone();
-            for _ in 0..records.len() {
-                stepper.step(&mut state).expect("every step is solved");
+            for Recorded { pull, .. } in records {
+                stepper
+                    .advance(&mut state, pull)
+                    .expect("every step is solved");
             }
         }),
     ]

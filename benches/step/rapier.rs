@@ -104,7 +104,7 @@ impl Run {
         let mut stepper = Stepper::new();
         for step in 0..WARMING + count {
             world.read(&mut state);
-            let program = phases.program(&state);
+            let (program, _) = phases.program(&state);
             let free = velocities(&program, &state);
             world.drive(&free);
             velocities_of.push(free);

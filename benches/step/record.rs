@@ -12,6 +12,8 @@ use super::phases::Phases;
 pub struct Recorded {
     /// The state that the step starts from, with the memory of the step before.
     pub state: State,
+    /// The attraction that the step begins with.
+    pub pull: Vec<[f64; 2]>,
     /// The program of the step.
     pub qp: Qp,
     /// The multipliers guessed from the memory.
@@ -21,15 +23,9 @@ pub struct Recorded {
 impl Recorded {
     /// What the step before tells about this one.
     pub fn hints(&self) -> Hints<'_> {
-        let State {
-            configuration,
-            memory,
-            ..
-        } = &self.state;
+        let configuration = &self.state.configuration;
         Hints {
             multipliers: &self.guess,
-            order: &memory.order,
-            order_age: memory.order_age,
             x: &configuration.x,
             y: &configuration.y,
         }
@@ -41,11 +37,12 @@ pub fn record(mut state: State, count: usize) -> Vec<Recorded> {
     let (mut stepper, mut phases) = (Stepper::new(), Phases::default());
     let mut records = Vec::with_capacity(count);
     for _ in 0..count {
-        let qp = phases.program(&state);
+        let (qp, guess) = phases.program(&state);
         records.push(Recorded {
             state: state.clone(),
+            pull: phases.pull.clone(),
             qp,
-            guess: phases.guess(),
+            guess,
         });
         stepper.step(&mut state).expect("every step is solved");
     }
