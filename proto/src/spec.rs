@@ -121,16 +121,22 @@ pub enum ContactRule {
 }
 
 /// What an individual turns towards.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case", deny_unknown_fields)]
 pub enum Attraction {
     /// The mean of the unit vectors to all the others, eq. (4).
-    All {},
+    All {
+        /// How far off that mean may be, its largest length being 1: 1e-9 to 1e-3. Worth it
+        /// from some thousand individuals on. Exact to rounding if left out.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        #[schemars(range(min = 1e-9, max = 1e-3))]
+        accuracy: Option<f64>,
+    },
 }
 
 impl Default for Attraction {
     fn default() -> Self {
-        Attraction::All {}
+        Attraction::All { accuracy: None }
     }
 }
 

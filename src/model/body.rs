@@ -8,6 +8,7 @@ use parry2d_f64::query::PointQuery;
 use parry2d_f64::shape::Segment;
 use parry2d_f64::utils::segments_intersection2d;
 
+use super::pairs::pairs_within;
 use super::{Configuration, Parameters};
 
 /// A place and a heading.
@@ -118,33 +119,6 @@ pub fn pose(configuration: &Configuration, index: usize) -> Pose {
         y,
         alpha: configuration.alpha[index],
     }
-}
-
-/// Finds all pairs of points nearer than `distance`, ordered by (i, j), i < j.
-///
-/// Sorts along x, ties by index, and sweeps: the result is the same set in the same order
-/// however the points lie.
-#[must_use]
-pub fn pairs_within(x: &[f64], y: &[f64], distance: f64) -> Vec<(u32, u32)> {
-    let count = u32::try_from(x.len()).expect("individuals are named by 32 bits");
-    let mut order: Vec<u32> = (0..count).collect();
-    order.sort_unstable_by(|&a, &b| x[a as usize].total_cmp(&x[b as usize]).then(a.cmp(&b)));
-    let mut pairs = Vec::new();
-    for (rank, &a) in order.iter().enumerate() {
-        let (xa, ya) = (x[a as usize], y[a as usize]);
-        for &b in &order[rank + 1..] {
-            let dx = x[b as usize] - xa;
-            if dx >= distance {
-                break;
-            }
-            let dy = y[b as usize] - ya;
-            if dx * dx + dy * dy < distance * distance {
-                pairs.push((a.min(b), a.max(b)));
-            }
-        }
-    }
-    pairs.sort_unstable();
-    pairs
 }
 
 /// Measures the gaps of all pairs nearer than `gap`, ordered by (i, j).
@@ -293,29 +267,6 @@ mod tests {
         assert!((one.gap - two.gap).abs() < 3e-9);
         assert!((one.gap - (0.6f64.hypot(0.9) - 1.0)).abs() < 1e-15);
         assert!(disc.nearness(first, first).crossed);
-    }
-
-    #[test]
-    fn the_sweep_finds_what_all_pairs_find() {
-        let mut stream =
-            super::super::random::Stream::new(1, 0, 0, super::super::random::Purpose::Start);
-        let mut draw = || {
-            (0..200)
-                .map(|_| libm::floor(stream.uniform() * 40.0) / 4.0)
-                .collect()
-        };
-        let (x, y): (Vec<f64>, Vec<f64>) = (draw(), draw());
-        let mut all = Vec::new();
-        for i in 0..200u32 {
-            for j in i + 1..200 {
-                let (dx, dy) = (x[j as usize] - x[i as usize], y[j as usize] - y[i as usize]);
-                if dx * dx + dy * dy < 1.0 {
-                    all.push((i, j));
-                }
-            }
-        }
-        assert_eq!(pairs_within(&x, &y, 1.0), all);
-        assert!(all.len() > 100, "the grid makes many ties");
     }
 
     #[test]

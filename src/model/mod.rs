@@ -7,6 +7,8 @@ pub mod attraction;
 pub mod body;
 pub mod configuration;
 pub mod injection;
+pub mod lanes;
+pub mod pairs;
 pub mod parameters;
 pub mod random;
 pub mod resize;

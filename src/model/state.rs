@@ -3,7 +3,7 @@
 use super::{Attraction, Configuration, ContactRule, Parameters};
 
 /// Changes whenever the same state would have another future.
-pub const MODEL_VERSION: u32 = 1;
+pub const MODEL_VERSION: u32 = 2;
 
 /// A contact that pushed in the last step.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,14 +18,18 @@ pub struct Remembered {
     pub multiplier: f64,
 }
 
-/// What the solver carries from one step to the next: the contacts that pushed.
+/// What the solver carries from one step to the next.
 ///
-/// The next step guesses from them which contacts will push. The guess decides the last bits of
-/// a step, so it belongs to the state. Ordered by (first, second, code).
+/// The next step guesses from it which contacts will push, and in which order to eliminate. Both
+/// decide the last bits of a step, so they belong to the state.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct SolverMemory {
-    /// The contacts with a positive multiplier.
+    /// The contacts with a positive multiplier, ordered by (first, second, code).
     pub contacts: Vec<Remembered>,
+    /// The order in which individuals are eliminated, by index; empty before it is first needed.
+    pub order: Vec<u32>,
+    /// How many programs were solved in that order.
+    pub order_age: u32,
 }
 
 /// A swarm at one step.
@@ -55,8 +59,9 @@ impl State {
     /// BLAKE3 over little-endian bytes in this order: model version; `pi1, pi2, pi3, pi4, dt`,
     /// contact rule, attraction law; seed; step; origin; the next id; the columns id, x, y,
     /// alpha, weight, direction, lapses; the solver's memory as columns first, second, code,
-    /// multiplier. A column is its length as 64 bits, then its entries; an entry of "lapses" is
-    /// a byte 0, or a byte 1 and the step. Floats are hashed by their bits.
+    /// multiplier, then the order of elimination and its age. A column is its length as 64 bits,
+    /// then its entries; an entry of "lapses" is a byte 0, or a byte 1 and the step; the attraction
+    /// law, a byte 0, or a byte 1 and the accuracy. Floats are hashed by their bits.
     #[must_use]
     pub fn hash(&self) -> [u8; 32] {
         let Self {
@@ -83,9 +88,15 @@ impl State {
         bytes.put(match contacts {
             ContactRule::Endpoints => [0],
         });
-        bytes.put(match attraction {
-            Attraction::All => [0],
-        });
+        match attraction {
+            Attraction::All { accuracy: None } => bytes.put([0]),
+            Attraction::All {
+                accuracy: Some(accuracy),
+            } => {
+                bytes.put([1]);
+                bytes.put(accuracy.to_le_bytes());
+            }
+        }
         bytes.put(seed.to_le_bytes());
         bytes.put(step.to_le_bytes());
         let Configuration {
@@ -112,7 +123,11 @@ impl State {
                 bytes.put(step.to_le_bytes());
             }
         }
-        let SolverMemory { contacts } = memory;
+        let SolverMemory {
+            contacts,
+            order,
+            order_age,
+        } = memory;
         bytes.column(contacts.iter().map(|contact| contact.first.to_le_bytes()));
         bytes.column(contacts.iter().map(|contact| contact.second.to_le_bytes()));
         bytes.column(contacts.iter().map(|contact| [contact.code]));
@@ -121,6 +136,8 @@ impl State {
                 .iter()
                 .map(|contact| contact.multiplier.to_le_bytes()),
         );
+        bytes.column(order.iter().map(|index| index.to_le_bytes()));
+        bytes.put(order_age.to_le_bytes());
         *bytes.0.finalize().as_bytes()
     }
 }
@@ -156,7 +173,11 @@ mod tests {
             code: 4,
             multiplier: 0.25,
         }];
-        let memory = SolverMemory { contacts };
+        let memory = SolverMemory {
+            contacts,
+            order: vec![1, 0],
+            order_age: 6,
+        };
         State {
             seed: 8,
             step: 9,
@@ -166,12 +187,18 @@ mod tests {
         }
     }
 
+    fn accurate(accuracy: f64) -> Attraction {
+        Attraction::All {
+            accuracy: Some(accuracy),
+        }
+    }
+
     /// A change of any of these bytes is a change of the model's version.
     #[test]
     fn the_layout_does_not_change() {
         let state = example();
         let mut bytes: Vec<u8> = Vec::new();
-        bytes.extend(1u32.to_le_bytes());
+        bytes.extend(2u32.to_le_bytes());
         bytes.extend([4.0, 0.5, 1.0, 10.0, 0.02].map(f64::to_le_bytes).concat());
         bytes.extend([0, 0]);
         bytes.extend([8u64, 9].map(u64::to_le_bytes).concat());
@@ -190,18 +217,22 @@ mod tests {
         bytes.extend([&1u64.to_le_bytes()[..], &1u32.to_le_bytes()].concat());
         bytes.extend([&1u64.to_le_bytes()[..], &[4]].concat());
         bytes.extend([&1u64.to_le_bytes()[..], &0.25f64.to_le_bytes()].concat());
+        bytes.extend(2u64.to_le_bytes());
+        bytes.extend([1u32, 0, 6].map(u32::to_le_bytes).concat());
         assert_eq!(state.hash(), *blake3::hash(&bytes).as_bytes());
         assert_eq!(state.time(), 9.0 * 0.02);
     }
 
     #[test]
     fn everything_that_decides_the_future_is_hashed() {
-        let changes: [fn(&mut State); 20] = [
+        let changes: [fn(&mut State); 22] = [
             |state| state.parameters.pi1 = 5.0,
             |state| state.parameters.pi2 = 5.0,
             |state| state.parameters.pi3 = 5.0,
             |state| state.parameters.pi4 = 5.0,
             |state| state.parameters.dt = 0.01,
+            |state| state.parameters.attraction = accurate(1e-6),
+            |state| state.parameters.attraction = accurate(1e-7),
             |state| state.seed += 1,
             |state| state.step += 1,
             |state| state.configuration.origin[1] += 1,
@@ -217,6 +248,8 @@ mod tests {
             |state| state.memory.contacts[0].second = 9,
             |state| state.memory.contacts[0].code = 9,
             |state| state.memory.contacts[0].multiplier = 9.0,
+            |state| state.memory.order[0] = 9,
+            |state| state.memory.order_age = 9,
         ];
         let mut hashes = vec![example().hash()];
         for (k, change) in changes.into_iter().enumerate() {

@@ -1,7 +1,8 @@
 //! Contacts: where two bodies could touch during a step, and how their gap changes.
 
 use super::StepError;
-use crate::model::{Configuration, ContactRule, Parameters, SolverMemory};
+use super::ends::{self, Axis, End, LANES, Pairs};
+use crate::model::{Configuration, ContactRule, Parameters, lanes};
 
 /// One end of a body near another body.
 ///
@@ -47,6 +48,10 @@ impl Contact {
     }
 }
 
+/// Pairs whose ends are looked at before the first of their contacts is measured: what is
+/// foreseeable is not held up by what is not.
+const BLOCK: usize = 64;
+
 /// Finds every contact of `pairs` with a gap up to `reach(i, j)`, appending to `contacts`.
 ///
 /// - Shapes: pairs ordered by (i, j), i < j; contacts come ordered by (i, j, code).
@@ -68,177 +73,99 @@ pub fn find(
 ) -> Result<(), StepError> {
     let (h, width) = (parameters.half_length(), 2.0 * parameters.radius());
     let ContactRule::Endpoints = parameters.contacts;
-    for &(i, j) in pairs {
-        let (a, b) = (i as usize, j as usize);
-        let limit = width + reach(a, b);
-        let pair = Pair {
-            h,
-            offset: [
-                configuration.x[b] - configuration.x[a],
-                configuration.y[b] - configuration.y[a],
-            ],
-            heading: [heading[a], heading[b]],
-        };
-        let centres = limit + 2.0 * h;
-        if dot(pair.offset, pair.offset) > centres * centres {
-            continue;
-        }
-        if axes_cross(h, pair.offset, heading[a], heading[b]) {
-            let [first, second] = [a, b].map(|index| configuration.id[index]);
-            return Err(StepError::CrossedBodies { first, second });
-        }
-        let start = contacts.len();
-        let mut push = |code: u8, arms: [f64; 2]| {
-            let separation = pair.separation(arms);
-            let distance = dot(separation, separation).sqrt();
-            if distance > limit {
-                return;
+    let axes = Axes::new(configuration, heading);
+    let (level, mut lanes) = (lanes::level(), Pairs::default());
+    let mut signs = [[0; LANES]; BLOCK / LANES];
+    for pairs in pairs.chunks(BLOCK) {
+        for (pairs, signs) in pairs.chunks(LANES).zip(&mut signs) {
+            for (lane, &(i, j)) in pairs.iter().enumerate() {
+                let limit = width + reach(i as usize, j as usize);
+                lanes.set(lane, &axes.at(i), &axes.at(j), limit);
             }
-            let normal = [separation[0] / distance, separation[1] / distance];
-            let lever = |body: usize| arms[body] * cross(pair.heading[body], normal);
-            let gap = distance - width;
-            contacts.push(Contact {
-                i,
-                j,
-                code,
-                gap,
-                normal,
-                lever: [lever(0), lever(1)],
-            });
-        };
-        if h == 0.0 {
-            push(0, [0.0, 0.0]);
-        } else {
-            pair.ends(&mut push);
-            contacts[start..].sort_unstable_by_key(|contact| contact.code);
+            *signs = lanes.signs(level, h);
+        }
+        for (&(i, j), &signs) in pairs.iter().zip(signs.as_flattened()) {
+            if ends::crossed(signs) {
+                let [first, second] = [i, j].map(|index| configuration.id[index as usize]);
+                return Err(StepError::CrossedBodies { first, second });
+            }
+            let mut codes = ends::codes(h, signs);
+            while codes != 0 {
+                #[expect(clippy::cast_possible_truncation, reason = "codes are below 8")]
+                let code = codes.trailing_zeros() as u8;
+                codes &= codes - 1;
+                contacts.push(contact((i, j), code, h, width, &axes.at(i), &axes.at(j)));
+            }
         }
     }
     Ok(())
 }
 
-/// Whether two axes of half-length `h` meet, the second's centre at `offset` from the first's.
-/// Discs meet when their centres coincide.
-#[must_use]
-pub fn axes_cross(h: f64, offset: [f64; 2], heading_i: [f64; 2], heading_j: [f64; 2]) -> bool {
-    if dot(offset, offset) > 4.0 * h * h {
-        return false;
-    }
-    // Each axis must meet the other's line: the ends of one lie on both sides of it.
-    let sine = cross(heading_i, heading_j);
-    let across_i = cross(heading_i, offset);
-    let across_j = cross(heading_j, offset);
-    let spread = h * sine.abs();
-    if across_i.abs() > spread || across_j.abs() > spread {
-        return false;
-    }
-    // Parallel axes on one line overlap, being nearer than two half-lengths.
-    true
+/// All axes; one length for all columns, so that an index is checked once.
+#[derive(Clone, Copy)]
+pub struct Axes<'a> {
+    x: &'a [f64],
+    y: &'a [f64],
+    heading: &'a [[f64; 2]],
 }
 
-/// Guesses the multipliers of `contacts` from the last step's.
-///
-/// A contact not seen before, of a pair that was in contact, inherits from one of the pair's
-/// contacts that shares an end and is gone: the contact has passed from a side to a cap.
-pub fn recall(memory: &SolverMemory, id: &[u32], contacts: &[Contact], guess: &mut Vec<f64>) {
-    guess.clear();
-    guess.resize(contacts.len(), 0.0);
-    let mut remembered = &memory.contacts[..];
-    let mut start = 0;
-    while start < contacts.len() {
-        let (i, j) = (contacts[start].i, contacts[start].j);
-        let count = contacts[start..]
-            .iter()
-            .take_while(|contact| (contact.i, contact.j) == (i, j))
-            .count();
-        let now = start..start + count;
-        start += count;
-        let pair = (id[i as usize], id[j as usize]);
-        let skipped = remembered.partition_point(|old| (old.first, old.second) < pair);
-        remembered = &remembered[skipped..];
-        let known = remembered.partition_point(|old| (old.first, old.second) == pair);
-        let mut gone: Vec<_> = remembered[..known].to_vec();
-        remembered = &remembered[known..];
-        for k in now.clone() {
-            if let Some(place) = gone.iter().position(|old| old.code == contacts[k].code) {
-                guess[k] = gone.remove(place).multiplier;
-            }
-        }
-        for k in now.filter(|&k| guess[k] == 0.0).collect::<Vec<_>>() {
-            let shares_end =
-                |old: &crate::model::Remembered| ends(old.code) & ends(contacts[k].code) != 0;
-            if let Some(place) = gone.iter().position(shares_end) {
-                guess[k] = gone.remove(place).multiplier;
-            }
+impl<'a> Axes<'a> {
+    /// Sees a configuration and its headings as axes.
+    #[must_use]
+    pub fn new(configuration: &'a Configuration, heading: &'a [[f64; 2]]) -> Self {
+        let n = heading.len();
+        let (x, y) = (&configuration.x[..n], &configuration.y[..n]);
+        Self { x, y, heading }
+    }
+
+    /// The axis of individual `index`.
+    #[inline(always)]
+    #[must_use]
+    pub fn at(&self, index: u32) -> Axis {
+        let index = index as usize;
+        Axis {
+            centre: [self.x[index], self.y[index]],
+            heading: self.heading[index],
         }
     }
 }
 
-/// The ends a code names, as bits: head and tail of the first, head and tail of the second.
-fn ends(code: u8) -> u8 {
-    match code {
-        0..4 => 1 << code,
-        _ => 1 << ((code - 4) / 2) | 4 << ((code - 4) % 2),
-    }
-}
-
-/// Two axes: the centre of the second seen from the first, and both headings.
-struct Pair {
+#[inline(always)]
+fn contact(
+    (i, j): (u32, u32),
+    code: u8,
     h: f64,
-    offset: [f64; 2],
-    heading: [[f64; 2]; 2],
-}
-
-/// An end's nearest point on the other axis.
-#[derive(Clone, Copy, PartialEq)]
-enum Foot {
-    Inside(f64),
-    End(u8),
-}
-
-impl Pair {
-    /// From the point of the first axis at `arms[0]` to the point of the second at `arms[1]`.
-    fn separation(&self, arms: [f64; 2]) -> [f64; 2] {
-        let [u, v] = self.heading;
-        [0, 1].map(|axis| self.offset[axis] + arms[1] * v[axis] - arms[0] * u[axis])
-    }
-
-    /// Where an end's projection falls on an axis; an end is 0 for the head, 1 for the tail.
-    fn foot(&self, along: f64) -> Foot {
-        match along {
-            along if along >= self.h => Foot::End(0),
-            along if along <= -self.h => Foot::End(1),
-            along => Foot::Inside(along),
-        }
-    }
-
-    fn ends(&self, push: &mut impl FnMut(u8, [f64; 2])) {
-        let [u, v] = self.heading;
-        let arm = [self.h, -self.h];
-        let cosine = dot(u, v);
-        let (offset_u, offset_v) = (dot(self.offset, u), dot(self.offset, v));
-        let of_first = arm.map(|arm| self.foot(arm * cosine - offset_v));
-        let of_second = arm.map(|arm| self.foot(arm * cosine + offset_u));
-        for end in 0..2u8 {
-            let at = usize::from(end);
-            match of_first[at] {
-                Foot::Inside(along) => push(end, [arm[at], along]),
-                Foot::End(other) if of_second[usize::from(other)] == Foot::End(end) => {
-                    push(4 + 2 * end + other, [arm[at], arm[usize::from(other)]]);
-                }
-                Foot::End(_) => {}
-            }
-            if let Foot::Inside(along) = of_second[at] {
-                push(2 + end, [along, arm[at]]);
-            }
-        }
+    width: f64,
+    first: &Axis,
+    second: &Axis,
+) -> Contact {
+    let end = if code < 4 { code } else { (code - 4) / 2 };
+    let (u, v) = (first.heading, second.heading);
+    let offset = [0, 1].map(|axis| second.centre[axis] - first.centre[axis]);
+    let end = End::new(end & 1 != 0, end & 2 != 0, h, offset, u, v);
+    let separation = end.separation(offset, u, v);
+    let distance = dot(separation, separation).sqrt();
+    let normal = separation.map(|component| component / distance);
+    Contact {
+        i,
+        j,
+        code,
+        gap: distance - width,
+        normal,
+        lever: [
+            end.arms[0] * cross(u, normal),
+            end.arms[1] * cross(v, normal),
+        ],
     }
 }
 
-fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+#[inline(always)]
+pub(super) fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[0] + a[1] * b[1]
 }
 
-fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
+#[inline(always)]
+pub(super) fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
     a[0] * b[1] - a[1] * b[0]
 }
 
@@ -248,7 +175,6 @@ mod tests {
     use std::f64::consts::{FRAC_PI_2, TAU};
 
     use super::*;
-    use crate::model::Remembered;
     use crate::model::body::{Body, Pose};
     use crate::model::random::{Purpose, Stream};
 
@@ -437,44 +363,5 @@ mod tests {
                 assert!(contact.closing(&turned).abs() < 1e-13, "{pose:?}");
             }
         }
-    }
-
-    #[test]
-    fn multipliers_are_recalled_by_name_then_by_a_shared_end() {
-        let contact = |i, j, code| Contact {
-            i,
-            j,
-            code,
-            gap: 0.0,
-            normal: [1.0, 0.0],
-            lever: [0.0; 2],
-        };
-        let old = |first, second, code, multiplier| Remembered {
-            first,
-            second,
-            code,
-            multiplier,
-        };
-        // The middle individual, id 20, is gone since.
-        let contacts = vec![
-            old(10, 20, 0, 1.0),
-            old(10, 30, 1, 2.0),
-            old(10, 30, 3, 3.0),
-            old(20, 30, 0, 4.0),
-            old(30, 40, 0, 5.0),
-        ];
-        let memory = SolverMemory { contacts };
-        let now = [
-            contact(0, 1, 1),
-            contact(0, 1, 5),
-            contact(0, 2, 0),
-            contact(1, 2, 2),
-            contact(1, 2, 4),
-        ];
-        let mut guess = Vec::new();
-        recall(&memory, &[10, 30, 40], &now, &mut guess);
-        // 5 is head with tail: it inherits from 3, the tail on a side; 4 is head with head: from
-        // 0; 2, the other's head on a side, has no end in common with what was there.
-        assert_eq!(guess, [2.0, 3.0, 0.0, 0.0, 5.0]);
     }
 }

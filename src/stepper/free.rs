@@ -1,6 +1,7 @@
 //! What every individual would do alone in one step.
 
-use crate::model::attraction;
+use super::heading::unit_vectors;
+use crate::model::attraction::Social;
 use crate::model::{Configuration, Parameters};
 
 /// Free motion of all individuals.
@@ -10,7 +11,10 @@ pub struct Free {
     pub heading: Vec<[f64; 2]>,
     /// Displacement in x, y and angle.
     pub displacement: Vec<[f64; 3]>,
+    social: Social,
     pull: Vec<[f64; 2]>,
+    /// Unit vectors along the preferred directions, if any individual has one.
+    own: Vec<[f64; 2]>,
 }
 
 impl Free {
@@ -19,22 +23,49 @@ impl Free {
     /// - Shapes: n individuals in; n headings, n displacements.
     /// - Source: paper, eqs. (1)-(3), (5), (6), with `c_s = π3` and `c_p` the weight times that.
     pub fn compute(&mut self, parameters: &Parameters, configuration: &Configuration) {
+        let mut pull = std::mem::take(&mut self.pull);
+        self.social
+            .compute(parameters.attraction, configuration, &mut pull);
+        self.head(configuration);
+        self.steer(parameters, configuration, &pull);
+        self.pull = pull;
+    }
+
+    /// Computes headings.
+    pub fn head(&mut self, configuration: &Configuration) {
+        unit_vectors(&configuration.alpha, &mut self.heading);
+    }
+
+    /// Computes free displacements from the headings and from `pull`, which
+    /// [`Social::compute`] gives.
+    pub fn steer(
+        &mut self,
+        parameters: &Parameters,
+        configuration: &Configuration,
+        pull: &[[f64; 2]],
+    ) {
         let Parameters { pi3, dt, .. } = *parameters;
-        attraction::social(parameters.attraction, configuration, &mut self.pull);
-        self.heading.clear();
-        self.displacement.clear();
-        for (index, social) in self.pull.iter().enumerate() {
-            let (sin, cos) = libm::sincos(configuration.alpha[index]);
-            let weight = configuration.weight[index];
-            let mut wanted = *social;
-            if weight > 0.0 {
-                let (own_sin, own_cos) = libm::sincos(configuration.direction[index]);
-                wanted = [wanted[0] + weight * own_cos, wanted[1] + weight * own_sin];
-            }
+        let moved = |[cos, sin]: [f64; 2], wanted: [f64; 2]| {
             let turning = pi3 * (cos * wanted[1] - sin * wanted[0]);
-            self.heading.push([cos, sin]);
-            self.displacement.push([dt * cos, dt * sin, dt * turning]);
+            [dt * cos, dt * sin, dt * turning]
+        };
+        self.displacement.clear();
+        let social = self.heading.iter().zip(pull);
+        let weight = &configuration.weight;
+        if weight.iter().all(|&weight| weight == 0.0) {
+            let free = social.map(|(&heading, &pull)| moved(heading, pull));
+            self.displacement.extend(free);
+            return;
         }
+        unit_vectors(&configuration.direction, &mut self.own);
+        let preferred = weight.iter().zip(&self.own);
+        let free = social
+            .zip(preferred)
+            .map(|((&heading, pull), (weight, own))| {
+                let wanted = [pull[0] + weight * own[0], pull[1] + weight * own[1]];
+                moved(heading, if *weight > 0.0 { wanted } else { *pull })
+            });
+        self.displacement.extend(free);
     }
 }
 

@@ -3,32 +3,49 @@
 //! P. L. Várkonyi, *Communication and collective consensus making in animal groups via
 //! mechanical interactions*, J. Nonlinear Sci. 21 (2011) 387-401: eqs. (1)-(7) and the appendix,
 //! referred to below as "the paper". A step is a function of the state alone. The workspace only
-//! saves allocations.
+//! saves time.
 
 pub mod contact;
+mod ends;
 pub mod free;
+pub mod heading;
+mod memory;
+mod neighbours;
 pub mod qp;
 pub mod solve;
 
 use thiserror::Error;
 
-use crate::model::{Remembered, State, body};
+use crate::model::attraction::Social;
+use crate::model::{CELL, Configuration, State};
 use contact::Contact;
+use heading::unit_vector;
+use neighbours::Neighbours;
 use qp::Qp;
 
 /// How often contacts may be listed again in one step. Every time at least one is added, and
 /// hardly any step needs a second list.
 const MOST_LISTS: usize = 20;
 
+/// What a bound on a distance leaves for rounding, at the largest coordinates and angles.
+const ROUNDING: f64 = 1e-6;
+
 /// Advances states, and keeps its memory between steps.
 #[derive(Debug, Default)]
 pub struct Stepper {
+    backend: solve::Backend,
+    social: Social,
+    pull: Vec<[f64; 2]>,
     free: free::Free,
+    neighbours: Neighbours,
     qp: Qp,
     guess: Vec<f64>,
     solution: solve::Solution,
     solver: solve::Workspace,
     travel: Vec<f64>,
+    /// Contacts that the first list missed, and all with their multipliers while they are sorted.
+    missed: Vec<Contact>,
+    listed: Vec<(Contact, f64)>,
 }
 
 /// What a step was like.
@@ -84,6 +101,15 @@ impl Stepper {
         Self::default()
     }
 
+    /// Creates an empty workspace that solves by `backend`.
+    #[must_use]
+    pub fn with_backend(backend: solve::Backend) -> Self {
+        Self {
+            backend,
+            ..Self::default()
+        }
+    }
+
     /// Advances `state` by one step.
     ///
     /// - Source: paper, Principle 1, and the four parts of a step at the end of its appendix.
@@ -92,81 +118,105 @@ impl Stepper {
     ///
     /// [`StepError`]; the state is then as it was.
     pub fn step(&mut self, state: &mut State) -> Result<StepReport, StepError> {
-        let pairs = self.assemble(state)?;
-        let mut report = self.solve(state, pairs)?;
-        let configuration = &mut state.configuration;
-        for (index, displacement) in self.solution.displacement.iter().enumerate() {
-            configuration.x[index] += displacement[0];
-            configuration.y[index] += displacement[1];
-            configuration.alpha[index] += displacement[2];
-        }
-        configuration.re_centre();
+        let mut pull = std::mem::take(&mut self.pull);
+        let attraction = state.parameters.attraction;
+        self.social
+            .compute(attraction, &state.configuration, &mut pull);
+        let result = self.advance(state, &pull);
+        self.pull = pull;
+        result
+    }
+
+    /// Advances `state` by one step, the attraction being known.
+    ///
+    /// - Shapes: n individuals and n vectors of `pull`, which [`Social::compute`] gives.
+    ///
+    /// # Errors
+    ///
+    /// [`StepError`]; the state is then as it was.
+    pub fn advance(
+        &mut self,
+        state: &mut State,
+        pull: &[[f64; 2]],
+    ) -> Result<StepReport, StepError> {
+        self.assemble(state, pull)?;
+        let mut report = self.solve(state)?;
+        memory::remember(
+            &state.configuration.id,
+            &self.qp.contacts,
+            &self.solution.multipliers,
+            self.solver.exact.order(),
+            &mut state.memory,
+        );
+        displace(&mut state.configuration, &self.solution.displacement);
         state.step += 1;
-        for index in 0..configuration.n() {
-            if configuration.lapses_at[index].is_some_and(|step| step <= state.step) {
-                configuration.uninform(index);
-                report.lapsed.push(configuration.id[index]);
-            }
-        }
-        self.remember(state);
+        lapse(state, &mut report.lapsed);
         Ok(report)
     }
 
-    /// Assembles the program of one step; returns the pairs that were looked at.
-    fn assemble(&mut self, state: &State) -> Result<Vec<(u32, u32)>, StepError> {
+    /// Assembles the program of one step, the attraction being known, and guesses its
+    /// multipliers: [`Stepper::program`] then has both.
+    ///
+    /// - Shapes: n individuals and n vectors of `pull`, which [`Social::compute`] gives.
+    ///
+    /// # Errors
+    ///
+    /// [`StepError::NotFinite`] and [`StepError::CrossedBodies`].
+    pub fn assemble(&mut self, state: &State, pull: &[[f64; 2]]) -> Result<(), StepError> {
         let State {
             parameters,
             configuration,
+            memory,
             ..
         } = state;
-        for index in 0..configuration.n() {
-            let sum = configuration.x[index] + configuration.y[index] + configuration.alpha[index];
-            if !sum.is_finite() {
-                return Err(StepError::NotFinite {
-                    id: configuration.id[index],
-                });
-            }
-        }
-        self.free.compute(parameters, configuration);
-        let reach = parameters.reach(configuration.largest_weight());
-        let near = body::Body::new(parameters).centre_distance(reach);
-        let pairs = body::pairs_within(&configuration.x, &configuration.y, near);
+        let Configuration { x, y, alpha, .. } = configuration;
+        let poses = x.iter().zip(y).zip(alpha);
+        all_finite(configuration, poses.map(|((x, y), alpha)| x + y + alpha))?;
+        self.free.head(configuration);
+        self.free.steer(parameters, configuration, pull);
+        std::mem::swap(&mut self.qp.free, &mut self.free.displacement);
         self.qp.weights = [1.0, 1.0, parameters.rho2()];
-        self.qp.free.clone_from(&self.free.displacement);
         self.qp.contacts.clear();
-        let reach_of = |_, _| reach;
+        let (qp, free) = (&mut self.qp, &self.free);
+        let reach = parameters.reach(configuration.largest_weight());
+        self.neighbours
+            .update(parameters, configuration, &free.heading, reach);
         contact::find(
             parameters,
             configuration,
-            &self.free.heading,
-            &pairs,
-            reach_of,
-            &mut self.qp.contacts,
+            &free.heading,
+            self.neighbours.pairs(),
+            |_, _| reach,
+            &mut qp.contacts,
         )?;
-        Ok(pairs)
+        memory::recall(memory, &configuration.id, &qp.contacts, &mut self.guess);
+        Ok(())
+    }
+
+    /// The program assembled last, and a guess of its multipliers.
+    #[must_use]
+    pub fn program(&self) -> (&Qp, &[f64]) {
+        (&self.qp, &self.guess)
     }
 
     /// Solves the program, lists what the solution could have closed, and solves again until
     /// nothing was missed.
-    fn solve(
-        &mut self,
-        state: &State,
-        mut pairs: Vec<(u32, u32)>,
-    ) -> Result<StepReport, StepError> {
+    fn solve(&mut self, state: &State) -> Result<StepReport, StepError> {
+        let mut report = StepReport::default();
         let State {
             configuration,
             memory,
             ..
         } = state;
-        let mut report = StepReport::default();
-        contact::recall(
-            memory,
-            &configuration.id,
-            &self.qp.contacts,
-            &mut self.guess,
-        );
+        self.solver.exact.recall(&memory.order, memory.order_age);
         for _ in 0..MOST_LISTS {
-            solve::solve(&self.qp, &self.guess, &mut self.solver, &mut self.solution);
+            let hints = solve::Hints {
+                multipliers: &self.guess,
+                x: &configuration.x,
+                y: &configuration.y,
+            };
+            let (solver, solution) = (&mut self.solver, &mut self.solution);
+            solve::solve(self.backend, &self.qp, &hints, solver, solution);
             let solution = &self.solution;
             report.iterations += solution.iterations;
             report.referee += solution.referee;
@@ -175,39 +225,38 @@ impl Stepper {
                     residual: solution.residual,
                 });
             }
-            let missed = self.missed(state, &mut pairs)?;
-            if missed.is_empty() {
+            let closing = self.find_missed(state)?;
+            if self.missed.is_empty() {
                 report.residual = self.solution.residual;
                 report.degraded = self.solution.residual > solve::TARGET;
                 report.contacts = self.qp.contacts.len();
-                report.active = self
-                    .solution
-                    .multipliers
-                    .iter()
-                    .filter(|&&value| value > 0.0)
-                    .count();
-                self.check_result(state, &pairs)?;
+                let multipliers = &self.solution.multipliers;
+                report.active = multipliers.iter().filter(|&&value| value > 0.0).count();
+                self.check_result(state, closing)?;
                 return Ok(report);
             }
-            self.add(missed);
+            self.add_missed();
         }
         Err(StepError::NotSolved {
             residual: f64::INFINITY,
         })
     }
 
-    /// Finds the contacts not listed that the displacements close in the linearised gap.
-    fn missed(
-        &mut self,
-        state: &State,
-        pairs: &mut Vec<(u32, u32)>,
-    ) -> Result<Vec<Contact>, StepError> {
+    /// Finds the contacts not listed that the displacements close in the linearised gap; returns
+    /// by how much any two bodies can have closed, at most.
+    fn find_missed(&mut self, state: &State) -> Result<f64, StepError> {
         let State {
             parameters,
             configuration,
             ..
         } = state;
         let (h, displacement) = (parameters.half_length(), &self.solution.displacement);
+        self.missed.clear();
+        let reach = parameters.reach(configuration.largest_weight());
+        let bound = 2.0 * furthest_travel(h, displacement);
+        if bound <= reach {
+            return Ok(bound);
+        }
         self.travel.clear();
         self.travel.extend(
             displacement
@@ -215,104 +264,147 @@ impl Stepper {
                 .map(|[x, y, alpha]| (x * x + y * y).sqrt() + h * alpha.abs()),
         );
         let (furthest, second) = two_largest(&self.travel);
-        let reach = parameters.reach(configuration.largest_weight());
-        if furthest + second <= reach {
-            return Ok(Vec::new());
+        let bound = furthest + second;
+        if bound <= reach {
+            return Ok(bound);
         }
-        let near = body::Body::new(parameters).centre_distance(furthest + second);
-        *pairs = body::pairs_within(&configuration.x, &configuration.y, near);
+        let heading = &self.free.heading;
+        self.neighbours
+            .update(parameters, configuration, heading, bound);
         let travel = &self.travel;
-        let closing = |i: usize, j: usize| travel[i] + travel[j];
-        let mut reachable = Vec::new();
         contact::find(
             parameters,
             configuration,
-            &self.free.heading,
-            pairs,
-            closing,
-            &mut reachable,
+            heading,
+            self.neighbours.pairs(),
+            |i, j| travel[i] + travel[j],
+            &mut self.missed,
         )?;
         let listed = &self.qp.contacts;
-        reachable.retain(|contact| {
+        self.missed.retain(|contact| {
             listed
                 .binary_search_by_key(&contact.key(), Contact::key)
                 .is_err()
                 && contact.linearised_gap(displacement) < 0.0
         });
-        Ok(reachable)
+        Ok(bound)
     }
 
-    /// Lists more contacts; the multipliers found so far are the guess for the next solution.
-    fn add(&mut self, missed: Vec<Contact>) {
-        let old = self
-            .qp
-            .contacts
-            .drain(..)
-            .zip(self.solution.multipliers.drain(..));
-        let mut all: Vec<(Contact, f64)> = old
-            .chain(missed.into_iter().map(|contact| (contact, 0.0)))
-            .collect();
-        all.sort_by_key(|(contact, _)| contact.key());
-        (self.qp.contacts, self.guess) = all.into_iter().unzip();
+    /// Lists what was missed; the multipliers found so far are the guess for the next solution.
+    fn add_missed(&mut self) {
+        let old = self.qp.contacts.drain(..);
+        self.listed.clear();
+        self.listed
+            .extend(old.zip(self.solution.multipliers.drain(..)));
+        self.listed
+            .extend(self.missed.drain(..).map(|contact| (contact, 0.0)));
+        self.listed
+            .sort_unstable_by_key(|(contact, _)| contact.key());
+        self.guess.clear();
+        for (contact, multiplier) in self.listed.drain(..) {
+            self.qp.contacts.push(contact);
+            self.guess.push(multiplier);
+        }
     }
 
-    /// Refuses a result that is not finite, or in which axes cross.
-    fn check_result(&self, state: &State, pairs: &[(u32, u32)]) -> Result<(), StepError> {
+    /// Refuses a result that is not finite, or in which axes cross; no two bodies have closed by
+    /// more than `closing`.
+    fn check_result(&self, state: &State, closing: f64) -> Result<(), StepError> {
         let State {
             parameters,
             configuration,
             ..
         } = state;
-        let after = |index: usize| {
-            let [x, y, alpha] = self.solution.displacement[index];
-            let (sin, cos) = libm::sincos(configuration.alpha[index] + alpha);
+        let Configuration { x, y, alpha, .. } = configuration;
+        let displacement = &self.solution.displacement;
+        let poses = x.iter().zip(y).zip(alpha).zip(displacement);
+        let sums = poses
+            .map(|(((x, y), alpha), moved)| (x + moved[0]) + (y + moved[1]) + (alpha + moved[2]));
+        all_finite(configuration, sums)?;
+        // Axes come to cross where the distance between them is used up, and every pair is as
+        // far apart as its nearest contact; without one, further than the reach.
+        let reach = parameters.reach(configuration.largest_weight());
+        let gaps = self.qp.contacts.iter().map(|contact| contact.gap);
+        let nearest = gaps.fold(reach, |least, gap| if gap < least { gap } else { least });
+        let distance = nearest + 2.0 * parameters.radius();
+        if distance > closing + ROUNDING {
+            return Ok(());
+        }
+        let after = |index: u32| {
+            let index = index as usize;
+            let [x, y, alpha] = displacement[index];
             (
                 [configuration.x[index] + x, configuration.y[index] + y],
-                [cos, sin],
+                unit_vector(configuration.alpha[index] + alpha),
             )
         };
-        let poses: Vec<_> = (0..configuration.n()).map(after).collect();
-        for (index, (centre, heading)) in poses.iter().enumerate() {
-            if !(centre[0] + centre[1] + heading[0]).is_finite() {
-                return Err(StepError::NotFinite {
-                    id: configuration.id[index],
-                });
-            }
-        }
         let h = parameters.half_length();
-        for &(i, j) in pairs {
-            let ([from, heading_i], [to, heading_j]) = (
-                [poses[i as usize].0, poses[i as usize].1],
-                [poses[j as usize].0, poses[j as usize].1],
-            );
+        for &(i, j) in self.neighbours.pairs() {
+            let ((from, heading_i), (to, heading_j)) = (after(i), after(j));
             let offset = [to[0] - from[0], to[1] - from[1]];
-            if contact::axes_cross(h, offset, heading_i, heading_j) {
+            if ends::axes_cross(h, offset, heading_i, heading_j) {
                 let [first, second] = [i, j].map(|index| configuration.id[index as usize]);
                 return Err(StepError::CrossedBodies { first, second });
             }
         }
         Ok(())
     }
+}
 
-    fn remember(&self, state: &mut State) {
-        let id = &state.configuration.id;
-        let remembered = &mut state.memory.contacts;
-        remembered.clear();
-        let pushed = self
-            .qp
-            .contacts
-            .iter()
-            .zip(&self.solution.multipliers)
-            .filter(|(_, value)| **value > 0.0);
-        remembered.extend(pushed.map(|(contact, &multiplier)| {
-            let [first, second] = [contact.i, contact.j].map(|index| id[index as usize]);
-            Remembered {
-                first,
-                second,
-                code: contact.code,
-                multiplier,
-            }
-        }));
+/// Refuses to go on with anybody whose sum of coordinates is not finite.
+fn all_finite(
+    configuration: &Configuration,
+    sums: impl Iterator<Item = f64> + Clone,
+) -> Result<(), StepError> {
+    // Without a branch for each, as nearly always all are.
+    let finite = sums.clone().fold(true, |all, sum| all & sum.is_finite());
+    if finite {
+        return Ok(());
+    }
+    let first = sums.into_iter().position(|sum| !sum.is_finite());
+    let id = configuration.id[first.expect("one is not finite")];
+    Err(StepError::NotFinite { id })
+}
+
+/// How far any point of an axis is carried, at most.
+fn furthest_travel(h: f64, displacement: &[[f64; 3]]) -> f64 {
+    let larger = |one: f64, other: f64| if one > other { one } else { other };
+    let (mut way, mut turn) = ([0.0; 4], [0.0; 4]);
+    for four in displacement.chunks(4) {
+        for (lane, [x, y, alpha]) in four.iter().enumerate() {
+            way[lane] = larger(x * x + y * y, way[lane]);
+            turn[lane] = larger(alpha.abs(), turn[lane]);
+        }
+    }
+    let [way, turn] = [way, turn].map(|lanes| lanes.into_iter().fold(0.0, larger));
+    way.sqrt() + h * turn
+}
+
+/// Moves all, and keeps them near their origin.
+fn displace(configuration: &mut Configuration, displacement: &[[f64; 3]]) {
+    let Configuration { x, y, alpha, .. } = configuration;
+    let poses = x.iter_mut().zip(y.iter_mut()).zip(alpha);
+    let mut all_near = true;
+    for (((x, y), alpha), moved) in poses.zip(displacement) {
+        *x += moved[0];
+        *y += moved[1];
+        *alpha += moved[2];
+        all_near &= (x.abs() <= CELL / 2.0) & (y.abs() <= CELL / 2.0);
+    }
+    // Where nobody is further than half a cell from the origin, the centroid is not either.
+    if !all_near {
+        configuration.re_centre();
+    }
+}
+
+/// Ends the preferences whose time has come, and tells whose.
+fn lapse(state: &mut State, lapsed: &mut Vec<u32>) {
+    let configuration = &mut state.configuration;
+    for index in 0..configuration.n() {
+        if configuration.lapses_at[index].is_some_and(|step| step <= state.step) {
+            configuration.uninform(index);
+            lapsed.push(configuration.id[index]);
+        }
     }
 }
 
@@ -331,7 +423,7 @@ fn two_largest(values: &[f64]) -> (f64, f64) {
 mod tests {
     use super::*;
     use crate::model::random::{Purpose, Stream};
-    use crate::model::{Configuration, Parameters};
+    use crate::model::{Parameters, body};
 
     /// Two bodies side by side, touching, and one far away.
     fn touching() -> State {

@@ -29,9 +29,10 @@ impl Qp {
     /// Computes `d = u + W⁻¹ Aᵀ λ`. Whom nothing pushes moves freely, to the bit.
     pub fn displace(&self, multipliers: &[f64], displacement: &mut Vec<[f64; 3]>) {
         displacement.clone_from(&self.free);
+        let ease = self.weights.map(|drag| 1.0 / drag);
         for (contact, &multiplier) in self.contacts.iter().zip(multipliers) {
             if multiplier != 0.0 {
-                self.push(contact, multiplier, displacement);
+                push(contact, multiplier, ease, displacement);
             }
         }
     }
@@ -51,18 +52,18 @@ impl Qp {
         }
         worst
     }
+}
 
-    /// Adds `W⁻¹ ∇g λ` of one contact; what one side gains the other loses.
-    fn push(&self, contact: &Contact, multiplier: f64, displacement: &mut [[f64; 3]]) {
-        let [x, y] = contact.normal;
-        let [drag_x, drag_y, drag_angle] = self.weights;
-        let (force_x, force_y) = (multiplier * x / drag_x, multiplier * y / drag_y);
-        let [turn_i, turn_j] = contact.lever.map(|lever| multiplier * lever / drag_angle);
-        let first = &mut displacement[contact.i as usize];
-        *first = [first[0] - force_x, first[1] - force_y, first[2] - turn_i];
-        let second = &mut displacement[contact.j as usize];
-        *second = [second[0] + force_x, second[1] + force_y, second[2] + turn_j];
-    }
+/// Adds `W⁻¹ ∇g λ` of one contact; what one side gains the other loses. `ease` is `W⁻¹`.
+#[inline(always)]
+fn push(contact: &Contact, multiplier: f64, ease: [f64; 3], displacement: &mut [[f64; 3]]) {
+    let [x, y] = contact.normal;
+    let (force_x, force_y) = (multiplier * x * ease[0], multiplier * y * ease[1]);
+    let [turn_i, turn_j] = contact.lever.map(|lever| multiplier * lever * ease[2]);
+    let first = &mut displacement[contact.i as usize];
+    *first = [first[0] - force_x, first[1] - force_y, first[2] - turn_i];
+    let second = &mut displacement[contact.j as usize];
+    *second = [second[0] + force_x, second[1] + force_y, second[2] + turn_j];
 }
 
 #[cfg(test)]

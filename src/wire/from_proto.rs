@@ -69,7 +69,7 @@ pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, WireError> {
         pi4,
         dt,
         contacts: proto::ContactRule::Endpoints,
-        attraction: proto::Attraction::All {},
+        attraction: proto::Attraction::All { accuracy },
         ..
     } = *spec;
     if spec.noise != 0.0 {
@@ -101,7 +101,7 @@ pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, WireError> {
         pi4,
         dt,
         contacts: ContactRule::Endpoints,
-        attraction: Attraction::All,
+        attraction: Attraction::All { accuracy },
     };
     Ok(Recipe {
         n,

@@ -155,7 +155,7 @@ pub fn spec(recipe: &Recipe, seed: u64) -> proto::Spec {
         pi4,
         dt,
         contacts: ContactRule::Endpoints,
-        attraction: Attraction::All,
+        attraction: Attraction::All { accuracy },
     } = recipe.parameters;
     proto::Spec {
         n: recipe.n as u64,
@@ -174,7 +174,7 @@ pub fn spec(recipe: &Recipe, seed: u64) -> proto::Spec {
                 alpha: alpha.clone(),
             },
         },
-        attraction: proto::Attraction::All {},
+        attraction: proto::Attraction::All { accuracy },
         noise: 0.0,
         publish_every: recipe.publish_every,
         rate: recipe.rate,

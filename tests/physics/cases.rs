@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use jostled::model::{Parameters, State, start};
 use jostled::stepper::Stepper;
 use jostled::stepper::qp::Qp;
-use jostled::stepper::solve::{self, Solution, Workspace};
+use jostled::stepper::solve::{self, Backend, Hints, Solution, Workspace};
 use serde_json::Value;
 
 /// What two exact implementations may differ by.
@@ -179,11 +179,19 @@ fn every_case_is_reproduced_by_the_referee_alone() {
         if qp.contacts.is_empty() {
             continue;
         }
-        let mut solution = Solution {
-            residual: f64::INFINITY,
-            ..Solution::default()
+        let hints = Hints {
+            multipliers: &vec![1.0; qp.contacts.len()],
+            x: &case.state.configuration.x,
+            y: &case.state.configuration.y,
         };
-        solve::by_referee(&qp, &mut Workspace::default(), &mut solution);
+        let (mut workspace, mut solution) = (Workspace::default(), Solution::default());
+        solve::solve(
+            Backend::Referee,
+            &qp,
+            &hints,
+            &mut workspace,
+            &mut solution,
+        );
         assert!(
             solution.residual <= solve::TARGET,
             "{}: {:e}",

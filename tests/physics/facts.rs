@@ -2,8 +2,9 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
+use jostled::model::attraction::Social;
 use jostled::model::random::{Purpose, Stream};
-use jostled::model::{Configuration, Parameters, State, attraction, body, start};
+use jostled::model::{Configuration, Parameters, State, body, start};
 use jostled::stepper::contact::Contact;
 use jostled::stepper::qp::Qp;
 use jostled::stepper::{StepReport, Stepper, solve};
@@ -242,7 +243,8 @@ fn attraction_cancels_over_the_group() {
     for seed in 1..=60 {
         let state = random_state(seed);
         let mut pull = Vec::new();
-        attraction::social(state.parameters.attraction, &state.configuration, &mut pull);
+        let parameters = &state.parameters;
+        Social::default().compute(parameters.attraction, &state.configuration, &mut pull);
         let sum = pull
             .iter()
             .fold([0.0, 0.0], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);

@@ -6,6 +6,7 @@
     reason = "a test that is wrong about a number fails, and says where"
 )]
 
+mod allocation;
 mod cases;
 mod claim;
 mod facts;

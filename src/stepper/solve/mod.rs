@@ -1,17 +1,20 @@
-//! Solves the program of one step to its accuracy, by whichever of two routes gets there.
+//! Solves the program of one step to its accuracy.
 //!
-//! First the contacts that pushed in the last step are taken for those that push now, and the
-//! few that are wrong are exchanged (`polish`). Where that wanders, Clarabel is asked who
-//! pushes, and its answer is polished the same way, or more slowly and surely (`descend`).
-//! Nothing is believed: the residual decides, computed from the multipliers alone.
+//! The exact solver (`exact`) starts from the contacts that pushed in the last step and resolves
+//! the few that change sides. Where it fails, and in tests that judge it, the referee is asked:
+//! Clarabel finds who pushes, and its answer is made exact by exchanging the few that are wrong
+//! (`polish`) or more slowly and surely (`descend`). Nothing is believed: the residual decides,
+//! computed from the multipliers alone.
 
 mod clarabel;
 mod descend;
 mod envelope;
+mod exact;
 mod polish;
 
 use super::qp::Qp;
-pub use polish::Workspace;
+pub use exact::Exact;
+use polish::Workspace as Polish;
 
 /// The accuracy asked of a step, in body sizes: far below the `dt²` of a step, far above
 /// rounding.
@@ -24,6 +27,27 @@ pub const ACCEPTABLE: f64 = 1e-6;
 /// dt, multipliers too, and its tolerances are meant for numbers of order one. Where one scale
 /// stalls another may not.
 const SCALES: [f64; 2] = [1e3, 1e4];
+
+/// Who solves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Backend {
+    /// The exact solver, and the referee where it fails.
+    #[default]
+    Exact,
+    /// The referee alone: slow, and nothing it does depends on the last step.
+    Referee,
+}
+
+/// What the last step tells about this one.
+#[derive(Clone, Copy, Debug)]
+pub struct Hints<'a> {
+    /// A guess of the multipliers, one per contact.
+    pub multipliers: &'a [f64],
+    /// Where the individuals are, from which an order of elimination is found.
+    pub x: &'a [f64],
+    /// Where the individuals are.
+    pub y: &'a [f64],
+}
 
 /// A solution of the program of one step.
 #[derive(Clone, Debug, Default)]
@@ -38,55 +62,65 @@ pub struct Solution {
     pub iterations: usize,
     /// How often Clarabel was asked.
     pub referee: usize,
+    offered: Vec<f64>,
+    moved: Vec<[f64; 3]>,
 }
 
 impl Solution {
-    /// Starts over with nobody pushing.
-    fn clear(&mut self, qp: &Qp) {
-        self.multipliers.clear();
-        self.multipliers.resize(qp.contacts.len(), 0.0);
-        self.residual = qp.residual(&self.multipliers, &mut self.displacement);
+    /// Starts over, without a solution.
+    fn clear(&mut self) {
+        self.residual = f64::INFINITY;
         (self.iterations, self.referee) = (0, 0);
     }
 
     /// Keeps `multipliers`, cut off at 0, if they are better than what there is.
     fn offer(&mut self, qp: &Qp, multipliers: &[f64]) {
-        let cut: Vec<f64> = multipliers
-            .iter()
-            .map(|&value| if value > 0.0 { value } else { 0.0 })
-            .collect();
-        let mut displacement = Vec::new();
-        let residual = qp.residual(&cut, &mut displacement);
+        self.offered.clear();
+        let cut = |&value: &f64| if value > 0.0 { value } else { 0.0 };
+        self.offered.extend(multipliers.iter().map(cut));
+        let residual = qp.residual(&self.offered, &mut self.moved);
         if residual < self.residual {
-            self.multipliers = cut;
-            self.displacement = displacement;
+            std::mem::swap(&mut self.multipliers, &mut self.offered);
+            std::mem::swap(&mut self.displacement, &mut self.moved);
             self.residual = residual;
         }
     }
 }
 
-/// Solves `qp` from a guess of its multipliers; the best solution found is left in `solution`,
-/// and its residual says how good it is.
-pub fn solve(qp: &Qp, guess: &[f64], workspace: &mut Workspace, solution: &mut Solution) {
-    solution.clear(qp);
-    if solution.residual <= TARGET {
-        return;
-    }
-    by_guess(qp, guess, workspace, solution);
-    if solution.residual > TARGET {
-        by_referee(qp, workspace, solution);
-    }
+/// Memory that solutions reuse, and the order of elimination found on the way.
+#[derive(Clone, Debug, Default)]
+pub struct Workspace {
+    /// The exact solver's.
+    pub exact: Exact,
+    polish: Polish,
 }
 
-/// Takes those with a positive guess for those that push.
-pub fn by_guess(qp: &Qp, guess: &[f64], workspace: &mut Workspace, solution: &mut Solution) {
-    let active = guess.iter().map(|&value| value > 0.0).collect();
-    solution.iterations += workspace.polish(qp, guess, active);
-    solution.offer(qp, workspace.multipliers());
+/// Solves `qp`; the best solution found is left in `solution`, and its residual says how good it
+/// is.
+pub fn solve(
+    backend: Backend,
+    qp: &Qp,
+    hints: &Hints,
+    workspace: &mut Workspace,
+    solution: &mut Solution,
+) {
+    solution.clear();
+    if hints.multipliers.iter().all(|&value| value <= 0.0) {
+        solution.offer(qp, hints.multipliers);
+        if solution.residual <= TARGET {
+            return;
+        }
+    }
+    if backend == Backend::Exact {
+        workspace.exact.solve(qp, hints, solution);
+    }
+    if solution.residual > TARGET {
+        by_referee(qp, &mut workspace.polish, solution);
+    }
 }
 
 /// Asks Clarabel who pushes.
-pub fn by_referee(qp: &Qp, workspace: &mut Workspace, solution: &mut Solution) {
+fn by_referee(qp: &Qp, workspace: &mut Polish, solution: &mut Solution) {
     let mut displacement = Vec::new();
     for scale in SCALES {
         let Some((multipliers, iterations)) = clarabel::multipliers(qp, scale) else {
@@ -100,7 +134,8 @@ pub fn by_referee(qp: &Qp, workspace: &mut Workspace, solution: &mut Solution) {
         solution.iterations += workspace.polish(qp, &multipliers, active);
         solution.offer(qp, workspace.multipliers());
         if solution.residual > TARGET {
-            solution.iterations += workspace.descend(qp, &solution.multipliers);
+            let best = solution.multipliers.clone();
+            solution.iterations += workspace.descend(qp, &best);
             solution.offer(qp, workspace.multipliers());
         }
         if solution.residual <= TARGET {
@@ -133,27 +168,41 @@ mod tests {
         }
     }
 
+    fn solved(backend: Backend, qp: &Qp, guess: &[f64]) -> Solution {
+        let x: Vec<f64> = (0..qp.free.len()).map(|k| k as f64).collect();
+        let hints = Hints {
+            multipliers: guess,
+            x: &x,
+            y: &vec![0.0; x.len()],
+        };
+        let mut solution = Solution::default();
+        solve(
+            backend,
+            qp,
+            &hints,
+            &mut Workspace::default(),
+            &mut solution,
+        );
+        solution
+    }
+
     #[test]
     fn a_row_moves_together_by_either_route() {
-        let (qp, mut workspace, mut solution) = (row(9), Workspace::default(), Solution::default());
-        let check = |solution: &Solution| {
-            assert!(solution.residual <= TARGET);
-            for displacement in &solution.displacement {
-                assert!((displacement[0] - 0.02 * 8.0 / 9.0).abs() < 1e-9);
+        let qp = row(9);
+        for (backend, asked) in [(Backend::Exact, 0), (Backend::Referee, 1)] {
+            for guess in [[0.0; 8], [1.0; 8]] {
+                let solution = solved(backend, &qp, &guess);
+                assert!(solution.residual <= TARGET);
+                for displacement in &solution.displacement {
+                    assert!((displacement[0] - 0.02 * 8.0 / 9.0).abs() < 1e-9);
+                }
+                // Contact k carries what the k + 1 behind it lose.
+                for (k, &multiplier) in solution.multipliers.iter().enumerate() {
+                    assert!((multiplier - (k + 1) as f64 * 0.02 / 9.0).abs() < 1e-9);
+                }
+                assert_eq!(solution.referee, asked);
             }
-            // Contact k carries what the k + 1 behind it lose.
-            for (k, &multiplier) in solution.multipliers.iter().enumerate() {
-                assert!((multiplier - (k + 1) as f64 * 0.02 / 9.0).abs() < 1e-9);
-            }
-        };
-        solution.clear(&qp);
-        by_guess(&qp, &[1.0; 8], &mut workspace, &mut solution);
-        check(&solution);
-        assert_eq!(solution.referee, 0);
-        solution.clear(&qp);
-        by_referee(&qp, &mut workspace, &mut solution);
-        check(&solution);
-        assert_eq!(solution.referee, 1);
+        }
     }
 
     #[test]
@@ -161,26 +210,26 @@ mod tests {
         // The same contact five times over: any split of the push is right.
         let mut qp = row(2);
         qp.contacts = vec![qp.contacts[0]; 5];
-        let mut solution = Solution::default();
         for guess in [[0.0; 5], [1.0; 5], [0.0, 0.0, 1.0, 0.0, 1.0]] {
-            solve(&qp, &guess, &mut Workspace::default(), &mut solution);
+            let solution = solved(Backend::Exact, &qp, &guess);
             assert!(solution.residual <= TARGET, "{}", solution.residual);
             assert!((solution.multipliers.iter().sum::<f64>() - 0.01).abs() < 1e-9);
+            assert_eq!(solution.referee, 0);
         }
     }
 
     #[test]
     fn descending_needs_no_good_start() {
-        let (qp, mut workspace) = (row(9), Workspace::default());
+        let (qp, mut polish) = (row(9), Polish::default());
         for start in [
             [0.0; 8],
             [1.0; 8],
             [0.0, 3.0, 0.0, 0.0, 1e3, 0.0, 0.0, 1e-9],
         ] {
             let mut solution = Solution::default();
-            solution.clear(&qp);
-            workspace.descend(&qp, &start);
-            solution.offer(&qp, workspace.multipliers());
+            solution.clear();
+            polish.descend(&qp, &start);
+            solution.offer(&qp, polish.multipliers());
             assert!(solution.residual <= TARGET, "{}", solution.residual);
         }
     }
@@ -188,34 +237,29 @@ mod tests {
     #[test]
     fn a_wrong_guess_costs_nothing_but_time() {
         let qp = row(9);
-        let (mut right, mut wrong) = (Solution::default(), Solution::default());
-        solve(&qp, &[1.0; 8], &mut Workspace::default(), &mut right);
-        solve(
-            &qp,
-            &[1e6, 0.0, 0.0, 1e-9, 0.0, 3.0, 0.0, 0.0],
-            &mut Workspace::default(),
-            &mut wrong,
-        );
+        let right = solved(Backend::Exact, &qp, &[1.0; 8]);
+        let wrong = [1e6, 0.0, 0.0, 1e-9, 0.0, 3.0, 0.0, 0.0];
+        let wrong = solved(Backend::Exact, &qp, &wrong);
         for (one, other) in right.displacement.iter().zip(&wrong.displacement) {
             assert!((one[0] - other[0]).abs() < 1e-9);
         }
     }
 
     #[test]
-    fn without_a_push_nothing_is_factored_and_all_move_freely() {
+    fn without_a_push_all_move_freely() {
         let mut qp = row(3);
         qp.contacts.iter_mut().for_each(|contact| contact.gap = 0.1);
-        let mut solution = Solution::default();
-        solve(&qp, &[0.5, 0.5], &mut Workspace::default(), &mut solution);
-        assert_eq!((solution.iterations, solution.displacement), (0, qp.free));
+        for guess in [[0.0; 2], [0.5; 2]] {
+            let solution = solved(Backend::Exact, &qp, &guess);
+            assert_eq!((solution.referee, &solution.displacement), (0, &qp.free));
+        }
     }
 
     #[test]
     fn what_is_not_a_number_is_never_a_solution() {
         let mut qp = row(3);
         qp.contacts[1].gap = f64::NAN;
-        let mut solution = Solution::default();
-        solve(&qp, &[0.5, 0.5], &mut Workspace::default(), &mut solution);
+        let solution = solved(Backend::Exact, &qp, &[0.5, 0.5]);
         assert_eq!(solution.residual, f64::INFINITY);
     }
 }

@@ -1,0 +1,378 @@
+//! Far groups as power series: what a group pulls with, and how another feels it.
+//!
+//! With places as complex numbers, the unit vector along `D` is `D^(1/2) conj(D)^(-1/2)`. Let
+//! `D = Z + s - t`, from a target at `t` off its group's centre to a source at `s` off its own,
+//! the centres `Z` apart. Both powers expand in `(s - t) / Z` by the binomial series, cut at
+//! power `N`, and with them the sum over all sources becomes
+//!
+//!   `sum over k, q of L[k][q] t^k conj(t)^q`, and `L` is linear in
+//!   `M[a][b] = sum over sources of s^a conj(s)^b`,
+//!
+//! where the coefficients factor into real ones of `(k, a)` and of `(q, b)` and powers of `Z`.
+
+#![expect(
+    clippy::needless_range_loop,
+    reason = "rows and columns are named by the powers they belong to"
+)]
+
+use crate::model::lanes::{Lanes, Level, WIDTH, multiversion};
+
+/// Coefficients of `z^row conj(z)^column`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Series<const N: usize> {
+    re: [[f64; N]; N],
+    im: [[f64; N]; N],
+}
+
+impl<const N: usize> Series<N> {
+    pub const ZERO: Self = Self {
+        re: [[0.0; N]; N],
+        im: [[0.0; N]; N],
+    };
+}
+
+/// The real coefficients of order `N`.
+struct Table<const N: usize>;
+
+impl<const N: usize> Table<N> {
+    /// `C(n, k)`, 0 for k > n.
+    const BINOMIAL: [[f64; N]; N] = {
+        let mut table = [[0.0; N]; N];
+        let mut n = 0;
+        while n < N {
+            let mut k = 0;
+            while k <= n {
+                table[n][k] = binomial(n as f64, k);
+                k += 1;
+            }
+            n += 1;
+        }
+        table
+    };
+
+    /// By `[k][a]`: `C(1/2, a + k) C(a + k, k) (-1)^k`, 0 from power `N` on.
+    const ROOT: [[f64; N]; N] = Self::power(0.5, N);
+
+    /// By `[b][q]`: `C(-1/2, b + q) C(b + q, q) (-1)^q`, 0 from power `N` on.
+    const INVERSE_ROOT: [[f64; N]; N] = {
+        let by_q = Self::power(-0.5, 2 * N);
+        let mut table = [[0.0; N]; N];
+        let mut b = 0;
+        while b < N {
+            let mut q = 0;
+            while q < N {
+                table[b][q] = by_q[q][b];
+                q += 1;
+            }
+            b += 1;
+        }
+        table
+    };
+
+    const fn power(exponent: f64, cut: usize) -> [[f64; N]; N] {
+        let mut table = [[0.0; N]; N];
+        let mut k = 0;
+        while k < N {
+            let mut a = 0;
+            while a < N && a + k < cut {
+                let sign = if k % 2 == 0 { 1.0 } else { -1.0 };
+                table[k][a] = sign * binomial(exponent, a + k) * binomial((a + k) as f64, k);
+                a += 1;
+            }
+            k += 1;
+        }
+        table
+    }
+}
+
+const fn binomial(n: f64, k: usize) -> f64 {
+    let (mut product, mut i) = (1.0, 0);
+    while i < k {
+        product *= (n - i as f64) / (i as f64 + 1.0);
+        i += 1;
+    }
+    product
+}
+
+/// The powers of `(re, im)` from 0 to `N - 1`.
+#[inline(always)]
+fn powers<const N: usize>([re, im]: [f64; 2]) -> [[f64; N]; 2] {
+    let (mut powers_re, mut powers_im) = ([0.0; N], [0.0; N]);
+    powers_re[0] = 1.0;
+    for k in 1..N {
+        powers_re[k] = powers_re[k - 1] * re - powers_im[k - 1] * im;
+        powers_im[k] = powers_re[k - 1] * im + powers_im[k - 1] * re;
+    }
+    [powers_re, powers_im]
+}
+
+/// `to += factor * row`, all complex.
+#[inline(always)]
+fn add_row<const N: usize>(to: [&mut [f64; N]; 2], factor: [f64; 2], row: [&[f64; N]; 2]) {
+    let ([to_re, to_im], [re, im]) = (to, row);
+    for k in 0..N {
+        to_re[k] += factor[0] * re[k] - factor[1] * im[k];
+    }
+    for k in 0..N {
+        to_im[k] += factor[0] * im[k] + factor[1] * re[k];
+    }
+}
+
+/// `factor * row`, entry by entry, complex.
+#[inline(always)]
+fn product<const N: usize>(factor: [&[f64; N]; 2], row: [&[f64; N]; 2]) -> [[f64; N]; 2] {
+    let (mut re, mut im) = ([0.0; N], [0.0; N]);
+    for k in 0..N {
+        re[k] = factor[0][k] * row[0][k] - factor[1][k] * row[1][k];
+    }
+    for k in 0..N {
+        im[k] = factor[0][k] * row[1][k] + factor[1][k] * row[0][k];
+    }
+    [re, im]
+}
+
+multiversion! {
+    /// The moments `M` of `places` about `centre`.
+    pub(super) fn gather<const N: usize>(
+        level,
+        centre: [f64; 2],
+        places: [&[f64]; 2],
+    ) -> Series<N> {
+        let mut moments = Series::ZERO;
+        for (&x, &y) in places[0].iter().zip(places[1]) {
+            let [re, im] = powers::<N>([x - centre[0], y - centre[1]]);
+            let conjugate = [&re, &im.map(|it| -it)];
+            for a in 0..N {
+                let to = [&mut moments.re[a], &mut moments.im[a]];
+                add_row(to, [re[a], im[a]], conjugate);
+            }
+        }
+        moments
+    }
+}
+
+multiversion! {
+    /// Adds the moments of a part whose centre is `offset` off the whole's.
+    pub(super) fn raise<const N: usize>(
+        level,
+        whole: &mut Series<N>,
+        part: &Series<N>,
+        offset: [f64; 2],
+    ) {
+        let [re, im] = powers::<N>(offset);
+        let binomial = &Table::<N>::BINOMIAL;
+        // (s + offset)^a conj(s + offset)^b, first by a, then by b; row b of `across` holds the
+        // coefficients that conj(s)^j has in it.
+        for a in 0..N {
+            let (mut row_re, mut row_im) = ([0.0; N], [0.0; N]);
+            for i in 0..=a {
+                let factor = [binomial[a][i] * re[a - i], binomial[a][i] * im[a - i]];
+                add_row([&mut row_re, &mut row_im], factor, [&part.re[i], &part.im[i]]);
+            }
+            for j in 0..N {
+                let (mut across_re, mut across_im) = ([0.0; N], [0.0; N]);
+                for b in j..N {
+                    across_re[b] = binomial[b][j] * re[b - j];
+                    across_im[b] = -(binomial[b][j] * im[b - j]);
+                }
+                let to = [&mut whole.re[a], &mut whole.im[a]];
+                add_row(to, [row_re[j], row_im[j]], [&across_re, &across_im]);
+            }
+        }
+    }
+}
+
+/// The factors of a transfer: the powers of `1/Z`, their conjugates and `Z/|Z|`.
+struct Apart<const N: usize> {
+    powers: [[f64; N]; 2],
+    conjugate: [[f64; N]; 2],
+    unit: [f64; 2],
+}
+
+impl<const N: usize> Apart<N> {
+    #[inline(always)]
+    fn new([x, y]: [f64; 2]) -> Self {
+        let square = x * x + y * y;
+        let length = square.sqrt();
+        let [re, im] = powers::<N>([x / square, -y / square]);
+        Self {
+            powers: [re, im],
+            conjugate: [re, im.map(|it| -it)],
+            unit: [x / length, y / length],
+        }
+    }
+
+    /// By `column`: the product of a factor and the conjugate's power.
+    #[inline(always)]
+    fn row(&self, factor: [f64; 2]) -> [[f64; N]; 2] {
+        let [mut re, mut im] = [[0.0; N]; 2];
+        add_row(
+            [&mut re, &mut im],
+            factor,
+            [&self.conjugate[0], &self.conjugate[1]],
+        );
+        [re, im]
+    }
+}
+
+multiversion! {
+    /// The first half of a transfer: every moment in units of its powers of `Z`, summed over `a`.
+    fn transfer_rows<const N: usize>(
+        level,
+        halfway: &mut Series<N>,
+        moments: &Series<N>,
+        apart: &Apart<N>,
+    ) {
+        let mut scaled = Series::<N>::ZERO;
+        for a in 0..N {
+            let factor = apart.row([apart.powers[0][a], apart.powers[1][a]]);
+            let row = [&moments.re[a], &moments.im[a]];
+            [scaled.re[a], scaled.im[a]] = product([&factor[0], &factor[1]], row);
+        }
+        for k in 0..N {
+            let (mut re, mut im) = ([0.0; N], [0.0; N]);
+            for a in 0..N - k {
+                let factor = Table::<N>::ROOT[k][a];
+                for b in 0..N {
+                    re[b] += factor * scaled.re[a][b];
+                }
+                for b in 0..N {
+                    im[b] += factor * scaled.im[a][b];
+                }
+            }
+            (halfway.re[k], halfway.im[k]) = (re, im);
+        }
+    }
+}
+
+multiversion! {
+    /// The other half: summed over `b`, and back in units of the target's powers.
+    fn transfer_columns<const N: usize>(
+        level,
+        local: &mut Series<N>,
+        halfway: &Series<N>,
+        apart: &Apart<N>,
+    ) {
+        for k in 0..N {
+            let (mut re, mut im) = ([0.0; N], [0.0; N]);
+            for b in 0..N {
+                let factors = &Table::<N>::INVERSE_ROOT[b];
+                for q in 0..N {
+                    re[q] += halfway.re[k][b] * factors[q];
+                }
+                for q in 0..N {
+                    im[q] += halfway.im[k][b] * factors[q];
+                }
+            }
+            let ([unit_re, unit_im], [re_k, im_k]) = (apart.unit, apart.powers.map(|it| it[k]));
+            let factor = [
+                unit_re * re_k - unit_im * im_k,
+                unit_re * im_k + unit_im * re_k,
+            ];
+            let factor = apart.row(factor);
+            let row = product([&factor[0], &factor[1]], [&re, &im]);
+            for q in 0..N {
+                local.re[k][q] += row[0][q];
+            }
+            for q in 0..N {
+                local.im[k][q] += row[1][q];
+            }
+        }
+    }
+}
+
+/// Adds to the local series of a target what the `moments` of a source pull with; `apart` is
+/// from the target's centre to the source's.
+///
+/// It is done in two parts with `halfway` between them in memory: held in registers, its rows
+/// would be taken to pieces at more cost than reading single numbers.
+pub(super) fn transfer<const N: usize>(
+    level: Level,
+    local: &mut Series<N>,
+    halfway: &mut Series<N>,
+    moments: &Series<N>,
+    apart: [f64; 2],
+) {
+    let apart = Apart::new(apart);
+    transfer_rows(level, halfway, moments, &apart);
+    transfer_columns(level, local, halfway, &apart);
+}
+
+multiversion! {
+    /// The local series of a part whose centre is `offset` off the whole's.
+    pub(super) fn lower<const N: usize>(
+        level,
+        whole: &Series<N>,
+        offset: [f64; 2],
+    ) -> Series<N> {
+        let [re, im] = powers::<N>(offset);
+        let binomial = &Table::<N>::BINOMIAL;
+        let mut part = Series::ZERO;
+        for k in 0..N {
+            let (mut row_re, mut row_im) = ([0.0; N], [0.0; N]);
+            for i in k..N {
+                let factor = [binomial[i][k] * re[i - k], binomial[i][k] * im[i - k]];
+                add_row([&mut row_re, &mut row_im], factor, [&whole.re[i], &whole.im[i]]);
+            }
+            for j in 0..N {
+                let (mut across_re, mut across_im) = ([0.0; N], [0.0; N]);
+                for q in 0..=j {
+                    across_re[q] = binomial[j][q] * re[j - q];
+                    across_im[q] = -(binomial[j][q] * im[j - q]);
+                }
+                let to = [&mut part.re[k], &mut part.im[k]];
+                add_row(to, [row_re[j], row_im[j]], [&across_re, &across_im]);
+            }
+        }
+        part
+    }
+}
+
+multiversion! {
+    /// Adds to `sums` the local series about `centre` at the targets `at`.
+    pub(super) fn evaluate<const N: usize>(
+        level,
+        local: &Series<N>,
+        centre: [f64; 2],
+        at: [&[Lanes]; 2],
+        sums: [&mut [Lanes]; 2],
+    ) {
+        let [sums_x, sums_y] = sums;
+        for (((at_x, at_y), sum_x), sum_y) in at[0].iter().zip(at[1]).zip(sums_x).zip(sums_y) {
+            let (mut re, mut im) = ([0.0; WIDTH], [0.0; WIDTH]);
+            for lane in 0..WIDTH {
+                re[lane] = at_x[lane] - centre[0];
+            }
+            for lane in 0..WIDTH {
+                im[lane] = at_y[lane] - centre[1];
+            }
+            let conjugate = [&re, &im.map(|it| -it)];
+            let mut value = [[0.0; WIDTH]; 2];
+            for k in (0..N).rev() {
+                let mut row = [[0.0; WIDTH]; 2];
+                for q in (0..N).rev() {
+                    row = product(conjugate, [&row[0], &row[1]]);
+                    for lane in 0..WIDTH {
+                        row[0][lane] += local.re[k][q];
+                    }
+                    for lane in 0..WIDTH {
+                        row[1][lane] += local.im[k][q];
+                    }
+                }
+                value = product([&re, &im], [&value[0], &value[1]]);
+                for lane in 0..WIDTH {
+                    value[0][lane] += row[0][lane];
+                }
+                for lane in 0..WIDTH {
+                    value[1][lane] += row[1][lane];
+                }
+            }
+            for lane in 0..WIDTH {
+                sum_x[lane] += value[0][lane];
+            }
+            for lane in 0..WIDTH {
+                sum_y[lane] += value[1][lane];
+            }
+        }
+    }
+}

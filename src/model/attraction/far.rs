@@ -1,0 +1,201 @@
+//! The sum over all the others, with far groups taken as a whole.
+
+use crate::model::lanes::{Lanes, Level, WIDTH};
+
+use super::direct::pull_from;
+use super::expansion::{Series, evaluate, gather, lower, raise, transfer};
+use super::tree::{Group, Tree};
+
+/// Centres nearer than this are never taken as apart: no power of their distance can leave the
+/// range of doubles. Positions resolve no such distance.
+const NEAREST: f64 = 1e-12;
+
+/// The largest ratio of two groups' radii to their distance at which series stand for them.
+/// They converge up to 1, so slowly near it that the estimate of what they leave out fails.
+const WIDEST: f64 = 0.7;
+
+/// The share of everybody from which on a group counts more than its share: where a swarm is a
+/// few flocks, what their series leave out does not cancel as it does among many groups.
+const FEW: f64 = 0.01;
+
+/// What a transfer between two series costs, beside the square of its order, in hundredths of
+/// what one source costs eight targets. Measured; anything from 10 to 100 does as well.
+const TRANSFER_COST: usize = 30;
+
+/// The buffers of a sum with series of order `N`.
+#[derive(Clone, Debug)]
+pub(super) struct Far<const N: usize> {
+    moments: Vec<Series<N>>,
+    sum_x: Vec<Lanes>,
+    sum_y: Vec<Lanes>,
+    near: Vec<u32>,
+    waiting: Vec<u32>,
+    candidates: Vec<u32>,
+}
+
+impl<const N: usize> Default for Far<N> {
+    fn default() -> Self {
+        Self {
+            moments: Vec::new(),
+            sum_x: Vec::new(),
+            sum_y: Vec::new(),
+            near: Vec::new(),
+            waiting: Vec::new(),
+            candidates: Vec::new(),
+        }
+    }
+}
+
+impl<const N: usize> Far<N> {
+    /// Sums the unit vectors from everyone to everyone else, in the tree's order.
+    ///
+    /// What a group's series leave out may be `tolerance` of the whole, to order of magnitude.
+    pub fn sum(&mut self, level: Level, tree: &Tree, tolerance: f64) -> [&[f64]; 2] {
+        for sum in [&mut self.sum_x, &mut self.sum_y] {
+            sum.clear();
+            sum.resize(tree.x.len(), [0.0; WIDTH]);
+        }
+        self.gather(level, tree);
+        let Self {
+            moments,
+            sum_x,
+            sum_y,
+            near,
+            waiting,
+            candidates,
+        } = self;
+        candidates.clear();
+        candidates.push(0);
+        let mut descent = Descent {
+            level,
+            tree,
+            tolerance,
+            moments,
+            near,
+            waiting,
+            candidates,
+            halfway: Series::ZERO,
+        };
+        descent.visit(0, &Series::ZERO, 0, [sum_x, sum_y]);
+        [self.sum_x.as_flattened(), self.sum_y.as_flattened()]
+    }
+
+    /// Computes the moments of every group, halves before the whole.
+    fn gather(&mut self, level: Level, tree: &Tree) {
+        let groups = &tree.groups;
+        self.moments.clear();
+        self.moments.resize(groups.len(), Series::ZERO);
+        for (k, group) in groups.iter().enumerate().rev() {
+            if group.is_leaf() {
+                self.moments[k] = gather(level, group.centre, tree.places(group));
+                continue;
+            }
+            let (whole, halves) = self.moments[k..].split_first_mut().expect("k is in range");
+            for half in [k + 1, group.second] {
+                let offset = from_to(group, &groups[half]);
+                raise(level, whole, &halves[half - k - 1], offset);
+            }
+        }
+    }
+}
+
+fn from_to(one: &Group, other: &Group) -> [f64; 2] {
+    [
+        other.centre[0] - one.centre[0],
+        other.centre[1] - one.centre[1],
+    ]
+}
+
+/// A walk over all target groups, each after the one it is half of.
+struct Descent<'a, const N: usize> {
+    level: Level,
+    tree: &'a Tree,
+    tolerance: f64,
+    moments: &'a [Series<N>],
+    /// The sources whose members pull one by one.
+    near: &'a mut Vec<u32>,
+    waiting: &'a mut Vec<u32>,
+    /// The sources left to each target on the way down, one after the other.
+    candidates: &'a mut Vec<u32>,
+    halfway: Series<N>,
+}
+
+impl<const N: usize> Descent<'_, N> {
+    /// Adds what the candidates from `start` on pull the members of a target group with, and
+    /// its local series. The sums are those of the target's lanes.
+    fn visit(&mut self, target: usize, local: &Series<N>, start: usize, sums: [&mut [Lanes]; 2]) {
+        let group = &self.tree.groups[target];
+        let mut local = *local;
+        let end = self.candidates.len();
+        self.near.clear();
+        for k in (start..end).rev() {
+            self.waiting.clear();
+            self.waiting.push(self.candidates[k]);
+            while let Some(source) = self.waiting.pop() {
+                self.meet(group, source, &mut local);
+            }
+        }
+        let [sum_x, sum_y] = sums;
+        let at = [&self.tree.x[group.lanes()], &self.tree.y[group.lanes()]];
+        for &source in &*self.near {
+            let source = &self.tree.groups[source as usize];
+            let places = self.tree.places(source);
+            pull_from(self.level, at, places, [sum_x, sum_y]);
+        }
+        if group.is_leaf() {
+            evaluate(self.level, &local, group.centre, at, [sum_x, sum_y]);
+        } else {
+            let second = &self.tree.groups[group.second];
+            let [one_x, two_x] = split(sum_x, group, second);
+            let [one_y, two_y] = split(sum_y, group, second);
+            let halves = [(target + 1, [one_x, one_y]), (group.second, [two_x, two_y])];
+            for (half, sums) in halves {
+                let offset = from_to(group, &self.tree.groups[half]);
+                self.visit(half, &lower(self.level, &local, offset), end, sums);
+            }
+        }
+        self.candidates.truncate(end);
+    }
+
+    /// Whether the series of a source may stand for it: what they leave out is of order `N` in
+    /// the ratio of the radii to the distance, and counts by the source's share of everybody.
+    fn are_apart(&self, target: &Group, source: &Group, apart: [f64; 2]) -> bool {
+        let distance = (apart[0] * apart[0] + apart[1] * apart[1]).sqrt();
+        let ratio = (target.radius + source.radius) / distance;
+        let square = ratio * ratio;
+        let left_out = (1..N / 2).fold(square, |power, _| power * square);
+        let share = (source.last - source.first) as f64 / self.tree.n() as f64;
+        distance > NEAREST
+            && ratio < WIDEST
+            && left_out * share * (1.0 + share / FEW) < self.tolerance
+    }
+
+    /// Takes a source as a whole, member by member, by halves, or leaves it to the target's.
+    fn meet(&mut self, target: &Group, source: u32, local: &mut Series<N>) {
+        let group = &self.tree.groups[source as usize];
+        let apart = from_to(target, group);
+        if self.are_apart(target, group, apart) {
+            let rounds = target.lanes().len() * (group.last - group.first);
+            if rounds * 100 <= N * N * TRANSFER_COST {
+                self.near.push(source);
+            } else {
+                let moments = &self.moments[source as usize];
+                transfer(self.level, local, &mut self.halfway, moments, apart);
+            }
+        } else if group.radius > target.radius && !group.is_leaf() {
+            #[expect(clippy::cast_possible_truncation, reason = "fewer groups than ids")]
+            let second = group.second as u32;
+            self.waiting.extend([second, source + 1]);
+        } else if target.is_leaf() {
+            // Halves of the source would be as far in ratio, and leave out as much together.
+            self.near.push(source);
+        } else {
+            self.candidates.push(source);
+        }
+    }
+}
+
+fn split<'a>(lanes: &'a mut [Lanes], whole: &Group, second: &Group) -> [&'a mut [Lanes]; 2] {
+    let (one, two) = lanes.split_at_mut(second.lanes().start - whole.lanes().start);
+    [one, two]
+}

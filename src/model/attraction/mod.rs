@@ -1,0 +1,355 @@
+//! Social attraction: where each individual wants to turn because of the others.
+
+mod direct;
+mod expansion;
+mod far;
+mod tree;
+
+use super::lanes::{self, Level};
+use super::{Attraction, Configuration};
+
+use direct::Direct;
+use far::Far;
+use tree::Tree;
+
+/// How an accuracy is reached: the number of powers of the series, what they may leave out, and
+/// from how many individuals on that is quicker than the direct sum, which is taken below.
+struct Rung {
+    accuracy: f64,
+    powers: usize,
+    tolerance: f64,
+    from: usize,
+}
+
+/// An accuracy takes the first rung that is no coarser. The errors are not bounded but measured:
+/// in one group of any shape the largest is 0.02 to 0.7 times the accuracy, where a swarm has
+/// fallen into a few flocks up to 10 times.
+const RUNGS: [Rung; 7] = [
+    rung(1e-3, 4, 4e-3, 1000),
+    rung(1e-4, 4, 4e-4, 2000),
+    rung(1e-5, 8, 2e-4, 2500),
+    rung(1e-6, 8, 2e-5, 3000),
+    rung(1e-7, 8, 2e-6, 4000),
+    rung(1e-8, 12, 4e-7, 5000),
+    rung(1e-9, 12, 4e-8, 6000),
+];
+
+const fn rung(accuracy: f64, powers: usize, tolerance: f64, from: usize) -> Rung {
+    Rung {
+        accuracy,
+        powers,
+        tolerance,
+        from,
+    }
+}
+
+/// Computes the social pull of every individual; holds what is reused from call to call.
+#[derive(Clone, Debug)]
+pub struct Social {
+    /// Which version of the kernels runs; it changes no bit.
+    pub level: Level,
+    direct: Direct,
+    tree: Tree,
+    far_4: Far<4>,
+    far_8: Far<8>,
+    far_12: Far<12>,
+}
+
+impl Default for Social {
+    fn default() -> Self {
+        Self {
+            level: lanes::level(),
+            direct: Direct::default(),
+            tree: Tree::default(),
+            far_4: Far::default(),
+            far_8: Far::default(),
+            far_12: Far::default(),
+        }
+    }
+}
+
+impl Social {
+    /// Computes `p_s` of every individual into `pull`.
+    ///
+    /// - Shapes: n individuals in, n vectors out.
+    /// - Units: lengths at most 1, to the accuracy. Alone, an individual is pulled nowhere; one
+    ///   at the same place pulls nowhere but is counted.
+    /// - Source: paper, eq. (4). Deviation: with an accuracy, far groups pull as a whole, and
+    ///   `p_s` sums up to 0 over the group to that accuracy only, not to rounding.
+    pub fn compute(
+        &mut self,
+        attraction: Attraction,
+        configuration: &Configuration,
+        pull: &mut Vec<[f64; 2]>,
+    ) {
+        let Configuration { x, y, .. } = configuration;
+        let n = x.len();
+        pull.clear();
+        pull.resize(n, [0.0; 2]);
+        if n < 2 {
+            return;
+        }
+        let share = 1.0 / (n as f64 - 1.0);
+        let Attraction::All { accuracy } = attraction;
+        let Some(rung) = accuracy.map(rung_of).filter(|rung| n >= rung.from) else {
+            let [sum_x, sum_y] = self.direct.sum(self.level, x, y);
+            for ((pull, x), y) in pull.iter_mut().zip(sum_x).zip(sum_y) {
+                *pull = [x * share, y * share];
+            }
+            return;
+        };
+        let tree = &mut self.tree;
+        tree.build(x, y);
+        let [sum_x, sum_y] = match rung.powers {
+            4 => self.far_4.sum(self.level, tree, rung.tolerance),
+            8 => self.far_8.sum(self.level, tree, rung.tolerance),
+            _ => self.far_12.sum(self.level, tree, rung.tolerance),
+        };
+        for ((index, x), y) in tree.indices().zip(sum_x).zip(sum_y) {
+            pull[index] = [x * share, y * share];
+        }
+    }
+}
+
+fn rung_of(accuracy: f64) -> &'static Rung {
+    let finest = &RUNGS[RUNGS.len() - 1];
+    let mut rungs = RUNGS.iter();
+    rungs
+        .find(|rung| rung.accuracy <= accuracy)
+        .unwrap_or(finest)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn pull_of(places: &[[f64; 2]]) -> Vec<[f64; 2]> {
+        let mut configuration = Configuration::default();
+        places.iter().for_each(|place| {
+            configuration.push(place[0], place[1], 0.0);
+        });
+        let mut pull = Vec::new();
+        Social::default().compute(Attraction::default(), &configuration, &mut pull);
+        pull
+    }
+
+    fn example(n: u32) -> Configuration {
+        let mut configuration = Configuration::default();
+        for k in (0..n).map(f64::from) {
+            let side = f64::from(n).sqrt();
+            configuration.push(side * libm::sin(1.7 * k), side * libm::cos(k * k), 0.0);
+        }
+        configuration
+    }
+
+    fn plain(configuration: &Configuration) -> Vec<[f64; 2]> {
+        let Configuration { x, y, .. } = configuration;
+        let towards = |i: usize, j: usize| {
+            let (dx, dy) = (x[j] - x[i], y[j] - y[i]);
+            let share = 1.0 / (x.len() as f64 - 1.0);
+            [dx / dx.hypot(dy) * share, dy / dx.hypot(dy) * share]
+        };
+        let pull_of = |i: usize| {
+            let others = (0..x.len()).filter(|&j| j != i);
+            others
+                .map(|j| towards(i, j))
+                .fold([0.0, 0.0], |sum, one| [sum[0] + one[0], sum[1] + one[1]])
+        };
+        (0..x.len()).map(pull_of).collect()
+    }
+
+    fn bits(pull: &[[f64; 2]]) -> Vec<u64> {
+        pull.as_flattened().iter().map(|it| it.to_bits()).collect()
+    }
+
+    #[test]
+    fn one_alone_is_pulled_nowhere() {
+        assert_eq!(pull_of(&[[3.0, 4.0]]), [[0.0, 0.0]]);
+    }
+
+    #[test]
+    fn two_are_pulled_towards_each_other_whatever_their_distance() {
+        let pull = pull_of(&[[0.0, 0.0], [30.0, 40.0]]);
+        assert!((pull[0][0] - 0.6).abs() < 1e-15 && (pull[0][1] - 0.8).abs() < 1e-15);
+        assert_eq!(pull[1], [-pull[0][0], -pull[0][1]]);
+    }
+
+    #[test]
+    fn an_individual_at_the_same_place_counts_but_pulls_nowhere() {
+        let pull = pull_of(&[[0.0, 0.0], [0.0, 0.0], [5.0, 0.0]]);
+        assert_eq!(pull, [[0.5, 0.0], [0.5, 0.0], [-1.0, 0.0]]);
+    }
+
+    #[test]
+    fn every_number_of_individuals_adds_up_to_the_plain_sum_at_every_level() {
+        for n in 1..=200 {
+            let configuration = example(n);
+            let mut pull = Vec::new();
+            Social::default().compute(Attraction::default(), &configuration, &mut pull);
+            for (one, plain) in pull.iter().zip(plain(&configuration)) {
+                let off = (one[0] - plain[0]).abs().max((one[1] - plain[1]).abs());
+                assert!(off < 2e-15, "n = {n}: {off:e}");
+            }
+            for level in Level::available() {
+                let mut social = Social {
+                    level,
+                    ..Social::default()
+                };
+                let mut same = Vec::new();
+                social.compute(Attraction::default(), &configuration, &mut same);
+                assert_eq!(bits(&same), bits(&pull), "n = {n} at {level:?}");
+            }
+        }
+    }
+
+    /// Far more than a tile of sources, and used before for a larger group.
+    #[test]
+    fn tiles_add_up_and_leave_nothing_behind() {
+        let mut social = Social::default();
+        let mut pull = Vec::new();
+        for n in [1100, 519, 513, 257, 9] {
+            let configuration = example(n);
+            social.compute(Attraction::default(), &configuration, &mut pull);
+            for (one, plain) in pull.iter().zip(plain(&configuration)) {
+                let off = (one[0] - plain[0]).abs().max((one[1] - plain[1]).abs());
+                assert!(off < 1e-14, "n = {n}: {off:e}");
+            }
+        }
+    }
+
+    const ACCURACIES: [f64; 7] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9];
+
+    /// The largest error of a configuration's pulls at each accuracy, far groups as a whole
+    /// however few they are.
+    fn errors(configuration: &Configuration) -> Vec<f64> {
+        let Configuration { x, y, .. } = configuration;
+        let mut direct = Vec::new();
+        Social::default().compute(Attraction::default(), configuration, &mut direct);
+        let share = 1.0 / (x.len() as f64 - 1.0);
+        let mut social = Social::default();
+        social.tree.build(x, y);
+        let error_of = |rung: &Rung| {
+            let tree = &social.tree;
+            let [sum_x, sum_y] = match rung.powers {
+                4 => social.far_4.sum(social.level, tree, rung.tolerance),
+                8 => social.far_8.sum(social.level, tree, rung.tolerance),
+                _ => social.far_12.sum(social.level, tree, rung.tolerance),
+            };
+            let sums = tree.indices().zip(sum_x).zip(sum_y);
+            let off =
+                sums.map(|((k, x), y)| (x * share - direct[k][0]).hypot(y * share - direct[k][1]));
+            off.fold(0.0, f64::max)
+        };
+        RUNGS.iter().map(error_of).collect()
+    }
+
+    fn made(n: u32, place: impl Fn(f64) -> [f64; 2]) -> Configuration {
+        let mut configuration = Configuration::default();
+        for k in 0..n {
+            let [x, y] = place(f64::from(k));
+            configuration.push(x, y, 0.0);
+        }
+        configuration
+    }
+
+    /// A number in [0, 1) without any pattern that matters here.
+    fn drawn(k: f64, purpose: f64) -> f64 {
+        let wild = libm::sin(k * 12.9898 + purpose * 78.233) * 43_758.545_3;
+        wild - wild.floor()
+    }
+
+    fn disc(n: u32) -> Configuration {
+        made(n, |k| {
+            let angle = std::f64::consts::TAU * drawn(k, 1.0);
+            let radius = (f64::from(n) * drawn(k, 2.0)).sqrt();
+            [radius * libm::cos(angle), radius * libm::sin(angle)]
+        })
+    }
+
+    /// Groups of the density of touching bodies, as many of their radii apart.
+    fn flocks(n: u32, count: f64, apart: f64) -> Configuration {
+        let radius = (f64::from(n) / count).sqrt();
+        let spread = apart * radius * count.sqrt();
+        let one = disc(n);
+        made(n, |k| {
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "whole"
+            )]
+            let (index, flock) = (k as usize, k % count);
+            let shrink = 1.0 / count.sqrt();
+            [
+                spread * drawn(flock, 9.0) + shrink * one.x[index],
+                spread * drawn(flock, 8.0) + shrink * one.y[index],
+            ]
+        })
+    }
+
+    fn assert_accurate(name: &str, configuration: &Configuration, times: f64) {
+        for (error, accuracy) in errors(configuration).into_iter().zip(ACCURACIES) {
+            let n = configuration.n();
+            assert!(
+                error <= times * accuracy,
+                "{n} in a {name}: {error:e} for {accuracy:e}"
+            );
+        }
+    }
+
+    #[test]
+    fn far_groups_as_a_whole_are_as_accurate_as_asked() {
+        for n in [2, 3, 8, 31, 100, 500, 1000, 3000] {
+            let side = f64::from(n).sqrt();
+            assert_accurate("disc", &disc(n), 1.0);
+            let square = made(n, |k| [side * drawn(k, 3.0), side * drawn(k, 4.0)]);
+            assert_accurate("square", &square, 1.0);
+            assert_accurate("line", &made(n, |k| [k, 0.0]), 1.0);
+            assert_accurate("slope", &made(n, |k| [0.3 * k, 0.7 * k]), 1.0);
+            assert_accurate("band", &made(n, |k| [k, 3.0 * drawn(k, 5.0)]), 1.0);
+            assert_accurate("pair of flocks", &flocks(n, 2.0, 4.0), 1.0);
+        }
+    }
+
+    #[test]
+    fn in_far_flocks_the_error_may_be_ten_times_what_was_asked() {
+        for n in [500, 3000] {
+            for (count, apart) in [(3.0, 4.0), (5.0, 4.0), (5.0, 40.0), (20.0, 40.0)] {
+                assert_accurate("few flocks", &flocks(n, count, apart), 10.0);
+            }
+        }
+    }
+
+    #[test]
+    fn coincident_places_neither_pull_nor_spoil_the_others() {
+        let pairs = made(600, |k| [(k / 2.0).floor(), 0.0]);
+        let all = made(300, |_| [7.0, -7.0]);
+        let two = made(300, |k| [1e-200 * (k % 2.0), 1e3 * (k / 100.0).floor()]);
+        for configuration in [pairs, all, two] {
+            for (error, accuracy) in errors(&configuration).into_iter().zip(ACCURACIES) {
+                assert!(error <= accuracy, "{error:e} for {accuracy}");
+            }
+        }
+    }
+
+    #[test]
+    fn an_accuracy_gives_the_same_bytes_at_every_level_and_whatever_came_before() {
+        let configuration = disc(9000);
+        for accuracy in ACCURACIES {
+            let attraction = Attraction::All {
+                accuracy: Some(accuracy),
+            };
+            let [mut pull, mut same] = [Vec::new(), Vec::new()];
+            Social::default().compute(attraction, &configuration, &mut pull);
+            for level in Level::available() {
+                let mut social = Social {
+                    level,
+                    ..Social::default()
+                };
+                for before in [made(9000, |k| [-k, k % 100.0]), configuration.clone()] {
+                    social.compute(attraction, &before, &mut same);
+                }
+                assert_eq!(bits(&same), bits(&pull), "{accuracy} at {level:?}");
+            }
+        }
+    }
+}

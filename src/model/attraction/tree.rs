@@ -1,0 +1,139 @@
+//! The groups of a configuration: halved along the longer side until they are small.
+
+use crate::model::lanes::{Lanes, WIDTH};
+
+use super::direct::fill_lanes;
+
+/// The most individuals of a group that is not halved further. Between 24 and 64 it hardly
+/// matters; larger leaves need less memory.
+const LARGEST_LEAF: usize = 48;
+
+/// Someone at a place.
+#[derive(Clone, Copy, Debug)]
+struct Placed {
+    x: f64,
+    y: f64,
+    index: u32,
+}
+
+/// A group of individuals, those of `first..last` in the tree's order.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Group {
+    pub first: usize,
+    pub last: usize,
+    /// The middle of the box that holds them.
+    pub centre: [f64; 2],
+    /// How far the furthest of them is from the centre.
+    pub radius: f64,
+    /// The second half; the first half follows the group itself. 0 for a leaf.
+    pub second: usize,
+}
+
+impl Group {
+    pub fn is_leaf(&self) -> bool {
+        self.second == 0
+    }
+
+    /// The lanes that hold the group: they hold nobody else.
+    pub fn lanes(&self) -> std::ops::Range<usize> {
+        self.first / WIDTH..self.last.div_ceil(WIDTH)
+    }
+}
+
+/// All groups, each before its halves, and everybody in the order of the leaves.
+///
+/// It depends on the configuration alone: halves are told apart by (coordinate, index) and a
+/// leaf is ordered by index. That the last order is where the next one starts only saves time.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Tree {
+    pub groups: Vec<Group>,
+    placed: Vec<Placed>,
+    pub x: Vec<Lanes>,
+    pub y: Vec<Lanes>,
+}
+
+impl Tree {
+    /// Sorts everybody into groups.
+    pub fn build(&mut self, x: &[f64], y: &[f64]) {
+        let n = x.len();
+        if self.placed.len() != n {
+            let n = u32::try_from(n).expect("ids are 32 bits wide");
+            let indices = 0..n;
+            self.placed.clear();
+            self.placed.extend(indices.map(|index| Placed {
+                x: 0.0,
+                y: 0.0,
+                index,
+            }));
+        }
+        for placed in &mut self.placed {
+            placed.x = x[placed.index as usize];
+            placed.y = y[placed.index as usize];
+        }
+        self.groups.clear();
+        halve(&mut self.groups, &mut self.placed, 0);
+        fill_lanes(&mut self.x, self.placed.iter().map(|placed| placed.x));
+        fill_lanes(&mut self.y, self.placed.iter().map(|placed| placed.y));
+    }
+
+    /// How many there are.
+    pub fn n(&self) -> usize {
+        self.placed.len()
+    }
+
+    /// The coordinates of a group.
+    pub fn places(&self, group: &Group) -> [&[f64]; 2] {
+        let range = group.first..group.last;
+        [
+            &self.x.as_flattened()[range.clone()],
+            &self.y.as_flattened()[range],
+        ]
+    }
+
+    /// Whose turn it is in the tree's order.
+    pub fn indices(&self) -> impl Iterator<Item = usize> {
+        self.placed.iter().map(|placed| placed.index as usize)
+    }
+}
+
+fn halve(groups: &mut Vec<Group>, placed: &mut [Placed], first: usize) {
+    let mut low = [f64::INFINITY; 2];
+    let mut high = [f64::NEG_INFINITY; 2];
+    for &Placed { x, y, .. } in &*placed {
+        low = [low[0].min(x), low[1].min(y)];
+        high = [high[0].max(x), high[1].max(y)];
+    }
+    let centre = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1])];
+    let square = placed.iter().fold(0.0, |largest: f64, placed| {
+        let (dx, dy) = (placed.x - centre[0], placed.y - centre[1]);
+        largest.max(dx * dx + dy * dy)
+    });
+    let own = groups.len();
+    groups.push(Group {
+        first,
+        last: first + placed.len(),
+        centre,
+        radius: square.sqrt(),
+        second: 0,
+    });
+    if placed.len() <= LARGEST_LEAF {
+        placed.sort_unstable_by_key(|placed| placed.index);
+        return;
+    }
+    // Whole registers, so that no lane is shared.
+    let half = placed.len().div_ceil(2).next_multiple_of(WIDTH);
+    let by_index = |one: &Placed, other: &Placed| one.index.cmp(&other.index);
+    if high[0] - low[0] > high[1] - low[1] {
+        placed.select_nth_unstable_by(half, |one, other| {
+            one.x.total_cmp(&other.x).then_with(|| by_index(one, other))
+        });
+    } else {
+        placed.select_nth_unstable_by(half, |one, other| {
+            one.y.total_cmp(&other.y).then_with(|| by_index(one, other))
+        });
+    }
+    let (one, other) = placed.split_at_mut(half);
+    halve(groups, one, first);
+    groups[own].second = groups.len();
+    halve(groups, other, first + half);
+}

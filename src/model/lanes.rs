@@ -1,0 +1,187 @@
+//! The same kernel compiled for several vector widths, picked by what the processor offers.
+//!
+//! A kernel is written once, in plain loops over arrays of [`WIDTH`] lanes, and wrapped in
+//! [`multiversion!`]. Every version does the same operations on the same numbers in the same
+//! order: the compiler neither reorders sums nor fuses products with them, and `sqrt` and `/`
+//! are exact everywhere. So all versions give the same bytes; they differ in time alone.
+
+/// How many lanes a kernel carries side by side: one register of the widest version.
+pub const WIDTH: usize = 8;
+
+/// One number in each lane.
+pub type Lanes = [f64; WIDTH];
+
+/// Which version of the kernels runs. One that the processor lacks cannot be made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Level(Width);
+
+/// Public for the macro alone.
+#[doc(hidden)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Width {
+    Baseline,
+    #[cfg(target_arch = "x86_64")]
+    Avx2,
+    #[cfg(target_arch = "x86_64")]
+    Avx512,
+}
+
+impl Level {
+    /// What every processor has.
+    pub const BASELINE: Self = Self(Width::Baseline);
+
+    /// Every level of this processor, the widest last.
+    #[must_use]
+    pub fn available() -> Vec<Self> {
+        let mut levels = vec![Self::BASELINE];
+        #[cfg(target_arch = "x86_64")]
+        {
+            if has_avx2() {
+                levels.push(Self(Width::Avx2));
+            }
+            if has_avx512() {
+                levels.push(Self(Width::Avx512));
+            }
+        }
+        levels
+    }
+
+    #[doc(hidden)]
+    #[inline(always)]
+    #[must_use]
+    pub fn width(self) -> Width {
+        self.0
+    }
+}
+
+/// The widest level of this processor. Asking costs a nanosecond or two: the standard library
+/// remembers the answer.
+#[inline]
+#[must_use]
+pub fn level() -> Level {
+    #[cfg(target_arch = "x86_64")]
+    {
+        if has_avx512() {
+            return Level(Width::Avx512);
+        }
+        if has_avx2() {
+            return Level(Width::Avx2);
+        }
+    }
+    Level::BASELINE
+}
+
+#[cfg(target_arch = "x86_64")]
+#[inline]
+fn has_avx2() -> bool {
+    is_x86_feature_detected!("avx2")
+}
+
+#[cfg(target_arch = "x86_64")]
+#[inline]
+fn has_avx512() -> bool {
+    is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512vl")
+        && is_x86_feature_detected!("avx512dq")
+}
+
+/// Defines a free function once for each [`Level`]; the level is its first argument.
+///
+/// ```text
+/// multiversion! {
+///     /// Adds `from` to `to`.
+///     pub fn add(level, to: &mut [f64], from: &[f64]) {
+///         for (to, from) in to.iter_mut().zip(from) {
+///             *to += from;
+///         }
+///     }
+/// }
+/// add(lanes::level(), &mut to, &from);
+/// ```
+///
+/// Constant parameters may follow the name, `fn name<const N: usize>(level, …)`. Functions that
+/// the body calls in its loops must be `#[inline(always)]`, or they stay at the baseline.
+macro_rules! multiversion {
+    (
+        $(#[$meta:meta])*
+        $vis:vis fn $name:ident $(<$(const $g:ident: $gt:ty),+>)? (
+            level, $($arg:ident: $type:ty),* $(,)?
+        ) $(-> $result:ty)? $body:block
+    ) => {
+        $(#[$meta])*
+        #[inline]
+        #[cfg_attr(target_arch = "x86_64", expect(
+            unsafe_code,
+            reason = "a version is called only with a level, made only where it was detected"
+        ))]
+        $vis fn $name $(<$(const $g: $gt),+>)? (
+            level: $crate::model::lanes::Level, $($arg: $type),*
+        ) $(-> $result)? {
+            #[inline(always)]
+            fn body $(<$(const $g: $gt),+>)? ($($arg: $type),*) $(-> $result)? $body
+
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx2")]
+            fn avx2 $(<$(const $g: $gt),+>)? ($($arg: $type),*) $(-> $result)? {
+                body $(::<$($g),+>)? ($($arg),*)
+            }
+
+            #[cfg(target_arch = "x86_64")]
+            #[target_feature(enable = "avx512f,avx512vl,avx512dq")]
+            fn avx512 $(<$(const $g: $gt),+>)? ($($arg: $type),*) $(-> $result)? {
+                body $(::<$($g),+>)? ($($arg),*)
+            }
+
+            match level.width() {
+                $crate::model::lanes::Width::Baseline => body $(::<$($g),+>)? ($($arg),*),
+                // SAFETY: a level is only made where its features were detected.
+                #[cfg(target_arch = "x86_64")]
+                $crate::model::lanes::Width::Avx2 => unsafe { avx2 $(::<$($g),+>)? ($($arg),*) },
+                // SAFETY: as above.
+                #[cfg(target_arch = "x86_64")]
+                $crate::model::lanes::Width::Avx512 => unsafe {
+                    avx512 $(::<$($g),+>)? ($($arg),*)
+                },
+            }
+        }
+    };
+}
+pub(crate) use multiversion;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    multiversion! {
+        /// Something with every operation that a kernel uses.
+        fn mixed<const N: usize>(level, to: &mut [f64], from: &[f64]) -> f64 {
+            let mut sum = 0.0;
+            for (to, from) in to.iter_mut().zip(from) {
+                *to += from * N as f64 + 1.0 / (from * from + *to * *to).sqrt();
+                sum += *to;
+            }
+            sum
+        }
+    }
+
+    #[test]
+    fn every_level_gives_the_same_bytes() {
+        let from: Vec<f64> = (1..100).map(|k| f64::from(k).ln()).collect();
+        let at = |level| {
+            let mut to: Vec<f64> = (1..100).map(|k| f64::from(k).cbrt()).collect();
+            let sum = mixed::<3>(level, &mut to, &from);
+            (
+                sum.to_bits(),
+                to.into_iter().map(f64::to_bits).collect::<Vec<_>>(),
+            )
+        };
+        for level in Level::available() {
+            assert_eq!(at(level), at(Level::BASELINE), "{level:?}");
+        }
+    }
+
+    #[test]
+    fn the_level_is_the_widest_available() {
+        assert_eq!(Level::available().last(), Some(&level()));
+    }
+}

@@ -1,0 +1,215 @@
+//! Which pairs could touch, listed once for many steps.
+
+use super::contact::Axes;
+use super::ends::{self, Pairs};
+use crate::model::body::Body;
+use crate::model::pairs::{PairSearch, order};
+use crate::model::{Configuration, Parameters, lanes};
+
+/// How much further than asked pairs are listed, in body sizes: more makes every step look at
+/// more pairs, less makes lists last for fewer steps.
+const SLACK: f64 = 0.25;
+
+/// How many changes are compared side by side.
+const LANES: usize = 4;
+
+/// Many times what rounding could take from a distance at the largest coordinates and angles.
+const ROUNDING: f64 = 1e-6;
+
+/// The pairs that could be in contact, kept while nobody has moved far.
+///
+/// A list is only ever too long: whoever uses it measures again. So it decides how long a step
+/// takes and not one bit of its result, and is no part of a state.
+#[derive(Debug, Default)]
+pub struct Neighbours {
+    search: PairSearch,
+    /// Pairs near enough by their centres.
+    near: Vec<(u32, u32)>,
+    pairs: Vec<(u32, u32)>,
+    /// The bodies that were listed, up to which gap, and where they were.
+    body: Option<Body>,
+    limit: f64,
+    x: Vec<f64>,
+    y: Vec<f64>,
+    alpha: Vec<f64>,
+}
+
+impl Neighbours {
+    /// Lists at least all pairs with a gap up to `reach`, crossed ones too.
+    ///
+    /// - Shapes: n individuals and headings in; pairs out, ordered by (i, j), i < j.
+    pub fn update(
+        &mut self,
+        parameters: &Parameters,
+        configuration: &Configuration,
+        heading: &[[f64; 2]],
+        reach: f64,
+    ) {
+        let body = Body::new(parameters);
+        let lasts = self.body == Some(body)
+            && self.alpha.len() == configuration.n()
+            && reach + self.drift(body, configuration) + ROUNDING <= self.limit;
+        if !lasts {
+            self.list(body, configuration, heading, reach);
+        }
+    }
+
+    /// The pairs listed last.
+    #[must_use]
+    pub fn pairs(&self) -> &[(u32, u32)] {
+        &self.pairs
+    }
+
+    fn list(
+        &mut self,
+        body: Body,
+        configuration: &Configuration,
+        heading: &[[f64; 2]],
+        reach: f64,
+    ) {
+        let Configuration { x, y, alpha, .. } = configuration;
+        self.body = Some(body);
+        self.limit = reach + reach.max(SLACK);
+        let axes = self.limit + 2.0 * body.radius;
+        let centres = body.centre_distance(self.limit);
+        self.near.clear();
+        let near = &mut self.near;
+        self.search.visit(x, y, centres, |i, j| near.push((i, j)));
+        self.pairs.clear();
+        let all = Axes::new(configuration, heading);
+        let (level, mut lanes) = (lanes::level(), Pairs::default());
+        for near in self.near.chunks(ends::LANES) {
+            for (lane, &(i, j)) in near.iter().enumerate() {
+                lanes.set(lane, &all.at(i), &all.at(j), axes);
+            }
+            let signs = near.iter().zip(lanes.signs(level, body.half_length));
+            let listed = signs.filter(|&(_, signs)| ends::within(signs));
+            self.pairs.extend(listed.map(|(&pair, _)| pair));
+        }
+        order(&mut self.pairs);
+        self.x.clone_from(x);
+        self.y.clone_from(y);
+        self.alpha.clone_from(alpha);
+    }
+
+    /// How much any gap can have changed since the list was made: by the widest spread of the
+    /// ways that centres have gone, what all went together left out, and by the widest turn.
+    fn drift(&self, body: Body, configuration: &Configuration) -> f64 {
+        let Configuration { x, y, alpha, .. } = configuration;
+        let [left, right] = range(&self.x, x);
+        let [down, up] = range(&self.y, y);
+        let [clockwise, counter_clockwise] = range(&self.alpha, alpha);
+        let (wide, high) = (right - left, up - down);
+        let turn = f64::max(-clockwise, counter_clockwise);
+        (wide * wide + high * high).sqrt() + 2.0 * body.half_length * turn
+    }
+}
+
+/// The least and the largest change of any entry.
+fn range(before: &[f64], now: &[f64]) -> [f64; 2] {
+    let (mut least, mut largest) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
+    let mut widen = |lane: usize, change: f64| {
+        least[lane] = if change < least[lane] {
+            change
+        } else {
+            least[lane]
+        };
+        largest[lane] = if change > largest[lane] {
+            change
+        } else {
+            largest[lane]
+        };
+    };
+    let (before_blocks, before_rest) = before.as_chunks::<LANES>();
+    let (now_blocks, now_rest) = now.as_chunks::<LANES>();
+    for (before, now) in before_blocks.iter().zip(now_blocks) {
+        for lane in 0..LANES {
+            widen(lane, now[lane] - before[lane]);
+        }
+    }
+    for (lane, (before, now)) in before_rest.iter().zip(now_rest).enumerate() {
+        widen(lane, now - before);
+    }
+    [
+        least.into_iter().fold(f64::INFINITY, f64::min),
+        largest.into_iter().fold(f64::NEG_INFINITY, f64::max),
+    ]
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use std::f64::consts::TAU;
+
+    use super::*;
+    use crate::model::body::near_pairs;
+    use crate::model::random::{Purpose, Stream};
+    use crate::model::start;
+    use crate::stepper::heading::unit_vectors;
+
+    /// Asks as a step does, and tells whether the list was made anew.
+    fn ask(neighbours: &mut Neighbours, parameters: &Parameters, now: &Configuration) -> bool {
+        let reach = parameters.reach(0.0);
+        let (mut heading, before) = (Vec::new(), neighbours.alpha.clone());
+        unit_vectors(&now.alpha, &mut heading);
+        neighbours.update(parameters, now, &heading, reach);
+        let near = near_pairs(Body::new(parameters), now, reach);
+        for (i, j, nearness) in near {
+            assert!(
+                neighbours.pairs.binary_search(&(i, j)).is_ok(),
+                "{i} and {j} at {nearness:?} are not listed"
+            );
+        }
+        assert!(neighbours.pairs.is_sorted());
+        before != neighbours.alpha
+    }
+
+    #[test]
+    fn no_near_pair_is_ever_missing_however_all_move() {
+        for (pi1, n) in [(1.0, 40), (4.0, 40), (12.0, 40), (4.0, 300)] {
+            let parameters = Parameters {
+                pi1,
+                ..Parameters::default()
+            };
+            let mut now = start::disc(&parameters, n, None, 5).unwrap();
+            let mut neighbours = Neighbours::default();
+            let mut stream = Stream::new(3, 0, 0, Purpose::Start);
+            let mut lists = 0;
+            for _ in 0..200 {
+                lists += usize::from(ask(&mut neighbours, &parameters, &now));
+                for index in 0..n {
+                    let mut step = |width: f64| width * (2.0 * stream.uniform() - 1.0);
+                    // Bodies may cross here; a crossed pair must be listed as well.
+                    now.x[index] += 0.3 + step(0.02);
+                    now.y[index] += step(0.02);
+                    now.alpha[index] += step(0.02);
+                }
+            }
+            assert!((2..150).contains(&lists), "{lists} lists for {n} of {pi1}");
+        }
+    }
+
+    #[test]
+    fn moving_together_needs_no_new_list_and_another_swarm_does() {
+        let parameters = Parameters::default();
+        let mut now = start::disc(&parameters, 30, None, 1).unwrap();
+        let mut neighbours = Neighbours::default();
+        assert!(ask(&mut neighbours, &parameters, &now));
+        now.x.iter_mut().for_each(|x| *x += 1024.0);
+        assert!(!ask(&mut neighbours, &parameters, &now));
+        now.alpha[3] += TAU;
+        assert!(ask(&mut neighbours, &parameters, &now));
+        now.remove(&[0]);
+        assert!(ask(&mut neighbours, &parameters, &now));
+        let longer = Parameters {
+            pi1: 5.0,
+            ..parameters
+        };
+        let before = neighbours.pairs.clone();
+        ask(&mut neighbours, &longer, &now);
+        assert_ne!(
+            before, neighbours.pairs,
+            "longer bodies have other neighbours"
+        );
+    }
+}

@@ -1,0 +1,341 @@
+//! The factor of `K = 1 + Σ σ_k b_k b_kᵀ` over the active contacts, in 3×3 blocks.
+//!
+//! `K` lives on the individuals and is positive definite whatever contacts depend on each other.
+//! It is factored as `L D Lᵀ`, column by column, each gathering from the columns to its left.
+
+use std::hint::black_box;
+use std::ops::Range;
+
+use super::rows::{Part, Row};
+use super::structure::{NONE, Structure};
+
+/// Three columns of three entries; the fourth lane is zero.
+type Block = [Part; 3];
+
+const ZERO: Block = [[0.0; 4]; 3];
+
+/// A diagonal block's share of the factor.
+#[derive(Clone, Copy, Debug, Default)]
+struct Corner {
+    /// Entries (1, 0), (2, 0), (2, 1) of `L`.
+    lower: [f64; 3],
+    /// `D`.
+    pivot: Part,
+    /// Its inverse.
+    inverse: Part,
+}
+
+impl Corner {
+    #[inline(always)]
+    fn forward(&self, part: Part) -> Part {
+        let [a, b, c] = self.lower;
+        let second = part[1] - a * part[0];
+        [part[0], second, part[2] - b * part[0] - c * second, 0.0]
+    }
+
+    #[inline(always)]
+    fn backward(&self, part: Part) -> Part {
+        let [a, b, c] = self.lower;
+        let second = part[1] - c * part[2];
+        [part[0] - a * second - b * part[2], second, part[2], 0.0]
+    }
+}
+
+/// Vectors `L⁻¹ b_k` where they are not zero, one after the other.
+#[derive(Clone, Debug, Default)]
+pub struct Path {
+    /// Places.
+    pub nodes: Vec<u32>,
+    /// `L⁻¹ b_k`.
+    pub parts: Vec<Part>,
+    /// `D⁻¹ L⁻¹ b_k`.
+    pub scaled: Vec<Part>,
+}
+
+impl Path {
+    /// Forgets all.
+    pub fn clear(&mut self) {
+        self.nodes.clear();
+        self.parts.clear();
+        self.scaled.clear();
+    }
+
+    /// Adds `factor D⁻¹ L⁻¹ b_k` of one vector to what [`Factor::back`] is to be given.
+    #[inline(always)]
+    pub fn descend(&self, range: Range<usize>, factor: f64, vector: &mut [Part]) {
+        for (&node, part) in self.nodes[range.clone()].iter().zip(&self.scaled[range]) {
+            let entry = &mut vector[node as usize];
+            for lane in 0..4 {
+                entry[lane] += factor * part[lane];
+            }
+        }
+    }
+}
+
+/// The factor's numbers.
+#[derive(Clone, Debug, Default)]
+pub struct Factor {
+    /// Where they are.
+    pub structure: Structure,
+    below: Vec<Block>,
+    diagonal: Vec<Block>,
+    corner: Vec<Corner>,
+    slot: Vec<u32>,
+    sparse: Vec<Part>,
+}
+
+impl Factor {
+    /// Factors `K` of the rows that `active` tells.
+    #[inline(always)]
+    pub fn factor(&mut self, rows: &[Row], active: &[bool]) {
+        self.assemble(rows, active);
+        eliminate(self);
+    }
+
+    #[inline(always)]
+    fn assemble(&mut self, rows: &[Row], active: &[bool]) {
+        let Self {
+            structure,
+            below,
+            diagonal,
+            ..
+        } = self;
+        below.clear();
+        below.resize(structure.row.len(), ZERO);
+        diagonal.clear();
+        diagonal.resize(
+            structure.columns,
+            [
+                [1.0, 0.0, 0.0, 0.0],
+                [0.0, 1.0, 0.0, 0.0],
+                [0.0, 0.0, 1.0, 0.0],
+            ],
+        );
+        for row in rows.iter().zip(active).filter(|(_, active)| **active) {
+            let row = row.0;
+            let [first, second] = &row.parts;
+            let [i, j] = row.place.map(|place| place as usize);
+            add_product(&mut diagonal[i], first, first, row.penalty);
+            add_product(&mut diagonal[j], second, second, row.penalty);
+            let (lower, upper) = if i > j {
+                (first, second)
+            } else {
+                (second, first)
+            };
+            add_product(&mut below[row.block as usize], lower, upper, row.penalty);
+        }
+    }
+
+    /// Replaces `vector` by `K⁻¹ vector`.
+    #[inline(always)]
+    pub fn solve(&self, vector: &mut [Part]) {
+        let Self {
+            structure,
+            below,
+            corner,
+            ..
+        } = self;
+        for column in 0..structure.columns {
+            let part = corner[column].forward(vector[column]);
+            let blocks = structure.start[column] as usize..structure.start[column + 1] as usize;
+            for (block, &row) in below[blocks.clone()].iter().zip(&structure.row[blocks]) {
+                subtract(&mut vector[row as usize], block, &part);
+            }
+            let inverse = &corner[column].inverse;
+            vector[column] = [0, 1, 2, 3].map(|lane| part[lane] * inverse[lane]);
+        }
+        self.back(vector);
+    }
+
+    /// Replaces `vector` by `L⁻ᵀ vector`.
+    #[inline(always)]
+    pub fn back(&self, vector: &mut [Part]) {
+        let Self {
+            structure,
+            below,
+            corner,
+            ..
+        } = self;
+        for column in (0..structure.columns).rev() {
+            let blocks = structure.start[column] as usize..structure.start[column + 1] as usize;
+            let mut sums = ZERO;
+            for (block, &row) in below[blocks.clone()].iter().zip(&structure.row[blocks]) {
+                let part = &vector[row as usize];
+                for (sum, entries) in sums.iter_mut().zip(block) {
+                    for lane in 0..4 {
+                        sum[lane] += entries[lane] * part[lane];
+                    }
+                }
+            }
+            // Unseen by the compiler, which would otherwise sum in pairs of axes, not in lanes.
+            let sums = black_box(sums);
+            let left = |axis: usize| {
+                vector[column][axis] - ((sums[axis][0] + sums[axis][1]) + sums[axis][2])
+            };
+            vector[column] = corner[column].backward([left(0), left(1), left(2), 0.0]);
+        }
+    }
+
+    /// Appends to `path` where `L⁻¹ b_k` is not zero: a path in the elimination tree, from the
+    /// earlier of the two individuals to a root.
+    #[inline(always)]
+    pub fn climb(&mut self, row: &Row, path: &mut Path) {
+        let Self {
+            structure,
+            below,
+            corner,
+            sparse,
+            ..
+        } = self;
+        sparse.resize(structure.columns, [0.0; 4]);
+        for (place, part) in row.place.iter().zip(row.parts) {
+            sparse[*place as usize] = part;
+        }
+        let mut node = row.place[0].min(row.place[1]);
+        while node != NONE {
+            let column = node as usize;
+            let part = corner[column].forward(std::mem::take(&mut sparse[column]));
+            let blocks = structure.start[column] as usize..structure.start[column + 1] as usize;
+            for (block, &row) in below[blocks.clone()].iter().zip(&structure.row[blocks]) {
+                subtract(&mut sparse[row as usize], block, &part);
+            }
+            let inverse = &corner[column].inverse;
+            path.nodes.push(node);
+            path.parts.push(part);
+            path.scaled
+                .push([0, 1, 2, 3].map(|lane| part[lane] * inverse[lane]));
+            node = structure.parent[column];
+        }
+    }
+}
+
+/// Replaces the matrix by its factor.
+#[inline(always)]
+fn eliminate(factor: &mut Factor) {
+    let Factor {
+        structure,
+        below,
+        diagonal,
+        corner,
+        slot,
+        ..
+    } = factor;
+    corner.clear();
+    slot.resize(structure.columns, 0);
+    for column in 0..structure.columns {
+        let begin = structure.start[column] as usize;
+        let end = structure.start[column + 1] as usize;
+        for (block, &row) in (begin..end).zip(&structure.row[begin..end]) {
+            #[expect(clippy::cast_possible_truncation, reason = "blocks are named by 32 bits")]
+            let block = (block - begin) as u32;
+            slot[row as usize] = block;
+        }
+        let (done, rest) = below.split_at_mut(begin);
+        let own = &mut rest[..end - begin];
+        let target = &mut diagonal[column];
+        let lefts = structure.left_start[column] as usize..structure.left_start[column + 1] as usize;
+        for &[other, at] in &structure.left[lefts] {
+            let at = at as usize;
+            let joint = &done[at];
+            // A pair that is listed but not active joins nothing.
+            if is_zero(joint) {
+                continue;
+            }
+            let pivot = &corner[other as usize].pivot;
+            let mut scaled = ZERO;
+            for axis in 0..3 {
+                for lane in 0..3 {
+                    scaled[lane][axis] = joint[axis][lane] * pivot[axis];
+                }
+            }
+            multiply_subtract(target, joint, &scaled);
+            let last = structure.start[other as usize + 1] as usize;
+            for (block, &row) in done[at + 1..last].iter().zip(&structure.row[at + 1..last]) {
+                multiply_subtract(&mut own[slot[row as usize] as usize], block, &scaled);
+            }
+        }
+        let finished = pivot(target);
+        for block in own {
+            let [a, b, c] = finished.lower;
+            let mut columns = *block;
+            for lane in 0..4 {
+                columns[1][lane] -= a * columns[0][lane];
+                columns[2][lane] -= b * columns[0][lane] + c * columns[1][lane];
+            }
+            for (axis, entries) in columns.iter().enumerate() {
+                for lane in 0..4 {
+                    block[axis][lane] = entries[lane] * finished.inverse[axis];
+                }
+            }
+        }
+        corner.push(finished);
+    }
+}
+
+#[inline(always)]
+fn is_zero(block: &Block) -> bool {
+    let mut bits = [0; 4];
+    for entries in block {
+        for lane in 0..4 {
+            bits[lane] |= entries[lane].to_bits();
+        }
+    }
+    // Either sign.
+    ((bits[0] | bits[1]) | (bits[2] | bits[3])) << 1 == 0
+}
+
+/// What a pivot is at least: `K` is never below the unit matrix, but for rounding.
+#[inline(always)]
+fn at_least_one(pivot: f64) -> f64 {
+    if pivot > 1.0 { pivot } else { 1.0 }
+}
+
+/// Factors a diagonal block.
+#[inline(always)]
+fn pivot(block: &Block) -> Corner {
+    let first = at_least_one(block[0][0]);
+    let i = 1.0 / first;
+    let (a, b) = (block[0][1] * i, block[0][2] * i);
+    let second = at_least_one(block[1][1] - a * block[0][1]);
+    let j = 1.0 / second;
+    let cross = block[1][2] - a * block[0][2];
+    let c = cross * j;
+    let third = at_least_one(block[2][2] - b * block[0][2] - c * cross);
+    Corner {
+        lower: [a, b, c],
+        pivot: [first, second, third, 0.0],
+        inverse: [i, j, 1.0 / third, 0.0],
+    }
+}
+
+/// `target += factor · one otherᵀ`, `one` along the lanes.
+#[inline(always)]
+fn add_product(target: &mut Block, one: &Part, other: &Part, factor: f64) {
+    for (axis, entries) in target.iter_mut().enumerate() {
+        let scale = factor * other[axis];
+        for lane in 0..4 {
+            entries[lane] += scale * one[lane];
+        }
+    }
+}
+
+/// `target -= block · scaledᵀ`.
+#[inline(always)]
+fn multiply_subtract(target: &mut Block, block: &Block, scaled: &Block) {
+    for (axis, entries) in target.iter_mut().enumerate() {
+        let [x, y, z, _] = scaled[axis];
+        for lane in 0..4 {
+            entries[lane] -=
+                block[0][lane] * x + block[1][lane] * y + block[2][lane] * z;
+        }
+    }
+}
+
+/// `target -= block · part`.
+#[inline(always)]
+fn subtract(target: &mut Part, block: &Block, part: &Part) {
+    for lane in 0..4 {
+        target[lane] -=
+            block[0][lane] * part[0] + block[1][lane] * part[1] + block[2][lane] * part[2];
+    }
+}

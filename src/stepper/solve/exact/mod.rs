@@ -1,0 +1,306 @@
+//! The exact solver: one factorisation, and the few contacts that change sides resolved jointly.
+//!
+//! From one step to the next a handful of contacts change sides, so those that pushed are taken
+//! for those that push (`rows`, `order`, `structure`, `factor`). One pass by multipliers with a
+//! penalty closes their gaps; whoever then pulls or overlaps is in doubt and is resolved in a
+//! small dense complementarity problem (`closure`, `tableau`). Passes with the same factor refine.
+//! Nothing here judges the result: the residual does, computed from the multipliers alone.
+
+mod closure;
+mod factor;
+mod order;
+mod rows;
+mod small;
+mod structure;
+mod tableau;
+
+use super::{Hints, Solution, TARGET};
+use crate::model::lanes::{self, multiversion};
+use crate::stepper::qp::Qp;
+use closure::{Base, Closure};
+use factor::Factor;
+use order::Dissection;
+use rows::{Part, Row};
+use small::Small;
+
+/// σ, the penalty on a gap whose gradient has unit length in the metric of `W`. Each pass
+/// shrinks the error by σ times the least eigenvalue of `A W⁻¹ Aᵀ`; beyond 1e8 rounding in `K`
+/// takes over.
+const PENALTY: f64 = 1e8;
+
+/// A gap or multiplier this far on the wrong side is wrong: well below the target, so that what
+/// stays is no part of the residual.
+const WRONG: f64 = 0.05 * TARGET;
+
+/// A solution this exact is done.
+const DONE: f64 = 0.1 * TARGET;
+
+/// Passes with one factor. Each gains several digits or the set was wrong.
+const MOST_PASSES: usize = 6;
+
+/// A pass that gains less than this is not worth another.
+const GAIN: f64 = 3.0;
+
+/// Factorisations before giving up; one is usual.
+const MOST_FACTORS: usize = 12;
+
+/// An order of elimination serves so many steps: those in contact change slowly, and any order
+/// is right.
+const ORDER_LASTS: u32 = 25;
+
+/// The solver's memory within a step.
+#[derive(Clone, Debug, Default)]
+pub struct Exact {
+    dissection: Dissection,
+    /// An order found in this step.
+    order: Vec<u32>,
+    age: u32,
+    rows: Vec<Row>,
+    factor: Factor,
+    closure: Closure,
+    small: Small,
+    /// Who was taken to push when `K` was factored.
+    active: Vec<bool>,
+    /// Who is taken to push now.
+    pushing: Vec<bool>,
+    multipliers: Vec<f64>,
+    proposed: Vec<f64>,
+    slacks: Vec<f64>,
+    ahead: Vec<f64>,
+    vector: Vec<Part>,
+    change: Vec<Part>,
+    extra: Vec<Part>,
+}
+
+multiversion! {
+    /// Solves for few contacts, with everything that it calls compiled for one level.
+    fn few(level, exact: &mut Exact, qp: &Qp, guess: &[f64], solution: &mut Solution) -> bool {
+        exact.small.solve(qp, &exact.rows, guess, solution)
+    }
+}
+
+multiversion! {
+    /// Solves with everything that it calls compiled for one level.
+    fn attempt(level, exact: &mut Exact, qp: &Qp, solution: &mut Solution) {
+        exact.attempt(qp, solution);
+    }
+}
+
+impl Exact {
+    /// The order of elimination to be remembered, with how many solutions it has served.
+    #[must_use]
+    pub fn order(&self) -> (&[u32], u32) {
+        (&self.order, self.age)
+    }
+
+    /// Takes over the order of elimination that a step before has found, with how many solutions
+    /// it has served. One of another length than n is none.
+    pub fn recall(&mut self, order: &[u32], age: u32) {
+        if self.order != order {
+            self.order.clear();
+            self.order.extend_from_slice(order);
+        }
+        self.age = age;
+    }
+
+    /// Solves `qp`; the best solution found is offered to `solution`.
+    pub(super) fn solve(&mut self, qp: &Qp, hints: &Hints, solution: &mut Solution) {
+        rows::fill(qp, &mut self.rows);
+        let pushed = hints.multipliers.iter().filter(|&&value| value > 0.0);
+        if (1..=small::FEW).contains(&pushed.count()) && few(lanes::level(), self, qp, hints.multipliers, solution) {
+            return;
+        }
+        self.prepare(qp, hints);
+        attempt(lanes::level(), self, qp, solution);
+    }
+
+    #[inline(always)]
+    fn attempt(&mut self, qp: &Qp, solution: &mut Solution) {
+        for _ in 0..MOST_FACTORS {
+            self.factor.factor(&self.rows, &self.active);
+            solution.iterations += 1;
+            self.closure.clear();
+            self.pushing.clone_from(&self.active);
+            if self.converge(qp, solution) {
+                return;
+            }
+            self.active.clone_from(&self.pushing);
+        }
+    }
+
+    fn prepare(&mut self, qp: &Qp, hints: &Hints) {
+        let n = qp.free.len();
+        if self.order.len() != n || self.age >= ORDER_LASTS {
+            self.dissection
+                .order(&qp.contacts, hints.x, hints.y, &mut self.order);
+            self.age = 0;
+        }
+        self.age += 1;
+        let structure = &mut self.factor.structure;
+        structure.update(&self.order, &qp.contacts);
+        for ((row, contact), &block) in self.rows.iter_mut().zip(&qp.contacts).zip(&structure.block)
+        {
+            row.place = [contact.i, contact.j].map(|k| structure.place[k as usize]);
+            row.block = block;
+        }
+        self.multipliers.clear();
+        self.multipliers.extend_from_slice(hints.multipliers);
+        self.active.clear();
+        self.active
+            .extend(self.multipliers.iter().map(|&value| value > 0.0));
+        if !self.active.contains(&true) {
+            // Nothing is known: those that free motion would let overlap.
+            self.active.clear();
+            self.active.extend(self.rows.iter().map(|row| row.gap < 0.0));
+        }
+    }
+
+    /// Passes with the present factor until the solution is exact; tells whether it is.
+    #[inline(always)]
+    fn converge(&mut self, qp: &Qp, solution: &mut Solution) -> bool {
+        let mut before = f64::INFINITY;
+        for pass in 0..MOST_PASSES {
+            let open = self.displace();
+            if pass > 0 && open <= WRONG {
+                // Those that push are exact, so another is wrong.
+                self.cut_off();
+                return false;
+            }
+            if GAIN * open > before {
+                self.reach_ahead(open / (before - open));
+                return solution.residual <= TARGET;
+            }
+            before = open;
+            self.pass();
+            if pass == 0 && self.anybody_wrong() {
+                let base = Base {
+                    rows: &self.rows,
+                    active: &self.active,
+                    before: &self.multipliers,
+                    multipliers: &self.proposed,
+                    slacks: &self.ahead,
+                };
+                let closed = self.closure.close(&base, &mut self.factor, &mut self.change);
+                for (k, &value) in self.closure.multipliers.iter().enumerate() {
+                    self.pushing[k] = self.active[k] != self.closure.is_exchanged(k);
+                    let pushes = self.pushing[k] && value > 0.0;
+                    self.multipliers[k] = if pushes { value } else { 0.0 };
+                }
+                if !closed {
+                    return false;
+                }
+                // Exact up to the rounding of a small tableau, which another pass takes away.
+                before = f64::INFINITY;
+            } else {
+                std::mem::swap(&mut self.multipliers, &mut self.proposed);
+            }
+            solution.offer(qp, &self.multipliers);
+            if solution.residual <= DONE {
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Leaves no multiplier negative.
+    #[inline(always)]
+    fn cut_off(&mut self) {
+        for value in &mut self.multipliers {
+            *value = if *value > 0.0 { *value } else { 0.0 };
+        }
+    }
+
+    /// Goes on as the last pass went, `far` times as far or until the first would pull, which
+    /// then pushes no more.
+    ///
+    /// Where contacts nearly depend on each other, passes gain nothing: each shifts the load by
+    /// as much as the penalty allows, along a line that ends where somebody lets go.
+    #[inline(always)]
+    fn reach_ahead(&mut self, far: f64) {
+        let mut share = if far > 0.0 { far } else { f64::INFINITY };
+        let mut blocking = None;
+        for (k, (&now, &before)) in self.multipliers.iter().zip(&self.proposed).enumerate() {
+            if self.pushing[k] && now < before && now < share * (before - now) {
+                share = now / (before - now);
+                blocking = Some(k);
+            }
+        }
+        if share < f64::INFINITY {
+            for (now, before) in self.multipliers.iter_mut().zip(&self.proposed) {
+                *now += share * (*now - before);
+            }
+        }
+        if let Some(k) = blocking {
+            self.pushing[k] = false;
+            self.multipliers[k] = 0.0;
+        }
+        self.cut_off();
+    }
+
+    /// Computes `w` from the multipliers, and all gaps; returns the largest gap left open.
+    #[inline(always)]
+    fn displace(&mut self) -> f64 {
+        self.vector.clear();
+        self.vector
+            .resize(self.factor.structure.columns, [0.0; 4]);
+        for (row, &multiplier) in self.rows.iter().zip(&self.multipliers) {
+            if multiplier != 0.0 {
+                row.add(multiplier, &mut self.vector);
+            }
+        }
+        self.slacks.clear();
+        let mut open = 0.0;
+        for (row, &pushing) in self.rows.iter().zip(&self.pushing) {
+            let slack = row.slack(&self.vector);
+            self.slacks.push(slack);
+            if pushing {
+                open = f64::max(open, slack.abs());
+            }
+        }
+        open
+    }
+
+    /// One pass: `K δ = -Σ σ_k s_k b_k`, then `λ_k -= σ_k (s_k + b_k·δ)`, over those that push.
+    #[inline(always)]
+    fn pass(&mut self) {
+        self.change.clear();
+        self.change
+            .resize(self.factor.structure.columns, [0.0; 4]);
+        for (k, row) in self.rows.iter().enumerate() {
+            if self.active[k] && self.pushing[k] {
+                row.add(-row.penalty * self.slacks[k], &mut self.change);
+            }
+        }
+        self.factor.solve(&mut self.change);
+        self.proposed.clone_from(&self.multipliers);
+        self.closure.correct(
+            &self.active,
+            &self.rows,
+            &self.slacks,
+            &self.factor,
+            &mut self.change,
+            &mut self.extra,
+            &mut self.proposed,
+        );
+        self.ahead.clear();
+        for (k, row) in self.rows.iter().enumerate() {
+            let ahead = self.slacks[k] + row.along(&self.change);
+            self.ahead.push(ahead);
+            if self.active[k] && self.pushing[k] {
+                self.proposed[k] -= row.penalty * ahead;
+            }
+        }
+    }
+
+    /// Whether the last pass would have anybody pull or overlap.
+    #[inline(always)]
+    fn anybody_wrong(&self) -> bool {
+        (0..self.rows.len()).any(|k| {
+            if self.active[k] {
+                self.proposed[k] < -WRONG
+            } else {
+                self.ahead[k] < -WRONG
+            }
+        })
+    }
+}

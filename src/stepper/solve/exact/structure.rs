@@ -1,0 +1,257 @@
+//! Where the factor of `K` has entries: elimination on the contact graph, without numbers.
+
+use crate::stepper::contact::Contact;
+
+/// No column.
+pub const NONE: u32 = u32::MAX;
+
+/// The columns of the factor, one for each individual that any contact names.
+///
+/// Depends on the order and on who is listed with whom, on nothing else; so it may be kept
+/// while both stay the same.
+#[derive(Clone, Debug, Default)]
+pub struct Structure {
+    /// How many columns there are.
+    pub columns: usize,
+    /// The place of each individual; [`NONE`] without a contact.
+    pub place: Vec<u32>,
+    /// Column `k` has the blocks `start[k]..start[k + 1]`.
+    pub start: Vec<u32>,
+    /// The place of each block's row, increasing within a column.
+    pub row: Vec<u32>,
+    /// Row `k` has the entries `left_start[k]..left_start[k + 1]` of `left`.
+    pub left_start: Vec<u32>,
+    /// Column and block of every entry left of the diagonal, by row.
+    pub left: Vec<[u32; 2]>,
+    /// The first row below the diagonal of each column, its parent in the elimination tree.
+    pub parent: Vec<u32>,
+    /// The block that joins the two individuals of each contact.
+    pub block: Vec<u32>,
+    order: Vec<u32>,
+    /// Every pair in contact, once.
+    pairs: Vec<[u32; 2]>,
+    pair_block: Vec<u32>,
+    scratch: Scratch,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Scratch {
+    pairs: Vec<[u32; 2]>,
+    ends: Vec<[u32; 2]>,
+    upward_start: Vec<u32>,
+    upward: Vec<u32>,
+    unsorted_start: Vec<u32>,
+    unsorted: Vec<u32>,
+    child: Vec<u32>,
+    sibling: Vec<u32>,
+    seen: Vec<u32>,
+    next: Vec<u32>,
+}
+
+impl Structure {
+    /// Builds the structure anew if the order or the pairs in contact have changed.
+    ///
+    /// - Shapes: an order of all n individuals; contacts ordered by (i, j).
+    pub fn update(&mut self, order: &[u32], contacts: &[Contact]) {
+        let pairs = &mut self.scratch.pairs;
+        pairs.clear();
+        let mut last = [NONE, NONE];
+        for contact in contacts {
+            let pair = [contact.i, contact.j];
+            if pair != last {
+                pairs.push(pair);
+                last = pair;
+            }
+        }
+        if self.order != order || self.pairs != *pairs {
+            self.order.clear();
+            self.order.extend_from_slice(order);
+            std::mem::swap(&mut self.pairs, pairs);
+            self.number();
+            self.point_upward();
+            self.eliminate();
+            self.sort();
+            self.find_blocks();
+        }
+        self.block.clear();
+        let (mut next, mut last) = (0, [NONE, NONE]);
+        for contact in contacts {
+            let pair = [contact.i, contact.j];
+            next += usize::from(pair != last);
+            last = pair;
+            self.block.push(self.pair_block[next - 1]);
+        }
+    }
+
+    /// Gives places to those in contact, in the order.
+    fn number(&mut self) {
+        let Self {
+            place,
+            pairs,
+            order,
+            columns,
+            ..
+        } = self;
+        place.clear();
+        place.resize(order.len(), NONE);
+        pairs
+            .iter()
+            .flatten()
+            .for_each(|&individual| place[individual as usize] = 0);
+        let mut next = 0;
+        for &individual in order.iter() {
+            let place = &mut place[individual as usize];
+            if *place != NONE {
+                *place = next;
+                next += 1;
+            }
+        }
+        *columns = next as usize;
+    }
+
+    /// Lists pairs by their places, the lower first, and the later neighbours of every column.
+    fn point_upward(&mut self) {
+        let Scratch {
+            ends,
+            upward_start,
+            upward,
+            next,
+            ..
+        } = &mut self.scratch;
+        ends.clear();
+        for pair in &self.pairs {
+            let [a, b] = pair.map(|individual| self.place[individual as usize]);
+            ends.push([a.min(b), a.max(b)]);
+        }
+        count_up(upward_start, self.columns, ends.iter().map(|[low, _]| *low));
+        upward.clear();
+        upward.resize(ends.len(), 0);
+        next.clear();
+        next.extend_from_slice(upward_start);
+        for &[low, high] in ends.iter() {
+            let next = &mut next[low as usize];
+            upward[*next as usize] = high;
+            *next += 1;
+        }
+    }
+
+    /// Finds the rows of every column: its own neighbours and what its children leave.
+    fn eliminate(&mut self) {
+        let Scratch {
+            upward_start,
+            upward,
+            unsorted_start,
+            unsorted,
+            child,
+            sibling,
+            seen,
+            ..
+        } = &mut self.scratch;
+        for list in [&mut *child, &mut *sibling, &mut *seen, &mut self.parent] {
+            list.clear();
+            list.resize(self.columns, NONE);
+        }
+        unsorted.clear();
+        unsorted_start.clear();
+        unsorted_start.push(0);
+        for column in 0..self.columns {
+            let begin = unsorted.len();
+            let mut first = NONE;
+            seen[column] = small(column);
+            let mut take = |row: u32, unsorted: &mut Vec<u32>| {
+                if std::mem::replace(&mut seen[row as usize], small(column)) != small(column) {
+                    unsorted.push(row);
+                    first = first.min(row);
+                }
+            };
+            for &row in &upward[upward_start[column] as usize..upward_start[column + 1] as usize] {
+                take(row, unsorted);
+            }
+            let mut below = child[column];
+            while below != NONE {
+                let at = below as usize;
+                for k in unsorted_start[at]..unsorted_start[at + 1] {
+                    let row = unsorted[k as usize];
+                    take(row, unsorted);
+                }
+                below = sibling[at];
+            }
+            if unsorted.len() > begin {
+                self.parent[column] = first;
+                sibling[column] = child[first as usize];
+                child[first as usize] = small(column);
+            }
+            unsorted_start.push(small(unsorted.len()));
+        }
+    }
+
+    /// Sorts the rows of every column, by transposing twice.
+    fn sort(&mut self) {
+        let Scratch {
+            unsorted_start,
+            unsorted,
+            next,
+            ..
+        } = &mut self.scratch;
+        count_up(
+            &mut self.left_start,
+            self.columns,
+            unsorted.iter().copied(),
+        );
+        next.clear();
+        next.extend_from_slice(&self.left_start);
+        self.left.clear();
+        self.left.resize(unsorted.len(), [0, 0]);
+        for column in 0..self.columns {
+            for k in unsorted_start[column]..unsorted_start[column + 1] {
+                let next = &mut next[unsorted[k as usize] as usize];
+                self.left[*next as usize][0] = small(column);
+                *next += 1;
+            }
+        }
+        self.start.clear();
+        self.start.extend_from_slice(unsorted_start);
+        next.clear();
+        next.extend_from_slice(unsorted_start);
+        self.row.clear();
+        self.row.resize(unsorted.len(), 0);
+        for row in 0..self.columns {
+            for entry in &mut self.left
+                [self.left_start[row] as usize..self.left_start[row + 1] as usize]
+            {
+                let next = &mut next[entry[0] as usize];
+                entry[1] = *next;
+                self.row[*next as usize] = small(row);
+                *next += 1;
+            }
+        }
+    }
+
+    fn find_blocks(&mut self) {
+        self.pair_block.clear();
+        for &[low, high] in &self.scratch.ends {
+            let begin = self.start[low as usize] as usize;
+            let rows = &self.row[begin..self.start[low as usize + 1] as usize];
+            let found = begin + rows.partition_point(|&row| row < high);
+            self.pair_block.push(small(found));
+        }
+    }
+}
+
+/// Fills `start` so that bin `k` of `bins` begins at `start[k]` when all are sorted into bins.
+fn count_up(start: &mut Vec<u32>, bins: usize, all: impl Iterator<Item = u32>) {
+    start.clear();
+    start.resize(bins + 1, 0);
+    all.for_each(|bin| start[bin as usize + 1] += 1);
+    for bin in 0..bins {
+        start[bin + 1] += start[bin];
+    }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "individuals are named by 32 bits, and a planar graph has few entries for each"
+)]
+fn small(count: usize) -> u32 {
+    count as u32
+}

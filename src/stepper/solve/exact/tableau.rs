@@ -1,0 +1,144 @@
+//! A small dense linear complementarity problem: `w = q + T z`, `w ≥ 0`, `z ≥ 0`, `w·z = 0`.
+//!
+//! Solved by principal pivoting: Cottle and Dantzig (1968). Each major cycle raises the `z` of
+//! the most negative `w` until that is zero, exchanging on the way whatever would turn negative.
+//! It ends because every principal minor of `T` is positive.
+
+/// Pivots in all before giving up; one for each true exchange is usual.
+const MOST_PIVOTS: usize = 2000;
+
+/// An entry of a column this small blocks nothing: it is rounding.
+const NEGLIGIBLE: f64 = 1e-13;
+
+/// The problem, and after [`Tableau::solve`] its solution.
+#[derive(Clone, Debug, Default)]
+pub struct Tableau {
+    /// How many unknowns there are.
+    pub size: usize,
+    /// `T`, then `T` in terms of the present basis, row by row at [`Tableau::stride`].
+    entries: Vec<f64>,
+    stride: usize,
+    /// `q`, then the values of the basic variables.
+    pub value: Vec<f64>,
+    /// Whether `z` is basic in place of `w`.
+    pub exchanged: Vec<bool>,
+    moving: Vec<f64>,
+    row: Vec<f64>,
+}
+
+impl Tableau {
+    /// Starts a problem of `size` unknowns; entries and values are then to be set.
+    #[inline(always)]
+    pub fn begin(&mut self, size: usize) {
+        let stride = size.next_multiple_of(8);
+        self.size = size;
+        self.stride = stride;
+        if self.entries.len() < stride * stride {
+            self.entries.resize(stride * stride, 0.0);
+        }
+        self.value.clear();
+        self.exchanged.clear();
+        self.exchanged.resize(size, false);
+    }
+
+    /// One row of `T`.
+    #[inline(always)]
+    pub fn row_mut(&mut self, row: usize) -> &mut [f64] {
+        &mut self.entries[row * self.stride..][..self.size]
+    }
+
+    /// One row of `T`.
+    #[inline(always)]
+    pub fn row(&self, row: usize) -> &[f64] {
+        &self.entries[row * self.stride..][..self.size]
+    }
+
+    /// Solves; values down to `-tolerance` count as not negative. Tells whether it ended.
+    #[inline(always)]
+    pub fn solve(&mut self, tolerance: f64, pivots: &mut usize) -> bool {
+        loop {
+            let mut worst = (-tolerance, None);
+            for (k, &value) in self.value.iter().enumerate() {
+                if value < worst.0 {
+                    worst = (value, Some(k));
+                }
+            }
+            let Some(driven) = worst.1 else { return true };
+            self.moving.clear();
+            self.moving.extend_from_slice(&self.value);
+            loop {
+                *pivots += 1;
+                if *pivots > MOST_PIVOTS {
+                    return false;
+                }
+                let blocking = self.raise(driven, tolerance);
+                self.exchange(blocking);
+                if blocking == driven {
+                    break;
+                }
+                self.moving[blocking] = 0.0;
+            }
+        }
+    }
+
+    /// Raises `z` of `driven` until its `w` or another's is zero, and returns whose.
+    #[inline(always)]
+    fn raise(&mut self, driven: usize, tolerance: f64) -> usize {
+        let (stride, entries) = (self.stride, &self.entries);
+        let along = |k: usize| entries[k * stride + driven];
+        let mut blocking = driven;
+        let mut step = if along(driven) > 0.0 {
+            -self.moving[driven] / along(driven)
+        } else {
+            f64::INFINITY
+        };
+        for (k, &value) in self.moving.iter().enumerate() {
+            if k != driven && value >= -tolerance && along(k) < -NEGLIGIBLE {
+                let bound = value.max(0.0) / -along(k);
+                if bound < step {
+                    (step, blocking) = (bound, k);
+                }
+            }
+        }
+        for (k, value) in self.moving.iter_mut().enumerate() {
+            *value += along(k) * step;
+        }
+        blocking
+    }
+
+    /// Exchanges `w` and `z` of one unknown: a principal pivot.
+    #[inline(always)]
+    pub fn exchange(&mut self, at: usize) {
+        self.exchanged[at] = !self.exchanged[at];
+        let (stride, size) = (self.stride, self.size);
+        let inverse = 1.0 / self.entries[at * stride + at];
+        self.row.clear();
+        self.row
+            .extend_from_slice(&self.entries[at * stride..][..size]);
+        self.row[at] = 0.0;
+        let value = self.value[at];
+        for k in (0..size).filter(|&k| k != at) {
+            let row = &mut self.entries[k * stride..][..size];
+            let factor = row[at] * inverse;
+            if factor != 0.0 {
+                subtract_scaled(row, factor, &self.row);
+                row[at] = factor;
+                self.value[k] -= factor * value;
+            }
+        }
+        let row = &mut self.entries[at * stride..][..size];
+        for (entry, old) in row.iter_mut().zip(&self.row) {
+            *entry = -old * inverse;
+        }
+        row[at] = inverse;
+        self.value[at] = -value * inverse;
+    }
+}
+
+/// `target -= factor · other`.
+#[inline(always)]
+fn subtract_scaled(target: &mut [f64], factor: f64, other: &[f64]) {
+    for (entry, other) in target.iter_mut().zip(other) {
+        *entry -= factor * other;
+    }
+}
