@@ -5,6 +5,8 @@
 //! exactly as a small dense complementarity problem with everybody else following. It only
 //! grows, so this ends.
 
+use std::ops::Range;
+
 use super::WRONG;
 use super::factor::{Factor, Path};
 use super::rows::{Part, Row};
@@ -31,6 +33,8 @@ pub struct Closure {
     /// Where each member's path begins, and where the last one ends.
     path_start: Vec<usize>,
     path: Path,
+    /// Whether each member's path is one way up.
+    straight: Vec<bool>,
     /// `b_a K⁻¹ b_b` of all pairs of members, row by row.
     gram: Vec<f64>,
     tableau: Tableau,
@@ -115,6 +119,7 @@ impl Closure {
         self.members.clear();
         self.exchanged.clear();
         self.path.clear();
+        self.straight.clear();
         self.path_start.clear();
         self.path_start.push(0);
         let mut pivots = 0;
@@ -137,7 +142,7 @@ impl Closure {
                 .extend((0..self.members.len() as u32).filter(|&a| self.tableau.exchanged[a as usize]));
             // Everybody outside follows.
             change.clear();
-            change.resize(factor.structure.columns, [0.0; 4]);
+            change.resize(factor.structure.place.len(), [0.0; 4]);
             for &a in &self.exchanged {
                 let a = a as usize;
                 let k = self.members[a] as usize;
@@ -170,7 +175,8 @@ impl Closure {
             let rank = self.members.len() as u32;
             self.rank[name as usize] = rank;
             self.members.push(name);
-            factor.climb(&base.rows[name as usize], &mut self.path);
+            let straight = factor.climb(&base.rows[name as usize], &mut self.path);
+            self.straight.push(straight);
             self.path_start.push(self.path.nodes.len());
         }
         let size = self.members.len();
@@ -183,7 +189,7 @@ impl Closure {
         }
     }
 
-    /// `b_a K⁻¹ b_b`, along the common end of two paths.
+    /// `b_a K⁻¹ b_b`, where two paths are the same; ways up, once met, stay together.
     #[inline(always)]
     fn product(&self, a: usize, b: usize) -> f64 {
         let [one, other] = [a, b].map(|member| self.path_start[member]..self.path_start[member + 1]);
@@ -192,6 +198,9 @@ impl Closure {
             parts,
             scaled,
         } = &self.path;
+        if !(self.straight[a] && self.straight[b]) {
+            return shared_product(&self.path, one, other);
+        }
         let common = common_end(&nodes[one.clone()], &nodes[other.clone()]);
         let parts = &parts[one.end - common..one.end];
         let scaled = &scaled[other.end - common..other.end];
@@ -283,6 +292,24 @@ impl Closure {
             }
         }
     }
+}
+
+/// The sum of products at the nodes that two paths share.
+#[inline(always)]
+fn shared_product(path: &Path, mut one: Range<usize>, mut other: Range<usize>) -> f64 {
+    let mut lanes = [0.0; 4];
+    while !one.is_empty() && !other.is_empty() {
+        let (a, b) = (path.nodes[one.start], path.nodes[other.start]);
+        if a == b {
+            let (part, scaled) = (&path.parts[one.start], &path.scaled[other.start]);
+            for lane in 0..4 {
+                lanes[lane] += part[lane] * scaled[lane];
+            }
+        }
+        one.start += usize::from(a <= b);
+        other.start += usize::from(b <= a);
+    }
+    (lanes[0] + lanes[1]) + lanes[2]
 }
 
 /// How many nodes two paths to a root share at their ends.

@@ -26,6 +26,12 @@ struct Corner {
 }
 
 impl Corner {
+    const UNIT: Self = Self {
+        lower: [0.0; 3],
+        pivot: [1.0, 1.0, 1.0, 0.0],
+        inverse: [1.0, 1.0, 1.0, 0.0],
+    };
+
     #[inline(always)]
     fn forward(&self, part: Part) -> Part {
         let [a, b, c] = self.lower;
@@ -176,10 +182,11 @@ impl Factor {
         }
     }
 
-    /// Appends to `path` where `L⁻¹ b_k` is not zero: a path in the elimination tree, from the
-    /// earlier of the two individuals to a root.
+    /// Appends to `path` where `L⁻¹ b_k` is not zero: the ways up the elimination tree from both
+    /// individuals, in the order of places. Tells whether it is one way, each node the parent of
+    /// the last.
     #[inline(always)]
-    pub fn climb(&mut self, row: &Row, path: &mut Path) {
+    pub fn climb(&mut self, row: &Row, path: &mut Path) -> bool {
         let Self {
             structure,
             below,
@@ -187,13 +194,21 @@ impl Factor {
             sparse,
             ..
         } = self;
-        sparse.resize(structure.columns, [0.0; 4]);
+        sparse.resize(structure.place.len(), [0.0; 4]);
         for (place, part) in row.place.iter().zip(row.parts) {
             sparse[*place as usize] = part;
         }
-        let mut node = row.place[0].min(row.place[1]);
-        while node != NONE {
+        // Two ways up, which may meet.
+        let [mut one, mut other] = row.place;
+        let mut expected = one.min(other);
+        let mut straight = true;
+        while one != NONE || other != NONE {
+            let node = one.min(other);
+            straight &= node == expected;
             let column = node as usize;
+            expected = structure.parent[column];
+            one = if one == node { expected } else { one };
+            other = if other == node { expected } else { other };
             let part = corner[column].forward(std::mem::take(&mut sparse[column]));
             let blocks = structure.start[column] as usize..structure.start[column + 1] as usize;
             for (block, &row) in below[blocks.clone()].iter().zip(&structure.row[blocks]) {
@@ -204,8 +219,8 @@ impl Factor {
             path.parts.push(part);
             path.scaled
                 .push([0, 1, 2, 3].map(|lane| part[lane] * inverse[lane]));
-            node = structure.parent[column];
         }
+        straight
     }
 }
 
@@ -270,6 +285,7 @@ fn eliminate(factor: &mut Factor) {
         }
         corner.push(finished);
     }
+    corner.resize(structure.place.len(), Corner::UNIT);
 }
 
 #[inline(always)]

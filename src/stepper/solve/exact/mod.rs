@@ -117,6 +117,7 @@ impl Exact {
     #[inline(always)]
     fn attempt(&mut self, qp: &Qp, solution: &mut Solution) {
         for _ in 0..MOST_FACTORS {
+            self.arrange(qp);
             self.factor.factor(&self.rows, &self.active);
             solution.iterations += 1;
             self.closure.clear();
@@ -136,13 +137,6 @@ impl Exact {
             self.age = 0;
         }
         self.age += 1;
-        let structure = &mut self.factor.structure;
-        structure.update(&self.order, &qp.contacts);
-        for ((row, contact), &block) in self.rows.iter_mut().zip(&qp.contacts).zip(&structure.block)
-        {
-            row.place = [contact.i, contact.j].map(|k| structure.place[k as usize]);
-            row.block = block;
-        }
         self.multipliers.clear();
         self.multipliers.extend_from_slice(hints.multipliers);
         self.active.clear();
@@ -152,6 +146,17 @@ impl Exact {
             // Nothing is known: those that free motion would let overlap.
             self.active.clear();
             self.active.extend(self.rows.iter().map(|row| row.gap < 0.0));
+        }
+    }
+
+    /// Gives everybody a place and every contact a block, by who pushes.
+    fn arrange(&mut self, qp: &Qp) {
+        let structure = &mut self.factor.structure;
+        structure.update(&self.order, &qp.contacts, &self.active);
+        for ((row, contact), &block) in self.rows.iter_mut().zip(&qp.contacts).zip(&structure.block)
+        {
+            row.place = [contact.i, contact.j].map(|k| structure.place[k as usize]);
+            row.block = block;
         }
     }
 
@@ -242,7 +247,7 @@ impl Exact {
     fn displace(&mut self) -> f64 {
         self.vector.clear();
         self.vector
-            .resize(self.factor.structure.columns, [0.0; 4]);
+            .resize(self.factor.structure.place.len(), [0.0; 4]);
         for (row, &multiplier) in self.rows.iter().zip(&self.multipliers) {
             if multiplier != 0.0 {
                 row.add(multiplier, &mut self.vector);
@@ -265,7 +270,7 @@ impl Exact {
     fn pass(&mut self) {
         self.change.clear();
         self.change
-            .resize(self.factor.structure.columns, [0.0; 4]);
+            .resize(self.factor.structure.place.len(), [0.0; 4]);
         for (k, row) in self.rows.iter().enumerate() {
             if self.active[k] && self.pushing[k] {
                 row.add(-row.penalty * self.slacks[k], &mut self.change);

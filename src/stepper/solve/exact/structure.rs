@@ -5,17 +5,17 @@ use crate::stepper::contact::Contact;
 /// No column.
 pub const NONE: u32 = u32::MAX;
 
-/// The columns of the factor, one for each individual that any contact names.
+/// The columns of the factor, one for each individual that pushes or is pushed.
 ///
-/// Depends on the order and on who is listed with whom, on nothing else; so it may be kept
-/// while both stay the same.
+/// Depends on the order and on which pairs push, on nothing else; so it may be kept while both
+/// stay the same.
 #[derive(Clone, Debug, Default)]
 pub struct Structure {
     /// How many columns there are.
     pub columns: usize,
-    /// The place of each individual; [`NONE`] without a contact.
+    /// The place of each individual: a column, or after them all.
     pub place: Vec<u32>,
-    /// Column `k` has the blocks `start[k]..start[k + 1]`.
+    /// Column `k` has the blocks `start[k]..start[k + 1]`; the places after the columns have none.
     pub start: Vec<u32>,
     /// The place of each block's row, increasing within a column.
     pub row: Vec<u32>,
@@ -25,10 +25,11 @@ pub struct Structure {
     pub left: Vec<[u32; 2]>,
     /// The first row below the diagonal of each column, its parent in the elimination tree.
     pub parent: Vec<u32>,
-    /// The block that joins the two individuals of each contact.
+    /// The block that joins the two individuals of each contact; [`NONE`] of pairs that do not
+    /// push.
     pub block: Vec<u32>,
     order: Vec<u32>,
-    /// Every pair in contact, once.
+    /// Every pair that pushes, once.
     pairs: Vec<[u32; 2]>,
     pair_block: Vec<u32>,
     scratch: Scratch,
@@ -49,16 +50,17 @@ struct Scratch {
 }
 
 impl Structure {
-    /// Builds the structure anew if the order or the pairs in contact have changed.
+    /// Builds the structure anew if the order or the pairs that push have changed.
     ///
-    /// - Shapes: an order of all n individuals; contacts ordered by (i, j).
-    pub fn update(&mut self, order: &[u32], contacts: &[Contact]) {
+    /// - Shapes: an order of all n individuals; m contacts ordered by (i, j), and whether each
+    ///   pushes.
+    pub fn update(&mut self, order: &[u32], contacts: &[Contact], pushing: &[bool]) {
         let pairs = &mut self.scratch.pairs;
         pairs.clear();
         let mut last = [NONE, NONE];
-        for contact in contacts {
+        for (contact, &pushes) in contacts.iter().zip(pushing) {
             let pair = [contact.i, contact.j];
-            if pair != last {
+            if pushes && pair != last {
                 pairs.push(pair);
                 last = pair;
             }
@@ -74,16 +76,18 @@ impl Structure {
             self.find_blocks();
         }
         self.block.clear();
-        let (mut next, mut last) = (0, [NONE, NONE]);
+        let mut next = 0;
         for contact in contacts {
             let pair = [contact.i, contact.j];
-            next += usize::from(pair != last);
-            last = pair;
-            self.block.push(self.pair_block[next - 1]);
+            while next < self.pairs.len() && self.pairs[next] < pair {
+                next += 1;
+            }
+            let joined = self.pairs.get(next) == Some(&pair);
+            self.block.push(if joined { self.pair_block[next] } else { NONE });
         }
     }
 
-    /// Gives places to those in contact, in the order.
+    /// Gives places to all: in the order to those who push, after them to the others.
     fn number(&mut self) {
         let Self {
             place,
@@ -107,6 +111,10 @@ impl Structure {
             }
         }
         *columns = next as usize;
+        for place in place.iter_mut().filter(|place| **place == NONE) {
+            *place = next;
+            next += 1;
+        }
     }
 
     /// Lists pairs by their places, the lower first, and the later neighbours of every column.
@@ -147,10 +155,12 @@ impl Structure {
             seen,
             ..
         } = &mut self.scratch;
-        for list in [&mut *child, &mut *sibling, &mut *seen, &mut self.parent] {
+        for list in [&mut *child, &mut *sibling, &mut *seen] {
             list.clear();
             list.resize(self.columns, NONE);
         }
+        self.parent.clear();
+        self.parent.resize(self.place.len(), NONE);
         unsorted.clear();
         unsorted_start.clear();
         unsorted_start.push(0);
@@ -211,6 +221,8 @@ impl Structure {
         }
         self.start.clear();
         self.start.extend_from_slice(unsorted_start);
+        self.start
+            .resize(self.place.len() + 1, small(unsorted.len()));
         next.clear();
         next.extend_from_slice(unsorted_start);
         self.row.clear();
