@@ -109,9 +109,7 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
 pub fn timeout(request: &Request) -> Result<Duration, CommandError> {
     match request.timeout_secs {
         None => Ok(DEFAULT_TIMEOUT),
-        Some(secs) if secs > 0.0 && secs <= LONGEST_TIMEOUT_SECS => {
-            Ok(duration(secs))
-        }
+        Some(secs) if secs > 0.0 && secs <= LONGEST_TIMEOUT_SECS => Ok(duration(secs)),
         Some(secs) => Err(WireError::out_of_range("timeout_secs", secs).into()),
     }
 }

@@ -185,13 +185,7 @@ fn every_case_is_reproduced_by_the_referee_alone() {
             y: &case.state.configuration.y,
         };
         let (mut workspace, mut solution) = (Workspace::default(), Solution::default());
-        solve::solve(
-            Backend::Referee,
-            &qp,
-            &hints,
-            &mut workspace,
-            &mut solution,
-        );
+        solve::solve(Backend::Referee, &qp, &hints, &mut workspace, &mut solution);
         assert!(
             solution.residual <= solve::TARGET,
             "{}: {:e}",

@@ -82,7 +82,10 @@ impl Closure {
             if self.rank[k] != OUTSIDE {
                 continue;
             }
-            #[expect(clippy::cast_possible_truncation, reason = "contacts are named by 32 bits")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "contacts are named by 32 bits"
+            )]
             let name = k as u32;
             if base.active[k] {
                 if multipliers[k] < -WRONG {
@@ -104,12 +107,7 @@ impl Closure {
     /// Finds multipliers with nobody on the wrong side of the pass's problem, and tells whether it
     /// came to an end.
     #[inline(always)]
-    pub fn close(
-        &mut self,
-        base: &Base,
-        factor: &mut Factor,
-        change: &mut Vec<Part>,
-    ) -> bool {
+    pub fn close(&mut self, base: &Base, factor: &mut Factor, change: &mut Vec<Part>) -> bool {
         self.multipliers.clear();
         self.multipliers.extend_from_slice(base.multipliers);
         self.slacks.clear();
@@ -138,8 +136,9 @@ impl Closure {
             }
             self.exchanged.clear();
             #[expect(clippy::cast_possible_truncation, reason = "members are few")]
-            self.exchanged
-                .extend((0..self.members.len() as u32).filter(|&a| self.tableau.exchanged[a as usize]));
+            self.exchanged.extend(
+                (0..self.members.len() as u32).filter(|&a| self.tableau.exchanged[a as usize]),
+            );
             // Everybody outside follows.
             change.clear();
             change.resize(factor.structure.place.len(), [0.0; 4]);
@@ -147,7 +146,11 @@ impl Closure {
                 let a = a as usize;
                 let k = self.members[a] as usize;
                 let push = self.tableau.value[a]
-                    * if base.active[k] { base.rows[k].penalty } else { 1.0 };
+                    * if base.active[k] {
+                        base.rows[k].penalty
+                    } else {
+                        1.0
+                    };
                 let path = self.path_start[a]..self.path_start[a + 1];
                 self.path.descend(path, push, change);
             }
@@ -192,7 +195,8 @@ impl Closure {
     /// `b_a K⁻¹ b_b`, where two paths are the same; ways up, once met, stay together.
     #[inline(always)]
     fn product(&self, a: usize, b: usize) -> f64 {
-        let [one, other] = [a, b].map(|member| self.path_start[member]..self.path_start[member + 1]);
+        let [one, other] =
+            [a, b].map(|member| self.path_start[member]..self.path_start[member + 1]);
         let Path {
             nodes,
             parts,
@@ -219,14 +223,22 @@ impl Closure {
             let k = self.members[a] as usize;
             let (pushes, penalty) = (base.active[k], base.rows[k].penalty);
             let answer = if pushes { -penalty } else { 1.0 };
-            let start = if pushes { base.multipliers[k] } else { base.slacks[k] };
+            let start = if pushes {
+                base.multipliers[k]
+            } else {
+                base.slacks[k]
+            };
             self.tableau.value.push(start);
             let row = self.tableau.row_mut(a);
             for (b, entry) in row.iter_mut().enumerate() {
                 let (high, low) = (a.max(b), a.min(b));
                 let product = self.gram[high * (high + 1) / 2 + low];
                 let other = self.members[b] as usize;
-                let cause = if base.active[other] { base.rows[other].penalty } else { 1.0 };
+                let cause = if base.active[other] {
+                    base.rows[other].penalty
+                } else {
+                    1.0
+                };
                 *entry = if a != b {
                     answer * cause * product
                 } else if pushes {
@@ -343,5 +355,6 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     for (lane, (a, b)) in a_rest.iter().zip(b_rest).enumerate() {
         lanes[lane] += a * b;
     }
-    ((lanes[0] + lanes[4]) + (lanes[1] + lanes[5])) + ((lanes[2] + lanes[6]) + (lanes[3] + lanes[7]))
+    ((lanes[0] + lanes[4]) + (lanes[1] + lanes[5]))
+        + ((lanes[2] + lanes[6]) + (lanes[3] + lanes[7]))
 }

@@ -241,14 +241,18 @@ fn eliminate(factor: &mut Factor) {
         let begin = structure.start[column] as usize;
         let end = structure.start[column + 1] as usize;
         for (block, &row) in (begin..end).zip(&structure.row[begin..end]) {
-            #[expect(clippy::cast_possible_truncation, reason = "blocks are named by 32 bits")]
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "blocks are named by 32 bits"
+            )]
             let block = (block - begin) as u32;
             slot[row as usize] = block;
         }
         let (done, rest) = below.split_at_mut(begin);
         let own = &mut rest[..end - begin];
         let target = &mut diagonal[column];
-        let lefts = structure.left_start[column] as usize..structure.left_start[column + 1] as usize;
+        let lefts =
+            structure.left_start[column] as usize..structure.left_start[column + 1] as usize;
         for &[other, at] in &structure.left[lefts] {
             let at = at as usize;
             let joint = &done[at];
@@ -341,8 +345,7 @@ fn multiply_subtract(target: &mut Block, block: &Block, scaled: &Block) {
     for (axis, entries) in target.iter_mut().enumerate() {
         let [x, y, z, _] = scaled[axis];
         for lane in 0..4 {
-            entries[lane] -=
-                block[0][lane] * x + block[1][lane] * y + block[2][lane] * z;
+            entries[lane] -= block[0][lane] * x + block[1][lane] * y + block[2][lane] * z;
         }
     }
 }

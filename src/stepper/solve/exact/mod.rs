@@ -107,7 +107,9 @@ impl Exact {
     pub(super) fn solve(&mut self, qp: &Qp, hints: &Hints, solution: &mut Solution) {
         rows::fill(qp, &mut self.rows);
         let pushed = hints.multipliers.iter().filter(|&&value| value > 0.0);
-        if (1..=small::FEW).contains(&pushed.count()) && few(lanes::level(), self, qp, hints.multipliers, solution) {
+        if (1..=small::FEW).contains(&pushed.count())
+            && few(lanes::level(), self, qp, hints.multipliers, solution)
+        {
             return;
         }
         self.prepare(qp, hints);
@@ -145,7 +147,8 @@ impl Exact {
         if !self.active.contains(&true) {
             // Nothing is known: those that free motion would let overlap.
             self.active.clear();
-            self.active.extend(self.rows.iter().map(|row| row.gap < 0.0));
+            self.active
+                .extend(self.rows.iter().map(|row| row.gap < 0.0));
         }
     }
 
@@ -185,7 +188,9 @@ impl Exact {
                     multipliers: &self.proposed,
                     slacks: &self.ahead,
                 };
-                let closed = self.closure.close(&base, &mut self.factor, &mut self.change);
+                let closed = self
+                    .closure
+                    .close(&base, &mut self.factor, &mut self.change);
                 for (k, &value) in self.closure.multipliers.iter().enumerate() {
                     self.pushing[k] = self.active[k] != self.closure.is_exchanged(k);
                     let pushes = self.pushing[k] && value > 0.0;

@@ -15,8 +15,14 @@ const WORDS: usize = 4;
 const DIRECTIONS: [[f64; 2]; 4] = [
     [1.0, 0.0],
     [0.0, 1.0],
-    [std::f64::consts::FRAC_1_SQRT_2, std::f64::consts::FRAC_1_SQRT_2],
-    [std::f64::consts::FRAC_1_SQRT_2, -std::f64::consts::FRAC_1_SQRT_2],
+    [
+        std::f64::consts::FRAC_1_SQRT_2,
+        std::f64::consts::FRAC_1_SQRT_2,
+    ],
+    [
+        std::f64::consts::FRAC_1_SQRT_2,
+        -std::f64::consts::FRAC_1_SQRT_2,
+    ],
 ];
 
 /// The smaller side of a cut has at least this share of the set.
@@ -64,7 +70,10 @@ impl Dissection {
         self.side.clear();
         self.side.resize(n, Side::First);
         order.clear();
-        #[expect(clippy::cast_possible_truncation, reason = "individuals are named by 32 bits")]
+        #[expect(
+            clippy::cast_possible_truncation,
+            reason = "individuals are named by 32 bits"
+        )]
         order.extend(0..n as u32);
         self.dissect(x, y, order);
     }
@@ -115,7 +124,11 @@ impl Dissection {
         self.project(x, y, set, direction);
         for (rank, &(_, individual)) in self.along.iter().enumerate() {
             self.rank[individual as usize] = 0;
-            self.side[individual as usize] = if rank < count { Side::First } else { Side::Second };
+            self.side[individual as usize] = if rank < count {
+                Side::First
+            } else {
+                Side::Second
+            };
         }
         // Those on one side with a neighbour on the other separate them; on the side with fewer.
         let facing = |dissection: &Self, individual: u32| {
@@ -130,7 +143,11 @@ impl Dissection {
                 border[usize::from(self.side[individual as usize] == Side::Second)] += 1;
             }
         }
-        let fewer = if border[0] <= border[1] { Side::First } else { Side::Second };
+        let fewer = if border[0] <= border[1] {
+            Side::First
+        } else {
+            Side::Second
+        };
         self.local.clear();
         for &individual in set.iter() {
             if self.side[individual as usize] == fewer && facing(self, individual) {
@@ -143,7 +160,8 @@ impl Dissection {
         set.sort_unstable_by_key(|&individual| (self.side[individual as usize], individual));
         let first = set.partition_point(|&k| self.side[k as usize] == Side::First);
         let cut = set.partition_point(|&k| self.side[k as usize] != Side::Cut);
-        set.iter().for_each(|&individual| self.rank[individual as usize] = NONE);
+        set.iter()
+            .for_each(|&individual| self.rank[individual as usize] = NONE);
         // Along the cut, neighbours follow each other.
         let [cos, sin] = DIRECTIONS[direction];
         let across = |k: u32| cos * y[k as usize] - sin * x[k as usize];
@@ -261,7 +279,9 @@ impl Dissection {
                     members &= members - 1;
                     if k < n && self.degree[k] != NONE {
                         let bits = &mut self.bits[k];
-                        bits.iter_mut().zip(&clique).for_each(|(word, more)| *word |= more);
+                        bits.iter_mut()
+                            .zip(&clique)
+                            .for_each(|(word, more)| *word |= more);
                         remove(bits, k);
                         remove(bits, next);
                         self.degree[k] = count(bits);

@@ -272,7 +272,10 @@ fn product(one: &Part, other: &Part) -> f64 {
     one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
 }
 
-#[expect(clippy::cast_possible_truncation, reason = "contacts are named by 32 bits")]
+#[expect(
+    clippy::cast_possible_truncation,
+    reason = "contacts are named by 32 bits"
+)]
 #[inline(always)]
 fn name(k: usize) -> u32 {
     k as u32

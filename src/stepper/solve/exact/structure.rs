@@ -83,7 +83,8 @@ impl Structure {
                 next += 1;
             }
             let joined = self.pairs.get(next) == Some(&pair);
-            self.block.push(if joined { self.pair_block[next] } else { NONE });
+            self.block
+                .push(if joined { self.pair_block[next] } else { NONE });
         }
     }
 
@@ -203,11 +204,7 @@ impl Structure {
             next,
             ..
         } = &mut self.scratch;
-        count_up(
-            &mut self.left_start,
-            self.columns,
-            unsorted.iter().copied(),
-        );
+        count_up(&mut self.left_start, self.columns, unsorted.iter().copied());
         next.clear();
         next.extend_from_slice(&self.left_start);
         self.left.clear();
@@ -228,8 +225,8 @@ impl Structure {
         self.row.clear();
         self.row.resize(unsorted.len(), 0);
         for row in 0..self.columns {
-            for entry in &mut self.left
-                [self.left_start[row] as usize..self.left_start[row + 1] as usize]
+            for entry in
+                &mut self.left[self.left_start[row] as usize..self.left_start[row + 1] as usize]
             {
                 let next = &mut next[entry[0] as usize];
                 entry[1] = *next;
