@@ -65,6 +65,10 @@ pub struct CreateArguments {
     /// The time step [default: 0.02]
     #[arg(long, value_name = "TIME", value_parser = values::number, allow_hyphen_values = true)]
     pub dt: Option<f64>,
+    /// How far off the attraction may be, 1e-9 to 1e-3; quicker from some thousand individuals on
+    /// [default: exact to rounding]
+    #[arg(long, value_name = "ERROR", value_parser = values::number, allow_hyphen_values = true)]
+    pub accuracy: Option<f64>,
     /// The seed of every draw [default: 0]
     #[arg(long, allow_negative_numbers = true)]
     pub seed: Option<u64>,

@@ -60,6 +60,8 @@ fn spec(arguments: &CreateArguments) -> Result<Map<String, Value>, Failure> {
     put("pi3", arguments.pi3.map(Value::from));
     put("pi4", arguments.pi4.map(Value::from));
     put("dt", arguments.dt.map(Value::from));
+    let all = |accuracy| json!({"kind": "all", "accuracy": accuracy});
+    put("attraction", arguments.accuracy.map(all));
     put("seed", arguments.seed.map(Value::from));
     put("publish_every", arguments.publish_every.map(Value::from));
     put("rate", arguments.rate.map(|Rate(rate)| Value::from(rate)));
@@ -103,6 +105,10 @@ mod tests {
         assert_eq!(
             spec_of("--n 50 --rate max --radius 9 --seed 3"),
             json!({"n": 50, "rate": null, "seed": 3, "start": {"kind": "disc", "radius": 9.0}})
+        );
+        assert_eq!(
+            spec_of("--n 50 --accuracy 1e-6"),
+            json!({"n": 50, "attraction": {"kind": "all", "accuracy": 1e-6}})
         );
     }
 
