@@ -11,6 +11,7 @@ mod cases;
 mod claim;
 mod facts;
 mod repeat;
+mod work;
 
 use jostled::model::{Configuration, Parameters, State, start};
 use jostled::stepper::qp::Qp;
