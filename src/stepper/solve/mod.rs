@@ -74,10 +74,10 @@ impl Solution {
     }
 
     /// Keeps `multipliers`, cut off at 0, if they are better than what there is.
-    fn offer(&mut self, qp: &Qp, multipliers: &[f64]) {
+    fn offer(&mut self, qp: &Qp, multipliers: impl ExactSizeIterator<Item = f64>) {
         self.offered.clear();
-        let cut = |&value: &f64| if value > 0.0 { value } else { 0.0 };
-        self.offered.extend(multipliers.iter().map(cut));
+        let cut = |value: f64| if value > 0.0 { value } else { 0.0 };
+        self.offered.extend(multipliers.map(cut));
         let residual = qp.residual(&self.offered, &mut self.moved);
         if residual < self.residual {
             std::mem::swap(&mut self.multipliers, &mut self.offered);
@@ -106,7 +106,7 @@ pub fn solve(
 ) {
     solution.clear();
     if hints.multipliers.iter().all(|&value| value <= 0.0) {
-        solution.offer(qp, hints.multipliers);
+        solution.offer(qp, hints.multipliers.iter().copied());
         if solution.residual <= TARGET {
             return;
         }
@@ -128,15 +128,15 @@ fn by_referee(qp: &Qp, workspace: &mut Polish, solution: &mut Solution) {
         };
         solution.referee += 1;
         solution.iterations += iterations;
-        solution.offer(qp, &multipliers);
+        solution.offer(qp, multipliers.iter().copied());
         qp.displace(&multipliers, &mut displacement);
         let active = workspace.pushing(qp, &multipliers, &displacement);
         solution.iterations += workspace.polish(qp, &multipliers, active);
-        solution.offer(qp, workspace.multipliers());
+        solution.offer(qp, workspace.multipliers().iter().copied());
         if solution.residual > TARGET {
             let best = solution.multipliers.clone();
             solution.iterations += workspace.descend(qp, &best);
-            solution.offer(qp, workspace.multipliers());
+            solution.offer(qp, workspace.multipliers().iter().copied());
         }
         if solution.residual <= TARGET {
             return;
@@ -229,7 +229,7 @@ mod tests {
             let mut solution = Solution::default();
             solution.clear();
             polish.descend(&qp, &start);
-            solution.offer(&qp, polish.multipliers());
+            solution.offer(&qp, polish.multipliers().iter().copied());
             assert!(solution.residual <= TARGET, "{}", solution.residual);
         }
     }

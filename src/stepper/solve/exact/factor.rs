@@ -91,15 +91,15 @@ pub struct Factor {
 }
 
 impl Factor {
-    /// Factors `K` of the rows that `active` tells.
+    /// Factors `K` of the active rows.
     #[inline(always)]
-    pub fn factor(&mut self, rows: &[Row], active: &[bool]) {
-        self.assemble(rows, active);
+    pub fn factor(&mut self, rows: &[Row]) {
+        self.assemble(rows);
         eliminate(self);
     }
 
     #[inline(always)]
-    fn assemble(&mut self, rows: &[Row], active: &[bool]) {
+    fn assemble(&mut self, rows: &[Row]) {
         let Self {
             structure,
             below,
@@ -117,8 +117,7 @@ impl Factor {
                 [0.0, 0.0, 1.0, 0.0],
             ],
         );
-        for row in rows.iter().zip(active).filter(|(_, active)| **active) {
-            let row = row.0;
+        for row in rows.iter().filter(|row| row.active) {
             let [first, second] = &row.parts;
             let [i, j] = row.place.map(|place| place as usize);
             add_product(&mut diagonal[i], first, first, row.penalty);

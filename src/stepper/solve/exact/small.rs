@@ -75,7 +75,7 @@ impl Small {
                 if self.exchange(rows) {
                     break;
                 }
-                solution.offer(qp, &self.multipliers);
+                solution.offer(qp, self.multipliers.iter().copied());
                 if solution.residual <= DONE {
                     return true;
                 }
@@ -208,7 +208,7 @@ impl Small {
         }
         self.slacks.clear();
         for row in rows {
-            self.slacks.push(row.slack(&self.vector));
+            self.slacks.push(row.slack_at(&self.vector));
         }
     }
 
