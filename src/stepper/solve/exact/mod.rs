@@ -33,7 +33,7 @@ const PENALTY: f64 = 1e8;
 const WRONG: f64 = 0.05 * TARGET;
 
 /// A solution this exact is done.
-const DONE: f64 = 0.1 * TARGET;
+const DONE: f64 = 0.5 * TARGET;
 
 /// Passes with one factor. Each gains several digits or the set was wrong.
 const MOST_PASSES: usize = 6;
@@ -46,7 +46,7 @@ const MOST_FACTORS: usize = 12;
 
 /// An order of elimination serves so many steps: those in contact change slowly, and any order
 /// is right.
-const ORDER_LASTS: u32 = 25;
+const ORDER_LASTS: u32 = 50;
 
 /// The solver's memory within a step.
 #[derive(Clone, Debug, Default)]
