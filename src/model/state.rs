@@ -225,7 +225,7 @@ mod tests {
 
     #[test]
     fn everything_that_decides_the_future_is_hashed() {
-        let changes: [fn(&mut State); 22] = [
+        let changes: [fn(&mut State); 24] = [
             |state| state.parameters.pi1 = 5.0,
             |state| state.parameters.pi2 = 5.0,
             |state| state.parameters.pi3 = 5.0,
