@@ -63,7 +63,8 @@ impl Small {
             }
         }
         for _ in 0..MOST_ROUNDS {
-            if self.members.len() > FEW {
+            // Once nobody is left to push there is nothing to factor; the large way starts over.
+            if !(1..=FEW).contains(&self.members.len()) {
                 return false;
             }
             solution.iterations += 1;
