@@ -189,16 +189,18 @@ mod tests {
     #[test]
     fn a_row_moves_together_by_either_route() {
         let qp = row(9);
+        // What is left of a residual in the multipliers, over the least eigenvalue of `A W⁻¹ Aᵀ`.
+        let tolerance = TARGET / (2.0 - 2.0 * libm::cos(std::f64::consts::PI / 9.0));
         for (backend, asked) in [(Backend::Exact, 0), (Backend::Referee, 1)] {
             for guess in [[0.0; 8], [1.0; 8]] {
                 let solution = solved(backend, &qp, &guess);
                 assert!(solution.residual <= TARGET);
                 for displacement in &solution.displacement {
-                    assert!((displacement[0] - 0.02 * 8.0 / 9.0).abs() < 1e-9);
+                    assert!((displacement[0] - 0.02 * 8.0 / 9.0).abs() < tolerance);
                 }
                 // Contact k carries what the k + 1 behind it lose.
                 for (k, &multiplier) in solution.multipliers.iter().enumerate() {
-                    assert!((multiplier - (k + 1) as f64 * 0.02 / 9.0).abs() < 1e-9);
+                    assert!((multiplier - (k + 1) as f64 * 0.02 / 9.0).abs() < tolerance);
                 }
                 assert_eq!(solution.referee, asked);
             }
