@@ -6,12 +6,15 @@
     reason = "a test that is wrong about a number fails, and says where"
 )]
 
+mod adversarial;
 mod allocation;
 mod cases;
 mod claim;
+mod exact;
 mod facts;
 mod repeat;
 
+use jostled::model::lanes::Level;
 use jostled::model::{Configuration, Parameters, State, start};
 use jostled::stepper::qp::Qp;
 use jostled::stepper::{Stepper, contact, free};
@@ -52,6 +55,7 @@ fn program(state: &State, reach: f64) -> Qp {
         .collect();
     let mut contacts = Vec::new();
     contact::find(
+        Level::default(),
         parameters,
         configuration,
         &alone.heading,

@@ -15,7 +15,7 @@ mod structure;
 mod tableau;
 
 use super::{Hints, Solution, TARGET};
-use crate::model::lanes::{self, multiversion};
+use crate::model::lanes::{Level, multiversion};
 use crate::stepper::qp::Qp;
 use closure::Closure;
 use factor::Factor;
@@ -51,6 +51,8 @@ const ORDER_LASTS: u32 = 50;
 /// The solver's memory within a step.
 #[derive(Clone, Debug, Default)]
 pub struct Exact {
+    /// Which version of the kernels runs; it changes no bit.
+    pub level: Level,
     dissection: Dissection,
     /// An order found in this step.
     order: Vec<u32>,
@@ -100,12 +102,12 @@ impl Exact {
         rows::fill(qp, &mut self.rows);
         let pushed = hints.multipliers.iter().filter(|&&value| value > 0.0);
         if (1..=small::FEW).contains(&pushed.count())
-            && few(lanes::level(), self, qp, hints.multipliers, solution)
+            && few(self.level, self, qp, hints.multipliers, solution)
         {
             return;
         }
         self.prepare(qp, hints);
-        attempt(lanes::level(), self, qp, solution);
+        attempt(self.level, self, qp, solution);
     }
 
     #[inline(always)]
