@@ -43,7 +43,7 @@ fn two_hundred_steps_in_contact_end_in_the_golden_state() {
     assert_eq!(hex(&state), GOLDEN);
 }
 
-const GOLDEN: &str = "44ce07326685130ff33641057d16bb832a046034ee5adab4870a2e035350891d";
+const GOLDEN: &str = "8af10f31491662b4d9c9b85fdd2b4af90b0bde07f87917f4284b81c8e1181101";
 
 /// How far a restored state is followed.
 const AHEAD: usize = 200;

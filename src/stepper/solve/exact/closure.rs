@@ -7,10 +7,10 @@
 
 use std::ops::Range;
 
-use super::{WRONG, clear, not_negative};
 use super::factor::{Factor, Path};
 use super::rows::{NONE, Part, Row};
 use super::tableau::Tableau;
+use super::{WRONG, clear, not_negative};
 
 /// How many contacts join a round at most.
 const JOIN: usize = 16;
@@ -118,7 +118,11 @@ impl Closure {
             }
         };
         for row in rows.iter_mut().filter(|row| row.rank == NONE) {
-            row.multiplier = if row.active { not_negative(row.followed) } else { 0.0 };
+            row.multiplier = if row.active {
+                not_negative(row.followed)
+            } else {
+                0.0
+            };
         }
         for (a, &k) in self.members.iter().enumerate() {
             let row = &mut rows[k as usize];

@@ -133,7 +133,12 @@ impl Factor {
             ..
         } = self;
         below.clear();
-        below.extend(structure.row.iter().map(|&row| Block { entries: ZERO, row }));
+        below.extend(
+            structure
+                .row
+                .iter()
+                .map(|&row| Block { entries: ZERO, row }),
+        );
         diagonal.clear();
         diagonal.resize(structure.columns, UNIT);
         for row in rows.iter().filter(|row| row.active) {
