@@ -54,6 +54,13 @@ impl Level {
     }
 }
 
+impl Default for Level {
+    /// The widest of this processor.
+    fn default() -> Self {
+        level()
+    }
+}
+
 /// The widest level of this processor. Asking costs a nanosecond or two: the standard library
 /// remembers the answer.
 #[inline]

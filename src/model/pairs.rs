@@ -1,6 +1,6 @@
 //! All pairs of points nearer than a distance, in a time that grows with their number alone.
 
-use super::lanes::{self, Lanes, WIDTH, multiversion};
+use super::lanes::{Lanes, Level, WIDTH, multiversion};
 
 /// Up to here comparing all with all is quicker than sorting into cells.
 const FEW: usize = 160;
@@ -15,6 +15,8 @@ const MARGIN: f64 = 1.0 + 1e-6;
 /// time and changes nothing, and no place is too far away.
 #[derive(Clone, Debug, Default)]
 pub struct PairSearch {
+    /// Which version of the kernels runs; it changes no bit.
+    pub level: Level,
     /// The cell of every point.
     cell: Vec<u32>,
     /// Where each cell begins in `order`, and one past the end of the last.
@@ -30,7 +32,7 @@ impl PairSearch {
     /// the rest, for those that are kept.
     pub fn visit(&mut self, x: &[f64], y: &[f64], distance: f64, visit: impl FnMut(u32, u32)) {
         if x.len() <= FEW {
-            all_with_all(x, y, distance, visit);
+            all_with_all(self.level, x, y, distance, visit);
         } else {
             self.cell_by_cell(x, y, distance, visit);
         }
@@ -143,8 +145,14 @@ multiversion! {
     }
 }
 
-fn all_with_all(x: &[f64], y: &[f64], distance: f64, mut visit: impl FnMut(u32, u32)) {
-    let (level, near) = (lanes::level(), distance * distance);
+fn all_with_all(
+    level: Level,
+    x: &[f64],
+    y: &[f64],
+    distance: f64,
+    mut visit: impl FnMut(u32, u32),
+) {
+    let near = distance * distance;
     for (i, (&xi, &yi)) in (0u32..).zip(x.iter().zip(y)) {
         let others = i as usize + 1..;
         let (x_blocks, x_rest) = x[others.clone()].as_chunks();

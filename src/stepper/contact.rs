@@ -2,7 +2,8 @@
 
 use super::StepError;
 use super::ends::{self, Axis, End, LANES, Pairs};
-use crate::model::{Configuration, ContactRule, Parameters, lanes};
+use crate::model::lanes::Level;
+use crate::model::{Configuration, ContactRule, Parameters};
 
 /// One end of a body near another body.
 ///
@@ -64,6 +65,7 @@ const BLOCK: usize = 64;
 ///
 /// [`StepError::CrossedBodies`] when two axes meet: no normal exists.
 pub fn find(
+    level: Level,
     parameters: &Parameters,
     configuration: &Configuration,
     heading: &[[f64; 2]],
@@ -74,7 +76,7 @@ pub fn find(
     let (h, width) = (parameters.half_length(), 2.0 * parameters.radius());
     let ContactRule::Endpoints = parameters.contacts;
     let axes = Axes::new(configuration, heading);
-    let (level, mut lanes) = (lanes::level(), Pairs::default());
+    let mut lanes = Pairs::default();
     let mut signs = [[0; LANES]; BLOCK / LANES];
     for pairs in pairs.chunks(BLOCK) {
         for (pairs, signs) in pairs.chunks(LANES).zip(&mut signs) {
@@ -185,6 +187,7 @@ mod tests {
         let heading = [0.0, second.alpha].map(|angle| [libm::cos(angle), libm::sin(angle)]);
         let mut contacts = Vec::new();
         find(
+            Level::default(),
             &parameters,
             &configuration,
             &heading,

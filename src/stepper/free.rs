@@ -2,11 +2,14 @@
 
 use super::heading::unit_vectors;
 use crate::model::attraction::Social;
+use crate::model::lanes::Level;
 use crate::model::{Configuration, Parameters};
 
 /// Free motion of all individuals.
 #[derive(Clone, Debug, Default)]
 pub struct Free {
+    /// Which version of the kernels runs; it changes no bit.
+    pub level: Level,
     /// Unit vectors along the bodies.
     pub heading: Vec<[f64; 2]>,
     /// Displacement in x, y and angle.
@@ -33,7 +36,7 @@ impl Free {
 
     /// Computes headings.
     pub fn head(&mut self, configuration: &Configuration) {
-        unit_vectors(&configuration.alpha, &mut self.heading);
+        unit_vectors(self.level, &configuration.alpha, &mut self.heading);
     }
 
     /// Computes free displacements from the headings and from `pull`, which
@@ -57,7 +60,7 @@ impl Free {
             self.displacement.extend(free);
             return;
         }
-        unit_vectors(&configuration.direction, &mut self.own);
+        unit_vectors(self.level, &configuration.direction, &mut self.own);
         let preferred = weight.iter().zip(&self.own);
         let free = social
             .zip(preferred)

@@ -14,7 +14,7 @@
 
 use std::f64::consts::FRAC_PI_4;
 
-use crate::model::lanes::{self, multiversion};
+use crate::model::lanes::{Level, multiversion};
 
 /// Angles between two looks for any left to `libm`: few enough to be in the cache still.
 const BLOCK: usize = 64;
@@ -61,9 +61,8 @@ const SMALLEST: f64 = 1e-9;
 /// Computes `(cos, sin)` of every angle into `units`.
 ///
 /// - Shapes: n angles in, n unit vectors out. What is not finite gives what is not a number.
-pub fn unit_vectors(angles: &[f64], units: &mut Vec<[f64; 2]>) {
+pub fn unit_vectors(level: Level, angles: &[f64], units: &mut Vec<[f64; 2]>) {
     units.resize(angles.len(), [0.0; 2]);
-    let level = lanes::level();
     for (angles, units) in angles.chunks(BLOCK).zip(units.chunks_mut(BLOCK)) {
         if ordinary_unit_vectors(level, angles, units) {
             let unset = angles
@@ -142,7 +141,6 @@ mod tests {
     use std::f64::consts::{FRAC_PI_2, TAU};
 
     use super::*;
-    use crate::model::lanes::Level;
     use crate::model::random::{Purpose, Stream};
 
     fn assert_same(angles: &[f64]) {
@@ -157,7 +155,7 @@ mod tests {
             assert_eq!(at(level), at(Level::BASELINE), "{level:?}");
         }
         let mut units = vec![[7.0; 2]; 3];
-        unit_vectors(angles, &mut units);
+        unit_vectors(Level::default(), angles, &mut units);
         assert_eq!(units.len(), angles.len());
         for (&angle, unit) in angles.iter().zip(&units) {
             let (sin, cos) = libm::sincos(angle);
@@ -207,7 +205,7 @@ mod tests {
         assert_same(&[0.0, -0.0, f64::MIN_POSITIVE, -1e-300, FRAC_PI_2, f64::MAX]);
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let mut units = Vec::new();
-            unit_vectors(&[bad, 0.5], &mut units);
+            unit_vectors(Level::default(), &[bad, 0.5], &mut units);
             assert!(units[0].iter().all(|value| value.is_nan()));
             assert_eq!(units[1], unit_vector(0.5));
         }

@@ -17,6 +17,7 @@ pub mod solve;
 use thiserror::Error;
 
 use crate::model::attraction::Social;
+use crate::model::lanes::Level;
 use crate::model::{CELL, Configuration, State};
 use contact::Contact;
 use heading::unit_vector;
@@ -33,6 +34,7 @@ const ROUNDING: f64 = 1e-6;
 /// Advances states, and keeps its memory between steps.
 #[derive(Debug, Default)]
 pub struct Stepper {
+    level: Level,
     backend: solve::Backend,
     social: Social,
     pull: Vec<[f64; 2]>,
@@ -110,6 +112,21 @@ impl Stepper {
         }
     }
 
+    /// Creates an empty workspace whose kernels are those of `level`: it takes another time and
+    /// changes no bit.
+    #[must_use]
+    pub fn with_level(level: Level) -> Self {
+        let mut stepper = Self {
+            level,
+            ..Self::default()
+        };
+        stepper.social.level = level;
+        stepper.free.level = level;
+        stepper.neighbours.search.level = level;
+        stepper.solver.exact.level = level;
+        stepper
+    }
+
     /// Advances `state` by one step.
     ///
     /// - Source: paper, Principle 1, and the four parts of a step at the end of its appendix.
@@ -182,6 +199,7 @@ impl Stepper {
         self.neighbours
             .update(parameters, configuration, &free.heading, reach);
         contact::find(
+            self.level,
             parameters,
             configuration,
             &free.heading,
@@ -273,6 +291,7 @@ impl Stepper {
             .update(parameters, configuration, heading, bound);
         let travel = &self.travel;
         contact::find(
+            self.level,
             parameters,
             configuration,
             heading,

@@ -4,7 +4,7 @@ use super::contact::Axes;
 use super::ends::{self, Pairs};
 use crate::model::body::Body;
 use crate::model::pairs::{PairSearch, order};
-use crate::model::{Configuration, Parameters, lanes};
+use crate::model::{Configuration, Parameters};
 
 /// How much further than asked pairs are listed, in body sizes: more makes every step look at
 /// more pairs, less makes lists last for fewer steps.
@@ -22,7 +22,8 @@ const ROUNDING: f64 = 1e-6;
 /// takes and not one bit of its result, and is no part of a state.
 #[derive(Debug, Default)]
 pub struct Neighbours {
-    search: PairSearch,
+    /// Its level is the level of all.
+    pub search: PairSearch,
     /// Pairs near enough by their centres.
     near: Vec<(u32, u32)>,
     pairs: Vec<(u32, u32)>,
@@ -77,12 +78,14 @@ impl Neighbours {
         self.search.visit(x, y, centres, |i, j| near.push((i, j)));
         self.pairs.clear();
         let all = Axes::new(configuration, heading);
-        let (level, mut lanes) = (lanes::level(), Pairs::default());
+        let mut lanes = Pairs::default();
         for near in self.near.chunks(ends::LANES) {
             for (lane, &(i, j)) in near.iter().enumerate() {
                 lanes.set(lane, &all.at(i), &all.at(j), axes);
             }
-            let signs = near.iter().zip(lanes.signs(level, body.half_length));
+            let signs = near
+                .iter()
+                .zip(lanes.signs(self.search.level, body.half_length));
             let listed = signs.filter(|&(_, signs)| ends::within(signs));
             self.pairs.extend(listed.map(|(&pair, _)| pair));
         }
@@ -143,6 +146,7 @@ mod tests {
 
     use super::*;
     use crate::model::body::near_pairs;
+    use crate::model::lanes::Level;
     use crate::model::random::{Purpose, Stream};
     use crate::model::start;
     use crate::stepper::heading::unit_vectors;
@@ -151,7 +155,7 @@ mod tests {
     fn ask(neighbours: &mut Neighbours, parameters: &Parameters, now: &Configuration) -> bool {
         let reach = parameters.reach(0.0);
         let (mut heading, before) = (Vec::new(), neighbours.alpha.clone());
-        unit_vectors(&now.alpha, &mut heading);
+        unit_vectors(Level::default(), &now.alpha, &mut heading);
         neighbours.update(parameters, now, &heading, reach);
         let near = near_pairs(Body::new(parameters), now, reach);
         for (i, j, nearness) in near {

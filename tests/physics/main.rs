@@ -6,13 +6,16 @@
     reason = "a test that is wrong about a number fails, and says where"
 )]
 
+mod adversarial;
 mod allocation;
 mod cases;
 mod claim;
+mod exact;
 mod facts;
 mod repeat;
 mod work;
 
+use jostled::model::lanes::Level;
 use jostled::model::{Configuration, Parameters, State, start};
 use jostled::stepper::qp::Qp;
 use jostled::stepper::{Stepper, contact, free};
@@ -53,6 +56,7 @@ fn program(state: &State, reach: f64) -> Qp {
         .collect();
     let mut contacts = Vec::new();
     contact::find(
+        Level::default(),
         parameters,
         configuration,
         &alone.heading,

@@ -2,8 +2,11 @@
 
 use std::thread;
 
+use jostled::model::lanes::Level;
+use jostled::model::random::{Purpose, Stream};
 use jostled::model::{Parameters, State};
 use jostled::stepper::Stepper;
+use jostled::stepper::solve::Backend;
 
 use crate::{advance, drawn};
 
@@ -18,18 +21,15 @@ fn hex(state: &State) -> String {
         .collect()
 }
 
-/// A group of 74 in contact, from the seed alone.
-fn settled(stepper: &mut Stepper) -> State {
-    let mut state = drawn(Parameters::default(), 74, 1);
+/// A group of `n` in contact, from the seed alone.
+fn settled(n: usize, stepper: &mut Stepper) -> State {
+    let mut state = drawn(Parameters::default(), n, 1);
     state
         .configuration
         .inform(3, 0.5, 1.0, Some(SETTLING + 150));
     advance(stepper, &mut state, SETTLING);
-    assert!(
-        state.memory.contacts.len() > 40,
-        "{} push",
-        state.memory.contacts.len()
-    );
+    let pushing = state.memory.contacts.len();
+    assert!(2 * pushing > n, "{pushing} push");
     state
 }
 
@@ -38,43 +38,109 @@ fn settled(stepper: &mut Stepper) -> State {
 #[test]
 fn two_hundred_steps_in_contact_end_in_the_golden_state() {
     let mut stepper = Stepper::new();
-    let mut state = settled(&mut stepper);
+    let mut state = settled(74, &mut stepper);
     advance(&mut stepper, &mut state, 200);
     assert_eq!(hex(&state), GOLDEN);
 }
 
-const GOLDEN: &str = "c47dec14770d027d360f7da7454b2fdd9ad75566faa2eee7752fb852e926e5e7";
+const GOLDEN: &str = "8af10f31491662b4d9c9b85fdd2b4af90b0bde07f87917f4284b81c8e1181101";
+
+/// How far a restored state is followed.
+const AHEAD: usize = 200;
+
+/// Steps on from `state`, and again with a new stepper each from the first `points` states on
+/// the way: [`AHEAD`] steps after any of them the hash is that of the one run straight through.
+fn restore(mut state: State, points: usize, mut straight: Stepper, new: impl Fn() -> Stepper) {
+    let (mut restored, mut future) = (Vec::new(), Vec::new());
+    for taken in 0..points + AHEAD {
+        if taken >= AHEAD {
+            future.push(state.hash());
+        }
+        if taken < points {
+            restored.push(state.clone());
+        }
+        straight.step(&mut state).unwrap();
+    }
+    for (start, mut state) in restored.into_iter().enumerate() {
+        advance(&mut new(), &mut state, AHEAD as u64);
+        assert_eq!(state.hash(), future[start], "restored at {start}");
+    }
+}
 
 #[test]
 fn a_hundred_restored_states_have_the_same_future() {
-    let mut stepper = Stepper::new();
-    let mut state = settled(&mut stepper);
-    // One stepper runs straight through; each restored state gets a new one.
-    let mut restored = Vec::new();
-    let mut future = Vec::new();
-    for step in 0..300 {
-        if step < 100 {
-            restored.push(state.clone());
-        }
-        stepper.step(&mut state).unwrap();
-        if step >= 199 {
-            future.push(state.hash());
-        }
+    for n in [74, 200] {
+        let mut stepper = Stepper::new();
+        let state = settled(n, &mut stepper);
+        restore(state, 100, stepper, Stepper::new);
     }
-    for (start, mut state) in restored.into_iter().enumerate() {
-        advance(&mut Stepper::new(), &mut state, 200);
-        assert_eq!(
-            state.hash(),
-            future[start],
-            "restored {start} steps after the settling"
+}
+
+/// A settled group that has forgotten seven of ten of those that push, so that its next step
+/// needs the referee: one in some hundreds does. The search begins with one that did.
+fn at_a_loss(stepper: &mut Stepper) -> State {
+    let mut settled = drawn(Parameters::default(), 200, 1);
+    advance(stepper, &mut settled, SETTLING);
+    let mut forgetful = (20..2000).map(|seed| {
+        let mut stream = Stream::new(seed, 0, 0, Purpose::Selection);
+        let mut state = settled.clone();
+        let remembered = &mut state.memory.contacts;
+        remembered.retain(|_| stream.uniform() < 0.3);
+        state
+    });
+    let is_at_a_loss = |state: &State| stepper.step(&mut state.clone()).unwrap().referee > 0;
+    forgetful.find(is_at_a_loss).expect("one in some hundreds")
+}
+
+#[test]
+fn a_state_restored_into_a_step_of_the_referee_has_the_same_future() {
+    let mut stepper = Stepper::new();
+    let state = at_a_loss(&mut stepper);
+    restore(state, 10, stepper, Stepper::new);
+}
+
+#[test]
+fn the_referee_alone_remembers_nothing() {
+    let state = settled(74, &mut Stepper::new());
+    let referee = || Stepper::with_backend(Backend::Referee);
+    restore(state, 3, referee(), referee);
+}
+
+/// Vector lanes decide how long a step takes and nothing else. The groups are solved by the small
+/// factor and by the large one, of discs and of bodies that turn.
+#[test]
+fn every_level_of_the_processor_takes_the_same_steps() {
+    for (pi1, n) in [(1.0, 60), (4.0, 5), (4.0, 20), (4.0, 74), (8.0, 200)] {
+        let parameters = Parameters {
+            pi1,
+            ..Parameters::default()
+        };
+        let mut start = drawn(parameters, n, 7);
+        start.configuration.inform(1, 0.5, 1.0, None);
+        let run = |level| {
+            let (mut state, mut stepper) = (start.clone(), Stepper::with_level(level));
+            advance(&mut stepper, &mut state, SETTLING);
+            state
+        };
+        let plain = run(Level::BASELINE);
+        assert!(
+            n < 20 || 2 * plain.memory.contacts.len() > n,
+            "too few push"
         );
+        for level in Level::available() {
+            assert_eq!(
+                run(level).hash(),
+                plain.hash(),
+                "{level:?}, pi1 {pi1}, n {n}"
+            );
+        }
     }
 }
 
 /// The workspace may not know what it did before: one that has seen another swarm changes nothing.
 #[test]
 fn a_used_stepper_and_another_thread_change_nothing() {
-    let mut here = settled(&mut Stepper::new());
+    let mut here = settled(74, &mut Stepper::new());
     let there = here.clone();
     let mut used = Stepper::new();
     advance(
@@ -103,7 +169,7 @@ fn a_used_stepper_and_another_thread_change_nothing() {
 #[test]
 fn a_state_without_its_memory_has_another_hash() {
     let mut stepper = Stepper::new();
-    let mut state = settled(&mut stepper);
+    let mut state = settled(74, &mut stepper);
     let mut forgetful = State {
         memory: Default::default(),
         ..state.clone()

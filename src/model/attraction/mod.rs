@@ -5,7 +5,7 @@ mod expansion;
 mod far;
 mod tree;
 
-use super::lanes::{self, Level};
+use super::lanes::Level;
 use super::{Attraction, Configuration};
 
 use direct::Direct;
@@ -44,7 +44,7 @@ const fn rung(accuracy: f64, powers: usize, tolerance: f64, from: usize) -> Rung
 }
 
 /// Computes the social pull of every individual; holds what is reused from call to call.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Social {
     /// Which version of the kernels runs; it changes no bit.
     pub level: Level,
@@ -53,19 +53,6 @@ pub struct Social {
     far_4: Far<4>,
     far_8: Far<8>,
     far_12: Far<12>,
-}
-
-impl Default for Social {
-    fn default() -> Self {
-        Self {
-            level: lanes::level(),
-            direct: Direct::default(),
-            tree: Tree::default(),
-            far_4: Far::default(),
-            far_8: Far::default(),
-            far_12: Far::default(),
-        }
-    }
 }
 
 impl Social {

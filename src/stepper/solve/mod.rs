@@ -74,10 +74,10 @@ impl Solution {
     }
 
     /// Keeps `multipliers`, cut off at 0, if they are better than what there is.
-    fn offer(&mut self, qp: &Qp, multipliers: &[f64]) {
+    fn offer(&mut self, qp: &Qp, multipliers: impl ExactSizeIterator<Item = f64>) {
         self.offered.clear();
-        let cut = |&value: &f64| if value > 0.0 { value } else { 0.0 };
-        self.offered.extend(multipliers.iter().map(cut));
+        let cut = |value: f64| if value > 0.0 { value } else { 0.0 };
+        self.offered.extend(multipliers.map(cut));
         let residual = qp.residual(&self.offered, &mut self.moved);
         if residual < self.residual {
             std::mem::swap(&mut self.multipliers, &mut self.offered);
@@ -106,7 +106,7 @@ pub fn solve(
 ) {
     solution.clear();
     if hints.multipliers.iter().all(|&value| value <= 0.0) {
-        solution.offer(qp, hints.multipliers);
+        solution.offer(qp, hints.multipliers.iter().copied());
         if solution.residual <= TARGET {
             return;
         }
@@ -128,15 +128,15 @@ fn by_referee(qp: &Qp, workspace: &mut Polish, solution: &mut Solution) {
         };
         solution.referee += 1;
         solution.iterations += iterations;
-        solution.offer(qp, &multipliers);
+        solution.offer(qp, multipliers.iter().copied());
         qp.displace(&multipliers, &mut displacement);
         let active = workspace.pushing(qp, &multipliers, &displacement);
         solution.iterations += workspace.polish(qp, &multipliers, active);
-        solution.offer(qp, workspace.multipliers());
+        solution.offer(qp, workspace.multipliers().iter().copied());
         if solution.residual > TARGET {
             let best = solution.multipliers.clone();
             solution.iterations += workspace.descend(qp, &best);
-            solution.offer(qp, workspace.multipliers());
+            solution.offer(qp, workspace.multipliers().iter().copied());
         }
         if solution.residual <= TARGET {
             return;
@@ -189,16 +189,18 @@ mod tests {
     #[test]
     fn a_row_moves_together_by_either_route() {
         let qp = row(9);
+        // What is left of a residual in the multipliers, over the least eigenvalue of `A W⁻¹ Aᵀ`.
+        let tolerance = TARGET / (2.0 - 2.0 * libm::cos(std::f64::consts::PI / 9.0));
         for (backend, asked) in [(Backend::Exact, 0), (Backend::Referee, 1)] {
             for guess in [[0.0; 8], [1.0; 8]] {
                 let solution = solved(backend, &qp, &guess);
                 assert!(solution.residual <= TARGET);
                 for displacement in &solution.displacement {
-                    assert!((displacement[0] - 0.02 * 8.0 / 9.0).abs() < 1e-9);
+                    assert!((displacement[0] - 0.02 * 8.0 / 9.0).abs() < tolerance);
                 }
                 // Contact k carries what the k + 1 behind it lose.
                 for (k, &multiplier) in solution.multipliers.iter().enumerate() {
-                    assert!((multiplier - (k + 1) as f64 * 0.02 / 9.0).abs() < 1e-9);
+                    assert!((multiplier - (k + 1) as f64 * 0.02 / 9.0).abs() < tolerance);
                 }
                 assert_eq!(solution.referee, asked);
             }
@@ -229,7 +231,7 @@ mod tests {
             let mut solution = Solution::default();
             solution.clear();
             polish.descend(&qp, &start);
-            solution.offer(&qp, polish.multipliers());
+            solution.offer(&qp, polish.multipliers().iter().copied());
             assert!(solution.residual <= TARGET, "{}", solution.residual);
         }
     }

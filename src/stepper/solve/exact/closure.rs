@@ -7,10 +7,10 @@
 
 use std::ops::Range;
 
-use super::WRONG;
 use super::factor::{Factor, Path};
-use super::rows::{Part, Row};
+use super::rows::{NONE, Part, Row};
 use super::tableau::Tableau;
+use super::{WRONG, clear, not_negative};
 
 /// How many contacts join a round at most.
 const JOIN: usize = 16;
@@ -18,18 +18,11 @@ const JOIN: usize = 16;
 /// How many contacts may be in doubt: beyond, another factorisation is cheaper.
 const MOST_MEMBERS: usize = 384;
 
-const OUTSIDE: u32 = u32::MAX;
-
 /// The doubtful contacts.
 #[derive(Clone, Debug, Default)]
 pub struct Closure {
-    /// Multipliers with everybody on the right side of the pass's problem.
-    pub multipliers: Vec<f64>,
-    slacks: Vec<f64>,
     /// Which rows they are.
     members: Vec<u32>,
-    /// The rank of each row among them.
-    rank: Vec<u32>,
     /// Where each member's path begins, and where the last one ends.
     path_start: Vec<usize>,
     path: Path,
@@ -43,58 +36,35 @@ pub struct Closure {
     right: Vec<f64>,
 }
 
-/// What closing starts from: multipliers and gaps after one pass over the active set.
-pub struct Base<'a> {
-    /// The program.
-    pub rows: &'a [Row],
-    /// Who was taken to push when `K` was factored.
-    pub active: &'a [bool],
-    /// Multipliers before the pass.
-    pub before: &'a [f64],
-    /// Multipliers after the pass, of the active.
-    pub multipliers: &'a [f64],
-    /// Gaps after the pass, of the others.
-    pub slacks: &'a [f64],
-}
-
 impl Closure {
     /// Forgets all members.
     pub fn clear(&mut self) {
         self.members.clear();
         self.exchanged.clear();
-    }
-
-    /// Whether row `k` has changed sides since `K` was factored.
-    #[inline(always)]
-    pub fn is_exchanged(&self, k: usize) -> bool {
-        !self.exchanged.is_empty()
-            && self.rank[k] != OUTSIDE
-            && self.tableau.exchanged[self.rank[k] as usize]
+        self.path.clear();
+        self.straight.clear();
     }
 
     /// Collects who is on the wrong side: those that would pull, by who stops pushing first,
     /// and before them those that would overlap, the deepest first.
     #[inline(always)]
-    fn find_wrong(&mut self, base: &Base) {
-        let (multipliers, slacks) = (&self.multipliers, &self.slacks);
+    fn find_wrong(&mut self, rows: &[Row]) {
         self.wrong.clear();
-        for k in 0..base.rows.len() {
-            if self.rank[k] != OUTSIDE {
+        for (k, row) in rows.iter().enumerate() {
+            let wrong = row.followed < -WRONG;
+            if !wrong || row.rank != NONE {
                 continue;
             }
+            let depth = if row.active {
+                row.multiplier / (row.multiplier - row.followed)
+            } else {
+                row.followed
+            };
             #[expect(
                 clippy::cast_possible_truncation,
                 reason = "contacts are named by 32 bits"
             )]
-            let name = k as u32;
-            if base.active[k] {
-                if multipliers[k] < -WRONG {
-                    let share = base.before[k] / (base.before[k] - multipliers[k]);
-                    self.wrong.push((share, name));
-                }
-            } else if slacks[k] < -WRONG {
-                self.wrong.push((slacks[k], name));
-            }
+            self.wrong.push((depth, k as u32));
         }
         if self.wrong.len() > JOIN {
             let by_value = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
@@ -104,35 +74,25 @@ impl Closure {
         }
     }
 
-    /// Finds multipliers with nobody on the wrong side of the pass's problem, and tells whether it
-    /// came to an end.
+    /// Finds multipliers with nobody on the wrong side of the pass's problem, and who then pushes.
+    /// Tells whether it came to an end; the multipliers are of use all the same.
     #[inline(always)]
-    pub fn close(&mut self, base: &Base, factor: &mut Factor, change: &mut Vec<Part>) -> bool {
-        self.multipliers.clear();
-        self.multipliers.extend_from_slice(base.multipliers);
-        self.slacks.clear();
-        self.slacks.extend_from_slice(base.slacks);
-        self.rank.clear();
-        self.rank.resize(base.rows.len(), OUTSIDE);
-        self.members.clear();
-        self.exchanged.clear();
-        self.path.clear();
-        self.straight.clear();
+    pub fn close(&mut self, rows: &mut [Row], factor: &mut Factor, change: &mut Vec<Part>) -> bool {
         self.path_start.clear();
         self.path_start.push(0);
         let mut pivots = 0;
-        loop {
-            self.find_wrong(base);
+        let closed = loop {
+            self.find_wrong(rows);
             if self.wrong.is_empty() {
-                return true;
+                break true;
             }
             if self.members.len() + self.wrong.len() > MOST_MEMBERS {
-                return false;
+                break false;
             }
-            self.join(base, factor);
-            self.pose(base);
+            self.join(rows, factor);
+            self.pose(rows);
             if !self.tableau.solve(0.1 * WRONG, &mut pivots) {
-                return false;
+                break false;
             }
             self.exchanged.clear();
             #[expect(clippy::cast_possible_truncation, reason = "members are few")]
@@ -140,45 +100,50 @@ impl Closure {
                 (0..self.members.len() as u32).filter(|&a| self.tableau.exchanged[a as usize]),
             );
             // Everybody outside follows.
-            change.clear();
-            change.resize(factor.structure.place.len(), [0.0; 4]);
+            clear(change, factor.structure.place.len());
             for &a in &self.exchanged {
                 let a = a as usize;
-                let k = self.members[a] as usize;
-                let push = self.tableau.value[a]
-                    * if base.active[k] {
-                        base.rows[k].penalty
-                    } else {
-                        1.0
-                    };
+                let push = self.tableau.value[a] * cause(&rows[self.members[a] as usize]);
                 let path = self.path_start[a]..self.path_start[a + 1];
                 self.path.descend(path, push, change);
             }
             factor.back(change);
-            for (k, row) in base.rows.iter().enumerate() {
-                if self.rank[k] != OUTSIDE {
-                    let a = self.rank[k] as usize;
-                    let pushes = base.active[k] != self.tableau.exchanged[a];
-                    self.multipliers[k] = if pushes { self.tableau.value[a] } else { 0.0 };
-                } else if base.active[k] {
-                    self.multipliers[k] = base.multipliers[k] - row.penalty * row.along(change);
+            for row in rows.iter_mut() {
+                let along = row.along(change);
+                row.followed = if row.active {
+                    row.proposed - row.penalty * along
                 } else {
-                    self.slacks[k] = base.slacks[k] + row.along(change);
-                }
+                    row.ahead + along
+                };
             }
+        };
+        for row in rows.iter_mut().filter(|row| row.rank == NONE) {
+            row.multiplier = if row.active {
+                not_negative(row.followed)
+            } else {
+                0.0
+            };
         }
+        for (a, &k) in self.members.iter().enumerate() {
+            let row = &mut rows[k as usize];
+            row.rank = NONE;
+            row.pushing = row.active != self.tableau.exchanged[a];
+            let value = not_negative(self.tableau.value[a]);
+            row.multiplier = if row.pushing { value } else { 0.0 };
+        }
+        closed
     }
 
     /// Takes those found wrong for members, with their paths and products.
     #[inline(always)]
-    fn join(&mut self, base: &Base, factor: &mut Factor) {
+    fn join(&mut self, rows: &mut [Row], factor: &mut Factor) {
         let old = self.members.len();
         for &(_, name) in &self.wrong {
             #[expect(clippy::cast_possible_truncation, reason = "members are few")]
             let rank = self.members.len() as u32;
-            self.rank[name as usize] = rank;
+            rows[name as usize].rank = rank;
             self.members.push(name);
-            let straight = factor.climb(&base.rows[name as usize], &mut self.path);
+            let straight = factor.climb(&rows[name as usize], &mut self.path);
             self.straight.push(straight);
             self.path_start.push(self.path.nodes.len());
         }
@@ -216,86 +181,70 @@ impl Closure {
     /// A member that was taken to push is free to open its gap, by `z`, and its multiplier must
     /// not become negative; one that was not is free to push, by `z`, and its gap must not.
     #[inline(always)]
-    fn pose(&mut self, base: &Base) {
+    fn pose(&mut self, rows: &[Row]) {
         let size = self.members.len();
         self.tableau.begin(size);
         for a in 0..size {
-            let k = self.members[a] as usize;
-            let (pushes, penalty) = (base.active[k], base.rows[k].penalty);
-            let answer = if pushes { -penalty } else { 1.0 };
-            let start = if pushes {
-                base.multipliers[k]
+            let row = &rows[self.members[a] as usize];
+            let (start, answer) = if row.active {
+                (row.proposed, -row.penalty)
             } else {
-                base.slacks[k]
+                (row.ahead, 1.0)
             };
             self.tableau.value.push(start);
-            let row = self.tableau.row_mut(a);
-            for (b, entry) in row.iter_mut().enumerate() {
-                let (high, low) = (a.max(b), a.min(b));
-                let product = self.gram[high * (high + 1) / 2 + low];
-                let other = self.members[b] as usize;
-                let cause = if base.active[other] {
-                    base.rows[other].penalty
-                } else {
-                    1.0
-                };
+            let entries = self.tableau.row_mut(a);
+            for (b, entry) in entries.iter_mut().enumerate() {
+                let product = self.gram[a.max(b) * (a.max(b) + 1) / 2 + a.min(b)];
                 *entry = if a != b {
-                    answer * cause * product
-                } else if pushes {
-                    penalty * (1.0 - penalty * product)
+                    answer * cause(&rows[self.members[b] as usize]) * product
+                } else if row.active {
+                    row.penalty * (1.0 - row.penalty * product)
                 } else {
-                    product + 1.0 / penalty
+                    product + 1.0 / row.penalty
                 };
             }
         }
     }
-    /// The correction of a refining pass for those that have changed sides.
+
+    /// Adds to a refining pass what those that have changed sides contribute.
     ///
-    /// `change` is `K⁻¹` of the pass's right-hand side; `slack` gives the gaps before it. Adds
-    /// what the exchanged contribute, and returns through `multipliers` the change of those that
-    /// now push.
+    /// `change` is `K⁻¹` of the pass's right-hand side, made of those that have not; the proposed
+    /// multipliers of those that now push are changed too.
     #[inline(always)]
     pub fn correct(
         &mut self,
-        base_active: &[bool],
-        rows: &[Row],
-        slacks: &[f64],
+        rows: &mut [Row],
         factor: &Factor,
         change: &mut [Part],
         extra: &mut Vec<Part>,
-        multipliers: &mut [f64],
     ) {
         if self.exchanged.is_empty() {
             return;
         }
         self.right.clear();
         for &a in &self.exchanged {
-            let k = self.members[a as usize] as usize;
-            let along = rows[k].along(change);
-            self.right.push(if base_active[k] {
-                -rows[k].penalty * along
+            let row = &rows[self.members[a as usize] as usize];
+            let along = row.along(change);
+            self.right.push(if row.active {
+                -row.penalty * along
             } else {
-                slacks[k] + along
+                row.slack + along
             });
         }
-        extra.clear();
-        extra.resize(change.len(), [0.0; 4]);
+        clear(extra, change.len());
         for &a in &self.exchanged {
             let a = a as usize;
-            let k = self.members[a] as usize;
-            let row = self.tableau.row(a);
+            let entries = self.tableau.row(a);
             let mut sum = 0.0;
             for (&b, right) in self.exchanged.iter().zip(&self.right) {
-                sum -= row[b as usize] * right;
+                sum -= entries[b as usize] * right;
+            }
+            let row = &mut rows[self.members[a] as usize];
+            if !row.active {
+                row.proposed += sum;
             }
             let path = self.path_start[a]..self.path_start[a + 1];
-            let push = if base_active[k] {
-                rows[k].penalty * sum
-            } else {
-                multipliers[k] += sum;
-                sum
-            };
-            self.path.descend(path, push, extra);
+            self.path.descend(path, cause(row) * sum, extra);
         }
         factor.back(extra);
         for (part, more) in change.iter_mut().zip(extra) {
@@ -304,6 +253,12 @@ impl Closure {
             }
         }
     }
+}
+
+/// What the unknown of a member multiplies `b_k` by: a gap that opens is worth its penalty.
+#[inline(always)]
+fn cause(row: &Row) -> f64 {
+    if row.active { row.penalty } else { 1.0 }
 }
 
 /// The sum of products at the nodes that two paths share.

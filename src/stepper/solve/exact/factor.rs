@@ -10,13 +10,30 @@ use super::rows::{Part, Row};
 use super::structure::{NONE, Structure};
 
 /// Three columns of three entries; the fourth lane is zero.
-type Block = [Part; 3];
+type Square = [Part; 3];
 
-const ZERO: Block = [[0.0; 4]; 3];
+const ZERO: Square = [[0.0; 4]; 3];
+
+const UNIT: Square = [
+    [1.0, 0.0, 0.0, 0.0],
+    [0.0, 1.0, 0.0, 0.0],
+    [0.0, 0.0, 1.0, 0.0],
+];
+
+/// A block below the diagonal.
+#[derive(Clone, Copy, Debug)]
+struct Block {
+    entries: Square,
+    /// The place of its row.
+    row: u32,
+}
 
 /// A diagonal block's share of the factor.
 #[derive(Clone, Copy, Debug, Default)]
 struct Corner {
+    /// The blocks below it.
+    begin: u32,
+    end: u32,
     /// Entries (1, 0), (2, 0), (2, 1) of `L`.
     lower: [f64; 3],
     /// `D`.
@@ -26,11 +43,20 @@ struct Corner {
 }
 
 impl Corner {
+    /// Of an individual that nobody pushes.
     const UNIT: Self = Self {
+        begin: 0,
+        end: 0,
         lower: [0.0; 3],
         pivot: [1.0, 1.0, 1.0, 0.0],
         inverse: [1.0, 1.0, 1.0, 0.0],
     };
+
+    /// The blocks below it.
+    #[inline(always)]
+    fn of<'a>(&self, below: &'a [Block]) -> &'a [Block] {
+        &below[self.begin as usize..self.end as usize]
+    }
 
     #[inline(always)]
     fn forward(&self, part: Part) -> Part {
@@ -84,22 +110,22 @@ pub struct Factor {
     /// Where they are.
     pub structure: Structure,
     below: Vec<Block>,
-    diagonal: Vec<Block>,
+    diagonal: Vec<Square>,
     corner: Vec<Corner>,
     slot: Vec<u32>,
     sparse: Vec<Part>,
 }
 
 impl Factor {
-    /// Factors `K` of the rows that `active` tells.
+    /// Factors `K` of the active rows.
     #[inline(always)]
-    pub fn factor(&mut self, rows: &[Row], active: &[bool]) {
-        self.assemble(rows, active);
+    pub fn factor(&mut self, rows: &[Row]) {
+        self.assemble(rows);
         eliminate(self);
     }
 
     #[inline(always)]
-    fn assemble(&mut self, rows: &[Row], active: &[bool]) {
+    fn assemble(&mut self, rows: &[Row]) {
         let Self {
             structure,
             below,
@@ -107,18 +133,15 @@ impl Factor {
             ..
         } = self;
         below.clear();
-        below.resize(structure.row.len(), ZERO);
-        diagonal.clear();
-        diagonal.resize(
-            structure.columns,
-            [
-                [1.0, 0.0, 0.0, 0.0],
-                [0.0, 1.0, 0.0, 0.0],
-                [0.0, 0.0, 1.0, 0.0],
-            ],
+        below.extend(
+            structure
+                .row
+                .iter()
+                .map(|&row| Block { entries: ZERO, row }),
         );
-        for row in rows.iter().zip(active).filter(|(_, active)| **active) {
-            let row = row.0;
+        diagonal.clear();
+        diagonal.resize(structure.columns, UNIT);
+        for row in rows.iter().filter(|row| row.active) {
             let [first, second] = &row.parts;
             let [i, j] = row.place.map(|place| place as usize);
             add_product(&mut diagonal[i], first, first, row.penalty);
@@ -128,7 +151,8 @@ impl Factor {
             } else {
                 (second, first)
             };
-            add_product(&mut below[row.block as usize], lower, upper, row.penalty);
+            let block = &mut below[row.block as usize].entries;
+            add_product(block, lower, upper, row.penalty);
         }
     }
 
@@ -141,14 +165,12 @@ impl Factor {
             corner,
             ..
         } = self;
-        for column in 0..structure.columns {
-            let part = corner[column].forward(vector[column]);
-            let blocks = structure.start[column] as usize..structure.start[column + 1] as usize;
-            for (block, &row) in below[blocks.clone()].iter().zip(&structure.row[blocks]) {
-                subtract(&mut vector[row as usize], block, &part);
+        for (column, corner) in corner[..structure.columns].iter().enumerate() {
+            let part = corner.forward(vector[column]);
+            for block in corner.of(below) {
+                subtract(&mut vector[block.row as usize], &block.entries, &part);
             }
-            let inverse = &corner[column].inverse;
-            vector[column] = [0, 1, 2, 3].map(|lane| part[lane] * inverse[lane]);
+            vector[column] = [0, 1, 2, 3].map(|lane| part[lane] * corner.inverse[lane]);
         }
         self.back(vector);
     }
@@ -162,12 +184,11 @@ impl Factor {
             corner,
             ..
         } = self;
-        for column in (0..structure.columns).rev() {
-            let blocks = structure.start[column] as usize..structure.start[column + 1] as usize;
+        for (column, corner) in corner[..structure.columns].iter().enumerate().rev() {
             let mut sums = ZERO;
-            for (block, &row) in below[blocks.clone()].iter().zip(&structure.row[blocks]) {
-                let part = &vector[row as usize];
-                for (sum, entries) in sums.iter_mut().zip(block) {
+            for block in corner.of(below) {
+                let part = &vector[block.row as usize];
+                for (sum, entries) in sums.iter_mut().zip(&block.entries) {
                     for lane in 0..4 {
                         sum[lane] += entries[lane] * part[lane];
                     }
@@ -178,7 +199,7 @@ impl Factor {
             let left = |axis: usize| {
                 vector[column][axis] - ((sums[axis][0] + sums[axis][1]) + sums[axis][2])
             };
-            vector[column] = corner[column].backward([left(0), left(1), left(2), 0.0]);
+            vector[column] = corner.backward([left(0), left(1), left(2), 0.0]);
         }
     }
 
@@ -209,16 +230,15 @@ impl Factor {
             expected = structure.parent[column];
             one = if one == node { expected } else { one };
             other = if other == node { expected } else { other };
-            let part = corner[column].forward(std::mem::take(&mut sparse[column]));
-            let blocks = structure.start[column] as usize..structure.start[column + 1] as usize;
-            for (block, &row) in below[blocks.clone()].iter().zip(&structure.row[blocks]) {
-                subtract(&mut sparse[row as usize], block, &part);
+            let corner = &corner[column];
+            let part = corner.forward(std::mem::take(&mut sparse[column]));
+            for block in corner.of(below) {
+                subtract(&mut sparse[block.row as usize], &block.entries, &part);
             }
-            let inverse = &corner[column].inverse;
             path.nodes.push(node);
             path.parts.push(part);
             path.scaled
-                .push([0, 1, 2, 3].map(|lane| part[lane] * inverse[lane]));
+                .push([0, 1, 2, 3].map(|lane| part[lane] * corner.inverse[lane]));
         }
         straight
     }
@@ -237,71 +257,53 @@ fn eliminate(factor: &mut Factor) {
     } = factor;
     corner.clear();
     slot.resize(structure.columns, 0);
-    for column in 0..structure.columns {
-        let begin = structure.start[column] as usize;
-        let end = structure.start[column + 1] as usize;
-        for (block, &row) in (begin..end).zip(&structure.row[begin..end]) {
-            #[expect(
-                clippy::cast_possible_truncation,
-                reason = "blocks are named by 32 bits"
-            )]
-            let block = (block - begin) as u32;
-            slot[row as usize] = block;
+    let bounds = structure.start.iter().zip(&structure.start[1..]);
+    let lefts = structure.left_start.windows(2);
+    let columns = diagonal.iter_mut().zip(bounds.zip(lefts));
+    for (target, ((&begin, &end), lefts)) in columns {
+        let (done, own) = below.split_at_mut(begin as usize);
+        let own = &mut own[..(end - begin) as usize];
+        for (at, block) in (0..).zip(own.iter()) {
+            slot[block.row as usize] = at;
         }
-        let (done, rest) = below.split_at_mut(begin);
-        let own = &mut rest[..end - begin];
-        let target = &mut diagonal[column];
-        let lefts =
-            structure.left_start[column] as usize..structure.left_start[column + 1] as usize;
-        for &[other, at] in &structure.left[lefts] {
-            let at = at as usize;
-            let joint = &done[at];
-            // A pair that is listed but not active joins nothing.
-            if is_zero(joint) {
-                continue;
-            }
-            let pivot = &corner[other as usize].pivot;
+        for &[other, at] in &structure.left[lefts[0] as usize..lefts[1] as usize] {
+            let left = &corner[other as usize];
+            let [joint, later @ ..] = &done[at as usize..left.end as usize] else {
+                unreachable!("an entry of a row is a block of its column");
+            };
             let mut scaled = ZERO;
             for axis in 0..3 {
                 for lane in 0..3 {
-                    scaled[lane][axis] = joint[axis][lane] * pivot[axis];
+                    scaled[lane][axis] = joint.entries[axis][lane] * left.pivot[axis];
                 }
             }
-            multiply_subtract(target, joint, &scaled);
-            let last = structure.start[other as usize + 1] as usize;
-            for (block, &row) in done[at + 1..last].iter().zip(&structure.row[at + 1..last]) {
-                multiply_subtract(&mut own[slot[row as usize] as usize], block, &scaled);
+            multiply_subtract(target, &joint.entries, &scaled);
+            for block in later {
+                let own = &mut own[slot[block.row as usize] as usize];
+                multiply_subtract(&mut own.entries, &block.entries, &scaled);
             }
         }
-        let finished = pivot(target);
+        let finished = Corner {
+            begin,
+            end,
+            ..pivot(target)
+        };
         for block in own {
             let [a, b, c] = finished.lower;
-            let mut columns = *block;
+            let mut columns = block.entries;
             for lane in 0..4 {
                 columns[1][lane] -= a * columns[0][lane];
                 columns[2][lane] -= b * columns[0][lane] + c * columns[1][lane];
             }
             for (axis, entries) in columns.iter().enumerate() {
                 for lane in 0..4 {
-                    block[axis][lane] = entries[lane] * finished.inverse[axis];
+                    block.entries[axis][lane] = entries[lane] * finished.inverse[axis];
                 }
             }
         }
         corner.push(finished);
     }
     corner.resize(structure.place.len(), Corner::UNIT);
-}
-
-#[inline(always)]
-fn is_zero(block: &Block) -> bool {
-    let mut bits = [0; 4];
-    for entries in block {
-        for lane in 0..4 {
-            bits[lane] |= entries[lane].to_bits();
-        }
-    }
-    // Either sign.
-    ((bits[0] | bits[1]) | (bits[2] | bits[3])) << 1 == 0
 }
 
 /// What a pivot is at least: `K` is never below the unit matrix, but for rounding.
@@ -312,7 +314,7 @@ fn at_least_one(pivot: f64) -> f64 {
 
 /// Factors a diagonal block.
 #[inline(always)]
-fn pivot(block: &Block) -> Corner {
+fn pivot(block: &Square) -> Corner {
     let first = at_least_one(block[0][0]);
     let i = 1.0 / first;
     let (a, b) = (block[0][1] * i, block[0][2] * i);
@@ -325,12 +327,13 @@ fn pivot(block: &Block) -> Corner {
         lower: [a, b, c],
         pivot: [first, second, third, 0.0],
         inverse: [i, j, 1.0 / third, 0.0],
+        ..Corner::UNIT
     }
 }
 
 /// `target += factor · one otherᵀ`, `one` along the lanes.
 #[inline(always)]
-fn add_product(target: &mut Block, one: &Part, other: &Part, factor: f64) {
+fn add_product(target: &mut Square, one: &Part, other: &Part, factor: f64) {
     for (axis, entries) in target.iter_mut().enumerate() {
         let scale = factor * other[axis];
         for lane in 0..4 {
@@ -341,7 +344,7 @@ fn add_product(target: &mut Block, one: &Part, other: &Part, factor: f64) {
 
 /// `target -= block · scaledᵀ`.
 #[inline(always)]
-fn multiply_subtract(target: &mut Block, block: &Block, scaled: &Block) {
+fn multiply_subtract(target: &mut Square, block: &Square, scaled: &Square) {
     for (axis, entries) in target.iter_mut().enumerate() {
         let [x, y, z, _] = scaled[axis];
         for lane in 0..4 {
@@ -352,7 +355,7 @@ fn multiply_subtract(target: &mut Block, block: &Block, scaled: &Block) {
 
 /// `target -= block · part`.
 #[inline(always)]
-fn subtract(target: &mut Part, block: &Block, part: &Part) {
+fn subtract(target: &mut Part, block: &Square, part: &Part) {
     for lane in 0..4 {
         target[lane] -=
             block[0][lane] * part[0] + block[1][lane] * part[1] + block[2][lane] * part[2];

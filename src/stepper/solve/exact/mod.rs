@@ -15,9 +15,9 @@ mod structure;
 mod tableau;
 
 use super::{Hints, Solution, TARGET};
-use crate::model::lanes::{self, multiversion};
+use crate::model::lanes::{Level, multiversion};
 use crate::stepper::qp::Qp;
-use closure::{Base, Closure};
+use closure::Closure;
 use factor::Factor;
 use order::Dissection;
 use rows::{Part, Row};
@@ -32,8 +32,8 @@ const PENALTY: f64 = 1e8;
 /// stays is no part of the residual.
 const WRONG: f64 = 0.05 * TARGET;
 
-/// A solution this exact is done.
-const DONE: f64 = 0.1 * TARGET;
+/// A solution this exact is done: well within the target, yet mostly reached by one pass.
+const DONE: f64 = 0.25 * TARGET;
 
 /// Passes with one factor. Each gains several digits or the set was wrong.
 const MOST_PASSES: usize = 6;
@@ -46,11 +46,13 @@ const MOST_FACTORS: usize = 12;
 
 /// An order of elimination serves so many steps: those in contact change slowly, and any order
 /// is right.
-const ORDER_LASTS: u32 = 25;
+const ORDER_LASTS: u32 = 50;
 
 /// The solver's memory within a step.
 #[derive(Clone, Debug, Default)]
 pub struct Exact {
+    /// Which version of the kernels runs; it changes no bit.
+    pub level: Level,
     dissection: Dissection,
     /// An order found in this step.
     order: Vec<u32>,
@@ -59,14 +61,6 @@ pub struct Exact {
     factor: Factor,
     closure: Closure,
     small: Small,
-    /// Who was taken to push when `K` was factored.
-    active: Vec<bool>,
-    /// Who is taken to push now.
-    pushing: Vec<bool>,
-    multipliers: Vec<f64>,
-    proposed: Vec<f64>,
-    slacks: Vec<f64>,
-    ahead: Vec<f64>,
     vector: Vec<Part>,
     change: Vec<Part>,
     extra: Vec<Part>,
@@ -108,26 +102,27 @@ impl Exact {
         rows::fill(qp, &mut self.rows);
         let pushed = hints.multipliers.iter().filter(|&&value| value > 0.0);
         if (1..=small::FEW).contains(&pushed.count())
-            && few(lanes::level(), self, qp, hints.multipliers, solution)
+            && few(self.level, self, qp, hints.multipliers, solution)
         {
             return;
         }
         self.prepare(qp, hints);
-        attempt(lanes::level(), self, qp, solution);
+        attempt(self.level, self, qp, solution);
     }
 
     #[inline(always)]
     fn attempt(&mut self, qp: &Qp, solution: &mut Solution) {
         for _ in 0..MOST_FACTORS {
             self.arrange(qp);
-            self.factor.factor(&self.rows, &self.active);
+            self.factor.factor(&self.rows);
             solution.iterations += 1;
             self.closure.clear();
-            self.pushing.clone_from(&self.active);
             if self.converge(qp, solution) {
                 return;
             }
-            self.active.clone_from(&self.pushing);
+            for row in &mut self.rows {
+                row.active = row.pushing;
+            }
         }
     }
 
@@ -139,23 +134,23 @@ impl Exact {
             self.age = 0;
         }
         self.age += 1;
-        self.multipliers.clear();
-        self.multipliers.extend_from_slice(hints.multipliers);
-        self.active.clear();
-        self.active
-            .extend(self.multipliers.iter().map(|&value| value > 0.0));
-        if !self.active.contains(&true) {
-            // Nothing is known: those that free motion would let overlap.
-            self.active.clear();
-            self.active
-                .extend(self.rows.iter().map(|row| row.gap < 0.0));
+        let mut anybody = false;
+        for (row, &multiplier) in self.rows.iter_mut().zip(hints.multipliers) {
+            row.multiplier = multiplier;
+            row.active = multiplier > 0.0;
+            anybody |= row.active;
+        }
+        for row in &mut self.rows {
+            // Where nothing is known, those that free motion would let overlap.
+            row.active |= !anybody && row.gap < 0.0;
+            row.pushing = row.active;
         }
     }
 
     /// Gives everybody a place and every contact a block, by who pushes.
     fn arrange(&mut self, qp: &Qp) {
         let structure = &mut self.factor.structure;
-        structure.update(&self.order, &qp.contacts, &self.active);
+        structure.update(&self.order, &qp.contacts, &self.rows);
         for ((row, contact), &block) in self.rows.iter_mut().zip(&qp.contacts).zip(&structure.block)
         {
             row.place = [contact.i, contact.j].map(|k| structure.place[k as usize]);
@@ -179,32 +174,20 @@ impl Exact {
                 return solution.residual <= TARGET;
             }
             before = open;
-            self.pass();
-            if pass == 0 && self.anybody_wrong() {
-                let base = Base {
-                    rows: &self.rows,
-                    active: &self.active,
-                    before: &self.multipliers,
-                    multipliers: &self.proposed,
-                    slacks: &self.ahead,
-                };
-                let closed = self
-                    .closure
-                    .close(&base, &mut self.factor, &mut self.change);
-                for (k, &value) in self.closure.multipliers.iter().enumerate() {
-                    self.pushing[k] = self.active[k] != self.closure.is_exchanged(k);
-                    let pushes = self.pushing[k] && value > 0.0;
-                    self.multipliers[k] = if pushes { value } else { 0.0 };
-                }
-                if !closed {
+            let wrong = self.pass();
+            if pass == 0 && wrong {
+                let (rows, factor) = (&mut self.rows, &mut self.factor);
+                if !self.closure.close(rows, factor, &mut self.change) {
                     return false;
                 }
                 // Exact up to the rounding of a small tableau, which another pass takes away.
                 before = f64::INFINITY;
             } else {
-                std::mem::swap(&mut self.multipliers, &mut self.proposed);
+                for row in &mut self.rows {
+                    std::mem::swap(&mut row.multiplier, &mut row.proposed);
+                }
             }
-            solution.offer(qp, &self.multipliers);
+            solution.offer(qp, self.rows.iter().map(|row| row.multiplier));
             if solution.residual <= DONE {
                 return true;
             }
@@ -213,10 +196,9 @@ impl Exact {
     }
 
     /// Leaves no multiplier negative.
-    #[inline(always)]
     fn cut_off(&mut self) {
-        for value in &mut self.multipliers {
-            *value = if *value > 0.0 { *value } else { 0.0 };
+        for row in &mut self.rows {
+            row.multiplier = not_negative(row.multiplier);
         }
     }
 
@@ -225,24 +207,24 @@ impl Exact {
     ///
     /// Where contacts nearly depend on each other, passes gain nothing: each shifts the load by
     /// as much as the penalty allows, along a line that ends where somebody lets go.
-    #[inline(always)]
     fn reach_ahead(&mut self, far: f64) {
         let mut share = if far > 0.0 { far } else { f64::INFINITY };
         let mut blocking = None;
-        for (k, (&now, &before)) in self.multipliers.iter().zip(&self.proposed).enumerate() {
-            if self.pushing[k] && now < before && now < share * (before - now) {
+        for (k, row) in self.rows.iter().enumerate() {
+            let (now, before) = (row.multiplier, row.proposed);
+            if row.pushing && now < before && now < share * (before - now) {
                 share = now / (before - now);
                 blocking = Some(k);
             }
         }
         if share < f64::INFINITY {
-            for (now, before) in self.multipliers.iter_mut().zip(&self.proposed) {
-                *now += share * (*now - before);
+            for row in &mut self.rows {
+                row.multiplier += share * (row.multiplier - row.proposed);
             }
         }
         if let Some(k) = blocking {
-            self.pushing[k] = false;
-            self.multipliers[k] = 0.0;
+            self.rows[k].pushing = false;
+            self.rows[k].multiplier = 0.0;
         }
         self.cut_off();
     }
@@ -250,67 +232,62 @@ impl Exact {
     /// Computes `w` from the multipliers, and all gaps; returns the largest gap left open.
     #[inline(always)]
     fn displace(&mut self) -> f64 {
-        self.vector.clear();
-        self.vector
-            .resize(self.factor.structure.place.len(), [0.0; 4]);
-        for (row, &multiplier) in self.rows.iter().zip(&self.multipliers) {
-            if multiplier != 0.0 {
-                row.add(multiplier, &mut self.vector);
+        clear(&mut self.vector, self.factor.structure.place.len());
+        for row in &self.rows {
+            if row.multiplier != 0.0 {
+                row.add(row.multiplier, &mut self.vector);
             }
         }
-        self.slacks.clear();
         let mut open = 0.0;
-        for (row, &pushing) in self.rows.iter().zip(&self.pushing) {
-            let slack = row.slack(&self.vector);
-            self.slacks.push(slack);
-            if pushing {
-                open = f64::max(open, slack.abs());
+        for row in &mut self.rows {
+            row.slack = row.slack_at(&self.vector);
+            let size = row.slack.abs();
+            if row.pushing && size > open {
+                open = size;
             }
         }
         open
     }
 
     /// One pass: `K δ = -Σ σ_k s_k b_k`, then `λ_k -= σ_k (s_k + b_k·δ)`, over those that push.
+    /// Tells whether anybody would pull or overlap.
     #[inline(always)]
-    fn pass(&mut self) {
-        self.change.clear();
-        self.change
-            .resize(self.factor.structure.place.len(), [0.0; 4]);
-        for (k, row) in self.rows.iter().enumerate() {
-            if self.active[k] && self.pushing[k] {
-                row.add(-row.penalty * self.slacks[k], &mut self.change);
+    fn pass(&mut self) -> bool {
+        clear(&mut self.change, self.factor.structure.place.len());
+        for row in &mut self.rows {
+            if row.active && row.pushing {
+                row.add(-row.penalty * row.slack, &mut self.change);
             }
+            row.proposed = row.multiplier;
         }
         self.factor.solve(&mut self.change);
-        self.proposed.clone_from(&self.multipliers);
         self.closure.correct(
-            &self.active,
-            &self.rows,
-            &self.slacks,
+            &mut self.rows,
             &self.factor,
             &mut self.change,
             &mut self.extra,
-            &mut self.proposed,
         );
-        self.ahead.clear();
-        for (k, row) in self.rows.iter().enumerate() {
-            let ahead = self.slacks[k] + row.along(&self.change);
-            self.ahead.push(ahead);
-            if self.active[k] && self.pushing[k] {
-                self.proposed[k] -= row.penalty * ahead;
+        let mut wrong = false;
+        for row in &mut self.rows {
+            row.ahead = row.slack + row.along(&self.change);
+            if row.active && row.pushing {
+                row.proposed -= row.penalty * row.ahead;
             }
+            row.followed = if row.active { row.proposed } else { row.ahead };
+            wrong |= row.followed < -WRONG;
         }
+        wrong
     }
+}
 
-    /// Whether the last pass would have anybody pull or overlap.
-    #[inline(always)]
-    fn anybody_wrong(&self) -> bool {
-        (0..self.rows.len()).any(|k| {
-            if self.active[k] {
-                self.proposed[k] < -WRONG
-            } else {
-                self.ahead[k] < -WRONG
-            }
-        })
-    }
+/// A vector of zeros.
+#[inline(always)]
+fn clear(vector: &mut Vec<Part>, length: usize) {
+    vector.clear();
+    vector.resize(length, [0.0; 4]);
+}
+
+#[inline(always)]
+fn not_negative(value: f64) -> f64 {
+    if value > 0.0 { value } else { 0.0 }
 }

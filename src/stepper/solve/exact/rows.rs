@@ -9,7 +9,9 @@ use crate::stepper::qp::Qp;
 /// An individual's share of a vector: x, y, angle, and a zero that fills four lanes.
 pub type Part = [f64; 4];
 
-/// One constraint.
+/// One constraint, and where its solution stands.
+///
+/// All of it side by side: the sweeps over all rows are most of what a small group costs.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
     /// The places of the two individuals in vectors.
@@ -22,7 +24,26 @@ pub struct Row {
     pub penalty: f64,
     /// Which block of the factor joins the two.
     pub block: u32,
+    /// Its rank among the doubtful; [`NONE`] outside of them.
+    pub rank: u32,
+    /// Whether it was taken to push when `K` was factored.
+    pub active: bool,
+    /// Whether it is taken to push now.
+    pub pushing: bool,
+    /// λ.
+    pub multiplier: f64,
+    /// λ as the pass at hand would have it.
+    pub proposed: f64,
+    /// The gap left by the multipliers.
+    pub slack: f64,
+    /// The gap as the pass at hand would leave it.
+    pub ahead: f64,
+    /// Of an active row λ, of another the gap, as the doubtful would have it.
+    pub followed: f64,
 }
+
+/// No rank.
+pub const NONE: u32 = u32::MAX;
 
 impl Row {
     /// Returns `b_k·w`.
@@ -38,7 +59,7 @@ impl Row {
 
     /// Returns the gap left at `w`.
     #[inline(always)]
-    pub fn slack(&self, vector: &[Part]) -> f64 {
+    pub fn slack_at(&self, vector: &[Part]) -> f64 {
         self.gap + self.along(vector)
     }
 
@@ -68,6 +89,14 @@ pub fn fill(qp: &Qp, rows: &mut Vec<Row>) {
             gap: contact.linearised_gap(&qp.free),
             penalty: PENALTY / squares,
             block: 0,
+            rank: NONE,
+            active: false,
+            pushing: false,
+            multiplier: 0.0,
+            proposed: 0.0,
+            slack: 0.0,
+            ahead: 0.0,
+            followed: 0.0,
         }
     }));
 }

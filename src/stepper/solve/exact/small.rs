@@ -63,7 +63,8 @@ impl Small {
             }
         }
         for _ in 0..MOST_ROUNDS {
-            if self.members.len() > FEW {
+            // Once nobody is left to push there is nothing to factor; the large way starts over.
+            if !(1..=FEW).contains(&self.members.len()) {
                 return false;
             }
             solution.iterations += 1;
@@ -75,7 +76,7 @@ impl Small {
                 if self.exchange(rows) {
                     break;
                 }
-                solution.offer(qp, &self.multipliers);
+                solution.offer(qp, self.multipliers.iter().copied());
                 if solution.residual <= DONE {
                     return true;
                 }
@@ -208,7 +209,7 @@ impl Small {
         }
         self.slacks.clear();
         for row in rows {
-            self.slacks.push(row.slack(&self.vector));
+            self.slacks.push(row.slack_at(&self.vector));
         }
     }
 

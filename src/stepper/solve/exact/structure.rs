@@ -1,5 +1,6 @@
 //! Where the factor of `K` has entries: elimination on the contact graph, without numbers.
 
+use super::rows::Row;
 use crate::stepper::contact::Contact;
 
 /// No column.
@@ -52,15 +53,15 @@ struct Scratch {
 impl Structure {
     /// Builds the structure anew if the order or the pairs that push have changed.
     ///
-    /// - Shapes: an order of all n individuals; m contacts ordered by (i, j), and whether each
-    ///   pushes.
-    pub fn update(&mut self, order: &[u32], contacts: &[Contact], pushing: &[bool]) {
+    /// - Shapes: an order of all n individuals; m contacts ordered by (i, j), and their rows, the
+    ///   active of which push.
+    pub fn update(&mut self, order: &[u32], contacts: &[Contact], rows: &[Row]) {
         let pairs = &mut self.scratch.pairs;
         pairs.clear();
         let mut last = [NONE, NONE];
-        for (contact, &pushes) in contacts.iter().zip(pushing) {
+        for (contact, row) in contacts.iter().zip(rows) {
             let pair = [contact.i, contact.j];
-            if pushes && pair != last {
+            if row.active && pair != last {
                 pairs.push(pair);
                 last = pair;
             }
