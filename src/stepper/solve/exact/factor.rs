@@ -245,6 +245,10 @@ impl Factor {
 }
 
 /// Replaces the matrix by its factor.
+#[expect(
+    clippy::needless_range_loop,
+    reason = "lanes of several arrays side by side"
+)]
 #[inline(always)]
 fn eliminate(factor: &mut Factor) {
     let Factor {

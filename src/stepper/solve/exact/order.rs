@@ -244,8 +244,8 @@ impl Dissection {
         }
         self.bits.clear();
         self.bits.resize(n, [0; WORDS]);
-        for k in 0..n {
-            let at = set[k] as usize;
+        for (k, &individual) in set.iter().enumerate() {
+            let at = individual as usize;
             for index in self.start[at]..self.start[at + 1] {
                 let other = self.neighbours[index as usize];
                 if self.rank[other as usize] == NONE {

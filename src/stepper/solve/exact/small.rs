@@ -91,6 +91,7 @@ impl Small {
     }
 
     /// Fills the lower half of `A W⁻¹ Aᵀ`: members push each other where they share an individual.
+    #[expect(clippy::needless_range_loop, reason = "sides of several arrays")]
     #[inline(always)]
     fn assemble(&mut self, rows: &[Row], n: usize) {
         let blocks = self.blocks();
