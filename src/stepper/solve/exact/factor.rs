@@ -365,3 +365,111 @@ fn subtract(target: &mut Part, block: &Square, part: &Part) {
             block[0][lane] * part[0] + block[1][lane] * part[1] + block[2][lane] * part[2];
     }
 }
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use nalgebra::{DMatrix, DVector};
+
+    use super::super::rows::{self, NONE};
+    use super::*;
+    use crate::model::random::{Purpose, Stream};
+    use crate::stepper::contact::Contact;
+    use crate::stepper::qp::Qp;
+
+    /// Two rings that share an individual, a pair apart, and one that is listed but not active.
+    fn rows(factor: &mut Factor) -> Vec<Row> {
+        let mut stream = Stream::new(5, 0, 0, Purpose::Start);
+        let mut pairs = [
+            (0, 3),
+            (3, 7),
+            (5, 7),
+            (0, 5),
+            (1, 7),
+            (1, 2),
+            (2, 7),
+            (2, 7),
+            (4, 6),
+            (4, 7),
+        ];
+        pairs.sort_unstable();
+        let contact = |(i, j): (u32, u32)| {
+            let angle = 7.0 * stream.uniform();
+            Contact {
+                i,
+                j,
+                code: 0,
+                gap: 0.0,
+                normal: [libm::cos(angle), libm::sin(angle)],
+                lever: [stream.uniform() - 0.5, stream.uniform() - 0.5],
+            }
+        };
+        let qp = Qp {
+            weights: [1.0, 1.0, 0.1],
+            free: vec![[0.0; 3]; 9],
+            contacts: pairs.into_iter().map(contact).collect(),
+        };
+        let mut rows = Vec::new();
+        rows::fill(&qp, &mut rows);
+        for (row, pair) in rows.iter_mut().zip(pairs) {
+            row.active = pair != (4, 7);
+            row.penalty = 50.0;
+        }
+        let order = [8, 0, 3, 5, 7, 6, 1, 2, 4];
+        factor.structure.update(&order, &qp.contacts, &rows);
+        let structure = &factor.structure;
+        for ((row, contact), &block) in rows.iter_mut().zip(&qp.contacts).zip(&structure.block) {
+            row.place = [contact.i, contact.j].map(|k| structure.place[k as usize]);
+            row.block = block;
+        }
+        factor.factor(&rows);
+        rows
+    }
+
+    fn dense(row: &Row) -> DVector<f64> {
+        let mut vector = DVector::zeros(27);
+        for (place, part) in row.place.iter().zip(row.parts) {
+            for axis in 0..3 {
+                vector[3 * *place as usize + axis] += part[axis];
+            }
+        }
+        vector
+    }
+
+    #[test]
+    fn the_factor_solves_what_a_dense_one_solves() {
+        let mut factor = Factor::default();
+        let rows = rows(&mut factor);
+        assert_eq!(factor.structure.columns, 8, "nobody touches the last");
+        let mut matrix = DMatrix::<f64>::identity(27, 27);
+        for row in rows.iter().filter(|row| row.active) {
+            matrix += row.penalty * dense(row) * dense(row).transpose();
+        }
+        let inverse = matrix.clone().cholesky().unwrap().inverse();
+        let right: Vec<f64> = (0..27).map(|k| libm::sin(f64::from(k))).collect();
+        let expected = &inverse * DVector::from_vec(right.clone());
+        let mut vector: Vec<Part> = right
+            .chunks(3)
+            .map(|part| [part[0], part[1], part[2], 0.0])
+            .collect();
+        factor.solve(&mut vector);
+        for (k, expected) in expected.iter().enumerate() {
+            assert!((vector[k / 3][k % 3] - expected).abs() < 1e-12, "{k}");
+        }
+        // Paths climbed give the same products, also of the contact that is not active and joins
+        // two trees.
+        let mut forked = 0;
+        for one in &rows {
+            for other in &rows {
+                let (mut up, mut down) = (Path::default(), vec![[0.0; 4]; 9]);
+                forked += usize::from(!factor.climb(other, &mut up));
+                up.descend(0..up.nodes.len(), 1.0, &mut down);
+                factor.back(&mut down);
+                let expected = (dense(one).transpose() * &inverse * dense(other))[0];
+                assert!((one.along(&down) - expected).abs() < 1e-12);
+            }
+        }
+        assert!(forked > 0, "no path has two ways up");
+        assert_eq!(rows.iter().filter(|row| row.block == NONE).count(), 1);
+    }
+}

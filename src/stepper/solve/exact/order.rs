@@ -303,3 +303,82 @@ fn remove(bits: &mut Bits, k: usize) {
 fn count(bits: &Bits) -> u32 {
     bits.iter().map(|word| word.count_ones()).sum()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A square grid of `side` × `side` individuals, each in contact with those beside it.
+    fn grid(side: u32) -> (Vec<Contact>, Vec<f64>, Vec<f64>) {
+        let contact = |i, j| Contact {
+            i,
+            j,
+            code: 0,
+            gap: 0.0,
+            normal: [1.0, 0.0],
+            lever: [0.0; 2],
+        };
+        let mut contacts = Vec::new();
+        let (mut x, mut y) = (Vec::new(), Vec::new());
+        for k in 0..side * side {
+            let (column, row) = (k % side, k / side);
+            x.push(f64::from(column));
+            y.push(f64::from(row));
+            if column + 1 < side {
+                contacts.push(contact(k, k + 1));
+                // A pair with two contacts is one neighbour.
+                contacts.push(contact(k, k + 1));
+            }
+            if row + 1 < side {
+                contacts.push(contact(k, k + side));
+            }
+        }
+        (contacts, x, y)
+    }
+
+    /// How many entries elimination in `order` fills.
+    fn entries(contacts: &[Contact], order: &[u32]) -> usize {
+        let mut place = vec![0; order.len()];
+        (0..)
+            .zip(order)
+            .for_each(|(k, &who)| place[who as usize] = k);
+        let mut rows = vec![std::collections::BTreeSet::new(); order.len()];
+        for contact in contacts {
+            let [a, b]: [usize; 2] = [contact.i, contact.j].map(|who| place[who as usize]);
+            rows[a.min(b)].insert(a.max(b));
+        }
+        for column in 0..rows.len() {
+            let own = rows[column].clone();
+            if let Some(&parent) = own.first() {
+                rows[parent].extend(own.into_iter().skip(1));
+            }
+        }
+        rows.iter().map(std::collections::BTreeSet::len).sum()
+    }
+
+    #[test]
+    fn everybody_is_eliminated_once() {
+        for side in [1, 3, 14, 40] {
+            let (contacts, x, y) = grid(side);
+            let (mut dissection, mut order) = (Dissection::default(), Vec::new());
+            dissection.order(&contacts, &x, &y, &mut order);
+            let again = order.clone();
+            dissection.order(&contacts, &x, &y, &mut order);
+            assert_eq!(order, again, "the same group has the same order");
+            order.sort_unstable();
+            assert!(order.into_iter().eq(0..side * side));
+        }
+    }
+
+    #[test]
+    fn an_order_fills_far_less_than_the_one_by_name() {
+        for (side, share) in [(10, 0.65), (40, 0.35)] {
+            let (contacts, x, y) = grid(side);
+            let mut order = Vec::new();
+            Dissection::default().order(&contacts, &x, &y, &mut order);
+            let by_name: Vec<u32> = (0..side * side).collect();
+            let filled = entries(&contacts, &order) as f64 / entries(&contacts, &by_name) as f64;
+            assert!(filled < share, "{side}: {filled}");
+        }
+    }
+}

@@ -142,3 +142,81 @@ fn subtract_scaled(target: &mut [f64], factor: f64, other: &[f64]) {
         *entry -= factor * other;
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::random::{Purpose, Stream};
+
+    /// `T = S + Sᵀ·S` with S skew plus a little of the unit matrix: not symmetric, every principal
+    /// minor positive, as those that members pose.
+    fn problem(size: usize, seed: u64) -> (Vec<Vec<f64>>, Vec<f64>) {
+        let mut stream = Stream::new(seed, 0, 0, Purpose::Start);
+        let mut draw = || stream.uniform() - 0.5;
+        let factor: Vec<Vec<f64>> = (0..size)
+            .map(|_| (0..size).map(|_| draw()).collect())
+            .collect();
+        let mut matrix = vec![vec![0.0; size]; size];
+        for a in 0..size {
+            for b in 0..size {
+                let products = factor.iter().map(|row| row[a] * row[b]);
+                matrix[a][b] = products.sum::<f64>() + factor[a][b] - factor[b][a];
+            }
+            matrix[a][a] += 1e-6;
+        }
+        let start = (0..size).map(|_| draw()).collect();
+        (matrix, start)
+    }
+
+    #[test]
+    fn what_is_found_is_complementary() {
+        let mut tableau = Tableau::default();
+        let (mut raised, mut sizes) = (0, 0);
+        for seed in 0..200 {
+            let size = 1 + usize::try_from(seed).unwrap_or(0) % 40;
+            let (matrix, start) = problem(size, seed);
+            tableau.begin(size);
+            for (a, row) in matrix.iter().enumerate() {
+                tableau.row_mut(a).copy_from_slice(row);
+            }
+            tableau.value.extend_from_slice(&start);
+            assert!(tableau.solve(1e-12, &mut 0), "seed {seed}");
+            let z: Vec<f64> = (0..size)
+                .map(|k| {
+                    if tableau.exchanged[k] {
+                        tableau.value[k]
+                    } else {
+                        0.0
+                    }
+                })
+                .collect();
+            for (a, row) in matrix.iter().enumerate() {
+                let w = start[a] + row.iter().zip(&z).map(|(t, z)| t * z).sum::<f64>();
+                let expected = if tableau.exchanged[a] {
+                    0.0
+                } else {
+                    tableau.value[a]
+                };
+                assert!((w - expected).abs() < 1e-7, "seed {seed}: {w} {expected}");
+                assert!(z[a] >= -1e-9 && w >= -1e-7, "seed {seed}");
+            }
+            raised += tableau.exchanged.iter().filter(|&&one| one).count();
+            sizes += size;
+        }
+        assert!(10 * raised > sizes, "{raised} of {sizes} are raised");
+    }
+
+    #[test]
+    fn nothing_is_exchanged_where_nothing_is_negative() {
+        let (matrix, _) = problem(5, 3);
+        let mut tableau = Tableau::default();
+        tableau.begin(5);
+        for (a, row) in matrix.iter().enumerate() {
+            tableau.row_mut(a).copy_from_slice(row);
+        }
+        tableau.value.extend([0.0, 1.0, 0.5, -1e-13, 2.0]);
+        let mut pivots = 0;
+        assert!(tableau.solve(1e-12, &mut pivots));
+        assert_eq!((pivots, &tableau.exchanged[..]), (0, &[false; 5][..]));
+    }
+}
