@@ -23,9 +23,9 @@ const MOST_TICKETS: usize = 1024;
 const SWARM_NICENESS: i32 = 5;
 
 /// Memory per individual: its columns, contacts and share of the factor, with the copies that
-/// frames and replies hold. Groups of 200 and more take 1 to 3 kB an individual. What Clarabel
-/// takes in the rare step that is given to it comes on top.
-const BYTES_PER_INDIVIDUAL: u64 = 4096;
+/// frames and replies hold. Packed groups of 200 to 2000 take 3 to 6 kB an individual. What
+/// Clarabel takes in the rare step that is given to it comes on top.
+const BYTES_PER_INDIVIDUAL: u64 = 8192;
 
 /// Memory per swarm whatever its size: its thread's stack in use, queues and buffers, its history
 /// and the commands that wait for their step. A swarm of 20 that nobody commands takes a third.

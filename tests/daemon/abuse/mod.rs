@@ -290,12 +290,12 @@ async fn memory_is_admitted_before_it_is_taken() {
     client.ok("e", "delete", json!({})).await;
     // What was taken out may be taken by others, and is then not there for a reset.
     client.ok("c", "delete", json!({})).await;
-    create("c", 550).await.unwrap();
+    create("c", 300).await.unwrap();
     client
-        .ok("c", "remove", json!({"select": {"count": 549}}))
+        .ok("c", "remove", json!({"select": {"count": 299}}))
         .await;
     client.ok("b", "delete", json!({})).await;
-    create("b", 550).await.unwrap();
+    create("b", 300).await.unwrap();
     let answer = client.cmd("c", "reset", json!({})).await;
     check("reset", answer, ResourceExhausted, "max_memory_mb");
     client.ok("b", "delete", json!({})).await;
