@@ -10,13 +10,12 @@ use serde_json::{Value, json};
 use crate::apart::Process;
 use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, alone, until};
 
-/// As many as a small machine is to keep at their rate, and its cores.
-const SWARMS: usize = 1000;
+/// How many are to keep their rate, beside whatever else a small machine does, and its cores.
+const SWARMS: usize = 100;
 const CORES: f64 = 2.0;
 
-/// At rate 1 that is 50,000 steps a second.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_thousand_swarms_of_twenty_keep_their_rate() {
+async fn a_hundred_swarms_of_twenty_keep_their_rate() {
     let _alone = alone().await;
     let (daemon, endpoint) = Process::serve();
     let client = Client::open(&endpoint).await;
@@ -49,7 +48,7 @@ async fn a_thousand_swarms_of_twenty_keep_their_rate() {
     assert!(slowest > 0.95, "{slowest}");
 
     let began = Instant::now();
-    client.get("s500", "status").await;
+    client.get("s50", "status").await;
     assert!(
         began.elapsed() < Duration::from_millis(500),
         "{:?}",
