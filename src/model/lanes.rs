@@ -1,7 +1,7 @@
 //! The same kernel compiled for several vector widths, picked by what the processor offers.
 //!
 //! A kernel is written once, in plain loops over arrays of [`WIDTH`] lanes, and wrapped in
-//! [`multiversion!`]. Every version does the same operations on the same numbers in the same
+//! `multiversion!`. Every version does the same operations on the same numbers in the same
 //! order: the compiler neither reorders sums nor fuses products with them, and `sqrt` and `/`
 //! are exact everywhere. So all versions give the same bytes; they differ in time alone.
 
