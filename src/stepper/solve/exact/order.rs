@@ -372,7 +372,7 @@ mod tests {
 
     #[test]
     fn an_order_fills_far_less_than_the_one_by_name() {
-        for (side, share) in [(10, 0.65), (40, 0.35)] {
+        for (side, share) in [(10, 0.7), (40, 0.4)] {
             let (contacts, x, y) = grid(side);
             let mut order = Vec::new();
             Dissection::default().order(&contacts, &x, &y, &mut order);
