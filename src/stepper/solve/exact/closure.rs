@@ -12,8 +12,10 @@ use super::rows::{NONE, Part, Row};
 use super::tableau::Tableau;
 use super::{WRONG, clear, not_negative};
 
-/// How many contacts join a round at most.
+/// How many contacts join a round at most, and one more for every so many rows: a round costs a
+/// sweep over all of them.
 const JOIN: usize = 16;
+const ROWS_TO_JOIN: usize = 1024;
 
 /// How many contacts may be in doubt: beyond, another factorisation is cheaper.
 const MOST_MEMBERS: usize = 384;
@@ -66,10 +68,11 @@ impl Closure {
             )]
             self.wrong.push((depth, k as u32));
         }
-        if self.wrong.len() > JOIN {
+        let join = JOIN + rows.len() / ROWS_TO_JOIN;
+        if self.wrong.len() > join {
             let by_value = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
-            self.wrong.select_nth_unstable_by(JOIN - 1, by_value);
-            self.wrong.truncate(JOIN);
+            self.wrong.select_nth_unstable_by(join - 1, by_value);
+            self.wrong.truncate(join);
             self.wrong.sort_unstable_by_key(|(_, name)| *name);
         }
     }
