@@ -80,7 +80,7 @@ impl Closure {
     /// Finds multipliers with nobody on the wrong side of the pass's problem, and who then pushes.
     /// Tells whether it came to an end; the multipliers are of use all the same.
     #[inline(always)]
-    pub fn close(&mut self, rows: &mut [Row], factor: &mut Factor, change: &mut Vec<Part>) -> bool {
+    pub fn close(&mut self, rows: &mut [Row], factor: &Factor, change: &mut Vec<Part>) -> bool {
         self.path_start.clear();
         self.path_start.push(0);
         let mut pivots = 0;
@@ -92,7 +92,8 @@ impl Closure {
             if self.members.len() + self.wrong.len() > MOST_MEMBERS {
                 break false;
             }
-            self.join(rows, factor);
+            clear(change, factor.structure.place.len());
+            self.join(rows, factor, change);
             self.pose(rows);
             if !self.tableau.solve(0.1 * WRONG, &mut pivots) {
                 break false;
@@ -103,7 +104,6 @@ impl Closure {
                 (0..self.members.len() as u32).filter(|&a| self.tableau.exchanged[a as usize]),
             );
             // Everybody outside follows.
-            clear(change, factor.structure.place.len());
             for &a in &self.exchanged {
                 let a = a as usize;
                 let push = self.tableau.value[a] * cause(&rows[self.members[a] as usize]);
@@ -137,16 +137,17 @@ impl Closure {
         closed
     }
 
-    /// Takes those found wrong for members, with their paths and products.
+    /// Takes those found wrong for members, with their paths and products. `zeros` are zero
+    /// before and after.
     #[inline(always)]
-    fn join(&mut self, rows: &mut [Row], factor: &mut Factor) {
+    fn join(&mut self, rows: &mut [Row], factor: &Factor, zeros: &mut [Part]) {
         let old = self.members.len();
         for &(_, name) in &self.wrong {
             #[expect(clippy::cast_possible_truncation, reason = "members are few")]
             let rank = self.members.len() as u32;
             rows[name as usize].rank = rank;
             self.members.push(name);
-            let straight = factor.climb(&rows[name as usize], &mut self.path);
+            let straight = factor.climb(&rows[name as usize], &mut self.path, zeros);
             self.straight.push(straight);
             self.path_start.push(self.path.nodes.len());
         }

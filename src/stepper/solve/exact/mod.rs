@@ -70,7 +70,7 @@ pub struct Exact {
     factor: Factor,
     closure: Closure,
     small: Small,
-    vector: Vec<Part>,
+    /// `w`, then the change of a pass, then that of the closure.
     change: Vec<Part>,
     extra: Vec<Part>,
 }
@@ -192,7 +192,7 @@ impl Exact {
                     self.exchange_wrong();
                     return false;
                 }
-                let (rows, factor) = (&mut self.rows, &mut self.factor);
+                let (rows, factor) = (&mut self.rows, &self.factor);
                 if !self.closure.close(rows, factor, &mut self.change) {
                     return false;
                 }
@@ -260,15 +260,15 @@ impl Exact {
     /// Computes `w` from the multipliers, and all gaps; returns the largest gap left open.
     #[inline(always)]
     fn displace(&mut self) -> f64 {
-        clear(&mut self.vector, self.factor.structure.place.len());
+        clear(&mut self.change, self.factor.structure.place.len());
         for row in &self.rows {
             if row.multiplier != 0.0 {
-                row.add(row.multiplier, &mut self.vector);
+                row.add(row.multiplier, &mut self.change);
             }
         }
         let mut open = 0.0;
         for row in &mut self.rows {
-            row.slack = row.slack_at(&self.vector);
+            row.slack = row.slack_at(&self.change);
             let size = row.slack.abs();
             if row.pushing && size > open {
                 open = size;
