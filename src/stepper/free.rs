@@ -12,7 +12,7 @@ pub struct Free {
     pub level: Level,
     /// Unit vectors along the bodies.
     pub heading: Vec<[f64; 2]>,
-    /// Displacement in x, y and angle.
+    /// Displacement in x, y and angle, where [`Free::compute`] was asked for it.
     pub displacement: Vec<[f64; 3]>,
     social: Social,
     pull: Vec<[f64; 2]>,
@@ -30,7 +30,9 @@ impl Free {
         self.social
             .compute(parameters.attraction, configuration, &mut pull);
         self.head(configuration);
-        self.steer(parameters, configuration, &pull);
+        let mut displacement = std::mem::take(&mut self.displacement);
+        self.steer(parameters, configuration, &pull, &mut displacement);
+        self.displacement = displacement;
         self.pull = pull;
     }
 
@@ -39,25 +41,26 @@ impl Free {
         unit_vectors(self.level, &configuration.alpha, &mut self.heading);
     }
 
-    /// Computes free displacements from the headings and from `pull`, which
+    /// Computes free displacements into `displacement`, from the headings and from `pull`, which
     /// [`Social::compute`] gives.
     pub fn steer(
         &mut self,
         parameters: &Parameters,
         configuration: &Configuration,
         pull: &[[f64; 2]],
+        displacement: &mut Vec<[f64; 3]>,
     ) {
         let Parameters { pi3, dt, .. } = *parameters;
         let moved = |[cos, sin]: [f64; 2], wanted: [f64; 2]| {
             let turning = pi3 * (cos * wanted[1] - sin * wanted[0]);
             [dt * cos, dt * sin, dt * turning]
         };
-        self.displacement.clear();
+        displacement.clear();
         let social = self.heading.iter().zip(pull);
         let weight = &configuration.weight;
         if weight.iter().all(|&weight| weight == 0.0) {
             let free = social.map(|(&heading, &pull)| moved(heading, pull));
-            self.displacement.extend(free);
+            displacement.extend(free);
             return;
         }
         unit_vectors(self.level, &configuration.direction, &mut self.own);
@@ -68,7 +71,7 @@ impl Free {
                 let wanted = [pull[0] + weight * own[0], pull[1] + weight * own[1]];
                 moved(heading, if *weight > 0.0 { wanted } else { *pull })
             });
-        self.displacement.extend(free);
+        displacement.extend(free);
     }
 }
 

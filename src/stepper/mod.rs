@@ -190,8 +190,8 @@ impl Stepper {
         let poses = x.iter().zip(y).zip(alpha);
         all_finite(configuration, poses.map(|((x, y), alpha)| x + y + alpha))?;
         self.free.head(configuration);
-        self.free.steer(parameters, configuration, pull);
-        std::mem::swap(&mut self.qp.free, &mut self.free.displacement);
+        self.free
+            .steer(parameters, configuration, pull, &mut self.qp.free);
         self.qp.weights = [1.0, 1.0, parameters.rho2()];
         self.qp.contacts.clear();
         let (qp, free) = (&mut self.qp, &self.free);

@@ -24,8 +24,6 @@ const ROUNDING: f64 = 1e-6;
 pub struct Neighbours {
     /// Its level is the level of all.
     pub search: PairSearch,
-    /// Pairs near enough by their centres.
-    near: Vec<(u32, u32)>,
     pairs: Vec<(u32, u32)>,
     /// The bodies that were listed, up to which gap, and where they were.
     body: Option<Body>,
@@ -73,22 +71,29 @@ impl Neighbours {
         self.limit = reach + reach.max(SLACK);
         let axes = self.limit + 2.0 * body.radius;
         let centres = body.centre_distance(self.limit);
-        self.near.clear();
-        let near = &mut self.near;
-        self.search.visit(x, y, centres, |i, j| near.push((i, j)));
         self.pairs.clear();
         let all = Axes::new(configuration, heading);
-        let mut lanes = Pairs::default();
-        for near in self.near.chunks(ends::LANES) {
+        let (level, mut lanes) = (self.search.level, Pairs::default());
+        let pairs = &mut self.pairs;
+        let mut keep = |near: &[(u32, u32)]| {
             for (lane, &(i, j)) in near.iter().enumerate() {
                 lanes.set(lane, &all.at(i), &all.at(j), axes);
             }
-            let signs = near
-                .iter()
-                .zip(lanes.signs(self.search.level, body.half_length));
+            let signs = near.iter().zip(lanes.signs(level, body.half_length));
             let listed = signs.filter(|&(_, signs)| ends::within(signs));
-            self.pairs.extend(listed.map(|(&pair, _)| pair));
-        }
+            pairs.extend(listed.map(|(&pair, _)| pair));
+        };
+        // Pairs near enough by their centres are looked at as soon as lanes are full.
+        let (mut near, mut count) = ([(0, 0); ends::LANES], 0);
+        self.search.visit(x, y, centres, |i, j| {
+            near[count] = (i, j);
+            count += 1;
+            if count == ends::LANES {
+                keep(&near);
+                count = 0;
+            }
+        });
+        keep(&near[..count]);
         order(&mut self.pairs);
         self.x.clone_from(x);
         self.y.clone_from(y);

@@ -12,8 +12,10 @@ use super::rows::{NONE, Part, Row};
 use super::tableau::Tableau;
 use super::{WRONG, clear, not_negative};
 
-/// How many contacts join a round at most.
+/// How many contacts join a round at most, and one more for every so many rows: a round costs a
+/// sweep over all of them.
 const JOIN: usize = 16;
+const ROWS_TO_JOIN: usize = 1024;
 
 /// How many contacts may be in doubt: beyond, another factorisation is cheaper.
 const MOST_MEMBERS: usize = 384;
@@ -66,10 +68,11 @@ impl Closure {
             )]
             self.wrong.push((depth, k as u32));
         }
-        if self.wrong.len() > JOIN {
+        let join = JOIN + rows.len() / ROWS_TO_JOIN;
+        if self.wrong.len() > join {
             let by_value = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
-            self.wrong.select_nth_unstable_by(JOIN - 1, by_value);
-            self.wrong.truncate(JOIN);
+            self.wrong.select_nth_unstable_by(join - 1, by_value);
+            self.wrong.truncate(join);
             self.wrong.sort_unstable_by_key(|(_, name)| *name);
         }
     }
@@ -77,7 +80,7 @@ impl Closure {
     /// Finds multipliers with nobody on the wrong side of the pass's problem, and who then pushes.
     /// Tells whether it came to an end; the multipliers are of use all the same.
     #[inline(always)]
-    pub fn close(&mut self, rows: &mut [Row], factor: &mut Factor, change: &mut Vec<Part>) -> bool {
+    pub fn close(&mut self, rows: &mut [Row], factor: &Factor, change: &mut Vec<Part>) -> bool {
         self.path_start.clear();
         self.path_start.push(0);
         let mut pivots = 0;
@@ -89,7 +92,8 @@ impl Closure {
             if self.members.len() + self.wrong.len() > MOST_MEMBERS {
                 break false;
             }
-            self.join(rows, factor);
+            clear(change, factor.structure.place.len());
+            self.join(rows, factor, change);
             self.pose(rows);
             if !self.tableau.solve(0.1 * WRONG, &mut pivots) {
                 break false;
@@ -100,7 +104,6 @@ impl Closure {
                 (0..self.members.len() as u32).filter(|&a| self.tableau.exchanged[a as usize]),
             );
             // Everybody outside follows.
-            clear(change, factor.structure.place.len());
             for &a in &self.exchanged {
                 let a = a as usize;
                 let push = self.tableau.value[a] * cause(&rows[self.members[a] as usize]);
@@ -134,16 +137,17 @@ impl Closure {
         closed
     }
 
-    /// Takes those found wrong for members, with their paths and products.
+    /// Takes those found wrong for members, with their paths and products. `zeros` are zero
+    /// before and after.
     #[inline(always)]
-    fn join(&mut self, rows: &mut [Row], factor: &mut Factor) {
+    fn join(&mut self, rows: &mut [Row], factor: &Factor, zeros: &mut [Part]) {
         let old = self.members.len();
         for &(_, name) in &self.wrong {
             #[expect(clippy::cast_possible_truncation, reason = "members are few")]
             let rank = self.members.len() as u32;
             rows[name as usize].rank = rank;
             self.members.push(name);
-            let straight = factor.climb(&rows[name as usize], &mut self.path);
+            let straight = factor.climb(&rows[name as usize], &mut self.path, zeros);
             self.straight.push(straight);
             self.path_start.push(self.path.nodes.len());
         }

@@ -28,29 +28,40 @@ struct Block {
     row: u32,
 }
 
-/// A diagonal block's share of the factor.
-#[derive(Clone, Copy, Debug, Default)]
+/// A diagonal block, and then its share of the factor in its place: entries (1, 0), (2, 0),
+/// (2, 1) of `L`; `D`; its inverse.
+#[derive(Clone, Copy, Debug)]
 struct Corner {
     /// The blocks below it.
     begin: u32,
     end: u32,
-    /// Entries (1, 0), (2, 0), (2, 1) of `L`.
-    lower: [f64; 3],
-    /// `D`.
-    pivot: Part,
-    /// Its inverse.
-    inverse: Part,
+    entries: Square,
 }
 
 impl Corner {
-    /// Of an individual that nobody pushes.
+    /// Of the unit matrix.
     const UNIT: Self = Self {
         begin: 0,
         end: 0,
-        lower: [0.0; 3],
-        pivot: [1.0, 1.0, 1.0, 0.0],
-        inverse: [1.0, 1.0, 1.0, 0.0],
+        entries: UNIT,
     };
+
+    /// Of an individual that nobody pushes, factored.
+    const ALONE: Self = Self {
+        begin: 0,
+        end: 0,
+        entries: [[0.0; 4], [1.0, 1.0, 1.0, 0.0], [1.0, 1.0, 1.0, 0.0]],
+    };
+
+    #[inline(always)]
+    fn pivot(&self) -> &Part {
+        &self.entries[1]
+    }
+
+    #[inline(always)]
+    fn inverse(&self) -> &Part {
+        &self.entries[2]
+    }
 
     /// The blocks below it.
     #[inline(always)]
@@ -60,14 +71,14 @@ impl Corner {
 
     #[inline(always)]
     fn forward(&self, part: Part) -> Part {
-        let [a, b, c] = self.lower;
+        let [a, b, c, _] = self.entries[0];
         let second = part[1] - a * part[0];
         [part[0], second, part[2] - b * part[0] - c * second, 0.0]
     }
 
     #[inline(always)]
     fn backward(&self, part: Part) -> Part {
-        let [a, b, c] = self.lower;
+        let [a, b, c, _] = self.entries[0];
         let second = part[1] - c * part[2];
         [part[0] - a * second - b * part[2], second, part[2], 0.0]
     }
@@ -110,10 +121,8 @@ pub struct Factor {
     /// Where they are.
     pub structure: Structure,
     below: Vec<Block>,
-    diagonal: Vec<Square>,
     corner: Vec<Corner>,
     slot: Vec<u32>,
-    sparse: Vec<Part>,
 }
 
 impl Factor {
@@ -129,7 +138,7 @@ impl Factor {
         let Self {
             structure,
             below,
-            diagonal,
+            corner,
             ..
         } = self;
         below.clear();
@@ -139,13 +148,13 @@ impl Factor {
                 .iter()
                 .map(|&row| Block { entries: ZERO, row }),
         );
-        diagonal.clear();
-        diagonal.resize(structure.columns, UNIT);
+        corner.clear();
+        corner.resize(structure.columns, Corner::UNIT);
         for row in rows.iter().filter(|row| row.active) {
             let [first, second] = &row.parts;
             let [i, j] = row.place.map(|place| place as usize);
-            add_product(&mut diagonal[i], first, first, row.penalty);
-            add_product(&mut diagonal[j], second, second, row.penalty);
+            add_product(&mut corner[i].entries, first, first, row.penalty);
+            add_product(&mut corner[j].entries, second, second, row.penalty);
             let (lower, upper) = if i > j {
                 (first, second)
             } else {
@@ -170,7 +179,7 @@ impl Factor {
             for block in corner.of(below) {
                 subtract(&mut vector[block.row as usize], &block.entries, &part);
             }
-            vector[column] = [0, 1, 2, 3].map(|lane| part[lane] * corner.inverse[lane]);
+            vector[column] = [0, 1, 2, 3].map(|lane| part[lane] * corner.inverse()[lane]);
         }
         self.back(vector);
     }
@@ -205,17 +214,15 @@ impl Factor {
 
     /// Appends to `path` where `L⁻¹ b_k` is not zero: the ways up the elimination tree from both
     /// individuals, in the order of places. Tells whether it is one way, each node the parent of
-    /// the last.
+    /// the last. `sparse` is zero before and after.
     #[inline(always)]
-    pub fn climb(&mut self, row: &Row, path: &mut Path) -> bool {
+    pub fn climb(&self, row: &Row, path: &mut Path, sparse: &mut [Part]) -> bool {
         let Self {
             structure,
             below,
             corner,
-            sparse,
             ..
         } = self;
-        sparse.resize(structure.place.len(), [0.0; 4]);
         for (place, part) in row.place.iter().zip(row.parts) {
             sparse[*place as usize] = part;
         }
@@ -238,7 +245,7 @@ impl Factor {
             path.nodes.push(node);
             path.parts.push(part);
             path.scaled
-                .push([0, 1, 2, 3].map(|lane| part[lane] * corner.inverse[lane]));
+                .push([0, 1, 2, 3].map(|lane| part[lane] * corner.inverse()[lane]));
         }
         straight
     }
@@ -254,46 +261,41 @@ fn eliminate(factor: &mut Factor) {
     let Factor {
         structure,
         below,
-        diagonal,
         corner,
         slot,
         ..
     } = factor;
-    corner.clear();
     slot.resize(structure.columns, 0);
     let bounds = structure.start.iter().zip(&structure.start[1..]);
     let lefts = structure.left_start.windows(2);
-    let columns = diagonal.iter_mut().zip(bounds.zip(lefts));
-    for (target, ((&begin, &end), lefts)) in columns {
+    for (column, ((&begin, &end), lefts)) in bounds.zip(lefts).enumerate() {
+        let (corners, rest) = corner.split_at_mut(column);
+        let target = &mut rest[0];
         let (done, own) = below.split_at_mut(begin as usize);
         let own = &mut own[..(end - begin) as usize];
         for (at, block) in (0..).zip(own.iter()) {
             slot[block.row as usize] = at;
         }
         for &[other, at] in &structure.left[lefts[0] as usize..lefts[1] as usize] {
-            let left = &corner[other as usize];
+            let left = &corners[other as usize];
             let [joint, later @ ..] = &done[at as usize..left.end as usize] else {
                 unreachable!("an entry of a row is a block of its column");
             };
             let mut scaled = ZERO;
             for axis in 0..3 {
                 for lane in 0..3 {
-                    scaled[lane][axis] = joint.entries[axis][lane] * left.pivot[axis];
+                    scaled[lane][axis] = joint.entries[axis][lane] * left.pivot()[axis];
                 }
             }
-            multiply_subtract(target, &joint.entries, &scaled);
+            multiply_subtract(&mut target.entries, &joint.entries, &scaled);
             for block in later {
                 let own = &mut own[slot[block.row as usize] as usize];
                 multiply_subtract(&mut own.entries, &block.entries, &scaled);
             }
         }
-        let finished = Corner {
-            begin,
-            end,
-            ..pivot(target)
-        };
+        let finished = pivot(&target.entries);
         for block in own {
-            let [a, b, c] = finished.lower;
+            let [[a, b, c, _], _, inverse] = finished;
             let mut columns = block.entries;
             for lane in 0..4 {
                 columns[1][lane] -= a * columns[0][lane];
@@ -301,13 +303,17 @@ fn eliminate(factor: &mut Factor) {
             }
             for (axis, entries) in columns.iter().enumerate() {
                 for lane in 0..4 {
-                    block.entries[axis][lane] = entries[lane] * finished.inverse[axis];
+                    block.entries[axis][lane] = entries[lane] * inverse[axis];
                 }
             }
         }
-        corner.push(finished);
+        *target = Corner {
+            begin,
+            end,
+            entries: finished,
+        };
     }
-    corner.resize(structure.place.len(), Corner::UNIT);
+    corner.resize(structure.place.len(), Corner::ALONE);
 }
 
 /// What a pivot is at least: `K` is never below the unit matrix, but for rounding.
@@ -316,9 +322,9 @@ fn at_least_one(pivot: f64) -> f64 {
     if pivot > 1.0 { pivot } else { 1.0 }
 }
 
-/// Factors a diagonal block.
+/// Factors a diagonal block; the columns of a [`Corner`].
 #[inline(always)]
-fn pivot(block: &Square) -> Corner {
+fn pivot(block: &Square) -> Square {
     let first = at_least_one(block[0][0]);
     let i = 1.0 / first;
     let (a, b) = (block[0][1] * i, block[0][2] * i);
@@ -327,12 +333,11 @@ fn pivot(block: &Square) -> Corner {
     let cross = block[1][2] - a * block[0][2];
     let c = cross * j;
     let third = at_least_one(block[2][2] - b * block[0][2] - c * cross);
-    Corner {
-        lower: [a, b, c],
-        pivot: [first, second, third, 0.0],
-        inverse: [i, j, 1.0 / third, 0.0],
-        ..Corner::UNIT
-    }
+    [
+        [a, b, c, 0.0],
+        [first, second, third, 0.0],
+        [i, j, 1.0 / third, 0.0],
+    ]
 }
 
 /// `target += factor · one otherᵀ`, `one` along the lanes.
@@ -462,7 +467,8 @@ mod tests {
         for one in &rows {
             for other in &rows {
                 let (mut up, mut down) = (Path::default(), vec![[0.0; 4]; 9]);
-                forked += usize::from(!factor.climb(other, &mut up));
+                forked += usize::from(!factor.climb(other, &mut up, &mut down));
+                assert_eq!(down, vec![[0.0; 4]; 9]);
                 up.descend(0..up.nodes.len(), 1.0, &mut down);
                 factor.back(&mut down);
                 let expected = (dense(one).transpose() * &inverse * dense(other))[0];

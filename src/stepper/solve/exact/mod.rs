@@ -41,7 +41,16 @@ const MOST_PASSES: usize = 6;
 /// A pass that gains less than this is not worth another.
 const GAIN: f64 = 3.0;
 
-/// Factorisations before giving up; one is usual.
+/// With more on the wrong side than this all of them change sides at once, and `K` is factored
+/// anew: more than this are not resolved jointly, and where a group is so large that they are so
+/// many, most are far from each other and settle alone.
+const MANY: usize = 300;
+
+/// Where that has left more than one in so many of them wrong they are not far from each other,
+/// and the next are resolved jointly, however many they are.
+const LEFT: usize = 2;
+
+/// Factorisations before giving up; one is usual, two in a large group.
 const MOST_FACTORS: usize = 12;
 
 /// An order of elimination serves so many steps: those in contact change slowly, and any order
@@ -61,7 +70,7 @@ pub struct Exact {
     factor: Factor,
     closure: Closure,
     small: Small,
-    vector: Vec<Part>,
+    /// `w`, then the change of a pass, then that of the closure.
     change: Vec<Part>,
     extra: Vec<Part>,
 }
@@ -112,12 +121,13 @@ impl Exact {
 
     #[inline(always)]
     fn attempt(&mut self, qp: &Qp, solution: &mut Solution) {
+        let mut most = usize::MAX;
         for _ in 0..MOST_FACTORS {
             self.arrange(qp);
             self.factor.factor(&self.rows);
             solution.iterations += 1;
             self.closure.clear();
-            if self.converge(qp, solution) {
+            if self.converge(qp, &mut most, solution) {
                 return;
             }
             for row in &mut self.rows {
@@ -158,9 +168,10 @@ impl Exact {
         }
     }
 
-    /// Passes with the present factor until the solution is exact; tells whether it is.
+    /// Passes with the present factor until the solution is exact; tells whether it is. Fewer
+    /// than `most` may change sides at once, and then `most` falls.
     #[inline(always)]
-    fn converge(&mut self, qp: &Qp, solution: &mut Solution) -> bool {
+    fn converge(&mut self, qp: &Qp, most: &mut usize, solution: &mut Solution) -> bool {
         let mut before = f64::INFINITY;
         for pass in 0..MOST_PASSES {
             let open = self.displace();
@@ -175,8 +186,13 @@ impl Exact {
             }
             before = open;
             let wrong = self.pass();
-            if pass == 0 && wrong {
-                let (rows, factor) = (&mut self.rows, &mut self.factor);
+            if pass == 0 && wrong > 0 {
+                if (MANY..*most).contains(&wrong) {
+                    *most = wrong / LEFT;
+                    self.exchange_wrong();
+                    return false;
+                }
+                let (rows, factor) = (&mut self.rows, &self.factor);
                 if !self.closure.close(rows, factor, &mut self.change) {
                     return false;
                 }
@@ -193,6 +209,18 @@ impl Exact {
             }
         }
         false
+    }
+
+    /// Takes the last pass, and has all who are wrong change sides.
+    fn exchange_wrong(&mut self) {
+        for row in &mut self.rows {
+            row.pushing = row.active != (row.followed < -WRONG);
+            row.multiplier = if row.active {
+                not_negative(row.proposed)
+            } else {
+                0.0
+            };
+        }
     }
 
     /// Leaves no multiplier negative.
@@ -232,15 +260,15 @@ impl Exact {
     /// Computes `w` from the multipliers, and all gaps; returns the largest gap left open.
     #[inline(always)]
     fn displace(&mut self) -> f64 {
-        clear(&mut self.vector, self.factor.structure.place.len());
+        clear(&mut self.change, self.factor.structure.place.len());
         for row in &self.rows {
             if row.multiplier != 0.0 {
-                row.add(row.multiplier, &mut self.vector);
+                row.add(row.multiplier, &mut self.change);
             }
         }
         let mut open = 0.0;
         for row in &mut self.rows {
-            row.slack = row.slack_at(&self.vector);
+            row.slack = row.slack_at(&self.change);
             let size = row.slack.abs();
             if row.pushing && size > open {
                 open = size;
@@ -250,9 +278,9 @@ impl Exact {
     }
 
     /// One pass: `K δ = -Σ σ_k s_k b_k`, then `λ_k -= σ_k (s_k + b_k·δ)`, over those that push.
-    /// Tells whether anybody would pull or overlap.
+    /// Tells how many would pull or overlap.
     #[inline(always)]
-    fn pass(&mut self) -> bool {
+    fn pass(&mut self) -> usize {
         clear(&mut self.change, self.factor.structure.place.len());
         for row in &mut self.rows {
             if row.active && row.pushing {
@@ -267,14 +295,14 @@ impl Exact {
             &mut self.change,
             &mut self.extra,
         );
-        let mut wrong = false;
+        let mut wrong = 0;
         for row in &mut self.rows {
             row.ahead = row.slack + row.along(&self.change);
             if row.active && row.pushing {
                 row.proposed -= row.penalty * row.ahead;
             }
             row.followed = if row.active { row.proposed } else { row.ahead };
-            wrong |= row.followed < -WRONG;
+            wrong += usize::from(row.followed < -WRONG);
         }
         wrong
     }
