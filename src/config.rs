@@ -18,7 +18,7 @@ use crate::host::Limits;
 ///
 /// The name is the same in the file, as a flag (`--max-hz`) and in the environment
 /// (`JOSTLED_MAX_HZ`).
-pub const SETTINGS: [(&str, &str, &str); 9] = [
+pub const SETTINGS: [(&str, &str, &str); 11] = [
     (
         "listen",
         "tcp/127.0.0.1:7447",
@@ -48,6 +48,17 @@ pub const SETTINGS: [(&str, &str, &str); 9] = [
         "memory of all swarms together, in MiB",
     ),
     ("max_hz", "50", "states published per second and swarm"),
+    (
+        "data_dir",
+        "",
+        "the folder of everything that outlives the daemon; jostle/NODE below $STATE_DIRECTORY, \
+         $XDG_STATE_HOME or ~/.local/state if left out",
+    ),
+    (
+        "quota_mb",
+        "64",
+        "history kept of one swarm, in MiB; the oldest goes first",
+    ),
 ];
 
 /// Where a value comes from.
@@ -124,6 +135,10 @@ pub struct Config {
     pub logs_json: bool,
     /// What the daemon refuses to go beyond.
     pub limits: Limits,
+    /// The folder of everything that outlives the daemon.
+    pub data_dir: PathBuf,
+    /// History kept of one swarm, in bytes.
+    pub quota_bytes: u64,
 }
 
 /// Every setting's text and where it comes from.
@@ -197,7 +212,14 @@ impl Config {
             _ => return Err(wrong(merged, "log_format", "text or json")),
         };
         let megabytes = number(merged, "max_memory_mb", 1 << 24)?;
+        let data_dir = match text("data_dir") {
+            folder if folder.is_empty() => state_folder(&node)
+                .ok_or_else(|| wrong(merged, "data_dir", "a folder, and there is no $HOME"))?,
+            folder => PathBuf::from(folder),
+        };
         Ok(Config {
+            data_dir,
+            quota_bytes: u64::from(number(merged, "quota_mb", 1 << 20)?) << 20,
             listen,
             node,
             prefix,
@@ -310,6 +332,18 @@ fn read_file(path: &Path) -> Result<Vec<(String, String)>, ConfigError> {
             Ok((name.clone(), text))
         })
         .collect()
+}
+
+/// Where the system keeps what outlives a service.
+fn state_folder(node: &str) -> Option<PathBuf> {
+    let folder = |name: &str| {
+        let value = std::env::var_os(name)?;
+        (!value.is_empty()).then(|| PathBuf::from(value))
+    };
+    let base = folder("STATE_DIRECTORY")
+        .or_else(|| folder("XDG_STATE_HOME"))
+        .or_else(|| Some(folder("HOME")?.join(".local/state")))?;
+    Some(base.join("jostle").join(node))
 }
 
 /// The machine's name, made a name of the bus.

@@ -12,9 +12,9 @@ use tokio::sync::oneshot;
 
 use crate::command::{CommandError, create, inform, run};
 use crate::host::{Created, HostError};
-use crate::server::Server;
+use crate::server::{Server, archive};
 use crate::swarm::frame::{Frame, Place};
-use crate::swarm::handle::{Handle, Ticket};
+use crate::swarm::handle::{self, Handle, Ticket};
 use crate::swarm::order::{Answer, Answered, Awaited, Order, OrderError, Outcome, Sender, When};
 use crate::swarm::simulation::steps_in;
 use crate::swarm::waiters::Waiter;
@@ -134,7 +134,8 @@ async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
     let recipe = create::recipe(&args, host.limits())?;
     let (answer, answered) = oneshot::channel();
     let promise = || -> Answer { Box::new(move |it| drop(answer.send(it))) };
-    let handle = match host.create(NAME, recipe, false, promise)? {
+    let register = archive::register(server.store(), NAME, &recipe, None);
+    let handle = match host.create(NAME, recipe, false, register, promise)? {
         Created::Existing(handle) => handle,
         Created::New => {
             outcome(answered).await?;
@@ -254,7 +255,7 @@ async fn command(
     at_step: Option<u64>,
 ) -> Result<(Place, Outcome), DemoError> {
     let (answer, answered) = oneshot::channel();
-    swarm.send(Ticket::Command {
+    swarm.send(Ticket::Command(handle::Command {
         order,
         when: When {
             at_step,
@@ -264,10 +265,10 @@ async fn command(
             verb,
             args,
             client: Some("jostled demo".to_owned()),
-            request_id: None,
+            ..Sender::default()
         }),
         answer: Box::new(move |it| drop(answer.send(it))),
-    });
+    }));
     outcome(answered).await
 }
 

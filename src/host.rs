@@ -7,12 +7,16 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use thiserror::Error;
+use tracing::warn;
 
-use crate::swarm::frame::Summary;
+use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::frame::{Frame, Place, Summary};
 use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::order::{Answer, OrderError, Outcome, Recipe, Refusal};
+use crate::swarm::journal::{WriteFault, Writer};
+use crate::swarm::order::{Admit, Answer, OrderError, Outcome, Recipe, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::simulation::Simulation;
+use crate::swarm::worker::replay::Past;
 use crate::swarm::worker::{End, Worker};
 
 /// Orders that may wait for one swarm; what comes on top is refused at once.
@@ -21,6 +25,9 @@ const MOST_TICKETS: usize = 1024;
 /// How much lower than the rest of the daemon a swarm's thread ranks (its niceness), so that
 /// stepping never keeps a command or a reader waiting.
 const SWARM_NICENESS: i32 = 5;
+
+/// The same of a thread that tells a past again: it ranks below the swarms that are there.
+const RETELLING_NICENESS: i32 = 15;
 
 /// Memory per individual: its columns, contacts and share of the factor, with the copies that
 /// frames and replies hold. Packed groups of 200 to 2000 take 3 to 6 kB an individual. What
@@ -80,6 +87,23 @@ pub enum HostError {
     Stopping,
 }
 
+/// Makes a new swarm safe before anyone is told of it: its name, what it is and where it is.
+pub type Register =
+    Box<dyn FnOnce(&Checkpoint, &Place, &Arc<Frame>) -> Result<(), WriteFault> + Send>;
+
+/// What a swarm's journal is written by.
+pub type Archive = Box<dyn Fn(&str) -> Writer + Send + Sync>;
+
+/// Where a swarm begins.
+enum Beginning {
+    /// From its recipe.
+    Recipe(Register),
+    /// As another swarm was, or a snapshot.
+    Copy(Box<Checkpoint>, Register),
+    /// From what is left of it.
+    Past(Past),
+}
+
 /// What tells the world of a swarm's beginning and end. Called from the swarm's thread.
 pub trait Herald: Send + Sync + 'static {
     /// Something was put in the swarm's outlet after it had been emptied.
@@ -97,6 +121,7 @@ pub trait Herald: Send + Sync + 'static {
 pub struct Host {
     limits: Limits,
     herald: Arc<dyn Herald>,
+    archive: Archive,
     hosted: Mutex<Hosted>,
 }
 
@@ -123,10 +148,11 @@ pub enum Created {
 
 impl Host {
     /// An empty host.
-    pub fn new(limits: Limits, herald: Arc<dyn Herald>) -> Self {
+    pub fn new(limits: Limits, herald: Arc<dyn Herald>, archive: Archive) -> Self {
         Host {
             limits,
             herald,
+            archive,
             hosted: Mutex::default(),
         }
     }
@@ -147,6 +173,7 @@ impl Host {
         name: &str,
         recipe: Recipe,
         exist_ok: bool,
+        register: Register,
         promise: impl FnOnce() -> Answer,
     ) -> Result<Created, HostError> {
         let mut hosted = self.lock();
@@ -161,6 +188,65 @@ impl Host {
             };
         }
         let memory_bytes = self.admit(&hosted, recipe.n)?;
+        let beginning = Beginning::Recipe(register);
+        self.begin(&mut hosted, name, recipe, memory_bytes, beginning, promise)?;
+        Ok(Created::New)
+    }
+
+    /// Creates a swarm that begins as another one was at a checkpoint.
+    ///
+    /// # Errors
+    ///
+    /// [`HostError`]; nothing is promised then.
+    pub fn copy(
+        self: &Arc<Self>,
+        name: &str,
+        checkpoint: Checkpoint,
+        register: Register,
+        promise: impl FnOnce() -> Answer,
+    ) -> Result<(), HostError> {
+        let mut hosted = self.lock();
+        if hosted.stopping {
+            return Err(HostError::Stopping);
+        }
+        if hosted.swarms.contains_key(name) {
+            return Err(HostError::OtherSpec);
+        }
+        let memory_bytes = self.admit(&hosted, checkpoint.state.configuration.n())?;
+        let recipe = checkpoint.recipe.clone();
+        let beginning = Beginning::Copy(Box::new(checkpoint), register);
+        self.begin(&mut hosted, name, recipe, memory_bytes, beginning, promise)
+    }
+
+    /// Brings a swarm back from what is left of it, whatever the limits are now: what there was is
+    /// not given up. `promise` is kept once it is as it was, and can be reached.
+    ///
+    /// # Errors
+    ///
+    /// [`HostError::NoThread`].
+    pub fn recover(
+        self: &Arc<Self>,
+        name: &str,
+        recipe: Recipe,
+        past: Past,
+        promise: impl FnOnce() -> Answer,
+    ) -> Result<(), HostError> {
+        let mut hosted = self.lock();
+        let memory_bytes = memory_of(past.checkpoint.state.configuration.n());
+        let beginning = Beginning::Past(past);
+        self.begin(&mut hosted, name, recipe, memory_bytes, beginning, promise)
+    }
+
+    /// Starts a swarm's thread.
+    fn begin(
+        self: &Arc<Self>,
+        hosted: &mut Hosted,
+        name: &str,
+        recipe: Recipe,
+        memory_bytes: u64,
+        beginning: Beginning,
+        promise: impl FnOnce() -> Answer,
+    ) -> Result<(), HostError> {
         let (tickets, taken) = sync_channel(MOST_TICKETS);
         let bell = (self.herald.clone(), name.to_owned());
         let watch = bell.clone();
@@ -180,7 +266,7 @@ impl Host {
             .name(format!("swarm-{name}"))
             .spawn({
                 let (host, handle, built) = (self.clone(), handle.clone(), promise());
-                move || host.host(&handle, taken, built)
+                move || host.host(&handle, taken, beginning, built)
             })
             .map_err(|error| HostError::NoThread(error.to_string()))?;
         hosted.memory_bytes += memory_bytes;
@@ -192,7 +278,7 @@ impl Host {
                 thread: Some(thread),
             },
         );
-        Ok(Created::New)
+        Ok(())
     }
 
     /// The swarm of that name.
@@ -300,25 +386,26 @@ impl Host {
     }
 
     /// A swarm's life, on its own thread.
-    fn host(self: &Arc<Self>, handle: &Handle, taken: Receiver<Ticket>, built: Answer) {
+    fn host(
+        self: &Arc<Self>,
+        handle: &Handle,
+        taken: Receiver<Ticket>,
+        beginning: Beginning,
+        built: Answer,
+    ) {
         let name = &handle.outlet.name;
         // Zero names the calling thread. Where it is not permitted the swarm ranks like the rest.
         let _ = rustix::process::setpriority_process(None, SWARM_NICENESS);
-        let recipe = (*handle.recipe).clone();
-        let (host, swarm) = (self.clone(), name.clone());
-        let admit = Box::new(move |n| host.resize(&swarm, n));
-        let simulation = match Simulation::new(recipe, admit) {
-            Ok(simulation) => simulation,
+        let worker = match self.build(handle, taken, beginning) {
+            Ok(Ok(worker)) => worker,
+            // It had ended, though its end was not safe.
+            Ok(Err(End::Deleted(ended))) => return self.herald.ended(name, ended),
+            Ok(Err(End::Stopped)) => return,
             Err(error) => {
-                self.herald.ended(
-                    name,
-                    Box::new(move || built(Err(Refusal { step: None, error }))),
-                );
-                return;
+                let refused = move || built(Err(Refusal { step: None, error }));
+                return self.herald.ended(name, Box::new(refused));
             }
         };
-        let shortest = Duration::from_secs(1) / self.limits.max_hz.max(1);
-        let worker = Worker::new(simulation, taken, handle, shortest);
         let (place, frame) = worker.look();
         self.herald.begun(
             name,
@@ -330,10 +417,85 @@ impl Host {
         }
     }
 
+    /// Builds a swarm, and makes it safe.
+    fn build(
+        self: &Arc<Self>,
+        handle: &Handle,
+        taken: Receiver<Ticket>,
+        beginning: Beginning,
+    ) -> Result<Result<Worker, End>, OrderError> {
+        let name = &handle.outlet.name;
+        let (host, swarm) = (self.clone(), name.clone());
+        let admit: Admit = Box::new(move |n| host.resize(&swarm, n));
+        let shortest = Duration::from_secs(1) / self.limits.max_hz.max(1);
+        let writer = (self.archive)(name);
+        match beginning {
+            Beginning::Recipe(register) => {
+                let simulation = Simulation::new((*handle.recipe).clone(), admit)?;
+                let worker = Worker::new(simulation, taken, handle, shortest, writer);
+                register_new(&worker, register)?;
+                Ok(Ok(worker))
+            }
+            Beginning::Copy(checkpoint, register) => {
+                let worker =
+                    Worker::from_copy(*checkpoint, taken, handle, shortest, (writer, admit));
+                register_new(&worker, register)?;
+                Ok(Ok(worker))
+            }
+            Beginning::Past(past) => {
+                let always: Admit = Box::new(|_| Ok(()));
+                let (mut worker, end) =
+                    Worker::from_past(past, taken, handle, shortest, (writer, always));
+                if let Some(end) = end {
+                    return Ok(Err(end));
+                }
+                self.set_aside(name, worker.n());
+                if let Err(fault) = worker.resume(admit) {
+                    warn!(swarm = name, %fault, "failed to write down that it goes on");
+                }
+                Ok(Ok(worker))
+            }
+        }
+    }
+
+    /// Sets memory aside for what is there already.
+    fn set_aside(&self, name: &str, n: usize) {
+        let mut hosted = self.lock();
+        let needed = memory_of(n);
+        if let Some(entry) = hosted.swarms.get_mut(name) {
+            let before = std::mem::replace(&mut entry.memory_bytes, needed);
+            hosted.memory_bytes = hosted.memory_bytes - before + needed;
+        }
+    }
+
     fn lock(&self) -> MutexGuard<'_, Hosted> {
         // The map and the sum change together under the lock and nothing in between can panic.
         self.hosted.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Tells a swarm's past again, apart from every swarm there is. Returns it as it then is, how many
+/// of its hashes came out the same, and the first step whose hash did not.
+pub fn tell_again(past: Past) -> (Checkpoint, u64, Option<u64>) {
+    let _ = rustix::process::setpriority_process(None, RETELLING_NICENESS);
+    let (tickets, taken) = sync_channel(1);
+    let handle = Handle {
+        recipe: Arc::new(past.checkpoint.recipe.clone()),
+        outlet: Arc::new(Outlet::new(String::new(), || {}, || false)),
+        history: Arc::default(),
+        tickets,
+        summary: Arc::default(),
+    };
+    let nowhere: Writer = Box::new(|_, _| {});
+    let always: Admit = Box::new(|_| Ok(()));
+    let (worker, _) = Worker::from_past(past, taken, &handle, Duration::ZERO, (nowhere, always));
+    let replay = worker.replay();
+    (worker.checkpoint(), replay.same, replay.differs_at)
+}
+
+fn register_new(worker: &Worker, register: Register) -> Result<(), OrderError> {
+    let (place, frame) = worker.look();
+    register(&worker.checkpoint(), &place, &frame).map_err(OrderError::Unsafe)
 }
 
 /// Memory that a swarm may come to need, in bytes.

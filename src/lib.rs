@@ -26,4 +26,5 @@ pub mod config;
 pub mod demo;
 pub mod publish;
 pub mod server;
+pub mod store;
 pub mod wire;

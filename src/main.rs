@@ -82,6 +82,13 @@ struct Settings {
     /// Memory of all swarms together, in MiB [default: 2048].
     #[arg(long, global = true, value_name = "MIB")]
     max_memory_mb: Option<String>,
+    /// Keep everything that outlives the daemon in this folder [default: jostle/NODE below
+    /// ~/.local/state; for a demo a temporary one].
+    #[arg(long, global = true, value_name = "FOLDER")]
+    data_dir: Option<String>,
+    /// History kept of one swarm, in MiB [default: 64].
+    #[arg(long, global = true, value_name = "MIB")]
+    quota_mb: Option<String>,
     /// States published per second and swarm [default: 50].
     #[arg(long, global = true, value_name = "N")]
     max_hz: Option<String>,
@@ -99,6 +106,8 @@ impl Settings {
             ("max_swarms", self.max_swarms),
             ("max_memory_mb", self.max_memory_mb),
             ("max_hz", self.max_hz),
+            ("data_dir", self.data_dir),
+            ("quota_mb", self.quota_mb),
         ];
         // What is not UTF-8 is not passed over: it is refused as what it then reads.
         let environment = std::env::vars_os().map(|(name, value)| {
@@ -126,6 +135,19 @@ fn main() -> ExitCode {
     {
         // The demo's own lines are to be read; whoever sets `log` gets the rest.
         "warn,zenoh=error".clone_into(log);
+    }
+    let mut temporary = None;
+    if let (Command::Demo { .. }, Some((folder, Source::Default))) =
+        (&command, merged.get_mut("data_dir"))
+    {
+        // A demo leaves nothing behind, unless it is told where.
+        match tempfile::tempdir() {
+            Ok(made) => {
+                *folder = made.path().to_string_lossy().into_owned();
+                temporary = Some(made);
+            }
+            Err(error) => return fail(1, &error),
+        }
     }
     let config = match Config::new(&merged) {
         Ok(config) => config,
@@ -181,6 +203,9 @@ fn main() -> ExitCode {
     // Whoever is still in a long step is not waited for, nor what zenoh does at an ordinary exit:
     // with a frozen client that took ten seconds.
     let _ = std::io::stdout().flush();
+    if let Some(temporary) = temporary {
+        let _ = temporary.close();
+    }
     signal_hook::low_level::exit(code)
 }
 
@@ -228,6 +253,7 @@ fn is_setting(error: &ServerError) -> bool {
     matches!(
         error,
         ServerError::Name(_)
+            | ServerError::Store(_)
             | ServerError::Session(SessionError::NoEndpoint(_) | SessionError::NotLoopback(_))
     )
 }

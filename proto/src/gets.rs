@@ -40,6 +40,19 @@ pub struct Status {
     pub certificate: Certificate,
 }
 
+/// Whether a swarm's past comes out the same when it is told again from its journal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Verified {
+    /// The step of the checkpoint it was told from.
+    pub from_step: u64,
+    /// The step it was told to.
+    pub to_step: u64,
+    /// How many hashes that were written down on the way were compared.
+    pub hashes: u64,
+    /// The first step that has another hash than it had; `null` if there is none.
+    pub differs_at: Option<u64>,
+}
+
 /// A swarm's answer to `get/parameters`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Parameters {

@@ -6,19 +6,28 @@
 pub const DEFAULT_PREFIX: &str = "jostle";
 
 /// The nouns that `{prefix}/{swarm}/get/` answers.
-pub const SWARM_GETS: [&str; 6] = ["status", "spec", "parameters", "events", "journal", "wait"];
+pub const SWARM_GETS: [&str; 8] = [
+    "status",
+    "spec",
+    "parameters",
+    "events",
+    "journal",
+    "snapshot",
+    "verify",
+    "wait",
+];
 
 /// The verbs that `{prefix}/{swarm}/cmd/` executes.
-pub const SWARM_VERBS: [&str; 11] = [
+pub const SWARM_VERBS: [&str; 12] = [
     "delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove",
-    "batch",
+    "batch", "fork",
 ];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
 pub const NODE_GETS: [&str; 4] = ["hello", "status", "swarms", "schema"];
 
 /// The verbs that `{prefix}/@node/{node}/cmd/` executes.
-pub const NODE_VERBS: [&str; 1] = ["create"];
+pub const NODE_VERBS: [&str; 2] = ["create", "restore"];
 
 /// The longest name of a swarm, a node or a controller, in bytes.
 pub const MAX_NAME_LENGTH: usize = 64;

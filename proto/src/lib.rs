@@ -16,6 +16,7 @@ mod envelope;
 mod error;
 mod event;
 mod gets;
+pub mod snapshot;
 mod spec;
 mod state;
 mod told;
@@ -26,8 +27,9 @@ pub use error::{Error, ErrorCode};
 pub use event::{Event, EventKind};
 pub use gets::{
     Events, Hello, Journal, JournalEntry, Limits, NodeStatus, Parameter, ParameterKind, Parameters,
-    Schemas, Status, SwarmSummary, Swarms,
+    Schemas, Status, SwarmSummary, Swarms, Verified,
 };
+pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start};
 pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};
 pub use told::Told;

@@ -79,6 +79,32 @@ pub struct RunResult {
 #[serde(deny_unknown_fields)]
 pub struct PauseArgs {}
 
+/// Makes another swarm as this one is, paused: both have one future until they are treated
+/// differently.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ForkArgs {
+    /// The new swarm's name.
+    #[schemars(regex(pattern = NAME_RULE))]
+    pub name: String,
+    /// As it was when it arrived at this step of its present run, before the commands that were
+    /// given there; left out, as it is now.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(max = LARGEST_WHOLE))]
+    pub step: Option<u64>,
+}
+
+/// Makes a swarm from a snapshot, paused; sent to a node.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct RestoreArgs {
+    /// The new swarm's name.
+    #[schemars(regex(pattern = NAME_RULE))]
+    pub name: String,
+    /// The snapshot as `get/snapshot` gave it, its CBOR as base64.
+    pub snapshot: String,
+}
+
 /// Runs a paused swarm some steps on, as fast as it can whatever its rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -108,6 +134,10 @@ pub enum Return {
 pub struct StepResult {
     /// How many steps were taken; fewer than asked for if another command came between.
     pub steps: u64,
+    /// The last step that a crash of the daemon would not take back. It follows `step` within a few
+    /// milliseconds, unless the disk is full.
+    #[serde(default)]
+    pub durable_step: u64,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
     /// The state reached, if it was asked for.

@@ -104,6 +104,20 @@ pub enum CommandError {
          its own"
     )]
     OtherRequest(String),
+    /// A snapshot cannot be one.
+    #[error("the snapshot is none that this daemon can restore: {0}")]
+    Snapshot(String),
+    /// A step that the swarm has not come to.
+    #[error("step {step} is not reached, the swarm is at step {now}: name an earlier one")]
+    NotReached {
+        /// The step asked for.
+        step: u64,
+        /// Where it is.
+        now: u64,
+    },
+    /// A past that cannot be told.
+    #[error("the swarm's past cannot be told: {0}")]
+    History(String),
     /// A defect of the daemon.
     #[error("a defect of the daemon: nothing was changed; please report what you sent")]
     Internal,
@@ -213,6 +227,8 @@ impl CommandError {
             | CommandError::UnknownSwarm(_) => ErrorCode::NotFound,
             CommandError::Within { error, .. } => error.code(),
             CommandError::OtherRequest(_) => ErrorCode::Conflict,
+            CommandError::Snapshot(_) => ErrorCode::InvalidArgument,
+            CommandError::NotReached { .. } | CommandError::History(_) => ErrorCode::Conflict,
             CommandError::Internal => ErrorCode::Internal,
             CommandError::TooLong { .. } => ErrorCode::ResourceExhausted,
             CommandError::Busy => ErrorCode::Busy,
@@ -252,6 +268,8 @@ impl CommandError {
                 OrderError::TooMany { .. }
                 | OrderError::NoMemory { .. }
                 | OrderError::TooManyScheduled { .. } => ErrorCode::ResourceExhausted,
+                OrderError::Unsafe(_) => ErrorCode::StorageFull,
+                OrderError::RefusedBefore => ErrorCode::Conflict,
                 OrderError::Busy => ErrorCode::Busy,
                 OrderError::Faulted(_) => ErrorCode::Faulted,
                 OrderError::Gone => ErrorCode::NotFound,

@@ -83,6 +83,8 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
         "inject" => inject::order(request.args()?)?,
         "remove" => remove::order(request.args()?)?,
         "batch" => batch::order(request.args()?)?,
+        // It is the host's to do, and never comes here.
+        "fork" => return Err(CommandError::Internal),
         _ => unreachable!("every known verb is above"),
     };
     Ok(Command {
@@ -197,5 +199,6 @@ pub fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandEr
             .map_or_else(|| "{}".into(), |args| args.get().to_owned()),
         client: label("client", &request.client)?,
         request_id: label("request_id", &request.request_id)?,
+        digest: None,
     })
 }

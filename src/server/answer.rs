@@ -253,11 +253,24 @@ impl Promise {
 }
 
 /// Refuses a promise when dropped unkept: a ticket that its swarm never came to.
-pub struct Keeper(pub Promise);
+pub struct Keeper(pub Promise, bool);
+
+impl Keeper {
+    /// Watches over a promise.
+    pub fn new(promise: Promise) -> Self {
+        Keeper(promise, true)
+    }
+
+    /// Leaves the promise to whoever keeps it from here on.
+    pub fn leave(mut self) -> Promise {
+        self.1 = false;
+        self.0.clone()
+    }
+}
 
 impl Drop for Keeper {
     fn drop(&mut self) {
-        if !self.0.is_kept() {
+        if self.1 && !self.0.is_kept() {
             self.0.refuse(&OrderError::Gone.into(), None);
         }
     }

@@ -8,11 +8,12 @@ use jostle_proto::{Request, keys};
 use crate::command::{self, Command, CommandError, create};
 use crate::host::Created;
 use crate::server::answer::{Asked, Keeper, Promise};
+use crate::server::archive::{self, MakePayload};
 use crate::server::dispatch::Dispatcher;
 use crate::server::ledger::Entered;
 use crate::server::query::request;
 use crate::server::session::MAX_MESSAGE_BYTES;
-use crate::swarm::handle::Ticket;
+use crate::swarm::handle::{self, Ticket};
 use crate::swarm::order::{Answer, Outcome, Refusal};
 use crate::wire;
 
@@ -29,17 +30,23 @@ impl Dispatcher {
     /// Executes only what its own key names: a wildcard changes nothing.
     pub(super) fn command(&self, swarm: &Arc<str>, asked: &Asked) {
         let query = &asked.query;
-        let promise = self
-            .desk
-            .promise(asked, query.key_expr().as_str().to_owned());
         let key = query.key_expr().as_str();
+        if key == keys::cmd(&self.prefix, swarm, "fork") {
+            return self.fork(swarm, asked);
+        }
+        let promise = self.desk.promise(asked, key.to_owned());
         let verb = key.strip_prefix(&keys::cmd(&self.prefix, swarm, ""));
         let read = if query.key_expr().is_wild() {
             Err(CommandError::Wildcard)
         } else {
             let verb = verb.unwrap_or_default();
             request(query, self.most_bytes()).and_then(|request| {
-                let command = command::read(verb, &request)?;
+                let mut command = command::read(verb, &request)?;
+                if let Some(named) = archive::named(key, &request)
+                    && let Some(sender) = Arc::get_mut(&mut command.sender)
+                {
+                    sender.digest = Some(named.digest);
+                }
                 let is_new = self.enter(key, &request, &promise)?;
                 Ok((command, is_new))
             })
@@ -67,20 +74,22 @@ impl Dispatcher {
             swarm,
             &promise,
             (timeout, CommandError::deadline),
-            |answer| Ticket::Command {
-                order,
-                when,
-                sender,
-                answer: Box::new(move |answered| {
-                    answer(answered, move |place, outcome| {
-                        let frame = returns_state.then(|| {
-                            press
-                                .find(&name)
-                                .map_or(0, |publication| publication.frames())
+            |answer| {
+                Ticket::Command(handle::Command {
+                    order,
+                    when,
+                    sender,
+                    answer: Box::new(move |answered| {
+                        answer(answered, move |place, outcome| {
+                            let frame = returns_state.then(|| {
+                                press
+                                    .find(&name)
+                                    .map_or(0, |publication| publication.frames())
+                            });
+                            wire::outcome(&name, &place, outcome, frame)
                         });
-                        wire::outcome(&name, &place, outcome, frame)
-                    });
-                }),
+                    }),
+                })
             },
         );
     }
@@ -101,6 +110,8 @@ impl Dispatcher {
         let done = match verb {
             Some("create") => request(query, self.most_bytes())
                 .and_then(|request| self.create(&promise, &request)),
+            Some("restore") => request(query, self.most_bytes())
+                .and_then(|request| self.restore(&promise, &request)),
             verb => Err(CommandError::UnknownVerb {
                 verb: command::shortened(verb.unwrap_or_default()),
                 known: &keys::NODE_VERBS,
@@ -134,7 +145,8 @@ impl Dispatcher {
         }
         let name = args.name;
         let answer = |created: bool| -> Answer {
-            let (keeper, name, recipe) = (Keeper(promise.clone()), name.clone(), recipe.clone());
+            let (keeper, name, recipe) =
+                (Keeper::new(promise.clone()), name.clone(), recipe.clone());
             Box::new(move |answered| match answered {
                 Ok((place, Outcome::Seen(seen))) => keeper
                     .0
@@ -147,9 +159,17 @@ impl Dispatcher {
                 }
             })
         };
+        let named = archive::named(&key, request).map(|named| {
+            let (name, recipe) = (name.clone(), recipe.clone());
+            let payload: MakePayload =
+                Box::new(move |place, frame| wire::created(&name, place, &recipe, frame, true));
+            (named, payload)
+        });
+        let register = archive::register(&self.store, &name, &recipe, named);
+        let recipe_ = recipe.clone();
         let created = self
             .host
-            .create(&name, recipe.clone(), args.exist_ok, || answer(true))?;
+            .create(&name, recipe_, args.exist_ok, register, || answer(true))?;
         if let Created::Existing(handle) = created {
             handle.send(Ticket::Look(answer(false)));
         }
@@ -157,7 +177,12 @@ impl Dispatcher {
     }
 
     /// Enters a request that has a name into the ledger; false if it need not be carried out.
-    fn enter(&self, key: &str, request: &Request, promise: &Promise) -> Result<bool, CommandError> {
+    pub(super) fn enter(
+        &self,
+        key: &str,
+        request: &Request,
+        promise: &Promise,
+    ) -> Result<bool, CommandError> {
         let Some(id) = &request.request_id else {
             return Ok(true);
         };

@@ -17,6 +17,7 @@ use crate::server::answer::{Asked, Desk, Excuse, Keeper, Promise};
 use crate::server::doors::{Doors, LINGER};
 use crate::server::ledger::Ledger;
 use crate::server::query::Topic;
+use crate::store::Store;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::Ticket;
 use crate::swarm::order::{Answered, OrderError, Outcome, Refusal};
@@ -85,6 +86,8 @@ pub struct Dispatcher {
     pub press: Arc<Press>,
     /// When the daemon started.
     pub started: Instant,
+    /// What outlives the daemon.
+    pub store: Store,
     /// What the named requests came to.
     pub ledger: Ledger,
     /// The schemas of every message.
@@ -222,7 +225,7 @@ fn answer_to<A>(promise: &Promise) -> AnswerTo<A>
 where
     A: FnOnce(Place, Outcome) -> Payload + Send + 'static,
 {
-    let keeper = Keeper(promise.clone());
+    let keeper = Keeper::new(promise.clone());
     Box::new(move |answered, payload| match answered {
         Ok((place, outcome)) => keeper.0.fulfil(move || Ok(payload(place, outcome))),
         // It was carried out, though not to its end.

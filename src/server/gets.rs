@@ -8,7 +8,7 @@ use zenoh::Wait;
 use zenoh::query::Query;
 
 use crate::command::error::refusal;
-use crate::command::{CommandError, page, shortened, wait};
+use crate::command::{CommandError, DEFAULT_TIMEOUT, page, shortened, wait};
 use crate::server::answer::{Asked, Promise};
 use crate::server::dispatch::Dispatcher;
 use crate::server::query::{format, names, no_parameters};
@@ -43,13 +43,20 @@ impl Dispatcher {
         let mut is_known = false;
         for noun in keys::SWARM_GETS {
             let key = keys::get(&self.prefix, swarm, noun);
-            if !names(query, &key) || (noun == "wait" && !is_concrete) {
+            if !names(query, &key)
+                || (["wait", "verify", "snapshot"].contains(&noun) && !is_concrete)
+            {
                 continue;
             }
             is_known = true;
             if noun == "wait" {
                 let promise = self.desk.promise(&asked.aside(), key);
                 self.wait(swarm, &promise, query);
+                continue;
+            }
+            if noun == "verify" {
+                let promise = self.desk.promise(&asked.aside(), key);
+                self.verify(swarm, &promise, query);
                 continue;
             }
             let promise = self.desk.promise(asked, key);
@@ -65,6 +72,21 @@ impl Dispatcher {
                 }
             };
             let (name, handle) = (swarm.clone(), self.host.find(swarm));
+            if noun == "snapshot" {
+                self.send(
+                    swarm,
+                    &promise,
+                    (DEFAULT_TIMEOUT, CommandError::deadline),
+                    |answer| {
+                        Ticket::Copy(Box::new(move |answered| {
+                            answer(answered, move |place, outcome| {
+                                wire::outcome(&name, &place, outcome, None)
+                            });
+                        }))
+                    },
+                );
+                continue;
+            }
             let limits = self.host.limits();
             self.look(swarm, &promise, move |place, seen| match (noun, handle) {
                 ("spec", Some(handle)) => {

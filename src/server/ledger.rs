@@ -7,10 +7,11 @@
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use jostle_proto::Request;
+use jostle_proto::{CBOR, JSON, Request};
 use serde_json::Value;
 
 use crate::server::answer::Promise;
+use crate::store::{self, Store, Wanted, Write};
 use crate::wire::Payload;
 
 /// Answers remembered, and the bytes they may take; the oldest give way.
@@ -23,14 +24,17 @@ const EXACT: f64 = 9_007_199_254_740_992.0;
 const ANSWER_BYTES: usize = 256;
 
 /// A request's name: who says to have sent it, and what they called it.
-type Name = (Option<String>, String);
+pub type Name = (Option<String>, String);
 
 /// A request without what may differ when it is sent again.
-type Digest = [u8; 32];
+pub type Digest = [u8; 32];
 
-/// The named requests, and what they came to.
-#[derive(Clone, Default)]
-pub struct Ledger(Arc<Mutex<Requests>>);
+/// The named requests, and what they came to. Clones are the same one.
+#[derive(Clone)]
+pub struct Ledger {
+    requests: Arc<Mutex<Requests>>,
+    store: Store,
+}
 
 #[derive(Default)]
 struct Requests {
@@ -64,6 +68,65 @@ pub struct Page {
 }
 
 impl Ledger {
+    /// An empty ledger whose answers are kept in `store` too.
+    pub fn new(store: Store) -> Self {
+        Ledger {
+            requests: Arc::default(),
+            store,
+        }
+    }
+
+    /// Takes in what was kept.
+    pub fn fill(&self, answers: Vec<store::Answer>) {
+        let mut requests = self.lock();
+        for answer in answers {
+            let payload = Payload {
+                bytes: answer.body,
+                encoding: match answer.encoding.as_str() {
+                    CBOR => CBOR,
+                    _ => JSON,
+                },
+            };
+            let name = (answer.client, answer.request_id);
+            let answer_ = if answer.is_ok {
+                Ok(payload)
+            } else {
+                Err(payload)
+            };
+            requests.done(name, answer.digest, answer_);
+        }
+    }
+
+    /// Takes in what a request came to that nobody waits for.
+    pub fn remember(&self, name: Name, digest: Digest, answer: Result<Payload, Payload>) {
+        self.keep(&name, digest, &answer);
+        self.lock().done(name, digest, answer);
+    }
+
+    /// Whether a request of this name is known.
+    pub fn knows(&self, client: &Option<String>, id: &str) -> bool {
+        let name = (client.clone(), id.to_owned());
+        self.lock().by_name.contains_key(&name)
+    }
+
+    /// Has an answer kept. It need not be safe before it is sent: a crash in between leaves the
+    /// command in the swarm's journal, and what it came to comes about again.
+    fn keep(&self, name: &Name, digest: Digest, answer: &Result<Payload, Payload>) {
+        let (client, request_id) = name.clone();
+        let (Ok(payload) | Err(payload)) = answer;
+        let answer = Write::Answer(store::Answer {
+            client,
+            request_id,
+            digest,
+            swarm: String::new(),
+            number: 0,
+            is_ok: answer.is_ok(),
+            encoding: payload.encoding.to_owned(),
+            body: payload.bytes.clone(),
+        });
+        self.store.submit(vec![answer], Wanted::Soon(None));
+    }
+
     /// Enters a request under its name. `promise` is kept from here if it is a known one.
     pub fn enter(&self, key: &str, request: &Request, id: &str, promise: &Promise) -> Entered {
         let name = (request.client.clone(), id.to_owned());
@@ -94,7 +157,7 @@ impl Ledger {
 
     fn lock(&self) -> MutexGuard<'_, Requests> {
         // Nothing between two changes can panic.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.requests.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -103,14 +166,16 @@ impl Page {
     pub fn write(mut self, answer: &Result<Payload, Payload>) {
         self.is_written = true;
         let mut requests = self.ledger.lock();
-        let Some((_, progress)) = requests.by_name.get_mut(&self.name) else {
+        let Some((digest, progress)) = requests.by_name.get_mut(&self.name) else {
             return;
         };
+        let digest = *digest;
         let before = std::mem::replace(progress, Progress::Done(answer.clone()));
         requests.done.push_back(self.name.clone());
         requests.bytes += bytes(answer);
         requests.forget_oldest();
         drop(requests);
+        self.ledger.keep(&self.name, digest, answer);
         if let Progress::Underway(promises) = before {
             for promise in promises {
                 let answer = answer.clone();
@@ -145,6 +210,18 @@ impl Drop for Page {
 }
 
 impl Requests {
+    fn done(&mut self, name: Name, digest: Digest, answer: Result<Payload, Payload>) {
+        self.bytes += bytes(&answer);
+        let before = self
+            .by_name
+            .insert(name.clone(), (digest, Progress::Done(answer)));
+        match before {
+            Some((_, Progress::Done(before))) => self.bytes -= bytes(&before),
+            _ => self.done.push_back(name),
+        }
+        self.forget_oldest();
+    }
+
     fn forget_oldest(&mut self) {
         let (most, most_bytes) = MOST;
         while self.done.len() > most || (self.bytes > most_bytes && self.done.len() > 1) {
@@ -164,7 +241,7 @@ fn bytes(answer: &Result<Payload, Payload>) -> usize {
 }
 
 /// What makes two requests the same one: not how long their senders wait.
-fn digest(key: &str, request: &Request) -> Digest {
+pub fn digest(key: &str, request: &Request) -> Digest {
     let mut hasher = blake3::Hasher::new();
     hasher.update(key.as_bytes());
     for number in [request.at_step, request.expect_epoch, request.expect_step] {

@@ -1,7 +1,9 @@
 //! The daemon on the bus: query in, reply out; liveliness; shutdown.
 
 pub mod answer;
+pub mod archive;
 mod commands;
+mod copies;
 pub mod dispatch;
 pub mod doors;
 mod gets;
@@ -17,7 +19,7 @@ use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
 use thiserror::Error;
-use tracing::{info, warn};
+use tracing::{error, info, warn};
 use zenoh::key_expr::KeyExpr;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Queryable;
@@ -28,14 +30,22 @@ use crate::config::Config;
 use crate::host::Host;
 use crate::publish::Press;
 use crate::server::answer::Desk;
+use crate::server::archive::RecoveryError;
 use crate::server::dispatch::{Crier, Dispatcher, Intake, MOST_QUERIES};
 use crate::server::doors::Doors;
 use crate::server::ledger::Ledger;
 use crate::server::query::{Topic, queryable};
 use crate::server::session::SessionError;
+use crate::store::{self, Store, StoreError, StoreFault};
+
+/// The exit code when the store can no longer be trusted.
+const EXIT_STORE: i32 = 8;
 
 /// How long swarms may take to finish the step they are at when the daemon stops.
 const PATIENCE_WITH_SWARMS: Duration = Duration::from_millis(500);
+
+/// How long the store may take to write what is left.
+const PATIENCE_WITH_STORE: Duration = Duration::from_secs(1);
 
 /// How long closing the session may take; with a frozen client it would be ten seconds.
 const PATIENCE_WITH_SESSION: Duration = Duration::from_secs(1);
@@ -52,6 +62,12 @@ pub enum ServerError {
     /// The daemon's name cannot be part of a key.
     #[error("{}", .0.to_wire(None).message)]
     Name(CommandError),
+    /// What outlives the daemon cannot be opened.
+    #[error("{0}")]
+    Store(#[from] StoreError),
+    /// What outlived it cannot be brought back.
+    #[error("cannot bring the swarms back: {0}")]
+    Recovery(#[from] RecoveryError),
     /// No thread can be started.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
@@ -61,6 +77,7 @@ pub enum ServerError {
 pub struct Server {
     prefix: String,
     host: Arc<Host>,
+    store: Store,
     session: Session,
     press: Arc<Press>,
     desk: Desk,
@@ -78,6 +95,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let (prefix, node) = (&config.prefix, &config.node);
     check_name("node", node).map_err(ServerError::Name)?;
     check_name("prefix", prefix).map_err(ServerError::Name)?;
+    let store = open_store(config)?;
     let session = session::open(&config.listen).await?;
     let locators = session.info().locators().await;
     let endpoints: Vec<String> = locators.iter().map(ToString::to_string).collect();
@@ -86,7 +104,8 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let (press, _) = Press::start(prefix)?;
     let (intake, taken) = sync_channel(MOST_QUERIES);
     let crier = Arc::new(Crier::new(intake.clone(), press.clone()));
-    let host = Arc::new(Host::new(config.limits, crier));
+    let host = Arc::new(Host::new(config.limits, crier, archive::archive(&store)));
+    let ledger = Ledger::new(store.clone());
     let dispatcher = Dispatcher {
         session: session.clone(),
         prefix: prefix.clone(),
@@ -95,7 +114,8 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         desk: desk.clone(),
         press: press.clone(),
         started: Instant::now(),
-        ledger: Ledger::default(),
+        store: store.clone(),
+        ledger: ledger.clone(),
         schemas: gets::schemas(),
         doors: Doors::new(
             session.clone(),
@@ -108,6 +128,13 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     thread::Builder::new()
         .name("dispatch".into())
         .spawn(move || dispatcher.run(&taken))?;
+
+    // Every swarm is back before anyone is told that the daemon is there.
+    let recovering = (host.clone(), store.clone());
+    let recovered = tokio::task::spawn_blocking(move || {
+        archive::recover(&recovering.0, &recovering.1, &ledger)
+    });
+    recovered.await.expect("recovery does not panic")?;
 
     let refused = |error: zenoh::Error| ServerError::Keys(error.to_string());
     let queryable = |key: String, topic| queryable(&session, &key, topic, &intake, &desk);
@@ -124,6 +151,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     Ok(Server {
         prefix: prefix.clone(),
         host,
+        store,
         session,
         press,
         desk,
@@ -131,6 +159,20 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         endpoints,
         doors: (token, queryables),
     })
+}
+
+/// Opens what outlives the daemon. When it can no longer be trusted the daemon ends at once: only
+/// another start tells what is safe.
+fn open_store(config: &Config) -> Result<Store, StoreError> {
+    let settings = store::Settings {
+        quota_bytes: config.quota_bytes,
+    };
+    let on_fatal = Box::new(|fault: &StoreFault| {
+        error!(%fault, "ending: start it again");
+        eprintln!("jostled: {fault}");
+        signal_hook::low_level::exit(EXIT_STORE)
+    });
+    Store::open(&config.data_dir, settings, on_fatal)
 }
 
 impl Server {
@@ -142,6 +184,11 @@ impl Server {
     /// What zenoh calls its session.
     pub fn zid(&self) -> String {
         self.session.zid().to_string()
+    }
+
+    /// What outlives it.
+    pub fn store(&self) -> &Store {
+        &self.store
     }
 
     /// The swarms it hosts.
@@ -187,6 +234,11 @@ impl Server {
         let running = tokio::task::spawn_blocking(move || host.stop(PATIENCE_WITH_SWARMS));
         if let Ok(running @ 1..) = running.await {
             warn!(running, "swarms were still in a step");
+        }
+        let store = self.store.clone();
+        let stopped = tokio::task::spawn_blocking(move || store.stop(PATIENCE_WITH_STORE));
+        if let Ok(false) = stopped.await {
+            warn!("the store was still writing");
         }
         self.press.stop();
         self.desk.stop();

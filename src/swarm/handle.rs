@@ -12,22 +12,27 @@ use crate::swarm::waiters::Waiter;
 /// What a swarm's thread takes, in the order of arrival.
 pub enum Ticket {
     /// A command.
-    Command {
-        /// What to do.
-        order: Order,
-        /// When to do it.
-        when: When,
-        /// Who sent it.
-        sender: Arc<Sender>,
-        /// Takes what it came to.
-        answer: Answer,
-    },
+    Command(Command),
     /// A look at the state as it is now.
     Look(Answer),
     /// A look when something has come about.
     Wait(Waiter),
+    /// All of it as it is now.
+    Copy(Answer),
     /// End now, without an event: the daemon stops.
     Stop,
+}
+
+/// A command to a swarm.
+pub struct Command {
+    /// What to do.
+    pub order: Order,
+    /// When to do it.
+    pub when: When,
+    /// Who sent it.
+    pub sender: Arc<Sender>,
+    /// Takes what it came to.
+    pub answer: Answer,
 }
 
 /// A swarm as others see it. Clones reach the same swarm.
@@ -73,8 +78,9 @@ impl Ticket {
     /// Answers a ticket that no swarm took.
     fn refuse(self, step: Option<u64>, error: OrderError) {
         match self {
-            Ticket::Command { answer, .. }
+            Ticket::Command(Command { answer, .. })
             | Ticket::Look(answer)
+            | Ticket::Copy(answer)
             | Ticket::Wait(Waiter { answer, .. }) => {
                 answer(Err(Refusal { step, error }));
             }

@@ -1,8 +1,10 @@
 //! One hosted swarm: its phases, its thread and how to reach it. Knows no zenoh.
 
+pub mod checkpoint;
 pub mod frame;
 pub mod handle;
 pub mod history;
+pub mod journal;
 pub mod order;
 pub mod outlet;
 pub mod pace;

@@ -9,7 +9,9 @@ use crate::model::parameters::{Parameters, ParametersError};
 use crate::model::resize::ResizeError;
 use crate::model::selection::{Selection, SelectionError};
 use crate::model::start::StartError;
+use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::frame::{Frame, Place};
+use crate::swarm::journal::WriteFault;
 use crate::swarm::phase::PhaseError;
 
 /// Time units per second of wall clock; `None` is as fast as possible.
@@ -177,6 +179,8 @@ pub struct Sender {
     pub client: Option<String>,
     /// What the sender called it.
     pub request_id: Option<String>,
+    /// What tells it from any other request of that name.
+    pub digest: Option<[u8; 32]>,
 }
 
 /// When an order is to be carried out.
@@ -213,7 +217,16 @@ pub enum Outcome {
     /// It runs to this step at this rate.
     Runs(Option<u64>, Rate),
     /// It took this many steps, fewer than asked for if another command came between.
-    Stepped(u64, Arc<Frame>),
+    Stepped {
+        /// How many.
+        steps: u64,
+        /// The last step that a crash would not take back.
+        safe_step: u64,
+        /// Where it arrived.
+        seen: Arc<Frame>,
+    },
+    /// It is this, as a whole.
+    Whole(Box<Checkpoint>),
     /// It is back at its start.
     Reset(Arc<Frame>),
     /// Parameters before and now, `publish_every` before and now, scale.
@@ -310,6 +323,9 @@ pub enum OrderError {
     /// Nobody would be left.
     #[error("this would remove all {0} individuals: leave one, or delete the swarm")]
     NobodyLeft(usize),
+    /// It was refused before the daemon restarted, and is not tried again.
+    #[error("it was refused before the daemon restarted: send it anew")]
+    RefusedBefore,
     /// The group would outgrow the daemon's limit.
     #[error(
         "{n} individuals are more than one swarm may have, {limit}: add fewer, or raise max_individuals"
@@ -333,6 +349,9 @@ pub enum OrderError {
         /// What is free.
         free: u64,
     },
+    /// The order could not be made safe, so it was not carried out.
+    #[error("{0}: nothing was changed; make room on the disk of data_dir and send it again")]
+    Unsafe(WriteFault),
     /// Too many orders or waiters at once.
     #[error("too much at once for this swarm: try again in a moment")]
     Busy,
@@ -354,6 +373,28 @@ pub struct Refusal {
     pub step: Option<u64>,
     /// Why.
     pub error: OrderError,
+}
+
+impl Order {
+    /// Whether it is written down and safe before it is carried out. Steps are carried out first,
+    /// and an end is written when it comes.
+    pub fn is_written_first(&self) -> bool {
+        !matches!(self, Order::Step(_) | Order::Delete)
+    }
+}
+
+impl OrderError {
+    /// Whether it may come out otherwise when the same is ordered again of the same state.
+    pub fn is_by_chance(&self) -> bool {
+        match self {
+            OrderError::TooMany { .. }
+            | OrderError::NoMemory { .. }
+            | OrderError::Panicked
+            | OrderError::Unsafe(_) => true,
+            OrderError::InBatch { error, .. } => error.is_by_chance(),
+            _ => false,
+        }
+    }
 }
 
 /// Sets memory aside for a group of this size, or says why not.

@@ -34,6 +34,22 @@ pub enum PauseReason {
     Finished,
     /// It was put back to its start.
     Reset,
+    /// It was just made as another swarm was.
+    Forked,
+    /// It was just made from a snapshot.
+    Restored,
+}
+
+impl PauseReason {
+    /// Every reason.
+    pub const ALL: [PauseReason; 6] = [
+        PauseReason::Created,
+        PauseReason::Requested,
+        PauseReason::Finished,
+        PauseReason::Reset,
+        PauseReason::Forked,
+        PauseReason::Restored,
+    ];
 }
 
 impl fmt::Display for PauseReason {
@@ -43,6 +59,8 @@ impl fmt::Display for PauseReason {
             PauseReason::Requested => "requested",
             PauseReason::Finished => "finished",
             PauseReason::Reset => "reset",
+            PauseReason::Forked => "forked",
+            PauseReason::Restored => "restored",
         })
     }
 }

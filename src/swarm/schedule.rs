@@ -9,8 +9,10 @@ use crate::swarm::order::{Order, OrderError, Sender};
 const MOST: (usize, usize) = (1024, 256 * 1024);
 
 /// A command that waits for its step.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub struct Scheduled {
+    /// The line of the journal that it stands on.
+    pub input: u64,
     /// What to do.
     pub order: Order,
     /// Who sent it.
@@ -61,6 +63,14 @@ impl Schedule {
         std::mem::take(&mut self.waiting)
             .into_iter()
             .map(|((at_step, _), command)| (at_step, command))
+            .collect()
+    }
+
+    /// All, each with its step, in the order they come due.
+    pub fn list(&self) -> Vec<(u64, Scheduled)> {
+        let waiting = self.waiting.iter();
+        waiting
+            .map(|((at_step, _), command)| (*at_step, command.clone()))
             .collect()
     }
 

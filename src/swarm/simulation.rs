@@ -7,6 +7,7 @@ use crate::model::selection::{Candidates, Selection, select};
 use crate::model::{injection, resize, start};
 use crate::observables::{self, Order, RunningMeans};
 use crate::stepper::{StepError, StepReport, Stepper};
+use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::frame::Exactness;
 use crate::swarm::order::{
     Admit, Change, ChangeKind, OrderError, Outcome, Placement, Recipe, Settings, Start,
@@ -64,6 +65,26 @@ impl Simulation {
             admit,
             stepper: Stepper::new(),
         })
+    }
+
+    /// The swarm as it was at a checkpoint; it grows as far as `admit` lets it.
+    pub fn from_checkpoint(checkpoint: &Checkpoint, admit: Admit) -> Self {
+        Simulation {
+            recipe: checkpoint.recipe.clone(),
+            state: checkpoint.state.clone(),
+            publish_every: checkpoint.publish_every,
+            epoch: checkpoint.epoch,
+            seq: checkpoint.seq,
+            means: checkpoint.means,
+            exactness: checkpoint.exactness,
+            admit,
+            stepper: Stepper::new(),
+        }
+    }
+
+    /// Grows from here on as far as this lets it.
+    pub fn admit_by(&mut self, admit: Admit) {
+        self.admit = admit;
     }
 
     /// Takes one step.

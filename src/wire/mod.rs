@@ -1,5 +1,6 @@
 //! Between what crosses the wire and what the daemon works with: here, and nowhere else.
 
+pub mod durable;
 mod from_proto;
 mod to_proto;
 

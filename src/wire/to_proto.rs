@@ -13,6 +13,7 @@ use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
 use crate::swarm::history::{Entry, Page};
 use crate::swarm::order::{ChangeKind, OrderError, Outcome, Recipe, Sender, Start};
 use crate::swarm::phase::Phase;
+use crate::wire::durable::snapshot;
 
 /// The reply of `swarm` at `place`.
 pub fn reply<T>(swarm: &str, place: &Place, result: T) -> proto::Reply<T> {
@@ -63,10 +64,15 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
         Outcome::Runs(until_step, rate) => {
             Payload::json(&reply(swarm, place, RunResult { until_step, rate }))
         }
-        Outcome::Stepped(steps, seen) => {
+        Outcome::Stepped {
+            steps,
+            safe_step,
+            seen,
+        } => {
             let state = frame.map(|frame| state(swarm, &seen, frame));
             let result = StepResult {
                 steps,
+                durable_step: safe_step,
                 state_hash: hash(&seen),
                 state,
             };
@@ -99,6 +105,7 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
         Outcome::Scheduled(applies_at_step) => {
             Payload::json(&reply(swarm, place, Scheduled { applies_at_step }))
         }
+        Outcome::Whole(whole) => Payload::cbor(&reply(swarm, place, snapshot(swarm, &whole))),
         Outcome::Seen(seen) => Payload::json(&reply(swarm, place, status(&seen))),
     }
 }
@@ -391,7 +398,10 @@ fn phase(phase: &Phase) -> proto::Phase {
     }
 }
 
-fn parameter_values(parameters: Parameters, publish_every: u64) -> proto::ParameterValues {
+pub(super) fn parameter_values(
+    parameters: Parameters,
+    publish_every: u64,
+) -> proto::ParameterValues {
     proto::ParameterValues {
         pi1: parameters.pi1,
         pi2: parameters.pi2,
@@ -431,9 +441,14 @@ fn informed(seen: &Frame) -> u64 {
 }
 
 fn hash(seen: &Frame) -> String {
+    hexadecimal(&seen.hash.unwrap_or_default())
+}
+
+/// A hash in hexadecimal.
+pub(super) fn hexadecimal(hash: &[u8; 32]) -> String {
     use std::fmt::Write as _;
     let mut text = String::with_capacity(64);
-    for byte in seen.hash.unwrap_or_default() {
+    for byte in hash {
         let _ = write!(text, "{byte:02x}");
     }
     text

@@ -4,10 +4,12 @@ use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use tempfile::TempDir;
+
 use crate::support::PATIENCE;
 
-/// A process that ends when the test does.
-pub struct Process(pub Child);
+/// A process that ends when the test does, and its data with it.
+pub struct Process(pub Child, pub TempDir);
 
 impl Drop for Process {
     fn drop(&mut self) {
@@ -29,16 +31,19 @@ pub fn jostled(arguments: &[&str]) -> Command {
 impl Process {
     /// Starts a daemon and tells where it listens.
     pub fn serve() -> (Self, String) {
-        Self::start(&mut jostled(&SERVE))
+        Self::start(&mut jostled(&SERVE), tempfile::tempdir().unwrap())
     }
 
     /// Starts a daemon that fails at these points.
     pub fn serve_failing(points: &str) -> (Self, String) {
-        Self::start(jostled(&SERVE).env("FAILPOINTS", points))
+        let folder = tempfile::tempdir().unwrap();
+        Self::start(jostled(&SERVE).env("FAILPOINTS", points), folder)
     }
 
-    fn start(command: &mut Command) -> (Self, String) {
-        let mut process = Process(command.stdout(Stdio::piped()).spawn().unwrap());
+    /// Starts a daemon with what one left in `folder`.
+    pub fn start(command: &mut Command, folder: TempDir) -> (Self, String) {
+        let command = command.arg("--data-dir").arg(folder.path());
+        let mut process = Process(command.stdout(Stdio::piped()).spawn().unwrap(), folder);
         let mut line = String::new();
         let output = process.0.stdout.take().unwrap();
         BufReader::new(output).read_line(&mut line).unwrap();

@@ -6,6 +6,7 @@ use jostle_proto::{Error, ErrorCode, keys};
 use jostled::config::{self, Config};
 use jostled::server::{self, Server};
 use serde_json::{Value, json};
+use tempfile::TempDir;
 use tokio::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard};
 use zenoh::Session;
 use zenoh::bytes::Encoding;
@@ -32,6 +33,7 @@ pub async fn beside_others() -> RwLockReadGuard<'static, ()> {
 pub struct Daemon {
     pub server: Server,
     pub client: Client,
+    _folder: TempDir,
     _machine: Option<RwLockReadGuard<'static, ()>>,
 }
 
@@ -59,6 +61,9 @@ impl Daemon {
             ("listen", Some("tcp/127.0.0.1:0".to_owned())),
             ("node", Some(NODE.to_owned())),
         ];
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().to_str().unwrap().to_owned();
+        flags.push(("data_dir", Some(path)));
         flags.extend(
             settings
                 .iter()
@@ -70,6 +75,7 @@ impl Daemon {
         Daemon {
             server,
             client,
+            _folder: folder,
             _machine: machine,
         }
     }

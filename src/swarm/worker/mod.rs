@@ -4,7 +4,9 @@
 //! published in its outlet. It never waits for a reader.
 
 mod orders;
+pub mod replay;
 
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
@@ -13,22 +15,38 @@ use std::time::{Duration, Instant};
 use fail::fail_point;
 use tracing::warn;
 
+use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
 use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::history::History;
-use crate::swarm::order::{Answer, OrderError, Outcome, Refusal};
+use crate::swarm::journal::{Journal, Record, Writer};
+use crate::swarm::order::{Answer, Order, OrderError, Outcome, Refusal, Sender};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{Cue, PauseReason, Phase};
 use crate::swarm::schedule::Schedule;
 use crate::swarm::simulation::Simulation;
 use crate::swarm::waiters::Waiters;
+use crate::swarm::worker::replay::Replay;
 
 /// Tickets taken between two steps, so that a flood of them slows a swarm but never stops it.
 const TICKETS_PER_STEP: usize = 64;
 
 /// How often the summary of a moving swarm is renewed.
 const SUMMARY_PERIOD: Duration = Duration::from_millis(100);
+
+/// After so many steps, so many commands or so long a swarm is kept as it is.
+const CHECKPOINT_STEPS: u64 = 10_000;
+const CHECKPOINT_INPUTS: u64 = 4096;
+const CHECKPOINT_PERIOD: Duration = Duration::from_secs(30);
+
+/// A swarm that has computed for so long is kept too, though not more than once a second: after a
+/// crash all swarms together compute again what they have computed since.
+const CHECKPOINT_WORK: Duration = Duration::from_millis(30);
+const CHECKPOINT_PAUSE: Duration = Duration::from_secs(1);
+
+/// Steps between two hashes in the journal.
+const HASH_EVERY: u64 = 500;
 
 /// A running swarm, owned by its thread.
 pub struct Worker {
@@ -47,12 +65,44 @@ pub struct Worker {
     events: u64,
     pending: Option<Pending>,
     waiters: Waiters,
+    journal: Journal,
+    since: Since,
+    replay: Replay,
 }
 
 /// A `step` command that is being carried out.
 struct Pending {
     answer: Answer,
     from: u64,
+    sender: Arc<Sender>,
+}
+
+/// What has come about since the last checkpoint.
+struct Since {
+    kept: Instant,
+    steps: u64,
+    inputs: u64,
+    work: Duration,
+}
+
+impl Since {
+    fn new() -> Self {
+        Since {
+            kept: Instant::now(),
+            steps: 0,
+            inputs: 0,
+            work: Duration::ZERO,
+        }
+    }
+
+    fn is_due(&self, now: Instant) -> bool {
+        let elapsed = now.saturating_duration_since(self.kept);
+        let is_long = elapsed >= CHECKPOINT_PERIOD
+            || (self.work >= CHECKPOINT_WORK && elapsed >= CHECKPOINT_PAUSE);
+        self.steps >= CHECKPOINT_STEPS
+            || self.inputs >= CHECKPOINT_INPUTS
+            || (is_long && self.steps > 0)
+    }
 }
 
 /// What ended a swarm's thread.
@@ -70,11 +120,35 @@ impl Worker {
         tickets: Receiver<Ticket>,
         handle: &Handle,
         shortest_between_frames: Duration,
+        writer: Writer,
+    ) -> Self {
+        let journal = Journal::new(writer, 0, simulation.state.step);
+        let mut worker = Worker::around(
+            simulation,
+            tickets,
+            handle,
+            shortest_between_frames,
+            journal,
+        );
+        worker.tell(EventKind::Created);
+        worker.renew_summary();
+        worker
+    }
+
+    fn around(
+        simulation: Simulation,
+        tickets: Receiver<Ticket>,
+        handle: &Handle,
+        shortest_between_frames: Duration,
+        journal: Journal,
     ) -> Self {
         let now = Instant::now();
         let rate = simulation.recipe.rate;
-        let mut worker = Worker {
+        Worker {
             pace: Pace::new(rate, simulation.recipe.parameters.dt, now),
+            journal,
+            since: Since::new(),
+            replay: Replay::default(),
             simulation,
             phase: Phase::Paused(PauseReason::Created),
             rate,
@@ -89,10 +163,39 @@ impl Worker {
             events: 0,
             pending: None,
             waiters: Waiters::default(),
-        };
-        worker.tell(EventKind::Created);
-        worker.renew_summary();
-        worker
+        }
+    }
+
+    /// The size of the group.
+    pub fn n(&self) -> usize {
+        self.simulation.state.configuration.n()
+    }
+
+    /// What telling its past again has shown.
+    pub fn replay(&self) -> &Replay {
+        &self.replay
+    }
+
+    /// All of the swarm as it is now.
+    pub fn checkpoint(&self) -> Checkpoint {
+        let simulation = &self.simulation;
+        let pending = self.pending.as_ref();
+        Checkpoint {
+            recipe: simulation.recipe.clone(),
+            state: simulation.state.clone(),
+            publish_every: simulation.publish_every,
+            epoch: simulation.epoch,
+            seq: simulation.seq,
+            means: simulation.means,
+            exactness: simulation.exactness,
+            phase: self.phase.clone(),
+            rate: self.rate,
+            scheduled: self.schedule.list(),
+            pending: pending.map(|pending| (pending.from, pending.sender.clone())),
+            events: self.events,
+            lines: self.journal.lines(),
+            is_last: false,
+        }
     }
 
     /// The swarm as it is now.
@@ -106,7 +209,7 @@ impl Worker {
             if !self.phase.is_moving() {
                 match self.tickets.recv() {
                     Ok(ticket) => {
-                        if let Some(end) = self.take(ticket) {
+                        if let Some(end) = self.take_with_others(Some(ticket)) {
                             return end;
                         }
                     }
@@ -114,13 +217,8 @@ impl Worker {
                 }
                 continue;
             }
-            for _ in 0..TICKETS_PER_STEP {
-                let Ok(ticket) = self.tickets.try_recv() else {
-                    break;
-                };
-                if let Some(end) = self.take(ticket) {
-                    return end;
-                }
+            if let Some(end) = self.take_with_others(None) {
+                return end;
             }
             match self.wait() {
                 Some(Duration::ZERO) => {
@@ -130,7 +228,7 @@ impl Worker {
                 }
                 Some(wait) => match self.tickets.recv_timeout(wait) {
                     Ok(ticket) => {
-                        if let Some(end) = self.take(ticket) {
+                        if let Some(end) = self.take_with_others(Some(ticket)) {
                             return end;
                         }
                     }
@@ -155,6 +253,35 @@ impl Worker {
         }
     }
 
+    /// Takes a ticket, and those that came meanwhile. Commands that follow each other are made
+    /// safe together; what comes after one that starts over has another step.
+    fn take_with_others(&mut self, first: Option<Ticket>) -> Option<End> {
+        let more = self.tickets.try_iter().take(TICKETS_PER_STEP);
+        let mut tickets: VecDeque<Ticket> = first.into_iter().chain(more).collect();
+        let mut together = Vec::new();
+        while let Some(ticket) = tickets.pop_front() {
+            match ticket {
+                Ticket::Command(command) => {
+                    let starts_over = matches!(command.order, Order::Reset(_));
+                    together.push(command);
+                    let goes_on = matches!(tickets.front(), Some(Ticket::Command(_)));
+                    if (starts_over || !goes_on)
+                        && let Some(end) = self.commands(std::mem::take(&mut together))
+                    {
+                        return Some(end);
+                    }
+                }
+                other => {
+                    if let Some(end) = self.take(other) {
+                        return Some(end);
+                    }
+                }
+            }
+        }
+        self.keep_if_due(Instant::now());
+        None
+    }
+
     fn take(&mut self, ticket: Ticket) -> Option<End> {
         match ticket {
             Ticket::Look(answer) => {
@@ -169,18 +296,25 @@ impl Worker {
                 self.answer_waiters();
                 None
             }
-            Ticket::Command {
-                order,
-                when,
-                sender,
-                answer,
-            } => self.command(order, when, sender, answer),
-            Ticket::Stop => Some(End::Stopped),
+            Ticket::Copy(answer) => {
+                let whole = Outcome::Whole(Box::new(self.checkpoint()));
+                answer(Ok((self.place(), whole)));
+                None
+            }
+            Ticket::Command(command) => self.commands(vec![command]),
+            Ticket::Stop => {
+                self.journal.keep(Checkpoint {
+                    is_last: true,
+                    ..self.checkpoint()
+                });
+                Some(End::Stopped)
+            }
         }
     }
 
     /// Takes one step, and carries out what was put off until the step reached.
     fn step(&mut self) -> Option<End> {
+        let began = Instant::now();
         let simulation = &mut self.simulation;
         let stepped = catch_unwind(AssertUnwindSafe(|| {
             fail_point!("step");
@@ -190,6 +324,11 @@ impl Worker {
         match stepped {
             Ok(Ok(report)) => {
                 self.pace.stepped(now);
+                self.since.steps += 1;
+                self.since.work += now.saturating_duration_since(began);
+                if !self.hash_step() {
+                    return None;
+                }
                 if !report.lapsed.is_empty() {
                     self.tell(EventKind::Lapsed(report.lapsed));
                 }
@@ -234,13 +373,59 @@ impl Worker {
             }
         }
         self.answer_waiters();
+        self.keep_if_due(now);
         None
+    }
+
+    /// Writes the hash down now and then. Told again, a step must have the hash it had; false if
+    /// it has not.
+    fn hash_step(&mut self) -> bool {
+        let at = self.at();
+        if !at.1.is_multiple_of(HASH_EVERY) {
+            return true;
+        }
+        let hash = self.simulation.state.hash();
+        match self.replay.is_as_it_was(at, hash) {
+            Some(false) => {
+                let step = at.1;
+                self.fault(format!(
+                    "told again from the journal, step {step} has another hash than it had: the \
+                     journal or this build of the daemon is not the one that took it"
+                ));
+                false
+            }
+            _ => {
+                self.journal.note(at, Record::Hash(hash), None);
+                true
+            }
+        }
+    }
+
+    /// The epoch and the step it is at.
+    fn at(&self) -> (u64, u64) {
+        (self.simulation.epoch, self.simulation.state.step)
+    }
+
+    fn keep_if_due(&mut self, now: Instant) {
+        if self.since.is_due(now) {
+            self.keep();
+        }
+    }
+
+    /// Has the swarm kept as it is.
+    fn keep(&mut self) {
+        if !self.journal.is_replaying() {
+            self.journal.keep(self.checkpoint());
+            self.since = Since::new();
+        }
     }
 
     /// Keeps the last good state and says why.
     fn fault(&mut self, reason: String) {
         warn!(swarm = self.outlet.name, reason, "faulted");
         self.phase = Phase::Faulted(reason.clone());
+        let at = self.at();
+        self.journal.note(at, Record::Fault(reason.clone()), None);
         self.tell(EventKind::Fault(reason.clone()));
         self.show();
         self.renew_summary();
@@ -318,7 +503,10 @@ impl Worker {
             kind,
         };
         self.history.tell(&event);
-        self.outlet.tell(event);
+        // Whoever read it when it came about is not told again.
+        if !self.journal.is_replaying() {
+            self.outlet.tell(event);
+        }
     }
 
     pub(super) fn renew_summary(&mut self) {

@@ -5,8 +5,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use fail::fail_point;
+use tracing::warn;
 
 use crate::swarm::frame::EventKind;
+use crate::swarm::handle::Command;
+use crate::swarm::journal::{Record, Written};
 use crate::swarm::order::{
     Answer, Answered, Change, ChangeKind, Order, OrderError, Outcome, Refusal, Sender, Until, When,
 };
@@ -17,43 +20,117 @@ use crate::swarm::simulation::steps_in;
 use crate::swarm::worker::{End, Pending, Worker};
 
 impl Worker {
-    /// Carries out a command now or puts it off until its step.
+    /// Makes commands safe together, and then carries each out or puts it off until its step.
+    pub(super) fn commands(&mut self, commands: Vec<Command>) -> Option<End> {
+        let mut possible = Vec::with_capacity(commands.len());
+        for command in commands {
+            match self.check(command.when) {
+                Ok(()) => possible.push(command),
+                Err(error) => (command.answer)(Err(self.refusal(error))),
+            }
+        }
+        let step = self.simulation.state.step;
+        let put_off = |command: &Command| command.when.at_step.filter(|at_step| *at_step > step);
+        let records: Vec<Record> = possible
+            .iter()
+            .filter(|command| command.order.is_written_first() || put_off(command).is_some())
+            .map(|command| Record::Input {
+                at_step: put_off(command),
+                sender: command.sender.clone(),
+                seq: None,
+            })
+            .collect();
+        let mut input = 0;
+        if !records.is_empty() {
+            match self.journal.commit(self.at(), records) {
+                Ok(first) => input = first,
+                Err(fault) => {
+                    for command in possible {
+                        let error = OrderError::Unsafe(fault.clone());
+                        (command.answer)(Err(self.refusal(error)));
+                    }
+                    return None;
+                }
+            }
+        }
+        for command in possible {
+            let at_step = put_off(&command);
+            let is_written = command.order.is_written_first() || at_step.is_some();
+            let line = if is_written { input } else { 0 };
+            if let Some(end) = self.command(line, at_step, command) {
+                return Some(end);
+            }
+            input += u64::from(is_written);
+        }
+        None
+    }
+
+    /// Carries out a command that stands on line `input`, or on none, or puts it off until its
+    /// step.
     pub(super) fn command(
         &mut self,
-        order: Order,
-        when: When,
-        sender: Arc<Sender>,
-        answer: Answer,
+        input: u64,
+        at_step: Option<u64>,
+        command: Command,
     ) -> Option<End> {
-        let step = self.simulation.state.step;
-        let checked = self.check(when);
-        match (checked, when.at_step) {
-            (Ok(()), Some(at_step)) if at_step > step => {
-                let put_off = self.put_off(at_step, order, sender);
-                answer(match put_off {
-                    Ok(()) => Ok((self.place(), Outcome::Scheduled(at_step))),
-                    Err(error) => Err(self.refusal(error)),
-                });
-                None
-            }
-            (Ok(()), _) => self.carry_out(order, sender, answer),
-            (Err(error), _) => {
+        self.since.inputs += 1;
+        let Command {
+            order,
+            sender,
+            answer,
+            ..
+        } = command;
+        let Some(at_step) = at_step else {
+            return self.carry_out(input, order, sender, answer);
+        };
+        match self.put_off(input, at_step, order, sender) {
+            Ok(()) => answer(Ok((self.place(), Outcome::Scheduled(at_step)))),
+            Err(error) => {
+                self.became(input, Err(&error));
                 answer(Err(self.refusal(error)));
-                None
             }
+        }
+        None
+    }
+
+    /// Writes down what became of the command on line `input`. What was refused by chance must not
+    /// be carried out when the journal is told again, so its refusal is safe before it is told.
+    fn became(&mut self, input: u64, outcome: Result<u64, &OrderError>) {
+        let record = Record::Became {
+            input,
+            seq: outcome.ok(),
+        };
+        let at = self.at();
+        match outcome {
+            Err(error) if error.is_by_chance() => {
+                if let Err(fault) = self.journal.commit(at, vec![record]) {
+                    warn!(swarm = self.outlet.name, %fault, "failed to write a refusal down");
+                }
+            }
+            _ => drop(self.journal.note(at, record, None)),
         }
     }
 
     /// Carries out a command and answers it; all but `step` at once.
-    fn carry_out(&mut self, order: Order, sender: Arc<Sender>, answer: Answer) -> Option<End> {
+    fn carry_out(
+        &mut self,
+        input: u64,
+        order: Order,
+        sender: Arc<Sender>,
+        answer: Answer,
+    ) -> Option<End> {
+        if self.replay.was_refused(input) {
+            answer(Err(self.refusal(OrderError::RefusedBefore)));
+            return None;
+        }
         let before = self.phase.clone();
         let seq = self.simulation.seq;
         // A command's draws are keyed by its own number.
         self.simulation.seq += 1;
         let outcome = match order {
-            Order::Delete => return Some(self.delete(answer)),
+            Order::Delete => return self.delete(input, sender, answer),
             Order::Step(steps) => {
-                self.begin_steps(steps, sender, answer);
+                self.begin_steps(input, steps, sender, answer);
                 return None;
             }
             Order::Run { until, rate } => self.begin_run(until, rate),
@@ -69,9 +146,12 @@ impl Worker {
         match outcome {
             Ok(outcome) => {
                 let is_reset = matches!(outcome, Outcome::Reset(_));
+                self.became(input, Ok(self.simulation.seq));
                 self.tell(EventKind::Command(sender));
                 if is_reset {
                     self.drop_scheduled();
+                    self.journal.start_over();
+                    self.keep();
                 }
                 self.renew_summary();
                 if self.phase == before && !self.phase.is_moving() {
@@ -83,6 +163,7 @@ impl Worker {
             }
             Err(error) => {
                 self.simulation.seq = seq;
+                self.became(input, Err(&error));
                 answer(Err(self.refusal(error)));
             }
         }
@@ -140,6 +221,7 @@ impl Worker {
     /// Puts a command off until its step. What can be seen to be wrong with it is refused now.
     fn put_off(
         &mut self,
+        input: u64,
         at_step: u64,
         order: Order,
         sender: Arc<Sender>,
@@ -161,6 +243,7 @@ impl Worker {
             _ => {}
         }
         let command = Scheduled {
+            input,
             order,
             sender: sender.clone(),
         };
@@ -172,8 +255,12 @@ impl Worker {
     /// Carries out what was put off until this step. Nobody waits for the answers any more, so
     /// an event tells of what is refused.
     pub(super) fn carry_out_due(&mut self) -> Option<End> {
-        while let Some(Scheduled { order, sender }) = self.schedule.take(self.simulation.state.step)
-        {
+        while let Some(due) = self.schedule.take(self.simulation.state.step) {
+            let Scheduled {
+                input,
+                order,
+                sender,
+            } = due;
             let refused = Arc::new(Mutex::new(None));
             let answer = {
                 let refused = refused.clone();
@@ -181,7 +268,7 @@ impl Worker {
                     *refused.lock().unwrap_or_else(PoisonError::into_inner) = answered.err();
                 }
             };
-            if let Some(end) = self.carry_out(order, sender.clone(), Box::new(answer)) {
+            if let Some(end) = self.carry_out(input, order, sender.clone(), Box::new(answer)) {
                 return Some(end);
             }
             let refusal = refused
@@ -197,7 +284,8 @@ impl Worker {
 
     /// Refuses what was put off: after a reset its step would be another one.
     fn drop_scheduled(&mut self) {
-        for (at_step, Scheduled { sender, .. }) in self.schedule.clear() {
+        for (at_step, Scheduled { input, sender, .. }) in self.schedule.clear() {
+            self.became(input, Err(&OrderError::Overtaken { at_step }));
             self.tell(EventKind::Refused(
                 sender,
                 OrderError::Overtaken { at_step },
@@ -255,7 +343,7 @@ impl Worker {
         Ok(Outcome::Reset(self.frame(true)))
     }
 
-    fn begin_steps(&mut self, steps: u64, sender: Arc<Sender>, answer: Answer) {
+    fn begin_steps(&mut self, input: u64, steps: u64, sender: Arc<Sender>, answer: Answer) {
         let from = self.simulation.state.step;
         let until = from.saturating_add(steps);
         match phase::next(&self.phase, Cue::Step(until)) {
@@ -266,17 +354,48 @@ impl Worker {
                 // every reader of the reply knows, is not worth an event each way.
                 self.phase = next;
                 self.pace = Pace::new(None, self.simulation.state.parameters.dt, Instant::now());
-                self.tell(EventKind::Command(sender));
-                self.pending = Some(Pending { answer, from });
+                let seq = Some(self.simulation.seq);
+                let record = match input {
+                    0 => Record::Input {
+                        at_step: None,
+                        sender: sender.clone(),
+                        seq,
+                    },
+                    input => Record::Became { input, seq },
+                };
+                self.journal.note(self.at(), record, Some(until));
+                self.tell(EventKind::Command(sender.clone()));
+                self.pending = Some(Pending {
+                    answer,
+                    from,
+                    sender,
+                });
             }
             Err(error) => {
                 self.simulation.seq -= 1;
-                answer(Err(self.refusal(error.into())));
+                let error = error.into();
+                if input > 0 {
+                    self.became(input, Err(&error));
+                }
+                answer(Err(self.refusal(error)));
             }
         }
     }
 
-    fn delete(&mut self, answer: Answer) -> End {
+    /// Ends the swarm, once its end is safe.
+    fn delete(&mut self, input: u64, sender: Arc<Sender>, answer: Answer) -> Option<End> {
+        let mut place = self.place();
+        place.phase = Phase::Paused(PauseReason::Requested);
+        let end = Written::End(place, sender);
+        if let Err(fault) = self.journal.wait(vec![end]) {
+            self.simulation.seq -= 1;
+            let error = OrderError::Unsafe(fault);
+            if input > 0 {
+                self.became(input, Err(&error));
+            }
+            answer(Err(self.refusal(error)));
+            return None;
+        }
         self.phase = Phase::Paused(PauseReason::Requested);
         self.answer_pending(&self.phase.clone());
         self.tell(EventKind::Deleted);
@@ -288,7 +407,9 @@ impl Worker {
                 error: OrderError::Gone,
             })
         });
-        End::Deleted(Box::new(move || answer(Ok((place, Outcome::Done)))))
+        Some(End::Deleted(Box::new(move || {
+            answer(Ok((place, Outcome::Done)));
+        })))
     }
 
     /// Enters the phase that `cue` leads to, if it leads to another.
@@ -308,11 +429,15 @@ impl Worker {
 
     /// Tells a pending `step` how far it came, and what the swarm does from then on.
     pub(super) fn answer_pending(&mut self, from_then_on: &Phase) {
-        if let Some(Pending { answer, from }) = self.pending.take() {
-            let (mut place, frame) = self.look();
+        if let Some(Pending { answer, from, .. }) = self.pending.take() {
+            let (mut place, seen) = self.look();
             place.phase = from_then_on.clone();
-            let taken = place.step - from;
-            answer(Ok((place, Outcome::Stepped(taken, frame))));
+            let outcome = Outcome::Stepped {
+                steps: place.step - from,
+                safe_step: self.journal.safe_step_of(place.step),
+                seen,
+            };
+            answer(Ok((place, outcome)));
         }
     }
 }

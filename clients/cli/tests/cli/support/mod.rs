@@ -25,6 +25,7 @@ pub struct Daemon {
     pub server: Server,
     /// Where it listens.
     pub endpoint: String,
+    _folder: tempfile::TempDir,
 }
 
 /// A command line that has ended.
@@ -58,6 +59,8 @@ impl Daemon {
             ("listen", Some("tcp/127.0.0.1:0".to_owned())),
             ("node", Some("test".to_owned())),
         ];
+        let folder = tempfile::tempdir().unwrap();
+        flags.push(("data_dir", Some(folder.path().to_str().unwrap().to_owned())));
         for (name, value) in settings {
             flags.retain(|(earlier, _)| earlier != name);
             flags.push((*name, Some((*value).to_owned())));
@@ -65,7 +68,11 @@ impl Daemon {
         let merged = config::merge(None, std::iter::empty(), &flags).unwrap();
         let server = server::start(&Config::new(&merged).unwrap()).await.unwrap();
         let endpoint = server.endpoints()[0].clone();
-        Daemon { server, endpoint }
+        Daemon {
+            server,
+            endpoint,
+            _folder: folder,
+        }
     }
 
     /// Stops it.

@@ -1,0 +1,215 @@
+//! A swarm as a whole, to be kept in a file and brought back by any daemon.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::{ParameterValues, Spec, column};
+
+/// The version of the layout of snapshots; it grows when an older reader would misread them.
+pub const SNAPSHOT_VERSION: u32 = 1;
+
+/// A swarm with all that its future depends on.
+///
+/// In CBOR the columns are RFC 8746 typed arrays, little-endian.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Snapshot {
+    /// The version of this layout.
+    pub version: u32,
+    /// The version of the model that steps it: another one has another future.
+    pub model_version: u32,
+    /// The swarm's name.
+    pub swarm: String,
+    /// What it was made from, with the seed now in force.
+    pub spec: Spec,
+    /// The values of the parameters that may change.
+    pub parameters: ParameterValues,
+    /// Grows whenever `step` does not continue what was published before.
+    pub epoch: u64,
+    /// The number of steps since the start.
+    pub step: u64,
+    /// Counts the applied commands.
+    pub seq: u64,
+    /// BLAKE3 of the state, in hexadecimal.
+    pub state_hash: String,
+    /// What it is doing.
+    pub doing: Doing,
+    /// Time units per second of wall clock; `null` is as fast as possible.
+    pub rate: Option<f64>,
+    /// Two integers: where the positions are counted from, in units of 1024 body sizes.
+    pub origin: [i64; 2],
+    /// The id of the next individual.
+    pub next_id: u32,
+    /// Ids; never used twice.
+    #[serde(with = "column::u32_column")]
+    #[schemars(with = "Vec<u32>")]
+    pub id: Vec<u32>,
+    /// Positions relative to the origin, body sizes.
+    #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
+    pub x: Vec<f64>,
+    /// Positions relative to the origin, body sizes.
+    #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
+    pub y: Vec<f64>,
+    /// Headings in radians.
+    #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
+    pub alpha: Vec<f64>,
+    /// Weights of the preferred directions; 0 for the uninformed.
+    #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
+    pub weight: Vec<f64>,
+    /// Preferred directions in radians.
+    #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
+    pub direction: Vec<f64>,
+    /// Who is uninformed again, and at the end of which step.
+    pub lapses: Vec<Lapse>,
+    /// What the solver carries from one step to the next.
+    pub memory: SolverMemory,
+    /// Sums over the steps since the start or reset.
+    pub sums: Sums,
+    /// How exact the last step was.
+    pub exactness: Exactness,
+    /// The commands that wait for their step, in the order they come due.
+    pub scheduled: Vec<Waiting>,
+    /// A `step` that is being carried out.
+    #[serde(default)]
+    pub pending: Option<Pending>,
+    /// How many events there have been.
+    #[serde(default)]
+    pub events: u64,
+    /// How many lines of its journal it contains.
+    #[serde(default)]
+    pub lines: u64,
+    /// Whether the swarm was put away after it.
+    #[serde(default)]
+    pub is_last: bool,
+}
+
+/// What a swarm is doing, to the letter.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Doing {
+    /// Standing still, for this reason.
+    Paused(String),
+    /// Running at its rate, to a step or for good.
+    Running(Option<u64>),
+    /// Going to a step as fast as it can.
+    Stepping(u64),
+    /// A step failed, for this reason.
+    Faulted(String),
+}
+
+/// When somebody is uninformed again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Lapse {
+    /// Who.
+    pub id: u32,
+    /// At the end of which step.
+    pub at_step: u64,
+}
+
+/// What the solver carries from one step to the next: the contacts that pushed, as columns, and
+/// the order of elimination.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SolverMemory {
+    /// The first of the pair, by id.
+    #[serde(with = "column::u32_column")]
+    #[schemars(with = "Vec<u32>")]
+    pub first: Vec<u32>,
+    /// The second of the pair, by id.
+    #[serde(with = "column::u32_column")]
+    #[schemars(with = "Vec<u32>")]
+    pub second: Vec<u32>,
+    /// Which ends touch.
+    #[serde(with = "column::u32_column")]
+    #[schemars(with = "Vec<u32>")]
+    pub code: Vec<u32>,
+    /// How hard they pushed.
+    #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
+    pub multiplier: Vec<f64>,
+    /// The order in which individuals are eliminated, by index.
+    #[serde(with = "column::u32_column")]
+    #[schemars(with = "Vec<u32>")]
+    pub order: Vec<u32>,
+    /// How many programs were solved in that order.
+    pub order_age: u32,
+}
+
+/// Sums over steps, from which the means are made.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Sums {
+    /// How many steps.
+    pub count: u64,
+    /// Their orders.
+    pub order: f64,
+    /// Their velocities.
+    pub velocity: [f64; 2],
+    /// How many of them had a common direction.
+    pub directed: u64,
+    /// Their drifts.
+    pub drift: f64,
+}
+
+/// How exact a step was.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Exactness {
+    /// Its residual, body sizes.
+    pub residual: f64,
+    /// How many steps since the start or reset missed the target residual.
+    pub degraded: u64,
+    /// How many contacts constrained it.
+    pub contacts: u64,
+    /// How many iterations it took.
+    pub iterations: u64,
+}
+
+/// A command as it came.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Sent {
+    /// The verb.
+    pub verb: String,
+    /// Its arguments, JSON.
+    pub args: String,
+    /// Who says to have sent it.
+    pub client: Option<String>,
+    /// What its sender called it.
+    pub request_id: Option<String>,
+    /// What tells it from any other request of that name.
+    #[serde(with = "serde_bytes")]
+    #[schemars(with = "Option<Vec<u8>>")]
+    pub digest: Option<Vec<u8>>,
+}
+
+/// A command that waits for its step.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Waiting {
+    /// The step.
+    pub at_step: u64,
+    /// The line of the journal that it stands on.
+    pub line: u64,
+    /// The command.
+    pub sent: Sent,
+}
+
+/// A `step` that is being carried out.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Pending {
+    /// The step it began at.
+    pub from: u64,
+    /// The command.
+    pub sent: Sent,
+}
+
+impl Snapshot {
+    /// Reads a snapshot from CBOR.
+    ///
+    /// # Errors
+    ///
+    /// What is wrong with `bytes`.
+    pub fn from_cbor(bytes: &[u8]) -> Result<Self, String> {
+        ciborium::from_reader(bytes).map_err(|error| error.to_string())
+    }
+}

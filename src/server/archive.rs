@@ -1,0 +1,512 @@
+//! Between what swarms write down and the store: writing it, and bringing it back.
+
+use std::sync::Arc;
+use std::sync::mpsc::{channel, sync_channel};
+
+use jostle_proto as proto;
+use jostle_proto::Request;
+use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
+use thiserror::Error;
+use tracing::{error, info, warn};
+
+use crate::command::{self, Command, CommandError};
+use crate::host::{self, Archive, Host, HostError, Register};
+use crate::server::ledger::{self, Digest, Ledger};
+use crate::store::{self, Store, StoreError, StoreFault, Wanted as WantedOfStore, Write};
+use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::frame::{Frame, Place};
+use crate::swarm::journal::{Line, Record, Wanted, WriteFault, Written};
+use crate::swarm::order::{Answer, Order, OrderError, Outcome, Recipe, Refusal, Sender};
+use crate::swarm::phase::Phase;
+use crate::swarm::worker::replay::{Past, To};
+use crate::wire::{self, Payload, durable};
+
+/// Lines read at once.
+const PAGE: usize = 1000;
+
+/// Why swarms cannot be brought back.
+#[derive(Debug, Error)]
+pub enum RecoveryError {
+    /// The store cannot be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// What is stored of a swarm means nothing to this daemon.
+    #[error("swarm {swarm}: {problem}")]
+    Unreadable {
+        /// Which.
+        swarm: String,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A swarm's thread cannot be started.
+    #[error("swarm {0}: {1}")]
+    Host(String, HostError),
+}
+
+/// What is stored of a swarm beside its journal.
+#[derive(Serialize, Deserialize)]
+struct About {
+    spec: proto::Spec,
+}
+
+/// A named request to create something.
+pub struct Named {
+    /// Who says to have sent it.
+    pub client: Option<String>,
+    /// What they called it.
+    pub request_id: String,
+    /// What tells it from any other of that name.
+    pub digest: Digest,
+}
+
+/// Writes every swarm's journal to `store`.
+pub fn archive(store: &Store) -> Archive {
+    let store = store.clone();
+    Box::new(move |swarm| {
+        let (store, swarm) = (store.clone(), swarm.to_owned());
+        Box::new(move |written, wanted| {
+            let writes = written
+                .into_iter()
+                .flat_map(|it| writes(&swarm, it))
+                .collect();
+            let wanted = match wanted {
+                Wanted::Now(done) => WantedOfStore::Now(Box::new(move |result| {
+                    done(result.map_err(fault));
+                })),
+                Wanted::Soon(told) => WantedOfStore::Soon(told),
+            };
+            store.submit(writes, wanted);
+        })
+    })
+}
+
+/// Makes a new swarm safe, and with it the answer to whoever asked for it by name.
+pub fn register(
+    store: &Store,
+    swarm: &str,
+    recipe: &Recipe,
+    named: Option<(Named, MakePayload)>,
+) -> Register {
+    let (store, swarm) = (store.clone(), swarm.to_owned());
+    let spec = wire::spec(recipe, recipe.seed);
+    Box::new(move |checkpoint, place, frame| {
+        let mut writes = vec![Write::Create {
+            swarm: swarm.clone(),
+            about: proto::to_cbor(&About { spec }),
+            first: kept(&swarm, checkpoint),
+        }];
+        if let Some((named, payload)) = named {
+            let payload = payload(place, frame);
+            writes.push(Write::Answer(store::Answer {
+                client: named.client,
+                request_id: named.request_id,
+                digest: named.digest,
+                swarm,
+                number: 0,
+                is_ok: true,
+                encoding: payload.encoding.to_owned(),
+                body: payload.bytes,
+            }));
+        }
+        let (done, is_done) = sync_channel(1);
+        let told = WantedOfStore::Now(Box::new(move |result| {
+            // Whoever waited may be gone.
+            let _ = done.send(result);
+        }));
+        store.submit(writes, told);
+        is_done
+            .recv()
+            .unwrap_or(Err(StoreFault::Stopped))
+            .map_err(fault)
+    })
+}
+
+/// Makes the answer of a new swarm's place and frame.
+pub type MakePayload = Box<dyn FnOnce(&Place, &Frame) -> Payload + Send>;
+
+fn writes(swarm: &str, written: Written) -> Vec<Write> {
+    let swarm = swarm.to_owned();
+    match written {
+        Written::Line(line) => {
+            let (kind, body) = durable::record(&line.record);
+            let row = store::Row {
+                number: line.number,
+                epoch: line.epoch,
+                step: line.step,
+                kind,
+                body,
+            };
+            vec![Write::Append { swarm, row }]
+        }
+        Written::Checkpoint(checkpoint) => {
+            let checkpoint = kept(&swarm, &checkpoint);
+            vec![Write::Keep { swarm, checkpoint }]
+        }
+        Written::End(place, sender) => {
+            let answer = sender.request_id.clone().zip(sender.digest);
+            let answer = answer.map(|(request_id, digest)| {
+                let payload = wire::outcome(&swarm, &place, Outcome::Done, None);
+                Write::Answer(store::Answer {
+                    client: sender.client.clone(),
+                    request_id,
+                    digest,
+                    swarm: swarm.clone(),
+                    number: 0,
+                    is_ok: true,
+                    encoding: payload.encoding.to_owned(),
+                    body: payload.bytes,
+                })
+            });
+            let end = Write::Delete { swarm };
+            std::iter::once(end).chain(answer).collect()
+        }
+    }
+}
+
+fn kept(swarm: &str, checkpoint: &Checkpoint) -> store::Checkpoint {
+    store::Checkpoint {
+        number: checkpoint.lines,
+        epoch: checkpoint.epoch,
+        step: checkpoint.state.step,
+        body: proto::to_cbor(&durable::snapshot(swarm, checkpoint)),
+    }
+}
+
+fn fault(fault: StoreFault) -> WriteFault {
+    match fault {
+        StoreFault::Full => WriteFault::Full,
+        other => WriteFault::Failed(other.to_string()),
+    }
+}
+
+/// Brings every swarm back, and waits until each is as it was. Returns how many there are.
+///
+/// A swarm of which nothing can be read is left in the store and told of in the log.
+///
+/// # Errors
+///
+/// [`RecoveryError`] when the store as a whole cannot be read.
+pub fn recover(host: &Arc<Host>, store: &Store, ledger: &Ledger) -> Result<usize, RecoveryError> {
+    ledger.fill(store.answers()?);
+    let (told, is_told) = channel();
+    let mut count = 0;
+    for (swarm, about) in store.swarms()? {
+        let begun = recall(store, ledger, &swarm, &about).and_then(|(recipe, past)| {
+            let told = told.clone();
+            host.recover(&swarm, recipe, past, move || {
+                Box::new(move |_| {
+                    let _ = told.send(());
+                })
+            })
+            .map_err(|error| RecoveryError::Host(swarm.clone(), error))
+        });
+        match begun {
+            Ok(()) => count += 1,
+            Err(error) => error!(swarm, %error, "failed to bring back: it is left in the store"),
+        }
+    }
+    drop(told);
+    let back = is_told.iter().take(count).count();
+    if back > 0 {
+        info!(swarms = back, "brought back");
+    }
+    Ok(back)
+}
+
+/// What is stored of a swarm, read back.
+fn recall(
+    store: &Store,
+    ledger: &Ledger,
+    swarm: &str,
+    about: &[u8],
+) -> Result<(Recipe, Past), RecoveryError> {
+    let unreadable = |problem: String| RecoveryError::Unreadable {
+        swarm: swarm.to_owned(),
+        problem,
+    };
+    let about: About =
+        ciborium::from_reader(about).map_err(|error| unreadable(error.to_string()))?;
+    let recipe = wire::recipe(&about.spec, wire::count(about.spec.n))
+        .map_err(|error| unreadable(error.to_string()))?;
+    let mut newest = None;
+    let mut problem = "no checkpoint of it is kept".to_owned();
+    for mark in store.checkpoints(swarm)? {
+        let checkpoint = store
+            .checkpoint(swarm, mark.number)
+            .map_err(|error| error.to_string())
+            .and_then(|kept| read_checkpoint(&kept.body));
+        match checkpoint {
+            Ok(checkpoint) => {
+                let past = lines_after(store, swarm, checkpoint)?;
+                let is_answered = past.is_answered(ledger, store, swarm, mark.number)?;
+                if is_answered {
+                    return Ok((recipe, past.told_to(ledger.clone(), swarm)));
+                }
+                // An answer was lost: from an older checkpoint on it comes about again.
+                newest.get_or_insert(past);
+            }
+            Err(error) => {
+                warn!(swarm, step = mark.step, %error, "a checkpoint is damaged: an older one is taken");
+                problem = error;
+            }
+        }
+    }
+    match newest {
+        Some(past) => Ok((recipe, past.told_to(ledger.clone(), swarm))),
+        None => Err(unreadable(problem)),
+    }
+}
+
+/// A swarm's past, told again.
+pub struct Told {
+    /// The step it was told from.
+    pub from: u64,
+    /// The swarm at the end of it.
+    pub checkpoint: Checkpoint,
+    /// How many hashes came out as they had been.
+    pub same: u64,
+    /// The first step that came out otherwise.
+    pub differs_at: Option<u64>,
+}
+
+/// Tells a swarm's past again: to a step from the last checkpoint before it, else from the oldest.
+///
+/// # Errors
+///
+/// [`CommandError::History`] when what is needed is no longer kept, or damaged.
+pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Told, CommandError> {
+    let (done, is_done) = sync_channel(1);
+    // Nothing, when everything before it is written.
+    let told = WantedOfStore::Now(Box::new(move |result| {
+        let _ = done.send(result);
+    }));
+    store.submit(Vec::new(), told);
+    let _ = is_done.recv();
+    let history = |problem: String| CommandError::History(problem);
+    let mut marks = store
+        .checkpoints(swarm)
+        .map_err(|it| history(it.to_string()))?;
+    match to {
+        To::Step(step) => marks.retain(|mark| mark.step <= step),
+        To::LastInput | To::LastHash => marks.reverse(),
+    }
+    let mut problem = "so old a history is not kept: get/status says from where on".to_owned();
+    for mark in marks {
+        let kept = store.checkpoint(swarm, mark.number);
+        let checkpoint = match kept
+            .map_err(|it| it.to_string())
+            .and_then(|it| read_checkpoint(&it.body))
+        {
+            Ok(checkpoint) => checkpoint,
+            Err(error) => {
+                problem = error;
+                continue;
+            }
+        };
+        let story = lines_after(store, swarm, checkpoint).map_err(|it| history(it.to_string()))?;
+        if let Some(damage) = story.damage {
+            return Err(history(damage));
+        }
+        let past = Past {
+            checkpoint: story.checkpoint,
+            lines: story.lines,
+            damage: None,
+            recall: Box::new(|_| Box::new(|_| {})),
+            to,
+        };
+        let (checkpoint, same, differs_at) = host::tell_again(past);
+        match (to, &checkpoint.phase) {
+            (To::Step(_), Phase::Faulted(reason)) if differs_at.is_some() => {
+                return Err(history(reason.clone()));
+            }
+            (To::Step(step), _) if checkpoint.state.step != step => {
+                return Err(history(format!("step {step} was never reached")));
+            }
+            _ => {}
+        }
+        return Ok(Told {
+            from: mark.step,
+            checkpoint,
+            same,
+            differs_at,
+        });
+    }
+    Err(history(problem))
+}
+
+/// Reads a checkpoint that was kept or sent.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn read_checkpoint(body: &[u8]) -> Result<Checkpoint, String> {
+    let snapshot = proto::Snapshot::from_cbor(body)?;
+    durable::checkpoint(&snapshot, &read_order).map_err(|error| error.to_string())
+}
+
+/// What the journal says after a checkpoint.
+struct Story {
+    checkpoint: Checkpoint,
+    lines: Vec<(Line, Option<Order>)>,
+    damage: Option<String>,
+}
+
+fn lines_after(store: &Store, swarm: &str, checkpoint: Checkpoint) -> Result<Story, RecoveryError> {
+    let mut story = Story {
+        lines: Vec::new(),
+        damage: None,
+        checkpoint,
+    };
+    let mut after = story.checkpoint.lines;
+    loop {
+        let page = store.rows(swarm, after, PAGE)?;
+        let is_last = page.rows.len() < PAGE;
+        for row in page.rows {
+            after = row.number;
+            match read_line(row) {
+                Ok(line) => story.lines.push(line),
+                Err(error) => {
+                    story.damage = Some(damaged(after, &error));
+                    return Ok(story);
+                }
+            }
+        }
+        if let Some(number) = page.damaged_at {
+            warn!(swarm, line = number, "the journal is damaged");
+            story.damage = Some(damaged(number, "it is not as it was written"));
+        }
+        if is_last || story.damage.is_some() {
+            return Ok(story);
+        }
+    }
+}
+
+fn damaged(line: u64, problem: &str) -> String {
+    format!(
+        "line {line} of its journal is damaged ({problem}): this is the last state that is sure; \
+         reset it, or delete it and restore a snapshot"
+    )
+}
+
+fn read_line(row: store::Row) -> Result<(Line, Option<Order>), String> {
+    let record = durable::read_record(&row.body).map_err(|error| error.to_string())?;
+    let order = match &record {
+        Record::Input { sender, .. } => Some(read_order(sender)?),
+        _ => None,
+    };
+    let line = Line {
+        number: row.number,
+        epoch: row.epoch,
+        step: row.step,
+        record,
+    };
+    Ok((line, order))
+}
+
+/// What a command ordered; it was read before, so it can be read again.
+fn read_order(sender: &Sender) -> Result<Order, String> {
+    read_command(sender).map(|command| command.order)
+}
+
+fn read_command(sender: &Sender) -> Result<Command, String> {
+    let args = RawValue::from_string(sender.args.clone()).map_err(|error| error.to_string())?;
+    let request = Request {
+        args: Some(args),
+        ..Request::default()
+    };
+    command::read(sender.verb, &request).map_err(|error| error.to_string())
+}
+
+impl Story {
+    /// Whether every named command that the checkpoint contains has its answer in the ledger.
+    fn is_answered(
+        &self,
+        ledger: &Ledger,
+        store: &Store,
+        swarm: &str,
+        number: u64,
+    ) -> Result<bool, RecoveryError> {
+        // Answers follow their commands within moments; what is further back has its own.
+        let rows = store.rows(swarm, number.saturating_sub(PAGE as u64), PAGE)?;
+        let mut unanswered = Vec::new();
+        for row in rows.rows.into_iter().filter(|row| row.number <= number) {
+            let number = row.number;
+            match read_line(row) {
+                Ok((
+                    Line {
+                        record: Record::Input { sender, .. },
+                        ..
+                    },
+                    _,
+                )) => {
+                    if let Some(id) = &sender.request_id
+                        && !ledger.knows(&sender.client, id)
+                    {
+                        unanswered.push(number);
+                    }
+                }
+                Ok((
+                    Line {
+                        record: Record::Became { input, seq: None },
+                        ..
+                    },
+                    _,
+                )) => unanswered.retain(|it| *it != input),
+                _ => {}
+            }
+        }
+        // A step under way has its answer still before it.
+        if let Some((_, sender)) = &self.checkpoint.pending
+            && sender.request_id.is_some()
+        {
+            unanswered.pop();
+        }
+        Ok(unanswered.is_empty())
+    }
+
+    fn told_to(self, ledger: Ledger, swarm: &str) -> Past {
+        let swarm = swarm.to_owned();
+        Past {
+            checkpoint: self.checkpoint,
+            lines: self.lines,
+            damage: self.damage,
+            recall: Box::new(move |sender| remember(&ledger, &swarm, sender)),
+            to: To::LastInput,
+        }
+    }
+}
+
+/// Takes what a command came to, for its sender to ask for again.
+fn remember(ledger: &Ledger, swarm: &str, sender: &Arc<Sender>) -> Answer {
+    let Some((id, digest)) = sender.request_id.clone().zip(sender.digest) else {
+        return Box::new(|_| {});
+    };
+    let name = (sender.client.clone(), id);
+    let returns_state = read_command(sender).is_ok_and(|command| command.returns_state);
+    let (ledger, swarm) = (ledger.clone(), swarm.to_owned());
+    Box::new(move |answered| {
+        let answer = match answered {
+            Ok((place, outcome)) => {
+                let frame = returns_state.then_some(0);
+                Ok(wire::outcome(&swarm, &place, outcome, frame))
+            }
+            Err(Refusal {
+                step,
+                error: error @ OrderError::Faulted(_),
+            }) => Err(Payload::json(&CommandError::from(error).to_wire(step))),
+            // What was refused changed nothing, and may be tried again.
+            Err(_) => return,
+        };
+        ledger.remember(name, digest, answer);
+    })
+}
+
+/// The name of a request, if it has one.
+pub fn named(key: &str, request: &Request) -> Option<Named> {
+    request.request_id.as_ref().map(|id| Named {
+        client: request.client.clone(),
+        request_id: id.clone(),
+        digest: ledger::digest(key, request),
+    })
+}

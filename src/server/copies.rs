@@ -1,0 +1,247 @@
+//! Swarms made as others were, and a swarm's past told again: fork, restore, verify.
+
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use jostle_proto::verbs::{ForkArgs, RestoreArgs};
+use jostle_proto::{Request, Verified, keys};
+use zenoh::query::Query;
+
+use crate::command::{self, CommandError, check_name, selector};
+use crate::host::{Host, Register};
+use crate::server::answer::{Asked, Keeper, Promise};
+use crate::server::archive::{self, MakePayload};
+use crate::server::dispatch::Dispatcher;
+use crate::server::query::request;
+use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::handle::Ticket;
+use crate::swarm::order::{Answer, OrderError, Outcome, Refusal};
+use crate::swarm::phase::{PauseReason, Phase};
+use crate::swarm::worker::replay::To;
+use crate::wire::{self, Payload};
+
+/// How long a history may be told again before its asker hears that it takes longer.
+const PATIENCE_WITH_HISTORY: Duration = Duration::from_secs(3600);
+
+impl Dispatcher {
+    /// Makes a swarm as another one is, or as it was on arriving at a step.
+    pub(super) fn fork(&self, swarm: &Arc<str>, asked: &Asked) {
+        let query = &asked.query;
+        let key = query.key_expr().as_str().to_owned();
+        let promise = self.desk.promise(asked, key.clone());
+        let begun = request(query, self.most_bytes())
+            .and_then(|request| self.begin_fork(swarm, &key, &promise, &request));
+        if let Err(error) = begun {
+            let step = self.host.find(swarm).and_then(|handle| handle.step());
+            promise.refuse(&error, step);
+        }
+    }
+
+    fn begin_fork(
+        &self,
+        swarm: &Arc<str>,
+        key: &str,
+        promise: &Promise,
+        request: &Request,
+    ) -> Result<(), CommandError> {
+        refuse_when(request)?;
+        command::sender("fork", request)?;
+        let args: ForkArgs = request.args()?;
+        check_name("name", &args.name)?;
+        let Some(handle) = self.host.find(swarm) else {
+            return Err(CommandError::UnknownSwarm(swarm.to_string()));
+        };
+        let now = handle.step().unwrap_or_default();
+        let timeout = command::timeout(request)?;
+        if !self.enter(key, request, promise)? {
+            promise.keep_within(timeout, CommandError::deadline, || None);
+            return Ok(());
+        }
+        promise.keep_within(timeout, CommandError::deadline, || None);
+        let copy = Copy {
+            host: self.host.clone(),
+            keeper: Keeper::new(promise.clone()),
+            register: self.registration(&args.name, key, request),
+            name: args.name,
+            reason: PauseReason::Forked,
+        };
+        match args.step {
+            Some(step) if step > now => {
+                return Err(CommandError::NotReached { step, now });
+            }
+            Some(step) => {
+                let (store, swarm) = (self.store.clone(), swarm.clone());
+                let told = thread::Builder::new()
+                    .name("fork".into())
+                    .spawn(move || copy.of(archive::told_again(&store, &swarm, To::Step(step))))
+                    .map(drop);
+                told.map_err(|_| CommandError::Busy)?;
+            }
+            None => handle.send(Ticket::Copy(Box::new(move |answered| match answered {
+                Ok((_, Outcome::Whole(checkpoint))) => copy.make(*checkpoint),
+                Ok(_) => copy.keeper.0.refuse(&CommandError::Internal, None),
+                Err(Refusal { step, error }) => copy.keeper.0.refuse(&error.into(), step),
+            }))),
+        }
+        Ok(())
+    }
+
+    /// Makes a swarm from a snapshot.
+    pub(super) fn restore(&self, promise: &Promise, request: &Request) -> Result<(), CommandError> {
+        refuse_when(request)?;
+        command::sender("restore", request)?;
+        let args: RestoreArgs = request.args()?;
+        check_name("name", &args.name)?;
+        let checkpoint = STANDARD
+            .decode(args.snapshot.as_bytes())
+            .map_err(|error| error.to_string())
+            .and_then(|bytes| archive::read_checkpoint(&bytes))
+            .map_err(CommandError::Snapshot)?;
+        let n = checkpoint.state.configuration.n();
+        let limit = self.host.limits().max_individuals;
+        if n > limit {
+            return Err(OrderError::TooMany { n, limit }.into());
+        }
+        let timeout = command::timeout(request)?;
+        let key = keys::node_cmd(&self.prefix, &self.node, "restore");
+        let is_new = self.enter(&key, request, promise)?;
+        promise.keep_within(timeout, CommandError::deadline, || None);
+        if is_new {
+            let copy = Copy {
+                host: self.host.clone(),
+                keeper: Keeper::new(promise.clone()),
+                register: self.registration(&args.name, &key, request),
+                name: args.name,
+                reason: PauseReason::Restored,
+            };
+            copy.make(checkpoint);
+        }
+        Ok(())
+    }
+
+    /// Tells a swarm's history again and says whether it comes out the same.
+    pub(super) fn verify(&self, swarm: &Arc<str>, promise: &Promise, query: &Query) {
+        if let Err(error) = selector(query.parameters().iter(), &[]) {
+            return promise.refuse(&error, None);
+        }
+        let Some(handle) = self.host.find(swarm) else {
+            return promise.refuse(&CommandError::UnknownSwarm(swarm.to_string()), None);
+        };
+        promise.keep_within(PATIENCE_WITH_HISTORY, CommandError::deadline, || None);
+        let (store, name, keeper) = (
+            self.store.clone(),
+            swarm.clone(),
+            Keeper::new(promise.clone()),
+        );
+        let spawned = thread::Builder::new().name("verify".into()).spawn(move || {
+            match archive::told_again(&store, &name, To::LastHash) {
+                Ok(told) => {
+                    let verified = Verified {
+                        from_step: told.from,
+                        to_step: told.checkpoint.state.step,
+                        hashes: told.same + u64::from(told.differs_at.is_some()),
+                        differs_at: told.differs_at,
+                    };
+                    handle.send(Ticket::Look(Box::new(move |answered| match answered {
+                        Ok((place, _)) => keeper
+                            .0
+                            .keep(move || Ok(Payload::json(&wire::reply(&name, &place, verified)))),
+                        Err(Refusal { step, error }) => keeper.0.refuse(&error.into(), step),
+                    })));
+                }
+                Err(error) => keeper.0.refuse(&error, handle.step()),
+            }
+        });
+        if spawned.is_err() {
+            promise.refuse(&CommandError::Busy, None);
+        }
+    }
+
+    /// What makes a copy safe together with its answer.
+    fn registration(
+        &self,
+        name: &str,
+        key: &str,
+        request: &Request,
+    ) -> impl FnOnce(&Checkpoint) -> Register + Send + 'static {
+        let (store, name) = (self.store.clone(), name.to_owned());
+        let named = archive::named(key, request);
+        move |checkpoint| {
+            let recipe = checkpoint.recipe.clone();
+            let named = named.map(|named| {
+                let (name, recipe) = (name.clone(), recipe.clone());
+                let payload: MakePayload =
+                    Box::new(move |place, frame| wire::created(&name, place, &recipe, frame, true));
+                (named, payload)
+            });
+            archive::register(&store, &name, &recipe, named)
+        }
+    }
+}
+
+/// A copy that is to be made.
+struct Copy<R> {
+    host: Arc<Host>,
+    keeper: Keeper,
+    register: R,
+    name: String,
+    reason: PauseReason,
+}
+
+impl<R: FnOnce(&Checkpoint) -> Register> Copy<R> {
+    /// Makes it as what was told again.
+    fn of(self, told: Result<archive::Told, CommandError>) {
+        match told {
+            Ok(told) => self.make(told.checkpoint),
+            Err(error) => self.keeper.0.refuse(&error, None),
+        }
+    }
+
+    fn make(self, checkpoint: Checkpoint) {
+        let Copy {
+            host,
+            keeper,
+            register,
+            name,
+            reason,
+        } = self;
+        let checkpoint = checkpoint.for_another(Phase::Paused(reason));
+        let recipe = checkpoint.recipe.clone();
+        let register = register(&checkpoint);
+        let promise = keeper.leave();
+        let answer = {
+            let (promise, name) = (promise.clone(), name.clone());
+            move || -> Answer {
+                let keeper = Keeper::new(promise);
+                Box::new(move |answered| match answered {
+                    Ok((place, Outcome::Seen(seen))) => keeper
+                        .0
+                        .fulfil(move || Ok(wire::created(&name, &place, &recipe, &seen, true))),
+                    Ok(_) => keeper.0.refuse(&CommandError::Internal, None),
+                    Err(Refusal { step, error }) => keeper.0.refuse(&error.into(), step),
+                })
+            }
+        };
+        if let Err(error) = host.copy(&name, checkpoint, register, answer) {
+            promise.refuse(&error.into(), None);
+        }
+    }
+}
+
+/// What is made anew has no step at which it could be made.
+fn refuse_when(request: &Request) -> Result<(), CommandError> {
+    for (field, given) in [
+        ("at_step", request.at_step),
+        ("expect_step", request.expect_step),
+        ("expect_epoch", request.expect_epoch),
+    ] {
+        if given.is_some() {
+            let problem = "is about a swarm that is there: leave it out";
+            return Err(CommandError::Field { field, problem });
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,230 @@
+//! What a swarm writes down, so that after a crash its past can be told and its future goes on.
+//!
+//! A command is written down and safe before it changes anything; steps are not written at all,
+//! since the same commands at the same steps lead to the same state. Only the `step` command is
+//! carried out before it is safe: whoever sends thousands a second need not wait for the disk.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::sync_channel;
+
+use thiserror::Error;
+
+use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::frame::Place;
+use crate::swarm::order::Sender;
+
+/// One line of a journal.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Line {
+    /// Counts a swarm's lines from 1.
+    pub number: u64,
+    /// The epoch it was written in.
+    pub epoch: u64,
+    /// The step it was written at.
+    pub step: u64,
+    /// What it says.
+    pub record: Record,
+}
+
+/// What a line says.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Record {
+    /// A command is about to be carried out, or to be put off until a step.
+    Input {
+        /// The step it is to be put off until.
+        at_step: Option<u64>,
+        /// The command.
+        sender: Arc<Sender>,
+        /// Its number among the applied ones, if it has been carried out already.
+        seq: Option<u64>,
+    },
+    /// What became of the command on the line of this number.
+    Became {
+        /// That line's number.
+        input: u64,
+        /// Its number among the applied ones; none if it was refused.
+        seq: Option<u64>,
+    },
+    /// A step failed, for this reason.
+    Fault(String),
+    /// The daemon restarted, and the swarm goes on in this epoch.
+    Resumed(u64),
+    /// The state had this hash.
+    Hash([u8; 32]),
+}
+
+/// What is to be written.
+#[derive(Clone, Debug)]
+pub enum Written {
+    /// A line of the journal.
+    Line(Line),
+    /// The swarm as it is, so that earlier lines need not be told again.
+    Checkpoint(Box<Checkpoint>),
+    /// The swarm's end: where it was, and who ended it.
+    End(Place, Arc<Sender>),
+}
+
+/// Why something could not be written; nothing of it was.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum WriteFault {
+    /// There is no space.
+    #[error("no space is left for the journal")]
+    Full,
+    /// It failed otherwise, or the daemon stops.
+    #[error("the journal cannot be written ({0})")]
+    Failed(String),
+}
+
+/// Told when something is safe, or why it will not be.
+pub type Done = Box<dyn FnOnce(Result<(), WriteFault>) + Send>;
+
+/// When something is to be written.
+pub enum Wanted {
+    /// At once, or not at all.
+    Now(Done),
+    /// Within a few milliseconds, tried again for as long as it fails; told when it is safe.
+    Soon(Option<Box<dyn FnOnce() + Send>>),
+}
+
+/// Writes together what belongs together, in the order of calls.
+pub type Writer = Box<dyn Fn(Vec<Written>, Wanted) + Send>;
+
+/// One swarm's journal.
+pub struct Journal {
+    writer: Writer,
+    lines: u64,
+    safe_step: Arc<AtomicU64>,
+    is_replaying: bool,
+}
+
+impl Journal {
+    /// A journal of so many lines, written by `writer`, that reaches `step`.
+    pub fn new(writer: Writer, lines: u64, step: u64) -> Self {
+        Journal {
+            writer,
+            lines,
+            safe_step: Arc::new(AtomicU64::new(step)),
+            is_replaying: false,
+        }
+    }
+
+    /// How many lines it has.
+    pub fn lines(&self) -> u64 {
+        self.lines
+    }
+
+    /// Whether it is being told again; nothing is written then.
+    pub fn is_replaying(&self) -> bool {
+        self.is_replaying
+    }
+
+    /// Begins to be told again.
+    pub fn replay(&mut self) {
+        self.is_replaying = true;
+    }
+
+    /// Has been told again up to this line and step, and is written from here on.
+    pub fn resume(&mut self, lines: u64, step: u64) {
+        self.is_replaying = false;
+        self.lines = lines;
+        self.safe_step.store(step, Ordering::Release);
+    }
+
+    /// The last step that a crash would not take back, of a swarm that now is at `step` and has
+    /// ended what it was to do.
+    pub fn safe_step_of(&self, step: u64) -> u64 {
+        // What was to be done and is cut short here is safe only as far as it came.
+        self.safe_step.fetch_min(step, Ordering::AcqRel).min(step)
+    }
+
+    /// Writes records of a swarm at `place` and waits until they are safe. Returns the first
+    /// one's number; on a fault they have none.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteFault`].
+    pub fn commit(
+        &mut self,
+        (epoch, step): (u64, u64),
+        records: Vec<Record>,
+    ) -> Result<u64, WriteFault> {
+        let first = self.lines + 1;
+        if self.is_replaying {
+            return Ok(first);
+        }
+        let before = self.lines;
+        let lines = records
+            .into_iter()
+            .map(|record| Written::Line(self.line(epoch, step, record)))
+            .collect();
+        match self.wait(lines) {
+            Ok(()) => {
+                self.safe_step.fetch_max(step, Ordering::AcqRel);
+                Ok(first)
+            }
+            Err(fault) => {
+                self.lines = before;
+                Err(fault)
+            }
+        }
+    }
+
+    /// Has a record written when it suits; once it is, a crash takes back no step up to `reached`.
+    pub fn note(&mut self, (epoch, step): (u64, u64), record: Record, reached: Option<u64>) -> u64 {
+        if self.is_replaying {
+            return self.lines;
+        }
+        let line = Written::Line(self.line(epoch, step, record));
+        let told = reached.map(|reached| -> Box<dyn FnOnce() + Send> {
+            let safe = self.safe_step.clone();
+            Box::new(move || {
+                safe.fetch_max(reached, Ordering::AcqRel);
+            })
+        });
+        (self.writer)(vec![line], Wanted::Soon(told));
+        self.lines
+    }
+
+    /// Has the swarm as it is written when it suits.
+    pub fn keep(&self, checkpoint: Checkpoint) {
+        if !self.is_replaying {
+            let kept = vec![Written::Checkpoint(Box::new(checkpoint))];
+            (self.writer)(kept, Wanted::Soon(None));
+        }
+    }
+
+    /// Writes something and waits until it is safe.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteFault`].
+    pub fn wait(&self, written: Vec<Written>) -> Result<(), WriteFault> {
+        let (done, is_done) = sync_channel(1);
+        (self.writer)(
+            written,
+            Wanted::Now(Box::new(move |result| {
+                // Whoever waited may be gone.
+                let _ = done.send(result);
+            })),
+        );
+        is_done
+            .recv()
+            .unwrap_or_else(|_| Err(WriteFault::Failed("the daemon is stopping".into())))
+    }
+
+    /// Is at step 0 again. What was written before is safe by now, and told.
+    pub fn start_over(&self) {
+        self.safe_step.store(0, Ordering::Release);
+    }
+
+    fn line(&mut self, epoch: u64, step: u64, record: Record) -> Line {
+        self.lines += 1;
+        Line {
+            number: self.lines,
+            epoch,
+            step,
+            record,
+        }
+    }
+}

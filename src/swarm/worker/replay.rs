@@ -1,0 +1,299 @@
+//! A swarm from a checkpoint, and its journal told again from there.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
+
+use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::frame::EventKind;
+use crate::swarm::handle::{Command, Handle, Ticket};
+use crate::swarm::journal::{Journal, Line, Record, WriteFault, Writer};
+use crate::swarm::order::{Admit, Answer, Order, Sender, When};
+use crate::swarm::pace::Pace;
+use crate::swarm::phase::Phase;
+use crate::swarm::simulation::Simulation;
+use crate::swarm::worker::{End, Pending, Worker};
+
+/// Events told between a checkpoint and a crash are told under the same numbers again only in
+/// part. Numbers go on from the next multiple of this, so that none is given twice.
+const EVENTS_LOST: u64 = 1 << 20;
+
+/// What is to be told again of a swarm.
+pub struct Past {
+    /// Where to begin.
+    pub checkpoint: Checkpoint,
+    /// The lines since, in order; commands with what they order.
+    pub lines: Vec<(Line, Option<Order>)>,
+    /// Why the lines after these cannot be told, if there are such.
+    pub damage: Option<String>,
+    /// Where the answer to a command goes that may have missed its sender.
+    pub recall: Box<dyn Fn(&Arc<Sender>) -> Answer + Send>,
+    /// Where it ends.
+    pub to: To,
+}
+
+/// Where telling again ends.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum To {
+    /// Where the last command was carried out; what was begun then is still under way.
+    LastInput,
+    /// Where the last hash was written down.
+    LastHash,
+    /// On arriving at this step of the present run, before the commands that were given there.
+    Step(u64),
+}
+
+/// What is known of the past while it is told again.
+#[derive(Default)]
+pub struct Replay {
+    /// Lines whose commands were refused when they were first carried out.
+    refused: BTreeSet<u64>,
+    /// The hashes that steps had when they were first taken.
+    hashes: BTreeMap<(u64, u64), [u8; 32]>,
+    /// How many of them were found to be the same.
+    pub same: u64,
+    /// The first step whose hash was found to be another.
+    pub differs_at: Option<u64>,
+}
+
+impl Replay {
+    /// Whether the command on this line was refused.
+    pub fn was_refused(&self, input: u64) -> bool {
+        self.refused.contains(&input)
+    }
+
+    /// Whether a step has the hash that it had, if that is known.
+    pub fn is_as_it_was(&mut self, at: (u64, u64), hash: [u8; 32]) -> Option<bool> {
+        let is_same = *self.hashes.get(&at)? == hash;
+        self.same += u64::from(is_same);
+        if !is_same {
+            self.differs_at.get_or_insert(at.1);
+        }
+        Some(is_same)
+    }
+
+    fn learn(&mut self, lines: &[(Line, Option<Order>)]) {
+        for (line, _) in lines {
+            match &line.record {
+                Record::Became { input, seq: None } => drop(self.refused.insert(*input)),
+                Record::Hash(hash) => drop(self.hashes.insert((line.epoch, line.step), *hash)),
+                _ => {}
+            }
+        }
+    }
+
+    fn forget(&mut self) {
+        self.refused.clear();
+        self.hashes.clear();
+    }
+}
+
+impl Worker {
+    /// A worker around a swarm as it was at a checkpoint, told again from there.
+    ///
+    /// `admit` lets it grow meanwhile: what it was, it was let be. Returns how it ended, if the
+    /// journal says that it did.
+    pub fn from_past(
+        past: Past,
+        tickets: Receiver<Ticket>,
+        handle: &Handle,
+        shortest_between_frames: Duration,
+        (writer, admit): (Writer, Admit),
+    ) -> (Self, Option<End>) {
+        let Past {
+            checkpoint,
+            lines,
+            damage,
+            recall,
+            to,
+        } = past;
+        let is_last = checkpoint.is_last && lines.is_empty();
+        let pending = checkpoint.pending.clone();
+        let mut worker = Worker::from_copy(
+            checkpoint,
+            tickets,
+            handle,
+            shortest_between_frames,
+            (writer, admit),
+        );
+        worker.journal.replay();
+        worker.pending = pending.map(|(from, sender)| Pending {
+            answer: recall(&sender),
+            from,
+            sender,
+        });
+        let end = worker.retell(lines, damage, &recall, to);
+        if !is_last {
+            worker.events = (worker.events / EVENTS_LOST + 1) * EVENTS_LOST;
+        }
+        (worker, end)
+    }
+
+    /// A worker around a swarm as it was at a checkpoint.
+    pub fn from_copy(
+        checkpoint: Checkpoint,
+        tickets: Receiver<Ticket>,
+        handle: &Handle,
+        shortest_between_frames: Duration,
+        (writer, admit): (Writer, Admit),
+    ) -> Self {
+        let simulation = Simulation::from_checkpoint(&checkpoint, admit);
+        let mut worker = Worker::around(
+            simulation,
+            tickets,
+            handle,
+            shortest_between_frames,
+            Journal::new(writer, checkpoint.lines, checkpoint.state.step),
+        );
+        worker.phase = checkpoint.phase;
+        worker.rate = checkpoint.rate;
+        worker.events = checkpoint.events;
+        for (at_step, scheduled) in checkpoint.scheduled {
+            // They fitted when they were put off.
+            let _ = worker.schedule.add(at_step, scheduled);
+        }
+        worker.set_pace();
+        if worker.events == 0 {
+            worker.tell(EventKind::Created);
+        }
+        worker.renew_summary();
+        worker
+    }
+
+    /// Begins a new epoch after what was told again, and makes it safe.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteFault`]; the swarm goes on all the same.
+    pub fn resume(&mut self, admit: Admit) -> Result<(), WriteFault> {
+        self.simulation.admit_by(admit);
+        let (before, epoch) = (self.at(), self.simulation.epoch + 1);
+        self.simulation.epoch = epoch;
+        self.set_pace();
+        let kept = self.journal.commit(before, vec![Record::Resumed(epoch)]);
+        self.keep();
+        self.tell(EventKind::Phase);
+        self.renew_summary();
+        kept.map(drop)
+    }
+
+    fn set_pace(&mut self) {
+        let rate = match self.phase {
+            Phase::Stepping { .. } => None,
+            _ => self.rate,
+        };
+        let dt = self.simulation.state.parameters.dt;
+        self.pace = Pace::new(rate, dt, Instant::now());
+    }
+
+    fn retell(
+        &mut self,
+        lines: Vec<(Line, Option<Order>)>,
+        damage: Option<String>,
+        recall: &dyn Fn(&Arc<Sender>) -> Answer,
+        to: To,
+    ) -> Option<End> {
+        self.replay.learn(&lines);
+        let last_hash = lines.iter().rev().find_map(|(line, _)| match line.record {
+            Record::Hash(_) => Some((line.epoch, line.step)),
+            _ => None,
+        });
+        let lines = match to {
+            To::Step(step) => until(lines, step),
+            To::LastInput | To::LastHash => lines,
+        };
+        let mut last = self.journal.lines();
+        let mut end = None;
+        for (line, order) in lines {
+            last = line.number;
+            match (line.record, order) {
+                (
+                    Record::Input {
+                        at_step, sender, ..
+                    },
+                    Some(order),
+                ) => {
+                    end = self.advance(line.epoch, line.step);
+                    if end.is_some() || matches!(self.phase, Phase::Faulted(_)) && !is_cure(&order)
+                    {
+                        continue;
+                    }
+                    let input = match order {
+                        Order::Step(_) if at_step.is_none() => 0,
+                        _ => line.number,
+                    };
+                    let command = Command {
+                        answer: recall(&sender),
+                        order,
+                        when: When::default(),
+                        sender,
+                    };
+                    end = self.command(input, at_step, command);
+                }
+                (Record::Resumed(epoch), _) => {
+                    end = self.advance(line.epoch, line.step);
+                    self.simulation.epoch = epoch;
+                }
+                (Record::Fault(reason), _) if !matches!(self.phase, Phase::Faulted(_)) => {
+                    end = self.advance(line.epoch, line.step);
+                    if !matches!(self.phase, Phase::Faulted(_)) {
+                        self.fault(reason);
+                    }
+                }
+                _ => {}
+            }
+            if end.is_some() {
+                break;
+            }
+        }
+        match (to, last_hash) {
+            (To::Step(step), _) if end.is_none() => end = self.advance(self.at().0, step),
+            (To::LastHash, Some((epoch, step))) if end.is_none() && self.at() < (epoch, step) => {
+                end = self.advance(epoch, step);
+            }
+            _ => {}
+        }
+        self.replay.forget();
+        if let Some(damage) = damage {
+            self.fault(damage);
+        }
+        let step = self.simulation.state.step;
+        self.journal.resume(last, step);
+        end
+    }
+
+    /// Takes the steps that were taken until `step` of `epoch`.
+    fn advance(&mut self, epoch: u64, step: u64) -> Option<End> {
+        while self.phase.is_moving() && self.at() < (epoch, step) {
+            if let Some(end) = self.step() {
+                return Some(end);
+            }
+        }
+        if self.at() != (epoch, step) && !matches!(self.phase, Phase::Faulted(_)) {
+            let (epoch_now, step_now) = self.at();
+            self.fault(format!(
+                "the journal goes on at step {step} of epoch {epoch}, which cannot be reached from \
+                 step {step_now} of epoch {epoch_now}"
+            ));
+        }
+        None
+    }
+}
+
+/// The lines that were written before the swarm arrived at `step` for the last time.
+fn until(lines: Vec<(Line, Option<Order>)>, step: u64) -> Vec<(Line, Option<Order>)> {
+    let last_start = lines
+        .iter()
+        .rposition(|(_, order)| matches!(order, Some(Order::Reset(_))))
+        .map_or(0, |at| at + 1);
+    let mut lines = lines;
+    let run = lines.split_off(last_start);
+    lines.extend(run.into_iter().take_while(|(line, _)| line.step < step));
+    lines
+}
+
+/// Whether an order may follow a fault.
+fn is_cure(order: &Order) -> bool {
+    matches!(order, Order::Reset(_) | Order::Delete)
+}

@@ -1,0 +1,380 @@
+//! What a swarm writes down, as bytes: a checkpoint is a snapshot, a line a small CBOR record.
+
+use std::sync::Arc;
+
+use jostle_proto as proto;
+use jostle_proto::keys;
+use jostle_proto::snapshot::{
+    Doing, Exactness, Lapse, Pending, SNAPSHOT_VERSION, Sent, SolverMemory, Sums, Waiting,
+};
+use serde::{Deserialize, Serialize};
+use thiserror::Error;
+
+use crate::model::state::MODEL_VERSION;
+use crate::model::{self, Configuration, Remembered, State};
+use crate::observables::RunningMeans;
+use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::frame;
+use crate::swarm::journal::Record;
+use crate::swarm::order::{Order, Sender};
+use crate::swarm::phase::{PauseReason, Phase};
+use crate::swarm::schedule::Scheduled;
+use crate::wire::{self, from_proto, to_proto};
+
+/// Why bytes are not what a swarm wrote down.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum DurableError {
+    /// They cannot be read.
+    #[error("it cannot be read: {0}")]
+    Unreadable(String),
+    /// Another version wrote them.
+    #[error("it is of version {found} of {what}, this daemon knows {known}")]
+    Version {
+        /// Of what.
+        what: &'static str,
+        /// Theirs.
+        found: u32,
+        /// Ours.
+        known: u32,
+    },
+    /// The state is not the one they name.
+    #[error("its state does not have the hash that it names")]
+    Hash,
+}
+
+/// Reads what a command orders.
+pub type ReadOrder<'a> = &'a dyn Fn(&Sender) -> Result<Order, String>;
+
+/// A swarm as a whole.
+pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
+    let Checkpoint {
+        recipe,
+        state,
+        publish_every,
+        epoch,
+        seq,
+        means,
+        exactness,
+        phase,
+        rate,
+        scheduled,
+        pending,
+        events,
+        lines,
+        is_last,
+    } = checkpoint;
+    let (configuration, remembered) = (&state.configuration, &state.memory.contacts);
+    let lapses = configuration.id.iter().zip(&configuration.lapses_at);
+    proto::Snapshot {
+        version: SNAPSHOT_VERSION,
+        model_version: MODEL_VERSION,
+        swarm: swarm.to_owned(),
+        spec: wire::spec(recipe, recipe.seed),
+        parameters: to_proto::parameter_values(state.parameters, *publish_every),
+        epoch: *epoch,
+        step: state.step,
+        seq: *seq,
+        state_hash: to_proto::hexadecimal(&state.hash()),
+        doing: match phase {
+            Phase::Paused(reason) => Doing::Paused(reason.to_string()),
+            Phase::Running { until } => Doing::Running(*until),
+            Phase::Stepping { until } => Doing::Stepping(*until),
+            Phase::Faulted(reason) => Doing::Faulted(reason.clone()),
+        },
+        rate: *rate,
+        origin: configuration.origin,
+        next_id: configuration.next_id,
+        id: configuration.id.clone(),
+        x: configuration.x.clone(),
+        y: configuration.y.clone(),
+        alpha: configuration.alpha.clone(),
+        weight: configuration.weight.clone(),
+        direction: configuration.direction.clone(),
+        lapses: lapses
+            .filter_map(|(id, at)| at.map(|at_step| Lapse { id: *id, at_step }))
+            .collect(),
+        memory: SolverMemory {
+            first: remembered.iter().map(|it| it.first).collect(),
+            second: remembered.iter().map(|it| it.second).collect(),
+            code: remembered.iter().map(|it| u32::from(it.code)).collect(),
+            multiplier: remembered.iter().map(|it| it.multiplier).collect(),
+            order: state.memory.order.clone(),
+            order_age: state.memory.order_age,
+        },
+        sums: Sums {
+            count: means.count,
+            order: means.order,
+            velocity: means.velocity,
+            directed: means.directed,
+            drift: means.drift,
+        },
+        exactness: Exactness {
+            residual: exactness.residual,
+            degraded: exactness.degraded,
+            contacts: exactness.contacts as u64,
+            iterations: exactness.iterations as u64,
+        },
+        scheduled: scheduled
+            .iter()
+            .map(|(at_step, waiting)| Waiting {
+                at_step: *at_step,
+                line: waiting.input,
+                sent: sent(&waiting.sender),
+            })
+            .collect(),
+        pending: pending.as_ref().map(|(from, sender)| Pending {
+            from: *from,
+            sent: sent(sender),
+        }),
+        events: *events,
+        lines: *lines,
+        is_last: *is_last,
+    }
+}
+
+/// The swarm that a snapshot is of.
+///
+/// # Errors
+///
+/// [`DurableError`].
+pub fn checkpoint(
+    snapshot: &proto::Snapshot,
+    read: ReadOrder<'_>,
+) -> Result<Checkpoint, DurableError> {
+    let versions = [
+        ("snapshots", snapshot.version, SNAPSHOT_VERSION),
+        ("the model", snapshot.model_version, MODEL_VERSION),
+    ];
+    for (what, found, known) in versions {
+        if found != known {
+            return Err(DurableError::Version { what, found, known });
+        }
+    }
+    let unreadable = |problem: &str| DurableError::Unreadable(problem.to_owned());
+    let recipe = from_proto::recipe(&snapshot.spec, from_proto::count(snapshot.spec.n))
+        .map_err(|error| unreadable(&error.to_string()))?;
+    let n = snapshot.id.len();
+    let proto::Snapshot {
+        x,
+        y,
+        alpha,
+        weight,
+        direction,
+        memory,
+        ..
+    } = snapshot;
+    if [x, y, alpha, weight, direction]
+        .iter()
+        .any(|column| column.len() != n)
+    {
+        return Err(unreadable("its columns differ in length"));
+    }
+    let contacts = memory.first.len();
+    if [
+        memory.second.len(),
+        memory.code.len(),
+        memory.multiplier.len(),
+    ] != [contacts; 3]
+    {
+        return Err(unreadable(
+            "the columns of its solver's memory differ in length",
+        ));
+    }
+    let mut lapses_at = vec![None; n];
+    for lapse in &snapshot.lapses {
+        let index = snapshot.id.binary_search(&lapse.id);
+        let index = index.map_err(|_| unreadable("somebody lapses who is not there"))?;
+        lapses_at[index] = Some(lapse.at_step);
+    }
+    let proto::ParameterValues {
+        pi1,
+        pi2,
+        pi3,
+        pi4,
+        publish_every,
+    } = snapshot.parameters;
+    let state = State {
+        parameters: model::Parameters {
+            pi1,
+            pi2,
+            pi3,
+            pi4,
+            ..recipe.parameters
+        },
+        seed: recipe.seed,
+        step: snapshot.step,
+        configuration: Configuration {
+            origin: snapshot.origin,
+            next_id: snapshot.next_id,
+            id: snapshot.id.clone(),
+            x: x.clone(),
+            y: y.clone(),
+            alpha: alpha.clone(),
+            weight: weight.clone(),
+            direction: direction.clone(),
+            lapses_at,
+        },
+        memory: model::SolverMemory {
+            contacts: (0..contacts)
+                .map(|k| Remembered {
+                    first: memory.first[k],
+                    second: memory.second[k],
+                    code: u8::try_from(memory.code[k]).unwrap_or(u8::MAX),
+                    multiplier: memory.multiplier[k],
+                })
+                .collect(),
+            order: memory.order.clone(),
+            order_age: memory.order_age,
+        },
+    };
+    if to_proto::hexadecimal(&state.hash()) != snapshot.state_hash {
+        return Err(DurableError::Hash);
+    }
+    let scheduled = snapshot.scheduled.iter().map(|waiting| {
+        let sender = sender(&waiting.sent)?;
+        let order = read(&sender).map_err(DurableError::Unreadable)?;
+        let input = waiting.line;
+        let scheduled = Scheduled {
+            input,
+            order,
+            sender,
+        };
+        Ok((waiting.at_step, scheduled))
+    });
+    let pending = snapshot.pending.as_ref();
+    Ok(Checkpoint {
+        publish_every,
+        epoch: snapshot.epoch,
+        seq: snapshot.seq,
+        means: RunningMeans {
+            count: snapshot.sums.count,
+            order: snapshot.sums.order,
+            velocity: snapshot.sums.velocity,
+            directed: snapshot.sums.directed,
+            drift: snapshot.sums.drift,
+        },
+        exactness: frame::Exactness {
+            residual: snapshot.exactness.residual,
+            degraded: snapshot.exactness.degraded,
+            contacts: from_proto::count(snapshot.exactness.contacts),
+            iterations: from_proto::count(snapshot.exactness.iterations),
+        },
+        phase: match &snapshot.doing {
+            Doing::Paused(reason) => Phase::Paused(pause_reason(reason)?),
+            Doing::Running(until) => Phase::Running { until: *until },
+            Doing::Stepping(until) => Phase::Stepping { until: *until },
+            Doing::Faulted(reason) => Phase::Faulted(reason.clone()),
+        },
+        rate: snapshot.rate,
+        scheduled: scheduled.collect::<Result<_, _>>()?,
+        pending: pending
+            .map(|pending| Ok((pending.from, sender(&pending.sent)?)))
+            .transpose()?,
+        events: snapshot.events,
+        lines: snapshot.lines,
+        is_last: snapshot.is_last,
+        recipe,
+        state,
+    })
+}
+
+fn pause_reason(text: &str) -> Result<PauseReason, DurableError> {
+    PauseReason::ALL
+        .into_iter()
+        .find(|reason| reason.to_string() == text)
+        .ok_or_else(|| DurableError::Unreadable(format!("nothing is paused because {text:?}")))
+}
+
+fn sent(sender: &Sender) -> Sent {
+    Sent {
+        verb: sender.verb.to_owned(),
+        args: sender.args.clone(),
+        client: sender.client.clone(),
+        request_id: sender.request_id.clone(),
+        digest: sender.digest.map(Vec::from),
+    }
+}
+
+fn sender(sent: &Sent) -> Result<Arc<Sender>, DurableError> {
+    let known = keys::SWARM_VERBS.iter().find(|verb| **verb == sent.verb);
+    let Some(verb) = known else {
+        let problem = format!("there is no verb {:?}", sent.verb);
+        return Err(DurableError::Unreadable(problem));
+    };
+    Ok(Arc::new(Sender {
+        verb,
+        args: sent.args.clone(),
+        client: sent.client.clone(),
+        request_id: sent.request_id.clone(),
+        digest: sent.digest.as_deref().and_then(|it| it.try_into().ok()),
+    }))
+}
+
+/// A line's record as it is stored.
+#[derive(Serialize, Deserialize)]
+enum Stored {
+    #[serde(rename = "input")]
+    Input {
+        at_step: Option<u64>,
+        sent: Sent,
+        seq: Option<u64>,
+    },
+    #[serde(rename = "became")]
+    Became { input: u64, seq: Option<u64> },
+    #[serde(rename = "fault")]
+    Fault(String),
+    #[serde(rename = "hash")]
+    Hash(serde_bytes::ByteArray<32>),
+    #[serde(rename = "resumed")]
+    Resumed(u64),
+}
+
+/// A line's record as a kind, by which it can be found, and bytes.
+pub fn record(record: &Record) -> (u8, Vec<u8>) {
+    let (kind, stored) = match record {
+        Record::Input {
+            at_step,
+            sender,
+            seq,
+        } => {
+            let stored = Stored::Input {
+                at_step: *at_step,
+                sent: sent(sender),
+                seq: *seq,
+            };
+            (1, stored)
+        }
+        Record::Became { input, seq } => (
+            2,
+            Stored::Became {
+                input: *input,
+                seq: *seq,
+            },
+        ),
+        Record::Fault(reason) => (3, Stored::Fault(reason.clone())),
+        Record::Hash(hash) => (4, Stored::Hash((*hash).into())),
+        Record::Resumed(epoch) => (5, Stored::Resumed(*epoch)),
+    };
+    (kind, proto::to_cbor(&stored))
+}
+
+/// The record that was stored as these bytes.
+///
+/// # Errors
+///
+/// [`DurableError`].
+pub fn read_record(bytes: &[u8]) -> Result<Record, DurableError> {
+    let stored = ciborium::from_reader(bytes)
+        .map_err(|error| DurableError::Unreadable(error.to_string()))?;
+    Ok(match stored {
+        Stored::Input { at_step, sent, seq } => Record::Input {
+            at_step,
+            sender: sender(&sent)?,
+            seq,
+        },
+        Stored::Became { input, seq } => Record::Became { input, seq },
+        Stored::Fault(reason) => Record::Fault(reason),
+        Stored::Hash(hash) => Record::Hash(hash.into_array()),
+        Stored::Resumed(epoch) => Record::Resumed(epoch),
+    })
+}
