@@ -14,6 +14,9 @@ mod neighbours;
 pub mod qp;
 pub mod solve;
 
+use std::sync::Arc;
+
+use rayon::ThreadPool;
 use thiserror::Error;
 
 use crate::model::attraction::Social;
@@ -124,6 +127,15 @@ impl Stepper {
         stepper.free.level = level;
         stepper.neighbours.search.level = level;
         stepper.solver.exact.level = level;
+        stepper
+    }
+
+    /// Creates an empty workspace that shares the work of large groups among the threads of
+    /// `pool`: it takes another time and changes no bit.
+    #[must_use]
+    pub fn with_pool(pool: Arc<ThreadPool>) -> Self {
+        let mut stepper = Self::default();
+        stepper.social.pool = Some(pool);
         stepper
     }
 
