@@ -130,8 +130,8 @@ impl Stepper {
         stepper
     }
 
-    /// Creates an empty workspace that shares the work of large groups among the threads of
-    /// `pool`: it takes another time and changes no bit.
+    /// Creates an empty workspace that shares the attraction of large groups among the threads
+    /// of `pool`: it takes another time and changes no bit.
     #[must_use]
     pub fn with_pool(pool: Arc<ThreadPool>) -> Self {
         let mut stepper = Self::default();

@@ -29,7 +29,6 @@ fn the_same_steps(attraction: Attraction, n: usize, radius: f64, steps: u64) {
     };
     let alone = run(Stepper::new());
     let pushing = alone.memory.contacts.len();
-    println!("{pushing} of {n} push");
     assert!(10 * pushing > n, "only {pushing} of {n} push");
     for threads in [1, 2, 4] {
         let hash = run(shared(threads)).hash();

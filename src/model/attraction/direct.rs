@@ -89,7 +89,7 @@ impl Everybody<'_> {
     fn meet_in_turn(&self, [sum_x, sum_y]: [&mut [Lanes]; 2], back: &mut Vec<[Lanes; 2]>) {
         back.resize(TILE, NOTHING);
         for tile in (0..self.n().div_ceil(TILE)).map(|tile| self.tile(tile)) {
-            back.fill(NOTHING);
+            back[..tile.len()].fill(NOTHING);
             let groups = 0..tile.end.div_ceil(WIDTH);
             let sums = [&mut sum_x[groups.clone()], &mut sum_y[groups.clone()]];
             each_pair_once(self.level, self.at, self.sources, groups, tile, sums, back);

@@ -53,7 +53,8 @@ const fn rung(accuracy: f64, powers: usize, tolerance: f64, from: usize) -> Rung
 pub struct Social {
     /// Which version of the kernels runs; it changes no bit.
     pub level: Level,
-    /// Whose threads may share the work; they change no bit.
+    /// Whose threads share the work of large groups; they change no bit. A call then allocates
+    /// some lists: one of the direct sum's tiles, three for every group cut in two.
     pub pool: Option<Arc<ThreadPool>>,
     direct: Direct,
     tree: Tree,

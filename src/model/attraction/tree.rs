@@ -12,8 +12,8 @@ use super::direct::fill_lanes;
 const LARGEST_LEAF: usize = 48;
 
 /// The least individuals of a group whose halves are taken at once where there are threads for
-/// it: a millisecond's work or so.
-pub(super) const SHARED: usize = 1000;
+/// it: some 0.2 ms of work, which handing it over costs little beside.
+pub(super) const SHARED: usize = 250;
 
 /// Someone at a place.
 #[derive(Clone, Copy, Debug)]
