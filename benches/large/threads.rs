@@ -5,8 +5,9 @@ use std::time::Instant;
 
 use jostled::model::State;
 use jostled::model::attraction::Social;
+use jostled::model::threads::Pool;
 use jostled::stepper::Stepper;
-use rayon::{ThreadPool, ThreadPoolBuilder};
+use rayon::ThreadPoolBuilder;
 
 use crate::{Arguments, drawn, milliseconds};
 
@@ -41,10 +42,10 @@ pub fn heading() -> String {
 /// Steps one group twice, and compares the hashes at the end.
 pub fn measure(n: usize, threads: usize, arguments: &Arguments) -> String {
     let pool = ThreadPoolBuilder::new().num_threads(threads).build();
-    let pool: Arc<ThreadPool> = Arc::new(pool.expect("threads can be started"));
+    let pool = Pool::new(Arc::new(pool.expect("threads can be started")));
     let start = drawn(n, arguments);
     let mut states: [State; 2] = [start.clone(), start];
-    let mut steppers = [Stepper::new(), Stepper::with_pool(Arc::clone(&pool))];
+    let mut steppers = [Stepper::new(), Stepper::with_pool(pool.clone())];
     let mut socials = [Social::default(), Social::default()];
     socials[1].pool = Some(pool);
     let (mut attraction, mut step, mut pull) = (Least::new(), Least::new(), Vec::new());

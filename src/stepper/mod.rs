@@ -14,13 +14,11 @@ mod neighbours;
 pub mod qp;
 pub mod solve;
 
-use std::sync::Arc;
-
-use rayon::ThreadPool;
 use thiserror::Error;
 
 use crate::model::attraction::Social;
 use crate::model::lanes::Level;
+use crate::model::threads::Pool;
 use crate::model::{CELL, Configuration, State};
 use contact::Contact;
 use heading::unit_vector;
@@ -133,7 +131,7 @@ impl Stepper {
     /// Creates an empty workspace that shares the attraction of large groups among the threads
     /// of `pool`: it takes another time and changes no bit.
     #[must_use]
-    pub fn with_pool(pool: Arc<ThreadPool>) -> Self {
+    pub fn with_pool(pool: Pool) -> Self {
         let mut stepper = Self::default();
         stepper.social.pool = Some(pool);
         stepper

@@ -3,6 +3,7 @@
 
 use std::sync::Arc;
 
+use jostled::model::threads::Pool;
 use jostled::model::{Attraction, Parameters, State, start};
 use jostled::stepper::Stepper;
 use rayon::ThreadPoolBuilder;
@@ -11,7 +12,7 @@ use crate::{advance, with};
 
 fn shared(threads: usize) -> Stepper {
     let pool = ThreadPoolBuilder::new().num_threads(threads).build();
-    Stepper::with_pool(Arc::new(pool.unwrap()))
+    Stepper::with_pool(Pool::new(Arc::new(pool.unwrap())))
 }
 
 /// Steps `n` drawn in a disc of a radius in roots of n, without a pool and with some.

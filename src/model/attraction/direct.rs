@@ -1,13 +1,9 @@
 //! The sum over all the others, term by term.
 
 use std::ops::Range;
-use std::sync::Mutex;
-use std::sync::atomic::{AtomicUsize, Ordering};
-
-use rayon::ThreadPool;
 
 use crate::model::lanes::{Lanes, Level, WIDTH, multiversion};
-use crate::model::threads::wait_until;
+use crate::model::threads::Pool;
 
 /// What a lane without an individual holds. The square of its distance to anybody rounds to an
 /// infinite `f32`, so it pulls with exactly 0.
@@ -41,13 +37,7 @@ impl Direct {
     /// Sums the unit vectors from everyone to everyone else.
     ///
     /// - Shapes: n coordinates each in; the sums of x and of y, n of each and some more, out.
-    pub fn sum(
-        &mut self,
-        level: Level,
-        pool: Option<&ThreadPool>,
-        x: &[f64],
-        y: &[f64],
-    ) -> [&[f64]; 2] {
+    pub fn sum(&mut self, level: Level, pool: Option<&Pool>, x: &[f64], y: &[f64]) -> [&[f64]; 2] {
         fill_lanes(&mut self.x, x.iter().copied());
         fill_lanes(&mut self.y, y.iter().copied());
         for sum in [&mut self.sum_x, &mut self.sum_y] {
@@ -96,48 +86,18 @@ impl Everybody<'_> {
         }
     }
 
-    /// All pairs, by all threads of `pool`: each takes the next tile of sources, and with it
-    /// the tiles of targets in their order, waiting for each until the tile of sources before
-    /// has left it. So every sum is added up as in [`Self::meet_in_turn`], whoever adds.
-    fn meet_at_once(&self, pool: &ThreadPool, [sum_x, sum_y]: [&mut [Lanes]; 2]) {
-        let sums = sum_x.chunks_mut(GROUPS).zip(sum_y.chunks_mut(GROUPS));
-        let targets: Vec<Targets> = (0..)
-            .zip(sums)
-            .map(|(own, (x, y))| Targets {
-                tile: AtomicUsize::new(own),
-                sums: Mutex::new([x, y]),
-            })
-            .collect();
-        let taken = AtomicUsize::new(0);
-        pool.broadcast(|_| {
-            let mut back = [NOTHING; TILE];
-            loop {
-                let tile = taken.fetch_add(1, Ordering::Relaxed);
-                let Some(earlier) = targets.get(..=tile) else {
-                    return;
-                };
-                back.fill(NOTHING);
-                for (k, targets) in earlier.iter().enumerate() {
-                    wait_until(|| targets.tile.load(Ordering::Acquire) == tile);
-                    let mut sums = targets.sums.lock().expect("no thread panics");
-                    let [x, y] = &mut *sums;
-                    let groups = k * GROUPS..k * GROUPS + x.len();
-                    let (sums, range) = ([&mut **x, y], self.tile(tile));
-                    let (at, sources) = (self.at, self.sources);
-                    each_pair_once(self.level, at, sources, groups, range, sums, &mut back);
-                    targets.tile.store(tile + 1, Ordering::Release);
-                }
-            }
+    /// All pairs, the tiles of sources being taken by the threads of `pool` and those of targets
+    /// in their order: every sum is added up as in [`Self::meet_in_turn`], whoever adds.
+    fn meet_at_once(&self, pool: &Pool, [sum_x, sum_y]: [&mut [Lanes]; 2]) {
+        let targets = sum_x.chunks_mut(GROUPS).zip(sum_y.chunks_mut(GROUPS));
+        let nothing = || [NOTHING; TILE];
+        pool.rounds(targets, nothing, |back, tile, targets, (sum_x, sum_y)| {
+            let start = targets * GROUPS;
+            let (groups, tile) = (start..start + sum_x.len(), self.tile(tile));
+            let sums = [&mut **sum_x, sum_y];
+            each_pair_once(self.level, self.at, self.sources, groups, tile, sums, back);
         });
     }
-}
-
-/// A tile of targets.
-struct Targets<'a> {
-    /// The tile of sources whose turn it is: first the targets themselves.
-    tile: AtomicUsize,
-    /// Taken by whose turn it is alone.
-    sums: Mutex<[&'a mut [Lanes]; 2]>,
 }
 
 /// Fills whole lanes with `values`, and the rest of the last ones with nobody.

@@ -1,9 +1,7 @@
 //! The sum over all the others, with far groups taken as a whole.
 
-use rayon::ThreadPool;
-
 use crate::model::lanes::{Lanes, Level, WIDTH};
-use crate::model::threads::{both, inside};
+use crate::model::threads::{Pool, both, inside};
 
 use super::direct::pull_from;
 use super::expansion::{Series, evaluate, gather, lower, raise, transfer};
@@ -62,7 +60,7 @@ impl<const N: usize> Far<N> {
     pub fn sum(
         &mut self,
         level: Level,
-        pool: Option<&ThreadPool>,
+        pool: Option<&Pool>,
         tree: &Tree,
         tolerance: f64,
     ) -> [&[f64]; 2] {
@@ -202,7 +200,8 @@ impl<const N: usize> Descent<'_, N> {
             halfway: Series::ZERO,
             ..*self
         };
-        rayon::join(
+        both(
+            true,
             || self.visit(one, &lowered(one), start, [one_x, one_y]),
             || second.visit(other, &lowered(other), 0, [other_x, other_y]),
         );

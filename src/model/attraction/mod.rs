@@ -5,12 +5,8 @@ mod expansion;
 mod far;
 mod tree;
 
-use std::sync::Arc;
-
-use rayon::ThreadPool;
-
 use super::lanes::Level;
-use super::threads::SHARED_FROM;
+use super::threads::{Pool, SHARED_FROM};
 use super::{Attraction, Configuration};
 
 use direct::Direct;
@@ -55,7 +51,7 @@ pub struct Social {
     pub level: Level,
     /// Whose threads share the work of large groups; they change no bit. A call then allocates
     /// some lists: one of the direct sum's tiles, three for every group cut in two.
-    pub pool: Option<Arc<ThreadPool>>,
+    pub pool: Option<Pool>,
     direct: Direct,
     tree: Tree,
     far_4: Far<4>,
@@ -85,7 +81,7 @@ impl Social {
             return;
         }
         let share = 1.0 / (n as f64 - 1.0);
-        let (level, pool) = (self.level, self.pool.as_deref());
+        let (level, pool) = (self.level, self.pool.as_ref());
         let pool = pool.filter(|_| n >= SHARED_FROM);
         let Attraction::All { accuracy } = attraction;
         let Some(rung) = accuracy.map(rung_of).filter(|rung| n >= rung.from) else {

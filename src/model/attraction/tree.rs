@@ -1,9 +1,7 @@
 //! The groups of a configuration: halved along the longer side until they are small.
 
-use rayon::ThreadPool;
-
 use crate::model::lanes::{Lanes, WIDTH};
-use crate::model::threads::{both, inside};
+use crate::model::threads::{Pool, both, inside};
 
 use super::direct::fill_lanes;
 
@@ -66,7 +64,7 @@ pub(super) struct Tree {
 
 impl Tree {
     /// Sorts everybody into groups.
-    pub fn build(&mut self, pool: Option<&ThreadPool>, x: &[f64], y: &[f64]) {
+    pub fn build(&mut self, pool: Option<&Pool>, x: &[f64], y: &[f64]) {
         let n = x.len();
         if self.placed.len() != n {
             let n = u32::try_from(n).expect("ids are 32 bits wide");
