@@ -59,11 +59,11 @@ pub fn measure(n: usize, threads: usize, arguments: &Arguments) -> String {
             let kind = state.parameters.attraction;
             let social = &mut socials[which];
             attraction.measure(which, || {
-                social.compute(kind, &state.configuration, &mut pull)
+                social.compute(kind, &state.configuration, &mut pull);
             });
             let stepper = &mut steppers[which];
             step.measure(which, || {
-                drop(stepper.step(state).expect("every step is solved"))
+                drop(stepper.step(state).expect("every step is solved"));
             });
         }
     }
