@@ -4,6 +4,11 @@
 //! and stepped in a process of its own, so that memory is its alone; then some more steps are
 //! measured. A drawn disc falls together slowly: how packed a group is, `active` tells. Memory
 //! is what the process holds beyond what it held after stepping a small group.
+//!
+//! With `-- --threads 2`, what two threads save: the same group is stepped without and with
+//! them by turns, and the least wall-clock times are told.
+
+mod threads;
 
 use std::process::Command;
 use std::time::Duration;
@@ -45,6 +50,9 @@ struct Arguments {
     /// Radius of the disc in roots of n
     #[arg(long, default_value_t = 1.0)]
     radius: f64,
+    /// Tells the least wall-clock times without and with as many threads instead
+    #[arg(long, conflicts_with = "json")]
+    threads: Option<usize>,
     /// Measures one group in this process.
     #[arg(long, hide = true)]
     alone: bool,
@@ -65,6 +73,13 @@ fn main() {
                 found.text()
             }
         );
+        return;
+    }
+    if let Some(count) = arguments.threads {
+        println!("{}", threads::heading());
+        for &n in &arguments.n {
+            println!("{}", threads::measure(n, count, &arguments));
+        }
         return;
     }
     if !arguments.json {
@@ -160,24 +175,28 @@ struct Group {
     stepper: Stepper,
 }
 
+/// A group drawn in its disc.
+fn drawn(n: usize, arguments: &Arguments) -> State {
+    let parameters = Parameters {
+        attraction: Attraction::All {
+            accuracy: Some(arguments.accuracy),
+        },
+        ..Parameters::default()
+    };
+    let radius = arguments.radius * (n as f64).sqrt();
+    State {
+        parameters,
+        seed: SEED,
+        configuration: start::disc(&parameters, n, Some(radius), SEED)
+            .expect("the disc has room for everybody"),
+        ..State::default()
+    }
+}
+
 impl Group {
     fn new(n: usize, arguments: &Arguments) -> Self {
-        let parameters = Parameters {
-            attraction: Attraction::All {
-                accuracy: Some(arguments.accuracy),
-            },
-            ..Parameters::default()
-        };
-        let radius = arguments.radius * (n as f64).sqrt();
-        let state = State {
-            parameters,
-            seed: SEED,
-            configuration: start::disc(&parameters, n, Some(radius), SEED)
-                .expect("the disc has room for everybody"),
-            ..State::default()
-        };
         Self {
-            state,
+            state: drawn(n, arguments),
             social: Social::default(),
             pull: Vec::new(),
             stepper: Stepper::new(),

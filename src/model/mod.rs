@@ -1,6 +1,7 @@
 //! What a swarm is: parameters, individuals, how they start and change, and the hash of it all.
 //!
-//! Everything here is a function of its arguments: no clock, thread, file or serialiser.
+//! Everything here is a function of its arguments: no clock, thread, file or serialiser. A pool
+//! of threads may be handed over, and changes no bit.
 //! Lengths are in body sizes, speeds in the free speed, so both of those are 1.
 
 pub mod attraction;
@@ -15,6 +16,7 @@ pub mod resize;
 pub mod selection;
 pub mod start;
 pub mod state;
+pub mod threads;
 
 pub use configuration::{CELL, Configuration};
 pub use parameters::{Attraction, ContactRule, Parameters, ParametersError};

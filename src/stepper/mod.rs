@@ -18,6 +18,7 @@ use thiserror::Error;
 
 use crate::model::attraction::Social;
 use crate::model::lanes::Level;
+use crate::model::threads::Pool;
 use crate::model::{CELL, Configuration, State};
 use contact::Contact;
 use heading::unit_vector;
@@ -124,6 +125,15 @@ impl Stepper {
         stepper.free.level = level;
         stepper.neighbours.search.level = level;
         stepper.solver.exact.level = level;
+        stepper
+    }
+
+    /// Creates an empty workspace that shares the attraction of large groups among the threads
+    /// of `pool`: it takes another time and changes no bit.
+    #[must_use]
+    pub fn with_pool(pool: Pool) -> Self {
+        let mut stepper = Self::default();
+        stepper.social.pool = Some(pool);
         stepper
     }
 

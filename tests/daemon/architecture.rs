@@ -26,7 +26,7 @@ const MAY_USE: [(&str, &[&str]); 14] = [
 ];
 
 /// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 11] = [
+const ONLY_IN: [(&str, &[&str]); 12] = [
     ("zenoh::", &["publish", "server"]),
     ("zenoh_ext::", &["publish"]),
     (
@@ -36,7 +36,10 @@ const ONLY_IN: [(&str, &[&str]); 11] = [
     ("serde", &["command", "demo", "server", "wire"]),
     ("tokio::", &["demo", "main", "server"]),
     ("clap::", &["main"]),
-    ("std::thread", &["host", "publish", "server"]),
+    (
+        "std::thread",
+        &["host", "model/threads", "publish", "server"],
+    ),
     (
         "std::time",
         &[
@@ -47,9 +50,17 @@ const ONLY_IN: [(&str, &[&str]); 11] = [
     (
         "std::sync",
         &[
-            "command", "demo", "host", "publish", "server", "swarm", "wire",
+            "command",
+            "demo",
+            "host",
+            "model/threads",
+            "publish",
+            "server",
+            "swarm",
+            "wire",
         ],
     ),
+    ("rayon::", &["model/threads"]),
     ("use clarabel::", &["stepper/solve/clarabel"]),
 ];
 

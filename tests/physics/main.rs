@@ -13,6 +13,7 @@ mod claim;
 mod exact;
 mod facts;
 mod repeat;
+mod threads;
 mod work;
 
 use jostled::model::lanes::Level;

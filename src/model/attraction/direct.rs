@@ -1,6 +1,9 @@
 //! The sum over all the others, term by term.
 
+use std::ops::Range;
+
 use crate::model::lanes::{Lanes, Level, WIDTH, multiversion};
+use crate::model::threads::Pool;
 
 /// What a lane without an individual holds. The square of its distance to anybody rounds to an
 /// infinite `f32`, so it pulls with exactly 0.
@@ -14,6 +17,9 @@ const SAME_PLACE: f64 = 1e-36;
 /// How many sources are pushed back at a time: what they gather, 128 B each, then stays in the
 /// processor's nearest cache.
 const TILE: usize = 256;
+
+/// The groups of lanes that hold a tile.
+const GROUPS: usize = TILE / WIDTH;
 
 const NOTHING: [Lanes; 2] = [[0.0; WIDTH]; 2];
 
@@ -31,20 +37,66 @@ impl Direct {
     /// Sums the unit vectors from everyone to everyone else.
     ///
     /// - Shapes: n coordinates each in; the sums of x and of y, n of each and some more, out.
-    pub fn sum(&mut self, level: Level, x: &[f64], y: &[f64]) -> [&[f64]; 2] {
+    pub fn sum(&mut self, level: Level, pool: Option<&Pool>, x: &[f64], y: &[f64]) -> [&[f64]; 2] {
         fill_lanes(&mut self.x, x.iter().copied());
         fill_lanes(&mut self.y, y.iter().copied());
         for sum in [&mut self.sum_x, &mut self.sum_y] {
             sum.clear();
             sum.resize(self.x.len(), [0.0; WIDTH]);
         }
-        let (at, sums) = (
-            [&self.x[..], &self.y],
-            [&mut self.sum_x[..], &mut self.sum_y],
-        );
-        self.back.resize(TILE, NOTHING);
-        each_pair_once(level, at, [x, y], sums, &mut self.back);
+        let everybody = Everybody {
+            level,
+            at: [&self.x, &self.y],
+            sources: [x, y],
+        };
+        let sums = [&mut self.sum_x[..], &mut self.sum_y];
+        if let Some(pool) = pool {
+            everybody.meet_at_once(pool, sums);
+        } else {
+            everybody.meet_in_turn(sums, &mut self.back);
+        }
         [self.sum_x.as_flattened(), self.sum_y.as_flattened()]
+    }
+}
+
+/// Everybody as targets, in lanes, and as sources.
+struct Everybody<'a> {
+    level: Level,
+    at: [&'a [Lanes]; 2],
+    sources: [&'a [f64]; 2],
+}
+
+impl Everybody<'_> {
+    fn n(&self) -> usize {
+        self.sources[0].len()
+    }
+
+    fn tile(&self, tile: usize) -> Range<usize> {
+        tile * TILE..self.n().min((tile + 1) * TILE)
+    }
+
+    /// All pairs, tile by tile of the sources.
+    fn meet_in_turn(&self, [sum_x, sum_y]: [&mut [Lanes]; 2], back: &mut Vec<[Lanes; 2]>) {
+        back.resize(TILE, NOTHING);
+        for tile in (0..self.n().div_ceil(TILE)).map(|tile| self.tile(tile)) {
+            back[..tile.len()].fill(NOTHING);
+            let groups = 0..tile.end.div_ceil(WIDTH);
+            let sums = [&mut sum_x[groups.clone()], &mut sum_y[groups.clone()]];
+            each_pair_once(self.level, self.at, self.sources, groups, tile, sums, back);
+        }
+    }
+
+    /// All pairs, the tiles of sources being taken by the threads of `pool` and those of targets
+    /// in their order: every sum is added up as in [`Self::meet_in_turn`], whoever adds.
+    fn meet_at_once(&self, pool: &Pool, [sum_x, sum_y]: [&mut [Lanes]; 2]) {
+        let targets = sum_x.chunks_mut(GROUPS).zip(sum_y.chunks_mut(GROUPS));
+        let nothing = || [NOTHING; TILE];
+        pool.rounds(targets, nothing, |back, tile, targets, (sum_x, sum_y)| {
+            let start = targets * GROUPS;
+            let (groups, tile) = (start..start + sum_x.len(), self.tile(tile));
+            let sums = [&mut **sum_x, sum_y];
+            each_pair_once(self.level, self.at, self.sources, groups, tile, sums, back);
+        });
     }
 }
 
@@ -82,46 +134,53 @@ multiversion! {
 }
 
 multiversion! {
-    /// As [`pull_from`] with the targets as sources, but each pair of different lanes' groups
-    /// is taken once: what pulls the one forth pulls the other back. A tile of sources gathers
-    /// in `back`, by the lane of the target, and is folded into the sums before the next.
+    /// As [`pull_from`] with targets as sources, those of `groups` and those of one `tile`, but
+    /// each pair of different lanes' groups is taken once: what pulls the one forth pulls the
+    /// other back. That gathers in `back`, by the lane of the target, and is folded into the
+    /// sums with the tile's last group.
+    ///
+    /// - Shapes: all the targets, all the sources; the sums of `groups` alone.
     fn each_pair_once(
         level,
         at: [&[Lanes]; 2],
         sources: [&[f64]; 2],
+        groups: Range<usize>,
+        tile: Range<usize>,
         sums: [&mut [Lanes]; 2],
         back: &mut [[Lanes; 2]],
     ) {
-        let ([at_x, at_y], [sums_x, sums_y]) = (at, sums);
-        let n = sources[0].len();
-        for tile in (0..n).step_by(TILE) {
-            let end = n.min(tile + TILE);
-            back[..end - tile].fill(NOTHING);
-            for group in 0..end.div_ceil(WIDTH) {
-                let (at_x, at_y) = (at_x[group], at_y[group]);
-                let (mut total_x, mut total_y) = (sums_x[group], sums_y[group]);
-                let later = ((group + 1) * WIDTH).clamp(tile, end);
-                let own = (group * WIDTH).clamp(tile, later)..later;
-                for (&x, &y) in sources[0][own.clone()].iter().zip(&sources[1][own]) {
-                    let [unit_x, unit_y] = unit_vectors(&at_x, &at_y, x, y);
-                    add(&mut total_x, &unit_x);
-                    add(&mut total_y, &unit_y);
-                }
-                let later_sources = sources[0][later..end].iter().zip(&sources[1][later..end]);
-                for ((&x, &y), back) in later_sources.zip(&mut back[later - tile..]) {
-                    let [unit_x, unit_y] = unit_vectors(&at_x, &at_y, x, y);
-                    add(&mut total_x, &unit_x);
-                    add(&mut total_y, &unit_y);
-                    subtract(&mut back[0], &unit_x);
-                    subtract(&mut back[1], &unit_y);
-                }
-                (sums_x[group], sums_y[group]) = (total_x, total_y);
+        let (Range { start: tile, end }, first) = (tile, groups.start);
+        let [sums_x, sums_y] = sums;
+        let at = at[0][groups.clone()].iter().zip(&at[1][groups.clone()]);
+        let targets = at.zip(sums_x.iter_mut().zip(sums_y.iter_mut()));
+        for (group, ((at_x, at_y), (sum_x, sum_y))) in groups.clone().zip(targets) {
+            let (mut total_x, mut total_y) = (*sum_x, *sum_y);
+            let later = ((group + 1) * WIDTH).clamp(tile, end);
+            let own = (group * WIDTH).clamp(tile, later)..later;
+            for (&x, &y) in sources[0][own.clone()].iter().zip(&sources[1][own]) {
+                let [unit_x, unit_y] = unit_vectors(at_x, at_y, x, y);
+                add(&mut total_x, &unit_x);
+                add(&mut total_y, &unit_y);
             }
-            let (tile_x, tile_y) = (sums_x.as_flattened_mut(), sums_y.as_flattened_mut());
-            for (k, back) in (tile..end).zip(&*back) {
-                tile_x[k] += folded(&back[0]);
-                tile_y[k] += folded(&back[1]);
+            let later_sources = sources[0][later..end].iter().zip(&sources[1][later..end]);
+            for ((&x, &y), back) in later_sources.zip(&mut back[later - tile..]) {
+                let [unit_x, unit_y] = unit_vectors(at_x, at_y, x, y);
+                add(&mut total_x, &unit_x);
+                add(&mut total_y, &unit_y);
+                subtract(&mut back[0], &unit_x);
+                subtract(&mut back[1], &unit_y);
             }
+            (*sum_x, *sum_y) = (total_x, total_y);
+        }
+        if groups.end * WIDTH < end {
+            return;
+        }
+        let own = tile - first * WIDTH..end - first * WIDTH;
+        let tile_x = &mut sums_x.as_flattened_mut()[own.clone()];
+        let tile_y = &mut sums_y.as_flattened_mut()[own];
+        for ((x, y), back) in tile_x.iter_mut().zip(tile_y).zip(&*back) {
+            *x += folded(&back[0]);
+            *y += folded(&back[1]);
         }
     }
 }

@@ -1,10 +1,11 @@
 //! The sum over all the others, with far groups taken as a whole.
 
 use crate::model::lanes::{Lanes, Level, WIDTH};
+use crate::model::threads::{Pool, both, inside};
 
 use super::direct::pull_from;
 use super::expansion::{Series, evaluate, gather, lower, raise, transfer};
-use super::tree::{Group, Tree};
+use super::tree::{Group, SHARED, Tree};
 
 /// Centres nearer than this are never taken as apart: no power of their distance can leave the
 /// range of doubles. Positions resolve no such distance.
@@ -28,8 +29,16 @@ pub(super) struct Far<const N: usize> {
     moments: Vec<Series<N>>,
     sum_x: Vec<Lanes>,
     sum_y: Vec<Lanes>,
+    lists: Lists,
+}
+
+/// The lists of one walk.
+#[derive(Clone, Debug, Default)]
+struct Lists {
+    /// The sources whose members pull one by one.
     near: Vec<u32>,
     waiting: Vec<u32>,
+    /// The sources left to each target on the way down, one after the other.
     candidates: Vec<u32>,
 }
 
@@ -39,9 +48,7 @@ impl<const N: usize> Default for Far<N> {
             moments: Vec::new(),
             sum_x: Vec::new(),
             sum_y: Vec::new(),
-            near: Vec::new(),
-            waiting: Vec::new(),
-            candidates: Vec::new(),
+            lists: Lists::default(),
         }
     }
 }
@@ -50,52 +57,69 @@ impl<const N: usize> Far<N> {
     /// Sums the unit vectors from everyone to everyone else, in the tree's order.
     ///
     /// What a group's series leave out may be `tolerance` of the whole, to order of magnitude.
-    pub fn sum(&mut self, level: Level, tree: &Tree, tolerance: f64) -> [&[f64]; 2] {
-        for sum in [&mut self.sum_x, &mut self.sum_y] {
-            sum.clear();
-            sum.resize(tree.x.len(), [0.0; WIDTH]);
-        }
-        self.gather(level, tree);
+    pub fn sum(
+        &mut self,
+        level: Level,
+        pool: Option<&Pool>,
+        tree: &Tree,
+        tolerance: f64,
+    ) -> [&[f64]; 2] {
         let Self {
             moments,
             sum_x,
             sum_y,
-            near,
-            waiting,
-            candidates,
+            lists,
         } = self;
-        candidates.clear();
-        candidates.push(0);
-        let mut descent = Descent {
-            level,
-            tree,
-            tolerance,
-            moments,
-            near,
-            waiting,
-            candidates,
-            halfway: Series::ZERO,
-        };
-        descent.visit(0, &Series::ZERO, 0, [sum_x, sum_y]);
+        for sum in [&mut *sum_x, &mut *sum_y] {
+            sum.clear();
+            sum.resize(tree.x.len(), [0.0; WIDTH]);
+        }
+        moments.clear();
+        moments.resize(tree.groups.len(), Series::ZERO);
+        lists.candidates.clear();
+        lists.candidates.push(0);
+        inside(pool, || {
+            gather_all(level, pool.is_some(), tree, 0, moments);
+            let mut descent = Descent {
+                level,
+                shared: pool.is_some(),
+                tree,
+                tolerance,
+                moments,
+                lists,
+                halfway: Series::ZERO,
+            };
+            descent.visit(0, &Series::ZERO, 0, [sum_x, sum_y]);
+        });
         [self.sum_x.as_flattened(), self.sum_y.as_flattened()]
     }
+}
 
-    /// Computes the moments of every group, halves before the whole.
-    fn gather(&mut self, level: Level, tree: &Tree) {
-        let groups = &tree.groups;
-        self.moments.clear();
-        self.moments.resize(groups.len(), Series::ZERO);
-        for (k, group) in groups.iter().enumerate().rev() {
-            if group.is_leaf() {
-                self.moments[k] = gather(level, group.centre, tree.places(group));
-                continue;
-            }
-            let (whole, halves) = self.moments[k..].split_first_mut().expect("k is in range");
-            for half in [k + 1, group.second] {
-                let offset = from_to(group, &groups[half]);
-                raise(level, whole, &halves[half - k - 1], offset);
-            }
-        }
+/// Computes the moments of a group and of all its halves.
+///
+/// - Shapes: as many `moments` as these are, in the tree's order.
+fn gather_all<const N: usize>(
+    level: Level,
+    shared: bool,
+    tree: &Tree,
+    own: usize,
+    moments: &mut [Series<N>],
+) {
+    let group = &tree.groups[own];
+    let (whole, halves) = moments.split_first_mut().expect("a group is one at least");
+    if group.is_leaf() {
+        *whole = gather(level, group.centre, tree.places(group));
+        return;
+    }
+    let shared = shared && group.n() >= SHARED;
+    let (one, other) = halves.split_at_mut(group.second - own - 1);
+    both(
+        shared,
+        || gather_all(level, shared, tree, own + 1, one),
+        || gather_all(level, shared, tree, group.second, other),
+    );
+    for (half, moments) in [(own + 1, &one[0]), (group.second, &other[0])] {
+        raise(level, whole, moments, from_to(group, &tree.groups[half]));
     }
 }
 
@@ -109,14 +133,12 @@ fn from_to(one: &Group, other: &Group) -> [f64; 2] {
 /// A walk over all target groups, each after the one it is half of.
 struct Descent<'a, const N: usize> {
     level: Level,
+    /// Whether there may be threads for both halves of a group at once.
+    shared: bool,
     tree: &'a Tree,
     tolerance: f64,
     moments: &'a [Series<N>],
-    /// The sources whose members pull one by one.
-    near: &'a mut Vec<u32>,
-    waiting: &'a mut Vec<u32>,
-    /// The sources left to each target on the way down, one after the other.
-    candidates: &'a mut Vec<u32>,
+    lists: &'a mut Lists,
     halfway: Series<N>,
 }
 
@@ -126,18 +148,18 @@ impl<const N: usize> Descent<'_, N> {
     fn visit(&mut self, target: usize, local: &Series<N>, start: usize, sums: [&mut [Lanes]; 2]) {
         let group = &self.tree.groups[target];
         let mut local = *local;
-        let end = self.candidates.len();
-        self.near.clear();
+        let end = self.lists.candidates.len();
+        self.lists.near.clear();
         for k in (start..end).rev() {
-            self.waiting.clear();
-            self.waiting.push(self.candidates[k]);
-            while let Some(source) = self.waiting.pop() {
+            self.lists.waiting.clear();
+            self.lists.waiting.push(self.lists.candidates[k]);
+            while let Some(source) = self.lists.waiting.pop() {
                 self.meet(group, source, &mut local);
             }
         }
         let [sum_x, sum_y] = sums;
         let at = [&self.tree.x[group.lanes()], &self.tree.y[group.lanes()]];
-        for &source in &*self.near {
+        for &source in &self.lists.near {
             let source = &self.tree.groups[source as usize];
             let places = self.tree.places(source);
             pull_from(self.level, at, places, [sum_x, sum_y]);
@@ -145,16 +167,44 @@ impl<const N: usize> Descent<'_, N> {
         if group.is_leaf() {
             evaluate(self.level, &local, group.centre, at, [sum_x, sum_y]);
         } else {
-            let second = &self.tree.groups[group.second];
-            let [one_x, two_x] = split(sum_x, group, second);
-            let [one_y, two_y] = split(sum_y, group, second);
-            let halves = [(target + 1, [one_x, one_y]), (group.second, [two_x, two_y])];
-            for (half, sums) in halves {
-                let offset = from_to(group, &self.tree.groups[half]);
-                self.visit(half, &lower(self.level, &local, offset), end, sums);
-            }
+            self.visit_halves(target, &local, end, [sum_x, sum_y]);
         }
-        self.candidates.truncate(end);
+        self.lists.candidates.truncate(end);
+    }
+
+    /// Visits both halves of a target group, each with the candidates from `start` on.
+    fn visit_halves(
+        &mut self,
+        target: usize,
+        local: &Series<N>,
+        start: usize,
+        [sum_x, sum_y]: [&mut [Lanes]; 2],
+    ) {
+        let (level, groups) = (self.level, &self.tree.groups);
+        let group = &groups[target];
+        let [one, other] = [target + 1, group.second];
+        let lowered = |half: usize| lower(level, local, from_to(group, &groups[half]));
+        let [one_x, other_x] = split(sum_x, group, &groups[other]);
+        let [one_y, other_y] = split(sum_y, group, &groups[other]);
+        if !self.shared || group.n() < SHARED {
+            self.visit(one, &lowered(one), start, [one_x, one_y]);
+            self.visit(other, &lowered(other), start, [other_x, other_y]);
+            return;
+        }
+        let mut lists = Lists {
+            candidates: self.lists.candidates[start..].to_vec(),
+            ..Lists::default()
+        };
+        let mut second = Descent {
+            lists: &mut lists,
+            halfway: Series::ZERO,
+            ..*self
+        };
+        both(
+            true,
+            || self.visit(one, &lowered(one), start, [one_x, one_y]),
+            || second.visit(other, &lowered(other), 0, [other_x, other_y]),
+        );
     }
 
     /// Whether the series of a source may stand for it: what they leave out is of order `N` in
@@ -164,7 +214,7 @@ impl<const N: usize> Descent<'_, N> {
         let ratio = (target.radius + source.radius) / distance;
         let square = ratio * ratio;
         let left_out = (1..N / 2).fold(square, |power, _| power * square);
-        let share = (source.last - source.first) as f64 / self.tree.n() as f64;
+        let share = source.n() as f64 / self.tree.n() as f64;
         distance > NEAREST
             && ratio < WIDEST
             && left_out * share * (1.0 + share / FEW) < self.tolerance
@@ -175,9 +225,9 @@ impl<const N: usize> Descent<'_, N> {
         let group = &self.tree.groups[source as usize];
         let apart = from_to(target, group);
         if self.are_apart(target, group, apart) {
-            let rounds = target.lanes().len() * (group.last - group.first);
+            let rounds = target.lanes().len() * group.n();
             if rounds * 100 <= N * N * TRANSFER_COST {
-                self.near.push(source);
+                self.lists.near.push(source);
             } else {
                 let moments = &self.moments[source as usize];
                 transfer(self.level, local, &mut self.halfway, moments, apart);
@@ -185,12 +235,12 @@ impl<const N: usize> Descent<'_, N> {
         } else if group.radius > target.radius && !group.is_leaf() {
             #[expect(clippy::cast_possible_truncation, reason = "fewer groups than ids")]
             let second = group.second as u32;
-            self.waiting.extend([second, source + 1]);
+            self.lists.waiting.extend([second, source + 1]);
         } else if target.is_leaf() {
             // Halves of the source would be as far in ratio, and leave out as much together.
-            self.near.push(source);
+            self.lists.near.push(source);
         } else {
-            self.candidates.push(source);
+            self.lists.candidates.push(source);
         }
     }
 }

@@ -6,6 +6,7 @@ mod far;
 mod tree;
 
 use super::lanes::Level;
+use super::threads::{Pool, SHARED_FROM};
 use super::{Attraction, Configuration};
 
 use direct::Direct;
@@ -48,6 +49,9 @@ const fn rung(accuracy: f64, powers: usize, tolerance: f64, from: usize) -> Rung
 pub struct Social {
     /// Which version of the kernels runs; it changes no bit.
     pub level: Level,
+    /// Whose threads share the work of large groups; they change no bit. A call then allocates
+    /// some lists: one of the direct sum's tiles, three for every group cut in two.
+    pub pool: Option<Pool>,
     direct: Direct,
     tree: Tree,
     far_4: Far<4>,
@@ -77,20 +81,22 @@ impl Social {
             return;
         }
         let share = 1.0 / (n as f64 - 1.0);
+        let (level, pool) = (self.level, self.pool.as_ref());
+        let pool = pool.filter(|_| n >= SHARED_FROM);
         let Attraction::All { accuracy } = attraction;
         let Some(rung) = accuracy.map(rung_of).filter(|rung| n >= rung.from) else {
-            let [sum_x, sum_y] = self.direct.sum(self.level, x, y);
+            let [sum_x, sum_y] = self.direct.sum(level, pool, x, y);
             for ((pull, x), y) in pull.iter_mut().zip(sum_x).zip(sum_y) {
                 *pull = [x * share, y * share];
             }
             return;
         };
         let tree = &mut self.tree;
-        tree.build(x, y);
+        tree.build(pool, x, y);
         let [sum_x, sum_y] = match rung.powers {
-            4 => self.far_4.sum(self.level, tree, rung.tolerance),
-            8 => self.far_8.sum(self.level, tree, rung.tolerance),
-            _ => self.far_12.sum(self.level, tree, rung.tolerance),
+            4 => self.far_4.sum(level, pool, tree, rung.tolerance),
+            8 => self.far_8.sum(level, pool, tree, rung.tolerance),
+            _ => self.far_12.sum(level, pool, tree, rung.tolerance),
         };
         for ((index, x), y) in tree.indices().zip(sum_x).zip(sum_y) {
             pull[index] = [x * share, y * share];
@@ -214,13 +220,13 @@ mod tests {
         Social::default().compute(Attraction::default(), configuration, &mut direct);
         let share = 1.0 / (x.len() as f64 - 1.0);
         let mut social = Social::default();
-        social.tree.build(x, y);
+        social.tree.build(None, x, y);
         let error_of = |rung: &Rung| {
             let tree = &social.tree;
             let [sum_x, sum_y] = match rung.powers {
-                4 => social.far_4.sum(social.level, tree, rung.tolerance),
-                8 => social.far_8.sum(social.level, tree, rung.tolerance),
-                _ => social.far_12.sum(social.level, tree, rung.tolerance),
+                4 => social.far_4.sum(social.level, None, tree, rung.tolerance),
+                8 => social.far_8.sum(social.level, None, tree, rung.tolerance),
+                _ => social.far_12.sum(social.level, None, tree, rung.tolerance),
             };
             let sums = tree.indices().zip(sum_x).zip(sum_y);
             let off =

@@ -1,12 +1,17 @@
 //! The groups of a configuration: halved along the longer side until they are small.
 
 use crate::model::lanes::{Lanes, WIDTH};
+use crate::model::threads::{Pool, both, inside};
 
 use super::direct::fill_lanes;
 
 /// The most individuals of a group that is not halved further. Between 24 and 64 it hardly
 /// matters; larger leaves need less memory.
 const LARGEST_LEAF: usize = 48;
+
+/// The least individuals of a group whose halves are taken at once where there are threads for
+/// it: some 0.2 ms of work, which handing it over costs little beside.
+pub(super) const SHARED: usize = 250;
 
 /// Someone at a place.
 #[derive(Clone, Copy, Debug)]
@@ -17,7 +22,7 @@ struct Placed {
 }
 
 /// A group of individuals, those of `first..last` in the tree's order.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Group {
     pub first: usize,
     pub last: usize,
@@ -30,6 +35,11 @@ pub(super) struct Group {
 }
 
 impl Group {
+    /// How many they are.
+    pub fn n(&self) -> usize {
+        self.last - self.first
+    }
+
     pub fn is_leaf(&self) -> bool {
         self.second == 0
     }
@@ -54,7 +64,7 @@ pub(super) struct Tree {
 
 impl Tree {
     /// Sorts everybody into groups.
-    pub fn build(&mut self, x: &[f64], y: &[f64]) {
+    pub fn build(&mut self, pool: Option<&Pool>, x: &[f64], y: &[f64]) {
         let n = x.len();
         if self.placed.len() != n {
             let n = u32::try_from(n).expect("ids are 32 bits wide");
@@ -71,7 +81,9 @@ impl Tree {
             placed.y = y[placed.index as usize];
         }
         self.groups.clear();
-        halve(&mut self.groups, &mut self.placed, 0);
+        self.groups.resize(groups_of(n), Group::default());
+        let (groups, placed) = (&mut self.groups, &mut self.placed);
+        inside(pool, || halve(pool.is_some(), groups, placed, [0, 0]));
         fill_lanes(&mut self.x, self.placed.iter().map(|placed| placed.x));
         fill_lanes(&mut self.y, self.placed.iter().map(|placed| placed.y));
     }
@@ -96,7 +108,25 @@ impl Tree {
     }
 }
 
-fn halve(groups: &mut Vec<Group>, placed: &mut [Placed], first: usize) {
+/// How many of a group are in its first half: whole registers, so that no lane is shared.
+fn half_of(n: usize) -> usize {
+    n.div_ceil(2).next_multiple_of(WIDTH)
+}
+
+/// How many groups a group is with its halves and theirs.
+fn groups_of(n: usize) -> usize {
+    if n <= LARGEST_LEAF {
+        return 1;
+    }
+    let half = half_of(n);
+    1 + groups_of(half) + groups_of(n - half)
+}
+
+/// Halves a group until it is small.
+///
+/// - Shapes: the group with all its halves, and its members, out; in the tree they come from
+///   the two `places` on.
+fn halve(shared: bool, groups: &mut [Group], placed: &mut [Placed], places: [usize; 2]) {
     let mut low = [f64::INFINITY; 2];
     let mut high = [f64::NEG_INFINITY; 2];
     for &Placed { x, y, .. } in &*placed {
@@ -108,20 +138,20 @@ fn halve(groups: &mut Vec<Group>, placed: &mut [Placed], first: usize) {
         let (dx, dy) = (placed.x - centre[0], placed.y - centre[1]);
         largest.max(dx * dx + dy * dy)
     });
-    let own = groups.len();
-    groups.push(Group {
+    let [own, first] = places;
+    let (group, halves) = groups.split_first_mut().expect("a group is one at least");
+    *group = Group {
         first,
         last: first + placed.len(),
         centre,
         radius: square.sqrt(),
         second: 0,
-    });
+    };
     if placed.len() <= LARGEST_LEAF {
         placed.sort_unstable_by_key(|placed| placed.index);
         return;
     }
-    // Whole registers, so that no lane is shared.
-    let half = placed.len().div_ceil(2).next_multiple_of(WIDTH);
+    let half = half_of(placed.len());
     let by_index = |one: &Placed, other: &Placed| one.index.cmp(&other.index);
     if high[0] - low[0] > high[1] - low[1] {
         placed.select_nth_unstable_by(half, |one, other| {
@@ -132,8 +162,14 @@ fn halve(groups: &mut Vec<Group>, placed: &mut [Placed], first: usize) {
             one.y.total_cmp(&other.y).then_with(|| by_index(one, other))
         });
     }
+    let shared = shared && placed.len() >= SHARED;
     let (one, other) = placed.split_at_mut(half);
-    halve(groups, one, first);
-    groups[own].second = groups.len();
-    halve(groups, other, first + half);
+    let (groups_one, groups_other) = halves.split_at_mut(groups_of(half));
+    group.second = own + 1 + groups_one.len();
+    let places_other = [group.second, first + half];
+    both(
+        shared,
+        || halve(shared, groups_one, one, [own + 1, first]),
+        || halve(shared, groups_other, other, places_other),
+    );
 }
