@@ -213,10 +213,10 @@ impl Factor {
     }
 
     /// Appends to `path` where `L⁻¹ b_k` is not zero: the ways up the elimination tree from both
-    /// individuals, in the order of places. Tells whether it is one way, each node the parent of
-    /// the last. `sparse` is zero before and after.
+    /// individuals, in the order of places. Tells from where in `path` on it is one way, each node
+    /// the parent of the last. `sparse` is zero before and after.
     #[inline(always)]
-    pub fn climb(&self, row: &Row, path: &mut Path, sparse: &mut [Part]) -> bool {
+    pub fn climb(&self, row: &Row, path: &mut Path, sparse: &mut [Part]) -> usize {
         let Self {
             structure,
             below,
@@ -229,10 +229,12 @@ impl Factor {
         // Two ways up, which may meet.
         let [mut one, mut other] = row.place;
         let mut expected = one.min(other);
-        let mut straight = true;
+        let mut joined = path.nodes.len();
         while one != NONE || other != NONE {
             let node = one.min(other);
-            straight &= node == expected;
+            if node != expected {
+                joined = path.nodes.len();
+            }
             let column = node as usize;
             expected = structure.parent[column];
             one = if one == node { expected } else { one };
@@ -247,7 +249,7 @@ impl Factor {
             path.scaled
                 .push([0, 1, 2, 3].map(|lane| part[lane] * corner.inverse()[lane]));
         }
-        straight
+        joined
     }
 }
 
@@ -467,7 +469,7 @@ mod tests {
         for one in &rows {
             for other in &rows {
                 let (mut up, mut down) = (Path::default(), vec![[0.0; 4]; 9]);
-                forked += usize::from(!factor.climb(other, &mut up, &mut down));
+                forked += usize::from(factor.climb(other, &mut up, &mut down) > 0);
                 assert_eq!(down, vec![[0.0; 4]; 9]);
                 up.descend(0..up.nodes.len(), 1.0, &mut down);
                 factor.back(&mut down);
