@@ -79,8 +79,9 @@ impl Corner {
     #[inline(always)]
     fn backward(&self, part: Part) -> Part {
         let [a, b, c, _] = self.entries[0];
-        let second = part[1] - c * part[2];
-        [part[0] - a * second - b * part[2], second, part[2], 0.0]
+        // In lanes, to be stored in one: the next column waits for it.
+        let part = less(part, [b, c, 0.0, 0.0], part[2]);
+        less(part, [a, 0.0, 0.0, 0.0], part[1])
     }
 }
 
@@ -205,10 +206,13 @@ impl Factor {
             }
             // Unseen by the compiler, which would otherwise sum in pairs of axes, not in lanes.
             let sums = black_box(sums);
-            let left = |axis: usize| {
-                vector[column][axis] - ((sums[axis][0] + sums[axis][1]) + sums[axis][2])
-            };
-            vector[column] = corner.backward([left(0), left(1), left(2), 0.0]);
+            let [x, y, z] =
+                [0, 1, 2].map(|lane| [sums[0][lane], sums[1][lane], sums[2][lane], 0.0]);
+            let mut left = vector[column];
+            for lane in 0..4 {
+                left[lane] -= (x[lane] + y[lane]) + z[lane];
+            }
+            vector[column] = corner.backward(left);
         }
     }
 
@@ -316,6 +320,15 @@ fn eliminate(factor: &mut Factor) {
         };
     }
     corner.resize(structure.place.len(), Corner::ALONE);
+}
+
+/// `part - factor · column`.
+#[inline(always)]
+fn less(mut part: Part, column: Part, factor: f64) -> Part {
+    for lane in 0..4 {
+        part[lane] -= column[lane] * factor;
+    }
+    part
 }
 
 /// What a pivot is at least: `K` is never below the unit matrix, but for rounding.
