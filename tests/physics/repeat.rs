@@ -2,9 +2,10 @@
 
 use std::thread;
 
+use jostled::model::attraction::Social;
 use jostled::model::lanes::Level;
 use jostled::model::random::{Purpose, Stream};
-use jostled::model::{Parameters, State};
+use jostled::model::{Parameters, Remembered, State};
 use jostled::stepper::Stepper;
 use jostled::stepper::solve::Backend;
 
@@ -43,7 +44,7 @@ fn two_hundred_steps_in_contact_end_in_the_golden_state() {
     assert_eq!(hex(&state), GOLDEN);
 }
 
-const GOLDEN: &str = "8af10f31491662b4d9c9b85fdd2b4af90b0bde07f87917f4284b81c8e1181101";
+const GOLDEN: &str = "292b6ba2b9ad2ed2dc620e00971bb26eabf39745c25908e915a84b49aadbc538";
 
 /// How far a restored state is followed.
 const AHEAD: usize = 200;
@@ -76,20 +77,35 @@ fn a_hundred_restored_states_have_the_same_future() {
     }
 }
 
-/// A settled group that has forgotten seven of ten of those that push, so that its next step
-/// needs the referee: one in some hundreds does. The search begins with one that did.
+/// A settled group that remembers nearly every contact of its next step as one that pushed, and
+/// how hard at random over eight decades, so that this step needs the referee. It has to be large:
+/// of a few hundred none is at a loss.
 fn at_a_loss(stepper: &mut Stepper) -> State {
-    let mut settled = drawn(Parameters::default(), 200, 1);
+    let mut settled = drawn(Parameters::default(), 800, 1);
     advance(stepper, &mut settled, SETTLING);
-    let mut forgetful = (20..2000).map(|seed| {
+    let mut pull = Vec::new();
+    Social::default().compute(
+        settled.parameters.attraction,
+        &settled.configuration,
+        &mut pull,
+    );
+    stepper.assemble(&settled, &pull).unwrap();
+    let contacts = &stepper.program().0.contacts.clone();
+    let mut confused = (0..20).map(|seed| {
         let mut stream = Stream::new(seed, 0, 0, Purpose::Selection);
         let mut state = settled.clone();
-        let remembered = &mut state.memory.contacts;
-        remembered.retain(|_| stream.uniform() < 0.3);
+        let remembered = contacts.iter().map(|contact| Remembered {
+            first: state.configuration.id[contact.i as usize],
+            second: state.configuration.id[contact.j as usize],
+            code: contact.code,
+            multiplier: libm::pow(10.0, -8.0 * stream.uniform()),
+        });
+        state.memory.contacts = remembered.collect();
+        state.memory.contacts.retain(|_| stream.uniform() < 0.9);
         state
     });
     let is_at_a_loss = |state: &State| stepper.step(&mut state.clone()).unwrap().referee > 0;
-    forgetful.find(is_at_a_loss).expect("one in some hundreds")
+    confused.find(is_at_a_loss).expect("nearly all are")
 }
 
 #[test]

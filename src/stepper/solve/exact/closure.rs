@@ -5,8 +5,6 @@
 //! exactly as a small dense complementarity problem with everybody else following. It only
 //! grows, so this ends.
 
-use std::ops::Range;
-
 use super::factor::{Factor, Path};
 use super::rows::{NONE, Part, Row};
 use super::tableau::Tableau;
@@ -28,11 +26,13 @@ pub struct Closure {
     /// Where each member's path begins, and where the last one ends.
     path_start: Vec<usize>,
     path: Path,
-    /// Whether each member's path is one way up.
-    straight: Vec<bool>,
+    /// From where on each member's path is one way up.
+    joined: Vec<usize>,
     /// `b_a K⁻¹ b_b` of all pairs of members, row by row.
     gram: Vec<f64>,
     tableau: Tableau,
+    /// By how much each member had opened its gap or pushed in the pass at hand.
+    before: Vec<f64>,
     wrong: Vec<(f64, u32)>,
     exchanged: Vec<u32>,
     right: Vec<f64>,
@@ -44,7 +44,10 @@ impl Closure {
         self.members.clear();
         self.exchanged.clear();
         self.path.clear();
-        self.straight.clear();
+        self.path_start.clear();
+        self.path_start.push(0);
+        self.joined.clear();
+        self.tableau.clear();
     }
 
     /// Collects who is on the wrong side: those that would pull, by who stops pushing first,
@@ -81,12 +84,11 @@ impl Closure {
     /// Tells whether it came to an end; the multipliers are of use all the same.
     #[inline(always)]
     pub fn close(&mut self, rows: &mut [Row], factor: &Factor, change: &mut Vec<Part>) -> bool {
-        self.path_start.clear();
-        self.path_start.push(0);
+        self.resume(rows);
         let mut pivots = 0;
         let closed = loop {
             self.find_wrong(rows);
-            if self.wrong.is_empty() {
+            if self.wrong.is_empty() && self.tableau.value.iter().all(|&value| value >= -WRONG) {
                 break true;
             }
             if self.members.len() + self.wrong.len() > MOST_MEMBERS {
@@ -98,17 +100,14 @@ impl Closure {
             if !self.tableau.solve(0.1 * WRONG, &mut pivots) {
                 break false;
             }
-            self.exchanged.clear();
-            #[expect(clippy::cast_possible_truncation, reason = "members are few")]
-            self.exchanged.extend(
-                (0..self.members.len() as u32).filter(|&a| self.tableau.exchanged[a as usize]),
-            );
             // Everybody outside follows.
-            for &a in &self.exchanged {
-                let a = a as usize;
-                let push = self.tableau.value[a] * cause(&rows[self.members[a] as usize]);
-                let path = self.path_start[a]..self.path_start[a + 1];
-                self.path.descend(path, push, change);
+            for (a, before) in self.before.iter().enumerate() {
+                let more = self.tableau.raised(a) - before;
+                if more != 0.0 {
+                    let path = self.path_start[a]..self.path_start[a + 1];
+                    let push = more * cause(&rows[self.members[a] as usize]);
+                    self.path.descend(path, push, change);
+                }
             }
             factor.back(change);
             for row in rows.iter_mut() {
@@ -127,14 +126,32 @@ impl Closure {
                 0.0
             };
         }
-        for (a, &k) in self.members.iter().enumerate() {
+        self.exchanged.clear();
+        for (a, &k) in (0..).zip(&self.members) {
             let row = &mut rows[k as usize];
+            let exchanged = self.tableau.exchanged[a as usize];
             row.rank = NONE;
-            row.pushing = row.active != self.tableau.exchanged[a];
-            let value = not_negative(self.tableau.value[a]);
+            row.pushing = row.active != exchanged;
+            let value = not_negative(self.tableau.value[a as usize]);
             row.multiplier = if row.pushing { value } else { 0.0 };
+            if exchanged {
+                self.exchanged.push(a);
+            }
         }
         closed
+    }
+
+    /// Goes on from a pass that those who have changed sides were part of; at first from one that
+    /// nobody has.
+    #[inline(always)]
+    fn resume(&mut self, rows: &mut [Row]) {
+        self.before.clear();
+        for (rank, &member) in (0..).zip(&self.members) {
+            let row = &mut rows[member as usize];
+            row.rank = rank;
+            self.tableau.value[rank as usize] = row.followed;
+            self.before.push(self.tableau.raised(rank as usize));
+        }
     }
 
     /// Takes those found wrong for members, with their paths and products. `zeros` are zero
@@ -147,8 +164,10 @@ impl Closure {
             let rank = self.members.len() as u32;
             rows[name as usize].rank = rank;
             self.members.push(name);
-            let straight = factor.climb(&rows[name as usize], &mut self.path, zeros);
-            self.straight.push(straight);
+            self.tableau.value.push(rows[name as usize].followed);
+            self.before.push(0.0);
+            let joined = factor.climb(&rows[name as usize], &mut self.path, zeros);
+            self.joined.push(joined);
             self.path_start.push(self.path.nodes.len());
         }
         let size = self.members.len();
@@ -161,53 +180,63 @@ impl Closure {
         }
     }
 
-    /// `b_a K⁻¹ b_b`, where two paths are the same; ways up, once met, stay together.
+    /// `b_a K⁻¹ b_b`: the sum of products at the nodes that two paths share.
     #[inline(always)]
     fn product(&self, a: usize, b: usize) -> f64 {
-        let [one, other] =
+        let [mut one, mut other] =
             [a, b].map(|member| self.path_start[member]..self.path_start[member + 1]);
         let Path {
             nodes,
             parts,
             scaled,
         } = &self.path;
-        if !(self.straight[a] && self.straight[b]) {
-            return shared_product(&self.path, one, other);
+        let mut forked = [0.0; 4];
+        while one.start < self.joined[a] || other.start < self.joined[b] {
+            if one.is_empty() || other.is_empty() {
+                return sum(forked);
+            }
+            let (here, there) = (nodes[one.start], nodes[other.start]);
+            if here == there {
+                let (part, scaled) = (&parts[one.start], &scaled[other.start]);
+                for lane in 0..4 {
+                    forked[lane] += part[lane] * scaled[lane];
+                }
+            }
+            one.start += usize::from(here <= there);
+            other.start += usize::from(there <= here);
         }
+        // Where both are one way up, once met they stay together.
         let common = common_end(&nodes[one.clone()], &nodes[other.clone()]);
         let parts = &parts[one.end - common..one.end];
         let scaled = &scaled[other.end - common..other.end];
-        dot(parts.as_flattened(), scaled.as_flattened())
+        sum(forked) + dot(parts.as_flattened(), scaled.as_flattened())
     }
 
-    /// Poses the complementarity problem of the members.
+    /// Poses the complementarity problem of the members, those from before being solved.
     ///
     /// A member that was taken to push is free to open its gap, by `z`, and its multiplier must
     /// not become negative; one that was not is free to push, by `z`, and its gap must not.
     #[inline(always)]
     fn pose(&mut self, rows: &[Row]) {
-        let size = self.members.len();
-        self.tableau.begin(size);
-        for a in 0..size {
-            let row = &rows[self.members[a] as usize];
-            let (start, answer) = if row.active {
-                (row.proposed, -row.penalty)
-            } else {
-                (row.ahead, 1.0)
-            };
-            self.tableau.value.push(start);
-            let entries = self.tableau.row_mut(a);
-            for (b, entry) in entries.iter_mut().enumerate() {
-                let product = self.gram[a.max(b) * (a.max(b) + 1) / 2 + a.min(b)];
-                *entry = if a != b {
-                    answer * cause(&rows[self.members[b] as usize]) * product
-                } else if row.active {
-                    row.penalty * (1.0 - row.penalty * product)
-                } else {
-                    product + 1.0 / row.penalty
-                };
+        let Self {
+            members,
+            gram,
+            tableau,
+            ..
+        } = self;
+        let member = |a: usize| &rows[members[a] as usize];
+        let entry = |a: usize, b: usize| {
+            let row = member(a);
+            let (low, high) = if a < b { (a, b) } else { (b, a) };
+            let product = gram[high * (high + 1) / 2 + low];
+            match (a == b, row.active) {
+                (true, true) => row.penalty * (1.0 - row.penalty * product),
+                (true, false) => product + 1.0 / row.penalty,
+                (false, true) => -row.penalty * cause(member(b)) * product,
+                (false, false) => cause(member(b)) * product,
             }
-        }
+        };
+        tableau.extend(members.len(), entry);
     }
 
     /// Adds to a refining pass what those that have changed sides contribute.
@@ -265,22 +294,9 @@ fn cause(row: &Row) -> f64 {
     if row.active { row.penalty } else { 1.0 }
 }
 
-/// The sum of products at the nodes that two paths share.
 #[inline(always)]
-fn shared_product(path: &Path, mut one: Range<usize>, mut other: Range<usize>) -> f64 {
-    let mut lanes = [0.0; 4];
-    while !one.is_empty() && !other.is_empty() {
-        let (a, b) = (path.nodes[one.start], path.nodes[other.start]);
-        if a == b {
-            let (part, scaled) = (&path.parts[one.start], &path.scaled[other.start]);
-            for lane in 0..4 {
-                lanes[lane] += part[lane] * scaled[lane];
-            }
-        }
-        one.start += usize::from(a <= b);
-        other.start += usize::from(b <= a);
-    }
-    (lanes[0] + lanes[1]) + lanes[2]
+fn sum([x, y, z, _]: Part) -> f64 {
+    (x + y) + z
 }
 
 /// How many nodes two paths to a root share at their ends.

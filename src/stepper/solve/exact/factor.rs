@@ -79,8 +79,9 @@ impl Corner {
     #[inline(always)]
     fn backward(&self, part: Part) -> Part {
         let [a, b, c, _] = self.entries[0];
-        let second = part[1] - c * part[2];
-        [part[0] - a * second - b * part[2], second, part[2], 0.0]
+        // In lanes, to be stored in one: the next column waits for it.
+        let part = less(part, [b, c, 0.0, 0.0], part[2]);
+        less(part, [a, 0.0, 0.0, 0.0], part[1])
     }
 }
 
@@ -205,18 +206,21 @@ impl Factor {
             }
             // Unseen by the compiler, which would otherwise sum in pairs of axes, not in lanes.
             let sums = black_box(sums);
-            let left = |axis: usize| {
-                vector[column][axis] - ((sums[axis][0] + sums[axis][1]) + sums[axis][2])
-            };
-            vector[column] = corner.backward([left(0), left(1), left(2), 0.0]);
+            let [x, y, z] =
+                [0, 1, 2].map(|lane| [sums[0][lane], sums[1][lane], sums[2][lane], 0.0]);
+            let mut left = vector[column];
+            for lane in 0..4 {
+                left[lane] -= (x[lane] + y[lane]) + z[lane];
+            }
+            vector[column] = corner.backward(left);
         }
     }
 
     /// Appends to `path` where `L⁻¹ b_k` is not zero: the ways up the elimination tree from both
-    /// individuals, in the order of places. Tells whether it is one way, each node the parent of
-    /// the last. `sparse` is zero before and after.
+    /// individuals, in the order of places. Tells from where in `path` on it is one way, each node
+    /// the parent of the last. `sparse` is zero before and after.
     #[inline(always)]
-    pub fn climb(&self, row: &Row, path: &mut Path, sparse: &mut [Part]) -> bool {
+    pub fn climb(&self, row: &Row, path: &mut Path, sparse: &mut [Part]) -> usize {
         let Self {
             structure,
             below,
@@ -229,10 +233,12 @@ impl Factor {
         // Two ways up, which may meet.
         let [mut one, mut other] = row.place;
         let mut expected = one.min(other);
-        let mut straight = true;
+        let mut joined = path.nodes.len();
         while one != NONE || other != NONE {
             let node = one.min(other);
-            straight &= node == expected;
+            if node != expected {
+                joined = path.nodes.len();
+            }
             let column = node as usize;
             expected = structure.parent[column];
             one = if one == node { expected } else { one };
@@ -247,7 +253,7 @@ impl Factor {
             path.scaled
                 .push([0, 1, 2, 3].map(|lane| part[lane] * corner.inverse()[lane]));
         }
-        straight
+        joined
     }
 }
 
@@ -314,6 +320,15 @@ fn eliminate(factor: &mut Factor) {
         };
     }
     corner.resize(structure.place.len(), Corner::ALONE);
+}
+
+/// `part - factor · column`.
+#[inline(always)]
+fn less(mut part: Part, column: Part, factor: f64) -> Part {
+    for lane in 0..4 {
+        part[lane] -= column[lane] * factor;
+    }
+    part
 }
 
 /// What a pivot is at least: `K` is never below the unit matrix, but for rounding.
@@ -467,7 +482,7 @@ mod tests {
         for one in &rows {
             for other in &rows {
                 let (mut up, mut down) = (Path::default(), vec![[0.0; 4]; 9]);
-                forked += usize::from(!factor.climb(other, &mut up, &mut down));
+                forked += usize::from(factor.climb(other, &mut up, &mut down) > 0);
                 assert_eq!(down, vec![[0.0; 4]; 9]);
                 up.descend(0..up.nodes.len(), 1.0, &mut down);
                 factor.back(&mut down);

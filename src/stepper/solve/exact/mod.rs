@@ -44,7 +44,7 @@ const GAIN: f64 = 3.0;
 /// With more on the wrong side than this all of them change sides at once, and `K` is factored
 /// anew: more than this are not resolved jointly, and where a group is so large that they are so
 /// many, most are far from each other and settle alone.
-const MANY: usize = 300;
+const MANY: usize = 1000;
 
 /// Where that has left more than one in so many of them wrong they are not far from each other,
 /// and the next are resolved jointly, however many they are.
@@ -175,19 +175,14 @@ impl Exact {
         let mut before = f64::INFINITY;
         for pass in 0..MOST_PASSES {
             let open = self.displace();
-            if pass > 0 && open <= WRONG {
-                // Those that push are exact, so another is wrong.
-                self.cut_off();
-                return false;
-            }
             if GAIN * open > before {
                 self.reach_ahead(open / (before - open));
                 return solution.residual <= TARGET;
             }
             before = open;
             let wrong = self.pass();
-            if pass == 0 && wrong > 0 {
-                if (MANY..*most).contains(&wrong) {
+            if wrong > 0 {
+                if pass == 0 && (MANY..*most).contains(&wrong) {
                     *most = wrong / LEFT;
                     self.exchange_wrong();
                     return false;
@@ -301,7 +296,7 @@ impl Exact {
             if row.active && row.pushing {
                 row.proposed -= row.penalty * row.ahead;
             }
-            row.followed = if row.active { row.proposed } else { row.ahead };
+            row.followed = if row.pushing { row.proposed } else { row.ahead };
             wrong += usize::from(row.followed < -WRONG);
         }
         wrong

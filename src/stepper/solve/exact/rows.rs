@@ -38,7 +38,7 @@ pub struct Row {
     pub slack: f64,
     /// The gap as the pass at hand would leave it.
     pub ahead: f64,
-    /// Of an active row λ, of another the gap, as the doubtful would have it.
+    /// Of a pushing row λ, of another the gap, as the pass or the doubtful would have it.
     pub followed: f64,
 }
 

@@ -6,6 +6,9 @@ use crate::stepper::contact::Contact;
 /// No column.
 pub const NONE: u32 = u32::MAX;
 
+/// So many columns fit into the bits of one number.
+const FEW: usize = 128;
+
 /// The columns of the factor, one for each individual that pushes or is pushed.
 ///
 /// Depends on the order and on which pairs push, on nothing else; so it may be kept while both
@@ -40,6 +43,7 @@ pub struct Structure {
 struct Scratch {
     pairs: Vec<[u32; 2]>,
     ends: Vec<[u32; 2]>,
+    bits: Vec<u128>,
     upward_start: Vec<u32>,
     upward: Vec<u32>,
     unsorted_start: Vec<u32>,
@@ -71,9 +75,14 @@ impl Structure {
             self.order.extend_from_slice(order);
             std::mem::swap(&mut self.pairs, pairs);
             self.number();
-            self.point_upward();
-            self.eliminate();
-            self.sort();
+            self.name_ends();
+            if self.columns <= FEW {
+                self.eliminate_few();
+            } else {
+                self.point_upward();
+                self.eliminate();
+                self.sort();
+            }
             self.find_blocks();
         }
         self.block.clear();
@@ -119,7 +128,66 @@ impl Structure {
         }
     }
 
-    /// Lists pairs by their places, the lower first, and the later neighbours of every column.
+    /// Lists pairs by their places, the lower first.
+    fn name_ends(&mut self) {
+        let Self {
+            place,
+            pairs,
+            scratch,
+            ..
+        } = self;
+        scratch.ends.clear();
+        scratch.ends.extend(pairs.iter().map(|pair| {
+            let [a, b] = pair.map(|individual| place[individual as usize]);
+            [a.min(b), a.max(b)]
+        }));
+    }
+
+    /// Finds the rows of every column as [`Structure::eliminate`] and [`Structure::sort`] do, all
+    /// rows of a column being bits of one number.
+    fn eliminate_few(&mut self) {
+        let Scratch {
+            ends, bits, next, ..
+        } = &mut self.scratch;
+        bits.clear();
+        bits.resize(self.columns, 0);
+        for &[low, high] in ends.iter() {
+            bits[low as usize] |= 1 << high;
+        }
+        self.parent.clear();
+        self.start.clear();
+        self.row.clear();
+        for column in 0..self.columns {
+            self.start.push(small(self.row.len()));
+            let mut left = bits[column];
+            let parent = left.trailing_zeros();
+            self.parent.push(if left == 0 { NONE } else { parent });
+            while left != 0 {
+                self.row.push(left.trailing_zeros());
+                left &= left - 1;
+            }
+            if bits[column] != 0 {
+                bits[parent as usize] |= bits[column] & !(1 << parent);
+            }
+        }
+        self.parent.resize(self.place.len(), NONE);
+        self.start
+            .resize(self.place.len() + 1, small(self.row.len()));
+        count_up(&mut self.left_start, self.columns, self.row.iter().copied());
+        next.clear();
+        next.extend_from_slice(&self.left_start);
+        self.left.clear();
+        self.left.resize(self.row.len(), [0, 0]);
+        for column in 0..self.columns {
+            for block in self.start[column]..self.start[column + 1] {
+                let next = &mut next[self.row[block as usize] as usize];
+                self.left[*next as usize] = [small(column), block];
+                *next += 1;
+            }
+        }
+    }
+
+    /// Lists the later neighbours of every column.
     fn point_upward(&mut self) {
         let Scratch {
             ends,
@@ -128,11 +196,6 @@ impl Structure {
             next,
             ..
         } = &mut self.scratch;
-        ends.clear();
-        for pair in &self.pairs {
-            let [a, b] = pair.map(|individual| self.place[individual as usize]);
-            ends.push([a.min(b), a.max(b)]);
-        }
         count_up(upward_start, self.columns, ends.iter().map(|[low, _]| *low));
         upward.clear();
         upward.resize(ends.len(), 0);
@@ -264,4 +327,39 @@ fn count_up(start: &mut Vec<u32>, bins: usize, all: impl Iterator<Item = u32>) {
 )]
 fn small(count: usize) -> u32 {
     count as u32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::model::random::{Purpose, Stream};
+
+    #[test]
+    fn few_columns_have_the_same_rows_by_bits() {
+        for seed in 0..100 {
+            let mut stream = Stream::new(seed, 0, 0, Purpose::Start);
+            let mut structure = Structure::default();
+            let n = 2 + u32::try_from(seed).unwrap_or(0);
+            structure.order.extend(0..n);
+            for first in 0..n {
+                let later = first + 1..n.min(first + 9);
+                let pushing = later.filter(|_| stream.uniform() < 0.2);
+                structure
+                    .pairs
+                    .extend(pushing.map(|second| [first, second]));
+            }
+            structure.number();
+            structure.name_ends();
+            let mut by_bits = structure.clone();
+            by_bits.eliminate_few();
+            structure.point_upward();
+            structure.eliminate();
+            structure.sort();
+            let all = |one: &Structure| {
+                let lists = [&one.start, &one.row, &one.left_start, &one.parent];
+                (lists.map(Vec::clone), one.left.clone())
+            };
+            assert_eq!(all(&by_bits), all(&structure), "seed {seed}");
+        }
+    }
 }

@@ -24,30 +24,85 @@ pub struct Tableau {
     pub exchanged: Vec<bool>,
     moving: Vec<f64>,
     row: Vec<f64>,
+    raised: Vec<usize>,
 }
 
 impl Tableau {
-    /// Starts a problem of `size` unknowns; entries and values are then to be set.
+    /// Starts over, without unknowns.
+    pub fn clear(&mut self) {
+        self.size = 0;
+        self.stride = 0;
+        self.value.clear();
+        self.exchanged.clear();
+    }
+
+    /// Takes more unknowns, up to `size` in all, `entry` being the entries of `T`. The basis stays,
+    /// of the new it is `w`; all values are then to be set.
     #[inline(always)]
-    pub fn begin(&mut self, size: usize) {
-        let stride = size.next_multiple_of(8);
-        self.size = size;
-        self.stride = stride;
+    pub fn extend(&mut self, size: usize, entry: impl Fn(usize, usize) -> f64) {
+        let old = self.size;
+        if size == old {
+            return;
+        }
+        self.widen(size);
+        self.exchanged.resize(size, false);
+        let (stride, exchanged) = (self.stride, &self.exchanged);
+        self.raised.clear();
+        self.raised.extend((0..old).filter(|&k| exchanged[k]));
+        // What the new z do to the basic variables: directly to a w, and by way of all the z that
+        // are basic to everybody.
+        self.moving.clear();
+        for &basic in &self.raised {
+            self.moving.extend((old..size).map(|new| entry(basic, new)));
+        }
+        for (k, &basic) in exchanged[..old].iter().enumerate() {
+            let (own, new) = self.entries[k * stride..][..size].split_at_mut(old);
+            for (at, target) in (old..).zip(&mut *new) {
+                *target = if basic { 0.0 } else { entry(k, at) };
+            }
+            let direct = self.moving.chunks_exact(size - old);
+            for (&basic, direct) in self.raised.iter().zip(direct) {
+                subtract_scaled(new, own[basic], direct);
+            }
+        }
+        // And what the new w are in terms of the same.
+        for k in old..size {
+            self.row.clear();
+            let direct = |at: usize| if exchanged[at] { 0.0 } else { entry(k, at) };
+            self.row.extend((0..size).map(direct));
+            for &basic in &self.raised {
+                let above = &self.entries[basic * stride..][..size];
+                subtract_scaled(&mut self.row, -entry(k, basic), above);
+            }
+            self.entries[k * stride..][..size].copy_from_slice(&self.row);
+        }
+    }
+
+    /// Makes room for `size` unknowns.
+    #[inline(always)]
+    fn widen(&mut self, size: usize) {
+        let (before, stride) = (self.stride, size.next_multiple_of(8));
         if self.entries.len() < stride * stride {
             self.entries.resize(stride * stride, 0.0);
         }
-        self.value.clear();
-        self.exchanged.clear();
-        self.exchanged.resize(size, false);
+        for k in (1..self.size).rev() {
+            let row = k * before..k * before + self.size;
+            self.entries.copy_within(row, k * stride);
+        }
+        (self.size, self.stride) = (size, stride);
     }
 
-    /// One row of `T`.
+    /// `z` of one unknown.
     #[inline(always)]
-    pub fn row_mut(&mut self, row: usize) -> &mut [f64] {
-        &mut self.entries[row * self.stride..][..self.size]
+    pub fn raised(&self, at: usize) -> f64 {
+        if self.exchanged[at] {
+            self.value[at]
+        } else {
+            0.0
+        }
     }
 
-    /// One row of `T`.
+    /// One row of `T`, in terms of the present basis.
     #[inline(always)]
     pub fn row(&self, row: usize) -> &[f64] {
         &self.entries[row * self.stride..][..self.size]
@@ -175,21 +230,21 @@ mod tests {
         for seed in 0..200 {
             let size = 1 + usize::try_from(seed).unwrap_or(0) % 40;
             let (matrix, start) = problem(size, seed);
-            tableau.begin(size);
-            for (a, row) in matrix.iter().enumerate() {
-                tableau.row_mut(a).copy_from_slice(row);
+            tableau.clear();
+            // In one go, or a few at a time, each time solved.
+            let parts = if seed % 2 == 0 { 1 } else { 3 };
+            for part in 1..=parts {
+                let size = size * part / parts;
+                let z: Vec<f64> = (0..tableau.size).map(|k| tableau.raised(k)).collect();
+                let follow = |a: usize| {
+                    let row = matrix[a].iter().zip(&z);
+                    start[a] + row.map(|(t, z)| t * z).sum::<f64>()
+                };
+                tableau.value.extend((tableau.size..size).map(follow));
+                tableau.extend(size, |a, b| matrix[a][b]);
+                assert!(tableau.solve(1e-12, &mut 0), "seed {seed}");
             }
-            tableau.value.extend_from_slice(&start);
-            assert!(tableau.solve(1e-12, &mut 0), "seed {seed}");
-            let z: Vec<f64> = (0..size)
-                .map(|k| {
-                    if tableau.exchanged[k] {
-                        tableau.value[k]
-                    } else {
-                        0.0
-                    }
-                })
-                .collect();
+            let z: Vec<f64> = (0..size).map(|k| tableau.raised(k)).collect();
             for (a, row) in matrix.iter().enumerate() {
                 let w = start[a] + row.iter().zip(&z).map(|(t, z)| t * z).sum::<f64>();
                 let expected = if tableau.exchanged[a] {
@@ -210,10 +265,7 @@ mod tests {
     fn nothing_is_exchanged_where_nothing_is_negative() {
         let (matrix, _) = problem(5, 3);
         let mut tableau = Tableau::default();
-        tableau.begin(5);
-        for (a, row) in matrix.iter().enumerate() {
-            tableau.row_mut(a).copy_from_slice(row);
-        }
+        tableau.extend(5, |a, b| matrix[a][b]);
         tableau.value.extend([0.0, 1.0, 0.5, -1e-13, 2.0]);
         let mut pivots = 0;
         assert!(tableau.solve(1e-12, &mut pivots));
