@@ -1,0 +1,140 @@
+//! What the writer does beside writing: sweeping, moving the WAL, and the end.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+use rusqlite::config::DbConfig;
+use tracing::error;
+
+use super::error::StoreFault;
+use super::queue::End;
+use super::retain;
+use super::writer::Writer;
+use super::{OnFatal, Shared};
+
+/// WAL bytes after which it is moved into the file when nobody waits; at four times this it is
+/// moved in any case.
+const WAL_BYTES: usize = 4 * 1024 * 1024;
+
+/// Free pages always left in the file, and given back to the disk at a time.
+const FREE_PAGES: (i64, usize) = (1024, 256);
+
+/// The thread: writes until the queue ends, and tells those who still wait when it fails.
+pub(super) fn run(mut writer: Writer, shared: &Arc<Shared>, on_fatal: &OnFatal) {
+    shared.queue.is_written_here();
+    let outcome = catch_unwind(AssertUnwindSafe(|| writer.run()))
+        .unwrap_or_else(|_| Err(StoreFault::Fatal("its thread panicked".to_string())));
+    let is_all_written = match outcome {
+        Ok(is_all_written) => is_all_written,
+        Err(fault) => {
+            error!(%fault, "the store has failed");
+            // Closing must not move pages whose sync failed as if they were safe.
+            let _ = writer
+                .connection
+                .set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true);
+            shared.queue.end(End::Fatal(fault.to_string()));
+            on_fatal(&fault);
+            loop {
+                let (group, _) = shared.queue.take(Duration::ZERO);
+                if group.is_empty() {
+                    break;
+                }
+                for submit in group {
+                    writer.tell(submit.done, Err(fault.clone()));
+                }
+            }
+            false
+        }
+    };
+    // The file and its lock are free before anybody hears of the end.
+    drop(writer);
+    shared.queue.finish(is_all_written);
+}
+
+impl Writer {
+    /// Does a piece of what nobody waits for; whether there is more.
+    pub(super) fn keep_house(&mut self, is_idle: bool) -> Result<bool, StoreFault> {
+        self.tidied = Instant::now();
+        if self.shared.meter.is_full.load(Ordering::Relaxed) && is_idle {
+            unless_fatal(self.probe(), ())?;
+        }
+        let mut has_more = unless_fatal(self.tidy(), false)?;
+        if self.wal_bytes > 4 * WAL_BYTES || (is_idle && self.wal_bytes > WAL_BYTES) {
+            unless_fatal(self.move_wal("PASSIVE"), false)?;
+        }
+        if is_idle && !has_more {
+            has_more = unless_fatal(self.give_back(), false)?;
+        }
+        Ok(has_more)
+    }
+
+    /// Takes away a piece of what is kept no longer; whether there is more.
+    fn tidy(&mut self) -> Result<bool, StoreFault> {
+        let answers = self.catalog.answers.as_ref();
+        let is_tidy = self.catalog.gone.is_empty() && self.untidy.is_empty();
+        if is_tidy && !answers.is_some_and(retain::is_too_long) {
+            return Ok(false);
+        }
+        let (quota_bytes, gone) = (self.quota_bytes, self.catalog.gone.first().copied());
+        let mut untidy = std::mem::take(&mut self.untidy);
+        let tidied = self.transact(|draft| retain::tidy(draft, gone, &mut untidy, quota_bytes));
+        self.untidy.append(&mut untidy);
+        tidied
+    }
+
+    /// Finds out whether there is space again when nobody else tries: writes what is there.
+    fn probe(&mut self) -> Result<(), StoreFault> {
+        self.transact(|draft| Ok(draft.answers().is_some()))
+            .map(|_| ())
+    }
+
+    /// Moves the WAL into the file as far as its readers let it; whether its place can be used
+    /// again.
+    pub(super) fn move_wal(&mut self, mode: &str) -> Result<bool, StoreFault> {
+        let sql = format!("PRAGMA wal_checkpoint({mode})");
+        let (is_busy, pages, moved): (bool, i64, i64) = self
+            .connection
+            .query_row(&sql, [], |row| Ok((row.get(0)?, row.get(1)?, row.get(2)?)))
+            .map_err(|error| StoreFault::of_writing(&self.folder, &error))?;
+        self.wal_bytes = 0;
+        Ok(!is_busy && pages == moved)
+    }
+
+    /// Gives free pages back to the disk; whether there were any to give.
+    fn give_back(&mut self) -> Result<bool, StoreFault> {
+        let give = || {
+            let count = |pragma| {
+                self.connection
+                    .pragma_query_value(None, pragma, |row| row.get::<_, i64>(0))
+            };
+            let (free, all) = (count("freelist_count")?, count("page_count")?);
+            if free <= FREE_PAGES.0.max(all / 8) {
+                return Ok(false);
+            }
+            self.connection
+                .execute_batch(&format!("PRAGMA incremental_vacuum({})", FREE_PAGES.1))?;
+            Ok(true)
+        };
+        let given = give().map_err(|error| StoreFault::of_writing(&self.folder, &error))?;
+        self.wal_bytes += if given { FREE_PAGES.1 * 4096 } else { 0 };
+        Ok(given)
+    }
+
+    /// Writes what is left and moves the WAL into the file; whether both could be done.
+    pub(super) fn close(&mut self) -> Result<bool, StoreFault> {
+        let is_written = unless_fatal(self.write_backlog().map(|()| true), false)?;
+        let is_moved = unless_fatal(self.move_wal("TRUNCATE"), false)?;
+        Ok(is_written && is_moved)
+    }
+}
+
+/// What is not fatal is tried again later.
+fn unless_fatal<T>(outcome: Result<T, StoreFault>, otherwise: T) -> Result<T, StoreFault> {
+    match outcome {
+        Err(fault @ StoreFault::Fatal(_)) => Err(fault),
+        Err(_) => Ok(otherwise),
+        outcome => outcome,
+    }
+}

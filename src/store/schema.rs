@@ -1,0 +1,193 @@
+//! The database file: how it is opened, what is in it, and how older ones are brought up to date.
+
+use std::path::Path;
+use std::time::Duration;
+
+use rusqlite::config::DbConfig;
+use rusqlite::{Connection, OpenFlags, Result as SqlResult, Transaction, TransactionBehavior};
+
+use super::error::StoreError;
+use super::extent::{self, Extent};
+
+/// The file's name in the data folder.
+pub(super) const FILE: &str = "jostle.sqlite";
+
+/// Marks the file as ours: "jost".
+const APPLICATION_ID: i64 = 0x6A6F_7374;
+
+/// How long a statement waits for a lock that another process (say, a shell that looks at the
+/// file) holds.
+const BUSY: Duration = Duration::from_millis(20);
+
+/// A step from one schema to the next. All that are needed run in one transaction.
+type Step = fn(&Transaction<'_>) -> SqlResult<()>;
+
+/// Step k leads from schema k to k + 1.
+const STEPS: &[Step] = &[first];
+
+/// The schema this version writes.
+pub(super) const KNOWN: i64 = 1;
+
+const _: () = assert!(STEPS.len() as i64 == KNOWN);
+
+/// The first schema.
+///
+/// Rows and checkpoints name their swarm by a number that is never given twice, so that a deleted
+/// swarm's rows can go little by little while another takes its name. `extent` says what there
+/// must be, in a tree of its own: what a broken page hides is missed.
+fn first(transaction: &Transaction<'_>) -> SqlResult<()> {
+    transaction.execute_batch(
+        "CREATE TABLE swarm (
+             name TEXT PRIMARY KEY NOT NULL, id INTEGER NOT NULL, seal BLOB NOT NULL,
+             about BLOB NOT NULL
+         ) WITHOUT ROWID;
+         CREATE TABLE extent (
+             id INTEGER PRIMARY KEY, first INTEGER NOT NULL, last INTEGER NOT NULL,
+             newest INTEGER NOT NULL, checkpoints INTEGER NOT NULL, bytes INTEGER NOT NULL,
+             seal BLOB NOT NULL
+         );
+         CREATE TABLE row (
+             swarm INTEGER NOT NULL, number INTEGER NOT NULL, epoch INTEGER NOT NULL,
+             step INTEGER NOT NULL, kind INTEGER NOT NULL, seal BLOB NOT NULL, body BLOB NOT NULL,
+             PRIMARY KEY (swarm, number)
+         ) WITHOUT ROWID;
+         CREATE TABLE checkpoint (
+             swarm INTEGER NOT NULL, number INTEGER NOT NULL, epoch INTEGER NOT NULL,
+             step INTEGER NOT NULL, seal BLOB NOT NULL, digest BLOB NOT NULL, body BLOB NOT NULL,
+             PRIMARY KEY (swarm, number)
+         ) WITHOUT ROWID;
+         CREATE TABLE answer (
+             id INTEGER PRIMARY KEY, client TEXT, request_id TEXT NOT NULL, digest BLOB NOT NULL,
+             swarm TEXT NOT NULL, number INTEGER NOT NULL, is_ok INTEGER NOT NULL,
+             encoding TEXT NOT NULL, seal BLOB NOT NULL, body BLOB NOT NULL
+         );
+         CREATE TABLE gone (swarm INTEGER PRIMARY KEY);",
+    )?;
+    extent::write(transaction, extent::ANSWERS, &Extent::default())
+}
+
+/// Opens the writer's connection to `file`, creates or migrates it, and has SQLite look through it
+/// if it is smaller than `most_checked_bytes`.
+///
+/// # Errors
+///
+/// Every variant of [`StoreError`] that is about a file.
+pub(super) fn open(file: &Path, most_checked_bytes: u64) -> Result<Connection, StoreError> {
+    let fail = |error| StoreError::of_reading(file, &error);
+    let mut connection = Connection::open(file).map_err(fail)?;
+    connection.busy_timeout(BUSY).map_err(fail)?;
+    let is_new = check_origin(file, &connection)?;
+    if is_new {
+        // Only before the first table: the pages of deleted swarms go back to the disk.
+        connection
+            .pragma_update(None, "auto_vacuum", "INCREMENTAL")
+            .map_err(fail)?;
+    }
+    configure(&connection).map_err(fail)?;
+    let mode: String = connection
+        .pragma_update_and_check(None, "journal_mode", "WAL", |row| row.get(0))
+        .map_err(fail)?;
+    if !mode.eq_ignore_ascii_case("wal") {
+        let detail = format!("its file system has no shared memory, the journal is {mode:?}");
+        return Err(StoreError::Io {
+            file: file.to_path_buf(),
+            detail,
+        });
+    }
+    check_pages(file, &connection, most_checked_bytes)?;
+    migrate(&mut connection).map_err(fail)?;
+    Ok(connection)
+}
+
+/// Opens a connection that only reads, and never moves the WAL into the file when it closes.
+///
+/// # Errors
+///
+/// As for any read.
+pub(super) fn open_reader(file: &Path) -> Result<Connection, StoreError> {
+    let open = || {
+        let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+        let connection = Connection::open_with_flags(file, flags)?;
+        connection.busy_timeout(BUSY)?;
+        configure(&connection)?;
+        connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
+        connection.pragma_update(None, "query_only", true)?;
+        Ok(connection)
+    };
+    open().map_err(|error| StoreError::of_reading(file, &error))
+}
+
+fn configure(connection: &Connection) -> SqlResult<()> {
+    connection.pragma_update(None, "synchronous", "FULL")?;
+    connection.pragma_update(None, "foreign_keys", false)?;
+    connection.pragma_update(None, "temp_store", "MEMORY")?;
+    // The writer moves the WAL into the file itself: SQLite would pass over a failed sync.
+    connection.pragma_update(None, "wal_autocheckpoint", 0)?;
+    connection.pragma_update(None, "cell_size_check", true)
+}
+
+/// Whether the file is new; an error if it is not ours, or of a later version.
+fn check_origin(file: &Path, connection: &Connection) -> Result<bool, StoreError> {
+    let fail = |error| StoreError::of_reading(file, &error);
+    let number = |pragma| connection.pragma_query_value(None, pragma, |row| row.get::<_, i64>(0));
+    let application = number("application_id").map_err(fail)?;
+    let version = number("user_version").map_err(fail)?;
+    let tables: i64 = connection
+        .query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))
+        .map_err(fail)?;
+    if (application, version, tables) == (0, 0, 0) {
+        return Ok(true);
+    }
+    if application != APPLICATION_ID {
+        return Err(StoreError::Foreign {
+            file: file.to_path_buf(),
+        });
+    }
+    if version > KNOWN {
+        return Err(StoreError::Newer {
+            file: file.to_path_buf(),
+            found: version,
+            known: KNOWN,
+        });
+    }
+    if version < 1 || tables == 0 {
+        let detail = format!("schema {version} with {tables} tables never was");
+        return Err(StoreError::Corrupt {
+            file: file.to_path_buf(),
+            detail,
+        });
+    }
+    Ok(false)
+}
+
+fn check_pages(file: &Path, connection: &Connection, most_bytes: u64) -> Result<(), StoreError> {
+    let fail = |error| StoreError::of_reading(file, &error);
+    if std::fs::metadata(file).is_ok_and(|file| file.len() > most_bytes) {
+        return Ok(());
+    }
+    let found: String = connection
+        .query_row("PRAGMA quick_check(1)", [], |row| row.get(0))
+        .map_err(fail)?;
+    if found == "ok" {
+        return Ok(());
+    }
+    Err(StoreError::Corrupt {
+        file: file.to_path_buf(),
+        detail: found,
+    })
+}
+
+fn migrate(connection: &mut Connection) -> SqlResult<()> {
+    let version: i64 = connection.pragma_query_value(None, "user_version", |row| row.get(0))?;
+    if version == KNOWN {
+        return Ok(());
+    }
+    let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
+    let done = usize::try_from(version).unwrap_or(0);
+    for step in &STEPS[done..] {
+        step(&transaction)?;
+    }
+    transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
+    transaction.pragma_update(None, "user_version", KNOWN)?;
+    transaction.commit()
+}

@@ -1,0 +1,253 @@
+//! What is submitted is there, in order, and survives.
+
+use std::sync::Mutex;
+
+use super::*;
+
+#[test]
+fn done_comes_after_the_data_is_there() {
+    let folder = folder();
+    let store = open(folder.path());
+    let writes = vec![
+        create("a"),
+        append("a", 1),
+        append("a", 2),
+        keep("a", 2, 5000),
+    ];
+    durable(&store, writes).unwrap();
+    // The file as it is now, without the WAL ever having been moved: what a crash would leave.
+    let crashed = self::folder();
+    for name in ["jostle.sqlite", "jostle.sqlite-wal"] {
+        fs::copy(folder.path().join(name), crashed.path().join(name)).unwrap();
+    }
+    for store in [store, open(crashed.path())] {
+        assert_eq!(
+            store.swarms().unwrap(),
+            [("a".to_string(), b"about a".to_vec())]
+        );
+        assert_eq!(store.rows("a", 0, 9).unwrap().rows, [row(1), row(2)]);
+        assert_eq!(store.rows("a", 1, 9).unwrap().rows, [row(2)]);
+        assert_eq!(
+            store.checkpoints("a").unwrap(),
+            [state(2, 0).mark(), state(0, 0).mark()]
+        );
+        assert_eq!(store.checkpoint("a", 2).unwrap(), state(2, 5000));
+        assert!(matches!(
+            store.checkpoint("a", 1),
+            Err(StoreError::NoCheckpoint { number: 1, .. })
+        ));
+    }
+}
+
+#[test]
+fn groups_are_committed_and_told_in_the_order_of_submission() {
+    let folder = folder();
+    let store = open(folder.path());
+    durable(&store, vec![create("a")]).unwrap();
+    let told = Arc::new(Mutex::new(Vec::new()));
+    for number in 1..=3000 {
+        let told = Arc::clone(&told);
+        let done: Done = Box::new(move |outcome| {
+            outcome.unwrap();
+            told.lock().unwrap().push(number);
+        });
+        // Every third waits for nobody, and is committed in its place all the same.
+        store.submit(vec![append("a", number)], (number % 3 > 0).then_some(done));
+    }
+    durable(&store, Vec::new()).unwrap();
+    let expected: Vec<u64> = (1..=3000).filter(|number| number % 3 > 0).collect();
+    assert_eq!(*told.lock().unwrap(), expected);
+    assert_eq!(numbers(&store, "a"), (1..=3000).collect::<Vec<_>>());
+    assert!(
+        store.health().commits < 1500,
+        "nobody shared a commit: {:?}",
+        store.health()
+    );
+}
+
+#[test]
+fn what_nobody_waits_for_is_written_soon() {
+    let folder = folder();
+    let store = open(folder.path());
+    durable(&store, vec![create("a")]).unwrap();
+    store.submit(vec![append("a", 1)], None);
+    wait_until("the row is there", || numbers(&store, "a") == [1]);
+}
+
+#[test]
+fn all_writes_of_a_submit_are_written_or_none() {
+    let folder = folder();
+    let store = open(folder.path());
+    durable(&store, vec![create("a")]).unwrap();
+    let refused = |writes| matches!(durable(&store, writes), Err(StoreFault::Refused(_)));
+    assert!(refused(vec![append("a", 1), append("a", 3)]), "a gap");
+    assert!(
+        refused(vec![append("a", 1), append("b", 1)]),
+        "no such swarm"
+    );
+    assert!(refused(vec![append("a", 1), create("a")]), "it exists");
+    assert!(
+        refused(vec![append("a", 1), keep("a", 2, 9)]),
+        "a checkpoint of what is not there"
+    );
+    assert!(
+        refused(vec![Write::Delete {
+            swarm: "b".to_string()
+        }]),
+        "no such swarm to delete"
+    );
+    assert_eq!(numbers(&store, "a"), [0; 0]);
+    durable(&store, vec![append("a", 1)]).unwrap();
+    assert_eq!(numbers(&store, "a"), [1]);
+}
+
+#[test]
+fn a_deleted_swarm_leaves_nothing_to_the_next_of_its_name() {
+    let folder = folder();
+    let store = open(folder.path());
+    let first: Vec<Write> = (1..=2500).map(|number| append("a", number)).collect();
+    durable(&store, vec![create("a")]).unwrap();
+    durable(&store, first).unwrap();
+    durable(&store, vec![keep("a", 2500, 100_000)]).unwrap();
+    let again = vec![
+        Write::Delete {
+            swarm: "a".to_string(),
+        },
+        create("a"),
+        append("a", 1),
+    ];
+    durable(&store, again).unwrap();
+    assert_eq!(numbers(&store, "a"), [1]);
+    assert_eq!(store.checkpoints("a").unwrap(), [state(0, 0).mark()]);
+    wait_until("its rows are gone from the file", || {
+        let count = |connection: &Connection| {
+            let sql = "SELECT (SELECT count(*) FROM row) + (SELECT count(*) FROM checkpoint) + (SELECT count(*) FROM gone)";
+            Ok(connection.query_row(sql, [], |row| row.get::<_, i64>(0))?)
+        };
+        store.read("", count).unwrap() == 2
+    });
+    drop(store);
+    assert_eq!(numbers(&open(folder.path()), "a"), [1]);
+}
+
+#[test]
+fn a_name_is_just_text() {
+    let folder = folder();
+    let store = open(folder.path());
+    let names = [
+        "",
+        "'; DROP TABLE row; --",
+        "a\0b",
+        "\u{202e}",
+        "ä/../*",
+        "%_",
+    ];
+    for name in names {
+        durable(
+            &store,
+            vec![create(name), append(name, 1), keep(name, 1, 10)],
+        )
+        .unwrap();
+    }
+    let mut sorted = names.to_vec();
+    sorted.sort_unstable();
+    drop(store);
+    let store = open(folder.path());
+    let stored: Vec<String> = store
+        .swarms()
+        .unwrap()
+        .into_iter()
+        .map(|(name, _)| name)
+        .collect();
+    assert_eq!(stored, sorted);
+    for name in names {
+        assert_eq!(numbers(&store, name), [1]);
+    }
+    assert!(matches!(
+        store.rows("a", 0, 1),
+        Err(StoreError::NoSwarm { .. })
+    ));
+}
+
+#[test]
+fn answers_come_back_as_they_were() {
+    let folder = folder();
+    let store = open(folder.path());
+    let answers: Vec<Answer> = (1..=2500).map(answer).collect();
+    durable(&store, answers.iter().cloned().map(Write::Answer).collect()).unwrap();
+    assert_eq!(store.answers().unwrap(), answers);
+    drop(store);
+    assert_eq!(open(folder.path()).answers().unwrap(), answers);
+}
+
+#[test]
+fn after_stop_everything_is_in_the_file_and_nothing_is_taken() {
+    let folder = folder();
+    let store = open(folder.path());
+    store.submit(
+        (1..=500)
+            .map(|number| match number {
+                1 => create("a"),
+                number => append("a", number - 1),
+            })
+            .collect(),
+        None,
+    );
+    assert!(store.stop(PATIENCE));
+    assert_eq!(
+        durable(&store, vec![append("a", 500)]),
+        Err(StoreFault::Stopped)
+    );
+    assert!(matches!(store.swarms(), Err(StoreError::Stopped)));
+    assert!(!folder.path().join("jostle.sqlite-wal").exists());
+    assert_eq!(numbers(&open(folder.path()), "a").len(), 499);
+}
+
+#[test]
+fn a_done_may_submit_and_may_hold_the_last_clone() {
+    let folder = folder();
+    let store = open(folder.path());
+    durable(&store, vec![create("a")]).unwrap();
+    let (sender, receiver) = channel();
+    let clone = store.clone();
+    store.submit(
+        vec![append("a", 1)],
+        Some(Box::new(move |_| {
+            clone.submit(
+                vec![append("a", 2)],
+                Some(Box::new(move |outcome| sender.send(outcome).unwrap())),
+            );
+        })),
+    );
+    drop(store);
+    receiver.recv_timeout(PATIENCE).unwrap().unwrap();
+    wait_until("the lock is free", || {
+        Store::open(folder.path(), Settings { quota_bytes: 1 }, Box::new(|_| {})).is_ok()
+    });
+}
+
+#[test]
+fn durable_submits_a_second() {
+    for threads in [1_u32, 32] {
+        let folder = folder();
+        let store = open(folder.path());
+        let each = 3200 / threads;
+        let began = Instant::now();
+        thread::scope(|scope| {
+            for thread in 0..threads {
+                let store = &store;
+                scope.spawn(move || {
+                    let swarm = format!("swarm {thread}");
+                    durable(store, vec![create(&swarm)]).unwrap();
+                    for number in 1..u64::from(each) {
+                        let answer = Write::Answer(answer(number));
+                        durable(store, vec![append(&swarm, number), answer]).unwrap();
+                    }
+                });
+            }
+        });
+        let rate = 3200.0 / began.elapsed().as_secs_f64();
+        let commits = store.health().commits;
+        println!("{threads} threads: {rate:.0} durable submits a second, in {commits} commits");
+    }
+}
