@@ -33,6 +33,11 @@ mod writer;
 mod house;
 
 #[cfg(test)]
+#[expect(
+    clippy::unwrap_used,
+    clippy::cast_possible_truncation,
+    reason = "tests"
+)]
 mod tests;
 
 use std::fs::{self, DirBuilder, File, OpenOptions};

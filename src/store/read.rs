@@ -128,7 +128,7 @@ pub(super) fn rows(
         };
         match found {
             Some((row, seal)) if row.number == next && seal == row.seal(swarm, id) => {
-                read.rows.push(row)
+                read.rows.push(row);
             }
             _ => {
                 read.damaged_at = Some(next);

@@ -327,7 +327,7 @@ fn a_damaged_or_missing_swarm_is_named_and_can_only_be_deleted() {
         Connection::open(folder.path().join(schema::FILE))
             .unwrap()
             .execute_batch(sql)
-            .unwrap()
+            .unwrap();
     };
     alter("UPDATE extent SET last = 7 WHERE id = 2");
     let store = open(folder.path());
