@@ -13,7 +13,7 @@ use tracing::{error, info, warn};
 use crate::command::{self, Command, CommandError};
 use crate::host::{self, Archive, Host, HostError, Register};
 use crate::server::ledger::{self, Digest, Ledger};
-use crate::store::{self, Store, StoreError, StoreFault, Wanted as WantedOfStore, Write};
+use crate::store::{self, Store, StoreError, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::journal::{Line, Record, Wanted, WriteFault, Written};
@@ -70,13 +70,16 @@ pub fn archive(store: &Store) -> Archive {
                 .into_iter()
                 .flat_map(|it| writes(&swarm, it))
                 .collect();
-            let wanted = match wanted {
-                Wanted::Now(done) => WantedOfStore::Now(Box::new(move |result| {
-                    done(result.map_err(fault));
-                })),
-                Wanted::Soon(told) => WantedOfStore::Soon(told),
-            };
-            store.submit(writes, wanted);
+            match wanted {
+                Wanted::Now(done) => {
+                    let done = Box::new(move |result: Result<(), StoreFault>| {
+                        done(result.map_err(fault));
+                    });
+                    store.submit(writes, Some(done));
+                }
+                Wanted::Soon(None) => store.submit(writes, None),
+                Wanted::Soon(Some(told)) => store.submit_then(writes, told),
+            }
         })
     })
 }
@@ -110,11 +113,11 @@ pub fn register(
             }));
         }
         let (done, is_done) = sync_channel(1);
-        let told = WantedOfStore::Now(Box::new(move |result| {
+        let told = Box::new(move |result| {
             // Whoever waited may be gone.
             let _ = done.send(result);
-        }));
-        store.submit(writes, told);
+        });
+        store.submit(writes, Some(told));
         is_done
             .recv()
             .unwrap_or(Err(StoreFault::Stopped))
@@ -278,10 +281,10 @@ pub struct Told {
 pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Told, CommandError> {
     let (done, is_done) = sync_channel(1);
     // Nothing, when everything before it is written.
-    let told = WantedOfStore::Now(Box::new(move |result| {
+    let told = Box::new(move |result| {
         let _ = done.send(result);
-    }));
-    store.submit(Vec::new(), told);
+    });
+    store.submit(Vec::new(), Some(told));
     let _ = is_done.recv();
     let history = |problem: String| CommandError::History(problem);
     let mut marks = store

@@ -11,7 +11,7 @@ use jostle_proto::{CBOR, JSON, Request};
 use serde_json::Value;
 
 use crate::server::answer::Promise;
-use crate::store::{self, Store, Wanted, Write};
+use crate::store::{self, Store, Write};
 use crate::wire::Payload;
 
 /// Answers remembered, and the bytes they may take; the oldest give way.
@@ -124,7 +124,7 @@ impl Ledger {
             encoding: payload.encoding.to_owned(),
             body: payload.bytes.clone(),
         });
-        self.store.submit(vec![answer], Wanted::Soon(None));
+        self.store.submit(vec![answer], None);
     }
 
     /// Enters a request under its name. `promise` is kept from here if it is a known one.

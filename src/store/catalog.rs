@@ -78,25 +78,21 @@ impl Catalog {
         pending: &BTreeMap<String, Option<Entry>>,
         writes: &[Write],
     ) -> Result<(), String> {
-        // Of each swarm named: its first and last row and its newest checkpoint, if it is there.
-        let mut trial: BTreeMap<&str, Option<(u64, u64, u64)>> = BTreeMap::new();
-        let mut now = |name| {
-            *trial.entry(name).or_insert_with(|| {
-                let entry = match pending.get(name) {
-                    Some(entry) => entry.as_ref(),
-                    None => self.swarms.get(name),
-                };
-                entry.map(|Entry { extent, .. }| (extent.first, extent.last, extent.newest))
-            })
+        let now = |name| {
+            let entry = match pending.get(name) {
+                Some(entry) => entry.as_ref(),
+                None => self.swarms.get(name),
+            };
+            entry.map(|Entry { extent, .. }| (extent.first, extent.last, extent.newest))
         };
-        let mut after = Vec::new();
+        // What each write leaves of its swarm; the last one counts.
+        let mut after: Vec<(&str, Ends)> = Vec::new();
         for write in writes {
             let Some(name) = write.swarm() else { continue };
-            let found = match after.iter().rev().find(|(other, _)| *other == name) {
-                Some((_, found)) => *found,
-                None => now(name),
-            };
-            let is_damaged = !pending.contains_key(name) && self.damaged.contains_key(name);
+            let before = after.iter().rev().find(|(other, _)| *other == name);
+            let is_untouched = before.is_none() && !pending.contains_key(name);
+            let is_damaged = is_untouched && self.damaged.contains_key(name);
+            let found = before.map_or_else(|| now(name), |(_, found)| *found);
             after.push((name, follow(write, found, is_damaged)?));
         }
         Ok(())

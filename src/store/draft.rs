@@ -177,12 +177,8 @@ impl<'a> Draft<'a> {
             .prepare_cached("SELECT length(body) FROM checkpoint WHERE swarm = ? AND number = ?")?
             .query_row(params![*id, number], |row| row.get(0))
             .optional()?;
-        match replaced {
-            Some(bytes) => {
-                extent.bytes = extent
-                    .bytes
-                    .saturating_sub(cost(usize::try_from(bytes).unwrap_or(0)))
-            }
+        match replaced.map(|bytes| cost(usize::try_from(bytes).unwrap_or(0))) {
+            Some(bytes) => extent.bytes = extent.bytes.saturating_sub(bytes),
             None => extent.checkpoints += 1,
         }
         extent.newest = mark.number;

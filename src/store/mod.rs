@@ -33,6 +33,11 @@ mod writer;
 mod house;
 
 #[cfg(test)]
+#[expect(
+    clippy::unwrap_used,
+    clippy::cast_possible_truncation,
+    reason = "tests"
+)]
 mod tests;
 
 use std::fs::{self, DirBuilder, File, OpenOptions};
@@ -66,7 +71,7 @@ const MOST_CHECKED_BYTES: u64 = 8 * 1024 * 1024;
 pub type Done = Box<dyn FnOnce(Result<(), StoreFault>) + Send>;
 
 /// When writes are to be written.
-pub enum Wanted {
+enum Wanted {
     /// At once or not at all; told either way.
     Now(Done),
     /// Within milliseconds, and where writing fails it is tried until it succeeds. Told, on the
@@ -159,26 +164,33 @@ impl Store {
     }
 
     /// Queues `writes`: all of them are written, in this order and after everything submitted
-    /// before, or none is. No writes at all, wanted now, waits for those before.
+    /// before, or none is. `done` is told once they are synced, or why they are not written.
     ///
-    /// Waits only while the queue is full. A row wanted now that was told a fault does not exist: the
+    /// With `done` the commit comes at once; without, within milliseconds, and where writing
+    /// fails it is tried until it succeeds. No writes at all, with `done`, waits for those before.
+    ///
+    /// Waits only while the queue is full. A row whose `done` was told a fault does not exist: the
     /// next one has its number. So a swarm submits nothing behind a row it waits for, or its later
     /// rows are refused as following a gap.
-    pub fn submit(&self, writes: Vec<Write>, wanted: Wanted) {
-        if writes.is_empty() && !wanted.is_now() {
+    pub fn submit(&self, writes: Vec<Write>, done: Option<Done>) {
+        if writes.is_empty() && done.is_none() {
             return;
         }
+        let wanted = done.map_or(Wanted::Soon(None), Wanted::Now);
         let refused = self.0.shared.queue.push(Submit { writes, wanted });
-        if let Err((
-            Submit {
-                wanted: Wanted::Now(done),
-                ..
-            },
-            end,
-        )) = refused
+        if let Err((submit, end)) = refused
+            && let Wanted::Now(done) = submit.wanted
         {
             done(Err(end.fault()));
         }
+    }
+
+    /// Queues `writes` as [`Store::submit`] does without anybody to wait; `told` is called, on the
+    /// store's thread, once they are synced.
+    pub fn submit_then(&self, writes: Vec<Write>, told: Box<dyn FnOnce() + Send>) {
+        let wanted = Wanted::Soon(Some(told));
+        // Once the store has ended nothing more is synced.
+        let _ = self.0.shared.queue.push(Submit { writes, wanted });
     }
 
     /// The swarms: names, in order, with what each was created with.

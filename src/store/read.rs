@@ -128,7 +128,7 @@ pub(super) fn rows(
         };
         match found {
             Some((row, seal)) if row.number == next && seal == row.seal(swarm, id) => {
-                read.rows.push(row)
+                read.rows.push(row);
             }
             _ => {
                 read.damaged_at = Some(next);
@@ -163,7 +163,7 @@ pub(super) fn checkpoints(
          ORDER BY number DESC",
     )?;
     let mut cursor = statement.query([id])?;
-    let mut marks = Vec::<Mark>::new();
+    let (mut marks, mut found) = (Vec::<Mark>::new(), 0);
     loop {
         let row = match cursor.next() {
             Ok(Some(row)) => row,
@@ -171,16 +171,20 @@ pub(super) fn checkpoints(
             Err(error) if is_corrupt(&error) => break,
             Err(error) => return Err(error.into()),
         };
+        found += 1;
         let Some((mark, seal, digest)) = fitting(read_mark(row))? else {
             continue;
         };
-        let is_next = marks.last().is_none_or(|later| mark.number < later.number);
+        let is_next = match marks.last() {
+            Some(later) => mark.number < later.number,
+            None => mark.number <= extent.newest,
+        };
         if is_next && seal == mark.seal(swarm, id, &digest) {
             marks.push(mark);
         }
     }
-    let missing = extent.checkpoints.saturating_sub(marks.len() as u64);
-    Ok((marks, missing))
+    let left_out = found - marks.len() as u64;
+    Ok((marks, left_out.max(extent.checkpoints.abs_diff(found))))
 }
 
 fn read_mark(row: &SqlRow<'_>) -> SqlResult<(Mark, Vec<u8>, Vec<u8>)> {

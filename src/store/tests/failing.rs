@@ -1,1 +1,457 @@
-//! Tests.
+//! Full disks, failed syncs, killed processes, and files that are not to be used.
+
+use std::process::Command;
+use std::sync::atomic::AtomicUsize;
+use std::sync::{Mutex, MutexGuard};
+
+use rusqlite::{ErrorCode, ffi};
+
+use super::super::backlog::Backlog;
+use super::*;
+
+/// Fail points belong to the process: one test at a time sets them.
+static POINTS: Mutex<()> = Mutex::new(());
+
+/// Names the folder in which [`killed_anywhere_all_that_was_told_is_there`] is to be killed.
+const CHILD: &str = "JOSTLE_STORE_TEST_FOLDER";
+
+/// Makes every commit of the store in `folder` fail until the value is dropped.
+struct Failing {
+    point: &'static str,
+    _alone: MutexGuard<'static, ()>,
+}
+
+fn failing(point: &'static str, folder: &Path) -> Failing {
+    let _alone = POINTS.lock().unwrap_or_else(PoisonError::into_inner);
+    let name = folder.file_name().unwrap().to_str().unwrap();
+    fail::cfg(point, &format!("return({name})")).unwrap();
+    Failing { point, _alone }
+}
+
+impl Drop for Failing {
+    fn drop(&mut self) {
+        fail::remove(self.point);
+    }
+}
+
+#[test]
+fn on_a_full_disk_who_waits_is_told_and_the_rest_is_written_later_in_order() {
+    let folder = folder();
+    let store = open(folder.path());
+    durable(&store, vec![create("a"), append("a", 1)]).unwrap();
+    let full = failing("store-full", folder.path());
+    for number in 2..=50 {
+        store.submit(vec![append("a", number)], None);
+    }
+    let began = Instant::now();
+    assert_eq!(
+        durable(&store, vec![append("a", 51)]),
+        Err(StoreFault::Full)
+    );
+    assert!(
+        began.elapsed() < Duration::from_millis(100),
+        "{:?}",
+        began.elapsed()
+    );
+    assert_eq!(durable(&store, vec![create("b")]), Err(StoreFault::Full));
+    let health = store.health();
+    assert!(
+        health.is_full && !health.is_overrun && health.waiting == 49,
+        "{health:?}"
+    );
+    assert_eq!(numbers(&store, "a"), [1]);
+
+    drop(full);
+    // Nobody submits: the store tries by itself.
+    wait_until("the rows are written", || numbers(&store, "a").len() == 50);
+    assert!(!store.health().is_full);
+    durable(&store, vec![append("a", 51), create("b")]).unwrap();
+    assert_eq!(numbers(&store, "a"), (1..=51).collect::<Vec<_>>());
+}
+
+#[test]
+fn what_was_kept_is_written_before_what_comes_later() {
+    let folder = folder();
+    let store = open(folder.path());
+    durable(&store, vec![create("a")]).unwrap();
+    let full = failing("store-full", folder.path());
+    store.submit(vec![append("a", 1)], None);
+    assert_eq!(
+        durable(&store, Vec::new()),
+        Err(StoreFault::Full),
+        "the row is not there yet"
+    );
+    drop(full);
+    durable(&store, vec![append("a", 2)]).unwrap();
+    assert_eq!(numbers(&store, "a"), [1, 2]);
+}
+
+/// A writer without a thread, whose file can be told to be full.
+fn writer(folder: &Path) -> Writer {
+    let lock = lock(folder).unwrap();
+    let connection = schema::open(&folder.join(schema::FILE), 0).unwrap();
+    let shared = Arc::<Shared>::default();
+    Writer::new((connection, folder.to_path_buf(), lock), u64::MAX, shared).unwrap()
+}
+
+fn round(writer: &mut Writer, writes: Vec<Write>) -> Result<(), StoreFault> {
+    let (sender, receiver) = channel();
+    let done: Done = Box::new(move |outcome| sender.send(outcome).unwrap());
+    writer
+        .round(vec![Submit {
+            writes,
+            done: Some(done),
+        }])
+        .unwrap();
+    receiver.try_recv().unwrap()
+}
+
+fn limit_pages(writer: &Writer, pages: i64) {
+    writer
+        .connection
+        .pragma_update_and_check(None, "max_page_count", pages, |_| Ok(()))
+        .unwrap();
+}
+
+#[test]
+fn when_sqlite_finds_no_page_nothing_is_lost_and_a_deletion_still_works() {
+    let folder = folder();
+    let mut writer = writer(folder.path());
+    round(&mut writer, vec![create("a"), create("b")]).unwrap();
+    limit_pages(&writer, 1);
+    let mut kept = 0;
+    for number in 1..=200 {
+        let lazy = Submit {
+            writes: vec![append("a", number)],
+            done: None,
+        };
+        writer.round(vec![lazy]).unwrap();
+        kept = writer.backlog.writes();
+    }
+    assert!(kept > 50, "the file was not full: {kept}");
+    assert_eq!(
+        round(&mut writer, vec![append("b", 1), keep("b", 1, 9000)]),
+        Err(StoreFault::Full)
+    );
+    assert!(writer.connection.is_autocommit(), "rolled back");
+    round(
+        &mut writer,
+        vec![
+            Write::Delete {
+                swarm: "b".to_string(),
+            },
+            Write::Answer(answer(1)),
+        ],
+    )
+    .unwrap();
+    assert_eq!(writer.backlog.writes(), kept);
+    // With the swarm goes what was to be written of it.
+    writer
+        .round(vec![Submit {
+            writes: vec![keep("a", 200, 9000)],
+            done: None,
+        }])
+        .unwrap();
+    assert_eq!(writer.backlog.writes(), kept + 1);
+
+    limit_pages(&writer, 1_000_000);
+    round(&mut writer, vec![append("a", 201)]).unwrap();
+    assert!(writer.backlog.is_empty());
+    drop(writer);
+    let store = open(folder.path());
+    assert_eq!(numbers(&store, "a"), (1..=201).collect::<Vec<_>>());
+    assert_eq!(store.checkpoint("a", 200).unwrap(), state(200, 9000));
+    assert_eq!(store.swarms().unwrap().len(), 1);
+    assert_eq!(store.answers().unwrap(), [answer(1)]);
+}
+
+#[test]
+fn deleting_a_swarm_while_full_gives_up_what_was_kept_of_it() {
+    let folder = folder();
+    let mut writer = writer(folder.path());
+    round(&mut writer, vec![create("a"), create("b")]).unwrap();
+    limit_pages(&writer, 1);
+    for number in 1..=3 {
+        let large = Row {
+            body: vec![7; 9000],
+            ..row(number)
+        };
+        for swarm in ["a", "b"] {
+            let write = Write::Append {
+                swarm: swarm.to_string(),
+                row: large.clone(),
+            };
+            writer
+                .round(vec![Submit {
+                    writes: vec![write],
+                    done: None,
+                }])
+                .unwrap();
+        }
+    }
+    let kept = writer.backlog.writes();
+    round(
+        &mut writer,
+        vec![Write::Delete {
+            swarm: "a".to_string(),
+        }],
+    )
+    .unwrap();
+    assert!(writer.backlog.writes() < kept);
+    limit_pages(&writer, 1_000_000);
+    round(
+        &mut writer,
+        vec![create("a"), append("a", 1), append("b", 4)],
+    )
+    .unwrap();
+    drop(writer);
+    let store = open(folder.path());
+    assert_eq!(
+        (numbers(&store, "a"), numbers(&store, "b")),
+        (vec![1], vec![1, 2, 3, 4])
+    );
+}
+
+#[test]
+fn beyond_the_bound_checkpoints_go_then_answers_and_rows_never() {
+    let lazy = |write| Submit {
+        writes: vec![write],
+        done: None,
+    };
+    let mut backlog = Backlog::with_limits(4, usize::MAX);
+    for write in [
+        append("a", 1),
+        keep("a", 1, 10),
+        Write::Answer(answer(1)),
+        append("a", 2),
+    ] {
+        backlog.push(lazy(write));
+    }
+    assert_eq!(backlog.writes(), 4);
+    backlog.push(lazy(append("a", 3)));
+    assert_eq!(backlog.writes(), 4, "the checkpoint went");
+    backlog.push(lazy(append("a", 4)));
+    assert_eq!(
+        (backlog.writes(), backlog.is_overrun()),
+        (4, false),
+        "the answer went"
+    );
+    backlog.push(lazy(append("a", 5)));
+    assert_eq!((backlog.writes(), backlog.is_overrun()), (5, true));
+    let front: Vec<Write> = backlog
+        .front((9, 9999))
+        .iter()
+        .flat_map(|submit| submit.writes.clone())
+        .collect();
+    assert_eq!(
+        front,
+        (1..=5)
+            .map(|number| append("a", number))
+            .collect::<Vec<_>>()
+    );
+    backlog.pop(5);
+    assert!(backlog.is_empty() && !backlog.is_overrun());
+}
+
+#[test]
+fn after_a_failed_sync_nothing_is_promised_any_more() {
+    let folder = folder();
+    let calls = Arc::new(AtomicUsize::new(0));
+    let counted = Arc::clone(&calls);
+    let on_fatal = Box::new(move |fault: &StoreFault| {
+        assert!(matches!(fault, StoreFault::Fatal(_)));
+        counted.fetch_add(1, Ordering::SeqCst);
+    });
+    let store = Store::open(
+        folder.path(),
+        Settings {
+            quota_bytes: 1 << 20,
+        },
+        on_fatal,
+    )
+    .unwrap();
+    durable(&store, vec![create("a"), append("a", 1)]).unwrap();
+    let failing = failing("store-fsync", folder.path());
+    let waiting: Vec<_> = (2..=5)
+        .map(|number| pending(&store, vec![append("a", number)]))
+        .collect();
+    for outcome in waiting {
+        assert!(matches!(
+            outcome.recv_timeout(PATIENCE).unwrap(),
+            Err(StoreFault::Fatal(_))
+        ));
+    }
+    drop(failing);
+    assert!(matches!(
+        durable(&store, vec![append("a", 2)]),
+        Err(StoreFault::Fatal(_))
+    ));
+    assert!(!store.stop(PATIENCE));
+    assert_eq!(calls.load(Ordering::SeqCst), 1);
+    assert_eq!(numbers(&open(folder.path()), "a"), [1]);
+}
+
+#[test]
+fn errors_of_sqlite_are_sorted_by_what_they_leave_behind() {
+    let sorted = |extended_code| {
+        let error = rusqlite::Error::SqliteFailure(ffi::Error::new(extended_code), None);
+        StoreFault::of_writing(Path::new("/"), &error)
+    };
+    assert_eq!(sorted(ffi::SQLITE_FULL), StoreFault::Full);
+    for fatal in [
+        ffi::SQLITE_IOERR_FSYNC,
+        ffi::SQLITE_IOERR_DIR_FSYNC,
+        ffi::SQLITE_CORRUPT,
+        ffi::SQLITE_NOTADB,
+    ] {
+        assert!(matches!(sorted(fatal), StoreFault::Fatal(_)), "{fatal}");
+    }
+    for passing in [
+        ffi::SQLITE_IOERR_WRITE,
+        ffi::SQLITE_IOERR_SHMSIZE,
+        ffi::SQLITE_BUSY,
+        ffi::SQLITE_CANTOPEN,
+    ] {
+        assert!(matches!(sorted(passing), StoreFault::Io(_)), "{passing}");
+    }
+    assert_eq!(
+        ffi::Error::new(ffi::SQLITE_IOERR_FSYNC).code,
+        ErrorCode::SystemIoFailure
+    );
+}
+
+#[test]
+fn killed_anywhere_all_that_was_told_is_there() {
+    if let Ok(folder) = std::env::var(CHILD) {
+        return be_killed(Path::new(&folder));
+    }
+    for (point, is_there) in [
+        ("store-begin", false),
+        ("store-written", false),
+        ("store-synced", true),
+        ("store-done", true),
+    ] {
+        let folder = folder();
+        let status = Command::new(std::env::current_exe().unwrap())
+            .args([
+                "--exact",
+                &format!("{}::killed_anywhere_all_that_was_told_is_there", module()),
+            ])
+            .env(CHILD, folder.path())
+            .env("JOSTLE_STORE_TEST_POINT", point)
+            .output()
+            .unwrap()
+            .status;
+        assert!(!status.success(), "it was not killed at {point}");
+        let told = fs::read_to_string(folder.path().join("told")).unwrap();
+        let expected = if point == "store-done" { "1 2 " } else { "1 " };
+        assert_eq!(told, expected, "{point}");
+        let store = open(folder.path());
+        assert_eq!(
+            numbers(&store, "a"),
+            if is_there { vec![1, 2] } else { vec![1] },
+            "{point}"
+        );
+    }
+}
+
+fn module() -> &'static str {
+    module_path!().split_once("::").unwrap().1
+}
+
+/// Writes one row, and is killed while it writes the second.
+fn be_killed(folder: &Path) {
+    let store = open(folder);
+    let mut told = File::create(folder.join("told")).unwrap();
+    for number in 1..=2 {
+        let mut writes = vec![append("a", number)];
+        if number == 1 {
+            writes.insert(0, create("a"));
+        } else {
+            fail::cfg(std::env::var("JOSTLE_STORE_TEST_POINT").unwrap(), "return").unwrap();
+        }
+        let (sender, receiver) = channel();
+        let mut told = told.try_clone().unwrap();
+        store.submit(
+            writes,
+            Some(Box::new(move |outcome| {
+                outcome.unwrap();
+                io::Write::write_all(&mut told, format!("{number} ").as_bytes()).unwrap();
+                let _ = sender.send(());
+            })),
+        );
+        let _ = receiver.recv_timeout(PATIENCE);
+    }
+    io::Write::flush(&mut told).unwrap();
+    thread::sleep(PATIENCE);
+}
+
+fn refusal(folder: &Path) -> StoreError {
+    match Store::open(folder, Settings { quota_bytes: 1 }, Box::new(|_| {})) {
+        Ok(_) => panic!("it was opened"),
+        Err(error) => error,
+    }
+}
+
+#[test]
+fn a_folder_is_open_once_at_a_time_and_for_its_owner_alone() {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = folder();
+    let inner = folder.path().join("data/of one");
+    let store = open(&inner);
+    assert_eq!(
+        fs::metadata(&inner).unwrap().permissions().mode() & 0o777,
+        0o700
+    );
+    let error = refusal(&inner);
+    assert!(matches!(error, StoreError::InUse { .. }));
+    assert!(
+        error
+            .to_string()
+            .contains("another jostled uses this folder: stop it, or name another --data-dir")
+    );
+    assert!(store.stop(PATIENCE));
+    drop(open(&inner));
+}
+
+#[test]
+fn what_another_wrote_is_refused() {
+    let folder = folder();
+    drop(open(folder.path()));
+    let file = folder.path().join(schema::FILE);
+    Connection::open(&file)
+        .unwrap()
+        .pragma_update(None, "user_version", schema::KNOWN + 1)
+        .unwrap();
+    let error = refusal(folder.path());
+    assert!(matches!(error, StoreError::Newer { .. }));
+    let expected = "written by a newer jostled (schema 2, this one knows 1): upgrade, or name another --data-dir";
+    assert!(error.to_string().ends_with(expected), "{error}");
+
+    let foreign = self::folder();
+    let file = foreign.path().join(schema::FILE);
+    Connection::open(&file)
+        .unwrap()
+        .execute_batch("CREATE TABLE other (x)")
+        .unwrap();
+    assert!(matches!(
+        refusal(foreign.path()),
+        StoreError::Foreign { .. }
+    ));
+    fs::write(
+        &file,
+        "no database at all, but long enough to be looked at".repeat(100),
+    )
+    .unwrap();
+    assert!(matches!(
+        refusal(foreign.path()),
+        StoreError::Foreign { .. }
+    ));
+
+    let blocked = self::folder();
+    fs::write(blocked.path().join("data"), "").unwrap();
+    assert!(matches!(
+        refusal(&blocked.path().join("data")),
+        StoreError::Folder { .. }
+    ));
+}

@@ -1,1 +1,211 @@
-//! Tests.
+//! What is kept how long, and files of earlier versions.
+
+use super::*;
+
+/// Names a folder to which [`a_file_of_version_1_opens`] writes its fixture anew.
+const FIXTURE: &str = "JOSTLE_STORE_FIXTURE_TO";
+
+/// Waits until the store has taken away what it may.
+fn wait_until_tidy(store: &Store, quota_bytes: u64) {
+    wait_until("the swarm is within its quota", || {
+        let read = |connection: &Connection| Ok(extent::read(connection, 1)?);
+        store.read("a", read).unwrap().unwrap().bytes <= quota_bytes
+    });
+}
+
+#[test]
+fn beyond_the_quota_checkpoints_thin_out_then_the_oldest_history_goes() {
+    let (folder, quota) = (folder(), 400_000);
+    let store = open_with(folder.path(), quota);
+    durable(&store, vec![create("a")]).unwrap();
+    for number in 1..=600 {
+        let mut writes = vec![append("a", number)];
+        if number % 10 == 0 {
+            writes.push(keep("a", number, 10_000));
+        }
+        store.submit(writes, None);
+        let marks = store.checkpoints("a").unwrap();
+        let newest = marks[0].number;
+        assert!(
+            marks.len() < 2 || newest < 20 || marks[1].number + 10 == newest,
+            "{marks:?}"
+        );
+    }
+    durable(&store, Vec::new()).unwrap();
+    wait_until_tidy(&store, quota);
+    let marks = store.checkpoints("a").unwrap();
+    assert_eq!((marks[0].number, marks[1].number), (600, 590));
+    // Thinned: checkpoints reach back further than at their first density, and all rows are there.
+    assert!(
+        marks.len() < 40 && store.history_from("a").unwrap() == Some(state(0, 0).mark()),
+        "{marks:?}"
+    );
+    assert_eq!(numbers(&store, "a").len(), 600);
+
+    for number in 601..=8000 {
+        store.submit(vec![append("a", number)], None);
+    }
+    durable(&store, vec![append("a", 8001), keep("a", 8001, 10_000)]).unwrap();
+    // The rows after the second newest checkpoint alone are over the quota, and stay.
+    wait_until("the older history is gone", || {
+        store.history_from("a").unwrap() == Some(state(600, 0).mark())
+    });
+    assert_eq!(numbers(&store, "a"), (601..=8001).collect::<Vec<_>>());
+    for mark in store.checkpoints("a").unwrap() {
+        assert_eq!(store.checkpoint("a", mark.number).unwrap().mark(), mark);
+    }
+    assert_eq!(store.health().damaged, 0);
+}
+
+#[test]
+fn the_two_newest_checkpoints_and_the_rows_after_them_stay_whatever_the_quota() {
+    let folder = folder();
+    let store = open_with(folder.path(), 1);
+    durable(&store, vec![create("a")]).unwrap();
+    for number in 1..=2000 {
+        store.submit(vec![append("a", number)], None);
+    }
+    for number in [500, 1000, 1500] {
+        store.submit(vec![keep("a", number, 5000)], None);
+    }
+    durable(&store, Vec::new()).unwrap();
+    wait_until("the rest is gone", || {
+        store.history_from("a").unwrap().unwrap().number == 1000
+    });
+    wait_until("the rows are gone", || {
+        let sql = "SELECT min(number) FROM row";
+        store
+            .read("a", |connection| {
+                Ok(connection.query_row(sql, [], |row| row.get::<_, i64>(0))?)
+            })
+            .unwrap()
+            == 1001
+    });
+    assert_eq!(numbers(&store, "a"), (1001..=2000).collect::<Vec<_>>());
+    assert_eq!(store.checkpoints("a").unwrap().len(), 2);
+    drop(store);
+    assert_eq!(numbers(&open_with(folder.path(), 1), "a").len(), 1000);
+}
+
+#[test]
+fn a_checkpoint_at_the_same_row_takes_the_place_of_the_one_before() {
+    let folder = folder();
+    let store = open(folder.path());
+    durable(&store, vec![create("a")]).unwrap();
+    let later = Checkpoint {
+        step: 777,
+        ..state(0, 4000)
+    };
+    durable(
+        &store,
+        vec![Write::Keep {
+            swarm: "a".to_string(),
+            checkpoint: later.clone(),
+        }],
+    )
+    .unwrap();
+    assert_eq!(store.checkpoints("a").unwrap(), [later.mark()]);
+    assert_eq!(store.checkpoint("a", 0).unwrap(), later);
+}
+
+#[test]
+fn the_oldest_answers_give_way() {
+    let folder = folder();
+    let store = open(folder.path());
+    // 72 MB in answers of 1 MB each: the bytes are what is over.
+    for number in 1..=72 {
+        let answer = Answer {
+            body: vec![number as u8; 1_000_000],
+            ..answer(number)
+        };
+        store.submit(vec![Write::Answer(answer)], None);
+    }
+    durable(&store, Vec::new()).unwrap();
+    wait_until("some are gone", || store.answers().unwrap().len() < 68);
+    let answers = store.answers().unwrap();
+    assert_eq!(answers.last().unwrap().number, 72);
+    assert_eq!(store.health().damaged, 0);
+}
+
+#[test]
+fn the_file_does_not_grow_for_ever() {
+    let folder = folder();
+    let store = open(folder.path());
+    let mut sizes = Vec::new();
+    for _ in 0..6 {
+        durable(
+            &store,
+            vec![create("a"), append("a", 1), keep("a", 1, 6_000_000)],
+        )
+        .unwrap();
+        durable(
+            &store,
+            vec![Write::Delete {
+                swarm: "a".to_string(),
+            }],
+        )
+        .unwrap();
+        wait_until("all is swept", || {
+            let sql = "SELECT count(*) FROM gone";
+            store
+                .read("", |connection| {
+                    Ok(connection.query_row(sql, [], |row| row.get::<_, i64>(0))?)
+                })
+                .unwrap()
+                == 0
+        });
+        sizes.push(store.health().bytes_on_disk);
+    }
+    assert!(sizes[5] <= sizes[1] * 2, "{sizes:?}");
+}
+
+/// What the fixture holds: every kind of record.
+fn fixture(folder: &Path) {
+    let store = open(folder);
+    durable(
+        &store,
+        vec![
+            create("a"),
+            append("a", 1),
+            append("a", 2),
+            keep("a", 1, 5000),
+        ],
+    )
+    .unwrap();
+    durable(
+        &store,
+        vec![
+            create("b"),
+            Write::Answer(answer(1)),
+            Write::Answer(answer(2)),
+        ],
+    )
+    .unwrap();
+    assert!(store.stop(PATIENCE));
+}
+
+#[test]
+fn a_file_of_version_1_opens() {
+    if let Ok(folder) = std::env::var(FIXTURE) {
+        return fixture(Path::new(&folder));
+    }
+    let folder = folder();
+    fs::write(
+        folder.path().join(schema::FILE),
+        include_bytes!("../fixtures/v1.sqlite"),
+    )
+    .unwrap();
+    let store = open(folder.path());
+    let names: Vec<String> = store
+        .swarms()
+        .unwrap()
+        .into_iter()
+        .map(|(name, _)| name)
+        .collect();
+    assert_eq!(names, ["a", "b"]);
+    assert_eq!(store.rows("a", 0, 9).unwrap().rows, [row(1), row(2)]);
+    assert_eq!(store.checkpoint("a", 1).unwrap(), state(1, 5000));
+    assert_eq!(store.checkpoint("b", 0).unwrap(), state(0, 300));
+    assert_eq!(store.answers().unwrap(), [answer(1), answer(2)]);
+    durable(&store, vec![append("a", 3)]).unwrap();
+}
