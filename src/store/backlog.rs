@@ -42,11 +42,13 @@ impl Backlog {
     }
 
     /// Removes the `count` oldest.
-    pub(super) fn pop(&mut self, count: usize) {
-        for submit in self.submits.drain(..count) {
+    pub(super) fn pop(&mut self, count: usize) -> Vec<Submit> {
+        let popped: Vec<Submit> = self.submits.drain(..count).collect();
+        for submit in &popped {
             let (writes, bytes) = submit.size();
             self.size = (self.size.0 - writes, self.size.1 - bytes);
         }
+        popped
     }
 
     /// Removes what was meant for a swarm that is deleted.

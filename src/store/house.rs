@@ -42,7 +42,7 @@ pub(super) fn run(mut writer: Writer, shared: &Arc<Shared>, on_fatal: &OnFatal) 
                     break;
                 }
                 for submit in group {
-                    writer.tell(submit.done, Err(fault.clone()));
+                    writer.tell(submit.wanted, Err(fault.clone()));
                 }
             }
             false

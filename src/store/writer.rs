@@ -17,7 +17,7 @@ use super::crash;
 use super::draft::{Changes, Draft};
 use super::error::StoreFault;
 use super::queue::{GROUP, Submit};
-use super::{Done, Shared, Write};
+use super::{Shared, Wanted, Write};
 
 /// How long what could not be written waits for the next attempt.
 const RETRY: Duration = Duration::from_secs(1);
@@ -98,7 +98,7 @@ impl Writer {
         match self.commit_or_make_room(&group) {
             Ok(outcomes) => {
                 for (submit, outcome) in group.into_iter().zip(outcomes) {
-                    self.tell(submit.done, outcome);
+                    self.tell(submit.wanted, outcome);
                 }
                 crash::point("store-done");
                 Ok(())
@@ -115,10 +115,10 @@ impl Writer {
             let count = piece.len();
             let written = self.commit_or_make_room(piece);
             self.backlog = backlog;
-            for outcome in written? {
-                self.tell(None, outcome);
+            let outcomes = written?;
+            for (submit, outcome) in self.backlog.pop(count).into_iter().zip(outcomes) {
+                self.tell(submit.wanted, outcome);
             }
-            self.backlog.pop(count);
             self.note_backlog();
         }
         Ok(())
@@ -130,17 +130,17 @@ impl Writer {
     fn refuse(&mut self, group: Vec<Submit>, fault: StoreFault) -> Result<(), StoreFault> {
         if let StoreFault::Fatal(_) = fault {
             for submit in group {
-                self.tell(submit.done, Err(fault.clone()));
+                self.tell(submit.wanted, Err(fault.clone()));
             }
             return Err(fault);
         }
         for submit in group {
-            if submit.done.is_none() {
+            if !submit.wanted.is_now() {
                 self.backlog.push(submit);
             } else if fault == StoreFault::Full && is_deletion(&submit.writes) {
                 self.delete(submit)?;
             } else {
-                self.tell(submit.done, Err(fault.clone()));
+                self.tell(submit.wanted, Err(fault.clone()));
             }
         }
         self.note_backlog();
@@ -153,11 +153,11 @@ impl Writer {
                 for swarm in submit.writes.iter().filter_map(Write::swarm) {
                     self.backlog.forget(swarm);
                 }
-                self.tell(submit.done, outcomes.pop().unwrap_or(Ok(())));
+                self.tell(submit.wanted, outcomes.pop().unwrap_or(Ok(())));
                 Ok(())
             }
             Err(fault) => {
-                self.tell(submit.done, Err(fault.clone()));
+                self.tell(submit.wanted, Err(fault.clone()));
                 if matches!(fault, StoreFault::Fatal(_)) {
                     Err(fault)
                 } else {
@@ -290,21 +290,22 @@ impl Writer {
     }
 
     /// Tells who waits what it came to. What panics there is not the store's.
-    pub(super) fn tell(&self, done: Option<Done>, outcome: Result<(), StoreFault>) {
-        match (done, outcome) {
-            (Some(done), outcome) => {
-                if catch_unwind(AssertUnwindSafe(|| done(outcome))).is_err() {
-                    error!("whoever waited for the store panicked");
-                }
-            }
-            (None, Err(StoreFault::Refused(reason))) => {
+    pub(super) fn tell(&self, wanted: Wanted, outcome: Result<(), StoreFault>) {
+        let told = match (wanted, outcome) {
+            (Wanted::Now(done), outcome) => catch_unwind(AssertUnwindSafe(|| done(outcome))),
+            (Wanted::Soon(Some(told)), Ok(())) => catch_unwind(AssertUnwindSafe(told)),
+            (Wanted::Soon(_), Err(StoreFault::Refused(reason))) => {
                 self.shared.meter.refused.fetch_add(1, Ordering::Relaxed);
                 warn!(
                     reason,
                     "writes nobody waited for contradict what is stored: left out"
                 );
+                Ok(())
             }
-            (None, _) => {}
+            (Wanted::Soon(_), _) => Ok(()),
+        };
+        if told.is_err() {
+            error!("whoever waited for the store panicked");
         }
     }
 }
