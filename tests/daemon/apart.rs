@@ -40,6 +40,11 @@ impl Process {
         Self::start(jostled(&SERVE).env("FAILPOINTS", points), folder)
     }
 
+    /// Starts a process that is no daemon.
+    pub fn of(command: &mut Command) -> Self {
+        Process(command.spawn().unwrap(), tempfile::tempdir().unwrap())
+    }
+
     /// Starts a daemon with what one left in `folder`.
     pub fn start(command: &mut Command, folder: TempDir) -> (Self, String) {
         let command = command.arg("--data-dir").arg(folder.path());
