@@ -9,7 +9,10 @@ use tempfile::TempDir;
 use crate::support::PATIENCE;
 
 /// A process that ends when the test does, and its data with it.
-pub struct Process(pub Child, pub TempDir);
+pub struct Process(
+    pub Child,
+    #[expect(dead_code, reason = "held for its end")] pub TempDir,
+);
 
 impl Drop for Process {
     fn drop(&mut self) {
