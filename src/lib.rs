@@ -17,6 +17,8 @@ pub mod stepper;
 
 pub mod observables;
 
+pub mod meter;
+
 pub mod swarm;
 
 pub mod host;
