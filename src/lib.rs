@@ -26,6 +26,8 @@ pub mod host;
 pub mod command;
 pub mod config;
 pub mod demo;
+pub mod gateway;
+pub mod health;
 pub mod publish;
 pub mod server;
 pub mod store;
