@@ -11,6 +11,7 @@ mod commands;
 mod contract;
 mod copies;
 mod corpora;
+mod health;
 mod history;
 mod load;
 mod once;

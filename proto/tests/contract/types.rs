@@ -6,8 +6,8 @@ use jostle_proto::verbs::{
     Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use jostle_proto::{
-    Error, Event, Events, Hello, Journal, NodeReply, NodeStatus, OrderSample, Parameters, Reply,
-    Request, Schemas, Spec, State, Status, Swarms, Told,
+    Error, Event, Events, Hello, Journal, Metrics, NodeReply, NodeStatus, OrderSample, Parameters,
+    Reply, Request, Schemas, Spec, State, Status, Swarms, Told,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -56,6 +56,7 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "node.status.reply" => told::<NodeReply<NodeStatus>>(text),
         "node.swarms.reply" => told::<NodeReply<Swarms>>(text),
         "node.schema.reply" => told::<NodeReply<Schemas>>(text),
+        "node.metrics.reply" => told::<NodeReply<Metrics>>(text),
         other => panic!("{other} has no type here"),
     }
 }

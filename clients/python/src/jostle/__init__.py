@@ -67,6 +67,7 @@ from ._messages import (
     Status,
     StepResult,
 )
+from ._metrics import Metrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
 from ._spec import Disc, Given, Spec
 from ._state import State
@@ -98,6 +99,7 @@ __all__ = [
     "JostleError",
     "JournalEntry",
     "Limits",
+    "Metrics",
     "NodeStatus",
     "NotFound",
     "Options",
@@ -124,8 +126,10 @@ __all__ = [
     "Status",
     "StepResult",
     "StorageFull",
+    "StoreMetrics",
     "Stream",
     "Swarm",
+    "SwarmMetrics",
     "SwarmSummary",
     "Unavailable",
     "Uninform",
