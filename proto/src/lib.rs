@@ -26,8 +26,8 @@ pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request, RequestError};
 pub use error::{Error, ErrorCode};
 pub use event::{Event, EventKind};
 pub use gets::{
-    Events, Hello, Journal, JournalEntry, Limits, NodeStatus, Parameter, ParameterKind, Parameters,
-    Schemas, Status, SwarmSummary, Swarms, Verified,
+    Events, Hello, HistoryFrom, Journal, JournalEntry, Limits, NodeStatus, Parameter,
+    ParameterKind, Parameters, Schemas, Status, SwarmSummary, Swarms, Verified,
 };
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start};
