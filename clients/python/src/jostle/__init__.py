@@ -53,6 +53,7 @@ from ._messages import (
     BatchResult,
     Certificate,
     Changed,
+    HistoryFrom,
     IdsResult,
     Order,
     OrderSample,
@@ -66,8 +67,10 @@ from ._messages import (
     SetResult,
     Status,
     StepResult,
+    Verified,
 )
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
+from ._snapshot import Snapshot
 from ._spec import Disc, Given, Spec
 from ._state import State
 from ._stream import Stream
@@ -89,6 +92,7 @@ __all__ = [
     "Faulted",
     "Given",
     "Hello",
+    "HistoryFrom",
     "IdsResult",
     "IncorrectState",
     "Inform",
@@ -119,6 +123,7 @@ __all__ = [
     "Select",
     "Set",
     "SetResult",
+    "Snapshot",
     "Spec",
     "State",
     "Status",
@@ -129,6 +134,7 @@ __all__ = [
     "SwarmSummary",
     "Unavailable",
     "Uninform",
+    "Verified",
     "connect",
     "count",
     "disc",
