@@ -12,7 +12,7 @@ use tracing::warn;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::frame::{Frame, Place, Summary};
 use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::journal::{WriteFault, Writer};
+use crate::swarm::journal::{WriteFault, Writer, to_nowhere};
 use crate::swarm::order::{Admit, Answer, OrderError, Outcome, Recipe, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::simulation::Simulation;
@@ -486,9 +486,9 @@ pub fn tell_again(past: Past) -> (Checkpoint, u64, Option<u64>) {
         tickets,
         summary: Arc::default(),
     };
-    let nowhere: Writer = Box::new(|_, _| {});
     let always: Admit = Box::new(|_| Ok(()));
-    let (worker, _) = Worker::from_past(past, taken, &handle, Duration::ZERO, (nowhere, always));
+    let (worker, _) =
+        Worker::from_past(past, taken, &handle, Duration::ZERO, (to_nowhere(), always));
     let replay = worker.replay();
     (worker.checkpoint(), replay.same, replay.differs_at)
 }

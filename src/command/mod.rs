@@ -59,8 +59,9 @@ pub struct Command {
 ///
 /// [`CommandError`] when there is no such verb or its arguments are wrong.
 pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
-    let known = keys::SWARM_VERBS.iter().find(|known| **known == verb);
-    let Some(verb) = known.copied() else {
+    // A fork is the host's to make, and no order to the swarm.
+    let known = keys::SWARM_VERBS.iter().filter(|known| **known != "fork");
+    let Some(verb) = known.copied().find(|known| *known == verb) else {
         return Err(CommandError::UnknownVerb {
             verb: shortened(verb),
             known: &keys::SWARM_VERBS,
@@ -83,8 +84,6 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
         "inject" => inject::order(request.args()?)?,
         "remove" => remove::order(request.args()?)?,
         "batch" => batch::order(request.args()?)?,
-        // It is the host's to do, and never comes here.
-        "fork" => return Err(CommandError::Internal),
         _ => unreachable!("every known verb is above"),
     };
     Ok(Command {

@@ -1,5 +1,6 @@
 //! Between what swarms write down and the store: writing it, and bringing it back.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::mpsc::{channel, sync_channel};
 
@@ -19,8 +20,11 @@ use crate::swarm::frame::{Frame, Place};
 use crate::swarm::journal::{Line, Record, Wanted, WriteFault, Written};
 use crate::swarm::order::{Answer, Order, OrderError, Outcome, Recipe, Refusal, Sender};
 use crate::swarm::phase::Phase;
-use crate::swarm::worker::replay::{Past, To};
+use crate::swarm::worker::replay::{Applied, Past, To};
 use crate::wire::{self, Payload, durable};
+
+/// Lines looked through for the commands that were applied before a checkpoint.
+const LINES_FOR_ENTRIES: u64 = 10_000;
 
 /// Lines read at once.
 const PAGE: usize = 1000;
@@ -244,7 +248,8 @@ fn recall(
                 let past = lines_after(store, swarm, checkpoint)?;
                 let is_answered = past.is_answered(ledger, store, swarm, mark.number)?;
                 if is_answered {
-                    return Ok((recipe, past.told_to(ledger.clone(), swarm)));
+                    let entries = entries_before(store, swarm, past.checkpoint.lines)?;
+                    return Ok((recipe, past.told_to(ledger.clone(), swarm, entries)));
                 }
                 // An answer was lost: from an older checkpoint on it comes about again.
                 newest.get_or_insert(past);
@@ -256,7 +261,10 @@ fn recall(
         }
     }
     match newest {
-        Some(past) => Ok((recipe, past.told_to(ledger.clone(), swarm))),
+        Some(past) => {
+            let entries = entries_before(store, swarm, past.checkpoint.lines)?;
+            Ok((recipe, past.told_to(ledger.clone(), swarm, entries)))
+        }
         None => Err(unreadable(problem)),
     }
 }
@@ -315,6 +323,7 @@ pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Told, CommandErr
             checkpoint: story.checkpoint,
             lines: story.lines,
             damage: None,
+            entries: Vec::new(),
             recall: Box::new(|_| Box::new(|_| {})),
             to,
         };
@@ -468,9 +477,10 @@ impl Story {
         Ok(unanswered.is_empty())
     }
 
-    fn told_to(self, ledger: Ledger, swarm: &str) -> Past {
+    fn told_to(self, ledger: Ledger, swarm: &str, entries: Vec<Applied>) -> Past {
         let swarm = swarm.to_owned();
         Past {
+            entries,
             checkpoint: self.checkpoint,
             lines: self.lines,
             damage: self.damage,
@@ -480,28 +490,61 @@ impl Story {
     }
 }
 
+/// The commands that were applied up to a line, as many as `get/journal` shows.
+fn entries_before(store: &Store, swarm: &str, line: u64) -> Result<Vec<Applied>, RecoveryError> {
+    let mut after = line.saturating_sub(LINES_FOR_ENTRIES);
+    let (mut inputs, mut entries) = (BTreeMap::new(), Vec::new());
+    while after < line {
+        let rows = store.rows(swarm, after, PAGE)?.rows;
+        let Some(last) = rows.last().map(|row| row.number) else {
+            break;
+        };
+        for row in rows.into_iter().take_while(|row| row.number <= line) {
+            let (number, epoch, step) = (row.number, row.epoch, row.step);
+            let applied = match durable::read_record(&row.body) {
+                Ok(Record::Input { sender, seq, .. }) => {
+                    inputs.insert(number, sender.clone());
+                    seq.zip(Some(sender))
+                }
+                Ok(Record::Became { input, seq }) => seq.zip(inputs.remove(&input)),
+                _ => None,
+            };
+            if let Some((seq, sender)) = applied {
+                entries.push(Applied {
+                    epoch,
+                    step,
+                    seq,
+                    sender,
+                });
+            }
+        }
+        after = last;
+    }
+    Ok(entries)
+}
+
 /// Takes what a command came to, for its sender to ask for again.
 fn remember(ledger: &Ledger, swarm: &str, sender: &Arc<Sender>) -> Answer {
     let Some((id, digest)) = sender.request_id.clone().zip(sender.digest) else {
         return Box::new(|_| {});
     };
-    let name = (sender.client.clone(), id);
+    let Some(page) = ledger.enter_again((sender.client.clone(), id), digest) else {
+        return Box::new(|_| {});
+    };
     let returns_state = read_command(sender).is_ok_and(|command| command.returns_state);
-    let (ledger, swarm) = (ledger.clone(), swarm.to_owned());
-    Box::new(move |answered| {
-        let answer = match answered {
-            Ok((place, outcome)) => {
-                let frame = returns_state.then_some(0);
-                Ok(wire::outcome(&swarm, &place, outcome, frame))
-            }
-            Err(Refusal {
-                step,
-                error: error @ OrderError::Faulted(_),
-            }) => Err(Payload::json(&CommandError::from(error).to_wire(step))),
-            // What was refused changed nothing, and may be tried again.
-            Err(_) => return,
-        };
-        ledger.remember(name, digest, answer);
+    let swarm = swarm.to_owned();
+    let worded = |step, error| Payload::json(&CommandError::from(error).to_wire(step));
+    Box::new(move |answered| match answered {
+        Ok((place, outcome)) => {
+            let frame = returns_state.then_some(0);
+            page.write(&Ok(wire::outcome(&swarm, &place, outcome, frame)));
+        }
+        Err(Refusal {
+            step,
+            error: error @ OrderError::Faulted(_),
+        }) => page.write(&Err(worded(step, error))),
+        // What was refused changed nothing, and may be tried again.
+        Err(Refusal { step, error }) => page.tear_out(&worded(step, error)),
     })
 }
 

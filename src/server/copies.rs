@@ -58,6 +58,11 @@ impl Dispatcher {
             return Err(CommandError::UnknownSwarm(swarm.to_string()));
         };
         let now = handle.step().unwrap_or_default();
+        if let Some(step) = args.step
+            && step > now
+        {
+            return Err(CommandError::NotReached { step, now });
+        }
         let timeout = command::timeout(request)?;
         if !self.enter(key, request, promise)? {
             promise.keep_within(timeout, CommandError::deadline, || None);
@@ -72,9 +77,6 @@ impl Dispatcher {
             reason: PauseReason::Forked,
         };
         match args.step {
-            Some(step) if step > now => {
-                return Err(CommandError::NotReached { step, now });
-            }
             Some(step) => {
                 let (store, swarm) = (self.store.clone(), swarm.clone());
                 let told = thread::Builder::new()

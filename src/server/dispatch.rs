@@ -120,7 +120,7 @@ impl Dispatcher {
             .open(&self.session, swarm, handle.outlet.clone())
             .and_then(|()| self.doors.open(swarm));
         match opened {
-            Ok(()) => info!(swarm, "created"),
+            Ok(()) => info!(swarm, "hosted"),
             Err(error) => warn!(swarm, %error, "failed to open the swarm's keys"),
         }
         built();

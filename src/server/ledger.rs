@@ -97,10 +97,20 @@ impl Ledger {
         }
     }
 
-    /// Takes in what a request came to that nobody waits for.
-    pub fn remember(&self, name: Name, digest: Digest, answer: Result<Payload, Payload>) {
-        self.keep(&name, digest, &answer);
-        self.lock().done(name, digest, answer);
+    /// Enters a request that was taken in before the daemon restarted, and is carried out again.
+    /// Whoever asks for it meanwhile waits for its answer. Nothing if it is known.
+    pub fn enter_again(&self, name: Name, digest: Digest) -> Option<Page> {
+        let mut requests = self.lock();
+        if requests.by_name.contains_key(&name) {
+            return None;
+        }
+        let progress = Progress::Underway(Vec::new());
+        requests.by_name.insert(name.clone(), (digest, progress));
+        Some(Page {
+            ledger: self.clone(),
+            name,
+            is_written: false,
+        })
     }
 
     /// Whether a request of this name is known.

@@ -11,6 +11,10 @@ use super::{Wanted, Write};
 /// Writes that may wait, and the bytes they may take; who comes on top waits for room.
 const MOST_WAITING: (usize, usize) = (8192, 64 * 1024 * 1024);
 
+/// The same of what nobody waits for: a swarm that steps is not held up by those who flood
+/// another with commands.
+const MOST_LAZY: (usize, usize) = (1 << 17, 256 * 1024 * 1024);
+
 /// Writes of one group, and their bytes: a commit of this size takes a few milliseconds.
 pub(super) const GROUP: (usize, usize) = (1024, 4 * 1024 * 1024);
 
@@ -81,10 +85,14 @@ impl Queue {
     /// Gives `submit` back when the queue has ended.
     pub(super) fn push(&self, submit: Submit) -> Result<(), (Submit, End)> {
         let (writes, bytes) = submit.size();
+        let most = match submit.wanted.is_now() {
+            true => MOST_WAITING,
+            false => MOST_LAZY,
+        };
         let mut state = self.lock();
         while state.end.is_none()
             && !state.submits.is_empty()
-            && (state.size.0 + writes > MOST_WAITING.0 || state.size.1 + bytes > MOST_WAITING.1)
+            && (state.size.0 + writes > most.0 || state.size.1 + bytes > most.1)
             && state.writer != Some(thread::current().id())
         {
             state = self

@@ -66,6 +66,13 @@ impl History {
             .push(event.number, bytes, event.clone(), MOST_EVENTS);
     }
 
+    /// Keeps a command that was applied before the daemon restarted.
+    pub fn recall(&self, entry: Entry) {
+        let bytes = RECORD_BYTES + entry.sender.bytes();
+        let number = entry.place.seq;
+        self.lock().entries.push(number, bytes, entry, MOST_ENTRIES);
+    }
+
     /// The events after number `after`, at most `limit`.
     pub fn events(&self, after: u64, limit: usize) -> Page<Event> {
         self.lock().events.after(after, limit)

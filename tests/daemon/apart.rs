@@ -9,7 +9,10 @@ use tempfile::TempDir;
 use crate::support::PATIENCE;
 
 /// A process that ends when the test does, and its data with it.
-pub struct Process(pub Child, pub TempDir);
+pub struct Process(
+    pub Child,
+    #[expect(dead_code, reason = "held for its end")] pub TempDir,
+);
 
 impl Drop for Process {
     fn drop(&mut self) {
@@ -38,6 +41,11 @@ impl Process {
     pub fn serve_failing(points: &str) -> (Self, String) {
         let folder = tempfile::tempdir().unwrap();
         Self::start(jostled(&SERVE).env("FAILPOINTS", points), folder)
+    }
+
+    /// Starts a process that is no daemon.
+    pub fn of(command: &mut Command) -> Self {
+        Process(command.spawn().unwrap(), tempfile::tempdir().unwrap())
     }
 
     /// Starts a daemon with what one left in `folder`.

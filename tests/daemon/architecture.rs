@@ -5,19 +5,22 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 14] = [
+const MAY_USE: [(&str, &[&str]); 15] = [
     ("model", &[]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
     ("swarm", &["model", "stepper", "observables"]),
     ("host", &["model", "swarm"]),
+    ("store", &[]),
     ("command", &["model", "swarm", "host", "wire"]),
-    ("wire", &["model", "swarm", "host"]),
+    ("wire", &["model", "observables", "swarm", "host"]),
     ("publish", &["swarm", "command", "wire"]),
     ("config", &["host"]),
     (
         "server",
-        &["swarm", "host", "command", "config", "publish", "wire"],
+        &[
+            "swarm", "host", "command", "config", "publish", "store", "wire",
+        ],
     ),
     ("demo", &["swarm", "host", "command", "server"]),
     ("main", &["config", "demo", "server"]),
@@ -26,7 +29,7 @@ const MAY_USE: [(&str, &[&str]); 14] = [
 ];
 
 /// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 12] = [
+const ONLY_IN: [(&str, &[&str]); 14] = [
     ("zenoh::", &["publish", "server"]),
     ("zenoh_ext::", &["publish"]),
     (
@@ -38,15 +41,15 @@ const ONLY_IN: [(&str, &[&str]); 12] = [
     ("clap::", &["main"]),
     (
         "std::thread",
-        &["host", "model/threads", "publish", "server"],
+        &["host", "model/threads", "publish", "server", "store"],
     ),
     (
         "std::time",
         &[
-            "command", "demo", "host", "main", "publish", "server", "swarm",
+            "command", "demo", "host", "main", "publish", "server", "store", "swarm",
         ],
     ),
-    ("std::fs", &["config"]),
+    ("std::fs", &["config", "store"]),
     (
         "std::sync",
         &[
@@ -56,10 +59,13 @@ const ONLY_IN: [(&str, &[&str]); 12] = [
             "model/threads",
             "publish",
             "server",
+            "store",
             "swarm",
             "wire",
         ],
     ),
+    ("rusqlite::", &["store"]),
+    ("tempfile::", &["main"]),
     ("rayon::", &["model/threads"]),
     ("use clarabel::", &["stepper/solve/clarabel"]),
 ];
@@ -67,6 +73,9 @@ const ONLY_IN: [(&str, &[&str]); 12] = [
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
+        if path.ends_with("tests") {
+            continue;
+        }
         if path.is_dir() {
             sources(&path, found);
         } else if path.extension().is_some_and(|extension| extension == "rs") {

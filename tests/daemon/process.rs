@@ -62,7 +62,7 @@ async fn frozen_clients_delay_neither_steps_nor_answers_nor_the_end() {
             .args(["--exact", "process::a_subscribing_process"])
             .env("JOSTLE_TEST_SUBSCRIBE_TO", &endpoint)
             .stdout(Stdio::null());
-        Process(command.spawn().unwrap())
+        Process::of(&mut command)
     };
     let subscribers = [subscriber(), subscriber(), subscriber()];
     let clients = async || {

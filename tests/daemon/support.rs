@@ -33,7 +33,7 @@ pub async fn beside_others() -> RwLockReadGuard<'static, ()> {
 pub struct Daemon {
     pub server: Server,
     pub client: Client,
-    _folder: TempDir,
+    folder: TempDir,
     _machine: Option<RwLockReadGuard<'static, ()>>,
 }
 
@@ -45,23 +45,23 @@ impl Daemon {
     /// A daemon with these settings beside those that tests need.
     pub async fn with(settings: &[(&'static str, &str)]) -> Self {
         let machine = beside_others().await;
-        Self::on(Some(machine), settings).await
+        Self::on(Some(machine), settings, tempfile::tempdir().unwrap()).await
     }
 
     /// A daemon for a test that holds [`alone`].
     pub async fn for_measuring() -> Self {
-        Self::on(None, &[]).await
+        Self::on(None, &[], tempfile::tempdir().unwrap()).await
     }
 
     async fn on(
         machine: Option<RwLockReadGuard<'static, ()>>,
         settings: &[(&'static str, &str)],
+        folder: TempDir,
     ) -> Self {
         let mut flags = vec![
             ("listen", Some("tcp/127.0.0.1:0".to_owned())),
             ("node", Some(NODE.to_owned())),
         ];
-        let folder = tempfile::tempdir().unwrap();
         let path = folder.path().to_str().unwrap().to_owned();
         flags.push(("data_dir", Some(path)));
         flags.extend(
@@ -75,9 +75,16 @@ impl Daemon {
         Daemon {
             server,
             client,
-            _folder: folder,
+            folder,
             _machine: machine,
         }
+    }
+
+    /// Stops it and starts another with its data.
+    pub async fn restart(self) -> Self {
+        self.client.session.close().await.unwrap();
+        self.server.stop().await;
+        Self::on(self._machine, &[], self.folder).await
     }
 
     pub async fn another_client(&self) -> Client {

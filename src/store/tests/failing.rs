@@ -100,7 +100,7 @@ fn round(writer: &mut Writer, writes: Vec<Write>) -> Result<(), StoreFault> {
     writer
         .round(vec![Submit {
             writes,
-            done: Some(done),
+            wanted: Wanted::Now(done),
         }])
         .unwrap();
     receiver.try_recv().unwrap()
@@ -123,7 +123,7 @@ fn when_sqlite_finds_no_page_nothing_is_lost_and_a_deletion_still_works() {
     for number in 1..=200 {
         let lazy = Submit {
             writes: vec![append("a", number)],
-            done: None,
+            wanted: Wanted::Soon(None),
         };
         writer.round(vec![lazy]).unwrap();
         kept = writer.backlog.writes();
@@ -149,7 +149,7 @@ fn when_sqlite_finds_no_page_nothing_is_lost_and_a_deletion_still_works() {
     writer
         .round(vec![Submit {
             writes: vec![keep("a", 200, 9000)],
-            done: None,
+            wanted: Wanted::Soon(None),
         }])
         .unwrap();
     assert_eq!(writer.backlog.writes(), kept + 1);
@@ -184,7 +184,7 @@ fn deleting_a_swarm_while_full_gives_up_what_was_kept_of_it() {
             writer
                 .round(vec![Submit {
                     writes: vec![write],
-                    done: None,
+                    wanted: Wanted::Soon(None),
                 }])
                 .unwrap();
         }
@@ -216,7 +216,7 @@ fn deleting_a_swarm_while_full_gives_up_what_was_kept_of_it() {
 fn beyond_the_bound_checkpoints_go_then_answers_and_rows_never() {
     let lazy = |write| Submit {
         writes: vec![write],
-        done: None,
+        wanted: Wanted::Soon(None),
     };
     let mut backlog = Backlog::with_limits(4, usize::MAX);
     for write in [

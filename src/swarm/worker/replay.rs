@@ -6,12 +6,13 @@ use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::frame::EventKind;
+use crate::swarm::frame::{EventKind, Place};
 use crate::swarm::handle::{Command, Handle, Ticket};
+use crate::swarm::history::Entry;
 use crate::swarm::journal::{Journal, Line, Record, WriteFault, Writer};
 use crate::swarm::order::{Admit, Answer, Order, Sender, When};
 use crate::swarm::pace::Pace;
-use crate::swarm::phase::Phase;
+use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::simulation::Simulation;
 use crate::swarm::worker::{End, Pending, Worker};
 
@@ -27,10 +28,24 @@ pub struct Past {
     pub lines: Vec<(Line, Option<Order>)>,
     /// Why the lines after these cannot be told, if there are such.
     pub damage: Option<String>,
+    /// The commands that were applied before the checkpoint, as far back as they are shown.
+    pub entries: Vec<Applied>,
     /// Where the answer to a command goes that may have missed its sender.
     pub recall: Box<dyn Fn(&Arc<Sender>) -> Answer + Send>,
     /// Where it ends.
     pub to: To,
+}
+
+/// A command that was applied.
+pub struct Applied {
+    /// The epoch.
+    pub epoch: u64,
+    /// The step.
+    pub step: u64,
+    /// Its number.
+    pub seq: u64,
+    /// The command and who sent it.
+    pub sender: Arc<Sender>,
 }
 
 /// Where telling again ends.
@@ -105,9 +120,22 @@ impl Worker {
             checkpoint,
             lines,
             damage,
+            entries,
             recall,
             to,
         } = past;
+        for entry in entries {
+            handle.history.recall(Entry {
+                place: Place {
+                    epoch: entry.epoch,
+                    step: entry.step,
+                    time: entry.step as f64 * checkpoint.state.parameters.dt,
+                    phase: Phase::Paused(PauseReason::Requested),
+                    seq: entry.seq,
+                },
+                sender: entry.sender,
+            });
+        }
         let is_last = checkpoint.is_last && lines.is_empty();
         let pending = checkpoint.pending.clone();
         let mut worker = Worker::from_copy(
@@ -258,8 +286,11 @@ impl Worker {
         if let Some(damage) = damage {
             self.fault(damage);
         }
-        let step = self.simulation.state.step;
-        self.journal.resume(last, step);
+        let reached = match self.phase {
+            Phase::Stepping { until } => until,
+            _ => self.simulation.state.step,
+        };
+        self.journal.resume(last, reached);
         end
     }
 

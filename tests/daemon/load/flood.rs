@@ -39,7 +39,7 @@ fn helper(nice: &str, test: &str, asked: &str, word: &str) -> (Process, String, 
         .args(["--exact", &format!("load::flood::{test}"), "--nocapture"])
         .env("JOSTLE_TEST_HELPER", asked)
         .stdout(Stdio::piped());
-    let mut process = Process(command.spawn().unwrap());
+    let mut process = Process::of(&mut command);
     let mut output = BufReader::new(process.0.stdout.take().unwrap()).lines();
     let told = find(&mut output, word);
     (process, told, output)

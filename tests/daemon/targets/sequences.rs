@@ -16,7 +16,8 @@ use jostled::host::{Created, Herald, Host, Limits};
 use jostled::model::Parameters;
 use jostled::model::selection::Selection;
 use jostled::swarm::frame::{EventKind, Frame, Place};
-use jostled::swarm::handle::{Handle, Ticket};
+use jostled::swarm::handle::{Command, Handle, Ticket};
+use jostled::swarm::journal::to_nowhere;
 use jostled::swarm::order::{
     Answer, Answered, Awaited, Change, Order, OrderError, Outcome, Placement, Recipe, Sender,
     Settings, Start, Until, When,
@@ -248,10 +249,14 @@ pub fn hold(data: &[u8]) {
         max_hz: 1000,
     };
     let herald = Arc::new(Silence(OnceLock::new()));
-    let host = Arc::new(Host::new(limits, herald.clone()));
+    let host = Arc::new(Host::new(
+        limits,
+        herald.clone(),
+        Box::new(|_| to_nowhere()),
+    ));
     assert!(herald.0.set(Arc::downgrade(&host)).is_ok());
     let (answer, built) = answers();
-    let created = host.create("a", recipe(n), false, || answer);
+    let created = host.create("a", recipe(n), false, Box::new(|_, _, _| Ok(())), || answer);
     assert!(matches!(created, Ok(Created::New)));
     assert!(answer_from(&built).is_ok());
     let handle = host.find("a").expect("it was created");
@@ -265,18 +270,18 @@ pub fn hold(data: &[u8]) {
         model.settle();
         let expected = expected.or_else(|| model.stepped.take());
         let (answer, answered) = answers();
-        handle.send(Ticket::Command {
+        handle.send(Ticket::Command(Command {
             order: order(&told),
             when,
             sender: Arc::new(Sender::default()),
             answer,
-        });
+        }));
         let came = match answer_from(&answered) {
-            Ok((place, Outcome::Stepped(taken, frame))) => {
-                assert_eq!(frame.place.step, place.step);
+            Ok((place, Outcome::Stepped { steps, seen, .. })) => {
+                assert_eq!(seen.place.step, place.step);
                 Came::Stepped {
                     step: place.step,
-                    taken,
+                    taken: steps,
                 }
             }
             Ok((_, Outcome::Scheduled(at_step))) => Came::Scheduled(at_step),

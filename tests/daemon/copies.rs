@@ -1,0 +1,223 @@
+//! Forks, snapshots, and a past told again.
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use jostle_proto::{ErrorCode, Reply, Snapshot, keys};
+use serde_json::{Value, json};
+
+use crate::support::{Answer, Client, Daemon, NODE, PREFIX};
+
+/// A group of the paper's size, in contact.
+async fn settled(client: &Client, name: &str, n: u64) {
+    client
+        .create(name, json!({"n": n, "seed": 5, "pi1": 4, "rate": null}))
+        .await;
+    client.ok(name, "step", json!({"steps": 1500})).await;
+}
+
+async fn snapshot(client: &Client, swarm: &str) -> Vec<u8> {
+    let key = keys::get(PREFIX, swarm, "snapshot");
+    let replies = client.session.get(key).await.unwrap();
+    let sample = replies.recv_async().await.unwrap().into_result().unwrap();
+    let reply: Reply<Snapshot> = ciborium::from_reader(&*sample.payload().to_bytes()).unwrap();
+    jostle_proto::to_cbor(&reply.result)
+}
+
+async fn restore(client: &Client, name: &str, snapshot: &[u8]) -> Answer {
+    let request = json!({"name": name, "snapshot": STANDARD.encode(snapshot)});
+    let key = keys::node_cmd(PREFIX, NODE, "restore");
+    client.one(&key, Some(request.to_string().as_bytes())).await
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_fork_has_the_same_future_until_it_is_treated_differently() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    settled(client, "a", 74).await;
+    // Now also while it runs, wherever that is.
+    client.ok("a", "run", json!({"rate": null})).await;
+    let forked = client.ok("a", "fork", json!({"name": "b"})).await;
+    let step = forked["step"].as_u64().unwrap();
+    assert!(step >= 1500);
+    assert_eq!(forked["phase"], "paused");
+    assert_eq!(
+        client.get("b", "status").await["result"]["reason"],
+        "forked"
+    );
+    let informed = json!({"select": {"ids": [3, 30, 50]}, "direction": 1.0});
+    let later = step + 20_000;
+    let told = json!({"at_step": later, "args": informed});
+    client.ok("a", "inform", told).await;
+    let a = client.hash_at("a", later + 200).await;
+    // The same command at the same step.
+    let b = client.hash_at("b", later).await;
+    client.ok("b", "inform", informed).await;
+    assert_eq!(client.hash_at("b", later + 200).await, a);
+
+    // As it was on the way there, what it had been told to do by then included.
+    for (name, at) in [("c", later), ("d", later - 100), ("e", later + 100)] {
+        let args = json!({"name": name, "step": at});
+        let forked = client.ok("a", "fork", args).await;
+        assert_eq!(forked["step"], at);
+        assert_eq!(client.hash_at(name, later + 200).await, a, "{name}");
+        if name == "c" {
+            assert_ne!(forked["result"]["state_hash"], b.as_str());
+        }
+    }
+    client
+        .ok("c", "uninform", json!({"select": {"ids": [3]}}))
+        .await;
+    assert_ne!(
+        client.hash_at("c", later + 400).await,
+        client.hash_at("a", later + 400).await
+    );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_if_they_had_not_been_informed() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    settled(client, "a", 30).await;
+    let arrived = client.hash("a").await;
+    let informed = json!({"select": {"count": 3}, "direction": 0.5});
+    let ids = client.ok("a", "inform", informed.clone()).await;
+    client.ok("a", "step", json!({"steps": 700})).await;
+
+    // As it arrived, before it was informed; also in a daemon that was started since.
+    let daemon = daemon.restart().await;
+    let client = &daemon.client;
+    for name in ["b", "c"] {
+        let forked = client
+            .ok("a", "fork", json!({"name": name, "step": 1500}))
+            .await;
+        assert_eq!(forked["result"]["state_hash"], arrived.as_str());
+        assert_eq!(forked["step"], 1500);
+    }
+    // Told the same it does the same, the draw included; told nothing it does not.
+    let again = client.ok("b", "inform", informed).await;
+    assert_eq!(again["result"]["ids"], ids["result"]["ids"]);
+    let there = client.hash("a").await;
+    assert_eq!(client.hash_at("b", 2200).await, there);
+    assert_ne!(client.hash_at("c", 2200).await, there);
+
+    let (code, message) = client
+        .err("a", "fork", json!({"name": "d", "step": 2201}))
+        .await;
+    assert_eq!(code, ErrorCode::Conflict, "{message}");
+    let (code, _) = client.err("a", "fork", json!({"name": "b"})).await;
+    assert_eq!(code, ErrorCode::AlreadyExists);
+    let (code, _) = client.err("a", "fork", json!({"name": "*"})).await;
+    assert_eq!(code, ErrorCode::InvalidArgument);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_snapshot_goes_on_in_any_daemon() {
+    let (here, there) = (Daemon::start().await, Daemon::start().await);
+    settled(&here.client, "a", 74).await;
+    let informed = json!({"select": {"count": 4}, "direction": 2.0, "for_time": 5.0});
+    here.client.ok("a", "inform", informed).await;
+    let at_step = json!({"at_step": 1600, "args": {"pi3": 1.5}});
+    here.client.ok("a", "set", at_step).await;
+    let bytes = snapshot(&here.client, "a").await;
+    let restored = restore(&there.client, "b", &bytes).await.unwrap();
+    assert_eq!(restored["step"], 1500);
+    assert_eq!(restored["phase"], "paused");
+    assert_eq!(
+        here.client.hash_at("a", 2000).await,
+        there.client.hash_at("b", 2000).await
+    );
+    let status = there.client.get("b", "status").await;
+    assert_eq!(status["result"]["parameters"]["pi3"], 1.5);
+
+    let refused = restore(&there.client, "b", &bytes).await.unwrap_err();
+    assert_eq!(refused.code, ErrorCode::AlreadyExists);
+    // A bit of a position: every part that a future depends on is under the hash.
+    let mut read = Snapshot::from_cbor(&bytes).unwrap();
+    read.x[10] = f64::from_bits(read.x[10].to_bits() ^ 1);
+    for bad in [
+        jostle_proto::to_cbor(&read),
+        bytes[..bytes.len() - 1].to_vec(),
+        Vec::new(),
+        b"snapshot".to_vec(),
+    ] {
+        let refused = restore(&there.client, "c", &bad).await.unwrap_err();
+        assert_eq!(refused.code, ErrorCode::InvalidArgument, "{refused:?}");
+    }
+    here.stop().await;
+    there.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_past_comes_out_the_same_when_it_is_told_again() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    settled(client, "a", 40).await;
+    client
+        .ok(
+            "a",
+            "inform",
+            json!({"select": {"count": 4}, "direction": 0}),
+        )
+        .await;
+    client.ok("a", "step", json!({"steps": 1000})).await;
+    client.ok("a", "reset", json!({"seed": 9})).await;
+    client.ok("a", "inject", json!({"count": 3})).await;
+    client.ok("a", "step", json!({"steps": 2000})).await;
+    let daemon = daemon.restart().await;
+    let client = &daemon.client;
+    client.ok("a", "step", json!({"steps": 600})).await;
+    let verified = client.get("a", "verify").await["result"].take();
+    assert_eq!(verified["differs_at"], Value::Null, "{verified}");
+    assert_eq!(verified["from_step"], 0);
+    assert_eq!(verified["to_step"], 2500);
+    // Every 500 steps: five before the reset, four and one after it.
+    assert_eq!(verified["hashes"], 10);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_restarted_daemon_has_its_swarms_as_they_were() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    settled(client, "paused", 20).await;
+    client.create("running", json!({"n": 20, "rate": 2})).await;
+    client
+        .ok("running", "run", json!({"until_step": 1_000_000}))
+        .await;
+    client.create("gone", json!({"n": 3})).await;
+    client.ok("gone", "delete", json!({})).await;
+    let named = json!({"client": "me", "request_id": "once", "args": {"count": 2}});
+    let first = client.ok("paused", "inject", named.clone()).await;
+    let (hash, before) = (
+        client.hash("paused").await,
+        client.get("paused", "status").await,
+    );
+    let journal = client.get("paused", "journal").await["result"]["entries"].take();
+
+    let daemon = daemon.restart().await;
+    let client = &daemon.client;
+    assert_eq!(client.hash("paused").await, hash);
+    let after = client.get("paused", "status").await;
+    for field in ["step", "seq", "phase"] {
+        assert_eq!(before[field], after[field]);
+    }
+    assert_eq!(
+        after["epoch"].as_u64(),
+        before["epoch"].as_u64().map(|it| it + 1)
+    );
+    assert_eq!(
+        client.get("paused", "journal").await["result"]["entries"],
+        journal
+    );
+    // The answer that it had, and no two more.
+    assert_eq!(client.ok("paused", "inject", named).await, first);
+    assert_eq!(client.hash("paused").await, hash);
+    let running = client.get("running", "status").await;
+    assert_eq!(running["phase"], "running");
+    assert_eq!(running["result"]["until_step"], 1_000_000);
+    let swarms = client.node("swarms").await;
+    assert_eq!(swarms["swarms"].as_array().unwrap().len(), 2);
+    daemon.stop().await;
+}
