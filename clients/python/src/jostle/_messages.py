@@ -143,7 +143,7 @@ class StepResult(Reply, frozen=True, kw_only=True):
     """
 
     steps: int
-    durable_step: int = 0
+    durable_step: int
     state_hash: str
 
 
