@@ -246,9 +246,14 @@ fn recall(
         match checkpoint {
             Ok(checkpoint) => {
                 let past = lines_after(store, swarm, checkpoint)?;
+                if past.damage.is_some() && newest.is_some() {
+                    // What is sure goes before what was answered.
+                    break;
+                }
                 let is_answered = past.is_answered(ledger, store, swarm, mark.number)?;
                 if is_answered {
                     let entries = entries_before(store, swarm, past.checkpoint.lines)?;
+                    let past = past.cut(store, swarm);
                     return Ok((recipe, past.told_to(ledger.clone(), swarm, entries)));
                 }
                 // An answer was lost: from an older checkpoint on it comes about again.
@@ -263,6 +268,7 @@ fn recall(
     match newest {
         Some(past) => {
             let entries = entries_before(store, swarm, past.checkpoint.lines)?;
+            let past = past.cut(store, swarm);
             Ok((recipe, past.told_to(ledger.clone(), swarm, entries)))
         }
         None => Err(unreadable(problem)),
@@ -431,6 +437,59 @@ fn read_command(sender: &Sender) -> Result<Command, String> {
 }
 
 impl Story {
+    /// Where lines are damaged, has the journal end before them with a fault that says so: what is
+    /// written from then on follows what can be told again. Both are safe, or neither.
+    fn cut(mut self, store: &Store, swarm: &str) -> Self {
+        let Some(damage) = self.damage.take() else {
+            return self;
+        };
+        let (number, epoch, step) = match self.lines.last() {
+            Some((line, _)) => {
+                let epoch = match line.record {
+                    Record::Resumed(epoch) => epoch,
+                    _ => line.epoch,
+                };
+                (line.number, epoch, line.step)
+            }
+            None => {
+                let Checkpoint {
+                    lines,
+                    epoch,
+                    state,
+                    ..
+                } = &self.checkpoint;
+                (*lines, *epoch, state.step)
+            }
+        };
+        let line = Line {
+            number: number + 1,
+            epoch,
+            step,
+            record: Record::Fault(damage.clone()),
+        };
+        let cut = Write::Cut {
+            swarm: swarm.to_owned(),
+            after: number,
+        };
+        let fault = writes(swarm, Written::Line(line.clone()));
+        let (done, is_done) = sync_channel(1);
+        let told = Box::new(move |result| {
+            let _ = done.send(result);
+        });
+        store.submit(std::iter::once(cut).chain(fault).collect(), Some(told));
+        match is_done.recv().unwrap_or(Err(StoreFault::Stopped)) {
+            Ok(()) => {
+                error!(swarm, damage, "the journal is cut where it is damaged");
+                self.lines.push((line, None));
+            }
+            Err(fault) => {
+                warn!(swarm, %fault, "failed to cut a damaged journal: nothing can follow it yet");
+                self.damage = Some(damage);
+            }
+        }
+        self
+    }
+
     /// Whether every named command that the checkpoint contains has its answer in the ledger.
     fn is_answered(
         &self,

@@ -140,6 +140,12 @@ fn follow(write: &Write, found: Ends, is_damaged: bool) -> Result<Ends, String> 
             }
             Ok(Some((first, last, *number)))
         }
+        (Write::Cut { after, .. }, Some((first, last, newest))) => {
+            if *after < first || *after > last {
+                return Err(format!("row {after} is not within {first} to {last}"));
+            }
+            Ok(Some((first, *after, newest.min(*after))))
+        }
         (Write::Delete { .. }, Some(_)) => Ok(None),
     }
 }

@@ -6,6 +6,7 @@ use rusqlite::{Connection, OptionalExtension, Result as SqlResult, params};
 
 use super::Write;
 use super::catalog::{Catalog, Entry};
+use super::crash;
 use super::extent::{self, Extent};
 use super::record::{Answer, Checkpoint, Row, cost, seal_swarm};
 use super::seal::digest;
@@ -65,6 +66,7 @@ impl<'a> Draft<'a> {
             } => self.create(swarm, about, first),
             Write::Append { swarm, row } => self.append(swarm, row),
             Write::Keep { swarm, checkpoint } => self.keep(swarm, checkpoint),
+            Write::Cut { swarm, after } => self.cut(swarm, *after),
             Write::Delete { swarm } => self.delete(swarm),
             Write::Answer(answer) => self.answer(answer),
         }
@@ -181,6 +183,7 @@ impl<'a> Draft<'a> {
             Some(bytes) => extent.bytes = extent.bytes.saturating_sub(bytes),
             None => extent.checkpoints += 1,
         }
+        crash::point("store-keep");
         extent.newest = mark.number;
         extent.bytes += cost(checkpoint.body.len());
         let digest = digest(&checkpoint.body);
@@ -198,6 +201,37 @@ impl<'a> Draft<'a> {
                 digest,
                 checkpoint.body
             ])?;
+        Ok(())
+    }
+
+    fn cut(&mut self, swarm: &str, after: u64) -> SqlResult<()> {
+        let connection = self.connection;
+        let Some(Entry { id, extent }) = self.entry(swarm) else {
+            return Ok(());
+        };
+        let number = after.cast_signed();
+        connection
+            .prepare_cached("DELETE FROM row WHERE swarm = ? AND number > ?")?
+            .execute(params![*id, number])?;
+        connection
+            .prepare_cached("DELETE FROM checkpoint WHERE swarm = ? AND number > ?")?
+            .execute(params![*id, number])?;
+        let sums = |table: &str| -> SqlResult<(u64, u64, u64)> {
+            let query = format!(
+                "SELECT count(*), coalesce(sum(length(body)), 0), coalesce(max(number), 0)
+                 FROM {table} WHERE swarm = ?"
+            );
+            connection.query_row(&query, [*id], |row| {
+                let number = |column| row.get::<_, i64>(column).map(i64::cast_unsigned);
+                Ok((number(0)?, number(1)?, number(2)?))
+            })
+        };
+        let (rows, row_bytes, _) = sums("row")?;
+        let (checkpoints, checkpoint_bytes, newest) = sums("checkpoint")?;
+        extent.last = after;
+        extent.newest = newest;
+        extent.checkpoints = checkpoints;
+        extent.bytes = row_bytes + checkpoint_bytes + (rows + checkpoints) * cost(0);
         Ok(())
     }
 

@@ -59,10 +59,12 @@ pub enum StoreError {
     },
     /// A record is not what was written.
     #[error(
-        "read {what} of swarm {swarm:?}: damaged since it was written: check the disk, and put \
-         back a copy of the data folder"
+        "read {what} of swarm {swarm:?} in {}: damaged since it was written: check the disk, and \
+         put back a copy of the data folder", file.display()
     )]
     Damaged {
+        /// The file.
+        file: PathBuf,
         /// The swarm.
         swarm: String,
         /// Which record.

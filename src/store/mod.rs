@@ -24,6 +24,7 @@ mod draft;
 mod read;
 mod retain;
 
+mod aside;
 mod backlog;
 mod beginnings;
 mod crash;

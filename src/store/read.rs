@@ -45,8 +45,13 @@ impl Trouble {
             Trouble::Sql(error) => StoreError::of_reading(file, &error),
             Trouble::NoSwarm => StoreError::NoSwarm { swarm },
             Trouble::NoCheckpoint(number) => StoreError::NoCheckpoint { swarm, number },
-            Trouble::Damaged(what) => StoreError::Damaged { swarm, what },
+            Trouble::Damaged(what) => StoreError::Damaged {
+                file: file.to_path_buf(),
+                swarm,
+                what,
+            },
             Trouble::DamagedOf(swarm, what) => StoreError::Damaged {
+                file: file.to_path_buf(),
                 swarm,
                 what: what.to_string(),
             },

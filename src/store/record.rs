@@ -100,6 +100,14 @@ pub enum Write {
         /// Its state after the row it names, which is there.
         checkpoint: Checkpoint,
     },
+    /// A swarm's rows and checkpoints after a row go, so that others can follow it: what is damaged
+    /// cannot be gone on from. The file as it was is kept aside first.
+    Cut {
+        /// The swarm.
+        swarm: String,
+        /// The last row that stays.
+        after: u64,
+    },
     /// A swarm with all its rows and checkpoints. Answers stay.
     Delete {
         /// The swarm.
@@ -116,6 +124,7 @@ impl Write {
             Write::Create { swarm, .. }
             | Write::Append { swarm, .. }
             | Write::Keep { swarm, .. }
+            | Write::Cut { swarm, .. }
             | Write::Delete { swarm } => Some(swarm),
             Write::Answer(_) => None,
         }
@@ -132,7 +141,7 @@ impl Write {
                 } => swarm.len() + about.len() + first.body.len(),
                 Write::Append { swarm, row } => swarm.len() + row.body.len(),
                 Write::Keep { swarm, checkpoint } => swarm.len() + checkpoint.body.len(),
-                Write::Delete { swarm } => swarm.len(),
+                Write::Cut { swarm, .. } | Write::Delete { swarm } => swarm.len(),
                 Write::Answer(answer) => answer.body.len() + answer.request_id.len(),
             }
     }

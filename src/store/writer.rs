@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use rusqlite::{Connection, Error as SqlError, Transaction, TransactionBehavior};
 use tracing::{error, warn};
 
+use super::aside;
 use super::backlog::Backlog;
 use super::catalog::Catalog;
 use super::crash;
@@ -40,6 +41,8 @@ pub(super) struct Writer {
     /// Bytes put into the WAL since it was last moved into the file, about.
     pub(super) wal_bytes: usize,
     pub(super) tidied: Instant,
+    /// Whether a copy of the file as it was opened is kept aside.
+    is_aside: bool,
     /// Held until the last byte is written.
     _lock: File,
 }
@@ -65,6 +68,7 @@ impl Writer {
             shared,
             wal_bytes: 0,
             tidied,
+            is_aside: false,
             _lock: lock,
         })
     }
@@ -190,6 +194,11 @@ impl Writer {
         }
         let mut outcomes = Vec::with_capacity(group.len());
         let began = Instant::now();
+        let writes = || group.iter().flat_map(|submit| &submit.writes);
+        if !self.is_aside && writes().any(|write| matches!(write, Write::Cut { .. })) {
+            aside::keep(&self.folder).map_err(|error| StoreFault::Io(error.to_string()))?;
+            self.is_aside = true;
+        }
         crash::point("store-begin");
         self.transact(|draft| {
             for submit in group {

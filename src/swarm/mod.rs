@@ -1,6 +1,7 @@
 //! One hosted swarm: its phases, its thread and how to reach it. Knows no zenoh.
 
 pub mod checkpoint;
+mod crash;
 pub mod frame;
 pub mod handle;
 pub mod history;

@@ -359,3 +359,51 @@ fn a_damaged_or_missing_swarm_is_named_and_can_only_be_deleted() {
         Err(StoreError::Damaged { .. })
     ));
 }
+
+#[test]
+fn a_swarm_is_cut_where_it_is_damaged_and_goes_on_from_there() {
+    let folder = folder();
+    let store = open(folder.path());
+    let rows = (1..=9).map(|number| append("a", number));
+    let mut writes: Vec<Write> = std::iter::once(create("a")).chain(rows).collect();
+    writes.extend([create("b"), append("b", 1)]);
+    writes.insert(4, keep("a", 3, 50));
+    writes.push(keep("a", 8, 50));
+    durable(&store, writes).unwrap();
+    assert!(store.stop(PATIENCE));
+    let file = folder.path().join(schema::FILE);
+    let alter = "UPDATE row SET step = step + 1 WHERE number = 5";
+    let connection = Connection::open(&file).unwrap();
+    connection.execute(alter, []).unwrap();
+    drop(connection);
+    let damaged = fs::read(&file).unwrap();
+
+    let store = open(folder.path());
+    let cut = |after| Write::Cut {
+        swarm: "a".to_string(),
+        after,
+    };
+    for outside in [10, u64::MAX] {
+        assert!(matches!(
+            durable(&store, vec![cut(outside)]),
+            Err(StoreFault::Refused(_))
+        ));
+    }
+    durable(&store, vec![cut(4), append("a", 5)]).unwrap();
+    let expected = Rows {
+        rows: (1..=5).map(row).collect(),
+        damaged_at: None,
+    };
+    assert_eq!(store.rows("a", 0, 99).unwrap(), expected);
+    let marks = store.checkpoints("a").unwrap();
+    let marks: Vec<u64> = marks.iter().map(|mark| mark.number).collect();
+    assert_eq!(marks, [3, 0]);
+    durable(&store, vec![keep("a", 5, 50), append("b", 2)]).unwrap();
+    assert!(store.stop(PATIENCE));
+    let aside = fs::read(folder.path().join("damaged-1.sqlite")).unwrap();
+    assert!(aside == damaged, "what was there is kept aside");
+    let store = open(folder.path());
+    assert_eq!(store.rows("a", 0, 99).unwrap(), expected);
+    assert_eq!(store.checkpoints("a").unwrap().len(), 3);
+    assert_eq!(store.health().damaged, 0);
+}

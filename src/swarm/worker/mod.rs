@@ -16,6 +16,7 @@ use fail::fail_point;
 use tracing::warn;
 
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::crash;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
 use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::history::History;
@@ -271,7 +272,8 @@ impl Worker {
     }
 
     /// Takes a ticket, and those that came meanwhile. Commands that follow each other are made
-    /// safe together; what comes after one that starts over has another step.
+    /// safe together; what comes after one that starts over has another step, and what comes after
+    /// a `step`, which is written down when it is carried out, is to stand on a later line.
     fn take_with_others(&mut self, first: Option<Ticket>) -> Option<End> {
         let more = self.tickets.try_iter().take(TICKETS_PER_STEP);
         let mut tickets: VecDeque<Ticket> = first.into_iter().chain(more).collect();
@@ -279,10 +281,10 @@ impl Worker {
         while let Some(ticket) = tickets.pop_front() {
             match ticket {
                 Ticket::Command(command) => {
-                    let starts_over = matches!(command.order, Order::Reset(_));
+                    let is_last = matches!(command.order, Order::Reset(_) | Order::Step(_));
                     together.push(command);
                     let goes_on = matches!(tickets.front(), Some(Ticket::Command(_)));
-                    if (starts_over || !goes_on)
+                    if (is_last || !goes_on)
                         && let Some(end) = self.commands(std::mem::take(&mut together))
                     {
                         return Some(end);
@@ -439,6 +441,7 @@ impl Worker {
     fn keep(&mut self) {
         if !self.journal.is_replaying() {
             self.journal.keep(self.checkpoint());
+            crash::point("swarm-kept");
             self.since = Since::new();
         }
     }

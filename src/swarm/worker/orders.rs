@@ -7,6 +7,7 @@ use std::time::Instant;
 use fail::fail_point;
 use tracing::warn;
 
+use crate::swarm::crash;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::Command;
 use crate::swarm::journal::{Record, Written};
@@ -43,7 +44,10 @@ impl Worker {
         let mut input = 0;
         if !records.is_empty() {
             match self.journal.commit(self.at(), records) {
-                Ok(first) => input = first,
+                Ok(first) => {
+                    crash::point("swarm-safe");
+                    input = first;
+                }
                 Err(fault) => {
                     for command in possible {
                         let error = OrderError::Unsafe(fault.clone());
@@ -157,6 +161,7 @@ impl Worker {
                 if self.phase == before && !self.phase.is_moving() {
                     self.show();
                 }
+                crash::point("swarm-applied");
                 answer(Ok((self.place(), outcome)));
                 // After the answer, so that whoever paused it sees this before others do.
                 self.answer_waiters();
@@ -437,6 +442,7 @@ impl Worker {
                 safe_step: self.journal.safe_step_of(place.step),
                 seen,
             };
+            crash::point("swarm-stepped");
             answer(Ok((place, outcome)));
         }
     }

@@ -6,6 +6,7 @@ use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::crash;
 use crate::swarm::frame::{EventKind, Place};
 use crate::swarm::handle::{Command, Handle, Ticket};
 use crate::swarm::history::Entry;
@@ -200,6 +201,7 @@ impl Worker {
         self.simulation.epoch = epoch;
         self.set_pace();
         let kept = self.journal.commit(before, vec![Record::Resumed(epoch)]);
+        crash::point("swarm-resumed");
         self.keep();
         self.tell(EventKind::Phase);
         self.renew_summary();
@@ -234,6 +236,7 @@ impl Worker {
         let mut last = self.journal.lines();
         let mut end = None;
         for (line, order) in lines {
+            crash::point("swarm-retold");
             last = line.number;
             match (line.record, order) {
                 (
