@@ -142,7 +142,8 @@ fn zenoh(channel: &Channel) -> Value {
             "publisher": publisher(CBOR),
             "queryable": queryable(channel.key, "welcome"),
         }),
-        // It may take half a minute, which nobody who asks for `**` means.
+        // They take long or answer much, which nobody who asks for `**` means.
+        ChannelKind::Get("snapshot.reply" | "verify.reply") => queryable(&declared, "not answered"),
         ChannelKind::Get(_) if channel.key.ends_with("/wait") => {
             queryable(&declared, "not answered")
         }
@@ -166,7 +167,9 @@ fn answered(kind: ChannelKind) -> Vec<&'static str> {
         ChannelKind::Published(_) | ChannelKind::Token => vec![],
         ChannelKind::Kept(reply) | ChannelKind::Get(reply) => vec![reply, "error"],
         // There is no swarm yet whose step could be waited for.
-        ChannelKind::Command("create.args", reply) => vec![reply, "error"],
+        ChannelKind::Command("create.args" | "fork.args" | "restore.args", reply) => {
+            vec![reply, "error"]
+        }
         ChannelKind::Command(_, reply) => vec![reply, "scheduled.reply", "error"],
     }
 }
@@ -235,6 +238,7 @@ fn messages(examples: &Examples) -> Value {
         let encodings = match name {
             "state" => json!([CBOR, JSON]),
             "step.reply" => json!([JSON, CBOR]),
+            "snapshot.reply" => json!([CBOR]),
             _ => json!([JSON]),
         };
         let message = json!({

@@ -11,13 +11,14 @@ use schemars::{JsonSchema, Schema};
 use serde_json::Value;
 
 use crate::verbs::{
-    BatchArgs, BatchResult, CreateArgs, CreateResult, DeleteArgs, EmptyResult, IdsResult,
-    InformArgs, InjectArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RunArgs, RunResult,
-    Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
+    BatchArgs, BatchResult, CreateArgs, CreateResult, DeleteArgs, EmptyResult, ForkArgs, IdsResult,
+    InformArgs, InjectArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs,
+    RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use crate::{
     Error, Event, Events, Hello, Journal, Metrics, NodeReply, NodeStatus, OrderSample, Parameter,
-    ParameterKind, Parameters, Reply, Request, Schemas, Spec, State, Status, Swarms,
+    ParameterKind, Parameters, Reply, Request, Schemas, Snapshot, Spec, State, Status, Swarms,
+    Verified,
 };
 
 /// Something that stands on a key of the bus.
@@ -119,6 +120,16 @@ pub const CHANNELS: &[Channel] = &{
             parameters: PAGE,
             doc: "The commands applied after a seq.",
         },
+        plain(
+            "{swarm}/get/snapshot",
+            Get("snapshot.reply"),
+            "All that the swarm's future depends on, as CBOR: any daemon restores it.",
+        ),
+        plain(
+            "{swarm}/get/verify",
+            Get("verify.reply"),
+            "Whether its history comes out the same when it is told again; takes a while.",
+        ),
         Channel {
             key: "{swarm}/get/wait",
             kind: Get("status.reply"),
@@ -191,6 +202,11 @@ pub const CHANNELS: &[Channel] = &{
             "Applies several changes at one step, or none.",
         ),
         plain(
+            "{swarm}/cmd/fork",
+            Command("fork.args", "fork.reply"),
+            "Makes another swarm as this one is or was, paused.",
+        ),
+        plain(
             "@node/{node}/alive",
             Token,
             "Stands while the daemon is there.",
@@ -225,6 +241,11 @@ pub const CHANNELS: &[Channel] = &{
             Command("create.args", "create.reply"),
             "Creates a swarm, paused.",
         ),
+        plain(
+            "@node/{node}/cmd/restore",
+            Command("restore.args", "restore.reply"),
+            "Makes a swarm from a snapshot, paused.",
+        ),
     ]
 };
 
@@ -242,6 +263,8 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("parameters.reply", told::<Reply<Parameters>>()),
         ("events.reply", told::<Reply<Events>>()),
         ("journal.reply", told::<Reply<Journal>>()),
+        ("snapshot.reply", told::<Reply<Snapshot>>()),
+        ("verify.reply", told::<Reply<Verified>>()),
         ("create.args", asked::<CreateArgs>()),
         ("create.reply", told::<Reply<CreateResult>>()),
         ("delete.args", asked::<DeleteArgs>()),
@@ -266,6 +289,10 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("remove.reply", told::<Reply<IdsResult>>()),
         ("batch.args", asked::<BatchArgs>()),
         ("batch.reply", told::<Reply<BatchResult>>()),
+        ("fork.args", asked::<ForkArgs>()),
+        ("fork.reply", told::<Reply<CreateResult>>()),
+        ("restore.args", asked::<RestoreArgs>()),
+        ("restore.reply", told::<Reply<CreateResult>>()),
         ("node.hello.reply", told::<NodeReply<Hello>>()),
         ("node.status.reply", told::<NodeReply<NodeStatus>>()),
         ("node.swarms.reply", told::<NodeReply<Swarms>>()),

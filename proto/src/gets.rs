@@ -38,6 +38,17 @@ pub struct Status {
     pub order: Order,
     /// How exact the state is.
     pub certificate: Certificate,
+    /// Where the history begins that is kept of it; `null` while that cannot be read.
+    pub history_from: Option<HistoryFrom>,
+}
+
+/// The oldest checkpoint that is kept of a swarm: all that came after it can be told again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct HistoryFrom {
+    /// Its epoch.
+    pub epoch: u64,
+    /// Its step.
+    pub step: u64,
 }
 
 /// Whether a swarm's past comes out the same when it is told again from its journal.

@@ -27,8 +27,8 @@ pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request, RequestError};
 pub use error::{Error, ErrorCode};
 pub use event::{Event, EventKind};
 pub use gets::{
-    Events, Hello, Journal, JournalEntry, Limits, NodeStatus, Parameter, ParameterKind, Parameters,
-    Schemas, Status, SwarmSummary, Swarms, Verified,
+    Events, Hello, HistoryFrom, Journal, JournalEntry, Limits, NodeStatus, Parameter,
+    ParameterKind, Parameters, Schemas, Status, SwarmSummary, Swarms, Verified,
 };
 pub use metrics::{Metrics, StoreMetrics, SwarmMetrics};
 pub use snapshot::Snapshot;

@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::told::told;
 use crate::{ParameterValues, Spec, column};
 
 /// The version of the layout of snapshots; it grows when an older reader would misread them.
@@ -20,6 +21,7 @@ pub struct Snapshot {
     /// The swarm's name.
     pub swarm: String,
     /// What it was made from, with the seed now in force.
+    #[serde(deserialize_with = "told")]
     pub spec: Spec,
     /// The values of the parameters that may change.
     pub parameters: ParameterValues,
@@ -89,16 +91,28 @@ pub struct Snapshot {
 
 /// What a swarm is doing, to the letter.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "snake_case")]
+#[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Doing {
-    /// Standing still, for this reason.
-    Paused(String),
-    /// Running at its rate, to a step or for good.
-    Running(Option<u64>),
+    /// Standing still.
+    Paused {
+        /// Why.
+        reason: String,
+    },
+    /// Running at its rate.
+    Running {
+        /// The step it will pause at; `null` if it runs for good.
+        until: Option<u64>,
+    },
     /// Going to a step as fast as it can.
-    Stepping(u64),
-    /// A step failed, for this reason.
-    Faulted(String),
+    Stepping {
+        /// That step.
+        until: u64,
+    },
+    /// A step failed.
+    Faulted {
+        /// Why.
+        reason: String,
+    },
 }
 
 /// When somebody is uninformed again.

@@ -107,6 +107,17 @@ pub enum CommandError {
     /// A snapshot cannot be one.
     #[error("the snapshot is none that this daemon can restore: {0}")]
     Snapshot(String),
+    /// A snapshot that one message does not carry.
+    #[error(
+        "the snapshot has {bytes} bytes, the most that one message carries is {most_bytes}: fork \
+         the swarm on this daemon, or stop the daemon and copy its data folder"
+    )]
+    SnapshotTooLong {
+        /// Its length.
+        bytes: usize,
+        /// The most there may be.
+        most_bytes: usize,
+    },
     /// A step that the swarm has not come to.
     #[error("step {step} is not reached, the swarm is at step {now}: name an earlier one")]
     NotReached {
@@ -230,7 +241,9 @@ impl CommandError {
             CommandError::Snapshot(_) => ErrorCode::InvalidArgument,
             CommandError::NotReached { .. } | CommandError::History(_) => ErrorCode::Conflict,
             CommandError::Internal => ErrorCode::Internal,
-            CommandError::TooLong { .. } => ErrorCode::ResourceExhausted,
+            CommandError::TooLong { .. } | CommandError::SnapshotTooLong { .. } => {
+                ErrorCode::ResourceExhausted
+            }
             CommandError::Busy => ErrorCode::Busy,
             CommandError::Deadline { .. } | CommandError::NotYet { .. } => {
                 ErrorCode::DeadlineExceeded
@@ -303,9 +316,11 @@ impl CommandError {
             CommandError::Individuals { n, limit } => {
                 json!({"field": "n", "value": n, "range": format!("[1, {limit}]")})
             }
+            CommandError::Snapshot(_) => json!({"field": "snapshot"}),
             CommandError::Parameter { name, known } => json!({"field": name, "known": known}),
             CommandError::Twice(name) => json!({"field": name}),
-            CommandError::TooLong { bytes, most_bytes } => {
+            CommandError::TooLong { bytes, most_bytes }
+            | CommandError::SnapshotTooLong { bytes, most_bytes } => {
                 json!({"bytes": bytes, "limit": most_bytes})
             }
             CommandError::Value(WireError::Length { field, length, n }) => {

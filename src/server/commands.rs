@@ -20,8 +20,9 @@ use crate::wire;
 /// The longest request that says nothing of every individual, in bytes.
 const BYTES_OF_REQUEST: usize = 64 * 1024;
 
-/// The longest that a request says where an individual is, in bytes.
-const BYTES_PER_POSE: usize = 96;
+/// The longest that a request says of an individual, in bytes: where it is, or in a snapshot all
+/// that there is to it, its contacts too.
+const BYTES_PER_INDIVIDUAL: usize = 256;
 
 /// The longest request of all: what zenoh lets through, less its own framing.
 const MOST_BYTES: usize = MAX_MESSAGE_BYTES - 4096;
@@ -199,7 +200,7 @@ impl Dispatcher {
     /// The longest request that is read. One that is a little longer is refused by name; only what
     /// zenoh does not let through is lost without a word.
     pub(super) fn most_bytes(&self) -> usize {
-        let everybody = BYTES_PER_POSE.saturating_mul(self.host.limits().max_individuals);
+        let everybody = BYTES_PER_INDIVIDUAL.saturating_mul(self.host.limits().max_individuals);
         everybody.saturating_add(BYTES_OF_REQUEST).min(MOST_BYTES)
     }
 }

@@ -10,7 +10,7 @@ use jostle_proto::verbs::{ForkArgs, RestoreArgs};
 use jostle_proto::{Request, Verified, keys};
 use zenoh::query::Query;
 
-use crate::command::{self, CommandError, check_name, selector};
+use crate::command::{self, CommandError, DEFAULT_TIMEOUT, check_name, selector};
 use crate::host::{Host, Register};
 use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::archive::{self, MakePayload};
@@ -22,6 +22,9 @@ use crate::swarm::order::{Answer, OrderError, Outcome, Refusal};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::worker::replay::To;
 use crate::wire::{self, Payload};
+
+/// What stands around a snapshot in the request to restore it, in bytes.
+const BYTES_AROUND_SNAPSHOT: usize = 4096;
 
 /// How long a history may be told again before its asker hears that it takes longer.
 const PATIENCE_WITH_HISTORY: Duration = Duration::from_secs(3600);
@@ -122,6 +125,33 @@ impl Dispatcher {
             copy.make(checkpoint);
         }
         Ok(())
+    }
+
+    /// Answers with all that a swarm's future depends on.
+    pub(super) fn snapshot(&self, swarm: &Arc<str>, promise: &Promise, query: &Query) {
+        if let Err(error) = selector(query.parameters().iter(), &[]) {
+            return promise.refuse(&error, None);
+        }
+        let Some(handle) = self.host.find(swarm) else {
+            return promise.refuse(&CommandError::UnknownSwarm(swarm.to_string()), None);
+        };
+        let late = handle.clone();
+        promise.keep_within(DEFAULT_TIMEOUT, CommandError::deadline, move || late.step());
+        // What a daemon gives, a daemon with the same limits takes: in base64, with a name.
+        let most_bytes = self.most_bytes() / 4 * 3 - BYTES_AROUND_SNAPSHOT;
+        let (name, keeper) = (swarm.clone(), Keeper::new(promise.clone()));
+        handle.send(Ticket::Copy(Box::new(move |answered| match answered {
+            Ok((place, outcome)) => keeper.0.keep(move || {
+                let payload = wire::outcome(&name, &place, outcome, None);
+                let bytes = payload.bytes.len();
+                if bytes > most_bytes {
+                    let error = CommandError::SnapshotTooLong { bytes, most_bytes };
+                    return Err(Payload::json(&error.to_wire(Some(place.step))));
+                }
+                Ok(payload)
+            }),
+            Err(Refusal { step, error }) => keeper.0.refuse(&error.into(), step),
+        })));
     }
 
     /// Tells a swarm's history again and says whether it comes out the same.

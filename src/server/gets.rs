@@ -3,16 +3,19 @@
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use jostle_proto::{NodeReply, NodeStatus, Phase, Schemas, Swarms, keys};
+use jostle_proto::{HistoryFrom, NodeReply, NodeStatus, Phase, Schemas, Swarms, keys};
 use zenoh::Wait;
 use zenoh::query::Query;
 
 use crate::command::error::refusal;
-use crate::command::{CommandError, DEFAULT_TIMEOUT, page, shortened, wait};
+use crate::command::{CommandError, page, shortened, wait};
 use crate::server::answer::{Asked, Promise};
 use crate::server::dispatch::Dispatcher;
 use crate::server::query::{format, names, no_parameters};
+use crate::store::Store;
+use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::Ticket;
+use crate::swarm::order::Outcome;
 use crate::swarm::waiters::Waiter;
 use crate::wire::{self, Payload};
 
@@ -59,6 +62,11 @@ impl Dispatcher {
                 self.verify(swarm, &promise, query);
                 continue;
             }
+            if noun == "snapshot" {
+                let promise = self.desk.promise(asked, key);
+                self.snapshot(swarm, &promise, query);
+                continue;
+            }
             let promise = self.desk.promise(asked, key);
             let read = match noun {
                 "events" | "journal" => page::read(query.parameters().iter()),
@@ -72,22 +80,7 @@ impl Dispatcher {
                 }
             };
             let (name, handle) = (swarm.clone(), self.host.find(swarm));
-            if noun == "snapshot" {
-                self.send(
-                    swarm,
-                    &promise,
-                    (DEFAULT_TIMEOUT, CommandError::deadline),
-                    |answer| {
-                        Ticket::Copy(Box::new(move |answered| {
-                            answer(answered, move |place, outcome| {
-                                wire::outcome(&name, &place, outcome, None)
-                            });
-                        }))
-                    },
-                );
-                continue;
-            }
-            let limits = self.host.limits();
+            let (limits, store) = (self.host.limits(), self.store.clone());
             self.look(swarm, &promise, move |place, seen| match (noun, handle) {
                 ("spec", Some(handle)) => {
                     let spec = wire::spec(&handle.recipe, seen.seed);
@@ -105,7 +98,7 @@ impl Dispatcher {
                     let journal = wire::journal(handle.history.entries(after, limit));
                     Payload::json(&wire::reply(&name, &place, journal))
                 }
-                _ => Payload::json(&wire::reply(&name, &place, wire::status(&seen))),
+                _ => status(&store, &name, &place, &seen),
             });
         }
         if is_known {
@@ -128,7 +121,7 @@ impl Dispatcher {
             Ok(read) => read,
             Err(error) => return promise.refuse(&error, None),
         };
-        let name = swarm.clone();
+        let (name, store) = (swarm.clone(), self.store.clone());
         let abandoned = promise.clone();
         self.send(
             swarm,
@@ -139,8 +132,9 @@ impl Dispatcher {
                     awaited,
                     is_abandoned: Box::new(move || abandoned.is_kept()),
                     answer: Box::new(move |answered| {
-                        answer(answered, move |place, outcome| {
-                            wire::outcome(&name, &place, outcome, None)
+                        answer(answered, move |place, outcome| match outcome {
+                            Outcome::Seen(seen) => status(&store, &name, &place, &seen),
+                            other => wire::outcome(&name, &place, other, None),
                         });
                     }),
                 })
@@ -228,6 +222,17 @@ impl Dispatcher {
         let promise = self.desk.promise(asked, key.to_owned());
         promise.refuse(&error, None);
     }
+}
+
+/// A swarm's status.
+fn status(store: &Store, swarm: &str, place: &Place, seen: &Frame) -> Payload {
+    // What cannot be read is told of in the log, and here left open.
+    let oldest = store.history_from(swarm).ok().flatten();
+    let history_from = oldest.map(|mark| HistoryFrom {
+        epoch: mark.epoch,
+        step: mark.step,
+    });
+    Payload::json(&wire::reply(swarm, place, wire::status(seen, history_from)))
 }
 
 /// The schemas of every message, as `get/schema` answers them.

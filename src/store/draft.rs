@@ -266,6 +266,13 @@ impl Changes {
             .filter_map(|(name, entry)| Some((name, entry.as_ref()?)))
     }
 
+    /// The swarms that changed, those that are gone too.
+    pub(super) fn all(&self) -> impl Iterator<Item = (&String, Option<&Entry>)> {
+        self.swarms
+            .iter()
+            .map(|(name, entry)| (name, entry.as_ref()))
+    }
+
     /// Makes the catalog what is committed now.
     pub(super) fn enter(self, catalog: &mut Catalog) {
         for (name, entry) in self.swarms {

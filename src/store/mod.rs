@@ -25,6 +25,7 @@ mod read;
 mod retain;
 
 mod backlog;
+mod beginnings;
 mod crash;
 mod queue;
 
@@ -58,6 +59,7 @@ pub use error::{StoreError, StoreFault};
 pub use health::Health;
 pub use record::{Answer, Checkpoint, Mark, Row, Rows, Write};
 
+use beginnings::Beginnings;
 use health::Meter;
 use queue::{End, Queue, Submit};
 use read::Trouble;
@@ -111,6 +113,7 @@ struct Inner {
 struct Shared {
     queue: Queue,
     meter: Meter,
+    beginnings: Beginnings,
 }
 
 impl Store {
@@ -282,11 +285,23 @@ impl Store {
 
     /// The oldest checkpoint kept of `swarm`: from there on every row is there.
     ///
+    /// The file is read only when the beginning of the history has moved since it was last asked
+    /// for, so it may be asked for often.
+    ///
     /// # Errors
     ///
     /// As [`Store::checkpoints`].
     pub fn history_from(&self, swarm: &str) -> Result<Option<Mark>, StoreError> {
-        Ok(self.checkpoints(swarm)?.pop())
+        let beginnings = &self.0.shared.beginnings;
+        let place = match beginnings.find(swarm) {
+            Ok(mark) => return Ok(mark),
+            Err(place) => place,
+        };
+        let mark = self.checkpoints(swarm)?.pop();
+        if let Some(place) = place {
+            beginnings.learn(swarm, place, mark);
+        }
+        Ok(mark)
     }
 
     /// How the store is doing.

@@ -53,6 +53,7 @@ impl Writer {
     ) -> Result<Writer, SqlError> {
         let catalog = Catalog::read(&connection)?;
         let untidy = catalog.swarms.keys().cloned().collect();
+        shared.beginnings.fill(&catalog);
         let (backlog, tidied) = (Backlog::default(), Instant::now());
         Ok(Writer {
             connection,
@@ -273,6 +274,9 @@ impl Writer {
             if entry.extent.bytes > self.quota_bytes {
                 self.untidy.insert(name.clone());
             }
+        }
+        for (name, entry) in changes.all() {
+            self.shared.beginnings.moved(name, entry);
         }
         self.wal_bytes += WAL_BYTES_PER_COMMIT;
         changes.enter(&mut self.catalog);

@@ -76,10 +76,14 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         seq: *seq,
         state_hash: to_proto::hexadecimal(&state.hash()),
         doing: match phase {
-            Phase::Paused(reason) => Doing::Paused(reason.to_string()),
-            Phase::Running { until } => Doing::Running(*until),
-            Phase::Stepping { until } => Doing::Stepping(*until),
-            Phase::Faulted(reason) => Doing::Faulted(reason.clone()),
+            Phase::Paused(reason) => Doing::Paused {
+                reason: reason.to_string(),
+            },
+            Phase::Running { until } => Doing::Running { until: *until },
+            Phase::Stepping { until } => Doing::Stepping { until: *until },
+            Phase::Faulted(reason) => Doing::Faulted {
+                reason: reason.clone(),
+            },
         },
         rate: *rate,
         origin: configuration.origin,
@@ -260,10 +264,10 @@ pub fn checkpoint(
             iterations: from_proto::count(snapshot.exactness.iterations),
         },
         phase: match &snapshot.doing {
-            Doing::Paused(reason) => Phase::Paused(pause_reason(reason)?),
-            Doing::Running(until) => Phase::Running { until: *until },
-            Doing::Stepping(until) => Phase::Stepping { until: *until },
-            Doing::Faulted(reason) => Phase::Faulted(reason.clone()),
+            Doing::Paused { reason } => Phase::Paused(pause_reason(reason)?),
+            Doing::Running { until } => Phase::Running { until: *until },
+            Doing::Stepping { until } => Phase::Stepping { until: *until },
+            Doing::Faulted { reason } => Phase::Faulted(reason.clone()),
         },
         rate: snapshot.rate,
         scheduled: scheduled.collect::<Result<_, _>>()?,

@@ -106,7 +106,7 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
             Payload::json(&reply(swarm, place, Scheduled { applies_at_step }))
         }
         Outcome::Whole(whole) => Payload::cbor(&reply(swarm, place, snapshot(swarm, &whole))),
-        Outcome::Seen(seen) => Payload::json(&reply(swarm, place, status(&seen))),
+        Outcome::Seen(seen) => Payload::json(&reply(swarm, place, status(&seen, None))),
     }
 }
 
@@ -188,8 +188,8 @@ pub fn spec(recipe: &Recipe, seed: u64) -> proto::Spec {
     }
 }
 
-/// A swarm's status.
-pub fn status(seen: &Frame) -> proto::Status {
+/// A swarm's status, with where its history begins.
+pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::Status {
     proto::Status {
         reason: seen.place.phase.reason(),
         until_step: seen.place.phase.until(),
@@ -204,6 +204,7 @@ pub fn status(seen: &Frame) -> proto::Status {
         state_hash: hash(seen),
         order: order(seen),
         certificate: certificate(seen),
+        history_from,
     }
 }
 

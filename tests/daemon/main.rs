@@ -18,6 +18,7 @@ mod once;
 mod process;
 mod repeat;
 mod schedule;
+mod soak;
 mod streams;
 mod support;
 mod targets;

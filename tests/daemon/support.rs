@@ -230,9 +230,15 @@ fn read(encoding: &Encoding, bytes: &[u8]) -> Value {
     match jostle_proto::State::from_cbor(bytes) {
         Ok(state) => serde_json::to_value(state).unwrap(),
         Err(_) => {
-            let reply: jostle_proto::Reply<jostle_proto::verbs::StepResult> =
-                ciborium::from_reader(bytes).unwrap();
-            serde_json::to_value(reply).unwrap()
+            type Stepped = jostle_proto::Reply<jostle_proto::verbs::StepResult>;
+            type Whole = jostle_proto::Reply<jostle_proto::Snapshot>;
+            match ciborium::from_reader::<Stepped, _>(bytes) {
+                Ok(reply) => serde_json::to_value(reply).unwrap(),
+                Err(_) => {
+                    let reply: Whole = ciborium::from_reader(bytes).unwrap();
+                    serde_json::to_value(reply).unwrap()
+                }
+            }
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use comfy_table::{CellAlignment, Table, presets::NOTHING};
 use jostle_proto::verbs::SetResult;
-use jostle_proto::{ParameterValues, Reply, Status, SwarmSummary};
+use jostle_proto::{HistoryFrom, ParameterValues, Reply, Status, SwarmSummary};
 
 use crate::format;
 use crate::output;
@@ -111,6 +111,7 @@ pub fn status(reply: &Reply<Status>) -> String {
         state_hash,
         order,
         certificate,
+        history_from,
     } = &reply.result;
     let ParameterValues {
         pi1,
@@ -194,6 +195,9 @@ pub fn status(reply: &Reply<Status>) -> String {
         ("seed", seed.to_string()),
         ("state hash", state_hash.clone()),
     ]);
+    if let Some(HistoryFrom { epoch, step }) = history_from {
+        lines.push(("history", format!("kept from step {step} of epoch {epoch}")));
+    }
     pairs(&lines)
 }
 

@@ -23,6 +23,7 @@ READ: dict[str, type[Any]] = {
     "batch.reply": jostle.BatchResult,
     "create.reply": CreateResult,
     "delete.reply": jostle.Reply,
+    "fork.reply": CreateResult,
     "error": jostle.ErrorMessage,
     "event": jostle.Event,
     "events.reply": Events,
@@ -39,6 +40,7 @@ READ: dict[str, type[Any]] = {
     "pause.reply": jostle.Reply,
     "remove.reply": jostle.IdsResult,
     "reset.reply": jostle.ResetResult,
+    "restore.reply": CreateResult,
     "run.reply": jostle.RunResult,
     "scheduled.reply": jostle.Scheduled,
     "set.reply": jostle.SetResult,
@@ -47,8 +49,12 @@ READ: dict[str, type[Any]] = {
     "status.reply": jostle.Status,
     "step.reply": jostle.StepResult,
     "uninform.reply": jostle.IdsResult,
+    "verify.reply": jostle.Verified,
 }
 """What a daemon sends."""
+
+OPAQUE = {"snapshot.reply"}
+"""What a daemon sends for other daemons; this package reads a few of its fields."""
 
 CHANGES: dict[str, type[Any]] = {
     "inform.args": jostle.Inform,
@@ -92,6 +98,7 @@ ELSEWHERE = {
 }
 # Any dictionary does, since so far there is one kind.
 LOOSE = {"spec.reply.result.attraction", "create.reply.spec.attraction"}
+LOOSE |= {"fork.reply.spec.attraction", "restore.reply.spec.attraction"}
 LOOSE |= {"create.args.spec.attraction"}
 
 

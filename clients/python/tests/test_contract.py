@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -46,19 +47,22 @@ RENAMED = {
     "return": "state",  # `return` is a keyword of Python, and a state all that can be returned.
     "commands": "changes",  # Not every command may be in a batch.
 }
+# The verbs that a daemon executes, and no swarm.
+OF_CLIENTS = {"create", "restore"}
 OPTIONS = {"expect_step", "expect_epoch", "request_id", "timeout", "at_step", "options"}
 
 
 def test_every_message_of_the_contract_has_its_type() -> None:
     verbs = {name.removesuffix(".args") for name in SCHEMAS if name.endswith(".args")}
-    assert SCHEMAS.keys() == contract.READ.keys() | {f"{verb}.args" for verb in verbs} | {"request"}
-    assert all(callable(getattr(jostle.Swarm, verb)) for verb in verbs - {"create"})
+    asked = {f"{verb}.args" for verb in verbs} | {"request"}
+    assert SCHEMAS.keys() == contract.READ.keys() | contract.OPAQUE | asked
+    assert all(callable(getattr(jostle.Swarm, verb)) for verb in verbs - OF_CLIENTS)
 
 
 @pytest.mark.parametrize("name", sorted(name for name in SCHEMAS if name.endswith(".args")))
 def test_every_command_takes_the_arguments_of_its_schema(name: str) -> None:
     verb = name.removesuffix(".args")
-    method = getattr(jostle.Client if verb == "create" else jostle.Swarm, verb)
+    method = getattr(jostle.Client if verb in OF_CLIENTS else jostle.Swarm, verb)
     mine = dict(inspect.signature(method).parameters)
     asked = {RENAMED.get(key, key) for key in SCHEMAS[name].get("properties", {})}
     own = {"run": {"wait"}}.get(verb, set[str]())
@@ -107,10 +111,13 @@ class Recorder(Link):
 def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
     """What the method of a verb sends when it is given these arguments."""
     arguments = {RENAMED.get(name, name): value for name, value in args.items()}
-    if verb == "create":
-        method: Callable[..., object] = jostle.Client(Recorder(), "main").create
+    method: Callable[..., object]
+    if verb in OF_CLIENTS:
+        method = getattr(jostle.Client(Recorder(), "main"), verb)
     else:
         method = getattr(jostle.Swarm(Recorder(), "school"), verb)
+    if verb == "restore":
+        arguments["snapshot"] = base64.b64decode(arguments["snapshot"])
     if verb == "step" and "state" in arguments:
         arguments["state"] = arguments["state"] == "state"
     if verb == "inject" and "at" in arguments:

@@ -24,6 +24,7 @@ from jostle._reading import (
     read_reply,
     read_scheduled,
 )
+from jostle._snapshot import read_snapshot
 from jostle._state import read_state, read_step_reply
 
 # What is the caller's or the daemon's own, into which nothing may be added.
@@ -170,6 +171,24 @@ def test_a_state_is_the_same_in_cbor_and_in_json() -> None:
     assert arrived(message, plain(read_state(payload))) == []
     more = add_unknown(cbor2.loads(payload))
     assert plain(read_state(cbor2.dumps(more))) == plain(read_state(payload))
+
+
+def test_a_snapshot_is_the_same_when_it_is_kept() -> None:
+    folder = contract.PROTO / "fixtures"
+    message = json.loads((folder / "snapshot.reply.json").read_bytes())["result"]
+    payload = (folder / "snapshot.reply.cbor").read_bytes()
+    snapshot = read_snapshot(payload)
+    assert cbor2.loads(snapshot.data) == cbor2.loads(payload)["result"]
+    names = ("swarm", "epoch", "step", "seq", "state_hash", "model_version")
+    assert {name: getattr(snapshot, name) for name in names} == {n: message[n] for n in names}
+    assert snapshot.n == len(message["id"])
+    assert jostle.Snapshot.from_bytes(snapshot.data) == snapshot
+    more = add_unknown(cbor2.loads(payload))
+    assert b"colour" in read_snapshot(cbor2.dumps(more)).data
+    with pytest.raises(jostle.InvalidArgument):
+        jostle.Snapshot.from_bytes(snapshot.data[:-1])
+    with pytest.raises(jostle.Internal):
+        read_snapshot(payload[:-1])
 
 
 def test_every_field_of_an_answer_with_a_state_arrives() -> None:

@@ -6,7 +6,7 @@ use std::fs;
 
 use jostle_proto::contract::schemas;
 use jostle_proto::verbs::StepResult;
-use jostle_proto::{Reply, State, to_cbor};
+use jostle_proto::{Reply, Snapshot, State, to_cbor};
 use serde_json::{Value, json};
 
 use crate::generate::{fixtures, folder, message};
@@ -150,6 +150,14 @@ fn states_in_cbor_are_those_in_json_to_the_bit() {
     let reply: Reply<StepResult> = serde_json::from_slice(&read("step.reply.state.json")).unwrap();
     assert_eq!(
         ciborium::from_reader::<Reply<StepResult>, _>(&bytes[..]).unwrap(),
+        reply
+    );
+    assert_eq!(to_cbor(&reply), bytes);
+
+    let bytes = read("snapshot.reply.cbor");
+    let reply: Reply<Snapshot> = serde_json::from_slice(&read("snapshot.reply.json")).unwrap();
+    assert_eq!(
+        ciborium::from_reader::<Reply<Snapshot>, _>(&bytes[..]).unwrap(),
         reply
     );
     assert_eq!(to_cbor(&reply), bytes);

@@ -1,13 +1,13 @@
 //! The Rust type of every message.
 
 use jostle_proto::verbs::{
-    BatchArgs, BatchResult, CreateArgs, CreateResult, DeleteArgs, EmptyResult, IdsResult,
-    InformArgs, InjectArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RunArgs, RunResult,
-    Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
+    BatchArgs, BatchResult, CreateArgs, CreateResult, DeleteArgs, EmptyResult, ForkArgs, IdsResult,
+    InformArgs, InjectArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs,
+    RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use jostle_proto::{
     Error, Event, Events, Hello, Journal, Metrics, NodeReply, NodeStatus, OrderSample, Parameters,
-    Reply, Request, Schemas, Spec, State, Status, Swarms, Told,
+    Reply, Request, Schemas, Snapshot, Spec, State, Status, Swarms, Told, Verified,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -30,8 +30,12 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "parameters.reply" => told::<Reply<Parameters>>(text),
         "events.reply" => told::<Reply<Events>>(text),
         "journal.reply" => told::<Reply<Journal>>(text),
+        "snapshot.reply" => told::<Reply<Snapshot>>(text),
+        "verify.reply" => told::<Reply<Verified>>(text),
         "create.args" => asked::<CreateArgs>(text),
-        "create.reply" => told::<Reply<CreateResult>>(text),
+        "fork.args" => asked::<ForkArgs>(text),
+        "restore.args" => asked::<RestoreArgs>(text),
+        "create.reply" | "fork.reply" | "restore.reply" => told::<Reply<CreateResult>>(text),
         "delete.args" => asked::<DeleteArgs>(text),
         "delete.reply" | "pause.reply" => told::<Reply<EmptyResult>>(text),
         "run.args" => asked::<RunArgs>(text),

@@ -157,6 +157,9 @@ async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
                     let name = named.filter(|it| keys::is_name(it)).unwrap_or(&swarm);
                     // Where nothing was created nobody answers.
                     client.ask(&keys::cmd(PREFIX, name, "delete"), None).await;
+                    if verb == "fork" && name != swarm {
+                        client.ok(&swarm, "delete", json!({})).await;
+                    }
                 }
             }
         }

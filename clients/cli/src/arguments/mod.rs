@@ -1,5 +1,6 @@
 //! What may be typed.
 
+mod copies;
 mod looking;
 mod sending;
 mod verbs;
@@ -8,6 +9,7 @@ use clap::{Args, Parser, Subcommand};
 use clap_complete::engine::ArgValueCompleter;
 use jostle_proto::keys::DEFAULT_PREFIX;
 
+pub use self::copies::*;
 pub use self::looking::*;
 pub use self::sending::*;
 pub use self::verbs::*;
@@ -26,6 +28,9 @@ Examples:
   jostle --json watch demo --frames --count 3
   jostle set demo pi1=6 --make-room --at-step 9000
   jostle status demo --watch
+  jostle fork demo other --at-step 5000
+  jostle diff demo other
+  jostle snapshot demo -o demo.snapshot
   jostle doctor
 
 Lengths are in body sizes, speeds in free speeds, times in their quotient; angles are radians
@@ -44,6 +49,7 @@ Exit codes:
     6  no daemon, or no answer in time (unreachable, deadline_exceeded, timeout)
     7  too much (busy, resource_exhausted)
     8  the daemon's disk is full (storage_full)
+    9  the past comes out otherwise when it is told again (mismatch)
   130  interrupted";
 
 /// Watches and steers swarms hosted by a daemon, `jostled`
@@ -128,6 +134,16 @@ pub enum Verb {
     Batch(BatchArguments),
     /// Deletes swarms
     Delete(DeleteArguments),
+    /// Makes another swarm as this one is or was, paused: one future until treated differently
+    Fork(ForkArguments),
+    /// Shows where and how two swarms part: what they were told, where they are
+    Diff(DiffArguments),
+    /// Writes a swarm with all that its future depends on to a file
+    Snapshot(SnapshotArguments),
+    /// Makes a swarm from such a file, on any daemon, paused
+    Restore(RestoreArguments),
+    /// Tells a swarm's kept history again and says whether it comes out the same
+    Verify(VerifyArguments),
     /// Finds out whether everything works from here, and what to do if not
     Doctor,
     /// Describes the messages on the wire, as JSON Schemas
@@ -244,6 +260,14 @@ mod tests {
             "status demo --watch 0",
             "events demo --limit 0",
             "completions tcsh",
+            "fork demo",
+            "fork demo a/b",
+            "fork demo other --at-step -1",
+            "fork demo other --expect-step 1",
+            "snapshot demo",
+            "restore",
+            "diff demo",
+            "verify",
         ] {
             assert!(read(line).is_err(), "{line}");
         }

@@ -13,6 +13,7 @@ pub fn exit_code(code: &str) -> u8 {
         "unreachable" | "deadline_exceeded" | "timeout" => 6,
         "busy" | "resource_exhausted" => 7,
         "storage_full" => 8,
+        "mismatch" => 9,
         "interrupted" => 130,
         _ => 1,
     }

@@ -162,6 +162,17 @@ pub enum Failure {
         /// The swarm.
         swarm: String,
     },
+    /// The past came out otherwise when it was told again.
+    #[error(
+        "{swarm} comes out otherwise from step {step} on: another version stepped it, or the \
+         machine erred; please report it"
+    )]
+    Mismatch {
+        /// The swarm.
+        swarm: String,
+        /// The first step that differs.
+        step: u64,
+    },
     /// A file cannot be written.
     #[error("{path}: {error}")]
     File {
@@ -249,6 +260,7 @@ impl Failure {
             Failure::Stopped { .. } => "incorrect_state",
             Failure::StartedAnew { .. } => "conflict",
             Failure::Faulted { .. } => "faulted",
+            Failure::Mismatch { .. } => "mismatch",
             Failure::Interrupted { .. } => "interrupted",
             Failure::Pipe => "broken_pipe",
             Failure::Unwell { code, .. } => code,
@@ -286,7 +298,9 @@ impl Failure {
             Failure::Stopped { step, reason, .. } | Failure::Faulted { step, reason, .. } => {
                 (object(json!({"reason": reason})), Some(*step))
             }
-            Failure::StartedAnew { step, .. } => (Map::new(), Some(*step)),
+            Failure::StartedAnew { step, .. } | Failure::Mismatch { step, .. } => {
+                (Map::new(), Some(*step))
+            }
             _ => (Map::new(), None),
         };
         let message = match self {

@@ -1,7 +1,9 @@
 //! What each verb does: arguments to a request, the answer to words or JSON.
 
 mod batch;
+mod copies;
 mod create;
+mod diff;
 mod doctor;
 mod events;
 mod individuals;
@@ -11,6 +13,7 @@ mod run;
 mod schema;
 mod shell;
 mod steer;
+mod verify;
 mod watch;
 
 use jostle_proto::Reply;
@@ -67,6 +70,11 @@ async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
         Verb::Inject(arguments) => individuals::inject(bus, output, &arguments).await,
         Verb::Remove(arguments) => individuals::remove(bus, output, &arguments).await,
         Verb::Batch(arguments) => batch::batch(bus, output, &arguments).await,
+        Verb::Fork(arguments) => copies::fork(bus, output, &arguments).await,
+        Verb::Snapshot(arguments) => copies::snapshot(bus, output, &arguments).await,
+        Verb::Restore(arguments) => copies::restore(bus, output, &arguments).await,
+        Verb::Diff(arguments) => diff::diff(bus, output, &arguments).await,
+        Verb::Verify(arguments) => verify::verify(bus, output, &arguments).await,
         Verb::Schema(arguments) => schema::schema(bus, output, &arguments).await,
         Verb::Run(_) | Verb::Watch(_) | Verb::Doctor | Verb::Completions(_) | Verb::Man(_) => {
             unreachable!("these are carried out elsewhere")

@@ -88,16 +88,19 @@ async fn reached(
     let swarm = &started.swarm;
     let target = started.result.until_step;
     let what = target.map_or_else(|| "phase=paused".into(), |step| format!("step={step}"));
-    let lost_before = bus.lost();
+    let (mut epoch, mut lost_before) = (started.epoch, bus.lost());
     let (mut lost, mut missing): (Option<Instant>, Option<Instant>) = (None, None);
     loop {
         match bus.wait(swarm, &what, HELD).await {
             Ok(answer) => {
                 let reply: Reply<Status> = answer.read()?;
-                if let Some(verdict) = verdict(started, &reply) {
+                if lost.is_some() || bus.lost() != lost_before {
+                    epoch = epoch_after_a_loss(epoch, &reply);
+                }
+                if let Some(verdict) = verdict(started, epoch, &reply) {
                     return Ok((answer, verdict));
                 }
-                (lost, missing) = (None, None);
+                (lost, missing, lost_before) = (None, None, bus.lost());
             }
             Err(Failure::Refused { error, .. }) if error.code == ErrorCode::DeadlineExceeded => {
                 (lost, missing) = (None, None);
@@ -142,12 +145,27 @@ fn waiting(failure: &Failure) -> String {
     }
 }
 
-/// What a status says about a wait; nothing if the swarm is still on its way.
-fn verdict(started: &Reply<RunResult>, reply: &Reply<Status>) -> Option<Result<(), Failure>> {
+/// The epoch that is waited in after the daemon was away: a swarm that comes back with it has a new
+/// one, and goes on.
+fn epoch_after_a_loss(epoch: u64, reply: &Reply<Status>) -> u64 {
+    let is_reset = reply.result.reason.as_deref() == Some("reset");
+    if reply.epoch > epoch && !is_reset {
+        reply.epoch
+    } else {
+        epoch
+    }
+}
+
+/// What a status says about a wait in `epoch`; nothing if the swarm is still on its way.
+fn verdict(
+    started: &Reply<RunResult>,
+    epoch: u64,
+    reply: &Reply<Status>,
+) -> Option<Result<(), Failure>> {
     let (swarm, step) = (reply.swarm.clone(), reply.step);
     let reason = reply.result.reason.clone();
     let target = started.result.until_step;
-    if reply.epoch != started.epoch {
+    if reply.epoch != epoch {
         let epoch = reply.epoch;
         return Some(Err(Failure::StartedAnew { swarm, step, epoch }));
     }
@@ -253,7 +271,7 @@ mod tests {
     }
 
     fn exit_code(target: Option<u64>, status: &Reply<Status>) -> Option<u8> {
-        verdict(&started(target), status)
+        verdict(&started(target), 1, status)
             .map(|outcome| outcome.map_or_else(|failure| failure.exit_code(), |()| 0))
     }
 
@@ -275,5 +293,14 @@ mod tests {
         assert_eq!(exit_code(Some(20), &status(12, "paused", 1)), Some(4));
         assert_eq!(exit_code(Some(20), &status(12, "faulted", 1)), Some(1));
         assert_eq!(exit_code(Some(20), &status(25, "running", 2)), Some(4));
+    }
+
+    #[test]
+    fn a_swarm_that_comes_back_with_its_daemon_is_waited_for_and_one_that_was_reset_is_not() {
+        assert_eq!(epoch_after_a_loss(1, &status(12, "running", 2)), 2);
+        assert_eq!(epoch_after_a_loss(2, &status(12, "running", 1)), 2);
+        let mut reset = status(0, "paused", 2);
+        reset.result.reason = Some("reset".into());
+        assert_eq!(epoch_after_a_loss(1, &reset), 1);
     }
 }

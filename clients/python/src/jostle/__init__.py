@@ -53,6 +53,7 @@ from ._messages import (
     BatchResult,
     Certificate,
     Changed,
+    HistoryFrom,
     IdsResult,
     Order,
     OrderSample,
@@ -66,9 +67,11 @@ from ._messages import (
     SetResult,
     Status,
     StepResult,
+    Verified,
 )
 from ._metrics import Metrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
+from ._snapshot import Snapshot
 from ._spec import Disc, Given, Spec
 from ._state import State
 from ._stream import Stream
@@ -90,6 +93,7 @@ __all__ = [
     "Faulted",
     "Given",
     "Hello",
+    "HistoryFrom",
     "IdsResult",
     "IncorrectState",
     "Inform",
@@ -121,6 +125,7 @@ __all__ = [
     "Select",
     "Set",
     "SetResult",
+    "Snapshot",
     "Spec",
     "State",
     "Status",
@@ -133,6 +138,7 @@ __all__ = [
     "SwarmSummary",
     "Unavailable",
     "Uninform",
+    "Verified",
     "connect",
     "count",
     "disc",

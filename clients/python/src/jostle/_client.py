@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import os
 from collections.abc import Mapping
 from types import TracebackType
@@ -14,6 +15,7 @@ from ._messages import CreateResult
 from ._metrics import Metrics
 from ._node import WIRE_VERSION, Hello, NodeStatus, Schemas, Swarms, SwarmSummary
 from ._reading import read_reply
+from ._snapshot import Snapshot
 from ._spec import Spec
 from ._swarm import Swarm
 
@@ -157,6 +159,37 @@ class Client:
         swarm = Swarm(self._link, name)
         args = {"name": name, "spec": spec, "exist_ok": exist_ok}
         key = self._link.node_key(self._node, "cmd/create")
+        payload = self._link.command(key, args, swarm=None, timeout=timeout, request_id=request_id)
+        read_reply(payload, CreateResult)
+        return swarm
+
+    def restore(
+        self,
+        snapshot: Snapshot | bytes | str | os.PathLike[str],
+        name: str,
+        *,
+        timeout: float | None = None,
+        request_id: str | None = None,
+    ) -> Swarm:
+        """Makes a swarm from a snapshot, paused, as it was to the bit.
+
+        Args:
+            snapshot: A snapshot, its bytes, or the file it is in.
+            name: The new swarm's name.
+            timeout: Seconds it may take; None is the client's.
+            request_id: What to call it, see `Options`; None is a new one.
+
+        Raises:
+            AlreadyExists: The name is taken.
+            InvalidArgument: It is no snapshot, of another version, or damaged.
+            OSError: The file cannot be read.
+        """
+        swarm = Swarm(self._link, name)
+        if isinstance(snapshot, str | os.PathLike):
+            snapshot = Snapshot.load(snapshot)
+        data = snapshot.data if isinstance(snapshot, Snapshot) else snapshot
+        args = {"name": name, "snapshot": base64.b64encode(data).decode()}
+        key = self._link.node_key(self._node, "cmd/restore")
         payload = self._link.command(key, args, swarm=None, timeout=timeout, request_id=request_id)
         read_reply(payload, CreateResult)
         return swarm

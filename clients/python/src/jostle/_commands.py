@@ -29,7 +29,7 @@ from ._state import State, read_step_reply
 T = TypeVar("T")
 
 # The longest that the daemon takes for a `timeout_secs`.
-_PATIENT_SECS = 3600.0
+PATIENT_SECS = 3600.0
 
 
 class Options(TypedDict, total=False):
@@ -182,7 +182,7 @@ class Commands(Questions):
             IncorrectState: It runs or is faulted.
             Faulted: A step failed.
         """
-        options.setdefault("timeout", _PATIENT_SECS)
+        options.setdefault("timeout", PATIENT_SECS)
         if not state:
             return self._command("step", {"steps": steps}, StepResult, at_step, options)
         payload = self._send("step", {"steps": steps, "return": "state"}, at_step, options)

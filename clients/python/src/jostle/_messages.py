@@ -137,10 +137,13 @@ class StepResult(Reply, frozen=True, kw_only=True):
 
     Attributes:
         steps: How many were taken; fewer than asked for if another command came between.
+        durable_step: The last step that a crash of the daemon would not take back. It follows
+            `step` within a few milliseconds, unless the disk is full.
         state_hash: BLAKE3 of the state, in hexadecimal.
     """
 
     steps: int
+    durable_step: int
     state_hash: str
 
 
@@ -212,6 +215,18 @@ class BatchResult(Reply, frozen=True, kw_only=True):
     results: list[Changed]
 
 
+class HistoryFrom(msgspec.Struct, frozen=True, kw_only=True):
+    """The oldest checkpoint kept of a swarm: all that came after it can be told again.
+
+    Attributes:
+        epoch: Its epoch.
+        step: Its step.
+    """
+
+    epoch: int
+    step: int
+
+
 class Status(Reply, frozen=True, kw_only=True):
     """What a swarm is and does.
 
@@ -229,6 +244,8 @@ class Status(Reply, frozen=True, kw_only=True):
         state_hash: BLAKE3 of the state, in hexadecimal.
         order: Order and drift.
         certificate: How exact the state is.
+        history_from: Where the history begins that is kept of it; None while that cannot be
+            read.
     """
 
     reason: str | None = None
@@ -244,6 +261,23 @@ class Status(Reply, frozen=True, kw_only=True):
     state_hash: str
     order: Order
     certificate: Certificate
+    history_from: HistoryFrom | None = None
+
+
+class Verified(Reply, frozen=True, kw_only=True):
+    """Whether a swarm's past comes out the same when it is told again.
+
+    Attributes:
+        from_step: The step of the checkpoint it was told from.
+        to_step: The step it was told to.
+        hashes: How many hashes that were written down on the way were compared.
+        differs_at: The first step that has another hash than it had; None if there is none.
+    """
+
+    from_step: int
+    to_step: int
+    hashes: int
+    differs_at: int | None = None
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):

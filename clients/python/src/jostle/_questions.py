@@ -10,13 +10,16 @@ from ._errors import DeadlineExceeded, Faulted, IncorrectState, InvalidArgument
 from ._events import Event, Journal, JournalEntry
 from ._history import mark_entry_gaps, mark_event_gaps, pages
 from ._link import Link
-from ._messages import Parameter, Parameters, Phase, SpecReply, Status
+from ._messages import Parameter, Parameters, Phase, SpecReply, Status, Verified
 from ._reading import read_events, read_json, read_reply
+from ._snapshot import Snapshot, read_snapshot
 from ._spec import Spec
 from ._state import State, read_state
 
 # The daemon holds a `get/wait` no longer than this; it is asked again until the caller's deadline.
 _HOLD_SECS = 30.0
+# Longer than the daemon tells a past before it says that it takes longer.
+_RETELLING_SECS = 3610.0
 
 
 class Questions:
@@ -84,6 +87,29 @@ class Questions:
 
         known = whole_from_0("after", after)
         return mark_entry_gaps(pages(ask, lambda entry: entry.seq, known)[0], known)
+
+    def snapshot(self) -> Snapshot:
+        """All that its future depends on, to be kept and restored by any daemon.
+
+            swarm.snapshot().save("school.snapshot")
+            other.restore("school.snapshot", "school")
+
+        Raises:
+            ResourceExhausted: It is longer than one message; some thousand individuals are not.
+        """
+        return read_snapshot(self._get("get/snapshot"))
+
+    def verify(self, timeout: float | None = None) -> Verified:
+        """Tells its kept history again, beside it, and says whether it comes out the same.
+
+        Args:
+            timeout: Seconds it may take; None is an hour.
+
+        Raises:
+            Conflict: The history is damaged.
+        """
+        seconds = _RETELLING_SECS if timeout is None else check_seconds("timeout", timeout)
+        return read_reply(self._get("get/verify", timeout=seconds), Verified)
 
     @overload
     def wait(self, *, step: SupportsIndex, timeout: float | None = None) -> Status: ...

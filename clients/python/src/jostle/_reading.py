@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
+import cbor2
 import msgspec
 
 from ._errors import Internal
@@ -74,6 +75,22 @@ def read_json(payload: bytes, kind: type[T]) -> T:
         return msgspec.json.decode(payload, type=kind)
     except msgspec.DecodeError as error:
         raise _unreadable(kind, error) from error
+
+
+def read_map(payload: bytes) -> dict[str, Any]:
+    """Reads a map of CBOR.
+
+    Raises:
+        Internal: It is none.
+    """
+    # Without a hook a tagged byte string comes as it is, with every version of cbor2.
+    try:
+        fields = cbor2.loads(payload)
+    except (cbor2.CBORDecodeError, ValueError) as error:
+        raise Internal(f"the daemon sent CBOR that cannot be read: {error}") from error
+    if not isinstance(fields, dict):
+        raise Internal("the daemon sent CBOR that is not a map")
+    return cast("dict[str, Any]", fields)
 
 
 def convert(fields: object, kind: type[T]) -> T:

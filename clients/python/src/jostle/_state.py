@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Generic, TypeVar, cast
+from typing import Any, Generic, TypeVar
 
 import cbor2
 import msgspec
@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ._errors import Internal
 from ._messages import Certificate, Order, OrderSample, Phase, StepResult
-from ._reading import convert
+from ._reading import convert, read_map
 
 ORIGIN_UNIT = 1024.0
 """An origin counts in units of so many body sizes."""
@@ -114,7 +114,7 @@ def read_state(payload: bytes) -> State:
     Raises:
         Internal: It is not what the contract says.
     """
-    return _state(_read_map(payload))
+    return _state(read_map(payload))
 
 
 def read_step_reply(payload: bytes) -> tuple[StepResult, State]:
@@ -123,23 +123,12 @@ def read_step_reply(payload: bytes) -> tuple[StepResult, State]:
     Raises:
         Internal: It is not what the contract says.
     """
-    fields = _read_map(payload)
+    fields = read_map(payload)
     within = fields.pop("result", None)
     if not isinstance(within, dict) or not isinstance(within.get("state"), dict):
         raise Internal("the daemon's answer holds no state")
     result = convert({**within, **fields}, StepResult)
     return result, _state(within["state"], result.state_hash)
-
-
-def _read_map(payload: bytes) -> dict[str, Any]:
-    # Without a hook a tagged byte string comes as it is, with every version of cbor2.
-    try:
-        fields = cbor2.loads(payload)
-    except (cbor2.CBORDecodeError, ValueError) as error:
-        raise Internal(f"the daemon sent CBOR that cannot be read: {error}") from error
-    if not isinstance(fields, dict):
-        raise Internal("the daemon sent CBOR that is not a map")
-    return cast("dict[str, Any]", fields)
 
 
 def _state(fields: Mapping[str, Any], state_hash: str | None = None) -> State:

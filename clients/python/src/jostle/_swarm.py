@@ -8,12 +8,12 @@ from types import TracebackType
 from typing import Any, Self, SupportsIndex, TypeVar
 
 from ._arguments import whole_from_0
-from ._commands import Commands
+from ._commands import PATIENT_SECS, Commands
 from ._events import Event
 from ._history import EventReader
 from ._link import Link
-from ._messages import OrderSample
-from ._reading import read_json
+from ._messages import CreateResult, OrderSample
+from ._reading import read_json, read_reply
 from ._state import FrameReader, State, read_state
 from ._stream import Reader, Stream
 
@@ -48,6 +48,41 @@ class Swarm(Commands):
 
     def __repr__(self) -> str:
         return f"Swarm({self._name!r} at {self._link.endpoint})"
+
+    def fork(
+        self,
+        name: str,
+        step: SupportsIndex | None = None,
+        *,
+        timeout: float | None = None,
+        request_id: str | None = None,
+    ) -> Swarm:
+        """Makes another swarm as this one is or was, on the same daemon, paused.
+
+        Both have one future until they are treated differently.
+
+        Args:
+            name: The new swarm's name.
+            step: As it was on arriving at this step of its present run, before the commands given
+                there; None is as it is now.
+            timeout: Seconds it may take; None is the client's, with a `step` an hour.
+            request_id: What to call it, see `Options`; None is a new one.
+
+        Raises:
+            AlreadyExists: The name is taken.
+            Conflict: It has not reached that step, or its history is kept from a later one on.
+        """
+        fork = Swarm(self._link, name)
+        args: dict[str, Any] = {"name": name}
+        if step is not None:
+            args["step"] = step
+            timeout = PATIENT_SECS if timeout is None else timeout
+        key = self._link.swarm_key(self._name, "cmd/fork")
+        payload = self._link.command(
+            key, args, swarm=self._name, timeout=timeout, request_id=request_id
+        )
+        read_reply(payload, CreateResult)
+        return fork
 
     def states(self, *, timeout: float | None = None) -> Stream[State]:
         """Its states: first the one now, then each as it is published, always the newest.

@@ -59,6 +59,34 @@ pub async fn sight(
     })
 }
 
+/// All that is known of what a swarm was told.
+pub struct Whole {
+    /// How many commands it has applied.
+    pub seq: u64,
+    /// Those up to this one are not known.
+    pub lost: u64,
+    /// The others.
+    pub entries: Vec<JournalEntry>,
+}
+
+/// All that is known of what a swarm was told.
+///
+/// # Errors
+///
+/// Why there is no journal.
+pub async fn whole(bus: &Bus, swarm: &str) -> Result<Whole, Failure> {
+    let Reply { seq, result, .. } = journal(bus, swarm, 0).await?;
+    let lost = match result.entries.first() {
+        Some(_) => lost(&result, 0).unwrap_or(0),
+        None => seq,
+    };
+    Ok(Whole {
+        seq,
+        lost,
+        entries: result.entries,
+    })
+}
+
 /// All after a seq, however many answers that takes.
 async fn journal(bus: &Bus, swarm: &str, after: u64) -> Result<Reply<Journal>, Failure> {
     let page = async |after: u64| -> Result<Reply<Journal>, Failure> {

@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use jostle_proto::Metrics;
 use serde::de::DeserializeOwned;
 
+pub use self::journal::{Whole, whole};
 use crate::arguments::Look;
 use crate::bus::{Answer, Bus};
 use crate::failure::Failure;

@@ -1,0 +1,92 @@
+//! `verify`: whether a swarm's past comes out the same when it is told again.
+
+use std::time::Duration;
+
+use jostle_proto::{Reply, Verified, keys};
+
+use crate::arguments::VerifyArguments;
+use crate::bus::{Bus, Whom};
+use crate::failure::Failure;
+use crate::format;
+use crate::output::Output;
+use crate::verbs::print;
+
+/// How long a past may take to tell: as long as the daemon tells it.
+const PATIENCE: Duration = Duration::from_secs(3600 + 10);
+
+/// Verifies a swarm.
+///
+/// # Errors
+///
+/// [`Failure::Mismatch`] when a step comes out otherwise, or why it is not known.
+pub async fn verify(bus: &Bus, output: Output, arguments: &VerifyArguments) -> Result<(), Failure> {
+    let swarm = &arguments.name;
+    let key = keys::get(bus.prefix(), swarm, "verify");
+    // It is asked once: each time it would be told from the beginning.
+    let answer = bus.ask(Whom::Swarm(swarm), &key, None, PATIENCE).await?;
+    print(output, &answer, words)?;
+    let reply: Reply<Verified> = answer.read()?;
+    match reply.result.differs_at {
+        Some(step) => Err(Failure::Mismatch {
+            swarm: reply.swarm,
+            step,
+        }),
+        None => Ok(()),
+    }
+}
+
+fn words(reply: &Reply<Verified>) -> String {
+    let Verified {
+        from_step,
+        to_step,
+        hashes,
+        differs_at,
+    } = reply.result;
+    let swarm = &reply.swarm;
+    let told = format!("told again from step {from_step} to step {to_step}");
+    let compared = format::count(hashes, "hash").replace("hashs", "hashes");
+    match (hashes, differs_at) {
+        (_, Some(step)) => {
+            format!("{swarm} differs first at step {step}: {told}, {compared} compared")
+        }
+        (0, None) => format!(
+            "{swarm} has written down no hash yet after step {from_step}: there is nothing to compare"
+        ),
+        (_, None) => format!("{swarm} is the same: {told}, {compared} compared"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use jostle_proto::Phase;
+
+    use super::*;
+
+    fn said(hashes: u64, differs_at: Option<u64>) -> String {
+        words(&Reply {
+            swarm: "demo".into(),
+            epoch: 1,
+            step: 900,
+            time: 18.0,
+            phase: Phase::Paused,
+            seq: 3,
+            result: Verified {
+                from_step: 0,
+                to_step: 800,
+                hashes,
+                differs_at,
+            },
+        })
+    }
+
+    #[test]
+    fn what_was_compared_is_told_and_nothing_is_not_the_same() {
+        assert_eq!(
+            said(1, None),
+            "demo is the same: told again from step 0 to step 800, 1 hash compared"
+        );
+        assert!(said(9, Some(800)).starts_with("demo differs first at step 800: "));
+        assert!(said(9, Some(800)).ends_with("9 hashes compared"));
+        assert!(said(0, None).contains("no hash yet"));
+    }
+}
