@@ -165,7 +165,12 @@ impl Watch {
         );
     }
 
-    /// Whether all is well: the reasons why not, none if it is.
+    /// Whether all is well: what a supervisor that restarts the daemon asks.
+    pub fn is_well(&self) -> bool {
+        self.reasons().is_empty()
+    }
+
+    /// Why not all is well; nothing if it is.
     pub fn reasons(&self) -> Vec<Reason> {
         let store = self.watched.store.health();
         let seen = self.seen();

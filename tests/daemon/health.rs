@@ -257,19 +257,24 @@ async fn what_is_counted_moves_and_the_series_of_a_swarm_end_with_it() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_thousand_swarms_that_came_and_went_leave_no_series() {
+async fn swarms_that_came_and_went_leave_no_series() {
     let daemon = Daemon::start().await;
     let (client, http) = (&daemon.client, of_daemon(&daemon));
-    let before = series(&http).len();
-    for number in 0..1000 {
+    // The probe's is there once it was answered.
+    let names = || {
+        let names = series(&http).into_keys();
+        let names = names.filter(|name| name != "jostle_probe_seconds");
+        names.collect::<Vec<_>>()
+    };
+    let before = names();
+    for number in 0..200 {
         let name = format!("s{number}");
         client.create(&name, json!({"n": 2})).await;
         client.ok(&name, "step", json!({"steps": 1})).await;
         client.ok(&name, "delete", json!({})).await;
     }
-    let after = series(&http);
-    assert_eq!(after.len(), before);
-    assert_eq!(after["jostle_steps_total"], 1000.0);
+    assert_eq!(names(), before);
+    assert_eq!(series(&http)["jostle_steps_total"], 200.0);
     daemon.stop().await;
 }
 
