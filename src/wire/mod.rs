@@ -2,6 +2,7 @@
 
 pub mod durable;
 mod from_proto;
+pub mod sanity;
 mod to_proto;
 
 pub use from_proto::{
