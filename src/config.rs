@@ -18,11 +18,17 @@ use crate::host::Limits;
 ///
 /// The name is the same in the file, as a flag (`--max-hz`) and in the environment
 /// (`JOSTLED_MAX_HZ`).
-pub const SETTINGS: [(&str, &str, &str); 11] = [
+pub const SETTINGS: [(&str, &str, &str); 12] = [
     (
         "listen",
         "tcp/127.0.0.1:7447",
         "zenoh endpoints to listen on, separated by commas; only this machine can reach them",
+    ),
+    (
+        "http",
+        "127.0.0.1:8080",
+        "where to serve HTTP, /healthz and /metrics; only this machine can reach it; nowhere if \
+         empty",
     ),
     (
         "node",
@@ -125,6 +131,8 @@ pub enum ConfigError {
 pub struct Config {
     /// Endpoints to listen on.
     pub listen: Vec<String>,
+    /// Where to serve HTTP; nowhere if empty.
+    pub http: String,
     /// The daemon's name on the bus.
     pub node: String,
     /// The first chunk of every key.
@@ -221,6 +229,7 @@ impl Config {
             data_dir,
             quota_bytes: u64::from(number(merged, "quota_mb", 1 << 20)?) << 20,
             listen,
+            http: text("http"),
             node,
             prefix,
             log: text("log"),
@@ -394,6 +403,7 @@ mod tests {
         let merged = merge(None, environment(&[]), &[]).unwrap();
         let config = Config::new(&merged).unwrap();
         assert_eq!(config.listen, ["tcp/127.0.0.1:7447"]);
+        assert_eq!(config.http, "127.0.0.1:8080");
         assert!(keys::is_name(&config.node));
     }
 
@@ -432,7 +442,10 @@ mod tests {
         let typo = refused("JOSTLED_MAX_SWARM");
         assert!(typo.contains("did you mean JOSTLED_MAX_SWARMS?"), "{typo}");
         let strange = refused("JOSTLED_WINGS");
-        assert!(strange.contains("there are listen, node"), "{strange}");
+        assert!(
+            strange.contains("there are listen, http, node"),
+            "{strange}"
+        );
 
         for (line, meant) in [("max-hz = 3", "max_hz"), ("lisen = 'x'", "listen")] {
             let path = file(line);

@@ -16,6 +16,7 @@ use crate::swarm::journal::{WriteFault, Writer, to_nowhere};
 use crate::swarm::order::{Admit, Answer, OrderError, Outcome, Recipe, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::simulation::Simulation;
+use crate::swarm::tally::Totals;
 use crate::swarm::worker::replay::Past;
 use crate::swarm::worker::{End, Worker};
 
@@ -130,6 +131,8 @@ struct Hosted {
     swarms: BTreeMap<String, Entry>,
     memory_bytes: u64,
     stopping: bool,
+    /// What swarms counted that are gone.
+    past: Totals,
 }
 
 struct Entry {
@@ -259,6 +262,7 @@ impl Host {
             recipe: Arc::new(recipe),
             outlet: Arc::new(outlet),
             history: Arc::default(),
+            tally: Arc::default(),
             tickets,
             summary: Arc::default(),
         };
@@ -291,16 +295,19 @@ impl Host {
 
     /// Every swarm that is built, ordered by name.
     pub fn list(&self) -> Vec<(String, Summary)> {
-        let handles: Vec<(String, Handle)> = self
-            .lock()
-            .swarms
-            .iter()
-            .map(|(name, entry)| (name.clone(), entry.handle.clone()))
-            .collect();
+        let (handles, _) = self.handles();
         handles
             .into_iter()
             .filter_map(|(name, handle)| Some((name, handle.summary()?)))
             .collect()
+    }
+
+    /// Every swarm, built or not, ordered by name; and what was counted of those that are gone.
+    pub fn handles(&self) -> (Vec<(String, Handle)>, Totals) {
+        let hosted = self.lock();
+        let swarms = hosted.swarms.iter();
+        let handles = swarms.map(|(name, entry)| (name.clone(), entry.handle.clone()));
+        (handles.collect(), hosted.past)
     }
 
     /// Memory set aside for the swarms, in bytes.
@@ -313,6 +320,7 @@ impl Host {
         let mut hosted = self.lock();
         if let Some(entry) = hosted.swarms.remove(name) {
             hosted.memory_bytes -= entry.memory_bytes;
+            hosted.past.add(&entry.handle.totals());
         }
     }
 
@@ -483,6 +491,7 @@ pub fn tell_again(past: Past) -> (Checkpoint, u64, Option<u64>) {
         recipe: Arc::new(past.checkpoint.recipe.clone()),
         outlet: Arc::new(Outlet::new(String::new(), || {}, || false)),
         history: Arc::default(),
+        tally: Arc::default(),
         tickets,
         summary: Arc::default(),
     };

@@ -17,6 +17,8 @@ pub mod stepper;
 
 pub mod observables;
 
+pub mod meter;
+
 pub mod swarm;
 
 pub mod host;
@@ -24,6 +26,8 @@ pub mod host;
 pub mod command;
 pub mod config;
 pub mod demo;
+pub mod gateway;
+pub mod health;
 pub mod publish;
 pub mod server;
 pub mod store;

@@ -8,6 +8,7 @@ use std::time::Duration;
 use clap::{Args, Parser, Subcommand};
 use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
 use jostled::demo;
+use jostled::gateway::{self, GatewayError};
 use jostled::server::session::{self, SessionError};
 use jostled::server::{self, ServerError};
 use tokio::signal::unix::{SignalKind, signal};
@@ -61,6 +62,9 @@ struct Settings {
     /// Listen on these zenoh endpoints, separated by commas [default: tcp/127.0.0.1:7447].
     #[arg(long, global = true, value_name = "ENDPOINTS")]
     listen: Option<String>,
+    /// Serve HTTP here, /healthz and /metrics; nowhere if empty [default: 127.0.0.1:8080].
+    #[arg(long, global = true, value_name = "ADDRESS")]
+    http: Option<String>,
     /// The daemon's name on the bus [default: the machine's name].
     #[arg(long, global = true, value_name = "NAME")]
     node: Option<String>,
@@ -98,6 +102,7 @@ impl Settings {
     fn merge(self) -> Result<Merged, ConfigError> {
         let flags = [
             ("listen", self.listen),
+            ("http", self.http),
             ("node", self.node),
             ("prefix", self.prefix),
             ("log", self.log),
@@ -167,6 +172,9 @@ fn main() -> ExitCode {
             if let Err(error) = session::check(&config.listen) {
                 return fail(2, &error);
             }
+            if let Err(error) = gateway::check(&config.http) {
+                return fail(2, &error);
+            }
             return show(&match command {
                 Show::Explain { json: true } => explain::json(&merged),
                 Show::Explain { json: false } => explain::table(&merged),
@@ -223,6 +231,9 @@ async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
         // Whoever started it may have closed its output.
         let _ = writeln!(std::io::stdout(), "listening on {endpoint}");
     }
+    if let Some(address) = server.http() {
+        let _ = writeln!(std::io::stdout(), "http on http://{address}");
+    }
     let code = match demo {
         None => {
             told_to_stop().await;
@@ -254,6 +265,7 @@ fn is_setting(error: &ServerError) -> bool {
         error,
         ServerError::Name(_)
             | ServerError::Store(_)
+            | ServerError::Gateway(GatewayError::NoAddress(_) | GatewayError::NotLoopback(_))
             | ServerError::Session(SessionError::NoEndpoint(_) | SessionError::NotLoopback(_))
     )
 }

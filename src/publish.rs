@@ -18,6 +18,7 @@ use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
 use crate::command::error::refusal;
+use crate::meter::Pulse;
 use crate::swarm::frame::Frame;
 use crate::swarm::outlet::Outlet;
 use crate::wire::{self, Payload};
@@ -77,6 +78,8 @@ pub struct Press {
     prefix: String,
     publications: Mutex<BTreeMap<String, Arc<Publication>>>,
     bells: Sender<Bell>,
+    /// Whether its thread is at work.
+    pub pulse: Arc<Pulse>,
 }
 
 enum Bell {
@@ -97,6 +100,7 @@ impl Press {
             prefix: prefix.to_owned(),
             publications: Mutex::default(),
             bells,
+            pulse: Arc::default(),
         });
         let thread = thread::Builder::new().name("publish".into()).spawn({
             let press = press.clone();
@@ -157,6 +161,7 @@ impl Press {
 
     fn run(&self, rung: &Receiver<Bell>) {
         while let Ok(bell) = rung.recv() {
+            self.pulse.beat();
             match bell {
                 Bell::Ring(swarm) => {
                     if let Some(publication) = self.find(&swarm) {
@@ -170,8 +175,9 @@ impl Press {
                     }
                     closed();
                 }
-                Bell::Stop => return,
+                Bell::Stop => return self.pulse.rest(),
             }
+            self.pulse.rest();
         }
     }
 

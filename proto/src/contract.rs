@@ -16,7 +16,7 @@ use crate::verbs::{
     RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use crate::{
-    Error, Event, Events, Hello, Journal, NodeReply, NodeStatus, OrderSample, Parameter,
+    Error, Event, Events, Hello, Journal, Metrics, NodeReply, NodeStatus, OrderSample, Parameter,
     ParameterKind, Parameters, Reply, Request, Schemas, Snapshot, Spec, State, Status, Swarms,
     Verified,
 };
@@ -232,6 +232,11 @@ pub const CHANNELS: &[Channel] = &{
             "The JSON Schema of every message.",
         ),
         plain(
+            "@node/{node}/get/metrics",
+            Get("node.metrics.reply"),
+            "The daemon and its swarms in numbers.",
+        ),
+        plain(
             "@node/{node}/cmd/create",
             Command("create.args", "create.reply"),
             "Creates a swarm, paused.",
@@ -292,6 +297,7 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("node.status.reply", told::<NodeReply<NodeStatus>>()),
         ("node.swarms.reply", told::<NodeReply<Swarms>>()),
         ("node.schema.reply", told::<NodeReply<Schemas>>()),
+        ("node.metrics.reply", told::<NodeReply<Metrics>>()),
     ])
 }
 

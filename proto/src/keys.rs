@@ -24,7 +24,7 @@ pub const SWARM_VERBS: [&str; 12] = [
 ];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
-pub const NODE_GETS: [&str; 4] = ["hello", "status", "swarms", "schema"];
+pub const NODE_GETS: [&str; 5] = ["hello", "status", "swarms", "schema", "metrics"];
 
 /// The verbs that `{prefix}/@node/{node}/cmd/` executes.
 pub const NODE_VERBS: [&str; 2] = ["create", "restore"];

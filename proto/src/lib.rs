@@ -16,6 +16,7 @@ mod envelope;
 mod error;
 mod event;
 mod gets;
+mod metrics;
 pub mod snapshot;
 mod spec;
 mod state;
@@ -29,6 +30,7 @@ pub use gets::{
     Events, Hello, HistoryFrom, Journal, JournalEntry, Limits, NodeStatus, Parameter,
     ParameterKind, Parameters, Schemas, Status, SwarmSummary, Swarms, Verified,
 };
+pub use metrics::{Metrics, StoreMetrics, SwarmMetrics};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start};
 pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};

@@ -18,6 +18,7 @@ use zenoh::bytes::ZBytes;
 use zenoh::query::Query;
 
 use crate::command::CommandError;
+use crate::meter::Pulse;
 use crate::server::ledger::Page;
 use crate::swarm::order::OrderError;
 use crate::wire::Payload;
@@ -56,6 +57,8 @@ pub struct Desk {
     /// Nothing ends it.
     outgoing: Sender<Option<Outgoing>>,
     deadlines: Arc<Deadlines>,
+    /// Whether the sending thread is at work.
+    pub pulse: Arc<Pulse>,
     held_bytes: Arc<AtomicUsize>,
 }
 
@@ -133,15 +136,18 @@ impl Desk {
         let (outgoing, to_send) = channel();
         let deadlines = Arc::new(Deadlines::default());
         let to_watch = deadlines.clone();
+        let pulse = Arc::new(Pulse::default());
+        let sending = pulse.clone();
         thread::Builder::new()
             .name("replies".into())
-            .spawn(move || send_all(&to_send))?;
+            .spawn(move || send_all(&to_send, &sending))?;
         thread::Builder::new()
             .name("deadlines".into())
             .spawn(move || to_watch.watch())?;
         Ok(Desk {
             outgoing,
             deadlines,
+            pulse,
             held_bytes: Arc::default(),
         })
     }
@@ -276,8 +282,9 @@ impl Drop for Keeper {
     }
 }
 
-fn send_all(to_send: &Receiver<Option<Outgoing>>) {
+fn send_all(to_send: &Receiver<Option<Outgoing>>, pulse: &Pulse) {
     while let Ok(Some(Outgoing { asker, page, body })) = to_send.recv() {
+        pulse.beat();
         let answer = catch_unwind(AssertUnwindSafe(body))
             .unwrap_or_else(|_| Err(Payload::json(&CommandError::Internal.to_wire(None))));
         if let Some(page) = page {
@@ -296,6 +303,7 @@ fn send_all(to_send: &Receiver<Option<Outgoing>>) {
                 debug!(%error, "failed to send an answer");
             }
         }
+        pulse.rest();
     }
 }
 

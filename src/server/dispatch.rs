@@ -1,8 +1,8 @@
 //! A query in, an order or an answer out. One thread, which never waits for a swarm.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender};
+use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use fail::fail_point;
@@ -11,7 +11,9 @@ use tracing::{error, info, warn};
 use zenoh::Session;
 
 use crate::command::{CommandError, DEFAULT_TIMEOUT};
+use crate::health::Watch;
 use crate::host::{Herald, Host};
+use crate::meter::Pulse;
 use crate::publish::Press;
 use crate::server::answer::{Asked, Desk, Excuse, Keeper, Promise};
 use crate::server::doors::{Doors, LINGER};
@@ -94,18 +96,27 @@ pub struct Dispatcher {
     pub schemas: Schemas,
     /// What swarms can be reached by.
     pub doors: Doors,
+    /// Whether this thread is at work.
+    pub pulse: Arc<Pulse>,
+    /// The daemon in numbers, once it is watched.
+    pub watch: Arc<OnceLock<Arc<Watch>>>,
 }
 
 impl Dispatcher {
     /// Dispatches until told to stop.
     pub fn run(mut self, intake: &Receiver<Intake>) {
         loop {
-            match intake.recv_timeout(LINGER) {
+            self.pulse.rest();
+            let taken = intake.recv_timeout(LINGER);
+            self.pulse.beat();
+            match taken {
                 Ok(Intake::Query(topic, asked)) => self.survive(&topic, &asked),
                 Ok(Intake::Begun(swarm, built)) => self.begun(&swarm, built),
                 Ok(Intake::Ended(swarm, ended)) => self.ended(&swarm, ended),
                 Err(RecvTimeoutError::Timeout) => {}
-                Ok(Intake::Stop) | Err(RecvTimeoutError::Disconnected) => return,
+                Ok(Intake::Stop) | Err(RecvTimeoutError::Disconnected) => {
+                    return self.pulse.rest();
+                }
             }
             self.doors.sweep();
         }

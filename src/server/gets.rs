@@ -165,6 +165,11 @@ impl Dispatcher {
                 }),
                 "status" => self.node_reply(self.node_status()),
                 "schema" => self.node_reply(&self.schemas),
+                "metrics" => match self.watch.get() {
+                    Some(watch) => self.node_reply(wire::metrics(&watch.figures())),
+                    // It is watched before anybody can ask.
+                    None => continue,
+                },
                 _ => self.node_reply(Swarms {
                     swarms: self
                         .host

@@ -12,8 +12,9 @@ pub mod query;
 pub mod session;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::sync::Arc;
+use std::net::SocketAddr;
 use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, OnceLock};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -27,7 +28,10 @@ use zenoh::{Session, Wait};
 
 use crate::command::{CommandError, check_name};
 use crate::config::Config;
+use crate::gateway::{self, Gateway, GatewayError};
+use crate::health::{Watch, Watched};
 use crate::host::Host;
+use crate::meter::Pulse;
 use crate::publish::Press;
 use crate::server::answer::Desk;
 use crate::server::archive::RecoveryError;
@@ -62,6 +66,9 @@ pub enum ServerError {
     /// The daemon's name cannot be part of a key.
     #[error("{}", .0.to_wire(None).message)]
     Name(CommandError),
+    /// HTTP cannot be served.
+    #[error(transparent)]
+    Gateway(#[from] GatewayError),
     /// What outlives the daemon cannot be opened.
     #[error("{0}")]
     Store(#[from] StoreError),
@@ -83,6 +90,8 @@ pub struct Server {
     desk: Desk,
     intake: SyncSender<Intake>,
     endpoints: Vec<String>,
+    watch: Arc<Watch>,
+    gateway: Option<Gateway>,
     doors: (LivelinessToken, [Queryable<()>; 2]),
 }
 
@@ -95,6 +104,10 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let (prefix, node) = (&config.prefix, &config.node);
     check_name("node", node).map_err(ServerError::Name)?;
     check_name("prefix", prefix).map_err(ServerError::Name)?;
+    let http = match gateway::check(&config.http)? {
+        Some(address) => Some(Gateway::bind(address).await?),
+        None => None,
+    };
     let store = open_store(config)?;
     let session = session::open(&config.listen).await?;
     let locators = session.info().locators().await;
@@ -106,6 +119,12 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let crier = Arc::new(Crier::new(intake.clone(), press.clone()));
     let host = Arc::new(Host::new(config.limits, crier, archive::archive(&store)));
     let ledger = Ledger::new(store.clone());
+    let (pulse, watch) = (Arc::new(Pulse::default()), Arc::new(OnceLock::new()));
+    let threads = vec![
+        ("dispatch", pulse.clone()),
+        ("publish", press.pulse.clone()),
+        ("replies", desk.pulse.clone()),
+    ];
     let dispatcher = Dispatcher {
         session: session.clone(),
         prefix: prefix.clone(),
@@ -124,10 +143,27 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
             intake.clone(),
             desk.clone(),
         ),
+        pulse,
+        watch: watch.clone(),
     };
     thread::Builder::new()
         .name("dispatch".into())
         .spawn(move || dispatcher.run(&taken))?;
+
+    let clients = session.clone();
+    let watching = Watch::start(Watched {
+        host: host.clone(),
+        store: store.clone(),
+        threads,
+        endpoints: endpoints.clone(),
+        sessions: Box::new(move || clients.info().transports().wait().count()),
+    })?;
+    let watching = watch.get_or_init(|| watching).clone();
+    // Whoever looks after the daemon reaches it while its swarms are brought back.
+    let gateway = match http {
+        Some(listener) => Some(Gateway::serve(listener, node, watching.clone())?),
+        None => None,
+    };
 
     // Every swarm is back before anyone is told that the daemon is there.
     let recovering = (host.clone(), store.clone());
@@ -157,6 +193,8 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         desk,
         intake,
         endpoints,
+        watch: watching,
+        gateway,
         doors: (token, queryables),
     })
 }
@@ -179,6 +217,16 @@ impl Server {
     /// Where clients reach it, such as `tcp/127.0.0.1:7447`.
     pub fn endpoints(&self) -> &[String] {
         &self.endpoints
+    }
+
+    /// Where it serves HTTP, if it does.
+    pub fn http(&self) -> Option<SocketAddr> {
+        self.gateway.as_ref().map(Gateway::address)
+    }
+
+    /// What tells whether all is well.
+    pub fn watch(&self) -> &Arc<Watch> {
+        &self.watch
     }
 
     /// What zenoh calls its session.
@@ -229,6 +277,10 @@ impl Server {
     /// seconds whatever the clients do.
     pub async fn stop(self) {
         info!("stopping");
+        self.watch.stop();
+        if let Some(gateway) = &self.gateway {
+            gateway.stop();
+        }
         let _ = self.intake.try_send(Intake::Stop);
         let host = self.host.clone();
         let running = tokio::task::spawn_blocking(move || host.stop(PATIENCE_WITH_SWARMS));

@@ -3,6 +3,8 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 
+use crate::meter::{Durations, Histogram};
+
 /// How the store is doing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Health {
@@ -17,6 +19,8 @@ pub struct Health {
     pub last_commit_secs: f64,
     /// How long all commits took.
     pub total_commit_secs: f64,
+    /// How long each commit took.
+    pub commit_time: Durations,
     /// Commits.
     pub commits: u64,
     /// Writes committed.
@@ -43,6 +47,7 @@ pub(super) struct Meter {
     commits: AtomicU64,
     writes: AtomicU64,
     last_nanos: AtomicU64,
+    times: Histogram,
     total_nanos: AtomicU64,
 }
 
@@ -50,6 +55,7 @@ impl Meter {
     /// Counts a commit.
     pub(super) fn committed(&self, took: Duration, writes: usize) {
         let nanos = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
+        self.times.record(took);
         self.last_nanos.store(nanos, Ordering::Relaxed);
         self.total_nanos.fetch_add(nanos, Ordering::Relaxed);
         self.commits.fetch_add(1, Ordering::Relaxed);
@@ -66,6 +72,7 @@ impl Meter {
             is_overrun: self.is_overrun.load(Ordering::Relaxed),
             last_commit_secs: secs(&self.last_nanos),
             total_commit_secs: secs(&self.total_nanos),
+            commit_time: self.times.read(),
             commits: self.commits.load(Ordering::Relaxed),
             writes: self.writes.load(Ordering::Relaxed),
             waiting: queued + self.kept.load(Ordering::Relaxed),

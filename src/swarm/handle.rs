@@ -7,6 +7,7 @@ use crate::swarm::frame::Summary;
 use crate::swarm::history::History;
 use crate::swarm::order::{Answer, Order, OrderError, Recipe, Refusal, Sender, When};
 use crate::swarm::outlet::Outlet;
+use crate::swarm::tally::{Tally, Totals};
 use crate::swarm::waiters::Waiter;
 
 /// What a swarm's thread takes, in the order of arrival.
@@ -44,6 +45,8 @@ pub struct Handle {
     pub outlet: Arc<Outlet>,
     /// What happened to it, and the commands it applied.
     pub history: Arc<History>,
+    /// What its thread counts of itself.
+    pub tally: Arc<Tally>,
     pub(crate) tickets: SyncSender<Ticket>,
     pub(crate) summary: Arc<Mutex<Option<Summary>>>,
 }
@@ -58,6 +61,16 @@ impl Handle {
             Err(TrySendError::Disconnected(ticket)) => (ticket, OrderError::Gone),
         };
         ticket.refuse(self.step(), error);
+    }
+
+    /// What has been counted of it since it is hosted here.
+    pub fn totals(&self) -> Totals {
+        let (frames, frames_dropped) = self.outlet.frames();
+        Totals {
+            frames,
+            frames_dropped,
+            ..self.tally.totals()
+        }
     }
 
     /// The step the swarm lately was at.

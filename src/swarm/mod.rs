@@ -11,5 +11,6 @@ pub mod pace;
 pub mod phase;
 pub mod schedule;
 pub mod simulation;
+pub mod tally;
 pub mod waiters;
 pub mod worker;

@@ -4,8 +4,10 @@
 //! of two frames it finds the newer.
 
 use std::collections::VecDeque;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use crate::meter::add;
 use crate::swarm::frame::{Event, Frame};
 
 /// Events kept for a publisher that lags; the oldest give way, and their numbers show it.
@@ -16,6 +18,8 @@ pub struct Outlet {
     /// The swarm's name.
     pub name: String,
     contents: Mutex<Contents>,
+    frames: AtomicU64,
+    dropped: AtomicU64,
     ring: Box<dyn Fn() + Send + Sync>,
     is_watched: Box<dyn Fn() -> bool + Send + Sync>,
 }
@@ -37,6 +41,8 @@ impl Outlet {
         Outlet {
             name,
             contents: Mutex::default(),
+            frames: AtomicU64::new(0),
+            dropped: AtomicU64::new(0),
             ring: Box::new(ring),
             is_watched: Box::new(is_watched),
         }
@@ -47,9 +53,20 @@ impl Outlet {
         (self.is_watched)()
     }
 
-    /// Puts the newest frame.
+    /// Puts the newest frame; one that was not taken yet gives way. Only the swarm's thread may.
     pub fn show(&self, frame: Arc<Frame>) {
-        self.put(|contents| contents.frame = Some(frame));
+        add(&self.frames, 1);
+        self.put(|contents| {
+            if contents.frame.replace(frame).is_some() {
+                add(&self.dropped, 1);
+            }
+        });
+    }
+
+    /// How many frames were put, and how many of them gave way to a newer one.
+    pub fn frames(&self) -> (u64, u64) {
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        (read(&self.frames), read(&self.dropped))
     }
 
     /// Puts an event behind those not taken yet.

@@ -51,6 +51,12 @@ impl Pace {
             .filter(|wait| !wait.is_zero())
     }
 
+    /// How long a step has been due; nothing if steps come as fast as they can.
+    pub fn late_by(&self, now: Instant) -> Option<Duration> {
+        self.period?;
+        Some(now.saturating_duration_since(self.next))
+    }
+
     /// Notes that a step was taken.
     pub fn stepped(&mut self, now: Instant) {
         if let Some(period) = self.period {
@@ -110,6 +116,7 @@ mod tests {
         pace.stepped(start + 30 * MS);
         assert_eq!(pace.until_due(start + 30 * MS), None, "two more are due");
         pace.stepped(start + 1000 * MS);
+        assert_eq!(pace.late_by(start + 1003 * MS), Some(3 * MS));
         assert_eq!(pace.until_due(start + 1000 * MS), None);
         pace.stepped(start + 1000 * MS);
         assert_eq!(pace.until_due(start + 1000 * MS), Some(10 * MS), "no burst");
@@ -121,6 +128,7 @@ mod tests {
         let mut pace = Pace::new(None, 0.02, start);
         pace.stepped(start);
         assert_eq!(pace.until_due(start), None);
+        assert_eq!(pace.late_by(start + MS), None, "nothing was due");
     }
 
     #[test]

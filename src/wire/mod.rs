@@ -1,10 +1,12 @@
 //! Between what crosses the wire and what the daemon works with: here, and nowhere else.
 
 pub mod durable;
+mod figures;
 mod from_proto;
 pub mod sanity;
 mod to_proto;
 
+pub use figures::metrics;
 pub use from_proto::{
     WireError, count, pose, publish_every, rate, recipe, region, selection, weight, whole,
 };

@@ -391,7 +391,7 @@ pub fn limits(limits: Limits, max_message_bytes: u64) -> proto::Limits {
     }
 }
 
-fn phase(phase: &Phase) -> proto::Phase {
+pub(super) fn phase(phase: &Phase) -> proto::Phase {
     match phase {
         Phase::Paused(_) => proto::Phase::Paused,
         Phase::Running { .. } | Phase::Stepping { .. } => proto::Phase::Running,

@@ -26,6 +26,8 @@ pub fn jostled(arguments: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_jostled"));
     command
         .args(arguments)
+        // The usual port may be taken.
+        .env("JOSTLED_HTTP", "")
         .stdin(Stdio::null())
         .stderr(Stdio::null());
     command

@@ -5,57 +5,74 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 15] = [
+const MAY_USE: [(&str, &[&str]); 18] = [
     ("model", &[]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
-    ("swarm", &["model", "stepper", "observables"]),
+    ("meter", &[]),
+    ("swarm", &["meter", "model", "stepper", "observables"]),
     ("host", &["model", "swarm"]),
-    ("store", &[]),
+    ("store", &["meter"]),
+    ("health", &["meter", "swarm", "host", "store"]),
+    ("gateway", &["meter", "swarm", "health"]),
     ("command", &["model", "swarm", "host", "wire"]),
-    ("wire", &["model", "observables", "swarm", "host"]),
-    ("publish", &["swarm", "command", "wire"]),
+    ("wire", &["model", "observables", "swarm", "host", "health"]),
+    ("publish", &["meter", "swarm", "command", "wire"]),
     ("config", &["host"]),
     (
         "server",
         &[
-            "swarm", "host", "command", "config", "publish", "store", "wire",
+            "meter", "swarm", "host", "command", "config", "publish", "store", "wire", "health",
+            "gateway",
         ],
     ),
     ("demo", &["swarm", "host", "command", "server"]),
-    ("main", &["config", "demo", "server"]),
+    ("main", &["config", "demo", "gateway", "server"]),
     ("lib", &[]),
     ("", &[]),
 ];
 
 /// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 14] = [
+const ONLY_IN: [(&str, &[&str]); 16] = [
     ("zenoh::", &["publish", "server"]),
     ("zenoh_ext::", &["publish"]),
     (
         "jostle_proto",
         &["command", "config", "demo", "publish", "server", "wire"],
     ),
-    ("serde", &["command", "demo", "server", "wire"]),
-    ("tokio::", &["demo", "main", "server"]),
+    ("serde", &["command", "demo", "gateway", "server", "wire"]),
+    ("axum::", &["gateway"]),
+    ("prometheus_client::", &["gateway"]),
+    ("tokio::", &["demo", "gateway", "main", "server"]),
     ("clap::", &["main"]),
     (
         "std::thread",
-        &["host", "model/threads", "publish", "server", "store"],
+        &[
+            "health",
+            "host",
+            "model/threads",
+            "publish",
+            "server",
+            "store",
+        ],
     ),
     (
         "std::time",
         &[
-            "command", "demo", "host", "main", "publish", "server", "store", "swarm",
+            "command", "demo", "health", "host", "main", "meter", "publish", "server", "store",
+            "swarm",
         ],
     ),
-    ("std::fs", &["config", "store"]),
+    ("std::fs", &["config", "health", "store"]),
     (
         "std::sync",
         &[
             "command",
             "demo",
+            "gateway",
+            "health",
             "host",
+            "meter",
             "model/threads",
             "publish",
             "server",

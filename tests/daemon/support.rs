@@ -61,6 +61,7 @@ impl Daemon {
         let mut flags = vec![
             ("listen", Some("tcp/127.0.0.1:0".to_owned())),
             ("node", Some(NODE.to_owned())),
+            ("http", Some("127.0.0.1:0".to_owned())),
         ];
         let path = folder.path().to_str().unwrap().to_owned();
         flags.push(("data_dir", Some(path)));

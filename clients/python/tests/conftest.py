@@ -36,7 +36,7 @@ class Daemon:
         self.log = folder / "jostled.log"
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
-                [JOSTLED, "serve", "--listen", listen, "--data-dir", str(folder / "data")],
+                [JOSTLED, "serve", "--listen", listen, "--http", "", "--data-dir", folder / "data"],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=log,

@@ -31,6 +31,7 @@ READ: dict[str, type[Any]] = {
     "inject.reply": jostle.IdsResult,
     "journal.reply": Journal,
     "node.hello.reply": jostle.Hello,
+    "node.metrics.reply": jostle.Metrics,
     "node.schema.reply": jostle.Schemas,
     "node.status.reply": jostle.NodeStatus,
     "node.swarms.reply": Swarms,

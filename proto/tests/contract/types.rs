@@ -6,8 +6,8 @@ use jostle_proto::verbs::{
     RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use jostle_proto::{
-    Error, Event, Events, Hello, Journal, NodeReply, NodeStatus, OrderSample, Parameters, Reply,
-    Request, Schemas, Snapshot, Spec, State, Status, Swarms, Told, Verified,
+    Error, Event, Events, Hello, Journal, Metrics, NodeReply, NodeStatus, OrderSample, Parameters,
+    Reply, Request, Schemas, Snapshot, Spec, State, Status, Swarms, Told, Verified,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -60,6 +60,7 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "node.status.reply" => told::<NodeReply<NodeStatus>>(text),
         "node.swarms.reply" => told::<NodeReply<Swarms>>(text),
         "node.schema.reply" => told::<NodeReply<Schemas>>(text),
+        "node.metrics.reply" => told::<NodeReply<Metrics>>(text),
         other => panic!("{other} has no type here"),
     }
 }

@@ -26,6 +26,7 @@ use crate::swarm::pace::Pace;
 use crate::swarm::phase::{Cue, PauseReason, Phase};
 use crate::swarm::schedule::Schedule;
 use crate::swarm::simulation::Simulation;
+use crate::swarm::tally::Tally;
 use crate::swarm::waiters::Waiters;
 use crate::swarm::worker::replay::Replay;
 
@@ -57,6 +58,7 @@ pub struct Worker {
     tickets: Receiver<Ticket>,
     outlet: Arc<Outlet>,
     history: Arc<History>,
+    tally: Arc<Tally>,
     schedule: Schedule,
     summary: Arc<Mutex<Option<Summary>>>,
     summary_renewed: Instant,
@@ -155,6 +157,7 @@ impl Worker {
             tickets,
             outlet: handle.outlet.clone(),
             history: handle.history.clone(),
+            tally: handle.tally.clone(),
             schedule: Schedule::default(),
             summary: handle.summary.clone(),
             summary_renewed: now,
@@ -205,10 +208,18 @@ impl Worker {
 
     /// Steps and takes tickets until the swarm ends.
     pub fn run(mut self) -> End {
+        let end = self.live();
+        self.tally.pulse.rest();
+        end
+    }
+
+    fn live(&mut self) -> End {
         loop {
             if !self.phase.is_moving() {
+                self.tally.pulse.rest();
                 match self.tickets.recv() {
                     Ok(ticket) => {
+                        self.tally.pulse.beat();
                         if let Some(end) = self.take_with_others(Some(ticket)) {
                             return end;
                         }
@@ -217,24 +228,30 @@ impl Worker {
                 }
                 continue;
             }
+            self.tally.pulse.beat();
             if let Some(end) = self.take_with_others(None) {
                 return end;
             }
             match self.wait() {
                 Some(Duration::ZERO) => {
+                    self.tally.pulse.beat();
                     if let Some(end) = self.step() {
                         return end;
                     }
                 }
-                Some(wait) => match self.tickets.recv_timeout(wait) {
-                    Ok(ticket) => {
-                        if let Some(end) = self.take_with_others(Some(ticket)) {
-                            return end;
+                Some(wait) => {
+                    self.tally.pulse.rest();
+                    match self.tickets.recv_timeout(wait) {
+                        Ok(ticket) => {
+                            self.tally.pulse.beat();
+                            if let Some(end) = self.take_with_others(Some(ticket)) {
+                                return end;
+                            }
                         }
+                        Err(RecvTimeoutError::Timeout) => {}
+                        Err(RecvTimeoutError::Disconnected) => return End::Stopped,
                     }
-                    Err(RecvTimeoutError::Timeout) => {}
-                    Err(RecvTimeoutError::Disconnected) => return End::Stopped,
-                },
+                }
                 None => {}
             }
         }
@@ -315,6 +332,7 @@ impl Worker {
     /// Takes one step, and carries out what was put off until the step reached.
     fn step(&mut self) -> Option<End> {
         let began = Instant::now();
+        let late = self.pace.late_by(began);
         let simulation = &mut self.simulation;
         let stepped = catch_unwind(AssertUnwindSafe(|| {
             fail_point!("step");
@@ -324,8 +342,13 @@ impl Worker {
         match stepped {
             Ok(Ok(report)) => {
                 self.pace.stepped(now);
+                let took = now.saturating_duration_since(began);
                 self.since.steps += 1;
-                self.since.work += now.saturating_duration_since(began);
+                self.since.work += took;
+                // What is told again was counted when it was first taken.
+                if !self.journal.is_replaying() {
+                    self.tally.stepped(took, late, &report);
+                }
                 if !self.hash_step() {
                     return None;
                 }
@@ -423,6 +446,7 @@ impl Worker {
     /// Keeps the last good state and says why.
     fn fault(&mut self, reason: String) {
         warn!(swarm = self.outlet.name, reason, "faulted");
+        self.tally.faulted();
         self.phase = Phase::Faulted(reason.clone());
         let at = self.at();
         self.journal.note(at, Record::Fault(reason.clone()), None);

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::builder::PossibleValuesParser;
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, ValueEnum};
 use clap_complete::engine::ArgValueCompleter;
 
 use crate::completion;
@@ -24,6 +24,8 @@ pub enum Look {
     Journal(JournalArguments),
     /// Lists the daemons that are reached here
     Nodes(RepeatArguments),
+    /// Shows live what a daemon and its swarms cost and how fast they are
+    Top(TopArguments),
 }
 
 impl Look {
@@ -33,6 +35,15 @@ impl Look {
             Look::List(repeat) | Look::Nodes(repeat) => repeat.watch,
             Look::Status(look) | Look::Parameters(look) | Look::Spec(look) => look.repeat.watch,
             Look::Journal(journal) => journal.repeat.watch,
+            Look::Top(top) => Some(top.interval),
+        }
+    }
+
+    /// How often to look; none without an end.
+    pub fn count(&self) -> Option<u64> {
+        match self {
+            Look::Top(top) => top.count,
+            _ => None,
         }
     }
 }
@@ -51,6 +62,32 @@ pub struct RepeatArguments {
         allow_negative_numbers = true
     )]
     pub watch: Option<f64>,
+}
+
+/// What of a daemon to show live, and how often.
+#[derive(Debug, Args)]
+pub struct TopArguments {
+    /// End after so many looks
+    #[arg(short = 'n', long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
+    pub count: Option<u64>,
+    /// Look every so often
+    #[arg(long, value_name = "SECS", value_parser = values::seconds, default_value = "1", allow_negative_numbers = true)]
+    pub interval: f64,
+    /// What comes first
+    #[arg(long, value_enum, default_value_t)]
+    pub sort: Sort,
+}
+
+/// Which swarms come first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Sort {
+    /// Those that compute most
+    #[default]
+    Cost,
+    /// Those that fall farthest behind their rate, then by real-time factor
+    Factor,
+    /// By name
+    Name,
 }
 
 /// A swarm to look at.

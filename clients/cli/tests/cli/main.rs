@@ -10,4 +10,5 @@ mod lost;
 mod sending;
 mod shell;
 mod support;
+mod top;
 mod verbs;

@@ -69,6 +69,7 @@ from ._messages import (
     StepResult,
     Verified,
 )
+from ._metrics import Metrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
 from ._snapshot import Snapshot
 from ._spec import Disc, Given, Spec
@@ -102,6 +103,7 @@ __all__ = [
     "JostleError",
     "JournalEntry",
     "Limits",
+    "Metrics",
     "NodeStatus",
     "NotFound",
     "Options",
@@ -129,8 +131,10 @@ __all__ = [
     "Status",
     "StepResult",
     "StorageFull",
+    "StoreMetrics",
     "Stream",
     "Swarm",
+    "SwarmMetrics",
     "SwarmSummary",
     "Unavailable",
     "Uninform",

@@ -12,6 +12,7 @@ from ._arguments import check_label, check_name, check_seconds
 from ._errors import InvalidArgument, Unavailable
 from ._link import GRACE_SECS, Link, open_session
 from ._messages import CreateResult
+from ._metrics import Metrics
 from ._node import WIRE_VERSION, Hello, NodeStatus, Schemas, Swarms, SwarmSummary
 from ._reading import read_reply
 from ._snapshot import Snapshot
@@ -212,6 +213,10 @@ class Client:
     def schema(self) -> Schemas:
         """The JSON Schema of every message, as the daemon speaks it."""
         return self._get("schema", Schemas)
+
+    def metrics(self) -> Metrics:
+        """The daemon and its swarms in numbers."""
+        return self._get("metrics", Metrics)
 
     def close(self) -> None:
         """Ends every stream and the connection; harmless when done already."""

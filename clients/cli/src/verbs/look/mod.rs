@@ -4,9 +4,11 @@ mod journal;
 mod nodes;
 mod parameters;
 mod show;
+mod top;
 
 use std::time::{Duration, Instant};
 
+use jostle_proto::Metrics;
 use serde::de::DeserializeOwned;
 
 pub use self::journal::{Whole, whole};
@@ -55,28 +57,39 @@ impl Sight {
 ///
 /// Why there is nothing to see, or nothing any more.
 pub async fn look(bus: &Bus, output: Output, look: &Look) -> Result<(), Failure> {
+    let mut before = None;
     let Some(secs) = look.every_secs() else {
-        let Sight { data, note } = sight(bus, output, look).await?;
+        let Sight { data, note } = sight(bus, output, look, &mut before).await?;
         if let Some(note) = note {
             output.note(&note);
         }
         return data.map_or(Ok(()), |data| output.data(&data));
     };
     let mut repeated = Repeated::new(output);
-    repeated.show(sight(bus, output, look).await?, bus.lost())?;
-    loop {
+    repeated.show(sight(bus, output, look, &mut before).await?, bus.lost())?;
+    let mut left = look.count().map(|count| count - 1);
+    while left != Some(0) {
         tokio::time::sleep(Duration::from_secs_f64(secs)).await;
-        match sight(bus, output, look).await {
-            Ok(sight) => repeated.show(sight, bus.lost())?,
+        match sight(bus, output, look, &mut before).await {
+            Ok(sight) => {
+                repeated.show(sight, bus.lost())?;
+                left = left.map(|left| left - 1);
+            }
             Err(failure) if failure.is_passing() => repeated.miss(&failure)?,
             Err(failure) if repeated.may_come_back(&failure, bus.lost()) => {}
             Err(failure) => return Err(failure),
         }
     }
+    Ok(())
 }
 
-/// Looks once.
-async fn sight(bus: &Bus, output: Output, look: &Look) -> Result<Sight, Failure> {
+/// Looks once; some sights are of what came about since the one before.
+async fn sight(
+    bus: &Bus,
+    output: Output,
+    look: &Look,
+    before: &mut Option<Metrics>,
+) -> Result<Sight, Failure> {
     match look {
         Look::List(_) => show::list(bus, output).await,
         Look::Status(arguments) => show::status(bus, output, &arguments.name).await,
@@ -84,6 +97,7 @@ async fn sight(bus: &Bus, output: Output, look: &Look) -> Result<Sight, Failure>
         Look::Parameters(arguments) => parameters::sight(bus, output, &arguments.name).await,
         Look::Journal(arguments) => journal::sight(bus, output, arguments).await,
         Look::Nodes(_) => nodes::sight(bus, output).await,
+        Look::Top(arguments) => top::sight(bus, output, arguments, before).await,
     }
 }
 

@@ -73,6 +73,7 @@ impl Daemon {
         let mut flags = vec![
             ("listen", Some("tcp/127.0.0.1:0".to_owned())),
             ("node", Some("test".to_owned())),
+            ("http", Some(String::new())),
         ];
         flags.push(("data_dir", Some(folder.path().to_str().unwrap().to_owned())));
         for (name, value) in settings {

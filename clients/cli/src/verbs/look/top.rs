@@ -1,0 +1,249 @@
+//! `top`: what a daemon and its swarms cost, and how fast they are.
+
+use std::cmp::Ordering;
+
+use jostle_proto::{Metrics, NodeReply, SwarmMetrics};
+
+use crate::arguments::{Sort, TopArguments};
+use crate::bus::Bus;
+use crate::failure::Failure;
+use crate::format;
+use crate::output::Output;
+use crate::table;
+use crate::verbs::look::Sight;
+
+/// A daemon's numbers as they came, or a header and a line for each swarm: what came about since
+/// the look before, at the first since the daemon started.
+///
+/// # Errors
+///
+/// Why there is nothing to see.
+pub async fn sight(
+    bus: &Bus,
+    output: Output,
+    arguments: &TopArguments,
+    before: &mut Option<Metrics>,
+) -> Result<Sight, Failure> {
+    let answer = bus.get_node("metrics").await?;
+    if output.json {
+        return Ok(Sight::of(answer.json()?.to_owned()));
+    }
+    let NodeReply { node, result } = answer.read::<NodeReply<Metrics>>()?;
+    // A daemon that has started anew counts anew.
+    let earlier = before
+        .take()
+        .filter(|it| it.uptime_secs < result.uptime_secs);
+    let header = header(&node, &result, earlier.as_ref());
+    let swarms = table(&result, earlier.as_ref(), arguments.sort);
+    *before = Some(result);
+    Ok(Sight::of(format!("{header}\n\n{swarms}")))
+}
+
+/// How much of something came about, and in how many seconds.
+fn since(now: &Metrics, earlier: Option<&Metrics>, what: impl Fn(&Metrics) -> f64) -> (f64, f64) {
+    let (was, at) = earlier.map_or((0.0, 0.0), |it| (what(it), it.uptime_secs));
+    (what(now) - was, now.uptime_secs - at)
+}
+
+/// Two lines about the daemon.
+fn header(node: &str, now: &Metrics, earlier: Option<&Metrics>) -> String {
+    let per_sec = |what: fn(&Metrics) -> f64| {
+        let (more, secs) = since(now, earlier, what);
+        more / secs
+    };
+    let commits = since(now, earlier, |it| it.store.commits as f64).0;
+    let commit_secs = since(now, earlier, |it| it.store.commit_secs).0;
+    let commit = match commits > 0.0 {
+        true => commit_secs / commits,
+        false => now.store.last_commit_secs,
+    };
+    let mut lines = format!(
+        "{node}  up {}  cores {:.2} of {}  memory {}  sessions {}\n\
+         steps {:.0}/s  commits {:.1}/s of {}  frames {:.0}/s, {} dropped  faults {}",
+        format::duration(now.uptime_secs),
+        per_sec(|it| it.cpu_secs),
+        now.cores,
+        format::bytes(now.memory_bytes),
+        now.sessions,
+        per_sec(|it| it.steps as f64),
+        per_sec(|it| it.store.commits as f64),
+        format::millis(commit),
+        per_sec(|it| it.frames as f64),
+        now.frames_dropped,
+        now.faults,
+    );
+    for reason in &now.unwell {
+        lines.push_str(&format!("\nunwell: {reason}"));
+    }
+    lines
+}
+
+/// A swarm with what it lately cost.
+struct Row<'a> {
+    swarm: &'a SwarmMetrics,
+    /// Seconds of computing a second.
+    cost: f64,
+    /// Seconds a step took, and began after it was due.
+    step_secs: Option<f64>,
+    late_secs: Option<f64>,
+}
+
+fn rows<'a>(now: &'a Metrics, earlier: Option<&Metrics>) -> Vec<Row<'a>> {
+    let row = |swarm: &'a SwarmMetrics| {
+        let find = |it: &Metrics| it.swarms.iter().find(|it| it.swarm == swarm.swarm).cloned();
+        // One of the same name that counts from 0 again is another swarm.
+        let was = earlier
+            .and_then(find)
+            .filter(|was| was.steps <= swarm.steps);
+        let more = |what: fn(&SwarmMetrics) -> f64| {
+            let was = was.as_ref().map_or(0.0, what);
+            what(swarm) - was
+        };
+        let secs = now.uptime_secs - earlier.map_or(0.0, |it| it.uptime_secs);
+        let mean = |sum: f64, count: f64| (count > 0.0).then(|| sum / count);
+        let computed = more(|it| it.step_secs);
+        Row {
+            swarm,
+            cost: computed / secs,
+            step_secs: mean(computed, more(|it| it.steps as f64)),
+            late_secs: mean(more(|it| it.late_secs), more(|it| it.due_steps as f64)),
+        }
+    };
+    now.swarms.iter().map(row).collect()
+}
+
+/// How much of its rate a swarm reaches; more than any other where it runs without one.
+fn reached(swarm: &SwarmMetrics) -> f64 {
+    match (swarm.real_time_factor, swarm.rate) {
+        (Some(factor), Some(rate)) => factor / rate,
+        (Some(factor), None) => 1e9 + factor,
+        (None, _) => f64::INFINITY,
+    }
+}
+
+fn order(sort: Sort, a: &Row<'_>, b: &Row<'_>) -> Ordering {
+    let by = match sort {
+        Sort::Cost => b.cost.total_cmp(&a.cost),
+        Sort::Factor => reached(a.swarm).total_cmp(&reached(b.swarm)),
+        Sort::Name => Ordering::Equal,
+    };
+    by.then_with(|| a.swarm.swarm.cmp(&b.swarm.swarm))
+}
+
+fn table(now: &Metrics, earlier: Option<&Metrics>, sort: Sort) -> String {
+    let mut rows = rows(now, earlier);
+    rows.sort_by(|a, b| order(sort, a, b));
+    let number = |number: Option<f64>, scale: f64| {
+        number.map_or_else(|| format::NONE.into(), |it| format!("{:.1}", it * scale))
+    };
+    let cells = rows.iter().map(|row| {
+        let swarm = row.swarm;
+        [
+            swarm.swarm.clone(),
+            format::phase(swarm.phase).into(),
+            swarm.step.to_string(),
+            swarm.n.to_string(),
+            format::rate(swarm.rate),
+            format::factor(swarm.real_time_factor),
+            format!("{:.1}", row.cost * 100.0),
+            number(row.step_secs, 1e6),
+            number(row.late_secs, 1e3),
+            swarm.contacts.to_string(),
+            format::magnitude(Some(swarm.residual)),
+        ]
+    });
+    let header = [
+        "swarm", "phase", "step", "n", "rate", "actual", "cpu_%", "step_us", "late_ms", "contacts",
+        "residual",
+    ];
+    table::table(header, cells.collect())
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    /// The fixture: a school that runs and a shoal that stands.
+    fn metrics() -> Metrics {
+        let text = include_str!("../../../../../proto/fixtures/node.metrics.reply.json");
+        serde_json::from_str::<NodeReply<Metrics>>(text)
+            .unwrap()
+            .result
+    }
+
+    /// The same two seconds later, in which the school took 100 steps of 200 µs.
+    fn later() -> Metrics {
+        let mut later = metrics();
+        later.uptime_secs += 2.0;
+        later.cpu_secs += 1.0;
+        later.steps += 100;
+        later.store.commits += 4;
+        later.store.commit_secs += 0.002;
+        let school = &mut later.swarms[0];
+        school.steps += 100;
+        school.step_secs += 0.02;
+        school.due_steps += 100;
+        school.late_secs += 0.05;
+        later
+    }
+
+    #[test]
+    fn what_came_about_between_two_looks_is_shown() {
+        let header = header("lab", &later(), Some(&metrics()));
+        assert!(header.contains("cores 0.50 of 2"), "{header}");
+        assert!(
+            header.contains("steps 50/s  commits 2.0/s of 0.50 ms"),
+            "{header}"
+        );
+        assert!(header.contains("unwell: the disk is full"), "{header}");
+        let table = table(&later(), Some(&metrics()), Sort::Cost);
+        let lines: Vec<String> = table
+            .lines()
+            .map(|line| line.split_whitespace().collect::<Vec<_>>().join(" "))
+            .collect();
+        assert_eq!(
+            lines[1..],
+            [
+                "school running 180012 50 1 1.00 1.0 200.0 0.5 61 3.5e-13",
+                "shoal paused 0 20 max - 0.0 - - 0 0.0e0"
+            ]
+        );
+    }
+
+    #[test]
+    fn swarms_come_in_the_order_asked_for() {
+        let mut now = later();
+        let mut behind = now.swarms[0].clone();
+        behind.swarm = "behind".into();
+        (behind.rate, behind.real_time_factor) = (Some(4.0), Some(2.0));
+        now.swarms.push(behind);
+        let first = |sort| {
+            let table = table(&now, Some(&metrics()), sort);
+            let line = table.lines().nth(1).unwrap().to_owned();
+            line.split_whitespace().next().unwrap().to_owned()
+        };
+        // It was not there before: all it ever cost is new.
+        assert_eq!(first(Sort::Cost), "behind");
+        assert_eq!(first(Sort::Factor), "behind");
+        assert_eq!(first(Sort::Name), "behind");
+        now.swarms[2].swarm = "zebra".into();
+        now.swarms[2].step_secs = 0.0;
+        let table = table(&now, Some(&metrics()), Sort::Factor);
+        assert!(
+            table.lines().nth(1).unwrap().starts_with("zebra"),
+            "{table}"
+        );
+    }
+
+    #[test]
+    fn a_swarm_that_counts_anew_is_another_one() {
+        let mut now = later();
+        now.swarms[0].steps = 10;
+        now.swarms[0].step_secs = 0.001;
+        let earlier = metrics();
+        let rows = rows(&now, Some(&earlier));
+        assert_eq!(rows[0].step_secs, Some(0.0001));
+    }
+}

@@ -1,0 +1,96 @@
+//! What a daemon answers on `get/metrics`: itself and its swarms in numbers.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::Phase;
+
+/// A node's answer to `get/metrics`. What grows for ever is counted since the daemon started; two
+/// looks tell what came in between.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Metrics {
+    /// Seconds since the daemon started.
+    pub uptime_secs: f64,
+    /// Why not all is well, for people; empty if it is.
+    pub unwell: Vec<String>,
+    /// Seconds its threads have computed.
+    pub cpu_secs: f64,
+    /// Cores it may use.
+    pub cores: u64,
+    /// Memory in use, in bytes.
+    pub memory_bytes: u64,
+    /// Clients connected.
+    pub sessions: u64,
+    /// Steps taken by all swarms there ever were.
+    pub steps: u64,
+    /// Seconds that these steps took.
+    pub step_secs: f64,
+    /// Steps that failed; each stops its swarm.
+    pub faults: u64,
+    /// Steps that missed the target residual, yet were good enough to go on.
+    pub degraded: u64,
+    /// The largest residual of a step, in body sizes.
+    pub residual_max: f64,
+    /// States made to be published.
+    pub frames: u64,
+    /// States that gave way to a newer one before they were published.
+    pub frames_dropped: u64,
+    /// How the daemon's memory on disk does.
+    pub store: StoreMetrics,
+    /// Every swarm, ordered by name.
+    pub swarms: Vec<SwarmMetrics>,
+}
+
+/// How a daemon's memory on disk does.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct StoreMetrics {
+    /// Commits.
+    pub commits: u64,
+    /// Seconds that all commits took, their syncs included.
+    pub commit_secs: f64,
+    /// Seconds that the last one took.
+    pub last_commit_secs: f64,
+    /// Writes that wait.
+    pub waiting: u64,
+    /// What it takes on disk, in bytes.
+    pub disk_bytes: u64,
+    /// Whether the disk is full.
+    pub full: bool,
+    /// Whether writing fails otherwise.
+    pub failing: bool,
+    /// Whether more waits than should be kept in memory.
+    pub overrun: bool,
+}
+
+/// A swarm in numbers.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SwarmMetrics {
+    /// Its name.
+    pub swarm: String,
+    /// What it is doing.
+    pub phase: Phase,
+    /// The number of steps since the start.
+    pub step: u64,
+    /// The size of the group.
+    pub n: u64,
+    /// Time units per second of wall clock; `null` is as fast as possible.
+    pub rate: Option<f64>,
+    /// Time units per second of wall clock it lately ran at; `null` while it does not run.
+    pub real_time_factor: Option<f64>,
+    /// Steps taken since it is hosted here.
+    pub steps: u64,
+    /// Seconds that these steps took.
+    pub step_secs: f64,
+    /// How many of them were due at a time.
+    pub due_steps: u64,
+    /// Seconds that they began after they were due.
+    pub late_secs: f64,
+    /// Contacts of its last step.
+    pub contacts: u64,
+    /// Residual of its last step, in body sizes.
+    pub residual: f64,
+    /// Steps that missed the target residual, yet were good enough to go on.
+    pub degraded: u64,
+    /// Steps that failed.
+    pub faults: u64,
+}

@@ -1,0 +1,62 @@
+//! The daemon's numbers, as they cross the wire.
+
+use jostle_proto as proto;
+
+use crate::health::figures::{Figures, SwarmFigures};
+use crate::wire::to_proto::phase;
+
+/// The daemon and its swarms in numbers.
+pub fn metrics(figures: &Figures) -> proto::Metrics {
+    let Figures { totals, store, .. } = figures;
+    proto::Metrics {
+        uptime_secs: figures.uptime_secs,
+        unwell: figures.reasons.iter().map(ToString::to_string).collect(),
+        cpu_secs: figures.cpu_secs,
+        cores: figures.cores as u64,
+        memory_bytes: figures.resident_bytes,
+        sessions: figures.sessions as u64,
+        steps: totals.step_time.count(),
+        step_secs: totals.step_time.secs(),
+        faults: totals.faults,
+        degraded: totals.degraded,
+        residual_max: totals.residual_max,
+        frames: totals.frames,
+        frames_dropped: totals.frames_dropped,
+        store: proto::StoreMetrics {
+            commits: store.commits,
+            commit_secs: store.total_commit_secs,
+            last_commit_secs: store.last_commit_secs,
+            waiting: store.waiting as u64,
+            disk_bytes: store.bytes_on_disk,
+            full: store.is_full,
+            failing: store.is_failing,
+            overrun: store.is_overrun,
+        },
+        swarms: figures.swarms.iter().map(swarm).collect(),
+    }
+}
+
+fn swarm(figures: &SwarmFigures) -> proto::SwarmMetrics {
+    let SwarmFigures {
+        name,
+        summary,
+        totals,
+        last,
+    } = figures;
+    proto::SwarmMetrics {
+        swarm: name.clone(),
+        phase: phase(&summary.place.phase),
+        step: summary.place.step,
+        n: summary.n as u64,
+        rate: summary.rate,
+        real_time_factor: summary.real_time_factor,
+        steps: totals.step_time.count(),
+        step_secs: totals.step_time.secs(),
+        due_steps: totals.lateness.count(),
+        late_secs: totals.lateness.secs(),
+        contacts: last.contacts,
+        residual: last.residual,
+        degraded: totals.degraded,
+        faults: totals.faults,
+    }
+}

@@ -1,0 +1,373 @@
+//! Whether all is well, and the daemon in numbers: over HTTP as those who watch it ask.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use jostle_proto::{Metrics, NodeReply, keys};
+use serde_json::{Value, json};
+
+use crate::apart::{Process, jostled};
+use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, alone, beside_others, until};
+
+/// The answer to a request as it came: status, head and body.
+fn send(address: &str, request: &str) -> (u16, String, String) {
+    let mut stream = TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+    stream.write_all(request.as_bytes()).unwrap();
+    let mut answer = String::new();
+    stream.read_to_string(&mut answer).unwrap();
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    let status = head.split(' ').nth(1).unwrap().parse().unwrap();
+    (status, head.to_lowercase(), body.to_owned())
+}
+
+fn get(address: &str, path: &str) -> (u16, String, String) {
+    let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
+    send(address, &request)
+}
+
+fn health(address: &str) -> (u16, Value) {
+    let (status, _, body) = get(address, "/healthz");
+    (status, serde_json::from_str(&body).unwrap())
+}
+
+/// Every series of an answer by its name and labels, read as strictly as the format allows.
+fn series(address: &str) -> BTreeMap<String, f64> {
+    let (status, head, body) = get(address, "/metrics");
+    assert_eq!(status, 200);
+    assert!(head.contains("content-type: application/openmetrics-text; version=1.0.0"));
+    let text = body.strip_suffix("# EOF\n").expect("it is all there");
+    let (mut series, mut families) = (BTreeMap::new(), BTreeMap::new());
+    let mut family = String::new();
+    for line in text.lines() {
+        if let Some(comment) = line.strip_prefix("# ") {
+            let mut words = comment.splitn(3, ' ');
+            let mut word = || words.next().expect(line);
+            match (word(), word(), word()) {
+                ("HELP", name, _) => family = name.to_owned(),
+                ("TYPE", name, kind) => {
+                    assert_eq!(name, family, "{line}");
+                    let twice = families.insert(family.clone(), kind.to_owned());
+                    assert_eq!(twice, None, "{line}");
+                }
+                ("UNIT", name, unit) => assert!(name.ends_with(unit) && name == family, "{line}"),
+                _ => panic!("{line}"),
+            }
+            continue;
+        }
+        let (name, value) = line.rsplit_once(' ').unwrap();
+        let plain = name.split('{').next().unwrap();
+        let suffix = plain.strip_prefix(family.as_str()).expect(line);
+        let is_right = match families[&family].as_str() {
+            "counter" => suffix == "_total",
+            "gauge" => suffix.is_empty(),
+            "histogram" => ["_bucket", "_sum", "_count"].contains(&suffix),
+            _ => false,
+        };
+        assert!(is_right && plain.starts_with("jostle_"), "{line}");
+        let value: f64 = value.parse().expect(line);
+        assert!(value.is_finite() && value >= 0.0, "{line}");
+        assert_eq!(series.insert(name.to_owned(), value), None, "{line}");
+    }
+    for (family, kind) in families {
+        if kind == "histogram" {
+            let start = format!("{family}_bucket{{le=\"");
+            let bound = |name: &str| {
+                let bound = name.strip_prefix(&start)?.strip_suffix("\"}")?;
+                Some(bound.replace("+Inf", "inf").parse::<f64>().unwrap())
+            };
+            let buckets = series.iter();
+            let mut buckets: Vec<(f64, f64)> = buckets
+                .filter_map(|(name, count)| Some((bound(name)?, *count)))
+                .collect();
+            buckets.sort_by(|(a, _), (b, _)| a.total_cmp(b));
+            assert!(buckets.is_sorted_by_key(|(_, count)| *count), "{family}");
+            let last = (f64::INFINITY, series[&format!("{family}_count")]);
+            assert_eq!(buckets.last(), Some(&last), "{family}");
+        }
+    }
+    series
+}
+
+fn of_daemon(daemon: &Daemon) -> String {
+    daemon.server.http().unwrap().to_string()
+}
+
+/// A daemon that fails at these points, where it listens and where it serves HTTP.
+fn serve_failing(points: &str) -> (Process, String, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = jostled(&["--listen", "tcp/127.0.0.1:0", "--node", NODE]);
+    command
+        .args(["--http", "127.0.0.1:0", "--data-dir"])
+        .arg(folder.path())
+        .env("FAILPOINTS", points)
+        .stdout(Stdio::piped());
+    let mut process = Process(command.spawn().unwrap(), folder);
+    let mut lines = BufReader::new(process.0.stdout.take().unwrap()).lines();
+    let mut line = |start: &str| {
+        let line = lines.next().unwrap().unwrap();
+        line.strip_prefix(start).expect(&line).to_owned()
+    };
+    let endpoint = line("listening on ");
+    let http = line("http on http://");
+    (process, endpoint, http)
+}
+
+/// Waits until it is well or not, and tells the codes of the reasons.
+async fn until_well(http: &str, well: bool) -> BTreeSet<String> {
+    let mut codes = BTreeSet::new();
+    let began = Instant::now();
+    until("another state of health", async || {
+        let (status, told) = health(http);
+        assert_eq!(status == 200, told["healthy"] == true, "{told}");
+        let reasons = told["reasons"].as_array().unwrap().iter();
+        codes = reasons
+            .map(|reason| reason["code"].as_str().unwrap().to_owned())
+            .collect();
+        assert_eq!(status == 200, codes.is_empty(), "{told}");
+        (status == 200) == well
+    })
+    .await;
+    println!("well {well} after {:?}: {codes:?}", began.elapsed());
+    codes
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_swarm_stuck_in_a_step_turns_health_red_and_its_end_green() {
+    let _machine = beside_others().await;
+    let (_daemon, endpoint, http) = serve_failing("step=3*off->1*sleep(9000)->off");
+    let client = Client::open(&endpoint).await;
+    client.create("a", json!({"n": 5})).await;
+    // One that has a step once in a thousand seconds waits, and is not stuck.
+    client.create("slow", json!({"n": 5, "rate": 1e-5})).await;
+    client.ok("slow", "run", json!({})).await;
+    assert_eq!(health(&http).0, 200);
+    client.ok("a", "run", json!({"rate": null})).await;
+    let codes = until_well(&http, false).await;
+    assert_eq!(codes, BTreeSet::from(["swarm_stuck".to_owned()]));
+    let (_, told) = health(&http);
+    let message = told["reasons"][0]["message"].as_str().unwrap();
+    assert!(message.starts_with("swarm a "), "{told}");
+    assert_eq!(series(&http)["jostle_healthy"], 0.0);
+    until_well(&http, true).await;
+    assert_eq!(series(&http)["jostle_healthy"], 1.0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stuck_thread_of_the_daemon_turns_health_red_and_its_end_green() {
+    let _machine = beside_others().await;
+    let (_daemon, endpoint, http) = serve_failing("query=1*sleep(9000)->off");
+    let client = Client::open(&endpoint).await;
+    let key = keys::node_get(PREFIX, NODE, "hello");
+    let (answer, codes) = tokio::join!(client.one(&key, None), until_well(&http, false));
+    assert_eq!(codes, BTreeSet::from(["thread_stuck".to_owned()]));
+    assert!(answer.is_ok());
+    until_well(&http, true).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_deaf_listener_turns_health_red_and_its_answer_green() {
+    let _machine = beside_others().await;
+    let (_daemon, _, http) = serve_failing("probe=2*return->off");
+    let codes = until_well(&http, false).await;
+    assert_eq!(codes, BTreeSet::from(["listener_deaf".to_owned()]));
+    until_well(&http, true).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_probe_is_answered_by_the_real_listener_and_opens_no_session() {
+    let folder = tempfile::tempdir().unwrap();
+    let socket = format!("unixsock-stream/{}/socket", folder.path().display());
+    let listen = format!("tcp/127.0.0.1:0,{socket}");
+    let daemon = Daemon::with(&[("listen", &listen)]).await;
+    let http = of_daemon(&daemon);
+    until("the answers to the probe", async || {
+        series(&http).contains_key("jostle_probe_seconds")
+    })
+    .await;
+    let told = daemon.server.watch().figures();
+    assert!(told.probe_secs.unwrap() < 2.0, "{told:?}");
+    assert_eq!(told.reasons, []);
+    until("the sessions to be counted", async || {
+        series(&http)["jostle_sessions"] == 1.0
+    })
+    .await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_counted_moves_and_the_series_of_a_swarm_end_with_it() {
+    let daemon = Daemon::start().await;
+    let (client, http) = (&daemon.client, of_daemon(&daemon));
+    let before = series(&http);
+    client
+        .create("a", json!({"n": 20, "seed": 1, "rate": 10}))
+        .await;
+    client.ok("a", "step", json!({"steps": 100})).await;
+    client.ok("a", "run", json!({"until_step": 150})).await;
+    client.reach("a", 150).await;
+    let now = series(&http);
+    let grown = |name: &str| now[name] - before[name];
+    for (name, by) in [
+        ("jostle_steps_total", 150.0),
+        ("jostle_step_seconds_count", 150.0),
+        ("jostle_step_lateness_seconds_count", 50.0),
+        ("jostle_individuals", 20.0),
+        ("jostle_swarms{phase=\"paused\"}", 1.0),
+        ("jostle_faults_total", 0.0),
+    ] {
+        assert_eq!(grown(name), by, "{name}");
+    }
+    for name in [
+        "jostle_step_seconds_sum",
+        "jostle_journal_commit_seconds_count",
+        "jostle_journal_writes_total",
+        "jostle_residual_max",
+        "jostle_cpu_seconds_total",
+        "jostle_uptime_seconds",
+    ] {
+        assert!(grown(name) > 0.0, "{name}: {}", grown(name));
+    }
+    assert_eq!(now["jostle_swarm_steps_total{swarm=\"a\"}"], 150.0);
+    assert!(now["jostle_swarm_contacts{swarm=\"a\"}"] > 0.0);
+
+    let reply = client
+        .one(&keys::node_get(PREFIX, NODE, "metrics"), None)
+        .await;
+    let told: NodeReply<Metrics> = serde_json::from_value(reply.unwrap()).unwrap();
+    let metrics = told.result;
+    assert_eq!((metrics.steps, metrics.unwell.len()), (150, 0));
+    let [swarm] = &metrics.swarms[..] else {
+        panic!("{metrics:?}");
+    };
+    assert_eq!((swarm.steps, swarm.due_steps, swarm.n), (150, 50, 20));
+    assert!(swarm.contacts > 0 && swarm.step_secs > 0.0 && swarm.late_secs > 0.0);
+
+    client.ok("a", "delete", json!({})).await;
+    let gone = series(&http);
+    let left: Vec<&String> = gone.keys().filter(|name| name.contains("swarm=")).collect();
+    assert_eq!(left, [""; 0]);
+    for name in ["jostle_steps_total", "jostle_step_seconds_sum"] {
+        assert_eq!(gone[name], now[name], "what was counted stays");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_thousand_swarms_that_came_and_went_leave_no_series() {
+    let daemon = Daemon::start().await;
+    let (client, http) = (&daemon.client, of_daemon(&daemon));
+    let before = series(&http).len();
+    for number in 0..1000 {
+        let name = format!("s{number}");
+        client.create(&name, json!({"n": 2})).await;
+        client.ok(&name, "step", json!({"steps": 1})).await;
+        client.ok(&name, "delete", json!({})).await;
+    }
+    let after = series(&http);
+    assert_eq!(after.len(), before);
+    assert_eq!(after["jostle_steps_total"], 1000.0);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_this_machine_by_its_own_name_is_answered_and_only_to_a_bare_get() {
+    let daemon = Daemon::start().await;
+    let http = of_daemon(&daemon);
+    let port = http.rsplit_once(':').unwrap().1;
+    let ask = |line: &str, headers: &str| {
+        let request = format!("{line} HTTP/1.1\r\n{headers}Connection: close\r\n\r\n");
+        let (status, head, _) = send(&http, &request);
+        assert!(!head.contains("access-control"), "{head}");
+        status
+    };
+    for path in ["/healthz", "/metrics"] {
+        let line = format!("GET {path}");
+        for host in [
+            "localhost",
+            &format!("localhost:{port}"),
+            "[::1]:9",
+            "127.0.0.1",
+        ] {
+            assert_eq!(ask(&line, &format!("Host: {host}\r\n")), 200, "{host}");
+        }
+        for foreign in [
+            format!("Host: evil.example:{port}\r\n"),
+            "Host: 127.0.0.1.evil.example\r\n".into(),
+            "Host: localhost\r\nHost: evil.example\r\n".into(),
+            "Host:\r\n".into(),
+            String::new(),
+        ] {
+            let status = ask(&line, &foreign);
+            assert!([400, 421].contains(&status), "{foreign}: {status}");
+        }
+        let elsewhere = format!("GET http://evil.example{path}");
+        assert_eq!(ask(&elsewhere, "Host: localhost\r\n"), 421);
+        let body = "Host: localhost\r\nContent-Length: 1000000000\r\n";
+        assert_eq!(ask(&line, body), 413);
+        let chunks = "Host: localhost\r\nTransfer-Encoding: chunked\r\n";
+        assert_eq!(ask(&line, chunks), 413);
+        assert_eq!(ask(&format!("POST {path}"), "Host: localhost\r\n"), 405);
+    }
+    assert_eq!(ask("GET /", "Host: localhost\r\n"), 404);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_address_that_cannot_be_served_on_is_refused_with_the_flag_to_change() {
+    let _machine = beside_others().await;
+    let (_daemon, _, http) = serve_failing("");
+    for (address, code, named) in [
+        (http.as_str(), 1, "`--http 127.0.0.1:0`"),
+        ("0.0.0.0:8080", 2, "other machines"),
+        ("8080", 2, "--http \"8080\""),
+    ] {
+        let mut command = jostled(&["--listen", "tcp/127.0.0.1:0", "--http", address]);
+        let folder = tempfile::tempdir().unwrap();
+        let command = command.arg("--data-dir").arg(folder.path());
+        let refused = command.stderr(Stdio::piped()).output().unwrap();
+        let text = String::from_utf8(refused.stderr).unwrap();
+        assert_eq!(refused.status.code(), Some(code), "{address}: {text}");
+        assert!(text.contains(named), "{address}: {text}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_hundred_scrapes_do_not_slow_steps() {
+    let _alone = alone().await;
+    let daemon = Daemon::for_measuring().await;
+    let (client, http) = (&daemon.client, of_daemon(&daemon));
+    client.create("a", json!({"n": 20, "seed": 1})).await;
+    client.ok("a", "step", json!({"steps": 1000})).await;
+    let secs = || {
+        let name = "jostle_swarm_step_seconds_total{swarm=\"a\"}";
+        series(&http)[name]
+    };
+    let step = async || {
+        let before = secs();
+        client.ok("a", "step", json!({"steps": 5000})).await;
+        secs() - before
+    };
+    let (mut quiet, mut scraped) = (f64::INFINITY, f64::INFINITY);
+    for _ in 0..8 {
+        quiet = quiet.min(step().await);
+        let address = http.clone();
+        let scraping = std::thread::spawn(move || {
+            for _ in 0..100 {
+                series(&address);
+            }
+        });
+        scraped = scraped.min(step().await);
+        scraping.join().unwrap();
+    }
+    let (quiet, scraped) = (
+        Duration::from_secs_f64(quiet),
+        Duration::from_secs_f64(scraped),
+    );
+    println!("5000 steps: {quiet:?}, with 100 scrapes {scraped:?}");
+    assert!(scraped < quiet * 5 / 4, "{quiet:?} {scraped:?}");
+    daemon.stop().await;
+}

@@ -1,0 +1,82 @@
+//! Months in minutes: what a daemon takes does not grow with what has come and gone.
+
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+
+use crate::apart::Process;
+use crate::support::{Client, alone, until};
+
+/// Cycles of one test; with `JOSTLE_LONG=1`, over at least ten minutes.
+const CYCLES: [(usize, Duration); 2] = [(60, Duration::ZERO), (1000, Duration::from_secs(600))];
+
+/// Cycles before the first look: buffers and pools have then grown to what they need.
+const WARMING: usize = 20;
+
+/// By how much memory may grow.
+const GROWTH: u64 = 8 << 20;
+
+impl Process {
+    /// What is open, and how many threads there are.
+    fn handles(&self) -> [usize; 2] {
+        let count = |what: &str| {
+            let path = format!("/proc/{}/{what}", self.0.id());
+            std::fs::read_dir(path).unwrap().count()
+        };
+        [count("fd"), count("task")]
+    }
+}
+
+/// One swarm's life, and a client's.
+async fn cycle(endpoint: &str, number: usize) {
+    let client = Client::open(endpoint).await;
+    // Every name comes again, and others are there beside it.
+    let name = format!("s{}", number % 7);
+    client
+        .create(&name, json!({"n": 20, "seed": number, "rate": null}))
+        .await;
+    client.ok(&name, "step", json!({"steps": 50})).await;
+    let informed = json!({"client": "soak", "request_id": format!("i{number}"),
+        "args": {"select": {"count": 3}, "direction": 1.0}});
+    client.ok(&name, "inform", informed).await;
+    client.ok(&name, "run", json!({"until_step": 300})).await;
+    client.reach(&name, 300).await;
+    client.ok(&name, "inject", json!({"count": 2})).await;
+    client.ok(&name, "reset", json!({})).await;
+    let copy = format!("{name}-copy");
+    client.ok(&name, "fork", json!({"name": copy})).await;
+    for name in [name, copy] {
+        client.ok(&name, "delete", json!({})).await;
+    }
+    client.session.close().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_has_come_and_gone_leaves_nothing_behind() {
+    let _alone = alone().await;
+    let (cycles, at_least) = CYCLES[usize::from(std::env::var_os("JOSTLE_LONG").is_some())];
+    let (daemon, endpoint) = Process::serve();
+    for number in 0..WARMING {
+        cycle(&endpoint, number).await;
+    }
+    let before = (daemon.resident_bytes(), daemon.handles());
+    let began = Instant::now();
+    for number in 0..cycles {
+        cycle(&endpoint, WARMING + number).await;
+        let due = at_least.mul_f64(number as f64 / cycles as f64);
+        tokio::time::sleep(due.saturating_sub(began.elapsed())).await;
+    }
+    let after = daemon.resident_bytes();
+    println!(
+        "{cycles} cycles in {:.0?}: memory {} kB, then {} kB",
+        began.elapsed(),
+        before.0 / 1024,
+        after / 1024
+    );
+    assert!(after < before.0 + GROWTH, "{before:?} {after}");
+    until("descriptors and threads return", async || {
+        let now = daemon.handles();
+        now[0] <= before.1[0] + 2 && now[1] <= before.1[1] + 2
+    })
+    .await;
+}
