@@ -66,6 +66,9 @@ async fn two_futures_are_equal_until_treated_differently_and_diff_says_where_the
     assert_eq!(bodies["common"], 74);
     assert!(bodies["differ"].as_u64().unwrap() >= 3, "{bodies}");
     assert!(bodies["largest_distance"].as_f64().unwrap() > 0.0);
+    let drift = &difference["drift"];
+    let [one, other] = ["one", "other"].map(|it| drift[it].as_f64().unwrap());
+    assert!((one - other).abs() > 0.0, "{drift}");
     let said = daemon.said("diff a b").await;
     assert!(said.contains("a: nothing more"), "{said}");
     assert!(said.contains("at step 150 (seq "), "{said}");
