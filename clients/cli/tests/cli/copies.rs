@@ -170,7 +170,7 @@ async fn a_snapshot_is_a_file_that_another_daemon_restores() {
 async fn what_one_message_does_not_carry_is_refused_with_a_remedy_and_not_lost() {
     let daemon = Daemon::with(&[("max_individuals", "20000")]).await;
     daemon
-        .said("create large --n 12000 --radius 400 --timeout 60")
+        .said("create large --n 19000 --radius 500 --timeout 60")
         .await;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("large.snapshot");
