@@ -316,7 +316,7 @@ impl CommandError {
             CommandError::Individuals { n, limit } => {
                 json!({"field": "n", "value": n, "range": format!("[1, {limit}]")})
             }
-            CommandError::Snapshot(_) => json!({"field": "snapshot"}),
+            CommandError::Snapshot(_) => named("snapshot", Value::Null, range_of("snapshot")),
             CommandError::Parameter { name, known } => json!({"field": name, "known": known}),
             CommandError::Twice(name) => json!({"field": name}),
             CommandError::TooLong { bytes, most_bytes }
@@ -457,6 +457,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "until_step" => "a whole number from 0 to 9007199254740991",
         "until_time" => "a number from 0 to 1e12",
         "steps" => "a whole number from 1 to 1e9",
+        "snapshot" => "what get/snapshot answers as `result`, its CBOR in base64",
         "return" => "\"none\" or \"state\"",
         "select" => {
             "one of {\"ids\": […]}, {\"count\": 5}, {\"fraction\": 0.1}, \

@@ -21,7 +21,7 @@ use crate::swarm::handle::Ticket;
 use crate::swarm::order::{Answer, OrderError, Outcome, Refusal};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::worker::replay::To;
-use crate::wire::{self, Payload};
+use crate::wire::{self, Payload, sanity};
 
 /// What stands around a snapshot in the request to restore it, in bytes.
 const BYTES_AROUND_SNAPSHOT: usize = 4096;
@@ -59,7 +59,7 @@ impl Dispatcher {
         };
         let now = handle.step().unwrap_or_default();
         if let Some(step) = args.step
-            && step > now
+            && wire::whole("step", step)? > now
         {
             return Err(CommandError::NotReached { step, now });
         }
@@ -104,8 +104,13 @@ impl Dispatcher {
             .decode(args.snapshot.as_bytes())
             .map_err(|error| error.to_string())
             .and_then(|bytes| archive::read_checkpoint(&bytes))
+            .and_then(|it| match sanity::check(&it) {
+                Ok(()) => Ok(it),
+                Err(error) => Err(error.to_string()),
+            })
             .map_err(CommandError::Snapshot)?;
-        let n = checkpoint.state.configuration.n();
+        // As it is, and as it would be when reset.
+        let n = checkpoint.state.configuration.n().max(checkpoint.recipe.n);
         let limit = self.host.limits().max_individuals;
         if n > limit {
             return Err(OrderError::TooMany { n, limit }.into());

@@ -25,8 +25,10 @@ impl Beginnings {
     pub(super) fn moved(&self, swarm: &str, entry: Option<&Entry>) {
         let mut known = self.lock();
         let place = entry.map(|entry| (entry.id, entry.extent.first));
+        // The only one may have been replaced by a later one of its number.
+        let is_only = entry.is_some_and(|entry| entry.extent.newest == entry.extent.first);
         match (place, known.get_mut(swarm)) {
-            (Some(place), Some(old)) if old.0 == place => {}
+            (Some(place), Some(old)) if old.0 == place && !is_only => {}
             (Some(place), Some(old)) => *old = (place, None),
             (Some(place), None) => _ = known.insert(swarm.to_owned(), (place, None)),
             (None, _) => _ = known.remove(swarm),

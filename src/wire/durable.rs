@@ -40,6 +40,9 @@ pub enum DurableError {
     /// The state is not the one they name.
     #[error("its state does not have the hash that it names")]
     Hash,
+    /// No swarm can be so.
+    #[error("it cannot be so: {0}")]
+    Impossible(String),
 }
 
 /// Reads what a command orders.

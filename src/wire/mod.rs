@@ -3,6 +3,7 @@
 pub mod durable;
 mod figures;
 mod from_proto;
+pub mod sanity;
 mod to_proto;
 
 pub use figures::metrics;

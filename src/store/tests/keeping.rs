@@ -58,6 +58,31 @@ fn beyond_the_quota_checkpoints_thin_out_then_the_oldest_history_goes() {
 }
 
 #[test]
+fn where_history_begins_is_told_anew_when_it_has_moved() {
+    let folder = folder();
+    let store = open(folder.path());
+    durable(&store, vec![create("a")]).unwrap();
+    let begins = || store.history_from("a").unwrap().map(|mark| mark.step);
+    let first = state(0, 0);
+    assert_eq!(begins(), Some(first.step));
+    // One of the same number takes its place.
+    let checkpoint = Checkpoint { step: 77, ..first };
+    let swarm = || "a".to_owned();
+    let keep_again = Write::Keep {
+        swarm: swarm(),
+        checkpoint,
+    };
+    durable(&store, vec![keep_again]).unwrap();
+    assert_eq!(begins(), Some(77));
+    durable(&store, vec![append("a", 1), keep("a", 1, 0)]).unwrap();
+    assert_eq!(begins(), Some(77));
+    durable(&store, vec![Write::Delete { swarm: swarm() }]).unwrap();
+    assert!(store.history_from("a").is_err());
+    durable(&store, vec![create("a")]).unwrap();
+    assert_eq!(begins(), Some(0));
+}
+
+#[test]
 fn the_two_newest_checkpoints_and_the_rows_after_them_stay_whatever_the_quota() {
     let folder = folder();
     let store = open_with(folder.path(), 1);

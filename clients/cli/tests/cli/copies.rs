@@ -66,6 +66,9 @@ async fn two_futures_are_equal_until_treated_differently_and_diff_says_where_the
     assert_eq!(bodies["common"], 74);
     assert!(bodies["differ"].as_u64().unwrap() >= 3, "{bodies}");
     assert!(bodies["largest_distance"].as_f64().unwrap() > 0.0);
+    let drift = &difference["drift"];
+    let [one, other] = ["one", "other"].map(|it| drift[it].as_f64().unwrap());
+    assert!((one - other).abs() > 0.0, "{drift}");
     let said = daemon.said("diff a b").await;
     assert!(said.contains("a: nothing more"), "{said}");
     assert!(said.contains("at step 150 (seq "), "{said}");
@@ -167,7 +170,7 @@ async fn a_snapshot_is_a_file_that_another_daemon_restores() {
 async fn what_one_message_does_not_carry_is_refused_with_a_remedy_and_not_lost() {
     let daemon = Daemon::with(&[("max_individuals", "20000")]).await;
     daemon
-        .said("create large --n 12000 --radius 400 --timeout 60")
+        .said("create large --n 19000 --radius 500 --timeout 60")
         .await;
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("large.snapshot");

@@ -100,3 +100,23 @@ async fn those_who_watch_are_told_once_that_the_daemon_is_gone() {
     }
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_run_that_is_waited_for_goes_on_when_its_daemon_is_started_again() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10 --seed 1").await;
+    let waiting = daemon.begin("--json run demo --until-step 2000 --rate 10 --wait");
+    until("the run is under way", async || {
+        daemon.reply("status demo").await["step"].as_u64() > Some(100)
+    })
+    .await;
+    let daemon = daemon.restart().await;
+    let ended = waiting.end().await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let answer = ended.json_lines().pop().unwrap();
+    assert_eq!(
+        (&answer["step"], &answer["epoch"]),
+        (&json!(2000), &json!(2))
+    );
+    daemon.stop().await;
+}

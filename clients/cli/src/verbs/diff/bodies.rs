@@ -99,7 +99,7 @@ pub fn compare(one: &State, other: &State) -> Bodies {
 }
 
 /// An angle between -π and π.
-fn wrapped(angle: f64) -> f64 {
+pub fn wrapped(angle: f64) -> f64 {
     (angle + PI).rem_euclid(TAU) - PI
 }
 

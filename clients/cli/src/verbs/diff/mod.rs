@@ -40,6 +40,16 @@ struct Difference {
     is_same_hash: Option<bool>,
     /// How their individuals differ; `null` if they are not at one step.
     individuals: Option<Bodies>,
+    /// How fast both drift along one direction; `null` if nobody is informed of any.
+    drift: Option<Drift>,
+}
+
+/// Drifts along one direction: that of the second's informed individuals, or of the first's.
+#[derive(Clone, Copy, Debug, Serialize)]
+struct Drift {
+    direction: f64,
+    one: f64,
+    other: f64,
 }
 
 /// One of the two.
@@ -129,9 +139,24 @@ fn difference(one: Seen, other: Seen) -> Difference {
             .filter(|_| is_same_step)
             .map(|(one, other)| one == other),
         individuals: is_same_step.then(|| bodies::compare(&one.state, &other.state)),
+        drift: drift(&one.side.order, &other.side.order),
         one: one.side,
         other: other.side,
     }
+}
+
+/// What if they had been informed: the drift of those who were not is told along the same direction.
+fn drift(one: &Order, other: &Order) -> Option<Drift> {
+    let direction = other.direction.or(one.direction)?;
+    let along = |order: &Order| {
+        let [x, y] = order.velocity;
+        x * direction.cos() + y * direction.sin()
+    };
+    Some(Drift {
+        direction,
+        one: along(one),
+        other: along(other),
+    })
 }
 
 /// The fields of two specs that differ, but for those that no state depends on.
@@ -158,6 +183,7 @@ fn words(difference: &Difference) -> String {
         is_same_step,
         is_same_hash,
         individuals,
+        drift,
     } = difference;
     let mut lines = Vec::new();
     if !spec.is_empty() {
@@ -177,7 +203,7 @@ fn words(difference: &Difference) -> String {
     }
     if *compared_after_seq > 0 {
         lines.push(format!(
-            "(commands up to seq {compared_after_seq} not compared)"
+            "(commands up to seq {compared_after_seq} not compared: one of them does not know them)"
         ));
     }
     lines.push(match (is_same_step, is_same_hash) {
@@ -192,7 +218,7 @@ fn words(difference: &Difference) -> String {
         lines.push(bodies.words());
     }
     lines.push(String::new());
-    lines.push(sides(one, other));
+    lines.push(sides(one, other, *drift));
     lines.join("\n")
 }
 
@@ -208,7 +234,7 @@ fn told(command: Option<&past::Told>) -> String {
 }
 
 /// Both beside each other, and how much more the second has.
-fn sides(one: &Side, other: &Side) -> String {
+fn sides(one: &Side, other: &Side, drift: Option<Drift>) -> String {
     let whole = |name: &str, of: fn(&Side) -> u64| {
         let (one, other) = (of(one), of(other));
         let more = i128::from(other) - i128::from(one);
@@ -222,21 +248,36 @@ fn sides(one: &Side, other: &Side) -> String {
     let share = |name: &str, of: fn(&Side) -> Option<f64>| {
         let (one, other) = (of(one), of(other));
         let more = one.zip(other).map(|(one, other)| other - one);
-        [
-            name.into(),
-            format::share(one),
-            format::share(other),
-            format::share(more),
-        ]
+        shares(name, one, other, more)
+    };
+    let angle = |name: &str, of: fn(&Side) -> Option<f64>| {
+        let (one, other) = (of(one), of(other));
+        let more = one
+            .zip(other)
+            .map(|(one, other)| bodies::wrapped(other - one));
+        shares(name, one, other, more)
+    };
+    let drift = match drift {
+        Some(Drift {
+            direction,
+            one,
+            other,
+        }) => shares(
+            &format!("drift along {}", format::time(direction)),
+            Some(one),
+            Some(other),
+            Some(other - one),
+        ),
+        None => shares("drift", None, None, None),
     };
     let rows = vec![
         whole("step", |side| side.step),
         whole("n", |side| side.n as u64),
         whole("informed", |side| side.informed as u64),
         share("order", |side| Some(side.order.order)),
-        share("drift", |side| side.order.drift),
-        share("direction", |side| side.order.direction),
-        share("heading", |side| heading(&side.order)),
+        drift,
+        angle("direction", |side| side.order.direction),
+        angle("heading", |side| heading(&side.order)),
         share("mean order", |side| side.order.mean_order),
         share("mean drift", |side| side.order.mean_drift),
     ];
@@ -244,6 +285,16 @@ fn sides(one: &Side, other: &Side) -> String {
         ["", one.swarm.as_str(), other.swarm.as_str(), "difference"],
         rows,
     )
+}
+
+/// A row of numbers, each of which may be missing.
+fn shares(name: &str, one: Option<f64>, other: Option<f64>, more: Option<f64>) -> [String; 4] {
+    [
+        name.into(),
+        format::share(one),
+        format::share(other),
+        format::share(more),
+    ]
 }
 
 /// Where the group is going, in radians.

@@ -25,7 +25,7 @@ pub struct Daemon {
     pub server: Server,
     /// Where it listens.
     pub endpoint: String,
-    _folder: tempfile::TempDir,
+    folder: tempfile::TempDir,
 }
 
 /// A command line that has ended.
@@ -55,12 +55,26 @@ impl Daemon {
 
     /// A daemon with these settings on top.
     pub async fn with(settings: &[(&'static str, &str)]) -> Self {
+        Self::on(tempfile::tempdir().unwrap(), settings).await
+    }
+
+    /// Stops it and starts it again with the same data and, if it can be had, the same endpoint.
+    pub async fn restart(self) -> Self {
+        let Daemon {
+            server,
+            endpoint,
+            folder,
+        } = self;
+        server.stop().await;
+        Self::on(folder, &[("listen", &endpoint)]).await
+    }
+
+    async fn on(folder: tempfile::TempDir, settings: &[(&'static str, &str)]) -> Self {
         let mut flags = vec![
             ("listen", Some("tcp/127.0.0.1:0".to_owned())),
             ("node", Some("test".to_owned())),
             ("http", Some(String::new())),
         ];
-        let folder = tempfile::tempdir().unwrap();
         flags.push(("data_dir", Some(folder.path().to_str().unwrap().to_owned())));
         for (name, value) in settings {
             flags.retain(|(earlier, _)| earlier != name);
@@ -72,7 +86,7 @@ impl Daemon {
         Daemon {
             server,
             endpoint,
-            _folder: folder,
+            folder,
         }
     }
 
