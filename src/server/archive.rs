@@ -546,9 +546,12 @@ fn remember(ledger: &Ledger, swarm: &str, sender: &Arc<Sender>) -> Answer {
     let Some((id, digest)) = sender.request_id.clone().zip(sender.digest) else {
         return Box::new(|_| {});
     };
-    let name = (sender.client.clone(), id);
+    // Whoever asks again while it is told waits for what it comes to.
+    let Some(page) = ledger.reopen((sender.client.clone(), id), digest) else {
+        return Box::new(|_| {});
+    };
     let returns_state = read_command(sender).is_ok_and(|command| command.returns_state);
-    let (ledger, swarm) = (ledger.clone(), swarm.to_owned());
+    let swarm = swarm.to_owned();
     Box::new(move |answered| {
         let answer = match answered {
             Ok((place, outcome)) => {
@@ -560,9 +563,12 @@ fn remember(ledger: &Ledger, swarm: &str, sender: &Arc<Sender>) -> Answer {
                 error: error @ OrderError::Faulted(_),
             }) => Err(Payload::json(&CommandError::from(error).to_wire(step))),
             // What was refused changed nothing, and may be tried again.
-            Err(_) => return,
+            Err(Refusal { step, error }) => {
+                let refusal = Payload::json(&CommandError::from(error).to_wire(step));
+                return page.tear_out(&refusal);
+            }
         };
-        ledger.remember(name, digest, answer);
+        page.write(&answer);
     })
 }
 

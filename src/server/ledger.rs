@@ -97,10 +97,31 @@ impl Ledger {
         }
     }
 
-    /// Takes in what a request came to that nobody waits for.
-    pub fn remember(&self, name: Name, digest: Digest, answer: Result<Payload, Payload>) {
-        self.keep(&name, digest, &answer);
-        self.lock().done(name, digest, answer);
+    /// Enters a request that is carried out anew after a restart, unless it is known.
+    pub fn reopen(&self, name: Name, digest: Digest) -> Option<Page> {
+        let mut requests = self.lock();
+        if requests.by_name.contains_key(&name) {
+            return None;
+        }
+        let progress = Progress::Underway(Vec::new());
+        requests.by_name.insert(name.clone(), (digest, progress));
+        Some(Page {
+            ledger: self.clone(),
+            name,
+            is_written: false,
+        })
+    }
+
+    /// Keeps `promise` with what a request came to, if it is known.
+    pub fn tell(&self, key: &str, request: &Request, id: &str, promise: &Promise) {
+        let name = (request.client.clone(), id.to_owned());
+        let digest = digest(key, request);
+        if let Some((known, Progress::Done(answer))) = self.lock().by_name.get(&name)
+            && *known == digest
+        {
+            let answer = answer.clone();
+            promise.keep(move || answer);
+        }
     }
 
     /// Whether a request of this name is known.
