@@ -83,7 +83,7 @@ pub struct Server {
     desk: Desk,
     intake: SyncSender<Intake>,
     endpoints: Vec<String>,
-    doors: (LivelinessToken, [Queryable<()>; 2]),
+    doors: (LivelinessToken, [Queryable<()>; 3]),
 }
 
 /// Opens the session and serves.
@@ -141,6 +141,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let queryables = [
         queryable(keys::node_get(prefix, node, "**"), Topic::NodeGet).map_err(refused)?,
         queryable(keys::node_cmd(prefix, node, "**"), Topic::NodeCommand).map_err(refused)?,
+        queryable(keys::cmd(prefix, "*", "delete"), Topic::Deletion).map_err(refused)?,
     ];
     let token = session
         .liveliness()
