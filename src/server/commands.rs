@@ -95,6 +95,25 @@ impl Dispatcher {
         );
     }
 
+    /// Answers whoever deleted a swarm and asks again, when nothing of it is there to answer. Others
+    /// are left to whoever has that swarm.
+    pub(super) fn deleted(&self, asked: &Asked) {
+        let query = &asked.query;
+        let key = query.key_expr().as_str();
+        let swarm = key
+            .strip_prefix(&self.prefix)
+            .and_then(|key| key.strip_prefix('/')?.strip_suffix("/cmd/delete"));
+        if query.key_expr().is_wild() || swarm.is_none_or(|swarm| self.doors.has(swarm)) {
+            return;
+        }
+        if let Ok(request) = request(query, self.most_bytes())
+            && let Some(id) = &request.request_id
+        {
+            let promise = self.desk.promise(asked, key.to_owned());
+            self.ledger.tell(key, &request, id, &promise);
+        }
+    }
+
     pub(super) fn node_command(&self, asked: &Asked) {
         let query = &asked.query;
         let promise = self

@@ -168,7 +168,7 @@ impl Dispatcher {
             .query
             .payload()
             .is_some_and(|payload| !payload.is_empty());
-        if has_payload && !matches!(topic, Topic::Command(_) | Topic::NodeCommand) {
+        if has_payload && matches!(topic, Topic::State(_) | Topic::Get(_) | Topic::NodeGet) {
             let error = CommandError::Field {
                 field: "payload",
                 problem: "means nothing to a get: what it takes goes behind the key's `?`",
@@ -180,6 +180,7 @@ impl Dispatcher {
             Topic::State(swarm) => self.state(swarm, asked),
             Topic::Get(swarm) => self.get(swarm, asked),
             Topic::Command(swarm) => self.command(swarm, asked),
+            Topic::Deletion => self.deleted(asked),
             Topic::NodeGet => self.node_get(asked),
             Topic::NodeCommand => self.node_command(asked),
         }

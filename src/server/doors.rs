@@ -91,6 +91,11 @@ impl Doors {
         door.token.take().is_some()
     }
 
+    /// Whether a swarm's own keys answer.
+    pub fn has(&self, swarm: &str) -> bool {
+        self.doors.contains_key(swarm)
+    }
+
     /// Closes the keys of swarms that are long gone.
     pub fn sweep(&mut self) {
         if self.swept.elapsed() >= LINGER {

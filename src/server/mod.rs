@@ -92,7 +92,7 @@ pub struct Server {
     endpoints: Vec<String>,
     watch: Arc<Watch>,
     gateway: Option<Gateway>,
-    doors: (LivelinessToken, [Queryable<()>; 2]),
+    doors: (LivelinessToken, [Queryable<()>; 3]),
 }
 
 /// Opens the session and serves.
@@ -177,6 +177,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let queryables = [
         queryable(keys::node_get(prefix, node, "**"), Topic::NodeGet).map_err(refused)?,
         queryable(keys::node_cmd(prefix, node, "**"), Topic::NodeCommand).map_err(refused)?,
+        queryable(keys::cmd(prefix, "*", "delete"), Topic::Deletion).map_err(refused)?,
     ];
     let token = session
         .liveliness()

@@ -24,6 +24,8 @@ pub enum Topic {
     Get(Arc<str>),
     /// A swarm's `cmd/**`.
     Command(Arc<str>),
+    /// The deletion of whichever swarm.
+    Deletion,
     /// The daemon's `get/**`.
     NodeGet,
     /// The daemon's `cmd/**`.

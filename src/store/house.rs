@@ -35,7 +35,11 @@ pub(super) fn run(mut writer: Writer, shared: &Arc<Shared>, on_fatal: &OnFatal) 
                 .connection
                 .set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true);
             shared.queue.end(End::Fatal(fault.to_string()));
+            // The daemon ends here, and whoever waited asks the next one.
             on_fatal(&fault);
+            for submit in std::mem::take(&mut writer.unknown) {
+                writer.tell(submit.wanted, Err(fault.clone()));
+            }
             loop {
                 let (group, _) = shared.queue.take(Duration::ZERO);
                 if group.is_empty() {

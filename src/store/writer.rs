@@ -43,6 +43,8 @@ pub(super) struct Writer {
     pub(super) tidied: Instant,
     /// Whether a copy of the file as it was opened is kept aside.
     is_aside: bool,
+    /// What may have been written or not when the store failed.
+    pub(super) unknown: Vec<Submit>,
     /// Held until the last byte is written.
     _lock: File,
 }
@@ -69,6 +71,7 @@ impl Writer {
             wal_bytes: 0,
             tidied,
             is_aside: false,
+            unknown: Vec::new(),
             _lock: lock,
         })
     }
@@ -134,9 +137,8 @@ impl Writer {
     /// A deletion needs little room and makes some: it is tried by itself.
     fn refuse(&mut self, group: Vec<Submit>, fault: StoreFault) -> Result<(), StoreFault> {
         if let StoreFault::Fatal(_) = fault {
-            for submit in group {
-                self.tell(submit.wanted, Err(fault.clone()));
-            }
+            // Whether it is written is unknown: whoever waits must not hear that nothing is.
+            self.unknown = group;
             return Err(fault);
         }
         for submit in group {
@@ -161,13 +163,13 @@ impl Writer {
                 self.tell(submit.wanted, outcomes.pop().unwrap_or(Ok(())));
                 Ok(())
             }
+            Err(fault @ StoreFault::Fatal(_)) => {
+                self.unknown.push(submit);
+                Err(fault)
+            }
             Err(fault) => {
-                self.tell(submit.wanted, Err(fault.clone()));
-                if matches!(fault, StoreFault::Fatal(_)) {
-                    Err(fault)
-                } else {
-                    Ok(())
-                }
+                self.tell(submit.wanted, Err(fault));
+                Ok(())
             }
         }
     }

@@ -106,6 +106,11 @@ pub type Answer = Result<Value, Error>;
 
 impl Client {
     pub async fn open(endpoint: &str) -> Self {
+        Self::try_open(endpoint).await.unwrap()
+    }
+
+    /// A client, unless the daemon is gone already.
+    pub async fn try_open(endpoint: &str) -> zenoh::Result<Self> {
         let mut config = zenoh::Config::default();
         for (key, value) in [
             ("mode", json!("client")),
@@ -116,8 +121,8 @@ impl Client {
         ] {
             config.insert_json5(key, &value.to_string()).unwrap();
         }
-        let session = zenoh::open(config).await.unwrap();
-        Client { session }
+        let session = zenoh::open(config).await?;
+        Ok(Client { session })
     }
 
     /// Every answer to a query, JSON or CBOR read as values.

@@ -401,6 +401,7 @@ impl Worker {
             answer(Err(self.refusal(error)));
             return None;
         }
+        crash::point("swarm-ended");
         self.phase = Phase::Paused(PauseReason::Requested);
         self.answer_pending(&self.phase.clone());
         self.tell(EventKind::Deleted);

@@ -202,6 +202,10 @@ impl Worker {
         self.set_pace();
         let kept = self.journal.commit(before, vec![Record::Resumed(epoch)]);
         crash::point("swarm-resumed");
+        if kept.is_err() {
+            // What follows is written in this epoch: it comes before that, whenever it can.
+            self.journal.note(before, Record::Resumed(epoch), None);
+        }
         self.keep();
         self.tell(EventKind::Phase);
         self.renew_summary();

@@ -1,0 +1,337 @@
+//! The daemon is killed at any moment, and nothing that it answered is lost, done twice or other
+//! than it would have been.
+
+mod clients;
+mod damage;
+mod dice;
+mod disk;
+mod life;
+mod recovery;
+pub mod twin;
+
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use jostle_proto::keys;
+use serde_json::json;
+use tempfile::TempDir;
+
+use crate::crash::clients::{Role, Sender, Traffic};
+use crate::crash::dice::Dice;
+use crate::crash::life::{Left, Life};
+use crate::crash::twin::Twin;
+use crate::support::{Client, PREFIX, alone};
+
+/// Kills, one world after the other; with `JOSTLE_LONG=1` the second.
+const KILLS: [usize; 2] = [30, 1000];
+const KILLS_PER_WORLD: usize = 100;
+
+/// The seed of the first world. `JOSTLE_SEED` repeats another one.
+const SEED: u64 = 1;
+
+/// Points in the code where the process dies, and how often at most it passes there before.
+const POINTS: [(&str, u64); 12] = [
+    ("store-begin", 60),
+    ("store-written", 60),
+    ("store-synced", 60),
+    ("store-done", 60),
+    ("store-keep", 20),
+    ("swarm-safe", 60),
+    ("swarm-applied", 60),
+    ("swarm-stepped", 60),
+    ("swarm-kept", 20),
+    ("swarm-retold", 40),
+    ("swarm-resumed", 6),
+    ("swarm-ended", 4),
+];
+
+/// The swarms whose past is told: their size, and how many steps they settle before.
+const SWARMS: [(&str, u64, u64); 4] = [
+    ("five", 5, 0),
+    ("twenty", 20, 400),
+    ("fifty", 50, 400),
+    ("packed", 74, 600),
+];
+
+/// How the kills went.
+#[derive(Debug, Default)]
+struct Tally {
+    kills: usize,
+    at_points: usize,
+    in_recovery: usize,
+    with_unanswered: usize,
+    with_just_answered: usize,
+    answers: usize,
+    steps_not_safe: usize,
+    compared: usize,
+    /// Ends by itself, because the disk failed.
+    ended: usize,
+}
+
+/// A folder, the daemons on it, whoever talks to them, and what must come of it.
+struct World {
+    folder: TempDir,
+    seed: u64,
+    dice: Dice,
+    twins: Vec<(Twin, String)>,
+    senders: Vec<Sender>,
+    /// What goes wrong with the disk, in libfiu's words.
+    faults: Option<String>,
+    tally: Tally,
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn killed_anywhere_it_loses_nothing_that_it_answered_and_repeats_nothing() {
+    let _alone = alone().await;
+    let given = std::env::var("JOSTLE_SEED").ok();
+    let first = given.map_or(SEED, |seed| seed.parse().unwrap());
+    let kills = KILLS[usize::from(std::env::var_os("JOSTLE_LONG").is_some())];
+    let (mut seed, mut total, began) = (first, Tally::default(), Instant::now());
+    while total.kills < kills {
+        println!("JOSTLE_SEED={seed}");
+        let mut world = World::begin(seed).await;
+        let until = (kills - total.kills).min(KILLS_PER_WORLD);
+        while world.tally.kills < until {
+            world.live_and_die().await;
+        }
+        world.live_on().await;
+        total.add(&world.tally);
+        seed += 1;
+    }
+    println!("{total:#?} in {:?}", began.elapsed());
+    let enough = kills / 20;
+    assert!(total.with_unanswered >= enough && total.with_just_answered >= enough);
+    assert!(total.at_points > kills / 4 && total.compared > kills);
+}
+
+impl World {
+    async fn begin(seed: u64) -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let mut life = Life::begin(&mut life::daemon(folder.path())).unwrap();
+        let client = Client::open(&life.endpoint).await;
+        let (mut twins, mut senders) = (Vec::new(), Vec::new());
+        for (k, (name, n, settles)) in (0..).zip(SWARMS) {
+            let spec = json!({"n": n, "seed": seed + k});
+            client.create(name, spec.clone()).await;
+            if settles > 0 {
+                let step =
+                    json!({"client": "setup", "request_id": name, "args": {"steps": settles}});
+                client.ok(name, "step", step).await;
+            }
+            twins.push((Twin::new(name, &spec), name.to_owned()));
+            senders.push(Sender::new(name, Role::Moves, 100 * seed + 2 * k));
+            senders.push(Sender::new(name, Role::Changes, 100 * seed + 2 * k + 1));
+        }
+        senders.push(Sender::new("phoenix", Role::Creates, 100 * seed + 99));
+        // Whatever was lazy is safe with this.
+        for (name, ..) in SWARMS {
+            let request = json!({"client": "setup", "request_id": format!("{name}-end")});
+            client.ok(name, "pause", request).await;
+        }
+        life.kill();
+        let mut world = World {
+            folder,
+            seed,
+            dice: Dice::new(seed),
+            twins,
+            senders,
+            faults: None,
+            tally: Tally::default(),
+        };
+        world.check_answers(&new_traffic());
+        world
+    }
+
+    /// Where the next daemon is to die; anywhere, if nowhere in particular.
+    fn choose_point(&mut self) -> String {
+        if self.dice.below(2) == 0 {
+            return String::new();
+        }
+        let (name, most) = *self.dice.pick(&POINTS);
+        match self.dice.below(most) {
+            0 => format!("{name}=return"),
+            passes => format!("{name}={passes}*off->return"),
+        }
+    }
+
+    /// A daemon comes back, is what it must be, is kept busy, and dies.
+    async fn live_and_die(&mut self) {
+        let point = self.choose_point();
+        let told = format!("seed {}, kill {}, {point:?}", self.seed, self.tally.kills);
+        println!("{told}");
+        let mut command = life::daemon(self.folder.path());
+        command.args(["--quota-mb", "2"]);
+        if let Some(faults) = &self.faults {
+            disk::fail(&mut command, faults);
+        }
+        if !point.is_empty() {
+            command.env("FAILPOINTS", &point);
+        }
+        let begun = Life::begin(&mut command);
+        let Ok(mut life) = begun else {
+            assert!(self.is_death(begun.err().flatten()), "{told}");
+            self.tally.kills += 1;
+            self.tally.at_points += 1;
+            self.tally.in_recovery += 1;
+            return self.check_answers(&new_traffic());
+        };
+        let traffic = new_traffic();
+        let Ok(clients) = tokio::try_join!(connect(&life), connect(&life)) else {
+            assert!(self.is_death(life.end()), "{told}");
+            self.tally.kills += 1;
+            self.tally.at_points += 1;
+            return self.check_answers(&new_traffic());
+        };
+        let clients = [clients.0, clients.1];
+        self.compare(&clients[0], Some(&mut life)).await;
+        let mut tasks = tokio::task::JoinSet::new();
+        for (k, mut sender) in self.senders.drain(..).enumerate() {
+            let (client, traffic) = (clients[k % 2].clone(), traffic.clone());
+            tasks.spawn(async move {
+                sender.send_on(&client, &traffic).await;
+                sender
+            });
+        }
+        let patience = if point.is_empty() {
+            Duration::from_millis(1 + self.dice.below(150))
+        } else {
+            Duration::from_millis(700)
+        };
+        let began = Instant::now();
+        let mut is_dead = false;
+        while began.elapsed() < patience && !is_dead {
+            tokio::time::sleep(Duration::from_millis(1)).await;
+            is_dead = life.child.try_wait().unwrap().is_some();
+        }
+        if is_dead {
+            let code = life.end();
+            assert!(self.is_death(code), "{told}: {code:?}");
+            self.tally.ended += usize::from(code.is_some());
+        }
+        life.kill();
+        let answered = traffic.answered.lock().unwrap().elapsed();
+        traffic.is_over.store(true, Ordering::Relaxed);
+        while let Some(sender) = tasks.join_next().await {
+            self.senders.push(sender.unwrap());
+        }
+        self.senders.sort_by(|a, b| a.name.cmp(&b.name));
+        self.tally.kills += 1;
+        self.tally.at_points += usize::from(is_dead);
+        let unanswered = traffic.under_way.load(Ordering::Relaxed);
+        self.tally.with_unanswered += usize::from(unanswered > 0);
+        self.tally.with_just_answered += usize::from(answered < Duration::from_millis(3));
+        self.check_answers(&traffic);
+    }
+
+    /// Whether a daemon that ended with this code was killed, or had every reason to end.
+    fn is_death(&self, code: Option<i32>) -> bool {
+        code.is_none() || self.faults.is_some()
+    }
+
+    /// The last daemon answers everybody and is what it must be.
+    async fn live_on(&mut self) {
+        let mut life = Life::begin(&mut life::daemon(self.folder.path())).unwrap();
+        let client = connect(&life).await.unwrap();
+        self.compare(&client, None).await;
+        let traffic = new_traffic();
+        for sender in &mut self.senders {
+            assert!(sender.send(&client, &traffic).await);
+        }
+        let swarms = client.node("swarms").await["swarms"].take();
+        let named = |name: &str| {
+            swarms
+                .as_array()
+                .unwrap()
+                .iter()
+                .any(|it| it["swarm"] == name)
+        };
+        for (name, is_there) in self.senders.iter().filter_map(Sender::has).flatten() {
+            assert_eq!(named(&name), is_there, "{name}: {swarms}");
+        }
+        for (name, ..) in SWARMS {
+            let request = json!({"client": "setup", "request_id": format!("{name}-last")});
+            client.ok(name, "pause", request).await;
+        }
+        life.kill();
+        self.check_answers(&traffic);
+        let life = Life::begin(&mut life::daemon(self.folder.path())).unwrap();
+        let client = connect(&life).await.unwrap();
+        self.compare(&client, None).await;
+    }
+
+    /// Holds every swarm, as it has just come back, against its twin. Dying meanwhile is let.
+    async fn compare(&mut self, client: &Client, mut life: Option<&mut Life>) {
+        for (twin, name) in &mut self.twins {
+            let key = keys::get(PREFIX, name, "status");
+            match client.ask(&key, None).await.pop() {
+                Some(Ok(status)) => {
+                    twin.compare(&status);
+                    self.tally.compared += 1;
+                }
+                other => match &mut life {
+                    Some(life) => {
+                        let code = life.end();
+                        assert!(code.is_none() || self.faults.is_some(), "{other:?}");
+                    }
+                    None => panic!("{name}: {other:?}"),
+                },
+            }
+        }
+    }
+
+    /// Holds what the journals say against what was answered.
+    fn check_answers(&mut self, traffic: &Traffic) {
+        let answers = traffic.answers.lock().unwrap();
+        let left = Left::on(self.folder.path());
+        for (twin, name) in &mut self.twins {
+            twin.tell(left.rows(name, twin.line), &answers);
+        }
+        for (id, answer) in answers.iter() {
+            let swarm = answer["swarm"].as_str().unwrap();
+            let (twin, _) = self.twins.iter().find(|(_, name)| name == swarm).unwrap();
+            self.tally.answers += 1;
+            if twin.has(id) {
+                twin.check(id, answer);
+                continue;
+            }
+            // What was not safe was said not to be.
+            let durable = answer["result"]["durable_step"].as_u64();
+            let may_be_lost = durable.is_some_and(|step| step < answer["step"].as_u64().unwrap());
+            assert!(may_be_lost, "lost {id:?}: {answer}");
+            self.tally.steps_not_safe += 1;
+        }
+        for id in traffic.refused.lock().unwrap().iter() {
+            let has = self.twins.iter().any(|(twin, _)| twin.has(id));
+            assert!(!has, "{id:?} was refused, and carried out");
+        }
+    }
+}
+
+impl Tally {
+    fn add(&mut self, other: &Tally) {
+        self.kills += other.kills;
+        self.at_points += other.at_points;
+        self.in_recovery += other.in_recovery;
+        self.with_unanswered += other.with_unanswered;
+        self.with_just_answered += other.with_just_answered;
+        self.answers += other.answers;
+        self.steps_not_safe += other.steps_not_safe;
+        self.compared += other.compared;
+        self.ended += other.ended;
+    }
+}
+
+fn new_traffic() -> Arc<Traffic> {
+    Arc::new(Traffic {
+        is_over: false.into(),
+        under_way: 0.into(),
+        answered: Mutex::new(Instant::now()),
+        answers: Mutex::default(),
+        refused: Mutex::default(),
+    })
+}
+
+async fn connect(life: &Life) -> zenoh::Result<Arc<Client>> {
+    Client::try_open(&life.endpoint).await.map(Arc::new)
+}

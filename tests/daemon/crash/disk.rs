@@ -1,0 +1,244 @@
+//! Disks that are full, and disks that fail.
+
+use std::fs::{self, File};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::time::{Duration, Instant};
+
+use jostle_proto::ErrorCode;
+use serde_json::json;
+
+use crate::apart::jostled;
+use crate::crash::life::{self, Left, Life};
+use crate::crash::twin::{Answers, Twin};
+use crate::crash::{Tally, World};
+use crate::support::{Client, alone, beside_others, until};
+
+/// libfiu's libraries, of the Debian package fiu-utils.
+const FIU: &str = "/usr/lib/fiu";
+
+/// One in fifty writes, or syncs, of files fails with EIO; sockets are left alone.
+const FAULTS: [&str; 3] = [
+    "enable_random name=posix/io/rw/pwrite*,probability=0.02,failinfo=5",
+    "enable_random name=posix/io/sync/fsync,probability=0.02,failinfo=5",
+    "enable_random name=posix/io/rw/pwrite*,probability=0.02,failinfo=5\n\
+     enable_random name=posix/io/sync/fsync,probability=0.02,failinfo=5",
+];
+
+/// Has the disk fail under a daemon.
+pub fn fail(command: &mut Command, faults: &str) {
+    let preload = format!("{FIU}/fiu_run_preload.so {FIU}/fiu_posix_preload.so");
+    command.env("LD_PRELOAD", preload).env("FIU_ENABLE", faults);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn writes_and_syncs_that_fail_are_never_taken_for_done() {
+    let _alone = alone().await;
+    if !Path::new(FIU).exists() {
+        println!("skipped: needs libfiu, `apt-get install fiu-utils`");
+        return;
+    }
+    let lives = if std::env::var_os("JOSTLE_LONG").is_some() {
+        60
+    } else {
+        5
+    };
+    let mut total = Tally::default();
+    for (seed, faults) in (1000..).zip(FAULTS) {
+        let mut world = World::begin(seed).await;
+        world.faults = Some(faults.to_owned());
+        for _ in 0..lives {
+            world.live_and_die().await;
+        }
+        world.faults = None;
+        world.live_on().await;
+        total.add(&world.tally);
+    }
+    println!("{total:#?}");
+    assert!(total.ended > 0, "no sync failed");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn after_a_failed_sync_it_ends_with_code_8_and_answers_nobody() {
+    let _machine = beside_others().await;
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = life::daemon(folder.path());
+    command.env("FAILPOINTS", "store-fsync=4*off->return");
+    let mut life = Life::begin(&mut command).unwrap();
+    let client = Client::open(&life.endpoint).await;
+    client.create("a", json!({"n": 5})).await;
+    let key = jostle_proto::keys::cmd("jostle", "a", "set");
+    for k in 0.. {
+        let request = json!({"client": "me", "request_id": k.to_string(), "args": {"pi3": 1.1}});
+        let answers = client.ask(&key, Some(request.to_string().as_bytes())).await;
+        match answers.first() {
+            Some(Ok(_)) => {}
+            // Neither done nor refused: the next daemon knows.
+            None => break,
+            Some(Err(error)) => panic!("{error:?}"),
+        }
+    }
+    assert_eq!(life.end(), Some(8));
+    let log = life::log(folder.path());
+    assert!(log.contains("start jostled again"), "{log}");
+}
+
+/// A disk of its own, as small as this.
+struct Small(
+    PathBuf,
+    #[expect(dead_code, reason = "held for its end")] tempfile::TempDir,
+);
+
+impl Small {
+    fn mount(megabytes: u64) -> Option<Self> {
+        let folder = tempfile::tempdir().unwrap();
+        let size = format!("size={megabytes}m");
+        let path = folder.path().to_owned();
+        let mount = Command::new("mount")
+            .args(["-t", "tmpfs", "-o", &size, "none"])
+            .arg(&path)
+            .output();
+        mount
+            .is_ok_and(|mount| mount.status.success())
+            .then_some(Small(path, folder))
+    }
+
+    fn fill(&self) {
+        let mut file = File::create(self.0.join("ballast")).unwrap();
+        for size in [65536, 4096, 1] {
+            while file.write_all(&vec![0; size]).is_ok() {}
+        }
+    }
+
+    fn make_room(&self) {
+        fs::remove_file(self.0.join("ballast")).unwrap();
+    }
+}
+
+impl Drop for Small {
+    fn drop(&mut self) {
+        let _ = Command::new("umount").arg("-l").arg(&self.0).status();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn on_a_full_disk_swarms_step_on_and_commands_hear_of_it_at_once() {
+    let _alone = alone().await;
+    let Some(disk) = Small::mount(8) else {
+        println!("skipped: mounting a small disk is not permitted here");
+        return;
+    };
+    let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
+    command.arg("--data-dir").arg(&disk.0);
+    let mut life = Life::begin(&mut command).unwrap();
+    let client = Client::open(&life.endpoint).await;
+    let (moving, still) = (
+        json!({"n": 20, "seed": 1, "rate": 20}),
+        json!({"n": 74, "seed": 2}),
+    );
+    client.create("moving", moving.clone()).await;
+    client.create("still", still.clone()).await;
+    let mut twins = [Twin::new("moving", &moving), Twin::new("still", &still)];
+    let named =
+        |id: &str, args: serde_json::Value| json!({"client": "me", "request_id": id, "args": args});
+    client.ok("moving", "run", named("run", json!({}))).await;
+    client
+        .ok("still", "step", named("step", json!({"steps": 500})))
+        .await;
+    disk.fill();
+    let inform = json!({"select": {"count": 2}, "direction": 1});
+    let mut slowest = Duration::ZERO;
+    let mut count = 0;
+    // What was set aside is used up first.
+    until("the disk is full", async || {
+        count += 1;
+        let began = Instant::now();
+        let answer = client
+            .cmd(
+                "still",
+                "inform",
+                named(&format!("fill-{count}"), inform.clone()),
+            )
+            .await;
+        slowest = slowest.max(began.elapsed());
+        answer.is_err_and(|error| error.code == ErrorCode::StorageFull)
+    })
+    .await;
+    for k in 0..20 {
+        let began = Instant::now();
+        for swarm in ["still", "moving"] {
+            let request = named(&format!("full-{k}-{swarm}"), inform.clone());
+            let (code, _) = client.err(swarm, "inform", request).await;
+            assert_eq!(code, ErrorCode::StorageFull);
+        }
+        slowest = slowest.max(began.elapsed() / 2);
+        let before = client.get("moving", "status").await["step"]
+            .as_u64()
+            .unwrap();
+        let stepped = client
+            .ok(
+                "still",
+                "step",
+                named(&format!("lazy-{k}"), json!({"steps": 3})),
+            )
+            .await;
+        assert!(stepped["result"]["durable_step"].as_u64() < stepped["step"].as_u64());
+        client.reach("moving", before + 10).await;
+    }
+    println!("told within {slowest:?} that the disk is full");
+    assert!(slowest < Duration::from_millis(100), "{slowest:?}");
+
+    disk.make_room();
+    let began = Instant::now();
+    let mut count = 0;
+    until("there is room", async || {
+        count += 1;
+        let request = named(&format!("room-{count}"), inform.clone());
+        client.cmd("still", "inform", request).await.is_ok()
+    })
+    .await;
+    println!("normal {:?} after there was room", began.elapsed());
+    assert!(began.elapsed() < Duration::from_secs(5));
+    let last = client.get("still", "status").await;
+
+    // Killed on a full disk, and started on it, it is what it was.
+    disk.fill();
+    life.kill();
+    let left = Left::on(&disk.0);
+    for (twin, name) in twins.iter_mut().zip(["moving", "still"]) {
+        twin.tell(left.rows(name, twin.line), &Answers::new());
+    }
+    let begun = Life::begin(&mut command);
+    match begun {
+        Ok(mut life) => {
+            let client = Client::open(&life.endpoint).await;
+            let status = client.get("still", "status").await;
+            assert_eq!(status["result"]["state_hash"], last["result"]["state_hash"]);
+            println!("starts on a full disk");
+            disk.make_room();
+            until("there is room", async || {
+                client
+                    .cmd("still", "set", named("room", json!({"pi3": 1.0})))
+                    .await
+                    .is_ok()
+            })
+            .await;
+            life.kill();
+        }
+        Err(code) => {
+            println!("does not start on a full disk: {code:?}");
+            assert!(code.is_some());
+            disk.make_room();
+        }
+    }
+    let left = Left::on(&disk.0);
+    for (twin, name) in twins.iter_mut().zip(["moving", "still"]) {
+        twin.tell(left.rows(name, twin.line), &Answers::new());
+    }
+    let life = Life::begin(&mut command).unwrap();
+    let client = Client::open(&life.endpoint).await;
+    for (twin, name) in twins.iter_mut().zip(["moving", "still"]) {
+        twin.compare(&client.get(name, "status").await);
+    }
+}

@@ -1,0 +1,114 @@
+//! Daemons that live after each other on one folder.
+
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use jostled::store::{Row, Settings, Store};
+
+use crate::apart::jostled;
+use crate::support::PATIENCE;
+
+/// A daemon from its start to its end; it is killed when dropped.
+pub struct Life {
+    pub child: Child,
+    pub endpoint: String,
+    /// From its start to the line that says where it listens.
+    pub took: Duration,
+}
+
+impl Drop for Life {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A daemon on `folder`, not yet started. What it says goes to a file there.
+pub fn daemon(folder: &Path) -> Command {
+    let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
+    let log = folder.join("log");
+    let log = File::options().create(true).append(true).open(log).unwrap();
+    command.arg("--data-dir").arg(folder).stderr(log);
+    command
+}
+
+impl Life {
+    /// Starts a daemon; `None` with its exit code if it ends before it listens.
+    pub fn begin(command: &mut Command) -> Result<Life, Option<i32>> {
+        let began = Instant::now();
+        let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+        let mut line = String::new();
+        let output = child.stdout.take().unwrap();
+        BufReader::new(output).read_line(&mut line).unwrap();
+        match line.trim().strip_prefix("listening on ") {
+            Some(endpoint) => Ok(Life {
+                child,
+                endpoint: endpoint.to_owned(),
+                took: began.elapsed(),
+            }),
+            None => Err(child.wait().unwrap().code()),
+        }
+    }
+
+    /// Kills it, wherever it is.
+    pub fn kill(&mut self) {
+        let _ = self.child.kill();
+        self.child.wait().unwrap();
+    }
+
+    /// Waits until it ends, and tells its exit code; `None` if it was killed.
+    pub fn end(&mut self) -> Option<i32> {
+        let began = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().unwrap() {
+                return status.code();
+            }
+            assert!(began.elapsed() < PATIENCE, "it does not end");
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+}
+
+/// What the daemons on `folder` have said.
+pub fn log(folder: &Path) -> String {
+    fs::read_to_string(folder.join("log")).unwrap_or_default()
+}
+
+/// Copies the database and its WAL as they are.
+pub fn copy(from: &Path, to: &Path) {
+    fs::create_dir_all(to).unwrap();
+    for suffix in ["-shm", "-wal", ""] {
+        let name = format!("jostle.sqlite{suffix}");
+        let _ = fs::remove_file(to.join(&name));
+        if suffix != "-shm" && from.join(&name).exists() {
+            fs::copy(from.join(&name), to.join(&name)).unwrap();
+        }
+    }
+}
+
+/// What a daemon that is gone has left on `folder`, which stays as it is.
+pub struct Left(
+    Store,
+    #[expect(dead_code, reason = "held for its end")] tempfile::TempDir,
+);
+
+impl Left {
+    pub fn on(folder: &Path) -> Self {
+        let aside = tempfile::tempdir().unwrap();
+        copy(folder, aside.path());
+        let settings = Settings {
+            quota_bytes: u64::MAX,
+        };
+        let store = Store::open(aside.path(), settings, Box::new(|_| {})).unwrap();
+        Left(store, aside)
+    }
+
+    pub fn rows(&self, swarm: &str, after: u64) -> Vec<Row> {
+        let rows = self.0.rows(swarm, after, usize::MAX >> 1).unwrap();
+        assert_eq!(rows.damaged_at, None);
+        rows.rows
+    }
+}

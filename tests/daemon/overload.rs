@@ -1,0 +1,164 @@
+//! More swarms than the cores can step, and clocks that jump: slower, never otherwise.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use crate::apart::{Process, jostled};
+use crate::crash::twin::Twin;
+use crate::support::{Client, alone};
+
+const SWARMS: u64 = 40;
+
+/// Time units a second, of which two cores do a part for so many swarms.
+const RATE: f64 = 60.0;
+
+#[tokio::test(flavor = "multi_thread")]
+async fn overloaded_cores_are_shared_fairly_and_no_hash_changes() {
+    let _alone = alone().await;
+    let (daemon, endpoint) = Process::serve();
+    let client = Client::open(&endpoint).await;
+    let spec = |k: u64| json!({"n": 100, "seed": k, "rate": RATE});
+    for k in 0..SWARMS {
+        // All alike, so that equal shares of the cores are equal numbers of steps.
+        client.create(&format!("s{k}"), spec(1)).await;
+        client
+            .ok(&format!("s{k}"), "step", json!({"steps": 400}))
+            .await;
+    }
+    for k in 0..SWARMS {
+        client.ok(&format!("s{k}"), "run", json!({})).await;
+    }
+    let times = async || -> Vec<f64> {
+        let swarms = client.node("swarms").await["swarms"].take();
+        let times = swarms.as_array().unwrap().iter();
+        times.map(|swarm| swarm["time"].as_f64().unwrap()).collect()
+    };
+    tokio::time::sleep(Duration::from_secs(2)).await;
+    let (before, began) = (times().await, Instant::now());
+    let (spent, busy) = (daemon.cpu_time(), busy_time());
+    let mut waits = Vec::new();
+    while began.elapsed() < Duration::from_secs(12) {
+        let asked = Instant::now();
+        client
+            .get(&format!("s{}", waits.len() as u64 % SWARMS), "status")
+            .await;
+        waits.push(asked.elapsed());
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    let (after, elapsed) = (times().await, began.elapsed().as_secs_f64());
+    let spent = (daemon.cpu_time() - spent).as_secs_f64() / elapsed;
+    let others = (busy_time() - busy).as_secs_f64() / elapsed - spent;
+    let mut factors = Vec::new();
+    for k in 0..SWARMS {
+        let status = client.get(&format!("s{k}"), "status").await;
+        factors.push(status["result"]["real_time_factor"].as_f64().unwrap());
+    }
+    let shares: Vec<f64> = before
+        .iter()
+        .zip(&after)
+        .map(|(a, b)| (b - a) / elapsed)
+        .collect();
+    let mean = shares.iter().sum::<f64>() / shares.len() as f64;
+    let widest = shares
+        .iter()
+        .map(|share| (share / mean - 1.0).abs())
+        .fold(0.0, f64::max);
+    let told = factors.iter().sum::<f64>() / factors.len() as f64;
+    waits.sort();
+    let p99 = waits[waits.len() * 99 / 100];
+    println!(
+        "{SWARMS} swarms at {mean:.1} of {RATE} time units a second, shares within {:.1} %; \
+         told {told:.1}; get p99 {p99:?} of {}",
+        100.0 * widest,
+        waits.len()
+    );
+    assert!(mean < 0.8 * RATE, "it is no overload: {mean}");
+    // Shares of cores that something else takes too say nothing.
+    if others < 0.2 {
+        assert!(widest < 0.10, "{shares:?}");
+        assert!((told / mean - 1.0).abs() < 0.10, "told {told}, were {mean}");
+        assert!(p99 < Duration::from_millis(100), "{p99:?}");
+    } else {
+        println!("not judged: other work took {others:.1} cores meanwhile, the daemon {spent:.1}");
+    }
+    for k in [0, SWARMS - 1] {
+        let name = format!("s{k}");
+        client.ok(&name, "pause", json!({})).await;
+        let status = client.get(&name, "status").await;
+        let mut alone = Twin::new(&name, &spec(1));
+        alone.run_to(status["step"].as_u64().unwrap());
+        assert_eq!(status["result"]["state_hash"], alone.hash());
+    }
+}
+
+/// Time that all cores have worked, for anybody.
+fn busy_time() -> Duration {
+    let stat = std::fs::read_to_string("/proc/stat").unwrap();
+    let fields = stat.lines().next().unwrap().split_whitespace().skip(1);
+    let ticks: Vec<u64> = fields.map(|ticks| ticks.parse().unwrap()).collect();
+    // User, nice, system, idle, waiting for a disk, interrupts.
+    Duration::from_millis(10 * (ticks[0] + ticks[1] + ticks[2] + ticks[5] + ticks[6]))
+}
+
+/// Where libfaketime is, of the Debian package faketime.
+fn libfaketime() -> Option<PathBuf> {
+    let places = std::fs::read_dir("/usr/lib").ok()?;
+    let places = places
+        .filter_map(Result::ok)
+        .map(|it| it.path().join("faketime/libfaketime.so.1"));
+    places.into_iter().find(|it| it.exists())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn when_the_clock_jumps_swarms_neither_stall_nor_burst() {
+    const RATE: f64 = 4.0;
+    let _alone = alone().await;
+    let Some(library) = libfaketime() else {
+        println!("skipped: needs libfaketime, `apt-get install faketime`");
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let clock = folder.path().join("clock");
+    std::fs::write(&clock, "+0").unwrap();
+    let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
+    command
+        .env("LD_PRELOAD", library)
+        .env("FAKETIME_TIMESTAMP_FILE", &clock)
+        .env("FAKETIME_NO_CACHE", "1")
+        .env("FAKETIME_DONT_FAKE_MONOTONIC", "1");
+    let (daemon, endpoint) = Process::start(&mut command, tempfile::tempdir().unwrap());
+    let client = Client::open(&endpoint).await;
+    let spec = json!({"n": 20, "seed": 5, "rate": RATE});
+    client.create("a", spec.clone()).await;
+    client.ok("a", "run", json!({})).await;
+    let clock_of = async || client.node("hello").await["unix_secs"].as_f64().unwrap();
+    let time = async || -> f64 { client.get("a", "status").await["time"].as_f64().unwrap() };
+    let hello = clock_of().await;
+    for jump in ["+400d", "-400d", "+3600", "-3600", "+0"] {
+        std::fs::write(&clock, jump).unwrap();
+        for _ in 0..4 {
+            let (before, began) = (time().await, Instant::now());
+            let inform = json!({"select": {"ids": [1]}, "direction": 1});
+            client.ok("a", "inform", inform).await;
+            tokio::time::sleep(Duration::from_millis(250)).await;
+            let passed = (time().await - before) / began.elapsed().as_secs_f64() / RATE;
+            assert!(
+                (0.8..1.25).contains(&passed),
+                "after {jump}: {passed} of its rate"
+            );
+        }
+        if jump == "+400d" {
+            let jumped = clock_of().await - hello;
+            assert!(
+                jumped > 399.0 * 86_400.0,
+                "the clock has not jumped: {jumped}"
+            );
+        }
+    }
+    client.ok("a", "pause", json!({})).await;
+    let status = client.get("a", "status").await;
+    assert_eq!(status["phase"], Value::from("paused"));
+    drop(daemon);
+}
