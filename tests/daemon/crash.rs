@@ -264,7 +264,11 @@ impl World {
     async fn compare(&mut self, client: &Client, mut life: Option<&mut Life>) {
         for (twin, name) in &mut self.twins {
             let key = keys::get(PREFIX, name, "status");
-            match client.ask(&key, None).await.pop() {
+            let answer = tokio::select! {
+                mut answers = client.ask(&key, None) => answers.pop(),
+                () = death(life.as_deref_mut()) => None,
+            };
+            match answer {
                 Some(Ok(status)) => {
                     twin.compare(&status);
                     self.tally.compared += 1;
@@ -334,4 +338,14 @@ fn new_traffic() -> Arc<Traffic> {
 
 async fn connect(life: &Life) -> zenoh::Result<Arc<Client>> {
     Client::try_open(&life.endpoint).await.map(Arc::new)
+}
+
+/// Waits until a daemon is dead; without one, for ever.
+async fn death(life: Option<&mut Life>) {
+    let Some(life) = life else {
+        return std::future::pending().await;
+    };
+    while life.child.try_wait().unwrap().is_none() {
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
 }
