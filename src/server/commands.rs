@@ -67,8 +67,8 @@ impl Dispatcher {
             returns_state,
         } = command;
         if !is_new {
-            let late = self.host.find(swarm);
-            return promise.keep_within(timeout, CommandError::deadline, move || late?.step());
+            let late = self.host.find(swarm).map(|handle| handle.step_later());
+            return promise.keep_within(timeout, CommandError::deadline, move || late?());
         }
         let (press, name) = (self.press.clone(), swarm.clone());
         self.send(

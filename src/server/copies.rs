@@ -140,8 +140,8 @@ impl Dispatcher {
         let Some(handle) = self.host.find(swarm) else {
             return promise.refuse(&CommandError::UnknownSwarm(swarm.to_string()), None);
         };
-        let late = handle.clone();
-        promise.keep_within(DEFAULT_TIMEOUT, CommandError::deadline, move || late.step());
+        let late = handle.step_later();
+        promise.keep_within(DEFAULT_TIMEOUT, CommandError::deadline, late);
         // What a daemon gives, a daemon with the same limits takes: in base64, with a name.
         let most_bytes = self.most_bytes() / 4 * 3 - BYTES_AROUND_SNAPSHOT;
         let (name, keeper) = (swarm.clone(), Keeper::new(promise.clone()));

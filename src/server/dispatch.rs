@@ -223,8 +223,8 @@ impl Dispatcher {
             let error = CommandError::UnknownSwarm(swarm.to_owned());
             return promise.refuse(&error, None);
         };
-        let late = handle.clone();
-        promise.keep_within(patience, excuse, move || late.step());
+        let late = handle.step_later();
+        promise.keep_within(patience, excuse, late);
         handle.send(ticket(answer_to(promise)));
     }
 }

@@ -66,6 +66,10 @@ use queue::{End, Queue, Submit};
 use read::Trouble;
 use writer::Writer;
 
+/// How much lower than the rest of the daemon the thread that writes ranks: most of what it does in
+/// a flood is for those who flood.
+const NICENESS: i32 = 4;
+
 /// Size up to which SQLite looks through the whole file when it is opened: milliseconds.
 const MOST_CHECKED_BYTES: u64 = 8 * 1024 * 1024;
 
@@ -156,7 +160,11 @@ impl Store {
         let for_thread = Arc::clone(&shared);
         let thread = thread::Builder::new()
             .name("store".to_string())
-            .spawn(move || house::run(writer, &for_thread, &on_fatal))
+            .spawn(move || {
+                // Zero names the calling thread. In a flood it lets those answer who answer.
+                let _ = rustix::process::setpriority_process(None, NICENESS);
+                house::run(writer, &for_thread, &on_fatal)
+            })
             .map_err(StoreError::NoThread)?;
         let (reader, thread) = (Mutex::new(Some(reader)), Mutex::new(Some(thread)));
         Ok(Store(Arc::new(Inner {

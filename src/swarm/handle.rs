@@ -78,6 +78,15 @@ impl Handle {
         Some(self.summary()?.place.step)
     }
 
+    /// Tells the step later on, without keeping the swarm's queue after its end until then.
+    pub fn step_later(&self) -> impl Fn() -> Option<u64> + Send + use<> {
+        let summary = self.summary.clone();
+        move || {
+            let summary = summary.lock().unwrap_or_else(PoisonError::into_inner);
+            Some(summary.as_ref()?.place.step)
+        }
+    }
+
     /// The swarm in a list; `None` until it is built.
     pub fn summary(&self) -> Option<Summary> {
         self.summary

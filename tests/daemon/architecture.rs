@@ -54,6 +54,7 @@ const ONLY_IN: [(&str, &[&str]); 16] = [
             "publish",
             "server",
             "store",
+            "swarm",
         ],
     ),
     (

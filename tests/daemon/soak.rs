@@ -8,10 +8,10 @@ use crate::apart::Process;
 use crate::support::{Client, alone, until};
 
 /// Cycles of one test; with `JOSTLE_LONG=1`, over at least ten minutes.
-const CYCLES: [(usize, Duration); 2] = [(60, Duration::ZERO), (1000, Duration::from_secs(600))];
+const CYCLES: [(usize, Duration); 2] = [(150, Duration::ZERO), (1000, Duration::from_secs(600))];
 
 /// Cycles before the first look: buffers and pools have then grown to what they need.
-const WARMING: usize = 20;
+const WARMING: usize = 150;
 
 /// By how much memory may grow.
 const GROWTH: u64 = 8 << 20;
