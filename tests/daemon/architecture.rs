@@ -54,7 +54,6 @@ const ONLY_IN: [(&str, &[&str]); 16] = [
             "publish",
             "server",
             "store",
-            "swarm",
         ],
     ),
     (

@@ -47,10 +47,6 @@ const CHECKPOINT_PERIOD: Duration = Duration::from_secs(30);
 const CHECKPOINT_WORK: Duration = Duration::from_millis(30);
 const CHECKPOINT_PAUSE: Duration = Duration::from_secs(1);
 
-/// A swarm that has computed for so long lets others have its core: the system would let it go on
-/// for several times as long, and where many swarms are behind, each answer would wait for them all.
-const TURN: Duration = Duration::from_millis(2);
-
 /// Steps between two hashes in the journal.
 const HASH_EVERY: u64 = 500;
 
@@ -74,8 +70,6 @@ pub struct Worker {
     waiters: Waiters,
     journal: Journal,
     since: Since,
-    /// How long it has computed since it let others have its core.
-    turn: Duration,
     replay: Replay,
 }
 
@@ -157,7 +151,6 @@ impl Worker {
             pace: Pace::new(rate, simulation.recipe.parameters.dt, now),
             journal,
             since: Since::new(),
-            turn: Duration::ZERO,
             replay: Replay::default(),
             simulation,
             phase: Phase::Paused(PauseReason::Created),
@@ -354,11 +347,6 @@ impl Worker {
                 let took = now.saturating_duration_since(began);
                 self.since.steps += 1;
                 self.since.work += took;
-                self.turn += took;
-                if self.turn >= TURN {
-                    self.turn = Duration::ZERO;
-                    std::thread::yield_now();
-                }
                 // What is told again was counted when it was first taken.
                 if !self.journal.is_replaying() {
                     self.tally.stepped(took, late, &report);
