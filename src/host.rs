@@ -102,7 +102,7 @@ enum Beginning {
     /// As another swarm was, or a snapshot.
     Copy(Box<Checkpoint>, Register),
     /// From what is left of it.
-    Past(Past),
+    Past(Box<Past>),
 }
 
 /// What tells the world of a swarm's beginning and end. Called from the swarm's thread.
@@ -236,7 +236,7 @@ impl Host {
     ) -> Result<(), HostError> {
         let mut hosted = self.lock();
         let memory_bytes = memory_of(past.checkpoint.state.configuration.n());
-        let beginning = Beginning::Past(past);
+        let beginning = Beginning::Past(Box::new(past));
         self.begin(&mut hosted, name, recipe, memory_bytes, beginning, promise)
     }
 
@@ -453,7 +453,7 @@ impl Host {
             Beginning::Past(past) => {
                 let always: Admit = Box::new(|_| Ok(()));
                 let (mut worker, end) =
-                    Worker::from_past(past, taken, handle, shortest, (writer, always));
+                    Worker::from_past(*past, taken, handle, shortest, (writer, always));
                 if let Some(end) = end {
                     return Ok(Err(end));
                 }

@@ -70,37 +70,37 @@ impl Telling<'_, '_> {
             "healthy",
             "1 while all is well; /healthz says why it is not",
             None,
-            u64::from(reasons.is_empty()),
+            &u64::from(reasons.is_empty()),
         )?;
         let secs = Some(Unit::Seconds);
         self.gauge(
             "uptime",
             "Time since the daemon started",
-            secs.clone(),
-            *uptime_secs,
+            secs.as_ref(),
+            uptime_secs,
         )?;
         self.counter(
             "cpu",
             "Time its threads have computed",
-            secs.clone(),
-            *cpu_secs,
+            secs.as_ref(),
+            cpu_secs,
         )?;
-        self.gauge("cores", "Cores it may use", None, *cores as u64)?;
+        self.gauge("cores", "Cores it may use", None, &(*cores as u64))?;
         let bytes = Some(Unit::Bytes);
         self.gauge(
             "resident_memory",
             "Memory in use",
-            bytes.clone(),
-            *resident_bytes,
+            bytes.as_ref(),
+            resident_bytes,
         )?;
         let help = "Memory set aside for the swarms";
-        self.gauge("reserved_memory", help, bytes, *reserved_bytes)?;
-        self.gauge("threads", "Threads of the daemon", None, *threads)?;
-        self.gauge("sessions", "Clients connected", None, *sessions as u64)?;
+        self.gauge("reserved_memory", help, bytes.as_ref(), reserved_bytes)?;
+        self.gauge("threads", "Threads of the daemon", None, threads)?;
+        self.gauge("sessions", "Clients connected", None, &(*sessions as u64))?;
         match probe_secs {
             Some(took) => {
                 let help = "Time its own listener took to answer when it was tried last";
-                self.gauge("probe", help, secs, *took)
+                self.gauge("probe", help, secs.as_ref(), took)
             }
             None => Ok(()),
         }
@@ -108,7 +108,7 @@ impl Telling<'_, '_> {
 
     fn swarms(&mut self, figures: &Figures) -> fmt::Result {
         let totals = &figures.totals;
-        self.counter("steps", "Steps taken", None, totals.step_time.count())?;
+        self.counter("steps", "Steps taken", None, &totals.step_time.count())?;
         self.histogram("step", "Time a step took", &totals.step_time)?;
         let help = "How long after it was due a step began, of swarms that have a rate";
         self.histogram("step_lateness", help, &totals.lateness)?;
@@ -116,15 +116,20 @@ impl Telling<'_, '_> {
             "faults",
             "Steps that failed; each stops its swarm",
             None,
-            totals.faults,
+            &totals.faults,
         )?;
         let help = "Steps that missed the target residual, yet were good enough to go on";
-        self.counter("degraded_steps", help, None, totals.degraded)?;
+        self.counter("degraded_steps", help, None, &totals.degraded)?;
         let help = "Largest residual of a step since the daemon started, in body sizes";
-        self.gauge("residual_max", help, None, totals.residual_max)?;
-        self.counter("frames", "States made to be published", None, totals.frames)?;
+        self.gauge("residual_max", help, None, &totals.residual_max)?;
+        self.counter(
+            "frames",
+            "States made to be published",
+            None,
+            &totals.frames,
+        )?;
         let help = "States that gave way to a newer one before they were published";
-        self.counter("frames_dropped", help, None, totals.frames_dropped)?;
+        self.counter("frames_dropped", help, None, &totals.frames_dropped)?;
         let count = |is: fn(&Phase) -> bool| {
             let swarms = figures.swarms.iter();
             swarms
@@ -148,24 +153,24 @@ impl Telling<'_, '_> {
             .iter()
             .map(|it| it.summary.n as u64)
             .sum::<u64>();
-        self.gauge("individuals", "Individuals in all swarms", None, n)
+        self.gauge("individuals", "Individuals in all swarms", None, &n)
     }
 
     fn store(&mut self, figures: &Figures) -> fmt::Result {
         let store = &figures.store;
         let help = "Time a commit of the journal took, its sync included";
         self.histogram("journal_commit", help, &store.commit_time)?;
-        self.counter("journal_writes", "Writes committed", None, store.writes)?;
+        self.counter("journal_writes", "Writes committed", None, &store.writes)?;
         self.gauge(
             "journal_waiting",
             "Writes that wait",
             None,
-            store.waiting as u64,
+            &(store.waiting as u64),
         )?;
         let help = "Damaged or missing records that were met";
-        self.counter("journal_damaged", help, None, store.damaged)?;
+        self.counter("journal_damaged", help, None, &store.damaged)?;
         let help = "What the store takes on disk";
-        self.gauge("store", help, Some(Unit::Bytes), store.bytes_on_disk)?;
+        self.gauge("store", help, Some(&Unit::Bytes), &store.bytes_on_disk)?;
         for (name, help, is) in [
             ("store_full", "1 while the disk is full", store.is_full),
             (
@@ -179,7 +184,7 @@ impl Telling<'_, '_> {
                 store.is_overrun,
             ),
         ] {
-            self.gauge(name, help, None, u64::from(is))?;
+            self.gauge(name, help, None, &u64::from(is))?;
         }
         Ok(())
     }
@@ -188,7 +193,7 @@ impl Telling<'_, '_> {
         let labelled = &swarms[..swarms.len().min(MOST_LABELLED)];
         let unlabelled = (swarms.len() - labelled.len()) as u64;
         let help = "Swarms that have no series of their own, since there are so many";
-        self.gauge("swarms_unlabelled", help, None, unlabelled)?;
+        self.gauge("swarms_unlabelled", help, None, &unlabelled)?;
 
         let mut counter = |name, help, unit: Option<Unit>, value: fn(&SwarmFigures) -> f64| {
             let kind = MetricType::Counter;
@@ -244,24 +249,24 @@ impl Telling<'_, '_> {
         &mut self,
         name: &str,
         help: &str,
-        unit: Option<Unit>,
-        value: impl EncodeGaugeValue,
+        unit: Option<&Unit>,
+        value: &impl EncodeGaugeValue,
     ) -> fmt::Result {
         let kind = MetricType::Gauge;
-        let mut metric = self.0.encode_descriptor(name, help, unit.as_ref(), kind)?;
-        metric.encode_gauge(&value)
+        let mut metric = self.0.encode_descriptor(name, help, unit, kind)?;
+        metric.encode_gauge(value)
     }
 
     fn counter(
         &mut self,
         name: &str,
         help: &str,
-        unit: Option<Unit>,
-        value: impl prometheus_client::encoding::EncodeCounterValue,
+        unit: Option<&Unit>,
+        value: &impl prometheus_client::encoding::EncodeCounterValue,
     ) -> fmt::Result {
         let kind = MetricType::Counter;
-        let mut metric = self.0.encode_descriptor(name, help, unit.as_ref(), kind)?;
-        metric.encode_counter::<NoLabelSet, _, f64>(&value, None)
+        let mut metric = self.0.encode_descriptor(name, help, unit, kind)?;
+        metric.encode_counter::<NoLabelSet, _, f64>(value, None)
     }
 
     fn histogram(&mut self, name: &str, help: &str, durations: &Durations) -> fmt::Result {

@@ -382,7 +382,7 @@ fn lines_after(store: &Store, swarm: &str, checkpoint: Checkpoint) -> Result<Sto
         let is_last = page.rows.len() < PAGE;
         for row in page.rows {
             after = row.number;
-            match read_line(row) {
+            match read_line(&row) {
                 Ok(line) => story.lines.push(line),
                 Err(error) => {
                     story.damage = Some(damaged(after, &error));
@@ -407,7 +407,7 @@ fn damaged(line: u64, problem: &str) -> String {
     )
 }
 
-fn read_line(row: store::Row) -> Result<(Line, Option<Order>), String> {
+fn read_line(row: &store::Row) -> Result<(Line, Option<Order>), String> {
     let record = durable::read_record(&row.body).map_err(|error| error.to_string())?;
     let order = match &record {
         Record::Input { sender, .. } => Some(read_order(sender)?),
@@ -503,7 +503,7 @@ impl Story {
         let mut unanswered = Vec::new();
         for row in rows.rows.into_iter().filter(|row| row.number <= number) {
             let number = row.number;
-            match read_line(row) {
+            match read_line(&row) {
                 Ok((
                     Line {
                         record: Record::Input { sender, .. },

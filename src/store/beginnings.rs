@@ -9,9 +9,12 @@ use super::record::Mark;
 /// A swarm's number in the file and that of its oldest checkpoint.
 pub(super) type Place = (i64, u64);
 
+/// Where a history begins, and what is there if somebody has looked.
+type Beginning = (Place, Option<Option<Mark>>);
+
 /// The oldest checkpoints: which they are, and what is on them where somebody has looked.
 #[derive(Default)]
-pub(super) struct Beginnings(Mutex<BTreeMap<String, (Place, Option<Option<Mark>>)>>);
+pub(super) struct Beginnings(Mutex<BTreeMap<String, Beginning>>);
 
 impl Beginnings {
     /// Notes where every history begins.
@@ -53,7 +56,7 @@ impl Beginnings {
         }
     }
 
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<String, (Place, Option<Option<Mark>>)>> {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<String, Beginning>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

@@ -163,7 +163,7 @@ impl Store {
             .spawn(move || {
                 // Zero names the calling thread. In a flood it lets those answer who answer.
                 let _ = rustix::process::setpriority_process(None, NICENESS);
-                house::run(writer, &for_thread, &on_fatal)
+                house::run(writer, &for_thread, &on_fatal);
             })
             .map_err(StoreError::NoThread)?;
         let (reader, thread) = (Mutex::new(Some(reader)), Mutex::new(Some(thread)));

@@ -21,6 +21,9 @@ use crate::swarm::worker::{End, Pending, Worker};
 /// part. Numbers go on from the next multiple of this, so that none is given twice.
 const EVENTS_LOST: u64 = 1 << 20;
 
+/// Makes the place that the answer to a command goes to.
+pub type Recall = Box<dyn Fn(&Arc<Sender>) -> Answer + Send>;
+
 /// What is to be told again of a swarm.
 pub struct Past {
     /// Where to begin.
@@ -32,7 +35,7 @@ pub struct Past {
     /// The commands that were applied before the checkpoint, as far back as they are shown.
     pub entries: Vec<Applied>,
     /// Where the answer to a command goes that may have missed its sender.
-    pub recall: Box<dyn Fn(&Arc<Sender>) -> Answer + Send>,
+    pub recall: Recall,
     /// Where it ends.
     pub to: To,
 }
