@@ -123,7 +123,8 @@ mod tests {
 
     #[test]
     fn what_cannot_be_is_refused_whatever_its_hash() {
-        let harms: [(&str, fn(&mut Checkpoint)); 14] = [
+        type Harm = (&'static str, fn(&mut Checkpoint));
+        let harms: [Harm; 14] = [
             ("individuals", |it| it.state.configuration.id.clear()),
             ("ids", |it| it.state.configuration.id.swap(0, 1)),
             ("ids", |it| it.state.configuration.next_id = 0),
