@@ -89,7 +89,7 @@ async fn overloaded_cores_are_shared_fairly_and_no_hash_changes() {
         .iter()
         .map(|(thread, before)| computed_after[thread] - before)
         .collect();
-    assert_eq!(shares.len(), SWARMS as usize);
+    assert_eq!(shares.len() as u64, SWARMS);
     let share = shares.iter().sum::<f64>() / shares.len() as f64;
     let widest = shares
         .iter()
