@@ -4,7 +4,7 @@
 //! submit is done, that they come back as they were or are told damaged, and that a swarm's rows
 //! have no gap, is for this module.
 //!
-//! One thread writes , in the order of submission. Whatever waits when it comes round
+//! One thread writes, in the order of submission. Whatever waits when it comes round
 //! becomes one transaction with one sync, so that many who wait share it. Readers have a
 //! connection of their own and never hold it up.
 
