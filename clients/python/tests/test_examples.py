@@ -68,7 +68,7 @@ def test_a_repeated_experiment_is_the_same_to_the_bit(
 
 
 def test_the_readme_runs(
-    daemon: Daemon, client: jostle.Client, monkeypatch: pytest.MonkeyPatch
+    daemon: Daemon, client: jostle.Client, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     readme = (FOLDER / "README.md").read_text(encoding="utf-8")
     first, *more = re.findall(r"```python\n(.*?)```", readme, re.S)
@@ -76,11 +76,13 @@ def test_the_readme_runs(
     exec(compile(first, "README.md", "exec"), {})
     swarm = client.swarm("school")
     # The others are about a swarm that there is.
-    assert len(more) == 2
+    assert len(more) == 3
+    monkeypatch.chdir(tmp_path)
     for code in more:
         names = {"jostle": jostle, "client": client, "swarm": swarm}
         exec(compile(code, "README.md", "exec"), names)
-    swarm.delete()
+    for made in [swarm, client.swarm("other"), client.swarm("again")]:
+        made.delete()
 
 
 def test_steering_a_swarm_that_stands_ends_with_a_remedy(daemon: Daemon, create: Create) -> None:

@@ -89,7 +89,7 @@ def test_an_empty_column_and_what_a_newer_daemon_adds_are_read() -> None:
 
 
 def test_the_state_within_the_answer_to_step_bears_its_hash() -> None:
-    within = {"steps": 2, "state_hash": "abc", "state": state_map()}
+    within = {"steps": 2, "durable_step": 2, "state_hash": "abc", "state": state_map()}
     result, state = read_step_reply(cbor2.dumps({**ENVELOPE, "result": within}))
     assert (result.steps, result.seq, result.state_hash) == (2, 5, "abc")
     assert (state.state_hash, state.n) == ("abc", 2)
