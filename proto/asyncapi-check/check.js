@@ -22,7 +22,7 @@ if (!document) problems.push("the parser gives no document");
 
 const ajv = new Ajv2020({ strict: true, allErrors: true, strictTypes: false });
 // Rust's kinds of numbers say how large one may be, which `maximum` says too where it matters.
-for (const format of ["uint32", "uint64", "int64", "uint", "double"]) ajv.addFormat(format, true);
+for (const format of ["uint8", "uint32", "uint64", "int64", "uint", "double"]) ajv.addFormat(format, true);
 // What a form wants to know of a parameter.
 for (const keyword of ["x-unit", "x-changed-by"]) ajv.addKeyword(keyword);
 
