@@ -1,6 +1,7 @@
 //! The named swarms: create, find, remove, and what they may take.
 
 use std::collections::BTreeMap;
+use std::num::NonZero;
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -10,6 +11,7 @@ use thiserror::Error;
 use tracing::warn;
 
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::cores::Cores;
 use crate::swarm::frame::{Frame, Place, Summary};
 use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::journal::{WriteFault, Writer, to_nowhere};
@@ -56,7 +58,7 @@ pub struct Limits {
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum HostError {
     /// The name is taken.
-    #[error("a swarm of this name with another spec exists: choose another name, or delete it")]
+    #[error("another swarm of this name exists: choose another name, or delete it")]
     OtherSpec,
     /// The name is taken by an equal one.
     #[error("an equal swarm of this name exists: take it with exist_ok")]
@@ -123,6 +125,7 @@ pub struct Host {
     limits: Limits,
     herald: Arc<dyn Herald>,
     archive: Archive,
+    cores: Arc<Cores>,
     hosted: Mutex<Hosted>,
 }
 
@@ -152,10 +155,12 @@ pub enum Created {
 impl Host {
     /// An empty host.
     pub fn new(limits: Limits, herald: Arc<dyn Herald>, archive: Archive) -> Self {
+        let cores = thread::available_parallelism().map_or(1, NonZero::get);
         Host {
             limits,
             herald,
             archive,
+            cores: Arc::new(Cores::new(cores)),
             hosted: Mutex::default(),
         }
     }
@@ -263,7 +268,8 @@ impl Host {
             outlet: Arc::new(outlet),
             history: Arc::default(),
             tally: Arc::default(),
-            tickets,
+            tickets: Arc::new(tickets),
+            cores: self.cores.clone(),
             summary: Arc::default(),
         };
         let thread = thread::Builder::new()
@@ -483,8 +489,8 @@ impl Host {
 }
 
 /// Tells a swarm's past again, apart from every swarm there is. Returns it as it then is, how many
-/// of its hashes came out the same, and the first step whose hash did not.
-pub fn tell_again(past: Past) -> (Checkpoint, u64, Option<u64>) {
+/// of its hashes came out the same, and the first epoch and step whose hash did not.
+pub fn tell_again(past: Past) -> (Checkpoint, u64, Option<(u64, u64)>) {
     let _ = rustix::process::setpriority_process(None, RETELLING_NICENESS);
     let (tickets, taken) = sync_channel(1);
     let handle = Handle {
@@ -492,7 +498,8 @@ pub fn tell_again(past: Past) -> (Checkpoint, u64, Option<u64>) {
         outlet: Arc::new(Outlet::new(String::new(), || {}, || false)),
         history: Arc::default(),
         tally: Arc::default(),
-        tickets,
+        tickets: Arc::new(tickets),
+        cores: Arc::new(Cores::new(1)),
         summary: Arc::default(),
     };
     let always: Admit = Box::new(|_| Ok(()));

@@ -62,6 +62,8 @@ pub struct Verified {
     pub hashes: u64,
     /// The first step that has another hash than it had; `null` if there is none.
     pub differs_at: Option<u64>,
+    /// The epoch that step is of: after a reset steps are counted anew.
+    pub differs_in_epoch: Option<u64>,
 }
 
 /// A swarm's answer to `get/parameters`.

@@ -1,10 +1,13 @@
 //! A swarm as a whole, to be kept in a file and brought back by any daemon.
 
+use std::io;
+
+use ciborium::Value;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::told::told;
-use crate::{ParameterValues, Spec, column};
+use crate::{ParameterValues, Spec, column, to_cbor};
 
 /// The version of the layout of snapshots; it grows when an older reader would misread them.
 pub const SNAPSHOT_VERSION: u32 = 1;
@@ -87,6 +90,10 @@ pub struct Snapshot {
     /// Whether the swarm was put away after it.
     #[serde(default)]
     pub is_last: bool,
+    /// BLAKE3, in hexadecimal, of the snapshot in CBOR without this; a snapshot that is sent has
+    /// one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub digest: Option<String>,
 }
 
 /// What a swarm is doing, to the letter.
@@ -218,12 +225,103 @@ pub struct Pending {
 }
 
 impl Snapshot {
-    /// Reads a snapshot from CBOR.
+    /// Reads a snapshot from CBOR, with its digest or without one.
     ///
     /// # Errors
     ///
-    /// What is wrong with `bytes`.
+    /// What is wrong with `bytes`, also when they do not have the digest they tell.
     pub fn from_cbor(bytes: &[u8]) -> Result<Self, String> {
-        ciborium::from_reader(bytes).map_err(|error| error.to_string())
+        let snapshot: Snapshot = ciborium::from_reader(bytes).map_err(unreadable)?;
+        match &snapshot.digest {
+            Some(told) if digest(bytes)? != *told => {
+                Err("it is damaged: it does not have the digest it tells".into())
+            }
+            _ => Ok(snapshot),
+        }
+    }
+
+    /// Reads a snapshot that was sent or kept in a file, from CBOR.
+    ///
+    /// # Errors
+    ///
+    /// As [`Snapshot::from_cbor`], and when there is no digest or something behind it.
+    pub fn from_file(bytes: &[u8]) -> Result<Self, String> {
+        let snapshot = Snapshot::from_cbor(bytes)?;
+        snapshot
+            .digest
+            .is_some()
+            .then_some(snapshot)
+            .ok_or_else(|| "it is damaged: it tells no digest".into())
+    }
+
+    /// The snapshot with its digest, to be sent.
+    #[must_use]
+    pub fn sealed(mut self) -> Self {
+        self.digest = None;
+        self.digest = digest(&to_cbor(&self)).ok();
+        self
+    }
+}
+
+/// What a snapshot's digest is of, however its numbers are encoded: all that is in it, known here or
+/// not, but the digest.
+fn digest(bytes: &[u8]) -> Result<String, String> {
+    let mut left = bytes;
+    let mut value: Value = ciborium::from_reader(&mut left).map_err(unreadable)?;
+    if !left.is_empty() {
+        return Err(format!("{} bytes follow it", left.len()));
+    }
+    if let Value::Map(fields) = &mut value {
+        fields.retain(|(name, _)| name.as_text() != Some("digest"));
+    }
+    Ok(blake3::hash(&to_cbor(&value)).to_hex().to_string())
+}
+
+fn unreadable(error: ciborium::de::Error<io::Error>) -> String {
+    match error {
+        ciborium::de::Error::Semantic(_, problem) => problem,
+        ciborium::de::Error::Io(_) => "it ends before its end".into(),
+        _ => "it is no CBOR".into(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+    use crate::Reply;
+
+    #[test]
+    fn a_damaged_file_is_refused_or_means_the_same() {
+        let reply = include_str!("../fixtures/snapshot.reply.json");
+        let reply: Reply<Snapshot> = serde_json::from_str(reply).unwrap();
+        let sealed = reply.result.sealed();
+        let bytes = to_cbor(&sealed);
+        assert_eq!(Snapshot::from_file(&bytes).unwrap(), sealed);
+        let mut refused = 0;
+        for place in 0..bytes.len() {
+            for bit in 0..8 {
+                let mut damaged = bytes.clone();
+                damaged[place] ^= 1 << bit;
+                match Snapshot::from_file(&damaged) {
+                    Ok(read) => assert_eq!(read, sealed, "bit {bit} of byte {place}"),
+                    Err(_) => refused += 1,
+                }
+            }
+        }
+        assert!(refused > 7 * bytes.len(), "{refused}");
+        for wrong in [
+            [&bytes[..], &[0]].concat(),
+            [&bytes[..], &bytes].concat(),
+            bytes[..bytes.len() - 1].to_vec(),
+            to_cbor(&Snapshot {
+                digest: None,
+                ..sealed.clone()
+            }),
+            to_cbor(&Snapshot { seq: 77, ..sealed }),
+        ] {
+            assert!(Snapshot::from_file(&wrong).is_err());
+        }
     }
 }

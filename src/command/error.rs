@@ -445,7 +445,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "pi1" => "a number from 1 to 32",
         "pi2" => "a number from 0 to 1e6",
         "pi3" | "pi4" => "a number above 0, at most 1e6",
-        "dt" => "a number above 0, at most 2r / (1 + h ω)",
+        "dt" => "a number above 0, at most 2r / (1 + h ω): 0.02 fits most swarms",
         "contacts" => "\"endpoints\"",
         "attraction" => "{\"kind\": \"all\"}, \"accuracy\" if wanted",
         "accuracy" => "a number from 1e-9 to 1e-3",

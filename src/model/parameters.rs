@@ -142,7 +142,7 @@ impl Parameters {
             });
         }
         if !(self.dt.is_finite() && self.dt > 0.0) {
-            let (field, value, range) = ("dt", self.dt, "(0, 2r / (1 + h ω)]");
+            let (field, value, range) = ("dt", self.dt, "the numbers above 0");
             return Err(ParametersError::OutOfRange {
                 field,
                 value,

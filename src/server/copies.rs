@@ -16,6 +16,7 @@ use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::archive::{self, MakePayload};
 use crate::server::dispatch::Dispatcher;
 use crate::server::query::request;
+use crate::server::recovery;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::handle::Ticket;
 use crate::swarm::order::{Answer, OrderError, Outcome, Refusal};
@@ -81,7 +82,7 @@ impl Dispatcher {
                 let (store, swarm) = (self.store.clone(), swarm.clone());
                 let told = thread::Builder::new()
                     .name("fork".into())
-                    .spawn(move || copy.of(archive::told_again(&store, &swarm, To::Step(step))))
+                    .spawn(move || copy.of(recovery::told_again(&store, &swarm, To::Step(step))))
                     .map(drop);
                 told.map_err(|_| CommandError::Busy)?;
             }
@@ -103,7 +104,7 @@ impl Dispatcher {
         let checkpoint = STANDARD
             .decode(args.snapshot.as_bytes())
             .map_err(|error| error.to_string())
-            .and_then(|bytes| archive::read_checkpoint(&bytes))
+            .and_then(|bytes| recovery::read_snapshot(&bytes))
             .and_then(|it| match sanity::check(&it) {
                 Ok(()) => Ok(it),
                 Err(error) => Err(error.to_string()),
@@ -173,25 +174,31 @@ impl Dispatcher {
             swarm.clone(),
             Keeper::new(promise.clone()),
         );
-        let spawned = thread::Builder::new().name("verify".into()).spawn(move || {
-            match archive::told_again(&store, &name, To::LastHash) {
-                Ok(told) => {
-                    let verified = Verified {
-                        from_step: told.from,
-                        to_step: told.checkpoint.state.step,
-                        hashes: told.same + u64::from(told.differs_at.is_some()),
-                        differs_at: told.differs_at,
-                    };
-                    handle.send(Ticket::Look(Box::new(move |answered| match answered {
-                        Ok((place, _)) => keeper
-                            .0
-                            .keep(move || Ok(Payload::json(&wire::reply(&name, &place, verified)))),
-                        Err(Refusal { step, error }) => keeper.0.refuse(&error.into(), step),
-                    })));
-                }
-                Err(error) => keeper.0.refuse(&error, handle.step()),
-            }
-        });
+        let spawned =
+            thread::Builder::new()
+                .name("verify".into())
+                .spawn(
+                    move || match recovery::told_again(&store, &name, To::LastHash) {
+                        Ok(told) => {
+                            let verified = Verified {
+                                from_step: told.from,
+                                to_step: told.checkpoint.state.step,
+                                hashes: told.same + u64::from(told.differs_at.is_some()),
+                                differs_at: told.differs_at.map(|(_, step)| step),
+                                differs_in_epoch: told.differs_at.map(|(epoch, _)| epoch),
+                            };
+                            handle.send(Ticket::Look(Box::new(move |answered| match answered {
+                                Ok((place, _)) => keeper.0.keep(move || {
+                                    Ok(Payload::json(&wire::reply(&name, &place, verified)))
+                                }),
+                                Err(Refusal { step, error }) => {
+                                    keeper.0.refuse(&error.into(), step);
+                                }
+                            })));
+                        }
+                        Err(error) => keeper.0.refuse(&error, handle.step()),
+                    },
+                );
         if spawned.is_err() {
             promise.refuse(&CommandError::Busy, None);
         }
@@ -230,7 +237,7 @@ struct Copy<R> {
 
 impl<R: FnOnce(&Checkpoint) -> Register> Copy<R> {
     /// Makes it as what was told again.
-    fn of(self, told: Result<archive::Told, CommandError>) {
+    fn of(self, told: Result<recovery::Told, CommandError>) {
         match told {
             Ok(told) => self.make(told.checkpoint),
             Err(error) => self.keeper.0.refuse(&error, None),

@@ -9,6 +9,7 @@ pub mod doors;
 mod gets;
 pub mod ledger;
 pub mod query;
+pub mod recovery;
 pub mod session;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -34,11 +35,11 @@ use crate::host::Host;
 use crate::meter::Pulse;
 use crate::publish::Press;
 use crate::server::answer::Desk;
-use crate::server::archive::RecoveryError;
 use crate::server::dispatch::{Crier, Dispatcher, Intake, MOST_QUERIES};
 use crate::server::doors::Doors;
 use crate::server::ledger::Ledger;
 use crate::server::query::{Topic, queryable};
+use crate::server::recovery::RecoveryError;
 use crate::server::session::SessionError;
 use crate::store::{self, Store, StoreError, StoreFault};
 
@@ -168,7 +169,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     // Every swarm is back before anyone is told that the daemon is there.
     let recovering = (host.clone(), store.clone());
     let recovered = tokio::task::spawn_blocking(move || {
-        archive::recover(&recovering.0, &recovering.1, &ledger)
+        recovery::recover(&recovering.0, &recovering.1, &ledger)
     });
     recovered.await.expect("recovery does not panic")?;
 

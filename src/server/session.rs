@@ -1,10 +1,18 @@
 //! The daemon's zenoh session: what it listens on and what it refuses from the bus.
 
 use std::net::{IpAddr, SocketAddr};
+use std::thread;
 
+use rustix::process::setpriority_process;
 use serde_json::{Value, json};
 use thiserror::Error;
+use tokio::runtime::Handle;
+use tracing::debug;
 use zenoh::Session;
+use zenoh_runtime::ZRuntime;
+
+/// How much higher than the rest of the daemon the threads rank that read from the bus.
+const READING_NICENESS: i32 = -10;
 
 /// The largest message accepted from the bus, in bytes. Larger ones vanish.
 pub const MAX_MESSAGE_BYTES: usize = 1 << 20;
@@ -23,8 +31,8 @@ pub enum SessionError {
     NotLoopback(String),
     /// Nothing can be listened on.
     #[error(
-        "cannot listen on {endpoints}: {reason}\n7447 is zenoh's own port: another daemon or \
-         router may hold it; `--listen tcp/127.0.0.1:0` takes a free one"
+        "cannot listen on {endpoints}: {reason}\nanother daemon may hold it, or a zenoh router, \
+         whose own port 7447 is: `--listen tcp/127.0.0.1:0` takes a free one"
     )]
     Listen {
         /// Where.
@@ -61,6 +69,7 @@ pub fn check(listen: &[String]) -> Result<(), SessionError> {
 /// [`SessionError`].
 pub async fn open(listen: &[String]) -> Result<Session, SessionError> {
     check(listen)?;
+    read_first();
     let mut config = zenoh::Config::default();
     for (key, value) in settings(listen) {
         config
@@ -73,6 +82,22 @@ pub async fn open(listen: &[String]) -> Result<Session, SessionError> {
             endpoints: listen.join(", "),
             reason: reason(&error.to_string()),
         })
+}
+
+/// Starts zenoh's reading threads, and has them rank above the daemon's others where that is
+/// permitted: in a flood they turn away most of what they read, and whoever is behind it is read
+/// soon, while each thread that only answers the flood would have as much of a core as they.
+fn read_first() {
+    // What a thread starts ranks like it.
+    let started = thread::spawn(|| {
+        if let Err(error) = setpriority_process(None, READING_NICENESS) {
+            debug!(%error, "not permitted to rank the reading of queries above all else");
+        }
+        let _: &Handle = &ZRuntime::RX;
+    });
+    if started.join().is_err() {
+        debug!("zenoh failed to start its reading threads: it tries again with the first client");
+    }
 }
 
 /// What zenoh says, without the places in its source.

@@ -8,6 +8,7 @@ use super::Write;
 use super::catalog::{Catalog, Entry};
 use super::crash;
 use super::extent::{self, Extent};
+use super::mend;
 use super::record::{Answer, Checkpoint, Row, cost, seal_swarm};
 use super::seal::digest;
 
@@ -206,6 +207,7 @@ impl<'a> Draft<'a> {
 
     fn cut(&mut self, swarm: &str, after: u64) -> SqlResult<()> {
         let connection = self.connection;
+        mend::put_in_order(connection)?;
         let Some(Entry { id, extent }) = self.entry(swarm) else {
             return Ok(());
         };

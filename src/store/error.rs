@@ -14,7 +14,7 @@ const FULL_BELOW_BYTES: u64 = 64 * 1024;
 #[derive(Debug, Error)]
 pub enum StoreError {
     /// The folder or a file in it cannot be used.
-    #[error("use the data folder {}: {source}: check its owner and its disk, or name another --data-dir", folder.display())]
+    #[error("use the data folder {}: {source}: check that it is a folder, its owner and its disk, or name another --data-dir", folder.display())]
     Folder {
         /// The folder.
         folder: PathBuf,

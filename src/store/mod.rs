@@ -21,6 +21,7 @@ mod schema;
 
 mod draft;
 
+mod mend;
 mod read;
 mod retain;
 
@@ -47,6 +48,7 @@ use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
+use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -148,7 +150,11 @@ impl Store {
     ) -> Result<Store, StoreError> {
         let lock = lock(folder)?;
         let file = folder.join(schema::FILE);
-        let connection = schema::open(&file, most_checked_bytes)?;
+        let mut connection = schema::open(&file, most_checked_bytes)?;
+        let size = fs::metadata(&file).map_or(0, |file| file.len());
+        if size <= most_checked_bytes {
+            mend::open(folder, &mut connection)?;
+        }
         let reader = schema::open_reader(&file)?;
         let shared = Arc::<Shared>::default();
         let writer = Writer::new(
@@ -195,6 +201,21 @@ impl Store {
         {
             done(Err(end.fault()));
         }
+    }
+
+    /// Writes `writes` and waits until they are synced; none, until all that came before them is.
+    ///
+    /// # Errors
+    ///
+    /// [`StoreFault`]; nothing of them is written then.
+    pub fn commit(&self, writes: Vec<Write>) -> Result<(), StoreFault> {
+        let (done, is_done) = sync_channel(1);
+        let told = Box::new(move |result| {
+            // Whoever waited may be gone.
+            let _ = done.send(result);
+        });
+        self.submit(writes, Some(told));
+        is_done.recv().unwrap_or(Err(StoreFault::Stopped))
     }
 
     /// Queues `writes` as [`Store::submit`] does without anybody to wait; `told` is called, on the

@@ -145,7 +145,8 @@ pub(super) fn rows(
     Ok(read)
 }
 
-fn read_row(row: &SqlRow<'_>) -> SqlResult<(Row, Vec<u8>)> {
+/// Reads a row and its seal: number, epoch, step, kind, body, seal.
+pub(super) fn read_row(row: &SqlRow<'_>) -> SqlResult<(Row, Vec<u8>)> {
     let found = Row {
         number: unsigned(row, 0)?,
         epoch: unsigned(row, 1)?,
@@ -192,7 +193,8 @@ pub(super) fn checkpoints(
     Ok((marks, left_out.max(extent.checkpoints.abs_diff(found))))
 }
 
-fn read_mark(row: &SqlRow<'_>) -> SqlResult<(Mark, Vec<u8>, Vec<u8>)> {
+/// Reads a mark, its seal and the digest of its body: number, epoch, step, seal, digest.
+pub(super) fn read_mark(row: &SqlRow<'_>) -> SqlResult<(Mark, Vec<u8>, Vec<u8>)> {
     let mark = Mark {
         number: unsigned(row, 0)?,
         epoch: unsigned(row, 1)?,
@@ -322,7 +324,7 @@ fn find(connection: &Connection, swarm: &str) -> Result<(i64, Extent), Trouble> 
 }
 
 /// A record whose columns are of the wrong type or no text is damaged, and no error of SQLite's.
-fn fitting<T>(record: SqlResult<T>) -> SqlResult<Option<T>> {
+pub(super) fn fitting<T>(record: SqlResult<T>) -> SqlResult<Option<T>> {
     match record {
         Err(error @ SqlError::SqliteFailure(..)) => Err(error),
         Err(_) => Ok(None),

@@ -30,13 +30,25 @@ pub(super) const KNOWN: i64 = 1;
 
 const _: () = assert!(STEPS.len() as i64 == KNOWN);
 
+/// The columns of rows and of checkpoints.
+pub(super) const ROW: &str = "(
+     swarm INTEGER NOT NULL, number INTEGER NOT NULL, epoch INTEGER NOT NULL,
+     step INTEGER NOT NULL, kind INTEGER NOT NULL, seal BLOB NOT NULL, body BLOB NOT NULL,
+     PRIMARY KEY (swarm, number)
+ ) WITHOUT ROWID";
+pub(super) const CHECKPOINT: &str = "(
+     swarm INTEGER NOT NULL, number INTEGER NOT NULL, epoch INTEGER NOT NULL,
+     step INTEGER NOT NULL, seal BLOB NOT NULL, digest BLOB NOT NULL, body BLOB NOT NULL,
+     PRIMARY KEY (swarm, number)
+ ) WITHOUT ROWID";
+
 /// The first schema.
 ///
 /// Rows and checkpoints name their swarm by a number that is never given twice, so that a deleted
 /// swarm's rows can go little by little while another takes its name. `extent` says what there
 /// must be, in a tree of its own: what a broken page hides is missed.
 fn first(transaction: &Transaction<'_>) -> SqlResult<()> {
-    transaction.execute_batch(
+    transaction.execute_batch(&format!(
         "CREATE TABLE swarm (
              name TEXT PRIMARY KEY NOT NULL, id INTEGER NOT NULL, seal BLOB NOT NULL,
              about BLOB NOT NULL
@@ -46,23 +58,15 @@ fn first(transaction: &Transaction<'_>) -> SqlResult<()> {
              newest INTEGER NOT NULL, checkpoints INTEGER NOT NULL, bytes INTEGER NOT NULL,
              seal BLOB NOT NULL
          );
-         CREATE TABLE row (
-             swarm INTEGER NOT NULL, number INTEGER NOT NULL, epoch INTEGER NOT NULL,
-             step INTEGER NOT NULL, kind INTEGER NOT NULL, seal BLOB NOT NULL, body BLOB NOT NULL,
-             PRIMARY KEY (swarm, number)
-         ) WITHOUT ROWID;
-         CREATE TABLE checkpoint (
-             swarm INTEGER NOT NULL, number INTEGER NOT NULL, epoch INTEGER NOT NULL,
-             step INTEGER NOT NULL, seal BLOB NOT NULL, digest BLOB NOT NULL, body BLOB NOT NULL,
-             PRIMARY KEY (swarm, number)
-         ) WITHOUT ROWID;
+         CREATE TABLE row {ROW};
+         CREATE TABLE checkpoint {CHECKPOINT};
          CREATE TABLE answer (
              id INTEGER PRIMARY KEY, client TEXT, request_id TEXT NOT NULL, digest BLOB NOT NULL,
              swarm TEXT NOT NULL, number INTEGER NOT NULL, is_ok INTEGER NOT NULL,
              encoding TEXT NOT NULL, seal BLOB NOT NULL, body BLOB NOT NULL
          );
          CREATE TABLE gone (swarm INTEGER PRIMARY KEY);",
-    )?;
+    ))?;
     extent::write(transaction, extent::ANSWERS, &Extent::default())
 }
 

@@ -3,6 +3,7 @@
 use std::sync::mpsc::{SyncSender, TrySendError};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::swarm::cores::{Cores, Seat};
 use crate::swarm::frame::Summary;
 use crate::swarm::history::History;
 use crate::swarm::order::{Answer, Order, OrderError, Recipe, Refusal, Sender, When};
@@ -20,6 +21,8 @@ pub enum Ticket {
     Wait(Waiter),
     /// All of it as it is now.
     Copy(Answer),
+    /// It has a core now, which it waits for.
+    Core,
     /// End now, without an event: the daemon stops.
     Stop,
 }
@@ -47,7 +50,8 @@ pub struct Handle {
     pub history: Arc<History>,
     /// What its thread counts of itself.
     pub tally: Arc<Tally>,
-    pub(crate) tickets: SyncSender<Ticket>,
+    pub(crate) tickets: Arc<SyncSender<Ticket>>,
+    pub(crate) cores: Arc<Cores>,
     pub(crate) summary: Arc<Mutex<Option<Summary>>>,
 }
 
@@ -61,6 +65,17 @@ impl Handle {
             Err(TrySendError::Disconnected(ticket)) => (ticket, OrderError::Gone),
         };
         ticket.refuse(self.step(), error);
+    }
+
+    /// Its place among the swarms that share the cores. It keeps no queue of tickets alive.
+    pub(crate) fn seat(&self) -> Seat {
+        let tickets = Arc::downgrade(&self.tickets);
+        self.cores.seat(move || {
+            if let Some(tickets) = tickets.upgrade() {
+                // A thread whose queue is full is awake, or wakes for that.
+                let _ = tickets.try_send(Ticket::Core);
+            }
+        })
     }
 
     /// What has been counted of it since it is hosted here.
@@ -106,7 +121,7 @@ impl Ticket {
             | Ticket::Wait(Waiter { answer, .. }) => {
                 answer(Err(Refusal { step, error }));
             }
-            Ticket::Stop => {}
+            Ticket::Core | Ticket::Stop => {}
         }
     }
 }

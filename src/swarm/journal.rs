@@ -5,7 +5,7 @@
 //! carried out before it is safe: whoever sends thousands a second need not wait for the disk.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
 
 use thiserror::Error;
@@ -13,6 +13,10 @@ use thiserror::Error;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::frame::Place;
 use crate::swarm::order::Sender;
+
+/// Commands that may be carried out before they are safe. The next one waits for the disk, and
+/// hears if it is full: what is held for later is bounded.
+const MOST_AHEAD: usize = 1024;
 
 /// One line of a journal.
 #[derive(Clone, Debug, PartialEq)]
@@ -104,6 +108,8 @@ pub struct Journal {
     writer: Writer,
     lines: u64,
     safe_step: Arc<AtomicU64>,
+    /// Commands that were carried out and are not safe yet.
+    ahead: Arc<AtomicUsize>,
     is_replaying: bool,
 }
 
@@ -114,6 +120,7 @@ impl Journal {
             writer,
             lines,
             safe_step: Arc::new(AtomicU64::new(step)),
+            ahead: Arc::default(),
             is_replaying: false,
         }
     }
@@ -189,13 +196,20 @@ impl Journal {
         }
         let line = Written::Line(self.line(epoch, step, record));
         let told = reached.map(|reached| -> Box<dyn FnOnce() + Send> {
-            let safe = self.safe_step.clone();
+            let (safe, ahead) = (self.safe_step.clone(), self.ahead.clone());
+            ahead.fetch_add(1, Ordering::Relaxed);
             Box::new(move || {
                 safe.fetch_max(reached, Ordering::AcqRel);
+                ahead.fetch_sub(1, Ordering::Relaxed);
             })
         });
         (self.writer)(vec![line], Wanted::Soon(told));
         self.lines
+    }
+
+    /// Whether so much was carried out before it is safe that the next command waits until it is.
+    pub fn is_far_ahead(&self) -> bool {
+        self.ahead.load(Ordering::Relaxed) >= MOST_AHEAD
     }
 
     /// Has the swarm as it is written when it suits.

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crate::swarm::order::Rate;
 
 /// How far behind its rate a swarm may be and still catch up. It absorbs the jitter of waking
-/// up; what is more than that is given up, so that no burst follows a stall.
+/// up; what is more than that is given up, so that no long burst follows a stall.
 const MOST_BACKLOG: Duration = Duration::from_millis(50);
 
 /// How much wall clock the measured rate looks back on.
@@ -19,6 +19,8 @@ const FIRST_LOOK: Duration = Duration::from_millis(200);
 pub struct Pace {
     period: Option<Duration>,
     next: Instant,
+    /// When it last gave up steps that were due.
+    gave_up: Option<Instant>,
     window_began: Instant,
     window_steps: u32,
     reached: Option<f64>,
@@ -36,6 +38,7 @@ impl Pace {
         Pace {
             period,
             next: now,
+            gave_up: None,
             window_began: now,
             window_steps: 0,
             reached: None,
@@ -57,13 +60,20 @@ impl Pace {
         Some(now.saturating_duration_since(self.next))
     }
 
+    /// Whether it computes all it can: it has no rate, or lately could not keep to it.
+    pub fn is_behind(&self, now: Instant) -> bool {
+        let lately = |at| now.saturating_duration_since(at) < WINDOW;
+        self.period.is_none() || self.gave_up.is_some_and(lately)
+    }
+
     /// Notes that a step was taken.
     pub fn stepped(&mut self, now: Instant) {
         if let Some(period) = self.period {
             self.next = later(self.next, period);
             let allowed = period.max(MOST_BACKLOG);
             if now.saturating_duration_since(self.next) > allowed {
-                self.next = now;
+                self.next = now.checked_sub(allowed).unwrap_or(now);
+                self.gave_up = Some(now);
             }
         }
         self.window_steps += 1;
@@ -115,11 +125,16 @@ mod tests {
         let mut pace = Pace::new(Some(2.0), 0.02, start);
         pace.stepped(start + 30 * MS);
         assert_eq!(pace.until_due(start + 30 * MS), None, "two more are due");
+        assert!(!pace.is_behind(start + 30 * MS));
         pace.stepped(start + 1000 * MS);
-        assert_eq!(pace.late_by(start + 1003 * MS), Some(3 * MS));
-        assert_eq!(pace.until_due(start + 1000 * MS), None);
-        pace.stepped(start + 1000 * MS);
-        assert_eq!(pace.until_due(start + 1000 * MS), Some(10 * MS), "no burst");
+        assert_eq!(pace.late_by(start + 1003 * MS), Some(53 * MS));
+        let mut steps = 0;
+        while pace.until_due(start + 1000 * MS).is_none() {
+            pace.stepped(start + 1000 * MS);
+            steps += 1;
+        }
+        assert_eq!(steps, 6, "no burst of a hundred");
+        assert!(pace.is_behind(start + 1999 * MS) && !pace.is_behind(start + 2000 * MS));
     }
 
     #[test]
@@ -129,6 +144,7 @@ mod tests {
         pace.stepped(start);
         assert_eq!(pace.until_due(start), None);
         assert_eq!(pace.late_by(start + MS), None, "nothing was due");
+        assert!(pace.is_behind(start + MS));
     }
 
     #[test]

@@ -258,7 +258,8 @@ impl Simulation {
         for_time: Option<f64>,
     ) -> Result<Outcome, OrderError> {
         let (weight, direction) = self.preference(direction, weight)?;
-        let lapses_at = for_time.map(|time| self.state.step + steps_in(time, self.dt()));
+        let lapses_at =
+            for_time.map(|time| self.state.step.saturating_add(steps_in(time, self.dt())));
         let chosen = self.choose(Candidates::All, selection)?;
         for &individual in &chosen {
             let configuration = &mut self.state.configuration;
@@ -383,7 +384,10 @@ fn begin(recipe: &Recipe) -> Result<State, OrderError> {
     })
 }
 
-/// The first whole number of steps that lasts at least `time`.
+/// More steps than any swarm takes, and every whole number up to it is a double.
+const MOST_STEPS: u64 = 1 << 53;
+
+/// The first whole number of steps that lasts at least `time`, at most 2^53.
 ///
 /// A quotient that is whole but for rounding is taken as whole: 0.06 in steps of 0.02 is 3.
 pub fn steps_in(time: f64, dt: f64) -> u64 {
@@ -395,5 +399,5 @@ pub fn steps_in(time: f64, dt: f64) -> u64 {
         reason = "a float becomes the nearest integer that fits"
     )]
     let steps = steps.ceil() as u64;
-    steps
+    steps.min(MOST_STEPS)
 }

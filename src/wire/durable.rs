@@ -136,6 +136,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         events: *events,
         lines: *lines,
         is_last: *is_last,
+        digest: None,
     }
 }
 

@@ -105,7 +105,9 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
         Outcome::Scheduled(applies_at_step) => {
             Payload::json(&reply(swarm, place, Scheduled { applies_at_step }))
         }
-        Outcome::Whole(whole) => Payload::cbor(&reply(swarm, place, snapshot(swarm, &whole))),
+        Outcome::Whole(whole) => {
+            Payload::cbor(&reply(swarm, place, snapshot(swarm, &whole).sealed()))
+        }
         Outcome::Seen(seen) => Payload::json(&reply(swarm, place, status(&seen, None))),
     }
 }

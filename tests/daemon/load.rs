@@ -7,21 +7,19 @@ use std::time::{Duration, Instant};
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
-use crate::apart::Process;
+use crate::apart::{Process, busy_time};
 use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, alone, until};
 
-/// How many are to keep their rate beside whatever else a small machine does; with
-/// `JOSTLE_LONG=1`, on a machine that does nothing else.
-const SWARMS: [usize; 2] = [400, 1000];
+/// How many are to keep their rate.
+const SWARMS: usize = 1000;
 const CORES: f64 = 2.0;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn hundreds_of_swarms_of_twenty_keep_their_rate() {
+async fn a_thousand_swarms_of_twenty_keep_their_rate() {
     let _alone = alone().await;
-    let swarms = SWARMS[usize::from(std::env::var_os("JOSTLE_LONG").is_some())];
     let (daemon, endpoint) = Process::serve();
     let client = Client::open(&endpoint).await;
-    for i in 0..swarms {
+    for i in 0..SWARMS {
         let name = format!("s{i}");
         client
             .create(&name, json!({"n": 20, "seed": i, "rate": 1}))
@@ -35,19 +33,30 @@ async fn hundreds_of_swarms_of_twenty_keep_their_rate() {
         let times = swarms.as_array().unwrap().iter();
         times.map(|swarm| swarm["time"].as_f64().unwrap()).collect()
     };
-    let (before, began, spent) = (times().await, Instant::now(), daemon.cpu_time());
+    let (before, began) = (times().await, Instant::now());
+    let (spent, busy) = (daemon.cpu_time(), busy_time());
     tokio::time::sleep(Duration::from_secs(10)).await;
     let (after, elapsed) = (times().await, began.elapsed().as_secs_f64());
-    let share = (daemon.cpu_time() - spent).as_secs_f64() / elapsed / CORES;
-    let passed = before.iter().zip(&after).map(|(a, b)| b - a);
-    let slowest = passed.fold(f64::INFINITY, f64::min) / elapsed;
+    let spent = (daemon.cpu_time() - spent).as_secs_f64() / elapsed;
+    let others = (busy_time() - busy).as_secs_f64() / elapsed - spent;
+    let rates = before.iter().zip(&after).map(|(a, b)| (b - a) / elapsed);
+    let mut rates: Vec<f64> = rates.collect();
+    rates.sort_by(f64::total_cmp);
+    let slowest = rates[0];
     println!(
-        "slowest of {swarms} swarms: {slowest:.3} time units a second of 1; {:.0} % of {CORES} \
+        "slowest of {SWARMS} swarms: {slowest:.3} time units a second of 1; {:.0} % of {CORES} \
          cores are left",
-        100.0 * (1.0 - share)
+        100.0 * (1.0 - spent / CORES)
     );
-    assert_eq!(after.len(), swarms);
-    assert!(slowest > 0.95, "{slowest}");
+    assert_eq!(after.len(), SWARMS);
+    // Whoever else takes the cores, nobody starves.
+    assert!(slowest > 0.1, "{:?}", &rates[..20]);
+    // It needs three quarters of two cores: beside others who take one the rest says nothing.
+    if others < 0.2 {
+        assert!(slowest > 0.95, "{:?}", &rates[..20]);
+    } else {
+        println!("not judged: other work took {others:.1} cores meanwhile");
+    }
 
     let began = Instant::now();
     client.get("s50", "status").await;

@@ -6,16 +6,15 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::apart::{Process, jostled};
+use crate::apart::{Process, busy_time, jostled};
 use crate::crash::twin::Twin;
 use crate::support::{Client, alone};
 
 const SWARMS: u64 = 40;
 
-/// How soon a get is answered at the 99th percentile: the swarm's own thread answers, when its turn
-/// comes round. 100 ms is what it should be. Threads that yield more often than the system makes them
-/// come to 65 ms, and to shares that differ by 18 %.
-const SOON: Duration = Duration::from_millis(250);
+/// How soon a get is answered at the 99th percentile: the swarm's own thread answers, which sleeps
+/// while others have their turns.
+const SOON: Duration = Duration::from_millis(50);
 
 /// Time units a second, of which two cores do a part for so many swarms.
 const RATE: f64 = 60.0;
@@ -41,8 +40,7 @@ async fn overloaded_cores_are_shared_fairly_and_no_hash_changes() {
     let client = Client::open(&endpoint).await;
     let spec = |k: u64| json!({"n": 100, "seed": k, "rate": RATE});
     for k in 0..SWARMS {
-        // All alike, so that equal shares of the cores are equal numbers of steps.
-        client.create(&format!("s{k}"), spec(1)).await;
+        client.create(&format!("s{k}"), spec(k)).await;
         client
             .ok(&format!("s{k}"), "step", json!({"steps": 400}))
             .await;
@@ -60,15 +58,15 @@ async fn overloaded_cores_are_shared_fairly_and_no_hash_changes() {
     let computed_before = computed(daemon.0.id());
     let (spent, busy) = (daemon.cpu_time(), busy_time());
     let mut waits = Vec::new();
-    while began.elapsed() < Duration::from_secs(24) {
+    while began.elapsed() < Duration::from_secs(10) {
         let asked = Instant::now();
         client
             .get(&format!("s{}", waits.len() as u64 % SWARMS), "status")
             .await;
         waits.push(asked.elapsed());
-        // What they are told is of the last second or two, and so is what it is held against: their
+        // What they are told is of the last second, and so is what it is held against: their
         // steps cost less as they settle.
-        if began.elapsed() < Duration::from_secs(22) {
+        if began.elapsed() < Duration::from_secs(9) {
             (before, looked) = (times().await, Instant::now());
         }
         tokio::time::sleep(Duration::from_millis(20)).await;
@@ -107,9 +105,8 @@ async fn overloaded_cores_are_shared_fairly_and_no_hash_changes() {
     assert!(mean < 0.8 * RATE, "it is no overload: {mean}");
     // Shares of cores that something else takes too say nothing.
     if others < 0.2 {
-        assert!(widest < 0.10, "{shares:?}");
-        // One is of the last second, the other of the last two.
-        assert!((told / mean - 1.0).abs() < 0.2, "told {told}, were {mean}");
+        assert!(widest < 0.05, "{shares:?}");
+        assert!((told / mean - 1.0).abs() < 0.10, "told {told}, were {mean}");
         assert!(p99 < SOON, "{p99:?}");
     } else {
         println!("not judged: other work took {others:.1} cores meanwhile, the daemon {spent:.1}");
@@ -118,19 +115,10 @@ async fn overloaded_cores_are_shared_fairly_and_no_hash_changes() {
         let name = format!("s{k}");
         client.ok(&name, "pause", json!({})).await;
         let status = client.get(&name, "status").await;
-        let mut alone = Twin::new(&name, &spec(1));
+        let mut alone = Twin::new(&name, &spec(k));
         alone.run_to(status["step"].as_u64().unwrap());
         assert_eq!(status["result"]["state_hash"], alone.hash());
     }
-}
-
-/// Time that all cores have worked, for anybody.
-fn busy_time() -> Duration {
-    let stat = std::fs::read_to_string("/proc/stat").unwrap();
-    let fields = stat.lines().next().unwrap().split_whitespace().skip(1);
-    let ticks: Vec<u64> = fields.map(|ticks| ticks.parse().unwrap()).collect();
-    // User, nice, system, idle, waiting for a disk, interrupts.
-    Duration::from_millis(10 * (ticks[0] + ticks[1] + ticks[2] + ticks[5] + ticks[6]))
 }
 
 /// Where libfaketime is, of the Debian package faketime.

@@ -161,6 +161,8 @@ fn states_in_cbor_are_those_in_json_to_the_bit() {
         reply
     );
     assert_eq!(to_cbor(&reply), bytes);
+    let file = to_cbor(&reply.result);
+    assert_eq!(Snapshot::from_file(&file).unwrap(), reply.result);
 }
 
 #[test]

@@ -407,3 +407,58 @@ fn a_swarm_is_cut_where_it_is_damaged_and_goes_on_from_there() {
     assert_eq!(store.checkpoints("a").unwrap().len(), 3);
     assert_eq!(store.health().damaged, 0);
 }
+
+#[test]
+fn what_follows_a_cut_is_found_again_whatever_byte_was_damaged() {
+    let (folder, damaged) = (folder(), folder());
+    let store = open(folder.path());
+    fill(&store);
+    assert!(store.stop(PATIENCE));
+    let whole = everything(folder.path(), u64::MAX).unwrap();
+    let bytes = fs::read(folder.path().join(schema::FILE)).unwrap();
+    let (mut tried, mut cut) = (0, 0);
+    for place in (0..bytes.len()).step_by(61) {
+        let mut flipped = bytes.clone();
+        flipped[place] ^= 1 << (place / 61 % 8);
+        copy(folder.path(), damaged.path());
+        fs::write(damaged.path().join(schema::FILE), flipped).unwrap();
+        tried += 1;
+        let settings = Settings {
+            quota_bytes: u64::MAX,
+        };
+        let Ok(store) = Store::open(damaged.path(), settings, Box::new(|_| {})) else {
+            continue;
+        };
+        let rows = |store: &Store, swarm| store.rows(swarm, 0, usize::MAX);
+        let (Ok(of_a), Ok(of_b)) = (rows(&store, "a"), rows(&store, "b")) else {
+            continue;
+        };
+        let Some(lost) = of_a.damaged_at else {
+            continue;
+        };
+        cut += 1;
+        let told = format!("byte {place}, row {lost}");
+        let after = Write::Cut {
+            swarm: "a".to_string(),
+            after: lost - 1,
+        };
+        durable(&store, vec![after]).unwrap_or_else(|fault| panic!("{told}: {fault}"));
+        for first in (lost..lost + 130).step_by(26) {
+            let rows = (first..first + 26).map(|number| append("a", number));
+            durable(&store, rows.collect())
+                .unwrap_or_else(|fault| panic!("{told}, then row {first}: {fault}"));
+        }
+        assert!(store.stop(PATIENCE));
+        let store = open(damaged.path());
+        let mut expected = whole.rows[0][..usize::try_from(lost).unwrap() - 1].to_vec();
+        expected.extend((lost..lost + 130).map(row));
+        let found = rows(&store, "a").unwrap();
+        assert!(
+            found.rows == expected && found.damaged_at.is_none(),
+            "{told}"
+        );
+        assert_eq!(rows(&store, "b").unwrap(), of_b, "{told}");
+    }
+    println!("{cut} of {tried} damaged a row of a");
+    assert!(cut > 100, "{cut} of {tried}");
+}

@@ -16,6 +16,7 @@ use fail::fail_point;
 use tracing::warn;
 
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::cores::Seat;
 use crate::swarm::crash;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
 use crate::swarm::handle::{Handle, Ticket};
@@ -56,6 +57,7 @@ pub struct Worker {
     phase: Phase,
     rate: Option<f64>,
     pace: Pace,
+    seat: Seat,
     tickets: Receiver<Ticket>,
     outlet: Arc<Outlet>,
     history: Arc<History>,
@@ -149,6 +151,7 @@ impl Worker {
         let rate = simulation.recipe.rate;
         Worker {
             pace: Pace::new(rate, simulation.recipe.parameters.dt, now),
+            seat: handle.seat(),
             journal,
             since: Since::new(),
             replay: Replay::default(),
@@ -216,46 +219,51 @@ impl Worker {
 
     fn live(&mut self) -> End {
         loop {
-            if !self.phase.is_moving() {
-                self.tally.pulse.rest();
-                match self.tickets.recv() {
-                    Ok(ticket) => {
-                        self.tally.pulse.beat();
-                        if let Some(end) = self.take_with_others(Some(ticket)) {
-                            return end;
-                        }
-                    }
-                    Err(_) => return End::Stopped,
+            if self.phase.is_moving() {
+                self.tally.pulse.beat();
+                if let Some(end) = self.take_with_others(None) {
+                    return end;
+                }
+            }
+            let wait = self.wait();
+            if wait == Some(Duration::ZERO) && self.has_core() {
+                self.tally.pulse.beat();
+                if let Some(end) = self.step() {
+                    return end;
                 }
                 continue;
             }
-            self.tally.pulse.beat();
-            if let Some(end) = self.take_with_others(None) {
-                return end;
-            }
-            match self.wait() {
-                Some(Duration::ZERO) => {
+            self.tally.pulse.rest();
+            let ticket = match wait {
+                // It is called when there is a core for it.
+                Some(Duration::ZERO) => self.tickets.recv().map_err(RecvTimeoutError::from),
+                Some(wait) => {
+                    self.seat.leave();
+                    self.tickets.recv_timeout(wait)
+                }
+                None => {
+                    self.seat.leave();
+                    self.tickets.recv().map_err(RecvTimeoutError::from)
+                }
+            };
+            match ticket {
+                Ok(ticket) => {
                     self.tally.pulse.beat();
-                    if let Some(end) = self.step() {
+                    if let Some(end) = self.take_with_others(Some(ticket)) {
                         return end;
                     }
                 }
-                Some(wait) => {
-                    self.tally.pulse.rest();
-                    match self.tickets.recv_timeout(wait) {
-                        Ok(ticket) => {
-                            self.tally.pulse.beat();
-                            if let Some(end) = self.take_with_others(Some(ticket)) {
-                                return end;
-                            }
-                        }
-                        Err(RecvTimeoutError::Timeout) => {}
-                        Err(RecvTimeoutError::Disconnected) => return End::Stopped,
-                    }
-                }
-                None => {}
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => return End::Stopped,
             }
         }
+    }
+
+    /// Whether it may step now.
+    fn has_core(&mut self) -> bool {
+        let now = Instant::now();
+        let is_behind = matches!(self.phase, Phase::Stepping { .. }) || self.pace.is_behind(now);
+        self.seat.may_compute(now, is_behind)
     }
 
     /// How long until the next step; `None` if there is none to be taken.
@@ -321,6 +329,8 @@ impl Worker {
                 None
             }
             Ticket::Command(command) => self.commands(vec![command]),
+            // It asks itself, before its next step.
+            Ticket::Core => None,
             Ticket::Stop => {
                 self.journal.keep(Checkpoint {
                     is_last: true,

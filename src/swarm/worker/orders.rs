@@ -32,9 +32,15 @@ impl Worker {
         }
         let step = self.simulation.state.step;
         let put_off = |command: &Command| command.when.at_step.filter(|at_step| *at_step > step);
+        let is_far_ahead = self.journal.is_far_ahead();
+        let is_written_first = |command: &Command| {
+            let order = &command.order;
+            let is_held = is_far_ahead && matches!(order, Order::Step(_));
+            order.is_written_first() || put_off(command).is_some() || is_held
+        };
         let records: Vec<Record> = possible
             .iter()
-            .filter(|command| command.order.is_written_first() || put_off(command).is_some())
+            .filter(|command| is_written_first(command))
             .map(|command| Record::Input {
                 at_step: put_off(command),
                 sender: command.sender.clone(),
@@ -43,6 +49,8 @@ impl Worker {
             .collect();
         let mut input = 0;
         if !records.is_empty() {
+            // Others may compute while this one waits for the disk.
+            self.seat.leave();
             match self.journal.commit(self.at(), records) {
                 Ok(first) => {
                     crash::point("swarm-safe");
@@ -59,7 +67,7 @@ impl Worker {
         }
         for command in possible {
             let at_step = put_off(&command);
-            let is_written = command.order.is_written_first() || at_step.is_some();
+            let is_written = is_written_first(&command);
             let line = if is_written { input } else { 0 };
             if let Some(end) = self.command(line, at_step, command) {
                 return Some(end);

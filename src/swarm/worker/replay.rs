@@ -72,8 +72,8 @@ pub struct Replay {
     hashes: BTreeMap<(u64, u64), [u8; 32]>,
     /// How many of them were found to be the same.
     pub same: u64,
-    /// The first step whose hash was found to be another.
-    pub differs_at: Option<u64>,
+    /// The first epoch and step whose hash was found to be another.
+    pub differs_at: Option<(u64, u64)>,
 }
 
 impl Replay {
@@ -87,7 +87,7 @@ impl Replay {
         let is_same = *self.hashes.get(&at)? == hash;
         self.same += u64::from(is_same);
         if !is_same {
-            self.differs_at.get_or_insert(at.1);
+            self.differs_at.get_or_insert(at);
         }
         Some(is_same)
     }

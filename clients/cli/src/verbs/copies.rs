@@ -57,7 +57,7 @@ pub async fn snapshot(
     let reply: Reply<Value> = bus.get(name, "snapshot").await?.read()?;
     // As it came: a newer daemon may have told more than is known here.
     let bytes = to_cbor(&reply.result);
-    let snapshot = Snapshot::from_cbor(&bytes).map_err(Failure::unreadable)?;
+    let snapshot = Snapshot::from_file(&bytes).map_err(Failure::unreadable)?;
     put(out, &bytes, *force).map_err(|error| match error.kind() {
         io::ErrorKind::AlreadyExists => is_there(out),
         _ => Failure::File {
@@ -107,8 +107,11 @@ pub async fn restore(
         problem,
     };
     let bytes = fs::read(file).map_err(|error| wrong(error.to_string()))?;
-    let snapshot = Snapshot::from_cbor(&bytes)
-        .map_err(|error| wrong(format!("this is no whole snapshot ({error})")))?;
+    let snapshot = Snapshot::from_file(&bytes).map_err(|error| {
+        wrong(format!(
+            "this is no whole snapshot ({error}): `jostle snapshot` writes one"
+        ))
+    })?;
     let args = RestoreArgs {
         name: name.clone().unwrap_or(snapshot.swarm),
         snapshot: STANDARD.encode(&bytes),

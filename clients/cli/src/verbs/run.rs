@@ -35,6 +35,8 @@ pub async fn run(bus: &Bus, output: Output, arguments: &RunArguments) -> Result<
         rate: arguments.rate.map(|Rate(rate)| rate),
     };
     let swarm = &arguments.name;
+    // A daemon may be gone and back between its answer and the first look.
+    let lost_before = bus.lost();
     let answer = interrupt::either(bus.command(swarm, "run", &args, &arguments.sending)).await?;
     if !arguments.wait {
         return print_outcome(output, &answer, "run", tell);
@@ -45,7 +47,7 @@ pub async fn run(bus: &Bus, output: Output, arguments: &RunArguments) -> Result<
     let bar = bar(output, &reply);
     let outcome = tokio::select! {
         biased;
-        outcome = reached(bus, output, &reply, &bar) => outcome,
+        outcome = reached(bus, output, &reply, lost_before, &bar) => outcome,
         () = advance(bus, swarm, &reply, &bar) => Err(Failure::Interrupted { left: None }),
         () = interrupt::pressed() => Err(Failure::Interrupted {
             left: Some(runs_on(swarm, target)),
@@ -83,12 +85,13 @@ async fn reached(
     bus: &Bus,
     output: Output,
     started: &Reply<RunResult>,
+    mut lost_before: u64,
     bar: &ProgressBar,
 ) -> Result<(Answer, Result<(), Failure>), Failure> {
     let swarm = &started.swarm;
     let target = started.result.until_step;
     let what = target.map_or_else(|| "phase=paused".into(), |step| format!("step={step}"));
-    let (mut epoch, mut lost_before) = (started.epoch, bus.lost());
+    let mut epoch = started.epoch;
     let (mut lost, mut missing): (Option<Instant>, Option<Instant>) = (None, None);
     loop {
         match bus.wait(swarm, &what, HELD).await {

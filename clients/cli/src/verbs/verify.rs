@@ -41,13 +41,21 @@ fn words(reply: &Reply<Verified>) -> String {
         to_step,
         hashes,
         differs_at,
+        differs_in_epoch,
     } = reply.result;
+    let differs_at = differs_at.zip(differs_in_epoch);
     let swarm = &reply.swarm;
-    let told = format!("told again from step {from_step} to step {to_step}");
+    let since = match reply.step.saturating_sub(to_step) {
+        0 => String::new(),
+        steps => format!(", not the {} since", format::count(steps, "step")),
+    };
+    let told = format!("told again from step {from_step} to step {to_step}{since}");
     let compared = format::count(hashes, "hash").replace("hashs", "hashes");
     match (hashes, differs_at) {
-        (_, Some(step)) => {
-            format!("{swarm} differs first at step {step}: {told}, {compared} compared")
+        (_, Some((step, epoch))) => {
+            format!(
+                "{swarm} differs first at step {step} of epoch {epoch}: {told}, {compared} compared"
+            )
         }
         (0, None) => format!(
             "{swarm} has written down no hash yet after step {from_step}: there is nothing to compare"
@@ -75,6 +83,7 @@ mod tests {
                 to_step: 800,
                 hashes,
                 differs_at,
+                differs_in_epoch: differs_at.map(|_| 2),
             },
         })
     }
@@ -83,9 +92,10 @@ mod tests {
     fn what_was_compared_is_told_and_nothing_is_not_the_same() {
         assert_eq!(
             said(1, None),
-            "demo is the same: told again from step 0 to step 800, 1 hash compared"
+            "demo is the same: told again from step 0 to step 800, not the 100 steps since, \
+             1 hash compared"
         );
-        assert!(said(9, Some(800)).starts_with("demo differs first at step 800: "));
+        assert!(said(9, Some(800)).starts_with("demo differs first at step 800 of epoch 2: "));
         assert!(said(9, Some(800)).ends_with("9 hashes compared"));
         assert!(said(0, None).contains("no hash yet"));
     }

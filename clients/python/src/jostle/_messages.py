@@ -272,12 +272,14 @@ class Verified(Reply, frozen=True, kw_only=True):
         to_step: The step it was told to.
         hashes: How many hashes that were written down on the way were compared.
         differs_at: The first step that has another hash than it had; None if there is none.
+        differs_in_epoch: The epoch that step is of: after a reset steps are counted anew.
     """
 
     from_step: int
     to_step: int
     hashes: int
     differs_at: int | None = None
+    differs_in_epoch: int | None = None
 
 
 class Parameter(msgspec.Struct, frozen=True, kw_only=True):

@@ -3,7 +3,8 @@
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use jostle_proto::{
-    ErrorCode, Hello, NodeReply, NodeStatus, Phase, SwarmSummary, Swarms, WIRE_VERSION, keys,
+    ErrorCode, Hello, Metrics, NodeReply, NodeStatus, Phase, SwarmSummary, Swarms, WIRE_VERSION,
+    keys,
 };
 use serde_json::json;
 
@@ -194,6 +195,22 @@ pub async fn swarms(bus: &Bus, node: &str) -> (Check, Vec<SwarmSummary>) {
         count => format!("{count}, of which {running} running and {faulted} faulted"),
     };
     (Check::well(NAME, said).with(figures), swarms)
+}
+
+/// Is the daemon itself well?
+pub async fn health(bus: &Bus, node: &str) -> Check {
+    const NAME: &str = "health";
+    const REMEDY: &str = "see its log, and what docs/health.md says of /healthz";
+    let key = keys::node_get(bus.prefix(), node, "metrics");
+    let answer = bus.ask(Whom::Node(node), &key, None, PATIENCE).await;
+    match answer.and_then(|answer| answer.read::<NodeReply<Metrics>>()) {
+        Ok(reply) if reply.result.unwell.is_empty() => {
+            let said = "its threads are at work and its disk takes what it writes";
+            Check::well(NAME, said.into())
+        }
+        Ok(reply) => Check::wrong(NAME, "unwell", reply.result.unwell.join("; "), REMEDY),
+        Err(failure) => Check::failed(NAME, &failure),
+    }
 }
 
 /// May this client ask a swarm?

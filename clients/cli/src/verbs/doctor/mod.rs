@@ -57,6 +57,7 @@ async fn examine(bus: &Bus, report: &mut Report) {
         report.add(checks::clock(hello, *asked));
     }
     report.add(checks::latency(bus, &node).await);
+    report.add(checks::health(bus, &node).await);
     let (check, swarms) = checks::swarms(bus, &node).await;
     report.add(check);
     let swarm = swarms.first().map(|swarm| swarm.swarm.as_str());

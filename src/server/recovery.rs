@@ -1,0 +1,464 @@
+//! What is stored of swarms, told again: all of them when the daemon starts, one when somebody asks.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::mpsc::channel;
+
+use jostle_proto as proto;
+use jostle_proto::Request;
+use serde_json::value::RawValue;
+use thiserror::Error;
+use tracing::{error, info, warn};
+
+use crate::command::{self, Command, CommandError};
+use crate::host::{self, Host, HostError};
+use crate::server::archive::{About, writes};
+use crate::server::ledger::Ledger;
+use crate::store::{self, Store, StoreError, Write};
+use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::journal::{Line, Record, Written};
+use crate::swarm::order::{Answer, Order, OrderError, Recipe, Refusal, Sender};
+use crate::swarm::phase::Phase;
+use crate::swarm::worker::replay::{Applied, Past, To};
+use crate::wire::{self, Payload, durable};
+
+/// Lines looked through for the commands that were applied before a checkpoint.
+const LINES_FOR_ENTRIES: u64 = 10_000;
+
+/// Lines read at once.
+const PAGE: usize = 1000;
+
+/// Why swarms cannot be brought back.
+#[derive(Debug, Error)]
+pub enum RecoveryError {
+    /// The store cannot be read.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// What is stored of a swarm means nothing to this daemon.
+    #[error("swarm {swarm}: {problem}")]
+    Unreadable {
+        /// Which.
+        swarm: String,
+        /// What is wrong.
+        problem: String,
+    },
+    /// A swarm's thread cannot be started.
+    #[error("swarm {0}: {1}")]
+    Host(String, HostError),
+}
+
+/// Brings every swarm back, and waits until each is as it was. Returns how many there are.
+///
+/// A swarm of which nothing can be read is left in the store and told of in the log.
+///
+/// # Errors
+///
+/// [`RecoveryError`] when the store as a whole cannot be read.
+pub fn recover(host: &Arc<Host>, store: &Store, ledger: &Ledger) -> Result<usize, RecoveryError> {
+    ledger.fill(store.answers()?);
+    let (told, is_told) = channel();
+    let mut count = 0;
+    for (swarm, about) in store.swarms()? {
+        let begun = recall(store, ledger, &swarm, &about).and_then(|(recipe, past)| {
+            let told = told.clone();
+            host.recover(&swarm, recipe, past, move || {
+                Box::new(move |_| {
+                    let _ = told.send(());
+                })
+            })
+            .map_err(|error| RecoveryError::Host(swarm.clone(), error))
+        });
+        match begun {
+            Ok(()) => count += 1,
+            Err(error) => error!(swarm, %error, "failed to bring back: it is left in the store"),
+        }
+    }
+    drop(told);
+    let back = is_told.iter().take(count).count();
+    if back > 0 {
+        info!(swarms = back, "brought back");
+    }
+    Ok(back)
+}
+
+/// What is stored of a swarm, read back.
+fn recall(
+    store: &Store,
+    ledger: &Ledger,
+    swarm: &str,
+    about: &[u8],
+) -> Result<(Recipe, Past), RecoveryError> {
+    let unreadable = |problem: String| RecoveryError::Unreadable {
+        swarm: swarm.to_owned(),
+        problem,
+    };
+    let about: About =
+        ciborium::from_reader(about).map_err(|error| unreadable(error.to_string()))?;
+    let recipe = wire::recipe(&about.spec, wire::count(about.spec.n))
+        .map_err(|error| unreadable(error.to_string()))?;
+    let mut newest = None;
+    let mut problem = "no checkpoint of it is kept".to_owned();
+    for mark in store.checkpoints(swarm)? {
+        let checkpoint = store
+            .checkpoint(swarm, mark.number)
+            .map_err(|error| error.to_string())
+            .and_then(|kept| read_checkpoint(&kept.body));
+        match checkpoint {
+            Ok(checkpoint) => {
+                let past = lines_after(store, swarm, checkpoint)?;
+                if past.damage.is_some() && newest.is_some() {
+                    // What is sure goes before what was answered.
+                    break;
+                }
+                let is_answered = past.is_answered(ledger, store, swarm, mark.number)?;
+                if is_answered {
+                    let entries = entries_before(store, swarm, past.checkpoint.lines)?;
+                    let past = past.cut(store, swarm);
+                    return Ok((recipe, past.told_to(ledger.clone(), swarm, entries)));
+                }
+                // An answer was lost: from an older checkpoint on it comes about again.
+                newest.get_or_insert(past);
+            }
+            Err(error) => {
+                warn!(swarm, step = mark.step, %error, "a checkpoint is damaged: an older one is taken");
+                problem = error;
+            }
+        }
+    }
+    match newest {
+        Some(past) => {
+            let entries = entries_before(store, swarm, past.checkpoint.lines)?;
+            let past = past.cut(store, swarm);
+            Ok((recipe, past.told_to(ledger.clone(), swarm, entries)))
+        }
+        None => Err(unreadable(problem)),
+    }
+}
+
+/// A swarm's past, told again.
+pub struct Told {
+    /// The step it was told from.
+    pub from: u64,
+    /// The swarm at the end of it.
+    pub checkpoint: Checkpoint,
+    /// How many hashes came out as they had been.
+    pub same: u64,
+    /// The first epoch and step that came out otherwise.
+    pub differs_at: Option<(u64, u64)>,
+}
+
+/// Tells a swarm's past again: to a step from the last checkpoint before it, else from the oldest.
+///
+/// # Errors
+///
+/// [`CommandError::History`] when what is needed is no longer kept, or damaged.
+pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Told, CommandError> {
+    // Nothing, which is written after everything before it; if it cannot be, the rest tells.
+    let _ = store.commit(Vec::new());
+    let history = |problem: String| CommandError::History(problem);
+    let mut marks = store
+        .checkpoints(swarm)
+        .map_err(|it| history(it.to_string()))?;
+    match to {
+        To::Step(step) => marks.retain(|mark| mark.step <= step),
+        To::LastInput | To::LastHash => marks.reverse(),
+    }
+    let mut problem = "so old a history is not kept: get/status says from where on".to_owned();
+    for mark in marks {
+        let kept = store.checkpoint(swarm, mark.number);
+        let checkpoint = match kept
+            .map_err(|it| it.to_string())
+            .and_then(|it| read_checkpoint(&it.body))
+        {
+            Ok(checkpoint) => checkpoint,
+            Err(error) => {
+                problem = error;
+                continue;
+            }
+        };
+        let story = lines_after(store, swarm, checkpoint).map_err(|it| history(it.to_string()))?;
+        if let Some(damage) = story.damage {
+            return Err(history(damage));
+        }
+        let past = Past {
+            checkpoint: story.checkpoint,
+            lines: story.lines,
+            damage: None,
+            entries: Vec::new(),
+            recall: Box::new(|_| Box::new(|_| {})),
+            to,
+        };
+        let (checkpoint, same, differs_at) = host::tell_again(past);
+        match (to, &checkpoint.phase) {
+            (To::Step(_), Phase::Faulted(reason)) if differs_at.is_some() => {
+                return Err(history(reason.clone()));
+            }
+            (To::Step(step), _) if checkpoint.state.step != step => {
+                return Err(history(format!("step {step} was never reached")));
+            }
+            _ => {}
+        }
+        return Ok(Told {
+            from: mark.step,
+            checkpoint,
+            same,
+            differs_at,
+        });
+    }
+    Err(history(problem))
+}
+
+/// Reads a snapshot that was sent.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn read_snapshot(file: &[u8]) -> Result<Checkpoint, String> {
+    let snapshot = proto::Snapshot::from_file(file)?;
+    durable::checkpoint(&snapshot, &read_order).map_err(|error| error.to_string())
+}
+
+/// Reads a checkpoint that was kept; the store has seen to it that it is whole.
+fn read_checkpoint(body: &[u8]) -> Result<Checkpoint, String> {
+    let snapshot = proto::Snapshot::from_cbor(body)?;
+    durable::checkpoint(&snapshot, &read_order).map_err(|error| error.to_string())
+}
+
+/// What the journal says after a checkpoint.
+struct Story {
+    checkpoint: Checkpoint,
+    lines: Vec<(Line, Option<Order>)>,
+    damage: Option<String>,
+}
+
+fn lines_after(store: &Store, swarm: &str, checkpoint: Checkpoint) -> Result<Story, RecoveryError> {
+    let mut story = Story {
+        lines: Vec::new(),
+        damage: None,
+        checkpoint,
+    };
+    let mut after = story.checkpoint.lines;
+    loop {
+        let page = store.rows(swarm, after, PAGE)?;
+        let is_last = page.rows.len() < PAGE;
+        for row in page.rows {
+            after = row.number;
+            match read_line(&row) {
+                Ok(line) => story.lines.push(line),
+                Err(error) => {
+                    story.damage = Some(damaged(after, &error));
+                    return Ok(story);
+                }
+            }
+        }
+        if let Some(number) = page.damaged_at {
+            warn!(swarm, line = number, "the journal is damaged");
+            story.damage = Some(damaged(number, "it is not as it was written"));
+        }
+        if is_last || story.damage.is_some() {
+            return Ok(story);
+        }
+    }
+}
+
+fn damaged(line: u64, problem: &str) -> String {
+    format!(
+        "line {line} of its journal is damaged ({problem}): this is the last state that is sure; \
+         reset it, or delete it and restore a snapshot"
+    )
+}
+
+fn read_line(row: &store::Row) -> Result<(Line, Option<Order>), String> {
+    let record = durable::read_record(&row.body).map_err(|error| error.to_string())?;
+    let order = match &record {
+        Record::Input { sender, .. } => Some(read_order(sender)?),
+        _ => None,
+    };
+    let line = Line {
+        number: row.number,
+        epoch: row.epoch,
+        step: row.step,
+        record,
+    };
+    Ok((line, order))
+}
+
+/// What a command ordered; it was read before, so it can be read again.
+fn read_order(sender: &Sender) -> Result<Order, String> {
+    read_command(sender).map(|command| command.order)
+}
+
+fn read_command(sender: &Sender) -> Result<Command, String> {
+    let args = RawValue::from_string(sender.args.clone()).map_err(|error| error.to_string())?;
+    let request = Request {
+        args: Some(args),
+        ..Request::default()
+    };
+    command::read(sender.verb, &request).map_err(|error| error.to_string())
+}
+
+impl Story {
+    /// Where lines are damaged, has the journal end before them with a fault that says so: what is
+    /// written from then on follows what can be told again. Both are safe, or neither.
+    fn cut(mut self, store: &Store, swarm: &str) -> Self {
+        let Some(damage) = self.damage.take() else {
+            return self;
+        };
+        let (number, epoch, step) = match self.lines.last() {
+            Some((line, _)) => {
+                let epoch = match line.record {
+                    Record::Resumed(epoch) => epoch,
+                    _ => line.epoch,
+                };
+                (line.number, epoch, line.step)
+            }
+            None => {
+                let Checkpoint {
+                    lines,
+                    epoch,
+                    state,
+                    ..
+                } = &self.checkpoint;
+                (*lines, *epoch, state.step)
+            }
+        };
+        let line = Line {
+            number: number + 1,
+            epoch,
+            step,
+            record: Record::Fault(damage.clone()),
+        };
+        let cut = Write::Cut {
+            swarm: swarm.to_owned(),
+            after: number,
+        };
+        let fault = writes(swarm, Written::Line(line.clone()));
+        match store.commit(std::iter::once(cut).chain(fault).collect()) {
+            Ok(()) => {
+                error!(swarm, damage, "the journal is cut where it is damaged");
+                self.lines.push((line, None));
+            }
+            Err(fault) => {
+                warn!(swarm, %fault, "failed to cut a damaged journal: nothing can follow it yet");
+                self.damage = Some(damage);
+            }
+        }
+        self
+    }
+
+    /// Whether every named command that the checkpoint contains has its answer in the ledger.
+    fn is_answered(
+        &self,
+        ledger: &Ledger,
+        store: &Store,
+        swarm: &str,
+        number: u64,
+    ) -> Result<bool, RecoveryError> {
+        // Answers follow their commands within moments; what is further back has its own.
+        let rows = store.rows(swarm, number.saturating_sub(PAGE as u64), PAGE)?;
+        let mut unanswered = Vec::new();
+        for row in rows.rows.into_iter().filter(|row| row.number <= number) {
+            let number = row.number;
+            match read_line(&row) {
+                Ok((
+                    Line {
+                        record: Record::Input { sender, .. },
+                        ..
+                    },
+                    _,
+                )) => {
+                    if let Some(id) = &sender.request_id
+                        && !ledger.knows(&sender.client, id)
+                    {
+                        unanswered.push(number);
+                    }
+                }
+                Ok((
+                    Line {
+                        record: Record::Became { input, seq: None },
+                        ..
+                    },
+                    _,
+                )) => unanswered.retain(|it| *it != input),
+                _ => {}
+            }
+        }
+        // A step under way has its answer still before it.
+        if let Some((_, sender)) = &self.checkpoint.pending
+            && sender.request_id.is_some()
+        {
+            unanswered.pop();
+        }
+        Ok(unanswered.is_empty())
+    }
+
+    fn told_to(self, ledger: Ledger, swarm: &str, entries: Vec<Applied>) -> Past {
+        let swarm = swarm.to_owned();
+        Past {
+            entries,
+            checkpoint: self.checkpoint,
+            lines: self.lines,
+            damage: self.damage,
+            recall: Box::new(move |sender| remember(&ledger, &swarm, sender)),
+            to: To::LastInput,
+        }
+    }
+}
+
+/// The commands that were applied up to a line, as many as `get/journal` shows.
+fn entries_before(store: &Store, swarm: &str, line: u64) -> Result<Vec<Applied>, RecoveryError> {
+    let mut after = line.saturating_sub(LINES_FOR_ENTRIES);
+    let (mut inputs, mut entries) = (BTreeMap::new(), Vec::new());
+    while after < line {
+        let rows = store.rows(swarm, after, PAGE)?.rows;
+        let Some(last) = rows.last().map(|row| row.number) else {
+            break;
+        };
+        for row in rows.into_iter().take_while(|row| row.number <= line) {
+            let (number, epoch, step) = (row.number, row.epoch, row.step);
+            let applied = match durable::read_record(&row.body) {
+                Ok(Record::Input { sender, seq, .. }) => {
+                    inputs.insert(number, sender.clone());
+                    seq.zip(Some(sender))
+                }
+                Ok(Record::Became { input, seq }) => seq.zip(inputs.remove(&input)),
+                _ => None,
+            };
+            if let Some((seq, sender)) = applied {
+                entries.push(Applied {
+                    epoch,
+                    step,
+                    seq,
+                    sender,
+                });
+            }
+        }
+        after = last;
+    }
+    Ok(entries)
+}
+
+/// Takes what a command came to, for its sender to ask for again.
+fn remember(ledger: &Ledger, swarm: &str, sender: &Arc<Sender>) -> Answer {
+    let Some((id, digest)) = sender.request_id.clone().zip(sender.digest) else {
+        return Box::new(|_| {});
+    };
+    let Some(page) = ledger.enter_again((sender.client.clone(), id), digest) else {
+        return Box::new(|_| {});
+    };
+    let returns_state = read_command(sender).is_ok_and(|command| command.returns_state);
+    let swarm = swarm.to_owned();
+    let worded = |step, error| Payload::json(&CommandError::from(error).to_wire(step));
+    Box::new(move |answered| match answered {
+        Ok((place, outcome)) => {
+            let frame = returns_state.then_some(0);
+            page.write(&Ok(wire::outcome(&swarm, &place, outcome, frame)));
+        }
+        Err(Refusal {
+            step,
+            error: error @ OrderError::Faulted(_),
+        }) => page.write(&Err(worded(step, error))),
+        // What was refused changed nothing, and may be tried again.
+        Err(Refusal { step, error }) => page.tear_out(&worded(step, error)),
+    })
+}
