@@ -1,0 +1,7 @@
+//! What is read off runs once they are over: tidy tables, the paper's statistics, its figures.
+//!
+//! It knows neither the daemon nor the wire: rows in, files and pictures out.
+
+pub mod run;
+
+pub use run::Run;
