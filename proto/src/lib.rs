@@ -32,7 +32,7 @@ pub use gets::{
 };
 pub use metrics::{Metrics, StoreMetrics, SwarmMetrics};
 pub use snapshot::Snapshot;
-pub use spec::{Attraction, ContactRule, Spec, Start};
+pub use spec::{Attraction, ContactRule, Spec, Start, Stepping};
 pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};
 pub use told::Told;
 

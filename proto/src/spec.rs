@@ -39,6 +39,15 @@ pub struct Spec {
     #[serde(default)]
     #[schemars(extend("x-unit" = "1"))]
     pub contacts: ContactRule,
+    /// What a contact limits.
+    #[serde(default)]
+    #[schemars(extend("x-unit" = "1"))]
+    pub stepping: Stepping,
+    /// How many more programs a step solves about what the last one predicts: 0 or 1. One more
+    /// leaves less overlap, and goes with `position` alone.
+    #[serde(default)]
+    #[schemars(range(max = 1), extend("x-unit" = "1"))]
+    pub relinearise: u8,
     /// The seed of every draw: 0 to 2⁵³ - 1.
     #[serde(default)]
     #[schemars(range(max = LARGEST_WHOLE), extend("x-unit" = "1", "x-changed-by" = ["reset"]))]
@@ -50,9 +59,9 @@ pub struct Spec {
     #[serde(default)]
     #[schemars(extend("x-unit" = "1"))]
     pub attraction: Attraction,
-    /// Intensity of the noise on the turning rate; only 0 so far.
+    /// Intensity of white noise on the turning rate, squared angle over time: 0 or more.
     #[serde(default)]
-    #[schemars(range(min = 0.0, max = 0.0), extend("x-unit" = "1"))]
+    #[schemars(range(min = 0.0, max = 1e6), extend("x-unit" = "free speed / body size"))]
     pub noise: f64,
     /// Steps between two published states: 1 or more.
     #[serde(default = "default::publish_every")]
@@ -75,6 +84,8 @@ impl Spec {
             pi4: default::pi4(),
             dt: default::dt(),
             contacts: ContactRule::default(),
+            stepping: Stepping::default(),
+            relinearise: 0,
             seed: 0,
             start: Start::default(),
             attraction: Attraction::default(),
@@ -118,6 +129,20 @@ pub enum ContactRule {
     /// Every endpoint that projects inside the other segment, and mutual endpoint pairs.
     #[default]
     Endpoints,
+    /// Of those the one with the smallest gap: the literal reading of the paper's appendix. Axes
+    /// may come to cross.
+    Closest,
+}
+
+/// What a contact limits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Stepping {
+    /// The gap after the step: overlap is pushed out again, eq. (7).
+    #[default]
+    Position,
+    /// The speed at which touching bodies close, eq. (19): overlap adds up over the steps.
+    Velocity,
 }
 
 /// What an individual turns towards.
@@ -131,6 +156,26 @@ pub enum Attraction {
         #[serde(default, skip_serializing_if = "Option::is_none")]
         #[schemars(range(min = 1e-9, max = 1e-3))]
         accuracy: Option<f64>,
+    },
+    /// The mean over those whose Voronoi cells share an edge with one's own.
+    Voronoi {},
+    /// The mean over all within a distance.
+    Metric {
+        /// The distance, body sizes: above 0.
+        #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
+        radius: f64,
+    },
+    /// The mean over the nearest few; of those equally far the lower ids.
+    Topological {
+        /// How many: 1 or more.
+        #[schemars(range(min = 1))]
+        neighbours: u32,
+    },
+    /// The mean over all the others of the unit vectors times a power of the distance.
+    Power {
+        /// The exponent: -8 to 8; 0 is `all`.
+        #[schemars(range(min = -8.0, max = 8.0))]
+        exponent: f64,
     },
 }
 

@@ -297,6 +297,7 @@ impl CommandError {
                 value,
                 range,
             } => named(field, number(value), range_of(field).or(Some(range))),
+            ParametersError::Clash { field, .. } => named(field, Value::Null, None),
             ParametersError::StepTooLong { dt, largest } => json!({
                 "field": "dt", "value": dt, "range": format!("(0, {largest}]"),
             }),
@@ -446,10 +447,17 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "pi2" => "a number from 0 to 1e6",
         "pi3" | "pi4" => "a number above 0, at most 1e6",
         "dt" => "a number above 0, at most 2r / (1 + h ω): 0.02 fits most swarms",
-        "contacts" => "\"endpoints\"",
-        "attraction" => "{\"kind\": \"all\"}, \"accuracy\" if wanted",
+        "contacts" => "\"endpoints\" or \"closest\"",
+        "stepping" => "\"position\" or \"velocity\"",
+        "relinearise" => "0 or 1",
+        "attraction" => {
+            "{\"kind\": \"all\"}, \"accuracy\" if wanted; or of kind \"voronoi\", \"metric\" with \
+             \"radius\", \"topological\" with \"neighbours\", \"power\" with \"exponent\""
+        }
+        "neighbours" => "a whole number from 1",
+        "exponent" => "a number from -8 to 8",
         "accuracy" => "a number from 1e-9 to 1e-3",
-        "noise" => "0, the only noise so far",
+        "noise" => "a number from 0 to 1e6",
         "seed" => "a whole number from 0 to 9007199254740991",
         "start" => "{\"kind\": \"disc\"} or {\"kind\": \"given\", \"x\", \"y\", \"alpha\"}",
         "publish_every" => "a whole number from 1 to 1e9",

@@ -19,5 +19,5 @@ pub mod state;
 pub mod threads;
 
 pub use configuration::{CELL, Configuration};
-pub use parameters::{Attraction, ContactRule, Parameters, ParametersError};
+pub use parameters::{Attraction, ContactRule, Parameters, ParametersError, Stepping};
 pub use state::{MODEL_VERSION, Remembered, SolverMemory, State};

@@ -10,6 +10,20 @@ pub enum ContactRule {
     /// Every smooth endpoint-to-segment distance that no smaller one implies.
     #[default]
     Endpoints,
+    /// Of those the nearest alone; ties go to the lowest code. The literal reading of the
+    /// paper's appendix, under which axes may come to cross.
+    Closest,
+}
+
+/// What a contact limits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Stepping {
+    /// The gap after the step, to first order: overlap is pushed out again, eq. (7).
+    #[default]
+    Position,
+    /// The speed at which bodies that touch close, eq. (19): what overlap rounding and
+    /// curvature leave stays, and adds up.
+    Velocity,
 }
 
 /// Whom an individual is attracted to.
@@ -23,6 +37,24 @@ pub enum Attraction {
         /// is kept in one group of any shape; in far flocks the worst is up to 10 times it.
         accuracy: Option<f64>,
     },
+    /// Those whose Voronoi cells share an edge of some length with one's own. At one place all
+    /// share a cell, and are neighbours too.
+    Voronoi,
+    /// All within a distance, the distance itself included.
+    Metric {
+        /// The distance, in body sizes.
+        radius: f64,
+    },
+    /// The nearest few; of those equally far the lower ids.
+    Topological {
+        /// How many.
+        neighbours: u32,
+    },
+    /// All the others, each unit vector times a power of the distance.
+    Power {
+        /// The exponent, within [`EXPONENTS`]: 0 is eq. (4).
+        exponent: f64,
+    },
 }
 
 impl Default for Attraction {
@@ -34,6 +66,9 @@ impl Default for Attraction {
 /// The accuracies that can be asked for. A coarser one would hardly be quicker; a finer one
 /// hardly quicker than the direct sum.
 pub const ACCURACIES: RangeInclusive<f64> = 1e-9..=1e-3;
+
+/// The exponents that can be asked for: beyond them only the nearest or the furthest would count.
+pub const EXPONENTS: RangeInclusive<f64> = -8.0..=8.0;
 
 /// What fixes the motion of a swarm, beside its state.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -50,8 +85,14 @@ pub struct Parameters {
     pub dt: f64,
     /// Which contacts constrain a step.
     pub contacts: ContactRule,
+    /// What a contact limits.
+    pub stepping: Stepping,
+    /// Whether a second program is solved, linearised about the first one's result.
+    pub relinearise: bool,
     /// Whom an individual is attracted to.
     pub attraction: Attraction,
+    /// `D_α`, the intensity of white noise on the turning rate: squared angle over time.
+    pub noise: f64,
 }
 
 /// Why parameters are refused.
@@ -66,6 +107,14 @@ pub enum ParametersError {
         value: f64,
         /// The values allowed.
         range: &'static str,
+    },
+    /// A setting has no meaning beside another.
+    #[error("{field} does not go with {other}: leave out one of them")]
+    Clash {
+        /// The setting refused.
+        field: &'static str,
+        /// What it clashes with.
+        other: &'static str,
     },
     /// A free body could cross its own width in one step.
     #[error(
@@ -99,8 +148,58 @@ impl Default for Parameters {
             pi4: 10.0,
             dt: 0.02,
             contacts: ContactRule::Endpoints,
+            stepping: Stepping::Position,
+            relinearise: false,
             attraction: Attraction::default(),
+            noise: 0.0,
         }
+    }
+}
+
+impl Attraction {
+    /// Checks the numbers of a law.
+    ///
+    /// # Errors
+    ///
+    /// [`ParametersError::OutOfRange`].
+    fn check(self) -> Result<(), ParametersError> {
+        let (field, value, range, is_fine) = match self {
+            Self::All { accuracy: None } | Self::Voronoi => return Ok(()),
+            Self::All {
+                accuracy: Some(value),
+            } => (
+                "attraction.accuracy",
+                value,
+                "[1e-9, 1e-3]",
+                ACCURACIES.contains(&value),
+            ),
+            Self::Metric { radius } => (
+                "attraction.radius",
+                radius,
+                "(0, 1e6]",
+                radius > 0.0 && radius <= LARGEST_NUMBER,
+            ),
+            Self::Topological { neighbours } => (
+                "attraction.neighbours",
+                f64::from(neighbours),
+                "the whole numbers from 1",
+                neighbours > 0,
+            ),
+            Self::Power { exponent } => (
+                "attraction.exponent",
+                exponent,
+                "[-8, 8]",
+                EXPONENTS.contains(&exponent),
+            ),
+        };
+        if is_fine {
+            return Ok(());
+        }
+        Err(ParametersError::OutOfRange {
+            field,
+            value,
+            range,
+        })
     }
 }
 
@@ -110,7 +209,7 @@ impl Parameters {
     /// # Errors
     ///
     /// [`ParametersError::OutOfRange`] names the first field outside its range, non-finite
-    /// numbers included; [`ParametersError::StepTooLong`] when `dt (1 + h ω) > 2r`.
+    /// numbers included; [`ParametersError::Clash`] a setting without meaning; [`ParametersError::StepTooLong`] when `dt (1 + h ω) > 2r`.
     pub fn check(&self, largest_weight: f64) -> Result<(), ParametersError> {
         let positive = |field, value: f64| match value {
             v if v > 0.0 && v <= LARGEST_NUMBER => Ok(()),
@@ -132,14 +231,11 @@ impl Parameters {
         positive("pi3", self.pi3)?;
         positive("pi4", self.pi4)?;
         check_weight("weight", largest_weight)?;
-        let Attraction::All { accuracy } = self.attraction;
-        if let Some(value) = accuracy.filter(|value| !ACCURACIES.contains(value)) {
-            let (field, range) = ("attraction.accuracy", "[1e-9, 1e-3]");
-            return Err(ParametersError::OutOfRange {
-                field,
-                value,
-                range,
-            });
+        self.attraction.check()?;
+        check_weight("noise", self.noise)?;
+        if self.relinearise && self.stepping == Stepping::Velocity {
+            let (field, other) = ("relinearise", "stepping = velocity");
+            return Err(ParametersError::Clash { field, other });
         }
         if !(self.dt.is_finite() && self.dt > 0.0) {
             let (field, value, range) = ("dt", self.dt, "the numbers above 0");
@@ -256,6 +352,7 @@ mod tests {
         let field_of = |parameters: Parameters, weight: f64| match parameters.check(weight) {
             Err(ParametersError::OutOfRange { field, .. }) => field,
             Err(ParametersError::StepTooLong { .. }) => "too long",
+            Err(ParametersError::Clash { field, .. }) => field,
             Ok(()) => "",
         };
         let fine = Parameters {
@@ -302,24 +399,79 @@ mod tests {
     }
 
     #[test]
-    fn an_accuracy_is_refused_outside_its_range() {
-        let with = |accuracy| Parameters {
-            attraction: Attraction::All {
-                accuracy: Some(accuracy),
-            },
+    fn the_numbers_of_an_attraction_law_have_ranges() {
+        type Law = fn(f64) -> Attraction;
+        let laws: [(&str, Law, &[f64], &[f64]); 3] = [
+            (
+                "attraction.accuracy",
+                |value| Attraction::All {
+                    accuracy: Some(value),
+                },
+                &[-1e-6, 0.0, 0.99e-9, 1.01e-3],
+                &[1e-9, 2.5e-6, 1e-3],
+            ),
+            (
+                "attraction.radius",
+                |radius| Attraction::Metric { radius },
+                &[-1.0, 0.0, 1.1e6],
+                &[1e-9, 3.0, 1e6],
+            ),
+            (
+                "attraction.exponent",
+                |exponent| Attraction::Power { exponent },
+                &[-8.1, 8.1],
+                &[-8.0, 0.0, 8.0],
+            ),
+        ];
+        let check = |attraction| {
+            let parameters = Parameters {
+                attraction,
+                ..Parameters::default()
+            };
+            parameters.check(0.0)
+        };
+        for (name, law, bad, fine) in laws {
+            for &bad in bad.iter().chain(&[f64::NAN, f64::INFINITY]) {
+                let refusal = check(law(bad));
+                assert!(
+                    matches!(refusal, Err(ParametersError::OutOfRange { field, .. }) if field == name),
+                    "{refusal:?}"
+                );
+            }
+            for &fine in fine {
+                assert_eq!(check(law(fine)), Ok(()));
+            }
+        }
+        assert!(check(Attraction::Topological { neighbours: 0 }).is_err());
+        assert_eq!(check(Attraction::Topological { neighbours: 1 }), Ok(()));
+        assert_eq!(check(Attraction::Voronoi), Ok(()));
+    }
+
+    #[test]
+    fn noise_has_a_range_and_velocities_are_not_linearised_twice() {
+        for noise in [-1e-9, f64::NAN, f64::INFINITY, 1.1e6] {
+            let parameters = Parameters {
+                noise,
+                ..Parameters::default()
+            };
+            assert!(parameters.check(0.0).is_err());
+        }
+        let clash = Parameters {
+            stepping: Stepping::Velocity,
+            relinearise: true,
             ..Parameters::default()
         };
-        for bad in [f64::NAN, f64::INFINITY, -1e-6, 0.0, 0.99e-9, 1.01e-3] {
-            assert!(matches!(
-                with(bad).check(0.0),
-                Err(ParametersError::OutOfRange {
-                    field: "attraction.accuracy",
-                    ..
-                })
-            ));
-        }
-        for fine in [1e-9, 2.5e-6, 1e-3] {
-            assert_eq!(with(fine).check(0.0), Ok(()));
+        assert!(matches!(
+            clash.check(0.0),
+            Err(ParametersError::Clash { .. })
+        ));
+        for (stepping, relinearise) in [(Stepping::Velocity, false), (Stepping::Position, true)] {
+            let fine = Parameters {
+                stepping,
+                relinearise,
+                ..clash
+            };
+            assert_eq!(fine.check(0.0), Ok(()));
         }
     }
 

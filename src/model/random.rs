@@ -16,6 +16,8 @@ pub enum Purpose {
     Selection = 2,
     /// Position and heading of an injected individual.
     Injection = 3,
+    /// Noise on the turning rate in a step.
+    Noise = 4,
 }
 
 /// The draws of one purpose, one after the other.
@@ -59,6 +61,13 @@ impl Stream {
     /// Draws a number in [0, 1), a multiple of 2⁻⁵³.
     pub fn uniform(&mut self) -> f64 {
         (self.bits() >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// Draws a number from the standard normal distribution, by Box and Muller from two uniform
+    /// ones.
+    pub fn normal(&mut self) -> f64 {
+        let radius = (-2.0 * libm::log(1.0 - self.uniform())).sqrt();
+        radius * libm::cos(std::f64::consts::TAU * self.uniform())
     }
 
     /// Draws an integer below `bound`, every one equally likely.

@@ -1,6 +1,6 @@
 //! Everything that decides a swarm's future, and the hash that "same bytes" means.
 
-use super::{Attraction, Configuration, ContactRule, Parameters};
+use super::{Attraction, Configuration, ContactRule, Parameters, Stepping};
 
 /// Changes whenever the same state would have another future.
 pub const MODEL_VERSION: u32 = 2;
@@ -57,11 +57,13 @@ impl State {
     /// Hashes everything that decides the future: two states with one hash have one future.
     ///
     /// BLAKE3 over little-endian bytes in this order: model version; `pi1, pi2, pi3, pi4, dt`,
-    /// contact rule, attraction law; seed; step; origin; the next id; the columns id, x, y,
+    /// rules, attraction law; seed; step; origin; the next id; the columns id, x, y,
     /// alpha, weight, direction, lapses; the solver's memory as columns first, second, code,
     /// multiplier, then the order of elimination and its age. A column is its length as 64 bits,
-    /// then its entries; an entry of "lapses" is a byte 0, or a byte 1 and the step; the attraction
-    /// law, a byte 0, or a byte 1 and the accuracy. Floats are hashed by their bits.
+    /// then its entries; an entry of "lapses" is a byte 0, or a byte 1 and the step. The rules are
+    /// a byte with a bit each for `closest`, `velocity`, `relinearise` and noise, whose intensity
+    /// then follows; the attraction law is a byte and its number, if it has one. Floats are
+    /// hashed by their bits.
     #[must_use]
     pub fn hash(&self) -> [u8; 32] {
         let Self {
@@ -80,22 +82,37 @@ impl State {
             pi4,
             dt,
             contacts,
+            stepping,
+            relinearise,
             attraction,
+            noise,
         } = parameters;
         [pi1, pi2, pi3, pi4, dt]
             .into_iter()
             .for_each(|value| bytes.put(value.to_le_bytes()));
-        bytes.put(match contacts {
-            ContactRule::Endpoints => [0],
-        });
-        match attraction {
-            Attraction::All { accuracy: None } => bytes.put([0]),
-            Attraction::All {
-                accuracy: Some(accuracy),
-            } => {
-                bytes.put([1]);
-                bytes.put(accuracy.to_le_bytes());
-            }
+        // What differs from the settings that a model of this version began with sets a bit.
+        let is_noisy = *noise != 0.0;
+        let rules = [
+            *contacts == ContactRule::Closest,
+            *stepping == Stepping::Velocity,
+            *relinearise,
+            is_noisy,
+        ];
+        let rules = rules.iter().rev();
+        bytes.put([rules.fold(0, |bits, &is_set| bits << 1 | u8::from(is_set))]);
+        if is_noisy {
+            bytes.put(noise.to_le_bytes());
+        }
+        let (law, number) = match *attraction {
+            Attraction::All { accuracy } => (u8::from(accuracy.is_some()), accuracy),
+            Attraction::Voronoi => (2, None),
+            Attraction::Metric { radius } => (3, Some(radius)),
+            Attraction::Topological { neighbours } => (4, Some(f64::from(neighbours))),
+            Attraction::Power { exponent } => (5, Some(exponent)),
+        };
+        bytes.put([law]);
+        if let Some(number) = number {
+            bytes.put(number.to_le_bytes());
         }
         bytes.put(seed.to_le_bytes());
         bytes.put(step.to_le_bytes());
@@ -225,7 +242,7 @@ mod tests {
 
     #[test]
     fn everything_that_decides_the_future_is_hashed() {
-        let changes: [fn(&mut State); 24] = [
+        let changes: [fn(&mut State); 35] = [
             |state| state.parameters.pi1 = 5.0,
             |state| state.parameters.pi2 = 5.0,
             |state| state.parameters.pi3 = 5.0,
@@ -233,6 +250,17 @@ mod tests {
             |state| state.parameters.dt = 0.01,
             |state| state.parameters.attraction = accurate(1e-6),
             |state| state.parameters.attraction = accurate(1e-7),
+            |state| state.parameters.attraction = Attraction::Voronoi,
+            |state| state.parameters.attraction = Attraction::Metric { radius: 1.0 },
+            |state| state.parameters.attraction = Attraction::Metric { radius: 2.0 },
+            |state| state.parameters.attraction = Attraction::Topological { neighbours: 1 },
+            |state| state.parameters.attraction = Attraction::Topological { neighbours: 2 },
+            |state| state.parameters.attraction = Attraction::Power { exponent: 1.0 },
+            |state| state.parameters.contacts = ContactRule::Closest,
+            |state| state.parameters.stepping = Stepping::Velocity,
+            |state| state.parameters.relinearise = true,
+            |state| state.parameters.noise = 0.1,
+            |state| state.parameters.noise = 0.2,
             |state| state.seed += 1,
             |state| state.step += 1,
             |state| state.configuration.origin[1] += 1,

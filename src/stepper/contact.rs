@@ -53,17 +53,20 @@ impl Contact {
 /// foreseeable is not held up by what is not.
 const BLOCK: usize = 64;
 
-/// Finds every contact of `pairs` with a gap up to `reach(i, j)`, appending to `contacts`.
+/// Finds every contact of `pairs` with a gap up to `reach(i, j)`, appending to `contacts`; returns
+/// how many of the pairs cross.
 ///
 /// - Shapes: pairs ordered by (i, j), i < j; contacts come ordered by (i, j, code).
 /// - Units: body sizes; a negative gap is overlap.
 /// - Source: paper, appendix, third part of a step. It speaks of one distance of a pair; here
 ///   every smooth endpoint-to-segment distance counts that no smaller one implies. An end counts
 ///   where its projection falls inside the other axis, two ends where each is nearest to the other.
+///   Under `closest` only a pair's nearest contact counts, of several the one of the lowest code.
 ///
 /// # Errors
 ///
-/// [`StepError::CrossedBodies`] when two axes meet: no normal exists.
+/// [`StepError::CrossedBodies`] when two axes meet under `endpoints`: their distance has no
+/// normal. Under `closest` the distances of their ends go on to count, as far as there are any.
 pub fn find(
     level: Level,
     parameters: &Parameters,
@@ -72,9 +75,9 @@ pub fn find(
     pairs: &[(u32, u32)],
     reach: impl Fn(usize, usize) -> f64,
     contacts: &mut Vec<Contact>,
-) -> Result<(), StepError> {
+) -> Result<usize, StepError> {
     let (h, width) = (parameters.half_length(), 2.0 * parameters.radius());
-    let ContactRule::Endpoints = parameters.contacts;
+    let mut crossed = 0;
     let axes = Axes::new(configuration, heading);
     let mut lanes = Pairs::default();
     let mut signs = [[0; LANES]; BLOCK / LANES];
@@ -88,9 +91,13 @@ pub fn find(
         }
         for (&(i, j), &signs) in pairs.iter().zip(signs.as_flattened()) {
             if ends::crossed(signs) {
-                let [first, second] = [i, j].map(|index| configuration.id[index as usize]);
-                return Err(StepError::CrossedBodies { first, second });
+                if parameters.contacts == ContactRule::Endpoints {
+                    let [first, second] = [i, j].map(|index| configuration.id[index as usize]);
+                    return Err(StepError::CrossedBodies { first, second });
+                }
+                crossed += 1;
             }
+            let of_the_pair = contacts.len();
             let mut codes = ends::codes(h, signs);
             while codes != 0 {
                 #[expect(clippy::cast_possible_truncation, reason = "codes are below 8")]
@@ -98,9 +105,23 @@ pub fn find(
                 codes &= codes - 1;
                 contacts.push(contact((i, j), code, h, width, &axes.at(i), &axes.at(j)));
             }
+            if parameters.contacts == ContactRule::Closest {
+                keep_nearest(contacts, of_the_pair);
+            }
         }
     }
-    Ok(())
+    Ok(crossed)
+}
+
+/// Keeps of the contacts from `first` on only the nearest, of several the first. Where two points
+/// coincide there is no normal, and the contact does not count.
+fn keep_nearest(contacts: &mut Vec<Contact>, first: usize) {
+    let with_normal = contacts[first..].iter().filter(|it| !it.normal[0].is_nan());
+    let nearest = with_normal
+        .copied()
+        .reduce(|least, it| if it.gap < least.gap { it } else { least });
+    contacts.truncate(first);
+    contacts.extend(nearest);
 }
 
 /// All axes; one length for all columns, so that an index is checked once.
@@ -181,12 +202,20 @@ mod tests {
     use crate::model::random::{Purpose, Stream};
 
     fn found(parameters: Parameters, second: Pose, reach: f64) -> Result<Vec<Contact>, StepError> {
+        found_and_crossed(parameters, second, reach).map(|(contacts, _)| contacts)
+    }
+
+    fn found_and_crossed(
+        parameters: Parameters,
+        second: Pose,
+        reach: f64,
+    ) -> Result<(Vec<Contact>, usize), StepError> {
         let mut configuration = Configuration::default();
         configuration.push(0.0, 0.0, 0.0);
         configuration.push(second.x, second.y, second.alpha);
         let heading = [0.0, second.alpha].map(|angle| [libm::cos(angle), libm::sin(angle)]);
         let mut contacts = Vec::new();
-        find(
+        let crossed = find(
             Level::default(),
             &parameters,
             &configuration,
@@ -195,7 +224,7 @@ mod tests {
             |_, _| reach,
             &mut contacts,
         )?;
-        Ok(contacts)
+        Ok((contacts, crossed))
     }
 
     fn at(x: f64, y: f64, alpha: f64) -> Pose {
@@ -262,6 +291,45 @@ mod tests {
             found(discs, at(0.0, 0.0, 1.0), 0.2).is_err(),
             "at one place there is no normal"
         );
+    }
+
+    #[test]
+    fn the_closest_of_a_pair_is_its_first_nearest_contact_crossed_or_not() {
+        let closest = Parameters {
+            contacts: ContactRule::Closest,
+            ..Parameters::default()
+        };
+        let mut ties = 0;
+        for pose in poses() {
+            let (contacts, crossed) = found_and_crossed(closest, pose, 0.3).unwrap();
+            match found(Parameters::default(), pose, 0.3) {
+                Err(_) => assert!(crossed == 1 && contacts.len() <= 1, "{pose:?}"),
+                Ok(all) => {
+                    let nearest =
+                        all.iter()
+                            .copied()
+                            .reduce(|least, it| if it.gap < least.gap { it } else { least });
+                    assert_eq!((contacts, crossed), (nearest.into_iter().collect(), 0));
+                    ties += usize::from(all.len() > 1);
+                }
+            }
+        }
+        assert!(ties > 1000, "{ties}");
+        // Side by side, half a length apart: two ends over sides at one gap, to the bit.
+        let [contact] = found(closest, at(0.5, 0.5, 0.0), 0.2).unwrap()[..] else {
+            panic!("one contact")
+        };
+        assert_eq!(contact.code, 0);
+        // One's head on the other's side: that distance has no normal, no other is in reach.
+        let (contacts, crossed) =
+            found_and_crossed(closest, at(0.0, 0.6, FRAC_PI_2), 0.0).unwrap();
+        assert!(
+            contacts.iter().all(|it| it.normal[0].is_finite()) && crossed == 1,
+            "{contacts:?}"
+        );
+        let discs = Parameters { pi1: 1.0, ..closest };
+        let (contacts, crossed) = found_and_crossed(discs, at(0.0, 0.0, 1.0), 0.2).unwrap();
+        assert_eq!((contacts, crossed), (Vec::new(), 1));
     }
 
     #[test]

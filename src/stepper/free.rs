@@ -3,7 +3,8 @@
 use super::heading::unit_vectors;
 use crate::model::attraction::Social;
 use crate::model::lanes::Level;
-use crate::model::{Configuration, Parameters};
+use crate::model::random::{Purpose, Stream};
+use crate::model::{Configuration, Parameters, State};
 
 /// Free motion of all individuals.
 #[derive(Clone, Debug, Default)]
@@ -75,6 +76,20 @@ impl Free {
     }
 }
 
+/// Adds white noise of intensity `D_α` to the turns: `√(2 D_α dt) ξ`, ξ standard normal.
+///
+/// Every draw is named by seed, step and individual, so no order and no restart changes one.
+pub fn shake(state: &State, displacement: &mut [[f64; 3]]) {
+    let Parameters { noise, dt, .. } = state.parameters;
+    if noise == 0.0 {
+        return;
+    }
+    let spread = (2.0 * noise * dt).sqrt();
+    for (&id, [_, _, turn]) in state.configuration.id.iter().zip(displacement) {
+        *turn += spread * Stream::new(state.seed, state.step, u64::from(id), Purpose::Noise).normal();
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use std::f64::consts::FRAC_PI_2;
@@ -100,5 +115,37 @@ mod tests {
         // The other looks away from the first: it is pulled straight back, and does not turn.
         let [x, y, turn] = free.displacement[1];
         assert!(x.abs() < 1e-17 && (y - 0.02).abs() < 1e-17 && turn.abs() < 1e-17);
+    }
+
+    #[test]
+    fn noise_is_white_and_each_draw_has_its_name() {
+        let mut state = State {
+            seed: 5,
+            ..State::default()
+        };
+        (0..20_000).for_each(|k| {
+            state.configuration.push(f64::from(k), 0.0, 0.0);
+        });
+        let turns = |state: &State| {
+            let mut displacement = vec![[0.0; 3]; state.configuration.n()];
+            shake(state, &mut displacement);
+            displacement.iter().map(|moved| moved[2]).collect::<Vec<_>>()
+        };
+        assert!(turns(&state).iter().all(|&turn| turn == 0.0), "off by default");
+        state.parameters.noise = 0.3;
+        let first = turns(&state);
+        let count = first.len() as f64;
+        let mean = first.iter().sum::<f64>() / count;
+        let variance = first.iter().map(|turn| turn * turn).sum::<f64>() / count;
+        let expected = 2.0 * 0.3 * 0.02;
+        assert!(mean.abs() < 4.0 * (expected / count).sqrt(), "{mean}");
+        assert!((variance / expected - 1.0).abs() < 4.0 * (2.0 / count).sqrt());
+        // Without the first individual all the others draw as before.
+        state.configuration.remove(&[0]);
+        assert_eq!(turns(&state), first[1..]);
+        state.step = 1;
+        let next = turns(&state);
+        let together: f64 = next.iter().zip(&first[1..]).map(|(a, b)| a * b).sum();
+        assert!((together / count / expected).abs() < 4.0 / count.sqrt());
     }
 }

@@ -19,7 +19,9 @@ use thiserror::Error;
 use crate::model::attraction::Social;
 use crate::model::lanes::Level;
 use crate::model::threads::Pool;
-use crate::model::{CELL, Configuration, State};
+use crate::model::{
+    CELL, Configuration, ContactRule, Parameters, SolverMemory, State, Stepping,
+};
 use contact::Contact;
 use heading::unit_vector;
 use neighbours::Neighbours;
@@ -45,10 +47,20 @@ pub struct Stepper {
     guess: Vec<f64>,
     solution: solve::Solution,
     solver: solve::Workspace,
+    /// How far all go from where a second program is linearised; how far any point of each goes.
+    way: Vec<[f64; 3]>,
     travel: Vec<f64>,
     /// Contacts that the first list missed, and all with their multipliers while they are sorted.
     missed: Vec<Contact>,
     listed: Vec<(Contact, f64)>,
+    /// The least gap that is listed, and how many pairs cross.
+    least_gap: Option<f64>,
+    crossed: usize,
+    /// By how much all are displaced where the program is linearised; nobody, but for a second
+    /// program. That is about the configuration which the first one predicts.
+    carried: Vec<[f64; 3]>,
+    predicted: Configuration,
+    between: SolverMemory,
 }
 
 /// What a step was like.
@@ -66,6 +78,10 @@ pub struct StepReport {
     pub iterations: usize,
     /// How often Clarabel was asked.
     pub referee: usize,
+    /// The least gap of any pair as the step began; none where all were out of reach.
+    pub least_gap: Option<f64>,
+    /// How many pairs crossed as the step began; under `endpoints` none.
+    pub crossed: usize,
     /// Who became uninformed at the end of the step.
     pub lapsed: Vec<u32>,
 }
@@ -167,7 +183,15 @@ impl Stepper {
         pull: &[[f64; 2]],
     ) -> Result<StepReport, StepError> {
         self.assemble(state, pull)?;
-        let mut report = self.solve(state)?;
+        let mut report = StepReport {
+            least_gap: self.least_gap,
+            crossed: self.crossed,
+            ..StepReport::default()
+        };
+        self.solve(state, &state.configuration, &mut report)?;
+        if state.parameters.relinearise {
+            self.relinearise(state, &mut report)?;
+        }
         memory::remember(
             &state.configuration.id,
             &self.qp.contacts,
@@ -200,25 +224,83 @@ impl Stepper {
         let poses = x.iter().zip(y).zip(alpha);
         all_finite(configuration, poses.map(|((x, y), alpha)| x + y + alpha))?;
         self.free.head(configuration);
-        self.free
-            .steer(parameters, configuration, pull, &mut self.qp.free);
+        let free = &mut self.qp.free;
+        self.free.steer(parameters, configuration, pull, free);
+        free::shake(state, free);
         self.qp.weights = [1.0, 1.0, parameters.rho2()];
-        self.qp.contacts.clear();
-        let (qp, free) = (&mut self.qp, &self.free);
-        let reach = parameters.reach(configuration.largest_weight());
+        self.carried.clear();
+        self.list(parameters, configuration)?;
+        memory::recall(
+            memory,
+            &configuration.id,
+            &self.qp.contacts,
+            &mut self.guess,
+        );
+        Ok(())
+    }
+
+    /// Lists the contacts of `configuration`, whose headings are known.
+    fn list(
+        &mut self,
+        parameters: &Parameters,
+        configuration: &Configuration,
+    ) -> Result<(), StepError> {
+        let reach = reach(parameters, configuration);
+        let (heading, contacts) = (&self.free.heading, &mut self.qp.contacts);
+        contacts.clear();
         self.neighbours
-            .update(parameters, configuration, &free.heading, reach);
-        contact::find(
+            .update(parameters, configuration, heading, reach);
+        self.crossed = contact::find(
             self.level,
             parameters,
             configuration,
-            &free.heading,
+            heading,
             self.neighbours.pairs(),
             |_, _| reach,
-            &mut qp.contacts,
+            contacts,
         )?;
-        memory::recall(memory, &configuration.id, &qp.contacts, &mut self.guess);
+        let gaps = contacts.iter().map(|contact| contact.gap);
+        self.least_gap = gaps.reduce(|least, gap| if gap < least { gap } else { least });
+        if parameters.stepping == Stepping::Velocity {
+            contacts.retain(|contact| contact.gap <= 0.0);
+            contacts.iter_mut().for_each(|contact| contact.gap = 0.0);
+        }
         Ok(())
+    }
+
+    /// Assembles and solves a second program about what the first one's solution predicts.
+    ///
+    /// Its gaps and gradients are those of the predicted configuration, its objective is the
+    /// first one's: what is left of overlap comes from the second displacement alone.
+    fn relinearise(&mut self, state: &State, report: &mut StepReport) -> Result<(), StepError> {
+        let State {
+            parameters,
+            configuration,
+            ..
+        } = state;
+        let id = &configuration.id;
+        let (multipliers, order) = (&self.solution.multipliers, self.solver.exact.order());
+        memory::remember(
+            id,
+            &self.qp.contacts,
+            multipliers,
+            order,
+            &mut self.between,
+        );
+        let mut predicted = std::mem::take(&mut self.predicted);
+        predicted.clone_from(configuration);
+        self.carried.clone_from(&self.solution.displacement);
+        displace_all(&mut predicted, &self.carried);
+        self.free.head(&predicted);
+        let result = self.list(parameters, &predicted).and_then(|()| {
+            for contact in &mut self.qp.contacts {
+                contact.gap -= contact.closing(&self.carried);
+            }
+            memory::recall(&self.between, id, &self.qp.contacts, &mut self.guess);
+            self.solve(state, &predicted, report)
+        });
+        self.predicted = predicted;
+        result
     }
 
     /// The program assembled last, and a guess of its multipliers.
@@ -227,16 +309,20 @@ impl Stepper {
         (&self.qp, &self.guess)
     }
 
-    /// Solves the program, lists what the solution could have closed, and solves again until
-    /// nothing was missed.
-    fn solve(&mut self, state: &State) -> Result<StepReport, StepError> {
-        let mut report = StepReport::default();
+    /// Solves the program about `configuration`, lists what the solution could have closed, and
+    /// solves again until nothing was missed.
+    fn solve(
+        &mut self,
+        state: &State,
+        configuration: &Configuration,
+        report: &mut StepReport,
+    ) -> Result<(), StepError> {
         let State {
-            configuration,
-            memory,
-            ..
+            parameters, memory, ..
         } = state;
-        self.solver.exact.recall(&memory.order, memory.order_age);
+        if self.carried.is_empty() {
+            self.solver.exact.recall(&memory.order, memory.order_age);
+        }
         for _ in 0..MOST_LISTS {
             let hints = solve::Hints {
                 multipliers: &self.guess,
@@ -253,15 +339,17 @@ impl Stepper {
                     residual: solution.residual,
                 });
             }
-            let closing = self.find_missed(state)?;
+            if !self.carried.is_empty() {
+                self.measure_way();
+            }
+            let closing = self.find_missed(parameters, configuration)?;
             if self.missed.is_empty() {
-                report.residual = self.solution.residual;
-                report.degraded = self.solution.residual > solve::TARGET;
+                report.residual = f64::max(report.residual, self.solution.residual);
+                report.degraded = report.residual > solve::TARGET;
                 report.contacts = self.qp.contacts.len();
                 let multipliers = &self.solution.multipliers;
                 report.active = multipliers.iter().filter(|&&value| value > 0.0).count();
-                self.check_result(state, closing)?;
-                return Ok(report);
+                return self.check_result(parameters, configuration, closing);
             }
             self.add_missed();
         }
@@ -270,27 +358,42 @@ impl Stepper {
         })
     }
 
+    /// Measures how far all go from where a second program is linearised.
+    fn measure_way(&mut self) {
+        let ways = self.solution.displacement.iter().zip(&self.carried);
+        self.way.clear();
+        self.way
+            .extend(ways.map(|(moved, carried)| [0, 1, 2].map(|axis| moved[axis] - carried[axis])));
+    }
+
+    /// How far all go from where the program is linearised.
+    fn way(&self) -> &[[f64; 3]] {
+        if self.carried.is_empty() {
+            return &self.solution.displacement;
+        }
+        &self.way
+    }
+
     /// Finds the contacts not listed that the displacements close in the linearised gap; returns
     /// by how much any two bodies can have closed, at most.
-    fn find_missed(&mut self, state: &State) -> Result<f64, StepError> {
-        let State {
-            parameters,
-            configuration,
-            ..
-        } = state;
-        let (h, displacement) = (parameters.half_length(), &self.solution.displacement);
+    fn find_missed(
+        &mut self,
+        parameters: &Parameters,
+        configuration: &Configuration,
+    ) -> Result<f64, StepError> {
+        let h = parameters.half_length();
         self.missed.clear();
-        let reach = parameters.reach(configuration.largest_weight());
-        let bound = 2.0 * furthest_travel(h, displacement);
-        if bound <= reach {
+        let reach = reach(parameters, configuration);
+        let bound = 2.0 * furthest_travel(h, self.way());
+        // Velocities are only limited where bodies touch as the step begins.
+        if bound <= reach || parameters.stepping == Stepping::Velocity {
             return Ok(bound);
         }
-        self.travel.clear();
-        self.travel.extend(
-            displacement
-                .iter()
-                .map(|[x, y, alpha]| (x * x + y * y).sqrt() + h * alpha.abs()),
-        );
+        let mut travel = std::mem::take(&mut self.travel);
+        travel.clear();
+        let ways = self.way().iter();
+        travel.extend(ways.map(|[x, y, alpha]| (x * x + y * y).sqrt() + h * alpha.abs()));
+        self.travel = travel;
         let (furthest, second) = two_largest(&self.travel);
         let bound = furthest + second;
         if bound <= reach {
@@ -309,12 +412,14 @@ impl Stepper {
             |i, j| travel[i] + travel[j],
             &mut self.missed,
         )?;
-        let listed = &self.qp.contacts;
-        self.missed.retain(|contact| {
-            listed
-                .binary_search_by_key(&contact.key(), Contact::key)
-                .is_err()
-                && contact.linearised_gap(displacement) < 0.0
+        let (listed, carried) = (&self.qp.contacts, &self.carried);
+        let displacement = &self.solution.displacement;
+        self.missed.retain_mut(|contact| {
+            if !carried.is_empty() {
+                contact.gap -= contact.closing(carried);
+            }
+            let is_listed = listed.binary_search_by_key(&contact.key(), Contact::key);
+            is_listed.is_err() && contact.linearised_gap(displacement) < 0.0
         });
         Ok(bound)
     }
@@ -336,32 +441,31 @@ impl Stepper {
         }
     }
 
-    /// Refuses a result that is not finite, or in which axes cross; no two bodies have closed by
-    /// more than `closing`.
-    fn check_result(&self, state: &State, closing: f64) -> Result<(), StepError> {
-        let State {
-            parameters,
-            configuration,
-            ..
-        } = state;
+    /// Refuses a result that is not finite, or under `endpoints` one in which axes cross; no two
+    /// bodies have closed by more than `closing`.
+    fn check_result(
+        &self,
+        parameters: &Parameters,
+        configuration: &Configuration,
+        closing: f64,
+    ) -> Result<(), StepError> {
         let Configuration { x, y, alpha, .. } = configuration;
-        let displacement = &self.solution.displacement;
-        let poses = x.iter().zip(y).zip(alpha).zip(displacement);
+        let way = self.way();
+        let poses = x.iter().zip(y).zip(alpha).zip(way);
         let sums = poses
             .map(|(((x, y), alpha), moved)| (x + moved[0]) + (y + moved[1]) + (alpha + moved[2]));
         all_finite(configuration, sums)?;
         // Axes come to cross where the distance between them is used up, and every pair is as
         // far apart as its nearest contact; without one, further than the reach.
-        let reach = parameters.reach(configuration.largest_weight());
-        let gaps = self.qp.contacts.iter().map(|contact| contact.gap);
-        let nearest = gaps.fold(reach, |least, gap| if gap < least { gap } else { least });
+        let nearest = self.least_gap.unwrap_or(f64::INFINITY);
+        let nearest = f64::min(nearest, reach(parameters, configuration));
         let distance = nearest + 2.0 * parameters.radius();
-        if distance > closing + ROUNDING {
+        if distance > closing + ROUNDING || parameters.contacts == ContactRule::Closest {
             return Ok(());
         }
         let after = |index: u32| {
             let index = index as usize;
-            let [x, y, alpha] = displacement[index];
+            let [x, y, alpha] = way[index];
             (
                 [configuration.x[index] + x, configuration.y[index] + y],
                 unit_vector(configuration.alpha[index] + alpha),
@@ -395,6 +499,15 @@ fn all_finite(
     Err(StepError::NotFinite { id })
 }
 
+/// How near a contact must be to be listed at first.
+fn reach(parameters: &Parameters, configuration: &Configuration) -> f64 {
+    match parameters.stepping {
+        Stepping::Position => parameters.reach(configuration.largest_weight()),
+        // Bodies that overlap touch too: their distance says by how much they do.
+        Stepping::Velocity => ROUNDING,
+    }
+}
+
 /// How far any point of an axis is carried, at most.
 fn furthest_travel(h: f64, displacement: &[[f64; 3]]) -> f64 {
     let larger = |one: f64, other: f64| if one > other { one } else { other };
@@ -411,6 +524,15 @@ fn furthest_travel(h: f64, displacement: &[[f64; 3]]) -> f64 {
 
 /// Moves all, and keeps them near their origin.
 fn displace(configuration: &mut Configuration, displacement: &[[f64; 3]]) {
+    let all_near = displace_all(configuration, displacement);
+    // Where nobody is further than half a cell from the origin, the centroid is not either.
+    if !all_near {
+        configuration.re_centre();
+    }
+}
+
+/// Moves all, and tells whether everybody is then within half a cell of the origin.
+fn displace_all(configuration: &mut Configuration, displacement: &[[f64; 3]]) -> bool {
     let Configuration { x, y, alpha, .. } = configuration;
     let poses = x.iter_mut().zip(y.iter_mut()).zip(alpha);
     let mut all_near = true;
@@ -420,10 +542,7 @@ fn displace(configuration: &mut Configuration, displacement: &[[f64; 3]]) {
         *alpha += moved[2];
         all_near &= (x.abs() <= CELL / 2.0) & (y.abs() <= CELL / 2.0);
     }
-    // Where nobody is further than half a cell from the origin, the centroid is not either.
-    if !all_near {
-        configuration.re_centre();
-    }
+    all_near
 }
 
 /// Ends the preferences whose time has come, and tells whose.
@@ -452,7 +571,7 @@ fn two_largest(values: &[f64]) -> (f64, f64) {
 mod tests {
     use super::*;
     use crate::model::random::{Purpose, Stream};
-    use crate::model::{Parameters, body};
+    use crate::model::body;
 
     /// Two bodies side by side, touching, and one far away.
     fn touching() -> State {

@@ -6,7 +6,7 @@ use serde_json::Value;
 use thiserror::Error;
 
 use crate::model::injection;
-use crate::model::parameters::{Attraction, ContactRule, Parameters};
+use crate::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use crate::model::selection::Selection;
 use crate::swarm::order::{Rate, Recipe, Start};
 
@@ -68,13 +68,9 @@ pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, WireError> {
         pi3,
         pi4,
         dt,
-        contacts: proto::ContactRule::Endpoints,
-        attraction: proto::Attraction::All { accuracy },
+        noise,
         ..
     } = *spec;
-    if spec.noise != 0.0 {
-        return Err(WireError::out_of_range("noise", spec.noise));
-    }
     let start = match &spec.start {
         proto::Start::Disc { radius } => Start::Disc(*radius),
         proto::Start::Given { x, y, alpha } => {
@@ -100,8 +96,27 @@ pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, WireError> {
         pi3,
         pi4,
         dt,
-        contacts: ContactRule::Endpoints,
-        attraction: Attraction::All { accuracy },
+        contacts: match spec.contacts {
+            proto::ContactRule::Endpoints => ContactRule::Endpoints,
+            proto::ContactRule::Closest => ContactRule::Closest,
+        },
+        stepping: match spec.stepping {
+            proto::Stepping::Position => Stepping::Position,
+            proto::Stepping::Velocity => Stepping::Velocity,
+        },
+        relinearise: match spec.relinearise {
+            0 => false,
+            1 => true,
+            more => return Err(WireError::out_of_range("relinearise", more)),
+        },
+        attraction: match spec.attraction {
+            proto::Attraction::All { accuracy } => Attraction::All { accuracy },
+            proto::Attraction::Voronoi {} => Attraction::Voronoi,
+            proto::Attraction::Metric { radius } => Attraction::Metric { radius },
+            proto::Attraction::Topological { neighbours } => Attraction::Topological { neighbours },
+            proto::Attraction::Power { exponent } => Attraction::Power { exponent },
+        },
+        noise,
     };
     Ok(Recipe {
         n,

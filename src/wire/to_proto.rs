@@ -8,7 +8,7 @@ use jostle_proto::verbs::{
 use serde::Serialize;
 
 use crate::host::Limits;
-use crate::model::parameters::{Attraction, ContactRule, Parameters};
+use crate::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
 use crate::swarm::history::{Entry, Page};
 use crate::swarm::order::{ChangeKind, OrderError, Outcome, Recipe, Sender, Start};
@@ -163,8 +163,11 @@ pub fn spec(recipe: &Recipe, seed: u64) -> proto::Spec {
         pi3,
         pi4,
         dt,
-        contacts: ContactRule::Endpoints,
-        attraction: Attraction::All { accuracy },
+        contacts,
+        stepping,
+        relinearise,
+        attraction,
+        noise,
     } = recipe.parameters;
     proto::Spec {
         n: recipe.n as u64,
@@ -173,7 +176,15 @@ pub fn spec(recipe: &Recipe, seed: u64) -> proto::Spec {
         pi3,
         pi4,
         dt,
-        contacts: proto::ContactRule::Endpoints,
+        contacts: match contacts {
+            ContactRule::Endpoints => proto::ContactRule::Endpoints,
+            ContactRule::Closest => proto::ContactRule::Closest,
+        },
+        stepping: match stepping {
+            Stepping::Position => proto::Stepping::Position,
+            Stepping::Velocity => proto::Stepping::Velocity,
+        },
+        relinearise: u8::from(relinearise),
         seed,
         start: match &recipe.start {
             Start::Disc(radius) => proto::Start::Disc { radius: *radius },
@@ -183,8 +194,14 @@ pub fn spec(recipe: &Recipe, seed: u64) -> proto::Spec {
                 alpha: alpha.clone(),
             },
         },
-        attraction: proto::Attraction::All { accuracy },
-        noise: 0.0,
+        attraction: match attraction {
+            Attraction::All { accuracy } => proto::Attraction::All { accuracy },
+            Attraction::Voronoi => proto::Attraction::Voronoi {},
+            Attraction::Metric { radius } => proto::Attraction::Metric { radius },
+            Attraction::Topological { neighbours } => proto::Attraction::Topological { neighbours },
+            Attraction::Power { exponent } => proto::Attraction::Power { exponent },
+        },
+        noise,
         publish_every: recipe.publish_every,
         rate: recipe.rate,
     }

@@ -3,7 +3,9 @@
 mod direct;
 mod expansion;
 mod far;
+mod few;
 mod tree;
+mod voronoi;
 
 use super::lanes::Level;
 use super::threads::{Pool, SHARED_FROM};
@@ -66,24 +68,43 @@ impl Social {
     /// - Units: lengths at most 1, to the accuracy. Alone, an individual is pulled nowhere; one
     ///   at the same place pulls nowhere but is counted.
     /// - Source: paper, eq. (4). Deviation: with an accuracy, far groups pull as a whole, and
-    ///   `p_s` sums up to 0 over the group to that accuracy only, not to rounding.
+    ///   `p_s` sums up to 0 over the group to that accuracy only, not to rounding. The other laws
+    ///   are means over those they count, zero if they count nobody; a power may be longer than 1.
     pub fn compute(
         &mut self,
         attraction: Attraction,
         configuration: &Configuration,
         pull: &mut Vec<[f64; 2]>,
     ) {
-        let Configuration { x, y, .. } = configuration;
-        let n = x.len();
+        let n = configuration.n();
         pull.clear();
         pull.resize(n, [0.0; 2]);
         if n < 2 {
             return;
         }
+        match attraction {
+            Attraction::All { accuracy } => self.all(accuracy, configuration, pull),
+            Attraction::Voronoi => voronoi::voronoi(configuration, pull),
+            Attraction::Metric { radius } => few::metric(configuration, radius, pull),
+            Attraction::Topological { neighbours } => {
+                few::topological(configuration, neighbours, pull);
+            }
+            Attraction::Power { exponent } => few::power(configuration, exponent, pull),
+        }
+    }
+
+    /// The mean over all the others, eq. (4).
+    fn all(
+        &mut self,
+        accuracy: Option<f64>,
+        configuration: &Configuration,
+        pull: &mut [[f64; 2]],
+    ) {
+        let Configuration { x, y, .. } = configuration;
+        let n = x.len();
         let share = 1.0 / (n as f64 - 1.0);
         let (level, pool) = (self.level, self.pool.as_ref());
         let pool = pool.filter(|_| n >= SHARED_FROM);
-        let Attraction::All { accuracy } = attraction;
         let Some(rung) = accuracy.map(rung_of).filter(|rung| n >= rung.from) else {
             let [sum_x, sum_y] = self.direct.sum(level, pool, x, y);
             for ((pull, x), y) in pull.iter_mut().zip(sum_x).zip(sum_y) {
