@@ -2,6 +2,12 @@
 //!
 //! It knows neither the daemon nor the wire: rows in, files and pictures out.
 
+pub mod disorder;
+pub mod figure;
 pub mod run;
+pub mod statistics;
+pub mod table;
+
+mod file;
 
 pub use run::Run;

@@ -58,3 +58,58 @@ pub struct Run {
     /// The hash of the last state, in hexadecimal.
     pub state_hash: String,
 }
+
+/// A row like those of an experiment.
+#[cfg(test)]
+pub(crate) fn sample() -> Run {
+    Run {
+        run: "pi1=4 n=10 #0".to_owned(),
+        seed: (1 << 53) - 1,
+        n: 10,
+        pi1: 4.0,
+        pi2: 0.0,
+        pi3: 1.0,
+        pi4: 10.0,
+        informed: 0,
+        contacts: "endpoints".to_owned(),
+        dt: 0.02,
+        time: 1000.0,
+        v: 0.9,
+        v_pd: None,
+        ordered_intervals: 3,
+        ordered_time: 950.0,
+        unordered_intervals: 2,
+        unordered_time: 50.0,
+        worst_overlap: 2.6e-3,
+        crossed_share: 0.0,
+        worst_residual: 1e-9,
+        degraded: 0,
+        fallbacks: 0,
+        steps: 50_000,
+        state_hash: "00ff".to_owned(),
+    }
+}
+
+/// Rows that a careless table would change.
+#[cfg(test)]
+pub(crate) fn samples() -> Vec<Run> {
+    let awkward = [
+        0.1 + 0.2,
+        f64::MIN_POSITIVE,
+        5e-324,
+        f64::MAX,
+        1.0 / 3.0,
+        -0.0,
+        f64::INFINITY,
+    ];
+    let mut runs = vec![sample()];
+    for (index, value) in awkward.into_iter().enumerate() {
+        runs.push(Run {
+            run: format!("quoted \", {index}\nµ"),
+            v: value,
+            v_pd: (index % 2 == 0).then_some(-value),
+            ..sample()
+        });
+    }
+    runs
+}

@@ -124,7 +124,7 @@ mod tests {
             referee: 0,
             residual,
             degraded: residual > 1e-9,
-            lapsed: Vec::new(),
+            ..StepReport::default()
         }
     }
 

@@ -12,6 +12,7 @@ mod cases;
 mod claim;
 mod exact;
 mod facts;
+mod reference;
 mod repeat;
 mod threads;
 mod work;

@@ -1,0 +1,164 @@
+//! From summaries to the panels and curves that figures share.
+
+use super::axis::{Axis, tick_label};
+use super::plot::{Curve, Mark, Panel, Point, Style};
+use super::svg::{GREY, PALETTE};
+use crate::statistics::{Condition, Summary};
+
+/// Beyond this many whole numbers a guide over n takes only some of them.
+const GUIDE_POINTS: u64 = 150;
+
+/// Builds a panel for each contact rule and time step, and for each `pi2`, `pi3` and `pi4` if the
+/// table holds several. The summaries are ordered by these first.
+pub fn panels(summaries: &[Summary], curves: impl Fn(&[Summary]) -> Vec<Curve>) -> Vec<Panel> {
+    let family = |summary: &Summary| {
+        let Condition {
+            dt, pi2, pi3, pi4, ..
+        } = summary.condition;
+        (summary.condition.contacts.clone(), dt, [pi2, pi3, pi4])
+    };
+    let (_, _, first) = family(&summaries[0]);
+    let several = summaries.iter().any(|summary| family(summary).2 != first);
+    summaries
+        .chunk_by(|one, two| family(one) == family(two))
+        .map(|summaries| {
+            let (contacts, dt, others) = family(&summaries[0]);
+            let mut title = format!("{contacts}, dt = {}", tick_label(dt));
+            if several {
+                let [pi2, pi3, pi4] = others.map(tick_label);
+                title += &format!(", π_2 = {pi2}, π_3 = {pi3}, π_4 = {pi4}");
+            }
+            Panel {
+                title,
+                remark: crossed(summaries),
+                curves: curves(summaries),
+                marks: Vec::new(),
+            }
+        })
+        .collect()
+}
+
+/// Says for how long bodies were crossed, without which no reading of a rule can be judged.
+fn crossed(summaries: &[Summary]) -> String {
+    let shares = summaries
+        .iter()
+        .map(|summary| 100.0 * summary.crossed_share);
+    let worst = shares.clone().fold(0.0, f64::max);
+    if worst == 0.0 {
+        return "no bodies ever crossed".to_owned();
+    }
+    let mean = shares.sum::<f64>() / summaries.len() as f64;
+    format!("some bodies crossed {mean:.1} % of the time, {worst:.1} % at the worst point")
+}
+
+/// Builds one curve over n for each `pi1`, in the colours of [`elongation_style`].
+pub fn over_n(
+    all: &[f64],
+    summaries: &[Summary],
+    mark: Mark,
+    value: impl Fn(&Summary) -> Option<(f64, Option<f64>)>,
+) -> Vec<Curve> {
+    summaries
+        .chunk_by(|one, two| one.condition.pi1 == two.condition.pi1)
+        .map(|summaries| {
+            let pi1 = summaries[0].condition.pi1;
+            let points = summaries.iter().map(|summary| {
+                let (y, bar) = value(summary).filter(|(y, _)| *y > 0.0 && y.is_finite())?;
+                let x = summary.condition.n as f64;
+                Some(Point { x, y, bar })
+            });
+            Curve {
+                label: Some((format!("π_1 = {}", tick_label(pi1)), Some(pi1))),
+                style: elongation_style(all, pi1, mark),
+                points: points.collect(),
+                aside: 0.0,
+                measured: true,
+            }
+        })
+        .collect()
+}
+
+/// The style of a `pi1` among all those of the table.
+pub fn elongation_style(all: &[f64], pi1: f64, mark: Mark) -> Style {
+    Style {
+        colour: colour_of(all, pi1),
+        dash: "",
+        mark,
+    }
+}
+
+/// The colour of `value` among `all`.
+pub fn colour_of(all: &[f64], value: f64) -> &'static str {
+    let index = all.iter().position(|other| *other == value).unwrap_or(0);
+    PALETTE[index % PALETTE.len()]
+}
+
+/// A dashed line that nothing was measured for.
+pub fn guide(label: &str, points: impl IntoIterator<Item = (f64, f64)>) -> Curve {
+    let points = points.into_iter();
+    Curve {
+        label: Some((label.to_owned(), None)),
+        style: Style {
+            colour: GREY,
+            dash: "7 4",
+            mark: Mark::None,
+        },
+        points: points
+            .map(|(x, y)| Some(Point { x, y, bar: None }))
+            .collect(),
+        aside: 0.0,
+        measured: false,
+    }
+}
+
+/// Lists whole numbers from the smallest n to the largest, for a guide.
+pub fn guide_numbers(summaries: &[Summary]) -> Vec<u64> {
+    let numbers = summaries.iter().map(|summary| summary.condition.n);
+    let first = numbers.clone().min().unwrap_or(1).max(1);
+    let last = numbers.max().unwrap_or(1).max(1);
+    let step = (last - first).div_ceil(GUIDE_POINTS).max(1);
+    let mut numbers: Vec<u64> = (first..last)
+        .step_by(usize::try_from(step).unwrap_or(usize::MAX))
+        .collect();
+    numbers.push(last);
+    numbers
+}
+
+/// The values that `pick` finds, each once, ascending.
+pub fn distinct(summaries: &[Summary], pick: impl Fn(&Condition) -> f64) -> Vec<f64> {
+    let mut values: Vec<f64> = summaries
+        .iter()
+        .map(|summary| pick(&summary.condition))
+        .collect();
+    values.sort_by(f64::total_cmp);
+    values.dedup();
+    values
+}
+
+/// A logarithmic axis with a tick at each of `values`.
+pub fn axis_at(label: &str, values: Vec<f64>) -> Axis {
+    let mut axis = Axis::around(label, true, values.iter().copied());
+    axis.values = values;
+    axis
+}
+
+/// The ends of every point and its bar; below 0 a logarithmic axis passes over them.
+pub fn extents(panels: &[Panel]) -> impl Iterator<Item = f64> {
+    let curves = panels.iter().flat_map(|panel| &panel.curves);
+    let points = curves.flat_map(|curve| curve.points.iter().flatten());
+    points.flat_map(|point| {
+        let bar = point.bar.unwrap_or(0.0);
+        [point.y, point.y + bar, point.y - bar]
+    })
+}
+
+/// Says how many runs a point stands for.
+pub fn runs_each(summaries: &[Summary]) -> String {
+    let runs = summaries.iter().map(|summary| summary.runs);
+    let (least, most) = (runs.clone().min().unwrap_or(0), runs.max().unwrap_or(0));
+    match (least, most) {
+        (1, 1) => "1 run".to_owned(),
+        _ if least == most => format!("{most} runs"),
+        _ => format!("{least} to {most} runs"),
+    }
+}

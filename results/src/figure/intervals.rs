@@ -1,0 +1,75 @@
+//! The paper's Figure 4: how long order takes to build up and to break down.
+
+use super::axis::Axis;
+use super::curves::{axis_at, distinct, extents, over_n, panels, runs_each};
+use super::plot::{Curve, Mark, Plot, Sample, Style};
+use super::svg::INK;
+use crate::statistics::{Interval, Summary};
+
+/// Builds the figure.
+pub fn plot(summaries: &[Summary]) -> Plot {
+    let elongations = distinct(summaries, |condition| condition.pi1);
+    let value = |interval: Option<Interval>| interval.map(|it| (it.mean, it.error));
+    let panels = panels(summaries, |summaries| {
+        let build_up = over_n(&elongations, summaries, Mark::Filled, |summary| {
+            value(summary.build_up)
+        });
+        let breakdown = over_n(&elongations, summaries, Mark::Empty, |summary| {
+            value(summary.breakdown)
+        });
+        build_up
+            .into_iter()
+            .zip(breakdown)
+            .flat_map(label_once)
+            .collect()
+    });
+    let sample = |mark, text: &str| {
+        let (colour, dash) = (INK, dash_of(mark));
+        Sample {
+            style: Style { colour, dash, mark },
+            text: text.to_owned(),
+        }
+    };
+    Plot {
+        title: "How long order takes to build up and to break down (the paper’s Figure 4)"
+            .to_owned(),
+        x: axis_at(
+            "individuals, n",
+            distinct(summaries, |condition| condition.n as f64),
+        ),
+        y: Axis::around(
+            "mean length of an interval, in s / v_0",
+            true,
+            extents(&panels),
+        ),
+        panels,
+        key: vec![vec![
+            sample(Mark::Filled, "build-up: v(t) below 2/3"),
+            sample(Mark::Empty, "breakdown: v(t) at or above 2/3"),
+        ]],
+        note: format!(
+            "{} each; only where every run reached order. Bars: standard error over the runs.",
+            runs_each(summaries)
+        ),
+    }
+}
+
+/// Both curves of a `pi1` have its colour: the name stands at the end of the one that goes on
+/// longer.
+fn label_once((mut build_up, mut breakdown): (Curve, Curve)) -> [Curve; 2] {
+    let end = |curve: &Curve| {
+        let last = curve.points.iter().flatten().next_back();
+        last.map_or(f64::NEG_INFINITY, |point| point.x)
+    };
+    if end(&build_up) < end(&breakdown) {
+        build_up.label = None;
+    } else {
+        breakdown.label = None;
+    }
+    breakdown.style.dash = dash_of(Mark::Empty);
+    [build_up, breakdown]
+}
+
+fn dash_of(mark: Mark) -> &'static str {
+    if mark == Mark::Empty { "4 3" } else { "" }
+}

@@ -1,0 +1,219 @@
+//! The paper's figures, drawn from tables of runs: the same table gives the same bytes.
+//!
+//! Each shows one panel for each contact rule and time step in the table.
+
+mod axis;
+mod clusters;
+mod curves;
+mod drift;
+mod frame;
+mod image;
+mod intervals;
+mod order;
+mod plot;
+mod snapshot;
+mod svg;
+
+use crate::Run;
+use crate::statistics::summarise;
+
+pub use image::{SaveError, save};
+pub use snapshot::{Group, Member, snapshot};
+
+/// Which figure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// The paper's Figure 2: the mean order over n.
+    Order,
+    /// Its Figure 4: how long order takes to build up and to break down, over n.
+    Intervals,
+    /// Its Figure 5: the effective size of ordered clusters over n.
+    Clusters,
+    /// Its Figure 6: the drift along the informed individuals' direction over π1.
+    Drift,
+}
+
+/// Why a figure cannot be drawn.
+#[derive(Debug, thiserror::Error)]
+pub enum FigureError {
+    /// A table without runs.
+    #[error("draw a figure: the table has no runs")]
+    Empty,
+    /// No runs of the kind that the figure shows.
+    #[error("draw figure {}: it needs {needed}, and none of the {runs} runs is one", kind.number())]
+    Unsuitable {
+        /// The figure.
+        kind: Kind,
+        /// Which runs it shows.
+        needed: &'static str,
+        /// How many runs there are.
+        runs: usize,
+    },
+    /// There are such runs, but nothing that is defined for them.
+    #[error("draw figure {}: {missing}", kind.number())]
+    Undefined {
+        /// The figure.
+        kind: Kind,
+        /// What is defined for no condition of the table.
+        missing: &'static str,
+    },
+    /// A snapshot of nobody.
+    #[error("draw a snapshot: it needs at least one group, and in each at least one individual")]
+    Nobody,
+    /// A body that cannot be drawn.
+    #[error("draw a snapshot: group {group}, individual {index}: not a finite position and angle")]
+    NotFinite {
+        /// Which group, from 0.
+        group: usize,
+        /// Which of its individuals, from 0.
+        index: usize,
+    },
+    /// A body that does not exist.
+    #[error("draw a snapshot: group {group}: pi1 is {pi1}, not 1 or more")]
+    Elongation {
+        /// Which group, from 0.
+        group: usize,
+        /// Its `pi1`.
+        pi1: f64,
+    },
+}
+
+impl Kind {
+    /// Every figure, in the paper's order.
+    pub const ALL: [Self; 4] = [Self::Order, Self::Intervals, Self::Clusters, Self::Drift];
+
+    /// The paper's number of the figure.
+    pub fn number(self) -> u8 {
+        match self {
+            Self::Order => 2,
+            Self::Intervals => 4,
+            Self::Clusters => 5,
+            Self::Drift => 6,
+        }
+    }
+
+    /// Finds the figure by the paper's number.
+    pub fn from_number(number: u8) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.number() == number)
+    }
+}
+
+/// Draws a figure of `runs` as SVG. Runs that it does not show are passed over.
+///
+/// # Errors
+///
+/// [`FigureError`] if it would be empty.
+pub fn draw(kind: Kind, runs: &[Run]) -> Result<String, FigureError> {
+    if runs.is_empty() {
+        return Err(FigureError::Empty);
+    }
+    let mut summaries = summarise(runs);
+    let needed = if kind == Kind::Drift {
+        summaries.retain(|summary| summary.v_pd.is_some() && summary.condition.n > 0);
+        "runs with informed individuals and a v_pd"
+    } else {
+        summaries.retain(|summary| summary.condition.informed == 0);
+        "runs in which nobody is informed"
+    };
+    if summaries.is_empty() {
+        let runs = runs.len();
+        return Err(FigureError::Unsuitable { kind, needed, runs });
+    }
+    let plot = match kind {
+        Kind::Order => order::plot(&summaries),
+        Kind::Intervals => intervals::plot(&summaries),
+        Kind::Clusters => clusters::plot(&summaries),
+        Kind::Drift => drift::plot(&summaries),
+    };
+    let mut curves = plot.panels.iter().flat_map(|panel| &panel.curves);
+    let shown = curves.any(|curve| curve.measured && curve.points.iter().any(Option::is_some));
+    if shown {
+        return Ok(plot.draw());
+    }
+    let missing = match kind {
+        Kind::Intervals => "there is no n and pi1 at which every run reached order",
+        Kind::Clusters => "every mean speed is below what disorder gives",
+        Kind::Order | Kind::Drift => "no mean can be drawn",
+    };
+    Err(FigureError::Undefined { kind, missing })
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::run::sample;
+
+    fn series() -> Vec<Run> {
+        let mut runs = Vec::new();
+        for (contacts, dt) in [("endpoints", 0.02), ("closest", 0.1)] {
+            for (n, v) in [(3, 0.99), (10, 0.95), (50, 0.5)] {
+                for v in [v, v - 0.01] {
+                    for informed in [0, n / 5] {
+                        runs.push(Run {
+                            contacts: contacts.to_owned(),
+                            dt,
+                            n,
+                            v,
+                            informed,
+                            v_pd: (informed > 0).then_some(v / 2.0),
+                            ..sample()
+                        });
+                    }
+                }
+            }
+        }
+        runs
+    }
+
+    #[test]
+    fn the_same_table_gives_the_same_picture_with_a_panel_for_each_rule() {
+        for kind in Kind::ALL {
+            let one = draw(kind, &series()).unwrap();
+            assert_eq!(one, draw(kind, &series()).unwrap());
+            assert!(one.contains(">endpoints, dt = 0.02<"), "{one}");
+            assert!(one.contains(">closest, dt = 0.1<"), "{one}");
+            assert!(!one.contains("NaN") && !one.contains("inf\""), "{one}");
+        }
+    }
+
+    #[test]
+    fn a_single_run_is_enough() {
+        let mut run = sample();
+        for kind in [Kind::Order, Kind::Intervals, Kind::Clusters] {
+            let picture = draw(kind, &[run.clone()]).unwrap();
+            assert!(!picture.contains("NaN"), "{picture}");
+        }
+        (run.informed, run.v_pd) = (1, Some(-0.1));
+        assert!(draw(Kind::Drift, &[run]).is_ok());
+    }
+
+    #[test]
+    fn a_figure_says_what_it_needs() {
+        assert!(matches!(draw(Kind::Order, &[]), Err(FigureError::Empty)));
+        let unsuitable = draw(Kind::Drift, &[sample()]).unwrap_err();
+        let text = unsuitable.to_string();
+        assert!(
+            text.contains("figure 6") && text.contains("informed"),
+            "{text}"
+        );
+
+        let mut never = sample();
+        (never.v, never.ordered_intervals) = (0.01, 0);
+        for kind in [Kind::Intervals, Kind::Clusters] {
+            let undefined = draw(kind, &[never.clone()]).unwrap_err();
+            assert!(
+                matches!(undefined, FigureError::Undefined { .. }),
+                "{undefined}"
+            );
+        }
+    }
+
+    #[test]
+    fn figures_have_the_papers_numbers() {
+        for kind in Kind::ALL {
+            assert_eq!(Kind::from_number(kind.number()), Some(kind));
+        }
+        assert_eq!(Kind::from_number(3), None);
+    }
+}

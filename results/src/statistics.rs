@@ -1,0 +1,268 @@
+//! What the runs of one condition come to together, as the paper's figures show it.
+
+use std::cmp::Ordering;
+
+use crate::Run;
+use crate::disorder::n_eff;
+
+/// What runs share that differ in their seed alone.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Condition {
+    /// The contact rule.
+    pub contacts: String,
+    /// The time step.
+    pub dt: f64,
+    /// Body size over turning radius.
+    pub pi3: f64,
+    /// Translational over rotational drag.
+    pub pi4: f64,
+    /// Length over width of a body.
+    pub pi1: f64,
+    /// Individuals.
+    pub n: u64,
+    /// How many were informed.
+    pub informed: u64,
+    /// The weight of their preference, 0 if there are none.
+    pub pi2: f64,
+}
+
+/// A mean over runs.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Spread {
+    /// The mean.
+    pub mean: f64,
+    /// The standard deviation of single runs, normalised by their number minus 1; none for one.
+    pub deviation: Option<f64>,
+    /// The standard error of the mean; none for one run.
+    pub error: Option<f64>,
+}
+
+/// A mean length of intervals.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Interval {
+    /// All the time over all the intervals, of all runs together.
+    pub mean: f64,
+    /// Its standard error over the runs, by the delta method for a ratio; none for one run.
+    pub error: Option<f64>,
+}
+
+/// The runs of one condition.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Summary {
+    /// What they share.
+    pub condition: Condition,
+    /// How many there are.
+    pub runs: usize,
+    /// The mean speed of the centroid, over the free speed.
+    pub v: Spread,
+    /// The mean drift along the informed individuals' direction; none if nobody was informed.
+    pub v_pd: Option<Spread>,
+    /// The mean time without order; none unless every run reached order.
+    pub build_up: Option<Interval>,
+    /// The mean time with order; none unless every run reached order.
+    pub breakdown: Option<Interval>,
+    /// How many individuals move as one, from the mean `v`; none below what chance gives.
+    pub n_eff: Option<f64>,
+    /// The mean share of time in which some two axes crossed.
+    pub crossed_share: f64,
+}
+
+impl Condition {
+    /// Reads what `run` shares with others.
+    pub fn of(run: &Run) -> Self {
+        Self {
+            contacts: run.contacts.clone(),
+            dt: run.dt,
+            pi3: run.pi3,
+            pi4: run.pi4,
+            pi1: run.pi1,
+            n: run.n,
+            informed: run.informed,
+            pi2: if run.informed == 0 { 0.0 } else { run.pi2 },
+        }
+    }
+
+    fn compare(&self, other: &Self) -> Ordering {
+        let numbers = |condition: &Self| {
+            let Self {
+                dt, pi3, pi4, pi2, ..
+            } = *condition;
+            [dt, pi3, pi4, pi2, condition.pi1]
+        };
+        // `endpoints`, the exact rule, goes first; it is also the later word.
+        let by_number = numbers(self)
+            .into_iter()
+            .zip(numbers(other))
+            .map(|(one, two)| one.total_cmp(&two))
+            .find(|ordering| ordering.is_ne())
+            .unwrap_or(Ordering::Equal);
+        other
+            .contacts
+            .cmp(&self.contacts)
+            .then(by_number)
+            .then(self.n.cmp(&other.n))
+            .then(self.informed.cmp(&other.informed))
+    }
+}
+
+/// Summarises each condition of `runs`, ordered by rule, `dt`, `pi3`, `pi4`, `pi2`, `pi1`,
+/// `n` and informed. Sums follow the order of `runs`.
+pub fn summarise(runs: &[Run]) -> Vec<Summary> {
+    let mut rows: Vec<(Condition, &Run)> =
+        runs.iter().map(|run| (Condition::of(run), run)).collect();
+    rows.sort_by(|(one, _), (two, _)| one.compare(two));
+    rows.chunk_by(|(one, _), (two, _)| one.compare(two).is_eq())
+        .map(|rows| {
+            let runs: Vec<&Run> = rows.iter().map(|(_, run)| *run).collect();
+            summarise_condition(rows[0].0.clone(), &runs)
+        })
+        .collect()
+}
+
+fn summarise_condition(condition: Condition, runs: &[&Run]) -> Summary {
+    let v = spread(&runs.iter().map(|run| run.v).collect::<Vec<_>>());
+    let drifts: Vec<f64> = runs.iter().filter_map(|run| run.v_pd).collect();
+    let reached = runs.iter().all(|run| run.ordered_intervals > 0);
+    let interval = |pick: fn(&Run) -> (f64, u64)| {
+        let intervals: Vec<_> = runs.iter().map(|run| pick(run)).collect();
+        if reached {
+            mean_interval(&intervals)
+        } else {
+            None
+        }
+    };
+    let crossed: Vec<f64> = runs.iter().map(|run| run.crossed_share).collect();
+    Summary {
+        runs: runs.len(),
+        v_pd: (drifts.len() == runs.len()).then(|| spread(&drifts)),
+        build_up: interval(|run| (run.unordered_time, run.unordered_intervals)),
+        breakdown: interval(|run| (run.ordered_time, run.ordered_intervals)),
+        n_eff: n_eff(condition.n, v.mean),
+        crossed_share: spread(&crossed).mean,
+        condition,
+        v,
+    }
+}
+
+/// Averages `values`, of which there is at least one.
+fn spread(values: &[f64]) -> Spread {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares: f64 = values
+        .iter()
+        .map(|value| (value - mean) * (value - mean))
+        .sum();
+    let deviation = (values.len() > 1).then(|| (squares / (count - 1.0)).sqrt());
+    Spread {
+        mean,
+        deviation,
+        error: deviation.map(|deviation| deviation / count.sqrt()),
+    }
+}
+
+/// Divides all the time by all the intervals. None if there are no intervals.
+///
+/// Runs with few long intervals weigh less than in a mean of per-run means; the error is that of
+/// a ratio of sums, `√(Σ (time - mean · intervals)² / (N (N - 1))) / mean intervals`.
+fn mean_interval(runs: &[(f64, u64)]) -> Option<Interval> {
+    let count = runs.len() as f64;
+    let time: f64 = runs.iter().map(|(time, _)| time).sum();
+    let intervals = runs.iter().map(|(_, intervals)| intervals).sum::<u64>() as f64;
+    if intervals == 0.0 {
+        return None;
+    }
+    let mean = time / intervals;
+    let squares: f64 = runs
+        .iter()
+        .map(|&(time, intervals)| time - mean * intervals as f64)
+        .map(|residual| residual * residual)
+        .sum();
+    let error = (squares / (count * (count - 1.0))).sqrt() / (intervals / count);
+    Some(Interval {
+        mean,
+        error: (runs.len() > 1).then_some(error),
+    })
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::run::sample;
+
+    #[test]
+    fn runs_are_grouped_by_all_but_their_seed() {
+        let with = |change: fn(&mut Run)| {
+            let mut run = sample();
+            change(&mut run);
+            run
+        };
+        let runs = [
+            with(|run| run.contacts = "closest".to_owned()),
+            with(|run| run.n = 20),
+            with(|run| run.seed = 7),
+            // The weight of nobody's preference is no difference.
+            with(|run| run.pi2 = 0.5),
+            with(|run| run.dt = 0.01),
+        ];
+        let summaries = summarise(&runs);
+        let found: Vec<_> = summaries
+            .iter()
+            .map(|summary| {
+                let condition = &summary.condition;
+                (
+                    &*condition.contacts,
+                    condition.dt,
+                    condition.n,
+                    summary.runs,
+                )
+            })
+            .collect();
+        assert_eq!(
+            found,
+            [
+                ("endpoints", 0.01, 10, 1),
+                ("endpoints", 0.02, 10, 2),
+                ("endpoints", 0.02, 20, 1),
+                ("closest", 0.02, 10, 1),
+            ]
+        );
+        assert!(summarise(&[]).is_empty());
+    }
+
+    #[test]
+    fn deviations_are_normalised_by_the_runs_minus_one() {
+        let values = [1.0, 2.0, 3.0, 6.0];
+        let found = spread(&values);
+        assert_eq!(found.mean, 3.0);
+        assert_eq!(found.deviation, Some((14.0_f64 / 3.0).sqrt()));
+        assert_eq!(found.error, Some((14.0_f64 / 3.0).sqrt() / 2.0));
+        assert_eq!(spread(&[0.5]).deviation, None);
+    }
+
+    #[test]
+    fn interval_lengths_are_time_over_intervals() {
+        let found = mean_interval(&[(30.0, 3), (10.0, 1), (20.0, 4)]).unwrap();
+        assert_eq!(found.mean, 7.5);
+        // Residuals 7.5, 2.5, -10; squares sum to 162.5, over 3 · 2; 8/3 intervals a run.
+        let expected = (162.5_f64 / 6.0).sqrt() / (8.0 / 3.0);
+        assert!((found.error.unwrap() - expected).abs() < 1e-12);
+        assert_eq!(mean_interval(&[(30.0, 3)]).unwrap().error, None);
+        assert_eq!(mean_interval(&[(0.0, 0), (0.0, 0)]), None);
+    }
+
+    #[test]
+    fn intervals_are_shown_only_if_every_run_reached_order() {
+        let reached = sample();
+        let mut never = sample();
+        (never.ordered_intervals, never.ordered_time) = (0, 0.0);
+        let both = &summarise(&[reached.clone(), never])[0];
+        assert_eq!((both.build_up, both.breakdown), (None, None));
+
+        let alone = &summarise(&[reached])[0];
+        assert_eq!(alone.build_up.unwrap().mean, 25.0);
+        assert_eq!(alone.breakdown.unwrap().mean, 950.0 / 3.0);
+        assert_eq!(alone.v_pd, None);
+        assert!(alone.n_eff.unwrap() > 5.0);
+    }
+}

@@ -1,0 +1,200 @@
+//! Columns of Parquet: which values they hold, how those are written and read.
+
+use std::path::Path;
+
+use parquet::basic::{LogicalType, Repetition, Type as Physical};
+use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
+use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
+use parquet::errors::ParquetError;
+use parquet::file::writer::SerializedColumnWriter;
+use parquet::schema::types::Type;
+
+use super::TableError;
+
+/// What one row holds in one column.
+pub trait Cell: Sized {
+    /// The column's entry in the schema.
+    fn schema(name: &str) -> Result<Type, ParquetError>;
+
+    /// Writes a chunk of the column; an error is the row from 0 and what is wrong with it.
+    fn write(values: &[Self], column: &mut SerializedColumnWriter<'_>) -> Result<(), CellError>;
+
+    /// Reads a chunk of `rows` rows.
+    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError>;
+}
+
+/// What stopped a column.
+pub enum CellError {
+    /// The file.
+    Parquet(ParquetError),
+    /// A value, in a row from 0.
+    Value(usize, String),
+}
+
+impl From<ParquetError> for CellError {
+    fn from(error: ParquetError) -> Self {
+        Self::Parquet(error)
+    }
+}
+
+impl CellError {
+    /// Says in which file and column; `first` is the row from 0 at which the chunk begins.
+    pub fn within(self, path: &Path, column: &str, first: usize) -> TableError {
+        match self {
+            Self::Parquet(error) => TableError::Malformed {
+                path: path.to_owned(),
+                reason: format!("column `{column}`: {error}"),
+            },
+            Self::Value(row, reason) => TableError::Value {
+                path: path.to_owned(),
+                place: "row",
+                row: (first + row + 1) as u64,
+                column: column.to_owned(),
+                reason,
+            },
+        }
+    }
+}
+
+impl Cell for String {
+    fn schema(name: &str) -> Result<Type, ParquetError> {
+        Type::primitive_type_builder(name, Physical::BYTE_ARRAY)
+            .with_repetition(Repetition::REQUIRED)
+            .with_logical_type(Some(LogicalType::String))
+            .build()
+    }
+
+    fn write(values: &[Self], column: &mut SerializedColumnWriter<'_>) -> Result<(), CellError> {
+        let bytes: Vec<ByteArray> = values.iter().map(|text| text.as_str().into()).collect();
+        column
+            .typed::<ByteArrayType>()
+            .write_batch(&bytes, None, None)?;
+        Ok(())
+    }
+
+    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+        let ColumnReader::ByteArrayColumnReader(reader) = column else {
+            return Err(CellError::Value(0, "no text".to_owned()));
+        };
+        convert(required(reader, rows)?, |bytes| {
+            Ok(bytes
+                .as_utf8()
+                .map_err(|error| error.to_string())?
+                .to_owned())
+        })
+    }
+}
+
+impl Cell for u64 {
+    fn schema(name: &str) -> Result<Type, ParquetError> {
+        Type::primitive_type_builder(name, Physical::INT64)
+            .with_repetition(Repetition::REQUIRED)
+            .build()
+    }
+
+    fn write(values: &[Self], column: &mut SerializedColumnWriter<'_>) -> Result<(), CellError> {
+        let signed = convert(values.to_vec(), |value| {
+            i64::try_from(value).map_err(|_| format!("{value} is beyond 2^63"))
+        })?;
+        column
+            .typed::<Int64Type>()
+            .write_batch(&signed, None, None)?;
+        Ok(())
+    }
+
+    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+        let ColumnReader::Int64ColumnReader(reader) = column else {
+            return Err(CellError::Value(0, "no whole number of 64 bits".to_owned()));
+        };
+        convert(required(reader, rows)?, |value| {
+            Self::try_from(value).map_err(|_| format!("{value} is negative"))
+        })
+    }
+}
+
+impl Cell for f64 {
+    fn schema(name: &str) -> Result<Type, ParquetError> {
+        Type::primitive_type_builder(name, Physical::DOUBLE)
+            .with_repetition(Repetition::REQUIRED)
+            .build()
+    }
+
+    fn write(values: &[Self], column: &mut SerializedColumnWriter<'_>) -> Result<(), CellError> {
+        column
+            .typed::<DoubleType>()
+            .write_batch(values, None, None)?;
+        Ok(())
+    }
+
+    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+        let ColumnReader::DoubleColumnReader(reader) = column else {
+            return Err(CellError::Value(0, "no number of 64 bits".to_owned()));
+        };
+        required(reader, rows)
+    }
+}
+
+impl Cell for Option<f64> {
+    fn schema(name: &str) -> Result<Type, ParquetError> {
+        Type::primitive_type_builder(name, Physical::DOUBLE)
+            .with_repetition(Repetition::OPTIONAL)
+            .build()
+    }
+
+    fn write(values: &[Self], column: &mut SerializedColumnWriter<'_>) -> Result<(), CellError> {
+        let present: Vec<f64> = values.iter().flatten().copied().collect();
+        let levels: Vec<i16> = values.iter().map(|value| value.is_some().into()).collect();
+        column
+            .typed::<DoubleType>()
+            .write_batch(&present, Some(&levels), None)?;
+        Ok(())
+    }
+
+    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+        let ColumnReader::DoubleColumnReader(reader) = column else {
+            return Err(CellError::Value(0, "no number of 64 bits".to_owned()));
+        };
+        optional(reader, rows)
+    }
+}
+
+fn convert<T, U>(
+    values: Vec<T>,
+    each: impl Fn(T) -> Result<U, String>,
+) -> Result<Vec<U>, CellError> {
+    let numbered = values.into_iter().enumerate();
+    numbered
+        .map(|(row, value)| each(value).map_err(|reason| CellError::Value(row, reason)))
+        .collect()
+}
+
+/// Other writers may declare every column optional: only an absent value is an error.
+fn required<D: DataType>(reader: ColumnReaderImpl<D>, rows: usize) -> Result<Vec<D::T>, CellError> {
+    convert(optional(reader, rows)?, |value| {
+        value.ok_or_else(|| "no value".to_owned())
+    })
+}
+
+fn optional<D: DataType>(
+    mut reader: ColumnReaderImpl<D>,
+    rows: usize,
+) -> Result<Vec<Option<D::T>>, CellError> {
+    let (mut levels, mut present, mut records) = (Vec::new(), Vec::new(), 0);
+    while records < rows {
+        let (read, _, _) =
+            reader.read_records(rows - records, Some(&mut levels), None, &mut present)?;
+        if read == 0 {
+            return Err(CellError::Value(records, "the column ends here".to_owned()));
+        }
+        records += read;
+    }
+    // A required column has no levels.
+    if levels.is_empty() {
+        return Ok(present.into_iter().map(Some).collect());
+    }
+    let mut present = present.into_iter();
+    Ok(levels
+        .into_iter()
+        .map(|level| if level > 0 { present.next() } else { None })
+        .collect())
+}

@@ -1,0 +1,168 @@
+//! Tables of results, as Parquet and as CSV, whole files or none.
+//!
+//! Both hold the same rows to the bit. A reader of the CSV must parse numbers exactly, which
+//! older pandas do only with `read_csv(..., float_precision="round_trip")`.
+
+pub mod order;
+
+mod column;
+mod comma;
+mod parquet;
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use crate::Run;
+
+pub use order::{OrderSeries, OrderWriter};
+
+/// The name of a table as Parquet within its directory.
+pub const PARQUET_NAME: &str = "results.parquet";
+
+/// The name of a table as CSV within its directory.
+pub const CSV_NAME: &str = "results.csv";
+
+/// Why a table cannot be written or read.
+#[derive(Debug, thiserror::Error)]
+pub enum TableError {
+    /// The system refused.
+    #[error("use {}: {source}", path.display())]
+    Io {
+        /// The file.
+        path: PathBuf,
+        /// What the system says.
+        source: io::Error,
+    },
+    /// A directory without results.
+    #[error("find results in {}: it holds neither {PARQUET_NAME} nor {CSV_NAME}", directory.display())]
+    Absent {
+        /// The directory.
+        directory: PathBuf,
+    },
+    /// A name that does not say how to read the file.
+    #[error("read {}: its name ends in neither .parquet nor .csv", path.display())]
+    UnknownKind {
+        /// The file.
+        path: PathBuf,
+    },
+    /// The file is not of the kind its name says, or is damaged.
+    #[error("read or write {}: {reason}", path.display())]
+    Malformed {
+        /// The file.
+        path: PathBuf,
+        /// What its parser says.
+        reason: String,
+    },
+    /// A column is missing.
+    #[error("read {}: it has no column `{column}`", path.display())]
+    MissingColumn {
+        /// The file.
+        path: PathBuf,
+        /// The column.
+        column: &'static str,
+    },
+    /// A value does not fit its column.
+    #[error("use {}: {place} {row}, column `{column}`: {reason}", path.display())]
+    Value {
+        /// The file.
+        path: PathBuf,
+        /// What `row` counts: lines of text or rows of a table, from 1.
+        place: &'static str,
+        /// Which one.
+        row: u64,
+        /// The column.
+        column: String,
+        /// What is wrong with it.
+        reason: String,
+    },
+}
+
+/// Writes `runs` to both files of `directory`, which exists.
+///
+/// # Errors
+///
+/// [`TableError::Io`], or [`TableError::Value`] for a whole number beyond 2^63.
+pub fn write(directory: &Path, runs: &[Run]) -> Result<(), TableError> {
+    write_parquet(&directory.join(PARQUET_NAME), runs)?;
+    write_csv(&directory.join(CSV_NAME), runs)
+}
+
+/// Writes `runs` as Parquet.
+///
+/// # Errors
+///
+/// [`TableError::Io`], or [`TableError::Value`] for a whole number beyond 2^63.
+pub fn write_parquet(path: &Path, runs: &[Run]) -> Result<(), TableError> {
+    parquet::write(path, runs)
+}
+
+/// Writes `runs` as CSV, numbers in the shortest form that reads back to the bit.
+///
+/// # Errors
+///
+/// [`TableError::Io`].
+pub fn write_csv(path: &Path, runs: &[Run]) -> Result<(), TableError> {
+    comma::write(path, runs)
+}
+
+/// Reads a table: a file of either kind, or the one that a directory holds.
+///
+/// Columns are found by name; others are ignored.
+///
+/// # Errors
+///
+/// [`TableError`] with the file, and where it applies the column and the row.
+pub fn read(path: &Path) -> Result<Vec<Run>, TableError> {
+    if path.is_dir() {
+        let found = [PARQUET_NAME, CSV_NAME].map(|name| path.join(name));
+        let Some(file) = found.iter().find(|file| file.exists()) else {
+            let directory = path.to_owned();
+            return Err(TableError::Absent { directory });
+        };
+        return read(file);
+    }
+    match path.extension().and_then(|extension| extension.to_str()) {
+        Some("parquet") => parquet::read(path),
+        Some("csv") => comma::read(path),
+        _ => Err(TableError::UnknownKind {
+            path: path.to_owned(),
+        }),
+    }
+}
+
+fn io_error(path: &Path, source: io::Error) -> TableError {
+    TableError::Io {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::run::sample;
+
+    #[test]
+    fn a_directory_is_read_from_parquet_else_from_csv() {
+        let directory = tempfile::tempdir().unwrap();
+        let absent = read(directory.path()).unwrap_err();
+        assert!(matches!(absent, TableError::Absent { .. }), "{absent}");
+
+        let (one, two) = (vec![sample()], vec![sample(), sample()]);
+        write_csv(&directory.path().join(CSV_NAME), &one).unwrap();
+        assert_eq!(read(directory.path()).unwrap(), one);
+        write_parquet(&directory.path().join(PARQUET_NAME), &two).unwrap();
+        assert_eq!(read(directory.path()).unwrap(), two);
+    }
+
+    #[test]
+    fn a_name_must_tell_the_kind() {
+        let unknown = read(Path::new("results.txt")).unwrap_err();
+        assert!(matches!(unknown, TableError::UnknownKind { .. }));
+        let missing = read(Path::new("/nowhere/results.csv")).unwrap_err();
+        assert!(matches!(missing, TableError::Io { .. }), "{missing}");
+        let missing = write(Path::new("/nowhere"), &[]).unwrap_err();
+        assert!(matches!(missing, TableError::Io { .. }), "{missing}");
+    }
+}

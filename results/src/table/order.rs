@@ -1,0 +1,170 @@
+//! The order over time, run by run: far more rows than runs, so a run is written when it ends.
+
+use std::path::{Path, PathBuf};
+
+use parquet::errors::ParquetError;
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::types::Type;
+use tempfile::NamedTempFile;
+
+use super::TableError;
+use super::column::Cell;
+use super::parquet::{begin, finish, for_each_group, group, read_column, write_column};
+
+/// The name of the orders over time within their directory.
+pub const ORDER_NAME: &str = "order.parquet";
+
+/// How the order of one run went, in columns of one length.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct OrderSeries {
+    /// The run's name, as in the table of runs.
+    pub run: String,
+    /// The steps.
+    pub steps: Vec<u64>,
+    /// Their times.
+    pub times: Vec<f64>,
+    /// The order at each.
+    pub orders: Vec<f64>,
+    /// The drift along the informed individuals' direction at each, or nothing at all.
+    pub drifts: Vec<f64>,
+}
+
+/// Writes a file of rows `run, step, time, order, drift`, a row group for each run.
+///
+/// The file appears under its name when it is finished; dropped before, it never does.
+pub struct OrderWriter {
+    path: PathBuf,
+    writer: SerializedFileWriter<NamedTempFile>,
+}
+
+impl OrderWriter {
+    /// Begins the file.
+    ///
+    /// # Errors
+    ///
+    /// [`TableError::Io`].
+    pub fn begin(path: &Path) -> Result<Self, TableError> {
+        Ok(Self {
+            path: path.to_owned(),
+            writer: begin(path, schema())?,
+        })
+    }
+
+    /// Writes one run.
+    ///
+    /// # Errors
+    ///
+    /// [`TableError::Malformed`] if the disk is full; the file is then lost.
+    ///
+    /// # Panics
+    ///
+    /// If the columns are not of one length.
+    pub fn append(&mut self, series: &OrderSeries) -> Result<(), TableError> {
+        let rows = series.steps.len();
+        assert_eq!((rows, rows), (series.times.len(), series.orders.len()));
+        assert!(series.drifts.is_empty() || series.drifts.len() == rows);
+        let drifts: Vec<Option<f64>> = match series.drifts.len() {
+            0 => vec![None; rows],
+            _ => series.drifts.iter().copied().map(Some).collect(),
+        };
+        let malformed = |error: ParquetError| TableError::Malformed {
+            path: self.path.clone(),
+            reason: error.to_string(),
+        };
+        let mut group = self.writer.next_row_group().map_err(malformed)?;
+        let path = &self.path;
+        write_column(path, &mut group, "run", &vec![series.run.clone(); rows])?;
+        write_column(path, &mut group, "step", &series.steps)?;
+        write_column(path, &mut group, "time", &series.times)?;
+        write_column(path, &mut group, "order", &series.orders)?;
+        write_column(path, &mut group, "drift", &drifts)?;
+        group.close().map_err(malformed)?;
+        Ok(())
+    }
+
+    /// Ends the file and gives it its name.
+    ///
+    /// # Errors
+    ///
+    /// [`TableError::Io`] or, if the disk is full, [`TableError::Malformed`].
+    pub fn finish(self) -> Result<(), TableError> {
+        finish(&self.path, self.writer)
+    }
+}
+
+/// Reads what an [`OrderWriter`] wrote; a run that fills several row groups comes out whole.
+///
+/// # Errors
+///
+/// [`TableError`] with the file, and where it applies the column and the row.
+pub fn read(path: &Path) -> Result<Vec<OrderSeries>, TableError> {
+    let mut all: Vec<OrderSeries> = Vec::new();
+    let mut first = 0;
+    for_each_group(path, |group| {
+        let runs: Vec<String> = read_column(path, group, "run", first)?;
+        let steps: Vec<u64> = read_column(path, group, "step", first)?;
+        let times: Vec<f64> = read_column(path, group, "time", first)?;
+        let orders: Vec<f64> = read_column(path, group, "order", first)?;
+        let drifts: Vec<Option<f64>> = read_column(path, group, "drift", first)?;
+        first += runs.len();
+        for (row, run) in runs.into_iter().enumerate() {
+            if all.last().is_none_or(|series| series.run != run) {
+                all.push(OrderSeries {
+                    run,
+                    ..OrderSeries::default()
+                });
+            }
+            if let Some(series) = all.last_mut() {
+                series.steps.push(steps[row]);
+                series.times.push(times[row]);
+                series.orders.push(orders[row]);
+                series.drifts.extend(drifts[row]);
+            }
+        }
+        Ok(())
+    })?;
+    Ok(all)
+}
+
+fn schema() -> Result<Type, ParquetError> {
+    group(
+        "order",
+        vec![
+            String::schema("run"),
+            u64::schema("step"),
+            f64::schema("time"),
+            f64::schema("order"),
+            Option::<f64>::schema("drift"),
+        ],
+    )
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn series_come_back_run_by_run() {
+        let directory = tempfile::tempdir().unwrap();
+        let path = directory.path().join(ORDER_NAME);
+        let quiet = OrderSeries {
+            run: "quiet".to_owned(),
+            steps: vec![0, 50],
+            times: vec![0.0, 1.0],
+            orders: vec![0.1 + 0.2, 1.0],
+            drifts: vec![],
+        };
+        let led = OrderSeries {
+            run: "led".to_owned(),
+            drifts: vec![-0.5, 1.0 / 3.0],
+            ..quiet.clone()
+        };
+        let mut writer = OrderWriter::begin(&path).unwrap();
+        writer.append(&quiet).unwrap();
+        writer.append(&led).unwrap();
+        assert!(!path.exists(), "it has its name before it is whole");
+        writer.finish().unwrap();
+        assert_eq!(read(&path).unwrap(), [quiet, led]);
+    }
+}
