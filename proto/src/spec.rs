@@ -132,6 +132,8 @@ pub enum ContactRule {
     /// Of those the one with the smallest gap: the literal reading of the paper's appendix. Axes
     /// may come to cross.
     Closest,
+    /// Those of `endpoints` and the end pairs that they imply: not the model's, to compare with.
+    Clamped,
 }
 
 /// What a contact limits.

@@ -447,7 +447,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "pi2" => "a number from 0 to 1e6",
         "pi3" | "pi4" => "a number above 0, at most 1e6",
         "dt" => "a number above 0, at most 2r / (1 + h ω): 0.02 fits most swarms",
-        "contacts" => "\"endpoints\" or \"closest\"",
+        "contacts" => "\"endpoints\", \"closest\" or \"clamped\"",
         "stepping" => "\"position\" or \"velocity\"",
         "relinearise" => "0 or 1",
         "attraction" => {

@@ -13,6 +13,9 @@ pub enum ContactRule {
     /// Of those the nearest alone; ties go to the lowest code. The literal reading of the
     /// paper's appendix, under which axes may come to cross.
     Closest,
+    /// Those of `Endpoints` and also every two ends of which one is nearest to the other, though
+    /// a smaller distance of the pair implies theirs. Not the model's: it is there to compare.
+    Clamped,
 }
 
 /// What a contact limits.

@@ -61,8 +61,8 @@ impl State {
     /// alpha, weight, direction, lapses; the solver's memory as columns first, second, code,
     /// multiplier, then the order of elimination and its age. A column is its length as 64 bits,
     /// then its entries; an entry of "lapses" is a byte 0, or a byte 1 and the step. The rules are
-    /// a byte with a bit each for `closest`, `velocity`, `relinearise` and noise, whose intensity
-    /// then follows; the attraction law is a byte and its number, if it has one. Floats are
+    /// a byte with a bit each for `closest`, `velocity`, `relinearise`, noise, whose intensity
+    /// then follows, and `clamped`; the attraction law is a byte and its number, if it has one. Floats are
     /// hashed by their bits.
     #[must_use]
     pub fn hash(&self) -> [u8; 32] {
@@ -97,6 +97,7 @@ impl State {
             *stepping == Stepping::Velocity,
             *relinearise,
             is_noisy,
+            *contacts == ContactRule::Clamped,
         ];
         let rules = rules.iter().rev();
         bytes.put([rules.fold(0, |bits, &is_set| bits << 1 | u8::from(is_set))]);
@@ -242,7 +243,7 @@ mod tests {
 
     #[test]
     fn everything_that_decides_the_future_is_hashed() {
-        let changes: [fn(&mut State); 35] = [
+        let changes: [fn(&mut State); 36] = [
             |state| state.parameters.pi1 = 5.0,
             |state| state.parameters.pi2 = 5.0,
             |state| state.parameters.pi3 = 5.0,
@@ -257,6 +258,7 @@ mod tests {
             |state| state.parameters.attraction = Attraction::Topological { neighbours: 2 },
             |state| state.parameters.attraction = Attraction::Power { exponent: 1.0 },
             |state| state.parameters.contacts = ContactRule::Closest,
+            |state| state.parameters.contacts = ContactRule::Clamped,
             |state| state.parameters.stepping = Stepping::Velocity,
             |state| state.parameters.relinearise = true,
             |state| state.parameters.noise = 0.1,

@@ -61,12 +61,13 @@ const BLOCK: usize = 64;
 /// - Source: paper, appendix, third part of a step. It speaks of one distance of a pair; here
 ///   every smooth endpoint-to-segment distance counts that no smaller one implies. An end counts
 ///   where its projection falls inside the other axis, two ends where each is nearest to the other.
-///   Under `closest` only a pair's nearest contact counts, of several the one of the lowest code.
+///   Under `closest` only a pair's nearest contact counts, of several the one of the lowest code;
+///   under `clamped` two ends count where either is nearest to the other.
 ///
 /// # Errors
 ///
-/// [`StepError::CrossedBodies`] when two axes meet under `endpoints`: their distance has no
-/// normal. Under `closest` the distances of their ends go on to count, as far as there are any.
+/// [`StepError::CrossedBodies`] when two axes meet, but for `closest`: their distance has no
+/// normal. There the distances of their ends go on to count, as far as there are any.
 pub fn find(
     level: Level,
     parameters: &Parameters,
@@ -77,6 +78,7 @@ pub fn find(
     contacts: &mut Vec<Contact>,
 ) -> Result<usize, StepError> {
     let (h, width) = (parameters.half_length(), 2.0 * parameters.radius());
+    let with_implied = parameters.contacts == ContactRule::Clamped;
     let mut crossed = 0;
     let axes = Axes::new(configuration, heading);
     let mut lanes = Pairs::default();
@@ -91,14 +93,14 @@ pub fn find(
         }
         for (&(i, j), &signs) in pairs.iter().zip(signs.as_flattened()) {
             if ends::crossed(signs) {
-                if parameters.contacts == ContactRule::Endpoints {
+                if parameters.contacts != ContactRule::Closest {
                     let [first, second] = [i, j].map(|index| configuration.id[index as usize]);
                     return Err(StepError::CrossedBodies { first, second });
                 }
                 crossed += 1;
             }
             let of_the_pair = contacts.len();
-            let mut codes = ends::codes(h, signs);
+            let mut codes = ends::codes(h, signs, with_implied);
             while codes != 0 {
                 #[expect(clippy::cast_possible_truncation, reason = "codes are below 8")]
                 let code = codes.trailing_zeros() as u8;
@@ -162,10 +164,13 @@ fn contact(
     first: &Axis,
     second: &Axis,
 ) -> Contact {
-    let end = if code < 4 { code } else { (code - 4) / 2 };
     let (u, v) = (first.heading, second.heading);
     let offset = [0, 1].map(|axis| second.centre[axis] - first.centre[axis]);
-    let end = End::new(end & 1 != 0, end & 2 != 0, h, offset, u, v);
+    let end = if code < 4 {
+        End::new(code & 1 != 0, code & 2 != 0, h, offset, u, v)
+    } else {
+        End::both(code & 2 != 0, code & 1 != 0, h)
+    };
     let separation = end.separation(offset, u, v);
     let distance = dot(separation, separation).sqrt();
     let normal = separation.map(|component| component / distance);
@@ -332,6 +337,38 @@ mod tests {
         };
         let (contacts, crossed) = found_and_crossed(discs, at(0.0, 0.0, 1.0), 0.2).unwrap();
         assert_eq!((contacts, crossed), (Vec::new(), 1));
+    }
+
+    #[test]
+    fn clamped_adds_ends_that_are_further_than_what_implies_them() {
+        let clamped = Parameters {
+            contacts: ContactRule::Clamped,
+            ..Parameters::default()
+        };
+        // Over the middle of a side: only the tail is on it, the head is nearest to nobody's end.
+        let upright = at(0.0, 1.1, FRAC_PI_2);
+        assert_eq!(
+            found(clamped, upright, 0.2),
+            found(Parameters::default(), upright, 0.2)
+        );
+        let mut added = 0;
+        for pose in poses() {
+            let (Ok(all), Ok(pruned)) = (
+                found(clamped, pose, 0.3),
+                found(Parameters::default(), pose, 0.3),
+            ) else {
+                continue;
+            };
+            let least = pruned.iter().map(|it| it.gap).reduce(f64::min);
+            for contact in &all {
+                if !pruned.contains(contact) {
+                    assert!(contact.code >= 4 && least.is_some_and(|gap| gap <= contact.gap));
+                    added += 1;
+                }
+            }
+            assert!(pruned.iter().all(|contact| all.contains(contact)));
+        }
+        assert!(added > 300, "{added}");
     }
 
     #[test]

@@ -113,6 +113,16 @@ impl End {
         Self { arms, along }
     }
 
+    /// An end of the first axis with one of the second.
+    #[inline(always)]
+    pub fn both(is_tail: bool, other_is_tail: bool, h: f64) -> Self {
+        let arms = [is_tail, other_is_tail].map(|is_tail| if is_tail { -h } else { h });
+        Self {
+            arms,
+            along: arms[1],
+        }
+    }
+
     /// From the place on the first axis to that on the second.
     #[inline(always)]
     pub fn separation(&self, offset: [f64; 2], u: [f64; 2], v: [f64; 2]) -> [f64; 2] {
@@ -147,20 +157,30 @@ pub fn within(signs: Signs) -> bool {
     signs & (CROSSED | (NEAR * 0b1111)) != 0
 }
 
-/// The codes of the contacts that a pair has, as bits; discs have one, of code 0.
+/// The codes of the contacts that a pair has, as bits; discs have one, of code 0. Two ends count
+/// where each is nearest to the other, or, with the implied ones, where either is.
 #[must_use]
-pub fn codes(h: f64, signs: Signs) -> u64 {
-    let (head, tail, near) = (signs, signs >> 4, signs >> 8);
+pub fn codes(h: f64, signs: Signs, with_implied: bool) -> u64 {
+    let near = signs >> 8;
     if h == 0.0 {
         return near & 1;
     }
+    let (head, tail) = (near & signs, near & signs >> 4);
     let sides = near & !(head | tail) & 0b1111;
-    // Ends of the first (bits 0, 1) with ends of the second (bits 2, 3), each nearest to the
-    // other.
-    let head_head = near & head & (head >> 2) & 1;
-    let head_tail = near & tail & (head >> 3) & 1;
-    let tail_head = (near & head) >> 1 & (tail >> 2) & 1;
-    let tail_tail = (near & tail & (tail >> 2)) >> 1 & 1;
+    // Ends of the first (bits 0, 1) with ends of the second (bits 2, 3).
+    let ends = [
+        [head, head >> 2],
+        [tail, head >> 3],
+        [head >> 1, tail >> 2],
+        [tail >> 1, tail >> 3],
+    ];
+    let [head_head, head_tail, tail_head, tail_tail] = ends.map(|[first, second]| {
+        if with_implied {
+            (first | second) & 1
+        } else {
+            first & second & 1
+        }
+    });
     sides | head_head << 4 | head_tail << 5 | tail_head << 6 | tail_tail << 7
 }
 

@@ -99,6 +99,7 @@ pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, WireError> {
         contacts: match spec.contacts {
             proto::ContactRule::Endpoints => ContactRule::Endpoints,
             proto::ContactRule::Closest => ContactRule::Closest,
+            proto::ContactRule::Clamped => ContactRule::Clamped,
         },
         stepping: match spec.stepping {
             proto::Stepping::Position => Stepping::Position,

@@ -179,6 +179,7 @@ pub fn spec(recipe: &Recipe, seed: u64) -> proto::Spec {
         contacts: match contacts {
             ContactRule::Endpoints => proto::ContactRule::Endpoints,
             ContactRule::Closest => proto::ContactRule::Closest,
+            ContactRule::Clamped => proto::ContactRule::Clamped,
         },
         stepping: match stepping {
             Stepping::Position => proto::Stepping::Position,
