@@ -305,10 +305,10 @@ mod tests {
             match found(Parameters::default(), pose, 0.3) {
                 Err(_) => assert!(crossed == 1 && contacts.len() <= 1, "{pose:?}"),
                 Ok(all) => {
-                    let nearest =
-                        all.iter()
-                            .copied()
-                            .reduce(|least, it| if it.gap < least.gap { it } else { least });
+                    let nearest = all
+                        .iter()
+                        .copied()
+                        .reduce(|least, it| if it.gap < least.gap { it } else { least });
                     assert_eq!((contacts, crossed), (nearest.into_iter().collect(), 0));
                     ties += usize::from(all.len() > 1);
                 }
@@ -321,13 +321,15 @@ mod tests {
         };
         assert_eq!(contact.code, 0);
         // One's head on the other's side: that distance has no normal, no other is in reach.
-        let (contacts, crossed) =
-            found_and_crossed(closest, at(0.0, 0.6, FRAC_PI_2), 0.0).unwrap();
+        let (contacts, crossed) = found_and_crossed(closest, at(0.0, 0.6, FRAC_PI_2), 0.0).unwrap();
         assert!(
             contacts.iter().all(|it| it.normal[0].is_finite()) && crossed == 1,
             "{contacts:?}"
         );
-        let discs = Parameters { pi1: 1.0, ..closest };
+        let discs = Parameters {
+            pi1: 1.0,
+            ..closest
+        };
         let (contacts, crossed) = found_and_crossed(discs, at(0.0, 0.0, 1.0), 0.2).unwrap();
         assert_eq!((contacts, crossed), (Vec::new(), 1));
     }

@@ -86,7 +86,8 @@ pub fn shake(state: &State, displacement: &mut [[f64; 3]]) {
     }
     let spread = (2.0 * noise * dt).sqrt();
     for (&id, [_, _, turn]) in state.configuration.id.iter().zip(displacement) {
-        *turn += spread * Stream::new(state.seed, state.step, u64::from(id), Purpose::Noise).normal();
+        *turn +=
+            spread * Stream::new(state.seed, state.step, u64::from(id), Purpose::Noise).normal();
     }
 }
 
@@ -129,9 +130,15 @@ mod tests {
         let turns = |state: &State| {
             let mut displacement = vec![[0.0; 3]; state.configuration.n()];
             shake(state, &mut displacement);
-            displacement.iter().map(|moved| moved[2]).collect::<Vec<_>>()
+            displacement
+                .iter()
+                .map(|moved| moved[2])
+                .collect::<Vec<_>>()
         };
-        assert!(turns(&state).iter().all(|&turn| turn == 0.0), "off by default");
+        assert!(
+            turns(&state).iter().all(|&turn| turn == 0.0),
+            "off by default"
+        );
         state.parameters.noise = 0.3;
         let first = turns(&state);
         let count = first.len() as f64;

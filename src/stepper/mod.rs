@@ -19,9 +19,7 @@ use thiserror::Error;
 use crate::model::attraction::Social;
 use crate::model::lanes::Level;
 use crate::model::threads::Pool;
-use crate::model::{
-    CELL, Configuration, ContactRule, Parameters, SolverMemory, State, Stepping,
-};
+use crate::model::{CELL, Configuration, ContactRule, Parameters, SolverMemory, State, Stepping};
 use contact::Contact;
 use heading::unit_vector;
 use neighbours::Neighbours;
@@ -280,13 +278,7 @@ impl Stepper {
         } = state;
         let id = &configuration.id;
         let (multipliers, order) = (&self.solution.multipliers, self.solver.exact.order());
-        memory::remember(
-            id,
-            &self.qp.contacts,
-            multipliers,
-            order,
-            &mut self.between,
-        );
+        memory::remember(id, &self.qp.contacts, multipliers, order, &mut self.between);
         let mut predicted = std::mem::take(&mut self.predicted);
         predicted.clone_from(configuration);
         self.carried.clone_from(&self.solution.displacement);
@@ -570,8 +562,8 @@ fn two_largest(values: &[f64]) -> (f64, f64) {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::model::random::{Purpose, Stream};
     use crate::model::body;
+    use crate::model::random::{Purpose, Stream};
 
     /// Two bodies side by side, touching, and one far away.
     fn touching() -> State {

@@ -94,12 +94,7 @@ impl Social {
     }
 
     /// The mean over all the others, eq. (4).
-    fn all(
-        &mut self,
-        accuracy: Option<f64>,
-        configuration: &Configuration,
-        pull: &mut [[f64; 2]],
-    ) {
+    fn all(&mut self, accuracy: Option<f64>, configuration: &Configuration, pull: &mut [[f64; 2]]) {
         let Configuration { x, y, .. } = configuration;
         let n = x.len();
         let share = 1.0 / (n as f64 - 1.0);

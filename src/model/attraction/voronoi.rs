@@ -147,10 +147,7 @@ mod tests {
         let found = neighbours(&grid);
         assert_eq!(found.len(), 12);
         for [one, other] in found {
-            let (dx, dy) = (
-                grid[one][0] - grid[other][0],
-                grid[one][1] - grid[other][1],
-            );
+            let (dx, dy) = (grid[one][0] - grid[other][0], grid[one][1] - grid[other][1]);
             assert_eq!(dx.abs() + dy.abs(), 1.0);
         }
     }
