@@ -343,14 +343,28 @@ pub fn parameters() -> Vec<Parameter> {
     names
         .filter(|name| *name != "start")
         .map(|name| {
-            let field = &schema.as_value()["properties"][name];
-            parameter(name, field, &given[name])
+            let schema = schema.as_value();
+            let choices = choices(schema, &schema["properties"][name]);
+            parameter(name, &schema["properties"][name], choices, &given[name])
+        })
+        .collect()
+}
+
+/// The values of a choice, each without its numbers; none if `property` is no choice.
+fn choices(schema: &Value, property: &Value) -> Vec<Value> {
+    let name = property["$ref"].as_str().unwrap_or_default();
+    let definition = &schema["$defs"][name.trim_start_matches("#/$defs/")];
+    let variants = definition["oneOf"].as_array().into_iter().flatten();
+    variants
+        .map(|variant| match &variant["properties"]["kind"]["const"] {
+            Value::Null => variant["const"].clone(),
+            kind => serde_json::json!({ "kind": kind }),
         })
         .collect()
 }
 
 /// The parameter that a property describes.
-fn parameter(name: &str, property: &Value, default: &Value) -> Parameter {
+fn parameter(name: &str, property: &Value, choices: Vec<Value>, default: &Value) -> Parameter {
     let number = |key: &str| property[key].as_f64();
     let text = |key: &str| property[key].as_str().map(str::to_owned);
     let is = |kind: &str| match &property["type"] {
@@ -376,11 +390,7 @@ fn parameter(name: &str, property: &Value, default: &Value) -> Parameter {
         minimum: number("minimum"),
         exclusive_minimum: number("exclusiveMinimum"),
         maximum: number("maximum"),
-        choices: match kind {
-            // There is one of each so far.
-            ParameterKind::Choice => vec![default.clone()],
-            _ => Vec::new(),
-        },
+        choices,
         nullable: is("null"),
         // How many individuals there are is the one thing that must be said.
         default: match name {
@@ -461,7 +471,7 @@ mod tests {
         let written = serde_json::to_string(&Spec::new(1)).unwrap();
         let at = |name: &&str| written.find(&format!("\"{name}\":")).unwrap();
         assert!(names.is_sorted_by_key(at), "{names:?} of {written}");
-        assert_eq!(names.len(), 12);
+        assert_eq!(names.len(), 14);
         for it in &parameters {
             assert!(!it.doc.is_empty() && !it.doc.contains('\n'), "{it:?}");
             assert!(!it.unit.is_empty(), "{it:?}");

@@ -90,7 +90,7 @@ pub struct Parameter {
     pub exclusive_minimum: Option<f64>,
     /// The largest value as things are; `null` if there is none.
     pub maximum: Option<f64>,
-    /// The values of a choice; empty otherwise.
+    /// The values of a choice, of those that take numbers the kind alone; empty otherwise.
     pub choices: Vec<Value>,
     /// Whether `null` is a value.
     pub nullable: bool,

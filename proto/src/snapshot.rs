@@ -293,6 +293,18 @@ mod tests {
     use crate::Reply;
 
     #[test]
+    fn what_was_written_before_there_were_other_rules_is_still_read() {
+        let now = include_str!("../fixtures/snapshot.reply.json");
+        let before = now
+            .replace("\"stepping\": \"position\",", "")
+            .replace("\"relinearise\": 0,", "");
+        assert!(before.len() < now.len());
+        let [now, before] =
+            [now, &before].map(|it| serde_json::from_str::<Reply<Snapshot>>(it).unwrap());
+        assert_eq!(now, before);
+    }
+
+    #[test]
     fn a_damaged_file_is_refused_or_means_the_same() {
         let reply = include_str!("../fixtures/snapshot.reply.json");
         let reply: Reply<Snapshot> = serde_json::from_str(reply).unwrap();

@@ -176,15 +176,8 @@ pub fn spec(recipe: &Recipe, seed: u64) -> proto::Spec {
         pi3,
         pi4,
         dt,
-        contacts: match contacts {
-            ContactRule::Endpoints => proto::ContactRule::Endpoints,
-            ContactRule::Closest => proto::ContactRule::Closest,
-            ContactRule::Clamped => proto::ContactRule::Clamped,
-        },
-        stepping: match stepping {
-            Stepping::Position => proto::Stepping::Position,
-            Stepping::Velocity => proto::Stepping::Velocity,
-        },
+        contacts: contact_rule(contacts),
+        stepping: stepping_rule(stepping),
         relinearise: u8::from(relinearise),
         seed,
         start: match &recipe.start {
@@ -195,16 +188,35 @@ pub fn spec(recipe: &Recipe, seed: u64) -> proto::Spec {
                 alpha: alpha.clone(),
             },
         },
-        attraction: match attraction {
-            Attraction::All { accuracy } => proto::Attraction::All { accuracy },
-            Attraction::Voronoi => proto::Attraction::Voronoi {},
-            Attraction::Metric { radius } => proto::Attraction::Metric { radius },
-            Attraction::Topological { neighbours } => proto::Attraction::Topological { neighbours },
-            Attraction::Power { exponent } => proto::Attraction::Power { exponent },
-        },
+        attraction: attraction_law(attraction),
         noise,
         publish_every: recipe.publish_every,
         rate: recipe.rate,
+    }
+}
+
+fn contact_rule(rule: ContactRule) -> proto::ContactRule {
+    match rule {
+        ContactRule::Endpoints => proto::ContactRule::Endpoints,
+        ContactRule::Closest => proto::ContactRule::Closest,
+        ContactRule::Clamped => proto::ContactRule::Clamped,
+    }
+}
+
+fn stepping_rule(stepping: Stepping) -> proto::Stepping {
+    match stepping {
+        Stepping::Position => proto::Stepping::Position,
+        Stepping::Velocity => proto::Stepping::Velocity,
+    }
+}
+
+fn attraction_law(law: Attraction) -> proto::Attraction {
+    match law {
+        Attraction::All { accuracy } => proto::Attraction::All { accuracy },
+        Attraction::Voronoi => proto::Attraction::Voronoi {},
+        Attraction::Metric { radius } => proto::Attraction::Metric { radius },
+        Attraction::Topological { neighbours } => proto::Attraction::Topological { neighbours },
+        Attraction::Power { exponent } => proto::Attraction::Power { exponent },
     }
 }
 
@@ -372,11 +384,20 @@ pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
             "seed" => parameter.value = seen.seed.into(),
             "publish_every" => parameter.value = seen.publish_every.into(),
             "rate" => parameter.value = seen.rate.into(),
-            // There is only one value of the others so far, and it is the default.
+            "contacts" => parameter.value = value(&contact_rule(now.contacts)),
+            "stepping" => parameter.value = value(&stepping_rule(now.stepping)),
+            "relinearise" => parameter.value = u8::from(now.relinearise).into(),
+            "attraction" => parameter.value = value(&attraction_law(now.attraction)),
+            "noise" => parameter.value = now.noise.into(),
             _ => {}
         }
     }
     proto::Parameters { parameters }
+}
+
+fn value<T: Serialize>(choice: &T) -> serde_json::Value {
+    // All numbers are finite and all keys strings, so nothing can fail.
+    serde_json::to_value(choice).expect("choices are JSON")
 }
 
 /// A sender's arguments. They were read once, so they are JSON.

@@ -41,8 +41,8 @@ async fn a_created_swarm_is_there_paused_with_every_default_filled_in() {
     assert_eq!(
         spec["result"],
         json!({"n": 10, "pi1": 4.0, "pi2": 0.5, "pi3": 1.0, "pi4": 10.0, "dt": 0.02,
-            "contacts": "endpoints", "seed": 0, "start": {"kind": "disc"},
-            "attraction": {"kind": "all"}, "noise": 0.0, "publish_every": 5, "rate": 1.0})
+            "contacts": "endpoints", "stepping": "position", "relinearise": 0, "seed": 0,
+            "start": {"kind": "disc"}, "attraction": {"kind": "all"}, "noise": 0.0, "publish_every": 5, "rate": 1.0})
     );
     let status = client.get("a", "status").await;
     assert_eq!(status["result"]["reason"], "created");

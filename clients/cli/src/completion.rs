@@ -12,6 +12,7 @@ use jostle_proto::keys::DEFAULT_PREFIX;
 
 use crate::arguments::{Arguments, DEFAULT_ENDPOINT, GlobalArguments};
 use crate::bus::Bus;
+use crate::values::LAWS;
 
 /// The variable by which a shell asks.
 const VARIABLE: &str = "JOSTLE_COMPLETE";
@@ -71,6 +72,35 @@ pub fn nodes(typed: &OsStr) -> Vec<CompletionCandidate> {
 pub fn messages(typed: &OsStr) -> Vec<CompletionCandidate> {
     let messages = contract::schemas().into_keys();
     beginning_with(typed, messages.map(str::to_owned).collect())
+}
+
+/// The rules by which contacts are chosen.
+pub fn contact_rules(typed: &OsStr) -> Vec<CompletionCandidate> {
+    choices(typed, "contacts")
+}
+
+/// What contacts may limit.
+pub fn steppings(typed: &OsStr) -> Vec<CompletionCandidate> {
+    choices(typed, "stepping")
+}
+
+/// The laws of attraction, each that takes a number up to its `=`.
+pub fn laws(typed: &OsStr) -> Vec<CompletionCandidate> {
+    let laws = LAWS.map(|(law, number)| match number {
+        Some(_) if law != "all" => format!("{law}="),
+        _ => law.to_owned(),
+    });
+    beginning_with(typed, laws.into())
+}
+
+/// The values of a parameter that is a choice.
+fn choices(typed: &OsStr, name: &str) -> Vec<CompletionCandidate> {
+    let parameters = contract::parameters().into_iter();
+    let choices = parameters
+        .filter(|it| it.name == name)
+        .flat_map(|it| it.choices);
+    let words = choices.filter_map(|choice| choice.as_str().map(str::to_owned));
+    beginning_with(typed, words.collect())
 }
 
 /// The parameters that `set` changes, each up to its `=`.
@@ -168,6 +198,32 @@ mod tests {
         assert_eq!(of("pu"), ["publish_every="]);
         assert_eq!(of("n"), [""; 0], "`set` does not change it");
         assert_eq!(of("pi1=6"), [""; 0]);
+    }
+
+    #[test]
+    fn choices_are_completed() {
+        let all = OsStr::new("");
+        assert_eq!(
+            completed(&contact_rules(all)),
+            ["endpoints", "closest", "clamped"]
+        );
+        assert_eq!(completed(&steppings(all)), ["position", "velocity"]);
+        let laws = completed(&laws(all));
+        assert_eq!(
+            laws,
+            ["all", "voronoi", "metric=", "topological=", "power="]
+        );
+        let of_contract = contract::parameters().into_iter();
+        let kinds: Vec<_> = of_contract
+            .filter(|it| it.name == "attraction")
+            .flat_map(|it| it.choices)
+            .map(|it| it["kind"].clone())
+            .collect();
+        assert_eq!(
+            kinds,
+            LAWS.map(|(law, _)| law),
+            "they are those of the contract"
+        );
     }
 
     #[test]

@@ -5,7 +5,7 @@
 use jostle_proto::MAX_LABEL_LENGTH;
 use jostle_proto::keys::{NAME_RULE, is_name};
 use jostle_proto::verbs::{Pose, Region};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 /// Time units per second of wall clock; `None` is as fast as possible.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -19,6 +19,19 @@ pub struct Assignment {
     /// A number if it can be read as one, otherwise the text.
     pub value: Value,
 }
+
+/// What an individual turns towards, as a spec has it.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Law(pub Value);
+
+/// The laws of attraction, each with what its number is called.
+pub const LAWS: [(&str, Option<&str>); 5] = [
+    ("all", Some("accuracy")),
+    ("voronoi", None),
+    ("metric", Some("radius")),
+    ("topological", Some("neighbours")),
+    ("power", Some("exponent")),
+];
 
 /// Reads the name of a swarm or a node, which becomes part of a key: a wildcard there would be
 /// about every swarm.
@@ -110,6 +123,32 @@ pub fn rate(text: &str) -> Result<Rate, String> {
         .map_err(|_| format!("`{text}` is neither a number nor `max`"))
 }
 
+/// Reads a law of attraction: `voronoi`, or with a number `metric=3`.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn law(text: &str) -> Result<Law, String> {
+    let (kind, number) = match text.split_once('=') {
+        Some((kind, number)) => (kind, Some(number)),
+        None => (text, None),
+    };
+    let (_, field) = LAWS.iter().find(|(law, _)| *law == kind).ok_or_else(|| {
+        format!(
+            "`{kind}` is none of {}",
+            LAWS.map(|(law, _)| law).join(", ")
+        )
+    })?;
+    let mut law = json!({ "kind": kind });
+    match (field, number) {
+        (Some(field), Some(text)) => law[field] = assignment(&format!("{field}={text}"))?.value,
+        (None, Some(_)) => return Err(format!("{kind} takes no number")),
+        // Only of `all` the number may be left out, and the daemon says so.
+        (_, None) => {}
+    }
+    Ok(Law(law))
+}
+
 /// Reads `X,Y,RADIUS`.
 ///
 /// # Errors
@@ -178,6 +217,27 @@ mod tests {
         assert_eq!(rate("-1"), Ok(Rate(Some(-1.0))), "the daemon refuses it");
         for text in ["", "fast", "inf", "nan", "1 "] {
             assert_eq!(rate(text).is_err(), text != "1 ", "{text:?}");
+        }
+    }
+
+    #[test]
+    fn a_law_of_attraction_may_have_a_number() {
+        let of = |text: &str| law(text).unwrap().0;
+        assert_eq!(of("voronoi"), json!({"kind": "voronoi"}));
+        assert_eq!(of("all"), json!({"kind": "all"}));
+        assert_eq!(of("metric=2.5"), json!({"kind": "metric", "radius": 2.5}));
+        assert_eq!(
+            of("topological=7"),
+            json!({"kind": "topological", "neighbours": 7})
+        );
+        assert_eq!(of("power=-1"), json!({"kind": "power", "exponent": -1}));
+        assert_eq!(
+            of("metric"),
+            json!({"kind": "metric"}),
+            "the daemon refuses it"
+        );
+        for text in ["", "none", "voronoi=1", "=1"] {
+            assert!(law(text).is_err(), "{text:?}");
         }
     }
 

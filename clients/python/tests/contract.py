@@ -96,7 +96,7 @@ ADDED = {
 ELSEWHERE = {
     ("step.reply", "state"),  # `Swarm.step(state=True)` returns it.
 }
-# Any dictionary does, since so far there is one kind.
+# A dictionary, so that kinds of other daemons can be asked for and read.
 LOOSE = {"spec.reply.result.attraction", "create.reply.spec.attraction"}
 LOOSE |= {"fork.reply.spec.attraction", "restore.reply.spec.attraction"}
 LOOSE |= {"create.args.spec.attraction"}

@@ -9,7 +9,7 @@ use jostle_proto::verbs::{Pose, Region};
 use crate::arguments::{SenderArguments, SendingArguments};
 use crate::completion;
 use crate::selection::SelectionArguments;
-use crate::values::{self, Assignment, Rate};
+use crate::values::{self, Assignment, Law, Rate};
 
 /// Which swarm to pause.
 #[derive(Debug, Args)]
@@ -65,10 +65,39 @@ pub struct CreateArguments {
     /// The time step [default: 0.02]
     #[arg(long, value_name = "TIME", value_parser = values::number, allow_hyphen_values = true)]
     pub dt: Option<f64>,
-    /// How far off the attraction may be, 1e-9 to 1e-3; quicker from some thousand individuals on
-    /// [default: exact to rounding]
-    #[arg(long, value_name = "ERROR", value_parser = values::number, allow_hyphen_values = true)]
+    /// Which of a pair's contacts constrain it: `endpoints`, `closest` or `clamped` [default: endpoints]
+    #[arg(long, value_name = "RULE", add = ArgValueCompleter::new(completion::contact_rules))]
+    pub contacts: Option<String>,
+    /// What a contact limits: `position`, or the `velocity` of closing [default: position]
+    #[arg(long, value_name = "RULE", add = ArgValueCompleter::new(completion::steppings))]
+    pub stepping: Option<String>,
+    /// Solve another program about what the first one predicts: less overlap
+    #[arg(
+        long,
+        value_name = "PROGRAMS",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "1",
+        allow_negative_numbers = true
+    )]
+    pub relinearise: Option<u64>,
+    /// What an individual turns towards: all, voronoi, metric=RADIUS, topological=NEIGHBOURS or
+    /// power=EXPONENT of the distance [default: all]
+    #[arg(long, value_name = "LAW", value_parser = values::law, add = ArgValueCompleter::new(completion::laws))]
+    pub attraction: Option<Law>,
+    /// How far off the attraction to all may be, 1e-9 to 1e-3; quicker from some thousand
+    /// individuals on [default: exact to rounding]
+    #[arg(
+        long,
+        value_name = "ERROR",
+        conflicts_with = "attraction",
+        value_parser = values::number,
+        allow_hyphen_values = true
+    )]
     pub accuracy: Option<f64>,
+    /// Intensity of white noise on the turning rate, squared angle over time [default: 0]
+    #[arg(long, value_name = "INTENSITY", value_parser = values::number, allow_hyphen_values = true)]
+    pub noise: Option<f64>,
     /// The seed of every draw [default: 0]
     #[arg(long, allow_negative_numbers = true)]
     pub seed: Option<u64>,

@@ -12,7 +12,7 @@ use crate::failure::Failure;
 use crate::file;
 use crate::format;
 use crate::output::Output;
-use crate::values::Rate;
+use crate::values::{Law, Rate};
 use crate::verbs::{place, print};
 
 /// Creates a swarm.
@@ -60,6 +60,12 @@ fn spec(arguments: &CreateArguments) -> Result<Map<String, Value>, Failure> {
     put("pi3", arguments.pi3.map(Value::from));
     put("pi4", arguments.pi4.map(Value::from));
     put("dt", arguments.dt.map(Value::from));
+    put("contacts", arguments.contacts.clone().map(Value::from));
+    put("stepping", arguments.stepping.clone().map(Value::from));
+    put("relinearise", arguments.relinearise.map(Value::from));
+    let law = arguments.attraction.clone();
+    put("attraction", law.map(|Law(law)| law));
+    put("noise", arguments.noise.map(Value::from));
     let all = |accuracy| json!({"kind": "all", "accuracy": accuracy});
     put("attraction", arguments.accuracy.map(all));
     put("seed", arguments.seed.map(Value::from));
@@ -109,6 +115,15 @@ mod tests {
         assert_eq!(
             spec_of("--n 50 --accuracy 1e-6"),
             json!({"n": 50, "attraction": {"kind": "all", "accuracy": 1e-6}})
+        );
+        assert_eq!(
+            spec_of("--n 50 --attraction metric=3 --noise 0.1 --contacts closest --relinearise"),
+            json!({"n": 50, "attraction": {"kind": "metric", "radius": 3}, "noise": 0.1,
+                "contacts": "closest", "relinearise": 1})
+        );
+        assert_eq!(
+            spec_of("--n 50 --stepping velocity --relinearise=0"),
+            json!({"n": 50, "stepping": "velocity", "relinearise": 0})
         );
     }
 

@@ -293,7 +293,7 @@ class Parameter(msgspec.Struct, frozen=True, kw_only=True):
         minimum: The least value; None if there is none.
         exclusive_minimum: What it must be above; None if nothing.
         maximum: The largest value as things are; None if there is none.
-        choices: The values of a choice; empty otherwise.
+        choices: The values of a choice, of those that take numbers the kind alone; empty otherwise.
         nullable: Whether None is a value.
         default: What it is if left out; None if it must be given.
         value: What it is now.

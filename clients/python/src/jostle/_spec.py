@@ -41,12 +41,19 @@ class Spec(msgspec.Struct, frozen=True, kw_only=True):
         pi3: Body size over turning radius: above 0.
         pi4: Translational over rotational drag: above 0.
         dt: The time step: above 0, and short enough that no body is carried across another.
-        contacts: Which of a pair's contacts constrain it.
+        contacts: Which of a pair's contacts constrain it: `"endpoints"`; `"closest"`, the one
+            with the smallest gap alone; or, to compare, `"clamped"`, with implied ones too.
+        stepping: What a contact limits: `"position"`, the gap after the step, or `"velocity"`,
+            the speed at which touching bodies close.
+        relinearise: 1 to solve another program about what the first predicts, which leaves less
+            overlap and goes with `"position"` alone; 0 not to.
         seed: The seed of every draw: 0 to 2⁵³ - 1.
         start: Where the individuals begin.
         attraction: What an individual turns towards: `{"kind": "all"}`, and if wanted an
-            `"accuracy"` from 1e-9 to 1e-3, quicker from some thousand individuals on.
-        noise: Intensity of the noise on the turning rate.
+            `"accuracy"` from 1e-9 to 1e-3, quicker from some thousand individuals on;
+            `{"kind": "voronoi"}`, `{"kind": "metric", "radius": 3.0}`,
+            `{"kind": "topological", "neighbours": 7}` or `{"kind": "power", "exponent": -1.0}`.
+        noise: Intensity of white noise on the turning rate, squared angle over time: 0 or more.
         publish_every: Steps between two published states: 1 or more.
         rate: Time units per second of wall clock; None is as fast as possible.
     """
@@ -58,6 +65,8 @@ class Spec(msgspec.Struct, frozen=True, kw_only=True):
     pi4: float = 10.0
     dt: float = 0.02
     contacts: str = "endpoints"
+    stepping: str = "position"
+    relinearise: int = 0
     seed: int = 0
     start: Disc | Given = Disc()
     attraction: dict[str, Any] = msgspec.field(default_factory=lambda: {"kind": "all"})

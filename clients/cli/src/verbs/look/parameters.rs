@@ -45,7 +45,13 @@ fn value(value: &Value, is_nullable: bool) -> String {
         Value::Null => format::NONE.into(),
         Value::String(word) => word.clone(),
         Value::Object(choice) => match choice.get("kind").and_then(Value::as_str) {
-            Some(kind) => kind.into(),
+            Some(kind) => {
+                // Its number, if it has one, as `create --attraction` takes it.
+                let numbers = choice.values().filter_map(Value::as_f64);
+                numbers.fold(kind.into(), |text, it| {
+                    format!("{text}={}", format::number(it))
+                })
+            }
             None => value.to_string(),
         },
         Value::Number(number) => match number.as_f64() {
@@ -68,7 +74,7 @@ fn range(parameter: &Parameter) -> String {
     } = parameter;
     if parameter.kind == ParameterKind::Choice {
         let choices: Vec<String> = choices.iter().map(|choice| value(choice, false)).collect();
-        return choices.join(" or ");
+        return choices.join(", ");
     }
     let mut text = match (minimum, exclusive_minimum, maximum) {
         (Some(least), _, Some(most)) if least.to_bits() == most.to_bits() => {
@@ -126,7 +132,11 @@ mod tests {
         assert_eq!(of("n"), "1 or more | -");
         assert_eq!(of("pi1"), "1 to 32 | 4");
         assert_eq!(of("pi3"), "above 0, to 1e6 | 1");
-        assert_eq!(of("attraction"), "all | all");
+        assert_eq!(of("contacts"), "endpoints, closest, clamped | endpoints");
+        assert_eq!(
+            of("attraction"),
+            "all, voronoi, metric, topological, power | all"
+        );
         assert_eq!(of("rate"), "above 0, to 1e6, or max | 1");
         assert_eq!(value(&Value::Null, true), "max");
     }
