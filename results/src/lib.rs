@@ -2,11 +2,13 @@
 //!
 //! It knows neither the daemon nor the wire: rows in, files and pictures out.
 
+pub mod claims;
 pub mod disorder;
 pub mod figure;
 pub mod run;
 pub mod statistics;
 pub mod table;
+pub mod touch;
 
 mod file;
 

@@ -1,0 +1,212 @@
+//! Claim 5: how far informed individuals lead the others (Figure 6).
+
+use super::order::ERRORS;
+use super::{Answer, Claim, Evidence, Verdict, of_difference, with_error};
+use crate::statistics::Summary;
+
+pub(super) const CLAIMS: [Claim; 5] = [
+    Claim {
+        name: "5a",
+        says: "Elongation increases the drift speed, by up to a factor of 2.",
+        criterion: "the largest v_pd over that of discs, among all n, k and π1, is between 1.5 and 2.5; \
+                    and elongated bodies (π1 ≥ 2) are quicker by 2 standard errors in all conditions; \
+                    in part: in some",
+        ask: elongation_helps,
+    },
+    Claim {
+        name: "5b",
+        says: "Elongated and n ≤ 20: v_pd is significantly higher than k/n.",
+        criterion: "by 2 standard errors in every condition with π1 ≥ 2; in part: in some",
+        ask: more_than_their_share,
+    },
+    Claim {
+        name: "5c",
+        says: "Larger groups are led less well: v_pd is lower at n = 40 than at 10 and 20.",
+        criterion: "below both by 2 standard errors at every k/n and π1 ≥ 2; in part: at some",
+        ask: larger_groups_are_slower,
+    },
+    Claim {
+        name: "5d",
+        says: "Moderate elongation (2 ≤ π1 ≤ 4) sometimes does better than π1 = 8.",
+        criterion: "some v_pd at π1 = 2, 3 or 4 above that at 8 by 3 standard errors",
+        ask: moderate_is_sometimes_better,
+    },
+    Claim {
+        name: "5e",
+        says: "Runs differ much, especially at n = 10 and for elongated shapes.",
+        criterion: "mean standard deviation of runs at n = 10 at least 1.5 times that at n = 40, and \
+                    that of π1 ≥ 4 above that of discs; in part: one of both",
+        ask: runs_differ,
+    },
+];
+
+/// Weak elongation is not what the paper calls elongated.
+const ELONGATED_FROM: f64 = 2.0;
+
+fn share(it: &Summary) -> f64 {
+    it.condition.informed as f64 / it.condition.n as f64
+}
+
+fn elongated(evidence: &Evidence) -> Vec<&Summary> {
+    let all = evidence.informed();
+    all.filter(|it| it.condition.pi1 >= ELONGATED_FROM && it.v_pd.is_some())
+        .collect()
+}
+
+fn name(it: &Summary) -> String {
+    let condition = &it.condition;
+    format!(
+        "n = {}, k = {}, π1 = {}",
+        condition.n, condition.informed, condition.pi1
+    )
+}
+
+fn elongation_helps(evidence: &Evidence) -> Answer {
+    let (mut met, mut all, mut best) = (0, 0, None::<(f64, f64, String)>);
+    for it in elongated(evidence) {
+        let discs = evidence.drift(1.0, it.condition.n, it.condition.informed);
+        let (Some(long), Some(discs)) = (it.v_pd, discs) else {
+            continue;
+        };
+        all += 1;
+        let error = of_difference(long.error, discs.error);
+        met += usize::from(long.mean - discs.mean > ERRORS * error);
+        let ratio = long.mean / discs.mean;
+        let relative = |spread: crate::statistics::Spread| spread.error.map(|it| it / spread.mean);
+        let error = ratio * of_difference(relative(long), relative(discs));
+        if best.as_ref().is_none_or(|best| ratio > best.0) {
+            best = Some((ratio, error, name(it)));
+        }
+    }
+    let Some((ratio, error, place)) = best else {
+        return Answer::untold();
+    };
+    let verdict = match Verdict::of_cases(met, all) {
+        Verdict::Holds if !(1.5..=2.5).contains(&ratio) => Verdict::InPart,
+        verdict => verdict,
+    };
+    Answer {
+        measured: format!(
+            "largest ratio to discs {} ({place}); quicker than discs in {met} of {all} conditions",
+            with_error(ratio, Some(error))
+        ),
+        verdict,
+    }
+}
+
+fn more_than_their_share(evidence: &Evidence) -> Answer {
+    let few: Vec<_> = elongated(evidence)
+        .into_iter()
+        .filter(|it| it.condition.n <= 20)
+        .collect();
+    let mut gains: Vec<f64> = Vec::new();
+    let mut met = 0;
+    for it in &few {
+        let Some(drift) = it.v_pd else { continue };
+        let error = drift.error.unwrap_or(f64::INFINITY);
+        met += usize::from(drift.mean - share(it) > ERRORS * error);
+        gains.push(drift.mean / share(it));
+    }
+    gains.sort_by(f64::total_cmp);
+    let Some(median) = gains.get(gains.len() / 2) else {
+        return Answer::untold();
+    };
+    Answer {
+        measured: format!(
+            "v_pd / (k/n): median {median:.2}, least {:.2}, largest {:.2}; above 1 in {met} of {} \
+             conditions",
+            gains[0],
+            gains[gains.len() - 1],
+            gains.len()
+        ),
+        verdict: Verdict::of_cases(met, gains.len()),
+    }
+}
+
+fn larger_groups_are_slower(evidence: &Evidence) -> Answer {
+    let (mut met, mut all, mut losses) = (0, 0, Vec::new());
+    for it in elongated(evidence) {
+        let condition = &it.condition;
+        if condition.n != 40 || !condition.informed.is_multiple_of(4) {
+            continue;
+        }
+        let small = [(10, condition.informed / 4), (20, condition.informed / 2)];
+        let small = small.map(|(n, informed)| evidence.drift(condition.pi1, n, informed));
+        let ([Some(ten), Some(twenty)], Some(forty)) = (small, it.v_pd) else {
+            continue;
+        };
+        all += 1;
+        let is_below = |other: crate::statistics::Spread| {
+            other.mean - forty.mean > ERRORS * of_difference(other.error, forty.error)
+        };
+        met += usize::from(is_below(ten) && is_below(twenty));
+        losses.push(2.0 * forty.mean / (ten.mean + twenty.mean));
+    }
+    if losses.is_empty() {
+        return Answer::untold();
+    }
+    let mean = losses.iter().sum::<f64>() / losses.len() as f64;
+    Answer {
+        measured: format!(
+            "v_pd at n = 40 is {mean:.2} times the mean of n = 10 and 20, on average; below both in \
+             {met} of {all} conditions"
+        ),
+        verdict: Verdict::of_cases(met, all),
+    }
+}
+
+fn moderate_is_sometimes_better(evidence: &Evidence) -> Answer {
+    let (mut met, mut all, mut best) = (0, 0, None::<(f64, String)>);
+    for it in elongated(evidence) {
+        if it.condition.pi1 > 4.0 {
+            continue;
+        }
+        let eight = evidence.drift(8.0, it.condition.n, it.condition.informed);
+        let (Some(moderate), Some(eight)) = (it.v_pd, eight) else {
+            continue;
+        };
+        all += 1;
+        let errors = (moderate.mean - eight.mean) / of_difference(moderate.error, eight.error);
+        // Among so many comparisons two errors would come by chance.
+        met += usize::from(errors > 3.0);
+        if best.as_ref().is_none_or(|best| errors > best.0) {
+            let told = format!(
+                "{} against {} at π1 = 8 ({}), {errors:.1} standard errors",
+                with_error(moderate.mean, moderate.error),
+                with_error(eight.mean, eight.error),
+                name(it)
+            );
+            best = Some((errors, told));
+        }
+    }
+    let Some((_, told)) = best else {
+        return Answer::untold();
+    };
+    Answer {
+        measured: format!("in {met} of {all} conditions; clearest: {told}"),
+        verdict: Verdict::of_cases(usize::from(met > 0), 1),
+    }
+}
+
+fn runs_differ(evidence: &Evidence) -> Answer {
+    let mean = |is_among: &dyn Fn(&Summary) -> bool| {
+        let among = evidence.informed().filter(|it| is_among(it));
+        let spreads: Vec<f64> = among.filter_map(|it| it.v_pd?.deviation).collect();
+        spreads.iter().sum::<f64>() / spreads.len() as f64
+    };
+    let long = |it: &Summary| it.condition.pi1 >= 4.0;
+    let of = |n: u64| mean(&|it: &Summary| long(it) && it.condition.n == n);
+    let [ten, twenty, forty] = [10, 20, 40].map(of);
+    let discs = mean(&|it: &Summary| it.condition.pi1 == 1.0 && it.condition.n == 10);
+    if [ten, twenty, forty, discs].iter().any(|it| it.is_nan()) {
+        return Answer::untold();
+    }
+    let met = usize::from(ten >= 1.5 * forty) + usize::from(ten > discs);
+    Answer {
+        measured: format!(
+            "standard deviation of v_pd among runs, π1 ≥ 4: {ten:.3}, {twenty:.3}, {forty:.3} at n = \
+             10, 20, 40; discs at n = 10: {discs:.3}"
+        ),
+        verdict: Verdict::of_cases(met, 2),
+    }
+}

@@ -1,0 +1,205 @@
+//! Claims 3 and 4: how long order takes to come and stays, and the size of clusters (Figures 4, 5).
+
+use super::order::ELONGATED;
+use super::{Answer, Claim, Evidence, Verdict, with_error};
+use crate::disorder::n_eff;
+use crate::statistics::Summary;
+
+pub(super) const CLAIMS: [Claim; 5] = [
+    Claim {
+        name: "3a",
+        says: "Build-up times grow exponentially with n (π1 ≥ 4).",
+        criterion: "from n = 10 on a straight line of log time over n fits with R² ≥ 0.9, and better \
+                    than over log n, for both; in part: for one",
+        ask: build_up_grows,
+    },
+    Claim {
+        name: "3b",
+        says: "Breakdown times are still well above 1 at n = 50 for π1 ≥ 4.",
+        criterion: "2 or more for both; in part: for one; as the paper, only where every run reached \
+                    order",
+        ask: breakdown_at_50,
+    },
+    Claim {
+        name: "4a",
+        says: "n_eff is close to n for groups of a few (π1 ≥ 4).",
+        criterion: "n_eff ≥ 0.8 n at every n ≤ 7; in part: at some",
+        ask: few_are_one_cluster,
+    },
+    Claim {
+        name: "4b",
+        says: "n_eff ≈ 10 at n = 50 for π1 ≥ 4.",
+        criterion: "between 7 and 14 for both; in part: for one",
+        ask: ten_of_fifty,
+    },
+    Claim {
+        name: "4c",
+        says: "n_eff probably saturates.",
+        criterion: "n_eff grows by less than a quarter from n = 50 to 74, for both; in part: for one",
+        ask: saturates,
+    },
+];
+
+/// The share of the scatter of `y` that a straight line over `x` explains, and its slope.
+fn line(points: &[(f64, f64)]) -> (f64, f64) {
+    let count = points.len() as f64;
+    let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
+    let (x, y) = (mean(|it| it.0), mean(|it| it.1));
+    let sum = |of: &dyn Fn(f64, f64) -> f64| {
+        let terms = points.iter().map(|it| of(it.0 - x, it.1 - y));
+        terms.sum::<f64>()
+    };
+    let (xx, xy, yy) = (sum(&|a, _| a * a), sum(&|a, b| a * b), sum(&|_, b| b * b));
+    (xy * xy / (xx * yy), xy / xx)
+}
+
+fn build_up_grows(evidence: &Evidence) -> Answer {
+    let (mut met, mut told) = (0, Vec::new());
+    for pi1 in ELONGATED {
+        let all = evidence.uninformed(pi1);
+        let of = |it: &&Summary| Some((it.condition.n as f64, it.build_up?.mean));
+        let points: Vec<_> = all
+            .iter()
+            .filter_map(of)
+            .filter(|it| it.0 >= 10.0)
+            .collect();
+        if points.len() < 3 {
+            told.push(format!(
+                "{} points where every run reached order (π1 = {pi1})",
+                points.len()
+            ));
+            continue;
+        }
+        let exponential: Vec<_> = points.iter().map(|it| (it.0, it.1.ln())).collect();
+        let power: Vec<_> = points.iter().map(|it| (it.0.ln(), it.1.ln())).collect();
+        let ((fit, slope), (other, _)) = (line(&exponential), line(&power));
+        met += usize::from(fit >= 0.9 && fit >= other && slope > 0.0);
+        let (first, last) = (points[0], points[points.len() - 1]);
+        told.push(format!(
+            "×{:.2} each 10 individuals, R² {fit:.3} (over log n {other:.3}); {:.1} at n = {} to {:.1} \
+             at n = {} (π1 = {pi1})",
+            (10.0 * slope).exp(),
+            first.1,
+            first.0,
+            last.1,
+            last.0
+        ));
+    }
+    if evidence.uninformed(ELONGATED[0]).is_empty() {
+        return Answer::untold();
+    }
+    Answer {
+        measured: told.join("; "),
+        verdict: Verdict::of_cases(met, ELONGATED.len()),
+    }
+}
+
+fn breakdown_at_50(evidence: &Evidence) -> Answer {
+    let (mut met, mut told) = (0, Vec::new());
+    for pi1 in ELONGATED {
+        let Some(it) = evidence.one(pi1, 50) else {
+            return Answer::untold();
+        };
+        match it.breakdown {
+            Some(time) => {
+                met += usize::from(time.mean >= 2.0);
+                told.push(format!(
+                    "{} (π1 = {pi1})",
+                    with_error(time.mean, time.error)
+                ));
+            }
+            None => told.push(format!("not every run reached order (π1 = {pi1})")),
+        }
+    }
+    Answer {
+        measured: told.join(", "),
+        verdict: Verdict::of_cases(met, ELONGATED.len()),
+    }
+}
+
+/// `n_eff` and half the range that one standard error of `v` up and down gives.
+fn cluster(it: &Summary) -> Option<(f64, Option<f64>)> {
+    let n = it.condition.n;
+    let size = it.n_eff?;
+    let error = it.v.error.and_then(|error| {
+        let [low, high] = [-error, error].map(|by| n_eff(n, it.v.mean + by));
+        Some((high? - low?) / 2.0)
+    });
+    Some((size, error))
+}
+
+fn few_are_one_cluster(evidence: &Evidence) -> Answer {
+    let few = ELONGATED.map(|pi1| evidence.uninformed(pi1)).concat();
+    let few = few.into_iter().filter(|it| it.condition.n <= 7);
+    let shares: Vec<(f64, &Summary)> = few
+        .map(|it| (it.n_eff.unwrap_or(0.0) / it.condition.n as f64, it))
+        .collect();
+    let Some((least, it)) = shares.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else {
+        return Answer::untold();
+    };
+    let met = shares.iter().filter(|it| it.0 >= 0.8).count();
+    Answer {
+        measured: format!(
+            "least n_eff / n = {least:.3} (π1 = {}, n = {}); {met} of {} at 0.8 or more",
+            it.condition.pi1,
+            it.condition.n,
+            shares.len()
+        ),
+        verdict: Verdict::of_cases(met, shares.len()),
+    }
+}
+
+fn ten_of_fifty(evidence: &Evidence) -> Answer {
+    let (mut met, mut told) = (0, Vec::new());
+    for pi1 in ELONGATED {
+        let Some(it) = evidence.one(pi1, 50) else {
+            return Answer::untold();
+        };
+        let Some((size, error)) = cluster(it) else {
+            told.push(format!("none: v is below v_ind (π1 = {pi1})"));
+            continue;
+        };
+        met += usize::from((7.0..=14.0).contains(&size));
+        told.push(format!("{} (π1 = {pi1})", with_error(size, error)));
+    }
+    Answer {
+        measured: format!("n_eff = {}", told.join(", ")),
+        verdict: Verdict::of_cases(met, ELONGATED.len()),
+    }
+}
+
+fn saturates(evidence: &Evidence) -> Answer {
+    let (mut met, mut told) = (0, Vec::new());
+    for pi1 in ELONGATED {
+        let (Some(fifty), Some(more)) = (evidence.one(pi1, 50), evidence.one(pi1, 74)) else {
+            return Answer::untold();
+        };
+        let (Some(before), Some(after)) = (cluster(fifty), cluster(more)) else {
+            told.push(format!("none: v is below v_ind (π1 = {pi1})"));
+            continue;
+        };
+        met += usize::from(after.0 < 1.25 * before.0);
+        told.push(format!(
+            "{} at n = 50, {} at 74 (π1 = {pi1})",
+            with_error(before.0, before.1),
+            with_error(after.0, after.1)
+        ));
+    }
+    Answer {
+        measured: format!("n_eff = {}", told.join("; ")),
+        verdict: Verdict::of_cases(met, ELONGATED.len()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_explains_what_is_straight() {
+        let (fit, slope) = line(&[(1.0, 2.0), (2.0, 4.0), (4.0, 8.0)]);
+        assert!((fit - 1.0).abs() < 1e-12 && (slope - 2.0).abs() < 1e-12);
+        let (fit, _) = line(&[(0.0, 0.0), (1.0, 1.0), (2.0, 0.0)]);
+        assert!(fit < 1e-12);
+    }
+}

@@ -1,0 +1,107 @@
+//! What contacts do to bodies, one row a run, as CSV.
+
+use std::io::Write;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::file;
+use crate::table::TableError;
+
+/// The name of the table within its directory.
+pub const TOUCH_NAME: &str = "touch.csv";
+
+/// How much bodies touch in a run, and what comes of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Touch {
+    /// The run's name.
+    pub run: String,
+    /// Individuals.
+    pub n: u64,
+    /// Length over width of a body.
+    pub pi1: f64,
+    /// Body size over turning radius.
+    pub pi3: f64,
+    /// Translational over rotational drag.
+    pub pi4: f64,
+    /// The contact rule.
+    pub contacts: String,
+    /// The time step.
+    pub dt: f64,
+    /// The mean number of contacts that push, over the number of individuals.
+    pub pushing: f64,
+    /// How fast contacts turn an individual that is pushed, on the mean: angle over time.
+    pub turned: f64,
+    /// The mean share of individuals that have another at their side, heading the same way.
+    pub beside: f64,
+    /// The way of the centroid from the start to the end, over that of one free individual.
+    pub way: f64,
+}
+
+/// Writes `rows` to `path`.
+///
+/// # Errors
+///
+/// [`TableError::Io`].
+pub fn write(path: &Path, rows: &[Touch]) -> Result<(), TableError> {
+    let io = |source| TableError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    let mut file = file::begin(path).map_err(io)?;
+    let mut writer = csv::Writer::from_writer(Vec::new());
+    let written = rows.iter().try_for_each(|row| writer.serialize(row));
+    let bytes = written
+        .map_err(|error| error.to_string())
+        .and_then(|()| writer.into_inner().map_err(|error| error.to_string()))
+        .map_err(|reason| malformed(path, reason))?;
+    file.write_all(&bytes).map_err(io)?;
+    file::publish(file, path).map_err(io)
+}
+
+/// Reads the table of `directory`; without one there are no rows.
+///
+/// # Errors
+///
+/// [`TableError`].
+pub fn read(directory: &Path) -> Result<Vec<Touch>, TableError> {
+    let path = directory.join(TOUCH_NAME);
+    if !path.exists() {
+        return Ok(Vec::new());
+    }
+    let explain = |error: csv::Error| malformed(&path, error.to_string());
+    let mut reader = csv::Reader::from_path(&path).map_err(explain)?;
+    reader
+        .deserialize()
+        .map(|row| row.map_err(explain))
+        .collect()
+}
+
+fn malformed(path: &Path, reason: String) -> TableError {
+    TableError::Malformed {
+        path: path.to_owned(),
+        reason,
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_survive_to_the_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        assert_eq!(read(folder.path()).unwrap(), []);
+        let row = Touch {
+            run: "pi4=1 #0".to_owned(),
+            pushing: 1.0 / 3.0,
+            ..Touch::default()
+        };
+        let rows = [row.clone(), row];
+        write(&folder.path().join(TOUCH_NAME), &rows).unwrap();
+        assert_eq!(read(folder.path()).unwrap(), rows);
+        std::fs::write(folder.path().join(TOUCH_NAME), "run,n\na,b\n").unwrap();
+        assert!(read(folder.path()).is_err());
+    }
+}
