@@ -8,6 +8,9 @@
 //! contacts, solves the quadratic program of Principle 1 and moves everybody; [`observables`]
 //! measures the result and [`publish`] shows it.
 //!
+//! How an experiment is made: [`experiment`] reads a grid of runs from a file, steps each from its
+//! start to its end, and writes a row for each; [`batch`] is its command line.
+//!
 //! Each module may use those above it: `model`, `stepper`, `observables`, `swarm`, `host`,
 //! `command`, `server`. Only `publish` and `server` know zenoh, and the first three know no
 //! clock, thread, file or serialiser.
@@ -23,6 +26,9 @@ pub mod swarm;
 
 pub mod host;
 
+pub mod experiment;
+
+pub mod batch;
 pub mod command;
 pub mod config;
 pub mod demo;

@@ -1,11 +1,13 @@
 //! `jostled`: hosts swarms and serves them on zenoh.
 
 use std::io::{IsTerminal as _, Write as _};
+use std::num::NonZero;
 use std::path::PathBuf;
 use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::{Args, Parser, Subcommand};
+use jostled::batch;
 use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
 use jostled::demo;
 use jostled::gateway::{self, GatewayError};
@@ -33,6 +35,28 @@ enum Command {
         /// End by itself after this much time at the demo's rate, such as `20s`, `5m` or `1.5h`.
         #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
         lasting: Option<Duration>,
+    },
+    /// Carry out an experiment, without a network; what is finished is never done again.
+    Run {
+        /// The experiment, a TOML file.
+        file: PathBuf,
+        /// Keep results here, and go on from what is there.
+        #[arg(
+            short,
+            long,
+            value_name = "FOLDER",
+            required_unless_present = "dry_run"
+        )]
+        output: Option<PathBuf>,
+        /// Runs at a time [default: one a core].
+        #[arg(long, value_name = "N")]
+        threads: Option<NonZero<usize>>,
+        /// As JSON.
+        #[arg(long)]
+        json: bool,
+        /// List the runs and their seeds, and do nothing.
+        #[arg(long, conflicts_with = "output")]
+        dry_run: bool,
     },
     /// Say what the settings are, and serve nothing.
     Config {
@@ -132,6 +156,25 @@ fn main() -> ExitCode {
     {
         return show(&explain::default_file());
     }
+    if let Command::Run {
+        file,
+        output,
+        threads,
+        json,
+        ..
+    } = command
+    {
+        let options = batch::Options {
+            file,
+            output,
+            threads,
+            json,
+        };
+        return match batch::run(&options) {
+            Ok(code) => ExitCode::from(code),
+            Err(error) => fail(1, &error),
+        };
+    }
     let mut merged = match settings.merge() {
         Ok(merged) => merged,
         Err(error) => return fail(2, &error),
@@ -166,7 +209,7 @@ fn main() -> ExitCode {
         }
     };
     let demo = match command {
-        Command::Serve => None,
+        Command::Serve | Command::Run { .. } => None,
         Command::Demo { lasting } => Some(lasting),
         Command::Config { command } => {
             if let Err(error) = session::check(&config.listen) {

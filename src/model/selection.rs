@@ -162,7 +162,11 @@ fn by_id(
 }
 
 /// Rounds a share of `candidates` to whole individuals, halves upwards.
-fn share(candidates: usize, fraction: f64) -> Result<usize, SelectionError> {
+///
+/// # Errors
+///
+/// [`SelectionError::Number`] outside [0, 1].
+pub fn share(candidates: usize, fraction: f64) -> Result<usize, SelectionError> {
     if !(0.0..=1.0).contains(&fraction) {
         let (field, value, range) = ("select.fraction", fraction, "[0, 1]");
         return Err(ParametersError::OutOfRange {

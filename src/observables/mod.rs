@@ -1,4 +1,9 @@
-//! What is read off a configuration: order and drift, now and as running means.
+//! What is read off configurations: order and drift, now and as running means, nematic order,
+//! clusters, intervals of order.
+
+pub mod clusters;
+pub mod intervals;
+pub mod nematic;
 
 use crate::model::Configuration;
 
@@ -27,31 +32,54 @@ pub struct Order {
 ///   direction is that of the sum of unit vectors, each times its individual's weight.
 #[must_use]
 pub fn order(configuration: &Configuration) -> Order {
-    let share = 1.0 / configuration.n().max(1) as f64;
-    let mut velocity = [0.0, 0.0];
-    for &alpha in &configuration.alpha {
+    let headings = configuration.alpha.iter().map(|&alpha| {
         let (sin, cos) = libm::sincos(alpha);
-        velocity = [velocity[0] + cos, velocity[1] + sin];
-    }
-    velocity = velocity.map(|sum| sum * share);
-    let length = |vector: [f64; 2]| (vector[0] * vector[0] + vector[1] * vector[1]).sqrt();
-    let (mut wanted, mut weights) = ([0.0, 0.0], 0.0);
+        [cos, sin]
+    });
+    order_of(headings, wish(configuration))
+}
+
+/// What the informed individuals want together: the sum of their unit vectors, each times its
+/// individual's weight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Wish {
+    sum: [f64; 2],
+    strength: f64,
+}
+
+/// Sums what the informed individuals want; none if nobody is informed, or if it cancels.
+#[must_use]
+pub fn wish(configuration: &Configuration) -> Option<Wish> {
+    let (mut sum, mut weights) = ([0.0, 0.0], 0.0);
     for (&weight, &direction) in configuration.weight.iter().zip(&configuration.direction) {
         if weight > 0.0 {
             let (sin, cos) = libm::sincos(direction);
-            wanted = [wanted[0] + weight * cos, wanted[1] + weight * sin];
+            sum = [sum[0] + weight * cos, sum[1] + weight * sin];
             weights += weight;
         }
     }
-    let strength = length(wanted);
-    let is_common = strength > CANCELLED * weights;
+    let strength = length(sum);
+    (strength > CANCELLED * weights).then_some(Wish { sum, strength })
+}
+
+/// Measures order and drift of those whose headings are known as unit vectors.
+#[must_use]
+pub fn order_of(headings: impl ExactSizeIterator<Item = [f64; 2]>, wish: Option<Wish>) -> Order {
+    let share = 1.0 / headings.len().max(1) as f64;
+    let sum = headings.fold([0.0, 0.0], |sum, [cos, sin]| [sum[0] + cos, sum[1] + sin]);
+    let velocity = sum.map(|sum| sum * share);
     Order {
         // Rounding must not lift it over what it can be.
         order: length(velocity).min(1.0),
         velocity,
-        direction: is_common.then(|| libm::atan2(wanted[1], wanted[0])),
-        drift: is_common.then(|| (velocity[0] * wanted[0] + velocity[1] * wanted[1]) / strength),
+        direction: wish.map(|Wish { sum, .. }| libm::atan2(sum[1], sum[0])),
+        drift: wish
+            .map(|Wish { sum, strength }| (velocity[0] * sum[0] + velocity[1] * sum[1]) / strength),
     }
+}
+
+fn length(vector: [f64; 2]) -> f64 {
+    (vector[0] * vector[0] + vector[1] * vector[1]).sqrt()
 }
 
 /// Means over steps, of what held at the beginning of each.

@@ -58,6 +58,8 @@ pub struct Stepper {
     /// program. That is about the configuration which the first one predicts.
     carried: Vec<[f64; 3]>,
     predicted: Configuration,
+    /// The headings of the configuration that the program not at hand is about.
+    other_headings: Vec<[f64; 2]>,
     between: SolverMemory,
 }
 
@@ -283,6 +285,7 @@ impl Stepper {
         predicted.clone_from(configuration);
         self.carried.clone_from(&self.solution.displacement);
         displace_all(&mut predicted, &self.carried);
+        std::mem::swap(&mut self.free.heading, &mut self.other_headings);
         self.free.head(&predicted);
         let result = self.list(parameters, &predicted).and_then(|()| {
             for contact in &mut self.qp.contacts {
@@ -292,7 +295,14 @@ impl Stepper {
             self.solve(state, &predicted, report)
         });
         self.predicted = predicted;
+        std::mem::swap(&mut self.free.heading, &mut self.other_headings);
         result
+    }
+
+    /// Unit vectors along the bodies as the last step began.
+    #[must_use]
+    pub fn headings(&self) -> &[[f64; 2]] {
+        &self.free.heading
     }
 
     /// The program assembled last, and a guess of its multipliers.

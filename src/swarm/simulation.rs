@@ -370,7 +370,11 @@ impl Simulation {
 }
 
 /// The first state of a recipe.
-fn begin(recipe: &Recipe) -> Result<State, OrderError> {
+///
+/// # Errors
+///
+/// [`OrderError::Parameters`] and [`OrderError::Start`].
+pub fn begin(recipe: &Recipe) -> Result<State, OrderError> {
     recipe.parameters.check(0.0)?;
     let configuration: Configuration = match &recipe.start {
         Start::Disc(radius) => start::disc(&recipe.parameters, recipe.n, *radius, recipe.seed)?,

@@ -11,6 +11,6 @@ pub use from_proto::{
     WireError, count, pose, publish_every, rate, recipe, region, selection, weight, whole,
 };
 pub use to_proto::{
-    Payload, created, event, events, journal, limits, order_sample, outcome, parameters, reply,
-    spec, state, status, summary,
+    Payload, created, event, events, hexadecimal, journal, limits, order_sample, outcome,
+    parameters, reply, spec, state, status, summary,
 };

@@ -487,7 +487,7 @@ fn hash(seen: &Frame) -> String {
 }
 
 /// A hash in hexadecimal.
-pub(super) fn hexadecimal(hash: &[u8; 32]) -> String {
+pub fn hexadecimal(hash: &[u8; 32]) -> String {
     use std::fmt::Write as _;
     let mut text = String::with_capacity(64);
     for byte in hash {

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 18] = [
+const MAY_USE: [(&str, &[&str]); 20] = [
     ("model", &[]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
@@ -18,6 +18,11 @@ const MAY_USE: [(&str, &[&str]); 18] = [
     ("command", &["model", "swarm", "host", "wire"]),
     ("wire", &["model", "observables", "swarm", "host", "health"]),
     ("publish", &["meter", "swarm", "command", "wire"]),
+    (
+        "experiment",
+        &["model", "stepper", "observables", "swarm", "wire"],
+    ),
+    ("batch", &["experiment"]),
     ("config", &["host"]),
     (
         "server",
@@ -27,20 +32,43 @@ const MAY_USE: [(&str, &[&str]); 18] = [
         ],
     ),
     ("demo", &["swarm", "host", "command", "server"]),
-    ("main", &["config", "demo", "gateway", "server"]),
+    ("main", &["batch", "config", "demo", "gateway", "server"]),
     ("lib", &[]),
     ("", &[]),
 ];
 
 /// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 16] = [
+const ONLY_IN: [(&str, &[&str]); 18] = [
     ("zenoh::", &["publish", "server"]),
     ("zenoh_ext::", &["publish"]),
     (
         "jostle_proto",
-        &["command", "config", "demo", "publish", "server", "wire"],
+        &[
+            "command",
+            "config",
+            "demo",
+            "experiment/grid",
+            "experiment/plan",
+            "publish",
+            "server",
+            "wire",
+        ],
     ),
-    ("serde", &["command", "demo", "gateway", "server", "wire"]),
+    (
+        "serde",
+        &[
+            "batch",
+            "command",
+            "demo",
+            "experiment/file",
+            "experiment/folder",
+            "gateway",
+            "server",
+            "wire",
+        ],
+    ),
+    ("jostle_results", &["experiment"]),
+    ("indicatif::", &["batch"]),
     ("axum::", &["gateway"]),
     ("prometheus_client::", &["gateway"]),
     ("tokio::", &["demo", "gateway", "main", "server"]),
@@ -48,6 +76,8 @@ const ONLY_IN: [(&str, &[&str]); 16] = [
     (
         "std::thread",
         &[
+            "batch",
+            "experiment/execute",
             "health",
             "host",
             "model/threads",
@@ -59,16 +89,32 @@ const ONLY_IN: [(&str, &[&str]); 16] = [
     (
         "std::time",
         &[
-            "command", "demo", "health", "host", "main", "meter", "publish", "server", "store",
+            "batch",
+            "command",
+            "demo",
+            "experiment/control",
+            "health",
+            "host",
+            "main",
+            "meter",
+            "publish",
+            "server",
+            "store",
             "swarm",
         ],
     ),
-    ("std::fs", &["config", "health", "store"]),
+    (
+        "std::fs",
+        &["batch", "config", "experiment/folder", "health", "store"],
+    ),
     (
         "std::sync",
         &[
+            "batch",
             "command",
             "demo",
+            "experiment/control",
+            "experiment/execute",
             "gateway",
             "health",
             "host",

@@ -12,6 +12,7 @@ mod contract;
 mod copies;
 mod corpora;
 mod crash;
+mod experiment;
 mod health;
 mod history;
 mod load;

@@ -1,0 +1,270 @@
+//! `jostled run`: an experiment from its file to its tables, without a network.
+
+use std::io::{IsTerminal as _, Write as _};
+use std::num::NonZero;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use comfy_table::{CellAlignment, Table, presets::NOTHING};
+use indicatif::{ProgressBar, ProgressStyle};
+use serde_json::json;
+use signal_hook::consts::{SIGINT, SIGTERM};
+use thiserror::Error;
+
+use crate::experiment::{
+    Control, ExecuteError, Folder, FolderError, Outcome, Plan, PlanError, Progress, execute,
+};
+
+/// How often the bar is renewed and Ctrl-C looked for.
+const LOOK: Duration = Duration::from_millis(50);
+
+/// How often a line tells of the progress where there is no terminal.
+const TELL: Duration = Duration::from_secs(10);
+
+/// How many runs that ended early are listed.
+const MOST_LISTED: usize = 10;
+
+/// The exit code of what Ctrl-C ended.
+const INTERRUPTED: u8 = 130;
+
+/// What was asked for.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The experiment's file.
+    pub file: PathBuf,
+    /// Where its results go; if nowhere, its runs are only listed.
+    pub output: Option<PathBuf>,
+    /// How many runs at a time; as many as there are cores if not given.
+    pub threads: Option<NonZero<usize>>,
+    /// Whether programs read what is printed.
+    pub json: bool,
+}
+
+/// Why there are no results, or not all.
+#[derive(Debug, Error)]
+pub enum BatchError {
+    /// The file cannot be read.
+    #[error("failed to read {}: {source}", file.display())]
+    Unreadable {
+        /// The file.
+        file: PathBuf,
+        /// What the system says.
+        source: std::io::Error,
+    },
+    /// The file describes no experiment.
+    #[error("failed to plan {}: {source}", file.display())]
+    Plan {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        source: PlanError,
+    },
+    /// The folder cannot be used.
+    #[error("failed to {0}")]
+    Folder(#[from] FolderError),
+    /// The experiment came to no end.
+    #[error("failed to go on: {0}")]
+    Execute(#[from] ExecuteError),
+    /// Ctrl-C cannot be waited for.
+    #[error("failed to wait for signals: {0}")]
+    Signals(std::io::Error),
+}
+
+/// Carries out an experiment and returns the exit code.
+///
+/// # Errors
+///
+/// [`BatchError`].
+pub fn run(options: &Options) -> Result<u8, BatchError> {
+    let file = &options.file;
+    let text = std::fs::read_to_string(file).map_err(|source| BatchError::Unreadable {
+        file: file.clone(),
+        source,
+    })?;
+    let plan = Plan::parse(&text).map_err(|source| BatchError::Plan {
+        file: file.clone(),
+        source,
+    })?;
+    let Some(output) = &options.output else {
+        list(&plan, options.json);
+        return Ok(0);
+    };
+    let mut folder = Folder::open(output, &plan)?;
+    let control = Control::new();
+    let interrupted = Arc::new(AtomicBool::new(false));
+    for signal in [SIGINT, SIGTERM] {
+        // The second one does not wait for anybody.
+        let code = i32::from(INTERRUPTED);
+        signal_hook::flag::register_conditional_shutdown(signal, code, interrupted.clone())
+            .and_then(|_| signal_hook::flag::register(signal, interrupted.clone()))
+            .map_err(BatchError::Signals)?;
+    }
+    let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
+    let threads = options.threads.unwrap_or_else(cores).get();
+    let outcome = thread::scope(|scope| {
+        let (plan, folder, control) = (&plan, &mut folder, &control);
+        let executing = scope.spawn(move || execute(plan, folder, threads, control));
+        let mut display = Display::new(options.json);
+        while !executing.is_finished() {
+            if interrupted.load(Ordering::Relaxed) {
+                control.cancel();
+            }
+            display.show(&control.progress());
+            thread::sleep(LOOK);
+        }
+        display.clear();
+        executing.join()
+    });
+    let outcome = outcome.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+    conclude(options, output, &outcome, &control.progress());
+    Ok(if outcome.is_cancelled { INTERRUPTED } else { 0 })
+}
+
+/// Lists the runs there would be.
+fn list(plan: &Plan, is_json: bool) {
+    let mut out = std::io::stdout().lock();
+    for run in plan.runs() {
+        let point = plan.point(run);
+        let told = match is_json {
+            true => writeln!(
+                out,
+                "{}",
+                json!({"run": run.name, "seed": run.seed, "n": point.recipe.n,
+                    "informed": point.informed, "steps": point.steps})
+            ),
+            false => writeln!(out, "{}\t{}", run.seed, run.name),
+        };
+        if told.is_err() {
+            // Nobody reads on.
+            return;
+        }
+    }
+}
+
+/// What is seen meanwhile: a bar on a terminal, else a line now and then.
+struct Display {
+    bar: Option<ProgressBar>,
+    told: Instant,
+    is_quiet: bool,
+}
+
+impl Display {
+    fn new(is_quiet: bool) -> Self {
+        let is_seen = std::io::stderr().is_terminal() && !is_quiet;
+        let template = "{bar:30} {percent:>3} %  {msg}";
+        Self {
+            bar: is_seen.then(|| {
+                let style = ProgressStyle::with_template(template).expect("a constant");
+                ProgressBar::new(1000).with_style(style)
+            }),
+            told: Instant::now(),
+            is_quiet,
+        }
+    }
+
+    fn show(&mut self, progress: &Progress) {
+        #[expect(
+            clippy::cast_possible_truncation,
+            clippy::cast_sign_loss,
+            reason = "a share of 1000"
+        )]
+        let position = (progress.share * 1000.0) as u64;
+        let text = describe(progress);
+        match &self.bar {
+            Some(bar) => {
+                bar.set_position(position);
+                bar.set_message(text);
+            }
+            None if !self.is_quiet && self.told.elapsed() >= TELL => {
+                eprintln!("jostled: {:3} %, {text}", position / 10);
+                self.told = Instant::now();
+            }
+            None => {}
+        }
+    }
+
+    fn clear(&self) {
+        if let Some(bar) = &self.bar {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+fn describe(progress: &Progress) -> String {
+    let Progress {
+        runs,
+        finished,
+        faulted,
+        left_secs,
+        ..
+    } = progress;
+    let mut text = format!("{finished} of {runs} runs");
+    if *faulted > 0 {
+        text.push_str(&format!(", {faulted} ended early"));
+    }
+    if let Some(left) = left_secs {
+        text.push_str(&format!(", {} left", duration(*left)));
+    }
+    text
+}
+
+fn duration(secs: f64) -> String {
+    match secs {
+        secs if secs < 90.0 => format!("{secs:.0} s"),
+        secs if secs < 5400.0 => format!("{:.0} min", secs / 60.0),
+        secs => format!("{:.1} h", secs / 3600.0),
+    }
+}
+
+/// Tells what came of it.
+fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Progress) {
+    let Outcome {
+        runs,
+        finished,
+        faults,
+        is_cancelled,
+    } = outcome;
+    let mut out = std::io::stdout().lock();
+    // Whoever started it may have closed its output.
+    if options.json {
+        let faults: Vec<_> = faults
+            .iter()
+            .map(|(run, reason)| json!({"run": run, "reason": reason}))
+            .collect();
+        let summary = json!({"runs": runs, "finished": finished, "faults": faults,
+            "cancelled": is_cancelled, "elapsed_secs": progress.elapsed_secs,
+            "folder": output});
+        let _ = writeln!(out, "{summary}");
+        return;
+    }
+    let mut table = Table::new();
+    table.load_style(NOTHING);
+    let counted = if finished == runs {
+        runs.to_string()
+    } else {
+        format!("{finished} of {runs}")
+    };
+    table.add_row(["runs finished".to_owned(), counted]);
+    table.add_row(["ended early".to_owned(), faults.len().to_string()]);
+    table.add_row(["took".to_owned(), duration(progress.elapsed_secs)]);
+    let files = output.join("results.{parquet,csv}");
+    table.add_row(["results".to_owned(), files.display().to_string()]);
+    if let Some(column) = table.column_mut(0) {
+        column.set_cell_alignment(CellAlignment::Left);
+    }
+    let _ = writeln!(out, "{table}");
+    for (run, reason) in faults.iter().take(MOST_LISTED) {
+        let _ = writeln!(out, "{run} ended early: {reason}");
+    }
+    if faults.len() > MOST_LISTED {
+        let more = faults.len() - MOST_LISTED;
+        let _ = writeln!(out, "and {more} more: see runs.jsonl");
+    }
+    if *is_cancelled {
+        let (file, output) = (options.file.display(), output.display());
+        eprintln!("jostled: interrupted; `jostled run {file} -o {output}` goes on from here");
+    }
+}

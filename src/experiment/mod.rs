@@ -1,0 +1,22 @@
+//! Experiments: grids of runs, each from its start to a row in a table.
+//!
+//! [`Plan::parse`] reads what is asked for and checks all of it; [`Folder`] is where results are
+//! kept; [`execute`] carries out what is not finished, and others look and stop it through a
+//! [`Control`].
+
+mod control;
+mod execute;
+mod file;
+mod folder;
+mod grid;
+mod plan;
+mod run;
+
+pub use control::{Control, Progress};
+pub use execute::{ExecuteError, Outcome, execute};
+pub use folder::{Folder, FolderError};
+pub use grid::AXES;
+pub use plan::{
+    MOST_ENTRIES, MOST_INDIVIDUALS, MOST_RUNS, MOST_STEPS, Plan, PlanError, PlannedRun, Point,
+};
+pub use run::{Finished, conduct, start};

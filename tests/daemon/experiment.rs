@@ -1,0 +1,191 @@
+//! `jostled run` as its users meet it: killed, interrupted, run twice, run beside itself.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
+use std::thread::sleep;
+use std::time::{Duration, Instant};
+
+use crate::apart::{Process, jostled};
+use crate::support::PATIENCE;
+
+/// Some seconds of one core: long enough to be killed in the midst of it.
+const EXPERIMENT: &str = r#"
+name = "killed"
+seed = 3
+replicates = 3
+duration = 150
+
+[[grid]]
+pi1 = [1, 4]
+n = [20, 5]
+contacts = ["endpoints", "closest"]
+informed_fraction = 0.4
+
+[measure]
+order_every = 100
+"#;
+
+/// Its runs.
+const RUNS: usize = 24;
+
+/// A folder with the experiment's file in it.
+fn written() -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("killed.toml"), EXPERIMENT).unwrap();
+    folder
+}
+
+fn command(folder: &Path, output: &str, more: &[&str]) -> Command {
+    let [file, output] = ["killed.toml", output].map(|name| folder.join(name));
+    let mut command = jostled(&["run"]);
+    command.arg(file).arg("-o").arg(output).args(more);
+    command
+}
+
+fn run(folder: &Path, output: &str, more: &[&str]) -> Output {
+    let mut command = command(folder, output, more);
+    command.stderr(Stdio::piped()).output().unwrap()
+}
+
+fn tables(folder: &Path, output: &str) -> BTreeMap<&'static str, Vec<u8>> {
+    let names = ["results.csv", "results.parquet", "order.parquet"];
+    let read = |name: &str| fs::read(folder.join(output).join(name)).unwrap();
+    names.into_iter().map(|name| (name, read(name))).collect()
+}
+
+/// The whole lines of the list of finished runs, its header aside.
+fn finished(folder: &Path, output: &str) -> Vec<String> {
+    let text = fs::read_to_string(folder.join(output).join("runs.jsonl")).unwrap_or_default();
+    let lines = text.split_inclusive('\n').skip(1);
+    let whole = lines.filter(|line| line.ends_with('\n'));
+    whole.map(str::to_owned).collect()
+}
+
+fn until(what: &str, mut is_true: impl FnMut() -> bool) {
+    let began = Instant::now();
+    while !is_true() {
+        assert!(began.elapsed() < PATIENCE, "waiting for {what}");
+        sleep(Duration::from_millis(2));
+    }
+}
+
+#[test]
+fn tables_are_the_same_bytes_however_often_it_is_killed_and_on_any_number_of_threads() {
+    let folder = written();
+    let folder = folder.path();
+    let whole = run(folder, "whole", &["--threads", "1"]);
+    assert_eq!(whole.status.code(), Some(0), "{whole:?}");
+    let expected = tables(folder, "whole");
+    let rows = String::from_utf8(expected["results.csv"].clone()).unwrap();
+    assert_eq!(rows.lines().count(), RUNS + 1);
+
+    for done in [1, 8, 16] {
+        let mut process =
+            Process::of(command(folder, "killed", &["--threads", "2"]).stdout(Stdio::null()));
+        until("some runs", || finished(folder, "killed").len() >= done);
+        process.signal("-KILL");
+        process.end();
+    }
+    let before = finished(folder, "killed");
+    assert!(before.len() < RUNS, "it was killed too late to tell");
+    // A line cut short is no run.
+    let list = folder.join("killed").join("runs.jsonl");
+    let mut torn = fs::read(&list).unwrap();
+    torn.extend(&before[0].as_bytes()[..20]);
+    fs::write(&list, torn).unwrap();
+
+    let rest = run(folder, "killed", &["--threads", "2"]);
+    assert_eq!(rest.status.code(), Some(0), "{rest:?}");
+    assert_eq!(tables(folder, "killed"), expected);
+    let after = finished(folder, "killed");
+    assert_eq!((after.len(), &after[..before.len()]), (RUNS, &before[..]));
+
+    // Once more changes nothing, and mends a table that was lost.
+    fs::remove_file(folder.join("killed").join("results.csv")).unwrap();
+    let again = run(folder, "killed", &[]);
+    assert_eq!(again.status.code(), Some(0), "{again:?}");
+    assert_eq!(tables(folder, "killed"), expected);
+    assert_eq!(finished(folder, "killed"), after);
+}
+
+#[test]
+fn ctrl_c_keeps_what_is_finished_and_tells_how_to_go_on() {
+    let folder = written();
+    let folder = folder.path();
+    let mut interrupted = command(folder, "out", &["--threads", "2"]);
+    let interrupted = interrupted.stdout(Stdio::piped()).stderr(Stdio::piped());
+    let mut process = Process::of(interrupted);
+    until("a run", || !finished(folder, "out").is_empty());
+
+    let beside = run(folder, "out", &[]);
+    assert_eq!(beside.status.code(), Some(1));
+    let reason = String::from_utf8(beside.stderr).unwrap();
+    assert!(reason.contains("another process"), "{reason}");
+
+    process.signal("-INT");
+    let (code, took) = process.end();
+    assert_eq!(code, Some(130));
+    assert!(took < Duration::from_secs(2), "{took:?}");
+    let mut told = String::new();
+    let errors = process.0.stderr.take().unwrap();
+    std::io::Read::read_to_string(&mut { errors }, &mut told).unwrap();
+    assert!(
+        told.contains("jostled run") && told.contains("-o"),
+        "{told}"
+    );
+    let rows = tables(folder, "out")["results.csv"].clone();
+    let rows = String::from_utf8(rows).unwrap().lines().count() - 1;
+    assert_eq!(rows, finished(folder, "out").len());
+    assert!((1..RUNS).contains(&rows));
+}
+
+#[test]
+fn another_file_in_the_same_folder_is_refused_and_changes_nothing() {
+    let folder = written();
+    let folder = folder.path();
+    let output = folder.join("out");
+    fs::create_dir(&output).unwrap();
+    fs::write(output.join("experiment.toml"), "another").unwrap();
+    let refused = run(folder, "out", &[]);
+    assert_eq!(refused.status.code(), Some(1));
+    let reason = String::from_utf8(refused.stderr).unwrap();
+    assert!(reason.contains("choose another folder"), "{reason}");
+    assert!(!output.join("runs.jsonl").exists());
+}
+
+#[test]
+fn a_dry_run_lists_the_runs_and_their_seeds() {
+    let folder = written();
+    let file = folder.path().join("killed.toml");
+    let listed = |more: &[&str]| {
+        let mut command = jostled(&["run", "--dry-run"]);
+        let output = command.arg(&file).args(more).output().unwrap();
+        assert_eq!(output.status.code(), Some(0));
+        String::from_utf8(output.stdout).unwrap()
+    };
+    let plain = listed(&[]);
+    assert_eq!(plain.lines().count(), RUNS);
+    let name = "pi1=1 n=20 informed_fraction=0.4 contacts=endpoints #0";
+    let (seed, first) = plain.lines().next().unwrap().split_once('\t').unwrap();
+    assert_eq!(first, name);
+    let json = listed(&["--json"]);
+    let first: serde_json::Value = serde_json::from_str(json.lines().next().unwrap()).unwrap();
+    assert_eq!(first["run"], name);
+    assert_eq!(first["seed"].to_string(), seed);
+    assert_eq!(
+        (&first["informed"], &first["steps"]),
+        (&8.into(), &7500.into())
+    );
+
+    fs::write(&file, EXPERIMENT.replace("duration", "durable")).unwrap();
+    let mut command = jostled(&["run", "--dry-run"]);
+    let refused = command.arg(&file).stderr(Stdio::piped()).output().unwrap();
+    assert_eq!(refused.status.code(), Some(1));
+    let reason = String::from_utf8(refused.stderr).unwrap();
+    assert!(
+        reason.contains("line 5") && reason.contains("durable"),
+        "{reason}"
+    );
+}
