@@ -192,9 +192,11 @@ impl Measures {
             pi4: parameters.pi4,
             informed: plan.point(run).informed as u64,
             contacts: match parameters.contacts {
-                ContactRule::Endpoints => "endpoints".to_owned(),
-                ContactRule::Closest => "closest".to_owned(),
-            },
+                ContactRule::Endpoints => "endpoints",
+                ContactRule::Closest => "closest",
+                ContactRule::Clamped => "clamped",
+            }
+            .to_owned(),
             dt: parameters.dt,
             time: state.time(),
             v,
