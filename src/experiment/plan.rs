@@ -78,6 +78,8 @@ pub struct Plan {
     pub duration: f64,
     /// Steps between two entries of the order's time series, if it is asked for.
     pub order_every: Option<u64>,
+    /// Whether what contacts do to bodies is measured.
+    pub touch: bool,
     /// The file it was read from, to the byte.
     pub text: String,
     points: Vec<Point>,
@@ -144,6 +146,7 @@ impl Plan {
             seed,
             duration,
             order_every: (every > 0).then_some(every),
+            touch: file.measure.touch,
             text: text.to_owned(),
             points: Vec::new(),
             runs: Vec::new(),
@@ -308,7 +311,7 @@ mod tests {
                 2 * 4 * 9 * 16,
             ),
             (include_str!("../../experiments/series2.toml"), 2 * 35 * 40),
-            (include_str!("../../experiments/animations.toml"), 7),
+            (include_str!("../../experiments/animations.toml"), 2 * 6 * 4),
         ];
         for (text, runs) in files {
             let plan = Plan::parse(text).unwrap();
