@@ -17,8 +17,8 @@ pub const MOST_RUNS: u64 = 100_000;
 /// The most individuals of a run: beyond, a single step takes a good part of a second.
 pub const MOST_INDIVIDUALS: u64 = 100_000;
 
-/// The most steps of a run: a day, however small the group.
-pub const MOST_STEPS: u64 = 100_000_000_000;
+/// The most steps of a run: up to here duration over dt tells their number without doubt.
+pub const MOST_STEPS: u64 = 1_000_000_000;
 
 /// The most entries of the time series of all runs together: 8 GB.
 pub const MOST_ENTRIES: u64 = 1_000_000_000;
@@ -157,7 +157,7 @@ impl Plan {
         for grid in &grids {
             for index in 0..count(grid.size().unwrap_or(0)) {
                 let choice = grid.choice(source, &common, index)?;
-                plan.add_point(source, grid, &choice, choice.name(&varied))?;
+                plan.add_point(source, grid, &choice, &choice.name(&varied))?;
                 let new = plan.runs.iter().rev();
                 for run in new.take(count(grid.replicates)) {
                     if !names.insert(run.name.clone()) {
@@ -207,7 +207,7 @@ impl Plan {
         source: Source<'_>,
         grid: &Grid,
         choice: &Choice,
-        name: String,
+        name: &str,
     ) -> Result<(), PlanError> {
         let refuse = |reason: String| source.refuse(&grid.place, reason);
         let Choice { spec, informed, .. } = choice;
@@ -217,7 +217,7 @@ impl Plan {
         }
         let recipe = recipe(spec, count(spec.n)).map_err(|error| refuse(error.to_string()))?;
         let refuse_run = |error| {
-            let run = numbered(&name, 0);
+            let run = numbered(name, 0);
             PlanError::Run { run, error }
         };
         let parameters = &recipe.parameters;
@@ -234,7 +234,7 @@ impl Plan {
             return Err(refuse(reason));
         }
         for replicate in 0..grid.replicates {
-            let name = numbered(&name, replicate);
+            let name = numbered(name, replicate);
             self.runs.push(PlannedRun {
                 seed: derive_seed(self.seed, &name),
                 name,
@@ -470,9 +470,9 @@ mod tests {
         assert!(refused("replicates = 1000000000").1.contains("replicates"));
         let (_, reason) = refused("spec = { n = 2, dt = 1e-12 }");
         assert!(reason.contains("steps"), "{reason}");
-        let text = "spec = { n = 2, dt = 1e-8 }\nreplicates = 2\nmeasure = { order_every = 1 }";
+        let text = "spec = { n = 2, dt = 1e-7 }\nreplicates = 20\nmeasure = { order_every = 1 }";
         match refusal(text) {
-            PlanError::TooManyEntries { entries } => assert_eq!(entries, 2_000_000_002),
+            PlanError::TooManyEntries { entries } => assert_eq!(entries, 2_000_000_020),
             other => panic!("{other}"),
         }
     }

@@ -327,7 +327,7 @@ mod tests {
             );
             assert_eq!(Some(row.v), swarm.means.mean_order());
             assert_eq!(row.v_pd, swarm.means.mean_drift());
-            assert!(row.worst_overlap > 1e-5, "{settings}: nobody touched");
+            assert!(row.worst_overlap > 0.0, "{settings}: nobody touched");
             assert!((row.worst_overlap + least_gap).abs() < 1e-9, "{settings}");
         }
     }
