@@ -7,6 +7,7 @@ pub mod explain;
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::num::NonZero;
 use std::path::{Path, PathBuf};
 
 use jostle_proto::keys;
@@ -18,7 +19,7 @@ use crate::host::Limits;
 ///
 /// The name is the same in the file, as a flag (`--max-hz`) and in the environment
 /// (`JOSTLED_MAX_HZ`).
-pub const SETTINGS: [(&str, &str, &str); 12] = [
+pub const SETTINGS: [(&str, &str, &str); 13] = [
     (
         "listen",
         "tcp/127.0.0.1:7447",
@@ -64,6 +65,11 @@ pub const SETTINGS: [(&str, &str, &str); 12] = [
         "quota_mb",
         "64",
         "history kept of one swarm, in MiB; the oldest goes first",
+    ),
+    (
+        "experiment_threads",
+        "",
+        "runs of an experiment at once; as many as there are cores if left out",
     ),
 ];
 
@@ -147,6 +153,8 @@ pub struct Config {
     pub data_dir: PathBuf,
     /// History kept of one swarm, in bytes.
     pub quota_bytes: u64,
+    /// Runs of an experiment at once; as many as there are cores if not given.
+    pub experiment_threads: Option<NonZero<usize>>,
 }
 
 /// Every setting's text and where it comes from.
@@ -227,6 +235,10 @@ impl Config {
         };
         Ok(Config {
             data_dir,
+            experiment_threads: match text("experiment_threads") {
+                text if text.is_empty() => None,
+                _ => NonZero::new(number(merged, "experiment_threads", 1024)? as usize),
+            },
             quota_bytes: u64::from(number(merged, "quota_mb", 1 << 20)?) << 20,
             listen,
             http: text("http"),

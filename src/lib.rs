@@ -28,6 +28,8 @@ pub mod host;
 
 pub mod experiment;
 
+pub mod lab;
+
 pub mod batch;
 pub mod command;
 pub mod config;

@@ -56,6 +56,7 @@ pub fn document(examples: &Examples) -> Value {
                 },
                 "swarm": {"description": format!("A swarm's name: {NAME_RULE}")},
                 "node": {"description": format!("A daemon's name: {NAME_RULE}")},
+                "experiment": {"description": format!("An experiment's name: {NAME_RULE}")},
             },
             "messages": messages(examples),
         },
@@ -76,7 +77,7 @@ fn describe(channel: &Channel) -> Value {
         let place = format!("components/{folder}/{name}");
         (name.to_owned(), refer(&place))
     };
-    let parameters: Map<String, Value> = ["prefix", "swarm", "node"]
+    let parameters: Map<String, Value> = ["prefix", "swarm", "node", "experiment"]
         .into_iter()
         .filter(|name| address.contains(&format!("{{{name}}}")))
         .map(|name| link("parameters", name))
@@ -125,9 +126,12 @@ fn zenoh(channel: &Channel) -> Value {
         })
     };
     // One queryable for all nouns, one for all verbs: an unknown one gets an answer too.
-    let declared = match channel.key.rsplit_once('/') {
-        Some((start, _)) => format!("{start}/**"),
-        None => channel.key.to_owned(),
+    let declared = match (
+        channel.key.split_once("/{experiment}/"),
+        channel.key.rsplit_once('/'),
+    ) {
+        (Some((start, _)), _) | (None, Some((start, _))) => format!("{start}/**"),
+        (None, None) => channel.key.to_owned(),
     };
     match channel.kind {
         ChannelKind::Token => json!({"kind": "liveliness"}),
@@ -137,13 +141,20 @@ fn zenoh(channel: &Channel) -> Value {
             event
         }
         ChannelKind::Published(_) => publisher(JSON),
-        ChannelKind::Kept(_) => json!({
+        ChannelKind::Kept("state") => json!({
             "kind": "publisher and queryable",
             "publisher": publisher(CBOR),
             "queryable": queryable(channel.key, "welcome"),
         }),
+        ChannelKind::Kept(_) => json!({
+            "kind": "publisher and queryable",
+            "publisher": publisher(JSON),
+            "queryable": queryable(&declared, "welcome"),
+        }),
         // They take long or answer much, which nobody who asks for `**` means.
-        ChannelKind::Get("snapshot.reply" | "verify.reply") => queryable(&declared, "not answered"),
+        ChannelKind::Get(
+            "snapshot.reply" | "verify.reply" | "experiment.results" | "experiment.order",
+        ) => queryable(&declared, "not answered"),
         ChannelKind::Get(_) if channel.key.ends_with("/wait") => {
             queryable(&declared, "not answered")
         }
@@ -167,9 +178,10 @@ fn answered(kind: ChannelKind) -> Vec<&'static str> {
         ChannelKind::Published(_) | ChannelKind::Token => vec![],
         ChannelKind::Kept(reply) | ChannelKind::Get(reply) => vec![reply, "error"],
         // There is no swarm yet whose step could be waited for.
-        ChannelKind::Command("create.args" | "fork.args" | "restore.args", reply) => {
-            vec![reply, "error"]
-        }
+        ChannelKind::Command(
+            "create.args" | "fork.args" | "restore.args" | "experiment.args",
+            reply,
+        ) => vec![reply, "error"],
         ChannelKind::Command(_, reply) => vec![reply, "scheduled.reply", "error"],
     }
 }
@@ -238,7 +250,7 @@ fn messages(examples: &Examples) -> Value {
         let encodings = match name {
             "state" => json!([CBOR, JSON]),
             "step.reply" => json!([JSON, CBOR]),
-            "snapshot.reply" => json!([CBOR]),
+            "snapshot.reply" | "experiment.order" => json!([CBOR]),
             _ => json!([JSON]),
         };
         let message = json!({

@@ -16,15 +16,15 @@ use crate::verbs::{
     RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use crate::{
-    Error, Event, Events, Hello, Journal, Metrics, NodeReply, NodeStatus, OrderSample, Parameter,
-    ParameterKind, Parameters, Reply, Request, Schemas, Snapshot, Spec, State, Status, Swarms,
-    Verified,
+    Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello, Journal, Metrics,
+    NodeReply, NodeStatus, OrderPage, OrderSample, Parameter, ParameterKind, Parameters, Progress,
+    Reply, Request, ResultsPage, Schemas, Snapshot, Spec, State, Status, Swarms, Verified,
 };
 
 /// Something that stands on a key of the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Channel {
-    /// Its key, below the prefix; `{swarm}` and `{node}` stand for names.
+    /// Its key, below the prefix; `{swarm}`, `{node}` and `{experiment}` stand for names.
     pub key: &'static str,
     /// How it is used.
     pub kind: ChannelKind,
@@ -246,6 +246,43 @@ pub const CHANNELS: &[Channel] = &{
             Command("restore.args", "restore.reply"),
             "Makes a swarm from a snapshot, paused.",
         ),
+        plain(
+            "@node/{node}/get/experiments",
+            Get("node.experiments.reply"),
+            "Every experiment it has, and how far each is.",
+        ),
+        plain(
+            "@node/{node}/cmd/experiment",
+            Command("experiment.args", "experiment.reply"),
+            "Submits, pauses, resumes, cancels or deletes an experiment.",
+        ),
+        plain(
+            "@node/{node}/experiment/{experiment}/progress",
+            Kept("experiment.progress"),
+            "How far it is, at most twice a second while it changes.",
+        ),
+        Channel {
+            key: "@node/{node}/experiment/{experiment}/results",
+            kind: Get("experiment.results"),
+            parameters: PAGE,
+            doc: "The rows of its finished runs, by their numbers in its plan, from 1.",
+        },
+        Channel {
+            key: "@node/{node}/experiment/{experiment}/order",
+            kind: Get("experiment.order"),
+            parameters: &[
+                ("run", "the run's name, as the results have it"),
+                (
+                    "after",
+                    "a whole number: only entries numbered higher, from 1; 0 if left out",
+                ),
+                (
+                    "limit",
+                    "a whole number from 1 to 40000: no more than so many; 40000 if left out",
+                ),
+            ],
+            doc: "The order of one run over time, if the experiment measures it, as CBOR.",
+        },
     ]
 };
 
@@ -298,6 +335,12 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("node.swarms.reply", told::<NodeReply<Swarms>>()),
         ("node.schema.reply", told::<NodeReply<Schemas>>()),
         ("node.metrics.reply", told::<NodeReply<Metrics>>()),
+        ("node.experiments.reply", told::<NodeReply<Experiments>>()),
+        ("experiment.args", asked::<ExperimentArgs>()),
+        ("experiment.reply", told::<NodeReply<ExperimentResult>>()),
+        ("experiment.progress", told::<Progress>()),
+        ("experiment.results", told::<ResultsPage>()),
+        ("experiment.order", told::<OrderPage>()),
     ])
 }
 
@@ -443,6 +486,8 @@ mod tests {
         assert_eq!(below("{swarm}/cmd/"), keys::SWARM_VERBS);
         assert_eq!(below("@node/{node}/get/"), keys::NODE_GETS);
         assert_eq!(below("@node/{node}/cmd/"), keys::NODE_VERBS);
+        let of_experiments = below("@node/{node}/experiment/{experiment}/");
+        assert_eq!(of_experiments, keys::EXPERIMENT_GETS);
     }
 
     #[test]

@@ -24,18 +24,28 @@ pub const SWARM_VERBS: [&str; 12] = [
 ];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
-pub const NODE_GETS: [&str; 5] = ["hello", "status", "swarms", "schema", "metrics"];
+pub const NODE_GETS: [&str; 6] = [
+    "hello",
+    "status",
+    "swarms",
+    "schema",
+    "metrics",
+    "experiments",
+];
 
 /// The verbs that `{prefix}/@node/{node}/cmd/` executes.
-pub const NODE_VERBS: [&str; 2] = ["create", "restore"];
+pub const NODE_VERBS: [&str; 3] = ["create", "restore", "experiment"];
 
-/// The longest name of a swarm, a node or a controller, in bytes.
+/// The nouns that `{prefix}/@node/{node}/experiment/{experiment}/` answers.
+pub const EXPERIMENT_GETS: [&str; 3] = ["progress", "results", "order"];
+
+/// The longest name of a swarm, a node, an experiment or a controller, in bytes.
 pub const MAX_NAME_LENGTH: usize = 64;
 
 /// What a name may look like, for messages.
 pub const NAME_RULE: &str = "^[a-z0-9][a-z0-9_-]{0,63}$";
 
-/// Tells whether `name` may name a swarm, a node or a controller.
+/// Tells whether `name` may name a swarm, a node, an experiment or a controller.
 ///
 /// zenoh itself would take `*`, a NUL or 70,000 bytes, and a wildcard there would hit every swarm.
 pub fn is_name(name: &str) -> bool {
@@ -93,6 +103,11 @@ pub fn node_get(prefix: &str, node: &str, noun: &str) -> String {
 /// The key that executes `verb` on a daemon.
 pub fn node_cmd(prefix: &str, node: &str, verb: &str) -> String {
     format!("{prefix}/@node/{node}/cmd/{verb}")
+}
+
+/// The key that answers `noun` about an experiment; `progress` is published there too.
+pub fn experiment(prefix: &str, node: &str, experiment: &str, noun: &str) -> String {
+    format!("{prefix}/@node/{node}/experiment/{experiment}/{noun}")
 }
 
 #[cfg(test)]

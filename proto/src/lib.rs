@@ -15,6 +15,7 @@ pub mod contract;
 mod envelope;
 mod error;
 mod event;
+mod experiment;
 mod gets;
 mod metrics;
 pub mod snapshot;
@@ -26,6 +27,10 @@ pub mod verbs;
 pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request, RequestError};
 pub use error::{Error, ErrorCode};
 pub use event::{Event, EventKind};
+pub use experiment::{
+    ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult, Experiments, OrderPage,
+    Progress, ResultRow, ResultsPage, RunUnderWay, SubmitArgs,
+};
 pub use gets::{
     Events, Hello, HistoryFrom, Journal, JournalEntry, Limits, NodeStatus, Parameter,
     ParameterKind, Parameters, Schemas, Status, SwarmSummary, Swarms, Verified,

@@ -5,6 +5,7 @@ use serde_json::{Map, Value, json};
 use thiserror::Error as ThisError;
 
 use crate::host::HostError;
+use crate::lab::LabError;
 use crate::model::injection::InjectionError;
 use crate::model::parameters::ParametersError;
 use crate::model::resize::ResizeError;
@@ -156,6 +157,9 @@ pub enum CommandError {
     /// The swarm refuses the order.
     #[error(transparent)]
     Order(#[from] OrderError),
+    /// The laboratory refuses what is to be done with an experiment.
+    #[error(transparent)]
+    Lab(#[from] LabError),
 }
 
 impl CommandError {
@@ -254,6 +258,18 @@ impl CommandError {
                 | HostError::TooMuchMemory { .. }
                 | HostError::NoThread(_) => ErrorCode::ResourceExhausted,
                 HostError::Stopping => ErrorCode::Busy,
+            },
+            CommandError::Lab(error) => match error {
+                LabError::Plan { .. } | LabError::Name(_) | LabError::NoSeries(_) => {
+                    ErrorCode::InvalidArgument
+                }
+                LabError::Unknown(_) | LabError::UnknownRun { .. } => ErrorCode::NotFound,
+                LabError::Exists(_) => ErrorCode::AlreadyExists,
+                LabError::Phase { .. } | LabError::Unfinished { .. } => ErrorCode::IncorrectState,
+                LabError::TooMany(_) => ErrorCode::ResourceExhausted,
+                LabError::Unkept(_) => ErrorCode::StorageFull,
+                LabError::Unreadable(_) => ErrorCode::Internal,
+                LabError::Stopping => ErrorCode::Busy,
             },
             CommandError::Order(error) => match error {
                 OrderError::Phase(_) => ErrorCode::IncorrectState,
@@ -358,6 +374,15 @@ impl CommandError {
             CommandError::Order(OrderError::TooManyScheduled { limit }) => {
                 json!({"field": "at_step", "limit": limit})
             }
+            CommandError::Lab(error) => match error {
+                LabError::Plan { line, .. } => json!({"field": "submit.toml", "line": line}),
+                LabError::Name(name) => json!({"field": "submit.toml", "value": name}),
+                LabError::UnknownRun { run, .. } | LabError::Unfinished { run, .. } => {
+                    json!({"field": "run", "value": run})
+                }
+                LabError::TooMany(limit) => json!({"limit": limit}),
+                _ => json!({}),
+            },
             CommandError::OtherRequest(id) => json!({"field": "request_id", "value": id}),
             CommandError::Order(OrderError::NoMemory { n, needed, free }) => {
                 json!({"field": "n", "n": n, "needed": needed, "free": free})

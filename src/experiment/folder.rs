@@ -178,6 +178,15 @@ impl Folder {
         Ok(rows(plan, &finished))
     }
 
+    /// Reads the order over time of a finished run, by its index in the plan.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError::Io`] when there is none.
+    pub fn read_order(path: &Path, plan: &Plan, index: usize) -> Result<OrderSeries, FolderError> {
+        read_series(path, plan, index, plan.order_every.unwrap_or(1))
+    }
+
     /// Where it is.
     #[must_use]
     pub fn path(&self) -> &Path {
@@ -264,51 +273,51 @@ impl Folder {
         for (index, run) in plan.runs().iter().enumerate() {
             let record = self.finished.get(&run.name);
             if record.is_some_and(|record| record.row.is_some()) {
-                writer.append(&self.read_series(plan, index, every)?)?;
+                writer.append(&read_series(&self.path, plan, index, every)?)?;
             }
         }
         Ok(writer.finish()?)
-    }
-
-    fn series_path(&self, index: usize) -> PathBuf {
-        self.path.join(SERIES).join(format!("{index:06}"))
     }
 
     /// Writes the orders, then the drifts if there are any, as bare little-endian doubles.
     fn write_series(&self, index: usize, series: &OrderSeries) -> Result<(), FolderError> {
         let numbers = series.orders.iter().chain(&series.drifts);
         let bytes: Vec<u8> = numbers.flat_map(|number| number.to_le_bytes()).collect();
-        write_whole(&self.series_path(index), &bytes)
+        write_whole(&series_path(&self.path, index), &bytes)
     }
+}
 
-    fn read_series(
-        &self,
-        plan: &Plan,
-        index: usize,
-        every: u64,
-    ) -> Result<OrderSeries, FolderError> {
-        let run = &plan.runs()[index];
-        let point = plan.point(run);
-        let path = self.series_path(index);
-        let bytes = fs::read(&path).map_err(|source| io_error(&path, source))?;
-        let (numbers, _) = bytes.as_chunks();
-        let mut orders: Vec<f64> = numbers.iter().copied().map(f64::from_le_bytes).collect();
-        let drifts = match point.informed {
-            0 => Vec::new(),
-            _ => orders.split_off(orders.len() / 2),
-        };
-        let steps: Vec<u64> = (0..orders.len() as u64)
-            .map(|entry| entry * every)
-            .collect();
-        let dt = point.recipe.parameters.dt;
-        Ok(OrderSeries {
-            run: run.name.clone(),
-            times: steps.iter().map(|&step| step as f64 * dt).collect(),
-            steps,
-            orders,
-            drifts,
-        })
-    }
+fn series_path(folder: &Path, index: usize) -> PathBuf {
+    folder.join(SERIES).join(format!("{index:06}"))
+}
+
+fn read_series(
+    folder: &Path,
+    plan: &Plan,
+    index: usize,
+    every: u64,
+) -> Result<OrderSeries, FolderError> {
+    let run = &plan.runs()[index];
+    let point = plan.point(run);
+    let path = series_path(folder, index);
+    let bytes = fs::read(&path).map_err(|source| io_error(&path, source))?;
+    let (numbers, _) = bytes.as_chunks();
+    let mut orders: Vec<f64> = numbers.iter().copied().map(f64::from_le_bytes).collect();
+    let drifts = match point.informed {
+        0 => Vec::new(),
+        _ => orders.split_off(orders.len() / 2),
+    };
+    let steps: Vec<u64> = (0..orders.len() as u64)
+        .map(|entry| entry * every)
+        .collect();
+    let dt = point.recipe.parameters.dt;
+    Ok(OrderSeries {
+        run: run.name.clone(),
+        times: steps.iter().map(|&step| step as f64 * dt).collect(),
+        steps,
+        orders,
+        drifts,
+    })
 }
 
 /// Locks a folder until the file returned is closed.

@@ -132,6 +132,8 @@ impl Dispatcher {
                 .and_then(|request| self.create(&promise, &request)),
             Some("restore") => request(query, self.most_bytes())
                 .and_then(|request| self.restore(&promise, &request)),
+            Some("experiment") => request(query, self.most_bytes())
+                .and_then(|request| self.experiment(&promise, &request)),
             verb => Err(CommandError::UnknownVerb {
                 verb: command::shortened(verb.unwrap_or_default()),
                 known: &keys::NODE_VERBS,

@@ -276,7 +276,7 @@ impl<R: FnOnce(&Checkpoint) -> Register> Copy<R> {
 }
 
 /// What is made anew has no step at which it could be made.
-fn refuse_when(request: &Request) -> Result<(), CommandError> {
+pub(super) fn refuse_when(request: &Request) -> Result<(), CommandError> {
     for (field, given) in [
         ("at_step", request.at_step),
         ("expect_step", request.expect_step),

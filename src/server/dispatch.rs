@@ -13,10 +13,12 @@ use zenoh::Session;
 use crate::command::{CommandError, DEFAULT_TIMEOUT};
 use crate::health::Watch;
 use crate::host::{Herald, Host};
+use crate::lab::Lab;
 use crate::meter::Pulse;
 use crate::publish::Press;
 use crate::server::answer::{Asked, Desk, Excuse, Keeper, Promise};
 use crate::server::doors::{Doors, LINGER};
+use crate::server::experiments::Errands;
 use crate::server::ledger::Ledger;
 use crate::server::query::Topic;
 use crate::store::Store;
@@ -98,6 +100,10 @@ pub struct Dispatcher {
     pub doors: Doors,
     /// Whether this thread is at work.
     pub pulse: Arc<Pulse>,
+    /// The experiments.
+    pub lab: Lab,
+    /// Where what is to be done with them is handed in.
+    pub errands: Errands,
     /// The daemon in numbers, once it is watched.
     pub watch: Arc<OnceLock<Arc<Watch>>>,
 }
@@ -168,7 +174,12 @@ impl Dispatcher {
             .query
             .payload()
             .is_some_and(|payload| !payload.is_empty());
-        if has_payload && matches!(topic, Topic::State(_) | Topic::Get(_) | Topic::NodeGet) {
+        if has_payload
+            && matches!(
+                topic,
+                Topic::State(_) | Topic::Get(_) | Topic::NodeGet | Topic::Experiment
+            )
+        {
             let error = CommandError::Field {
                 field: "payload",
                 problem: "means nothing to a get: what it takes goes behind the key's `?`",
@@ -183,6 +194,7 @@ impl Dispatcher {
             Topic::Deletion => self.deleted(asked),
             Topic::NodeGet => self.node_get(asked),
             Topic::NodeCommand => self.node_command(asked),
+            Topic::Experiment => self.experiment_get(asked),
         }
     }
 

@@ -164,6 +164,7 @@ impl Dispatcher {
                     limits: wire::limits(self.host.limits(), self.most_bytes() as u64),
                 }),
                 "status" => self.node_reply(self.node_status()),
+                "experiments" => self.experiments(),
                 "schema" => self.node_reply(&self.schemas),
                 "metrics" => match self.watch.get() {
                     Some(watch) => self.node_reply(wire::metrics(&watch.figures())),

@@ -6,6 +6,7 @@ mod commands;
 mod copies;
 pub mod dispatch;
 pub mod doors;
+pub mod experiments;
 mod gets;
 pub mod ledger;
 pub mod query;
@@ -14,6 +15,7 @@ pub mod session;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
+use std::num::NonZero;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::thread;
@@ -32,11 +34,13 @@ use crate::config::Config;
 use crate::gateway::{self, Gateway, GatewayError};
 use crate::health::{Watch, Watched};
 use crate::host::Host;
+use crate::lab::Lab;
 use crate::meter::Pulse;
 use crate::publish::Press;
 use crate::server::answer::Desk;
 use crate::server::dispatch::{Crier, Dispatcher, Intake, MOST_QUERIES};
 use crate::server::doors::Doors;
+use crate::server::experiments::Errands;
 use crate::server::ledger::Ledger;
 use crate::server::query::{Topic, queryable};
 use crate::server::recovery::RecoveryError;
@@ -48,6 +52,9 @@ const EXIT_STORE: i32 = 8;
 
 /// How long swarms may take to finish the step they are at when the daemon stops.
 const PATIENCE_WITH_SWARMS: Duration = Duration::from_millis(500);
+
+/// How long an experiment may take to finish the steps its runs are at, and its tables.
+const PATIENCE_WITH_EXPERIMENTS: Duration = Duration::from_secs(1);
 
 /// How long the store may take to write what is left.
 const PATIENCE_WITH_STORE: Duration = Duration::from_secs(1);
@@ -76,6 +83,14 @@ pub enum ServerError {
     /// What outlived it cannot be brought back.
     #[error("cannot bring the swarms back: {0}")]
     Recovery(#[from] RecoveryError),
+    /// The experiments cannot be read.
+    #[error("cannot read the experiments in {folder}: {error}")]
+    Lab {
+        /// Where they are.
+        folder: String,
+        /// What the system says.
+        error: std::io::Error,
+    },
     /// No thread can be started.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
@@ -93,7 +108,8 @@ pub struct Server {
     endpoints: Vec<String>,
     watch: Arc<Watch>,
     gateway: Option<Gateway>,
-    doors: (LivelinessToken, [Queryable<()>; 3]),
+    lab: Lab,
+    doors: (LivelinessToken, [Queryable<()>; 4]),
 }
 
 /// Opens the session and serves.
@@ -120,6 +136,9 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let crier = Arc::new(Crier::new(intake.clone(), press.clone()));
     let host = Arc::new(Host::new(config.limits, crier, archive::archive(&store)));
     let ledger = Ledger::new(store.clone());
+    let lab = open_lab(config).await?;
+    let errands = Errands::start(lab.clone())?;
+    experiments::publish(lab.clone(), session.clone(), prefix.clone(), node.clone())?;
     let (pulse, watch) = (Arc::new(Pulse::default()), Arc::new(OnceLock::new()));
     let threads = vec![
         ("dispatch", pulse.clone()),
@@ -144,6 +163,8 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
             intake.clone(),
             desk.clone(),
         ),
+        lab: lab.clone(),
+        errands,
         pulse,
         watch: watch.clone(),
     };
@@ -179,6 +200,11 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         queryable(keys::node_get(prefix, node, "**"), Topic::NodeGet).map_err(refused)?,
         queryable(keys::node_cmd(prefix, node, "**"), Topic::NodeCommand).map_err(refused)?,
         queryable(keys::cmd(prefix, "*", "delete"), Topic::Deletion).map_err(refused)?,
+        queryable(
+            format!("{prefix}/@node/{node}/experiment/**"),
+            Topic::Experiment,
+        )
+        .map_err(refused)?,
     ];
     let token = session
         .liveliness()
@@ -197,8 +223,27 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         endpoints,
         watch: watching,
         gateway,
+        lab,
         doors: (token, queryables),
     })
+}
+
+/// Opens the experiments, which lie beside the store.
+async fn open_lab(config: &Config) -> Result<Lab, ServerError> {
+    let folder = config.data_dir.join("experiments");
+    let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
+    let threads = config.experiment_threads.unwrap_or_else(cores).get();
+    let opened = tokio::task::spawn_blocking({
+        let folder = folder.clone();
+        move || Lab::open(&folder, threads)
+    });
+    opened
+        .await
+        .expect("opening does not panic")
+        .map_err(|error| ServerError::Lab {
+            folder: folder.display().to_string(),
+            error,
+        })
 }
 
 /// Opens what outlives the daemon. When it can no longer be trusted the daemon ends at once: only
@@ -284,10 +329,15 @@ impl Server {
             gateway.stop();
         }
         let _ = self.intake.try_send(Intake::Stop);
+        let lab = self.lab.clone();
+        let experiments = tokio::task::spawn_blocking(move || lab.stop(PATIENCE_WITH_EXPERIMENTS));
         let host = self.host.clone();
         let running = tokio::task::spawn_blocking(move || host.stop(PATIENCE_WITH_SWARMS));
         if let Ok(running @ 1..) = running.await {
             warn!(running, "swarms were still in a step");
+        }
+        if let Ok(running @ 1..) = experiments.await {
+            warn!(running, "experiments were still in a step");
         }
         let store = self.store.clone();
         let stopped = tokio::task::spawn_blocking(move || store.stop(PATIENCE_WITH_STORE));

@@ -30,6 +30,8 @@ pub enum Topic {
     NodeGet,
     /// The daemon's `cmd/**`.
     NodeCommand,
+    /// The daemon's `experiment/**`.
+    Experiment,
 }
 
 /// Declares a queryable whose callback only hands over.

@@ -1,11 +1,13 @@
 //! Between what crosses the wire and what the daemon works with: here, and nowhere else.
 
 pub mod durable;
+mod experiments;
 mod figures;
 mod from_proto;
 pub mod sanity;
 mod to_proto;
 
+pub use experiments::{order_page, progress, results_page};
 pub use figures::metrics;
 pub use from_proto::{
     WireError, count, pose, publish_every, rate, recipe, region, selection, weight, whole,

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 20] = [
+const MAY_USE: [(&str, &[&str]); 21] = [
     ("model", &[]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
@@ -15,20 +15,32 @@ const MAY_USE: [(&str, &[&str]); 20] = [
     ("store", &["meter"]),
     ("health", &["meter", "swarm", "host", "store"]),
     ("gateway", &["meter", "swarm", "health"]),
-    ("command", &["model", "swarm", "host", "wire"]),
-    ("wire", &["model", "observables", "swarm", "host", "health"]),
+    ("command", &["model", "swarm", "host", "lab", "wire"]),
+    (
+        "wire",
+        &[
+            "model",
+            "observables",
+            "swarm",
+            "host",
+            "experiment",
+            "lab",
+            "health",
+        ],
+    ),
     ("publish", &["meter", "swarm", "command", "wire"]),
     (
         "experiment",
         &["model", "stepper", "observables", "swarm", "wire"],
     ),
+    ("lab", &["experiment"]),
     ("batch", &["experiment"]),
     ("config", &["host"]),
     (
         "server",
         &[
-            "meter", "swarm", "host", "command", "config", "publish", "store", "wire", "health",
-            "gateway",
+            "meter", "swarm", "host", "lab", "command", "config", "publish", "store", "wire",
+            "health", "gateway",
         ],
     ),
     ("demo", &["swarm", "host", "command", "server"]),
@@ -49,6 +61,7 @@ const ONLY_IN: [(&str, &[&str]); 18] = [
             "demo",
             "experiment/grid",
             "experiment/plan",
+            "lab",
             "publish",
             "server",
             "wire",
@@ -63,11 +76,12 @@ const ONLY_IN: [(&str, &[&str]); 18] = [
             "experiment/file",
             "experiment/folder",
             "gateway",
+            "lab",
             "server",
             "wire",
         ],
     ),
-    ("jostle_results", &["experiment"]),
+    ("jostle_results", &["experiment", "lab", "wire"]),
     ("indicatif::", &["batch"]),
     ("axum::", &["gateway"]),
     ("prometheus_client::", &["gateway"]),
@@ -80,6 +94,7 @@ const ONLY_IN: [(&str, &[&str]); 18] = [
             "experiment/execute",
             "health",
             "host",
+            "lab",
             "model/threads",
             "publish",
             "server",
@@ -95,6 +110,7 @@ const ONLY_IN: [(&str, &[&str]); 18] = [
             "experiment/control",
             "health",
             "host",
+            "lab",
             "main",
             "meter",
             "publish",
@@ -105,7 +121,14 @@ const ONLY_IN: [(&str, &[&str]); 18] = [
     ),
     (
         "std::fs",
-        &["batch", "config", "experiment/folder", "health", "store"],
+        &[
+            "batch",
+            "config",
+            "experiment/folder",
+            "health",
+            "lab/shelf",
+            "store",
+        ],
     ),
     (
         "std::sync",
@@ -118,6 +141,7 @@ const ONLY_IN: [(&str, &[&str]); 18] = [
             "gateway",
             "health",
             "host",
+            "lab",
             "meter",
             "model/threads",
             "publish",

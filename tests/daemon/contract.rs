@@ -34,10 +34,14 @@ fn channels(swarm: &str) -> Vec<Channel> {
         .collect()
 }
 
+/// The experiment of the fixtures.
+const EXPERIMENT: &str = "small";
+
 /// An address with names for its parameters.
 fn filled(address: &Value, swarm: &str) -> String {
     let address = address.as_str().unwrap().replace("{prefix}", PREFIX);
-    address.replace("{swarm}", swarm).replace("{node}", NODE)
+    let address = address.replace("{swarm}", swarm).replace("{node}", NODE);
+    address.replace("{experiment}", EXPERIMENT)
 }
 
 fn proto() -> &'static Path {
@@ -80,6 +84,37 @@ async fn create(client: &Client, name: &str) {
     client.ok(name, "inform", informed).await;
 }
 
+/// Submits the experiment of the fixtures and waits until it is finished.
+async fn finish_experiment(client: &Client) {
+    let (_, submit) = fixtures("experiment.args")
+        .into_iter()
+        .find(|(name, _)| name == "experiment.args.json")
+        .unwrap();
+    send_again(client, "", "experiment", &submit).await.unwrap();
+    let key = keys::experiment(PREFIX, NODE, EXPERIMENT, "progress");
+    until("the experiment is finished", async || {
+        client.one(&key, None).await.unwrap()["phase"] == "finished"
+    })
+    .await;
+}
+
+/// Has an experiment of the fixtures' name be there, such that `args` can be carried out.
+async fn prepare_experiment(client: &Client, args: &Value) {
+    let send = async |args: Value| send_again(client, "", "experiment", &args).await;
+    // Whatever there was before.
+    let name = json!({"name": EXPERIMENT});
+    let _ = send(json!({"cancel": name})).await;
+    let _ = send(json!({"delete": name})).await;
+    if args.get("submit").is_some() {
+        return;
+    }
+    let toml = "name = \"small\"\nduration = 1e6\nspec = { n = 20 }\n";
+    send(json!({"submit": {"toml": toml}})).await.unwrap();
+    if args.get("delete").is_some() {
+        send(json!({"cancel": name})).await.unwrap();
+    }
+}
+
 /// Sends a command's arguments to a swarm of its own, or to the node.
 async fn send(client: &Client, swarm: &str, verb: &str, request: &Value) -> Answer {
     if !keys::NODE_VERBS.contains(&verb) {
@@ -99,8 +134,16 @@ async fn every_channel_of_the_document_is_served() {
     let order = samples.await.unwrap();
     let samples = client.session.declare_subscriber(keys::event(PREFIX, "a"));
     let event = samples.await.unwrap();
-    let published = [("state", state), ("order", order), ("event", event)];
+    let key = keys::experiment(PREFIX, NODE, EXPERIMENT, "progress");
+    let progress = client.session.declare_subscriber(key).await.unwrap();
+    let published = [
+        ("state", state),
+        ("order", order),
+        ("event", event),
+        ("progress", progress),
+    ];
     client.ok("a", "step", json!({"steps": 10})).await;
+    finish_experiment(client).await;
 
     let mut verbs = Vec::new();
     for Channel { key, zenoh } in channels("a") {
@@ -123,7 +166,11 @@ async fn every_channel_of_the_document_is_served() {
         } else if key.contains("/cmd/") {
             verbs.push(last.to_owned());
         } else if kind.contains("queryable") {
-            let parameters = if last == "wait" { "?step=0" } else { "" };
+            let parameters = match last {
+                "wait" => "?step=0",
+                "order" => "?run=n=2 #0",
+                _ => "",
+            };
             let reply = client
                 .one(&format!("{key}{parameters}"), None)
                 .await
@@ -131,6 +178,7 @@ async fn every_channel_of_the_document_is_served() {
             let message = match last {
                 "state" => "state".to_owned(),
                 "wait" => "status.reply".to_owned(),
+                noun if key.contains("/experiment/") => format!("experiment.{noun}"),
                 noun if key.contains("/@node/") => format!("node.{noun}.reply"),
                 noun => format!("{noun}.reply"),
             };
@@ -140,13 +188,19 @@ async fn every_channel_of_the_document_is_served() {
     for verb in verbs {
         for (i, (fixture, args)) in fixtures(&format!("{verb}.args")).into_iter().enumerate() {
             let swarm = format!("{verb}-{i}");
+            if verb == "experiment" {
+                prepare_experiment(client, &args).await;
+            }
             let answer = send(client, &swarm, &verb, &args).await;
             let reply = answer.unwrap_or_else(|error| panic!("{fixture}: {error:?}"));
             check_reply(&format!("{verb}.reply"), &reply);
             let later = json!({"at_step": 1_000_000, "args": args});
-            if MAKING.contains(&&*verb) {
+            if MAKING.contains(&&*verb) || verb == "experiment" {
                 let error = send_again(client, &swarm, &verb, &later).await.unwrap_err();
                 assert_eq!(error.details["field"], "at_step", "{verb}");
+                if verb == "experiment" {
+                    continue;
+                }
                 // Others have the same name.
                 let made = reply["swarm"].as_str().unwrap();
                 client.ok(made, "delete", json!({})).await;
@@ -302,6 +356,7 @@ async fn wildcards_are_answered_where_the_document_welcomes_them() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     create(client, "a").await;
+    finish_experiment(client).await;
     for (everything, is_node) in [("jostle/**", false), ("jostle/@node/**", true)] {
         let replies = client.session.get(everything).await.unwrap();
         let (mut answered, mut refused) = (BTreeSet::new(), 0);
@@ -341,6 +396,7 @@ async fn the_verbs_and_nouns_that_errors_name_are_those_of_the_document() {
         keys::cmd(PREFIX, "a", ""),
         keys::node_get(PREFIX, NODE, ""),
         keys::node_cmd(PREFIX, NODE, ""),
+        keys::experiment(PREFIX, NODE, EXPERIMENT, ""),
     ] {
         let error = client
             .one(&format!("{folder}jump"), None)

@@ -5,7 +5,7 @@ mod clients;
 mod damage;
 mod dice;
 mod disk;
-mod life;
+pub mod life;
 mod recovery;
 pub mod twin;
 

@@ -13,6 +13,7 @@ mod copies;
 mod corpora;
 mod crash;
 mod experiment;
+mod experiments;
 mod health;
 mod history;
 mod load;

@@ -237,6 +237,9 @@ fn read(encoding: &Encoding, bytes: &[u8]) -> Value {
         Err(_) => {
             type Stepped = jostle_proto::Reply<jostle_proto::verbs::StepResult>;
             type Whole = jostle_proto::Reply<jostle_proto::Snapshot>;
+            if let Ok(order) = ciborium::from_reader::<jostle_proto::OrderPage, _>(bytes) {
+                return serde_json::to_value(order).unwrap();
+            }
             match ciborium::from_reader::<Stepped, _>(bytes) {
                 Ok(reply) => serde_json::to_value(reply).unwrap(),
                 Err(_) => {

@@ -12,7 +12,7 @@ use jostle_proto::keys::DEFAULT_PREFIX;
 
 use crate::arguments::{Arguments, DEFAULT_ENDPOINT, GlobalArguments};
 use crate::bus::Bus;
-use crate::values::LAWS;
+use crate::values::{self, LAWS};
 
 /// The variable by which a shell asks.
 const VARIABLE: &str = "JOSTLE_COMPLETE";
@@ -66,6 +66,19 @@ pub fn nodes(typed: &OsStr) -> Vec<CompletionCandidate> {
         typed,
         ask(async |bus| bus.nodes().await.unwrap_or_default()),
     )
+}
+
+/// The experiments that are there.
+pub fn experiments(typed: &OsStr) -> Vec<CompletionCandidate> {
+    beginning_with(
+        typed,
+        ask(async |bus| bus.experiments().await.unwrap_or_default()),
+    )
+}
+
+/// The figures that can be drawn.
+pub fn figures(typed: &OsStr) -> Vec<CompletionCandidate> {
+    beginning_with(typed, values::figures())
 }
 
 /// The messages on the wire.

@@ -5,6 +5,7 @@
 use jostle_proto::MAX_LABEL_LENGTH;
 use jostle_proto::keys::{NAME_RULE, is_name};
 use jostle_proto::verbs::{Pose, Region};
+use jostle_results::figure::Kind;
 use serde_json::{Value, json};
 
 /// Time units per second of wall clock; `None` is as fast as possible.
@@ -32,6 +33,37 @@ pub const LAWS: [(&str, Option<&str>); 5] = [
     ("topological", Some("neighbours")),
     ("power", Some("exponent")),
 ];
+
+/// What to draw.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Figure {
+    /// A figure of the paper.
+    Of(Kind),
+    /// Swarms as they are.
+    Snapshot,
+}
+
+/// Reads which figure to draw.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn figure(text: &str) -> Result<Figure, String> {
+    if text == "snapshot" {
+        return Ok(Figure::Snapshot);
+    }
+    let number = text.parse().ok();
+    number
+        .and_then(Kind::from_number)
+        .map(Figure::Of)
+        .ok_or_else(|| format!("`{text}` is none of {}", figures().join(", ")))
+}
+
+/// Every figure there is.
+pub fn figures() -> Vec<String> {
+    let numbers = Kind::ALL.into_iter().map(|kind| kind.number().to_string());
+    numbers.chain(["snapshot".to_owned()]).collect()
+}
 
 /// Reads the name of a swarm or a node, which becomes part of a key: a wildcard there would be
 /// about every swarm.

@@ -16,6 +16,7 @@ import jostle
 from jostle._events import Events, Journal
 from jostle._messages import CreateResult, Parameters, SpecReply
 from jostle._node import Swarms
+from jostle._results import ExperimentResult, Experiments, ResultsPage
 
 PROTO = Path(__file__).resolve().parents[3] / "proto"
 
@@ -27,9 +28,13 @@ READ: dict[str, type[Any]] = {
     "error": jostle.ErrorMessage,
     "event": jostle.Event,
     "events.reply": Events,
+    "experiment.progress": jostle.Progress,
+    "experiment.reply": ExperimentResult,
+    "experiment.results": ResultsPage,
     "inform.reply": jostle.IdsResult,
     "inject.reply": jostle.IdsResult,
     "journal.reply": Journal,
+    "node.experiments.reply": Experiments,
     "node.hello.reply": jostle.Hello,
     "node.metrics.reply": jostle.Metrics,
     "node.schema.reply": jostle.Schemas,
@@ -53,8 +58,8 @@ READ: dict[str, type[Any]] = {
 }
 """What a daemon sends."""
 
-OPAQUE = {"snapshot.reply"}
-"""What a daemon sends for other daemons; this package reads a few of its fields."""
+OPAQUE = {"snapshot.reply", "experiment.order"}
+"""What is sent for other daemons, of which a few fields are read; what is read as arrays."""
 
 CHANGES: dict[str, type[Any]] = {
     "inform.args": jostle.Inform,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import functools
 import inspect
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
@@ -49,6 +50,8 @@ RENAMED = {
 }
 # The verbs that a daemon executes, and no swarm.
 OF_CLIENTS = {"create", "restore"}
+# One of several things to be done, each a method of its own.
+OF_EXPERIMENTS = {"experiment"}
 OPTIONS = {"expect_step", "expect_epoch", "request_id", "timeout", "at_step", "options"}
 
 
@@ -56,10 +59,22 @@ def test_every_message_of_the_contract_has_its_type() -> None:
     verbs = {name.removesuffix(".args") for name in SCHEMAS if name.endswith(".args")}
     asked = {f"{verb}.args" for verb in verbs} | {"request"}
     assert SCHEMAS.keys() == contract.READ.keys() | contract.OPAQUE | asked
-    assert all(callable(getattr(jostle.Swarm, verb)) for verb in verbs - OF_CLIENTS)
+    assert all(
+        callable(getattr(jostle.Swarm, verb)) for verb in verbs - OF_CLIENTS - OF_EXPERIMENTS
+    )
+    kinds = {next(iter(kind["properties"])) for kind in SCHEMAS["experiment.args"]["oneOf"]}
+    assert all(callable(getattr(jostle.Experiment, kind)) for kind in kinds - {"submit"})
+    assert callable(jostle.Client.submit)
 
 
-@pytest.mark.parametrize("name", sorted(name for name in SCHEMAS if name.endswith(".args")))
+@pytest.mark.parametrize(
+    "name",
+    sorted(
+        name
+        for name in SCHEMAS
+        if name.endswith(".args") and name.removesuffix(".args") not in OF_EXPERIMENTS
+    ),
+)
 def test_every_command_takes_the_arguments_of_its_schema(name: str) -> None:
     verb = name.removesuffix(".args")
     method = getattr(jostle.Client if verb in OF_CLIENTS else jostle.Swarm, verb)
@@ -110,6 +125,16 @@ class Recorder(Link):
 
 def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
     """What the method of a verb sends when it is given these arguments."""
+    if verb in OF_EXPERIMENTS:
+        ((what, of),) = args.items()
+        client = jostle.Client(Recorder(), "main")
+        if what == "submit":
+            send = functools.partial(client.submit, of["toml"], name=of.get("name"))
+        else:
+            send = getattr(client.experiment(of["name"]), what)
+        with pytest.raises(Sent) as caught:
+            send()
+        return caught.value.message
     arguments = {RENAMED.get(name, name): value for name, value in args.items()}
     method: Callable[..., object]
     if verb in OF_CLIENTS:
@@ -132,7 +157,7 @@ def without_defaults(name: str, args: Mapping[str, Any]) -> dict[str, Any]:
     return {
         key: value
         for key, value in args.items()
-        if "default" not in properties[key] or value != properties[key]["default"]
+        if "default" not in properties.get(key, {}) or value != properties[key]["default"]
     }
 
 

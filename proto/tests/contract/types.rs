@@ -6,8 +6,9 @@ use jostle_proto::verbs::{
     RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use jostle_proto::{
-    Error, Event, Events, Hello, Journal, Metrics, NodeReply, NodeStatus, OrderSample, Parameters,
-    Reply, Request, Schemas, Snapshot, Spec, State, Status, Swarms, Told, Verified,
+    Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello, Journal, Metrics,
+    NodeReply, NodeStatus, OrderPage, OrderSample, Parameters, Progress, Reply, Request,
+    ResultsPage, Schemas, Snapshot, Spec, State, Status, Swarms, Told, Verified,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -61,6 +62,12 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "node.swarms.reply" => told::<NodeReply<Swarms>>(text),
         "node.schema.reply" => told::<NodeReply<Schemas>>(text),
         "node.metrics.reply" => told::<NodeReply<Metrics>>(text),
+        "node.experiments.reply" => told::<NodeReply<Experiments>>(text),
+        "experiment.args" => asked::<ExperimentArgs>(text),
+        "experiment.reply" => told::<NodeReply<ExperimentResult>>(text),
+        "experiment.progress" => told::<Progress>(text),
+        "experiment.results" => told::<ResultsPage>(text),
+        "experiment.order" => told::<OrderPage>(text),
         other => panic!("{other} has no type here"),
     }
 }

@@ -1,5 +1,6 @@
 //! Comma-separated text: what a spreadsheet opens.
 
+use std::io::Write;
 use std::path::Path;
 
 use csv::{ErrorKind, StringRecord};
@@ -11,20 +12,20 @@ use crate::{Run, file};
 pub fn write(path: &Path, runs: &[Run]) -> Result<(), TableError> {
     let io = |source| io_error(path, source);
     let mut file = file::begin(path).map_err(io)?;
+    write_to(&mut file, runs).map_err(|error| explain(path, COLUMNS, error))?;
+    file::publish(file, path).map_err(io)
+}
+
+pub fn write_to(to: impl Write, runs: &[Run]) -> Result<(), csv::Error> {
     let mut writer = csv::WriterBuilder::new()
         // Written below, so that a table without rows has its header too.
         .has_headers(false)
-        .from_writer(&mut file);
-    let mut rows = || -> Result<(), csv::Error> {
-        writer.write_record(COLUMNS)?;
-        for run in runs {
-            writer.serialize(run)?;
-        }
-        Ok(writer.flush()?)
-    };
-    rows().map_err(|error| explain(path, COLUMNS, error))?;
-    drop(writer);
-    file::publish(file, path).map_err(io)
+        .from_writer(to);
+    writer.write_record(COLUMNS)?;
+    for run in runs {
+        writer.serialize(run)?;
+    }
+    Ok(writer.flush()?)
 }
 
 pub fn read(path: &Path) -> Result<Vec<Run>, TableError> {

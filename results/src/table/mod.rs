@@ -105,6 +105,14 @@ pub fn write_csv(path: &Path, runs: &[Run]) -> Result<(), TableError> {
     comma::write(path, runs)
 }
 
+/// The CSV of `runs`, as [`write_csv`] writes it.
+#[must_use]
+pub fn csv(runs: &[Run]) -> String {
+    let mut bytes = Vec::new();
+    comma::write_to(&mut bytes, runs).expect("memory takes numbers and names");
+    String::from_utf8(bytes).expect("numbers and names are text")
+}
+
 /// Reads a table: a file of either kind, or the one that a directory holds.
 ///
 /// Columns are found by name; others are ignored.

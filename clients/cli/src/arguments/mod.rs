@@ -1,6 +1,7 @@
 //! What may be typed.
 
 mod copies;
+mod experiment;
 mod looking;
 mod sending;
 mod verbs;
@@ -10,6 +11,7 @@ use clap_complete::engine::ArgValueCompleter;
 use jostle_proto::keys::DEFAULT_PREFIX;
 
 pub use self::copies::*;
+pub use self::experiment::*;
 pub use self::looking::*;
 pub use self::sending::*;
 pub use self::verbs::*;
@@ -31,6 +33,9 @@ Examples:
   jostle fork demo other --at-step 5000
   jostle diff demo other
   jostle snapshot demo -o demo.snapshot
+  jostle experiment run order.toml
+  jostle experiment results order -o results
+  jostle figure 2 results -o figure-2.svg
   jostle doctor
 
 Lengths are in body sizes, speeds in free speeds, times in their quotient; angles are radians
@@ -144,6 +149,10 @@ pub enum Verb {
     Restore(RestoreArguments),
     /// Tells a swarm's kept history again and says whether it comes out the same
     Verify(VerifyArguments),
+    /// Carries out experiments: grids of runs, on the daemon, whether anybody looks on or not
+    Experiment(ExperimentArguments),
+    /// Draws a figure of the paper from results, or swarms as they are
+    Figure(FigureArguments),
     /// Finds out whether everything works from here, and what to do if not
     Doctor,
     /// Describes the messages on the wire, as JSON Schemas
@@ -167,23 +176,31 @@ mod tests {
         let mut command = Arguments::command();
         command.build();
         let mut lines = Vec::new();
-        for verb in [&command].into_iter().chain(command.get_subcommands()) {
-            if verb.get_name() == "help" {
+        let verbs = command.get_subcommands().flat_map(|verb| {
+            let of_verb = verb.get_subcommands();
+            let named = of_verb.map(|it| (format!("{} {}", verb.get_name(), it.get_name()), it));
+            [(verb.get_name().to_owned(), verb)]
+                .into_iter()
+                .chain(named)
+        });
+        let jostle = [("jostle".to_owned(), &command)];
+        for (name, verb) in jostle.into_iter().chain(verbs) {
+            if name.ends_with("help") {
                 continue;
             }
-            let is_verb = verb.get_name() != "jostle";
+            let is_verb = name != "jostle";
             for argument in verb.get_arguments() {
                 if is_verb && argument.is_global_set() || argument.get_id() == "help" {
                     continue;
                 }
                 let flags = argument.get_long().map(|long| format!("--{long}"));
                 let flags = flags.unwrap_or_else(|| format!("<{}>", argument.get_id()));
-                lines.push(format!("{} {flags}", verb.get_name()));
+                lines.push(format!("{name} {flags}"));
                 let short = argument.get_short().map(|short| format!("-{short}"));
-                lines.extend(short.map(|short| format!("{} {short}", verb.get_name())));
+                lines.extend(short.map(|short| format!("{name} {short}")));
             }
             if is_verb {
-                lines.push(verb.get_name().to_owned());
+                lines.push(name);
             }
         }
         lines.sort();
@@ -268,6 +285,13 @@ mod tests {
             "restore",
             "diff demo",
             "verify",
+            "experiment",
+            "experiment run",
+            "experiment pause a/b",
+            "experiment results a -o b --csv",
+            "figure 3 results -o a.svg",
+            "figure 2 results",
+            "figure 2 -o a.svg",
         ] {
             assert!(read(line).is_err(), "{line}");
         }

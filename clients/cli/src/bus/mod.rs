@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
-use jostle_proto::{Error, Hello, JSON, NodeReply, Request};
+use jostle_proto::{Error, Experiments, Hello, JSON, NodeReply, Request};
 use serde::Serialize;
 use zenoh::Session;
 use zenoh::handlers::{RingChannel, RingChannelHandler};
@@ -221,6 +221,38 @@ impl Bus {
         let node = self.node().await?;
         let key = keys::node_get(&self.prefix, &node, noun);
         self.ask_again(Whom::Node(&node), &key, None).await
+    }
+
+    /// The key of what an experiment tells, such as its `progress`.
+    ///
+    /// # Errors
+    ///
+    /// That there is no node to have it, or several.
+    pub async fn experiment_key(&self, experiment: &str, noun: &str) -> Result<String, Failure> {
+        let node = self.node().await?;
+        Ok(keys::experiment(&self.prefix, &node, experiment, noun))
+    }
+
+    /// Asks about an experiment, such as `progress` or `results?after=7`.
+    ///
+    /// # Errors
+    ///
+    /// What the daemon says, or why it says nothing.
+    pub async fn get_experiment(&self, experiment: &str, noun: &str) -> Result<Answer, Failure> {
+        let node = self.node().await?;
+        let key = keys::experiment(&self.prefix, &node, experiment, noun);
+        self.ask_again(Whom::Node(&node), &key, None).await
+    }
+
+    /// The names of the daemon's experiments.
+    ///
+    /// # Errors
+    ///
+    /// What the daemon says, or why it says nothing.
+    pub async fn experiments(&self) -> Result<Vec<String>, Failure> {
+        let reply: NodeReply<Experiments> = self.get_node("experiments").await?.read()?;
+        let experiments = reply.result.experiments.into_iter();
+        Ok(experiments.map(|it| it.name).collect())
     }
 
     /// Sends the same request until it is answered, a repetition cannot help or the time is over.

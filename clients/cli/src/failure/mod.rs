@@ -173,6 +173,28 @@ pub enum Failure {
         /// The first step that differs.
         step: u64,
     },
+    /// The experiment ended before all of its runs were over.
+    #[error(
+        "experiment {name} {how}{}, {finished} of {runs} runs are finished: `jostle experiment \
+         resume {name}` goes on", because(.message.as_deref())
+    )]
+    Unfinished {
+        /// The experiment.
+        name: String,
+        /// How it ended.
+        how: &'static str,
+        /// The kind of error that is.
+        code: &'static str,
+        /// How many runs are over.
+        finished: u64,
+        /// How many there are.
+        runs: u64,
+        /// What the daemon says.
+        message: Option<String>,
+    },
+    /// A table or a picture cannot be made.
+    #[error("{0}")]
+    Results(String),
     /// A file cannot be written.
     #[error("{path}: {error}")]
     File {
@@ -263,7 +285,8 @@ impl Failure {
             Failure::Mismatch { .. } => "mismatch",
             Failure::Interrupted { .. } => "interrupted",
             Failure::Pipe => "broken_pipe",
-            Failure::Unwell { code, .. } => code,
+            Failure::Unwell { code, .. } | Failure::Unfinished { code, .. } => code,
+            Failure::Results(_) => "invalid_argument",
             Failure::Unreadable { .. }
             | Failure::File { .. }
             | Failure::Output(_)

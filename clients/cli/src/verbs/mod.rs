@@ -6,6 +6,8 @@ mod create;
 mod diff;
 mod doctor;
 mod events;
+mod experiment;
+mod figure;
 mod individuals;
 mod look;
 mod lookout;
@@ -26,6 +28,7 @@ use crate::failure::Failure;
 use crate::format;
 use crate::interrupt;
 use crate::output::Output;
+use crate::values::Figure;
 
 /// Connects, does what was asked for and says goodbye.
 ///
@@ -39,13 +42,17 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
         Verb::Completions(arguments) => return shell::completions(output, &arguments),
         Verb::Man(arguments) => return shell::man(output, &arguments),
         Verb::Doctor => return interrupt::either(doctor::doctor(output, global)).await,
+        Verb::Figure(arguments) if arguments.kind != Figure::Snapshot => {
+            return figure::of_results(output, &arguments);
+        }
         verb => verb,
     };
     let bus = interrupt::either(Bus::open(global)).await?;
     let outcome = match verb {
-        // These two have something to say when interrupted.
+        // These have something to say when interrupted.
         Verb::Run(arguments) => run::run(&bus, output, &arguments).await,
         Verb::Watch(arguments) => watch::watch(&bus, output, &arguments).await,
+        Verb::Experiment(arguments) => experiment::experiment(&bus, output, &arguments.what).await,
         verb => interrupt::either(once(&bus, output, verb)).await,
     };
     if !matches!(outcome, Err(Failure::Interrupted { .. })) {
@@ -75,8 +82,14 @@ async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
         Verb::Restore(arguments) => copies::restore(bus, output, &arguments).await,
         Verb::Diff(arguments) => diff::diff(bus, output, &arguments).await,
         Verb::Verify(arguments) => verify::verify(bus, output, &arguments).await,
+        Verb::Figure(arguments) => figure::snapshot(bus, output, &arguments).await,
         Verb::Schema(arguments) => schema::schema(bus, output, &arguments).await,
-        Verb::Run(_) | Verb::Watch(_) | Verb::Doctor | Verb::Completions(_) | Verb::Man(_) => {
+        Verb::Run(_)
+        | Verb::Watch(_)
+        | Verb::Experiment(_)
+        | Verb::Doctor
+        | Verb::Completions(_)
+        | Verb::Man(_) => {
             unreachable!("these are carried out elsewhere")
         }
     }

@@ -51,6 +51,13 @@ pub fn man(output: Output, arguments: &ManArguments) -> Result<(), Failure> {
     let mut written = vec![write(Man::new(command.clone()), directory)?];
     for verb in command.get_subcommands().cloned() {
         let name = format!("jostle-{}", verb.get_name());
+        for of_verb in verb.get_subcommands().filter(|it| it.get_name() != "help") {
+            let name = format!("{name}-{}", of_verb.get_name());
+            written.push(write(
+                Man::new(of_verb.clone().display_name(name)),
+                directory,
+            )?);
+        }
         written.push(write(Man::new(verb.display_name(name)), directory)?);
     }
     if output.json {

@@ -4,6 +4,7 @@
 
 mod copies;
 mod doctor;
+mod experiments;
 mod live;
 mod looking;
 mod lost;

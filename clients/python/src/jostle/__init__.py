@@ -29,7 +29,7 @@ from ._arguments import (
     within,
 )
 from ._changes import Change, Inform, Inject, Remove, Set, Uninform
-from ._client import Client, connect
+from ._client import Client, connect, experiment
 from ._commands import Options
 from ._errors import (
     AlreadyExists,
@@ -49,6 +49,7 @@ from ._errors import (
     Unavailable,
 )
 from ._events import Event, JournalEntry
+from ._experiment import Experiment
 from ._messages import (
     BatchResult,
     Certificate,
@@ -71,6 +72,7 @@ from ._messages import (
 )
 from ._metrics import Metrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
+from ._results import ExperimentPhase, OrderSeries, Progress, ResultRow, RunUnderWay
 from ._snapshot import Snapshot
 from ._spec import Disc, Given, Spec
 from ._state import State
@@ -90,6 +92,8 @@ __all__ = [
     "Disc",
     "ErrorMessage",
     "Event",
+    "Experiment",
+    "ExperimentPhase",
     "Faulted",
     "Given",
     "Hello",
@@ -109,17 +113,21 @@ __all__ = [
     "Options",
     "Order",
     "OrderSample",
+    "OrderSeries",
     "Parameter",
     "ParameterValues",
     "PermissionDenied",
     "Phase",
     "Pose",
+    "Progress",
     "Region",
     "Remove",
     "Reply",
     "ResetResult",
     "ResourceExhausted",
+    "ResultRow",
     "RunResult",
+    "RunUnderWay",
     "Scheduled",
     "Schemas",
     "Select",
@@ -142,6 +150,7 @@ __all__ = [
     "connect",
     "count",
     "disc",
+    "experiment",
     "foremost",
     "fraction",
     "given",

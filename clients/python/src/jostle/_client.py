@@ -10,11 +10,13 @@ from typing import Any, Self, TypeVar
 
 from ._arguments import check_label, check_name, check_seconds
 from ._errors import InvalidArgument, Unavailable
+from ._experiment import Experiment, Source, send, to_toml
 from ._link import GRACE_SECS, Link, open_session
 from ._messages import CreateResult
 from ._metrics import Metrics
 from ._node import WIRE_VERSION, Hello, NodeStatus, Schemas, Swarms, SwarmSummary
 from ._reading import read_reply
+from ._results import Experiments, Progress
 from ._snapshot import Snapshot
 from ._spec import Spec
 from ._swarm import Swarm
@@ -68,6 +70,33 @@ def connect(
         raise
     link.max_message_bytes = hello.limits.max_message_bytes
     return Client(link, hello.node)
+
+
+def experiment(
+    source: Source,
+    *,
+    name: str | None = None,
+    client: Client | None = None,
+    endpoint: str | None = None,
+) -> Experiment:
+    """Has a daemon carry out an experiment.
+
+        frame = jostle.experiment("order.toml").wait().frame()
+
+    Args:
+        source: A file, the text of one, or a dictionary that says what such a text says.
+        name: What to call it; None is what the file calls it.
+        client: Whose daemon; None connects with the one at `endpoint`.
+        endpoint: As `connect` takes it.
+
+    Raises:
+        AlreadyExists: The name is taken by another experiment.
+        InvalidArgument: It describes no experiment; the message names line and field.
+        OSError: The file cannot be read.
+        Unavailable: No daemon answers there.
+    """
+    text = to_toml(source)
+    return (connect(endpoint) if client is None else client).submit(text, name=name)
 
 
 def _greet(link: Link, node: str | None) -> Hello:
@@ -193,6 +222,44 @@ class Client:
         payload = self._link.command(key, args, swarm=None, timeout=timeout, request_id=request_id)
         read_reply(payload, CreateResult)
         return swarm
+
+    def submit(
+        self,
+        source: Source,
+        *,
+        name: str | None = None,
+        timeout: float | None = None,
+        request_id: str | None = None,
+    ) -> Experiment:
+        """Has the daemon carry out an experiment, when those before it are over.
+
+        The same text under the same name is the same experiment: it is there already, and goes on
+        if it was cancelled.
+
+        Args:
+            source: A file, the text of one, or a dictionary that says what such a text says.
+            name: What to call it; None is what the file calls it.
+            timeout: Seconds it may take; None is the client's.
+            request_id: What to call the request, see `Options`; None is a new one.
+
+        Raises:
+            AlreadyExists: The name is taken by another experiment.
+            InvalidArgument: It describes no experiment; the message names line and field.
+            OSError: The file cannot be read.
+        """
+        args: dict[str, Any] = {"toml": to_toml(source)}
+        if name is not None:
+            args["name"] = check_name("name", name)
+        result = send(self._link, self._node, {"submit": args}, timeout, request_id)
+        return Experiment(self._link, self._node, result.progress.name)
+
+    def experiment(self, name: str) -> Experiment:
+        """The experiment of that name; whether it is there shows when it is asked something."""
+        return Experiment(self._link, self._node, name)
+
+    def experiments(self) -> list[Progress]:
+        """Every experiment and how far it is, in the order in which they were submitted."""
+        return self._get("experiments", Experiments).experiments
 
     def swarm(self, name: str) -> Swarm:
         """The swarm of that name; whether it is there shows when it is asked something."""

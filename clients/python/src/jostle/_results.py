@@ -1,0 +1,161 @@
+"""What a daemon tells of experiments, as msgspec structs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import msgspec
+import numpy as np
+from numpy.typing import NDArray
+
+ExperimentPhase = Literal["queued", "running", "paused", "finished", "cancelled", "failed"]
+"""What an experiment is doing."""
+
+
+class RunUnderWay(msgspec.Struct, frozen=True, kw_only=True):
+    """A run that is being carried out.
+
+    Attributes:
+        run: Its name.
+        share: Of its steps that is done.
+    """
+
+    run: str
+    share: float
+
+
+class Progress(msgspec.Struct, frozen=True, kw_only=True):
+    """How far an experiment is.
+
+    Attributes:
+        name: The experiment's name.
+        phase: What it is doing.
+        runs: How many it has.
+        finished: How many are over.
+        faulted: How many of them ended early.
+        share: Of the work that is done, the work of runs under way included.
+        elapsed_secs: How long it has been running, pauses aside.
+        left_secs: How long it will still take; None while that cannot be told.
+        running: The runs under way.
+        message: Why it failed, or what is to be said of its runs.
+    """
+
+    name: str
+    phase: ExperimentPhase
+    runs: int
+    finished: int
+    faulted: int
+    share: float
+    elapsed_secs: float
+    left_secs: float | None = None
+    running: list[RunUnderWay]
+    message: str | None = None
+
+    @property
+    def is_over(self) -> bool:
+        """Whether nothing more happens to it by itself."""
+        return self.phase in ("finished", "cancelled", "failed")
+
+
+class ExperimentResult(msgspec.Struct, frozen=True, kw_only=True):
+    """What the daemon `node` did with an experiment.
+
+    Attributes:
+        node: The daemon's name.
+        created: Whether it was not there before.
+        progress: How it stands now.
+    """
+
+    node: str
+    created: bool
+    progress: Progress
+
+
+class Experiments(msgspec.Struct, frozen=True, kw_only=True):
+    """All that the daemon `node` has, in the order in which they were submitted."""
+
+    node: str
+    experiments: list[Progress]
+
+
+class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
+    """What a run came to, its fields the columns of the table of results.
+
+    Attributes:
+        run: Its name: what varies, then the replicate.
+        seed: Of every draw.
+        n: Individuals.
+        pi1: Length over width of a body.
+        pi2: Weight of the informed individuals' own preference.
+        pi3: Body size over turning radius.
+        pi4: Translational over rotational drag.
+        informed: How many individuals were informed.
+        contacts: The contact rule.
+        dt: The time step.
+        time: How long it was; less than the experiment's duration if it faulted.
+        v: Time mean of the centroid's speed, eq. (8).
+        v_pd: Mean drift along the informed individuals' direction; None if nobody was informed.
+        ordered_intervals: Spent continuously with an order of at least 2/3.
+        ordered_time: They took together.
+        unordered_intervals: Spent continuously below.
+        unordered_time: They took together.
+        worst_overlap: The deepest of any two bodies, 0 or more.
+        crossed_share: Of time in which some two axes crossed.
+        worst_residual: Of any step.
+        degraded: Steps that missed the accuracy aimed at, yet were good enough.
+        fallbacks: Steps that the exact solver left to the referee.
+        steps: How many were taken.
+        state_hash: BLAKE3 of the last state, in hexadecimal.
+    """
+
+    run: str
+    seed: int
+    n: int
+    pi1: float
+    pi2: float
+    pi3: float
+    pi4: float
+    informed: int
+    contacts: str
+    dt: float
+    time: float
+    v: float
+    v_pd: float | None = None
+    ordered_intervals: int
+    ordered_time: float
+    unordered_intervals: int
+    unordered_time: float
+    worst_overlap: float
+    crossed_share: float
+    worst_residual: float
+    degraded: int
+    fallbacks: int
+    steps: int
+    state_hash: str
+
+
+class ResultsPage(msgspec.Struct, frozen=True, kw_only=True):
+    """Some rows of a table of results, and after which number to ask on."""
+
+    name: str
+    rows: list[ResultRow]
+    next: int | None = None
+    finished: int
+
+
+@dataclass(frozen=True, eq=False)
+class OrderSeries:
+    """The order of one run over time.
+
+    Attributes:
+        run: Its name.
+        time: Of each entry.
+        order: The polar order parameter at each.
+        drift: Along the informed individuals' direction at each; empty if nobody is informed.
+    """
+
+    run: str
+    time: NDArray[np.float64]
+    order: NDArray[np.float64]
+    drift: NDArray[np.float64]

@@ -1,0 +1,214 @@
+//! Experiments: grids of runs that a daemon carries out, and what comes of them.
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::column;
+use crate::keys::NAME_RULE;
+
+/// What is to be done with an experiment; sent to a node.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum ExperimentArgs {
+    /// Carry it out, when those before it are over. The same text under the same name is the same
+    /// experiment: it goes on if it was cancelled half way.
+    Submit(SubmitArgs),
+    /// Have its runs stand still.
+    Pause(ExperimentName),
+    /// Have a paused one go on; one that was cancelled or failed queues again.
+    Resume(ExperimentName),
+    /// End it; what is finished is kept.
+    Cancel(ExperimentName),
+    /// Remove one that is over, with its results.
+    Delete(ExperimentName),
+}
+
+/// An experiment to be carried out.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SubmitArgs {
+    /// The file that describes it, TOML.
+    pub toml: String,
+    /// What to call it; what the file calls it if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(regex(pattern = NAME_RULE))]
+    pub name: Option<String>,
+}
+
+/// Which experiment.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct ExperimentName {
+    /// Its name.
+    #[schemars(regex(pattern = NAME_RULE))]
+    pub name: String,
+}
+
+/// What a node did with an experiment.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ExperimentResult {
+    /// Whether it was not there before.
+    pub created: bool,
+    /// How it stands now; of a deleted one, how it stood.
+    pub progress: Progress,
+}
+
+/// How far an experiment is.
+///
+/// Published while it changes, at most twice a second.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Progress {
+    /// The experiment's name.
+    pub name: String,
+    /// What it is doing.
+    pub phase: ExperimentPhase,
+    /// How many runs it has.
+    pub runs: u64,
+    /// How many are over.
+    pub finished: u64,
+    /// How many of them ended early.
+    pub faulted: u64,
+    /// The share of the work that is done, the work of runs under way included.
+    pub share: f64,
+    /// How long it has been running, pauses aside.
+    pub elapsed_secs: f64,
+    /// How long it will still take, pauses aside; `null` while that cannot be told.
+    pub left_secs: Option<f64>,
+    /// The runs under way.
+    pub running: Vec<RunUnderWay>,
+    /// Why it failed; what it waits for.
+    pub message: Option<String>,
+}
+
+/// What an experiment is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum ExperimentPhase {
+    /// It waits for those before it.
+    Queued,
+    /// Its runs are carried out.
+    Running,
+    /// Its runs stand still until it is resumed, also when the daemon starts anew.
+    Paused,
+    /// Every run is over, and the tables are written.
+    Finished,
+    /// It was ended half way.
+    Cancelled,
+    /// It cannot go on.
+    Failed,
+}
+
+impl ExperimentPhase {
+    /// Whether nothing more happens to it by itself.
+    #[must_use]
+    pub fn is_over(self) -> bool {
+        matches!(self, Self::Finished | Self::Cancelled | Self::Failed)
+    }
+}
+
+/// A run that is being carried out.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct RunUnderWay {
+    /// Its name.
+    pub run: String,
+    /// The share of its steps that is done.
+    pub share: f64,
+}
+
+/// A node's answer to `get/experiments`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Experiments {
+    /// All it has, in the order in which they were submitted.
+    pub experiments: Vec<Progress>,
+}
+
+/// Some rows of an experiment's table of results, in the order of its plan.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ResultsPage {
+    /// The experiment's name.
+    pub name: String,
+    /// The rows of the runs that are finished, faulted ones included, after the run asked for.
+    pub rows: Vec<ResultRow>,
+    /// Where to ask on, as `after`; `null` if there is no more.
+    pub next: Option<u64>,
+    /// How many runs are over by now.
+    pub finished: u64,
+}
+
+/// What a run came to: a row of `results.csv`, its fields the columns.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ResultRow {
+    /// The run's name: what varies, then the replicate. Its seed is derived from it.
+    pub run: String,
+    /// The seed of every draw.
+    pub seed: u64,
+    /// Individuals.
+    pub n: u64,
+    /// Length over width of a body.
+    pub pi1: f64,
+    /// Weight of the informed individuals' own preference.
+    pub pi2: f64,
+    /// Body size over turning radius.
+    pub pi3: f64,
+    /// Translational over rotational drag.
+    pub pi4: f64,
+    /// How many individuals were informed.
+    pub informed: u64,
+    /// The contact rule: `endpoints` or `closest`.
+    pub contacts: String,
+    /// The time step.
+    pub dt: f64,
+    /// How long the run was; less than the experiment's duration if it faulted.
+    pub time: f64,
+    /// Time mean of the centroid's speed, eq. (8).
+    pub v: f64,
+    /// Mean drift along the informed individuals' direction; `null` if nobody was informed.
+    pub v_pd: Option<f64>,
+    /// Intervals spent continuously with an order of at least 2/3, cut ones included.
+    pub ordered_intervals: u64,
+    /// The time they took together.
+    pub ordered_time: f64,
+    /// Intervals spent continuously below.
+    pub unordered_intervals: u64,
+    /// The time they took together.
+    pub unordered_time: f64,
+    /// The deepest overlap of any two bodies, 0 or more.
+    pub worst_overlap: f64,
+    /// The share of time in which some two axes crossed.
+    pub crossed_share: f64,
+    /// The worst residual of any step.
+    pub worst_residual: f64,
+    /// How many steps missed the accuracy aimed at, yet were good enough.
+    pub degraded: u64,
+    /// How many steps the exact solver left to the referee.
+    pub fallbacks: u64,
+    /// How many steps were taken.
+    pub steps: u64,
+    /// BLAKE3 of the last state, in hexadecimal.
+    pub state_hash: String,
+}
+
+/// A run's order over time, if the experiment measures it.
+///
+/// In CBOR the columns are RFC 8746 typed arrays, little-endian.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct OrderPage {
+    /// The experiment's name.
+    pub name: String,
+    /// The run's name.
+    pub run: String,
+    /// The times of the entries.
+    #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
+    pub time: Vec<f64>,
+    /// The polar order parameter at each.
+    #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
+    pub order: Vec<f64>,
+    /// The drift along the informed individuals' direction at each; empty if nobody is informed.
+    #[serde(with = "column::f64_column")]
+    #[schemars(with = "Vec<f64>")]
+    pub drift: Vec<f64>,
+    /// Where to ask on, as `after`; `null` if there is no more.
+    pub next: Option<u64>,
+}
