@@ -43,6 +43,9 @@ pub struct Measure {
     /// Steps between two entries of the order's time series.
     #[serde(default)]
     pub order_every: Option<Spanned<u64>>,
+    /// Whether what contacts do to bodies is a table too.
+    #[serde(default)]
+    pub touch: bool,
 }
 
 /// The text of a file, to say where something is wrong.

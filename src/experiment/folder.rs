@@ -3,7 +3,7 @@
 //! A folder holds `experiment.toml`, the file it was made from; `runs.jsonl`, a header and then a
 //! line for each finished run, on the disk before the run counts as finished; `order/`, a file of
 //! bare numbers for each run if the plan asks for time series; and the tables made of these:
-//! `results.parquet`, `results.csv` and `order.parquet`. While somebody writes it, `lock` is held.
+//! `results.parquet`, `results.csv`, `order.parquet` and `touch.csv`. While somebody writes it, `lock` is held.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -13,6 +13,7 @@ use std::path::{Path, PathBuf};
 use jostle_results::Run;
 use jostle_results::table::order::ORDER_NAME;
 use jostle_results::table::{self, CSV_NAME, OrderSeries, OrderWriter, PARQUET_NAME, TableError};
+use jostle_results::touch::{self, TOUCH_NAME, Touch};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
@@ -104,6 +105,8 @@ struct Record {
     fault: Option<String>,
     /// Its row; none if it ended before its first step.
     row: Option<Run>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    touch: Option<Touch>,
 }
 
 /// The folder of an experiment, while it is locked.
@@ -233,6 +236,7 @@ impl Folder {
                 run: plan.runs()[index].name.clone(),
                 fault: finished.fault,
                 row: finished.row,
+                touch: finished.touch,
             };
             lines.extend(to_line(&record));
             records.push(record);
@@ -257,6 +261,11 @@ impl Folder {
     /// [`FolderError`].
     pub fn write_tables(&self, plan: &Plan) -> Result<(), FolderError> {
         table::write(&self.path, &self.rows(plan))?;
+        if plan.touch {
+            let records = plan.runs().iter().map(|run| self.finished.get(&run.name));
+            let rows = records.flatten().filter_map(|record| record.touch.clone());
+            touch::write(&self.path.join(TOUCH_NAME), &rows.collect::<Vec<_>>())?;
+        }
         let Some(every) = plan.order_every else {
             return Ok(());
         };

@@ -11,6 +11,7 @@ mod folder;
 mod grid;
 mod plan;
 mod run;
+mod touch;
 
 pub use control::{Control, Progress};
 pub use execute::{ExecuteError, Outcome, execute};

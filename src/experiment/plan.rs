@@ -17,8 +17,8 @@ pub const MOST_RUNS: u64 = 100_000;
 /// The most individuals of a run: beyond, a single step takes a good part of a second.
 pub const MOST_INDIVIDUALS: u64 = 100_000;
 
-/// The most steps of a run: a day, however small the group.
-pub const MOST_STEPS: u64 = 100_000_000_000;
+/// The most steps of a run: up to here duration over dt tells their number without doubt.
+pub const MOST_STEPS: u64 = 1_000_000_000;
 
 /// The most entries of the time series of all runs together: 8 GB.
 pub const MOST_ENTRIES: u64 = 1_000_000_000;
@@ -78,6 +78,8 @@ pub struct Plan {
     pub duration: f64,
     /// Steps between two entries of the order's time series, if it is asked for.
     pub order_every: Option<u64>,
+    /// Whether what contacts do to bodies is measured.
+    pub touch: bool,
     /// The file it was read from, to the byte.
     pub text: String,
     points: Vec<Point>,
@@ -144,6 +146,7 @@ impl Plan {
             seed,
             duration,
             order_every: (every > 0).then_some(every),
+            touch: file.measure.touch,
             text: text.to_owned(),
             points: Vec::new(),
             runs: Vec::new(),
@@ -154,7 +157,7 @@ impl Plan {
         for grid in &grids {
             for index in 0..count(grid.size().unwrap_or(0)) {
                 let choice = grid.choice(source, &common, index)?;
-                plan.add_point(source, grid, &choice, choice.name(&varied))?;
+                plan.add_point(source, grid, &choice, &choice.name(&varied))?;
                 let new = plan.runs.iter().rev();
                 for run in new.take(count(grid.replicates)) {
                     if !names.insert(run.name.clone()) {
@@ -204,7 +207,7 @@ impl Plan {
         source: Source<'_>,
         grid: &Grid,
         choice: &Choice,
-        name: String,
+        name: &str,
     ) -> Result<(), PlanError> {
         let refuse = |reason: String| source.refuse(&grid.place, reason);
         let Choice { spec, informed, .. } = choice;
@@ -214,7 +217,7 @@ impl Plan {
         }
         let recipe = recipe(spec, count(spec.n)).map_err(|error| refuse(error.to_string()))?;
         let refuse_run = |error| {
-            let run = numbered(&name, 0);
+            let run = numbered(name, 0);
             PlanError::Run { run, error }
         };
         let parameters = &recipe.parameters;
@@ -231,7 +234,7 @@ impl Plan {
             return Err(refuse(reason));
         }
         for replicate in 0..grid.replicates {
-            let name = numbered(&name, replicate);
+            let name = numbered(name, replicate);
             self.runs.push(PlannedRun {
                 seed: derive_seed(self.seed, &name),
                 name,
@@ -308,7 +311,7 @@ mod tests {
                 2 * 4 * 9 * 16,
             ),
             (include_str!("../../experiments/series2.toml"), 2 * 35 * 40),
-            (include_str!("../../experiments/animations.toml"), 7),
+            (include_str!("../../experiments/animations.toml"), 2 * 6 * 4),
         ];
         for (text, runs) in files {
             let plan = Plan::parse(text).unwrap();
@@ -467,9 +470,9 @@ mod tests {
         assert!(refused("replicates = 1000000000").1.contains("replicates"));
         let (_, reason) = refused("spec = { n = 2, dt = 1e-12 }");
         assert!(reason.contains("steps"), "{reason}");
-        let text = "spec = { n = 2, dt = 1e-8 }\nreplicates = 2\nmeasure = { order_every = 1 }";
+        let text = "spec = { n = 2, dt = 1e-7 }\nreplicates = 20\nmeasure = { order_every = 1 }";
         match refusal(text) {
-            PlanError::TooManyEntries { entries } => assert_eq!(entries, 2_000_000_002),
+            PlanError::TooManyEntries { entries } => assert_eq!(entries, 2_000_000_020),
             other => panic!("{other}"),
         }
     }

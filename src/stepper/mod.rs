@@ -305,6 +305,12 @@ impl Stepper {
         &self.free.heading
     }
 
+    /// By how much the last step displaced everybody: x, y and angle.
+    #[must_use]
+    pub fn displacement(&self) -> &[[f64; 3]] {
+        &self.solution.displacement
+    }
+
     /// The program assembled last, and a guess of its multipliers.
     #[must_use]
     pub fn program(&self) -> (&Qp, &[f64]) {
