@@ -90,6 +90,9 @@ pub struct ResultsArguments {
     /// Print a row for each run as CSV instead of a line for each condition
     #[arg(long, conflicts_with = "out")]
     pub csv: bool,
+    /// Print the order of this run over time as CSV, if the experiment measures it
+    #[arg(long, value_name = "RUN", conflicts_with_all = ["out", "csv"])]
+    pub order: Option<String>,
 }
 
 /// What to draw, of what, to where.

@@ -60,7 +60,7 @@ pub async fn attach(bus: &Bus, output: Output, name: &str) -> Result<(), Failure
         ExperimentPhase::Failed => Err(unfinished("failed", "internal")),
         _ if output.json => Ok(()),
         _ => output.data(&format!(
-            "{}; took {}\n`jostle experiment results {}` shows them",
+            "{}; took {}\n`jostle experiment results {}` shows what came of it",
             line(&progress),
             format::duration(progress.elapsed_secs),
             progress.name

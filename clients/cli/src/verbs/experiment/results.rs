@@ -3,6 +3,7 @@
 use std::fs;
 use std::path::Path;
 
+use jostle_proto::OrderPage;
 use jostle_results::statistics::{Spread, Summary, summarise};
 use jostle_results::{Run, table as tables};
 use serde::Deserialize;
@@ -35,7 +36,15 @@ pub async fn results(
     output: Output,
     arguments: &ResultsArguments,
 ) -> Result<(), Failure> {
-    let ResultsArguments { name, out, csv } = arguments;
+    let ResultsArguments {
+        name,
+        out,
+        csv,
+        order,
+    } = arguments;
+    if let Some(run) = order {
+        return print_order(bus, output, name, run).await;
+    }
     let rows = fetch(bus, name).await?;
     if let Some(out) = out {
         let written = write(out, &rows)?;
@@ -71,6 +80,44 @@ async fn fetch(bus: &Bus, name: &str) -> Result<Vec<Run>, Failure> {
             _ => return Ok(rows),
         }
     }
+}
+
+/// Prints the order of one run over time.
+async fn print_order(bus: &Bus, output: Output, name: &str, run: &str) -> Result<(), Failure> {
+    if run.contains(';') {
+        return Err(Failure::Argument {
+            argument: "--order".into(),
+            problem: format!("{run:?} is no name of a run"),
+        });
+    }
+    let mut series: Option<OrderPage> = None;
+    let mut after = Some(0);
+    while let Some(number) = after {
+        let noun = format!("order?run={run};after={number}");
+        let page: OrderPage = bus.get_experiment(name, &noun).await?.read()?;
+        after = page.next;
+        match &mut series {
+            None => series = Some(page),
+            Some(series) => {
+                series.time.extend(page.time);
+                series.order.extend(page.order);
+                series.drift.extend(page.drift);
+                series.next = None;
+            }
+        }
+    }
+    let Some(series) = series else {
+        return Err(Failure::defect("nothing was asked"));
+    };
+    if output.json {
+        return output.data(&serde_json::to_string(&series).map_err(Failure::defect)?);
+    }
+    let mut text = String::from("time,order,drift\n");
+    for (index, (time, order)) in series.time.iter().zip(&series.order).enumerate() {
+        let drift = series.drift.get(index).map(f64::to_string);
+        text.push_str(&format!("{time},{order},{}\n", drift.unwrap_or_default()));
+    }
+    output::write(&text)
 }
 
 /// Writes both tables into a folder, or one to a file; what was written.

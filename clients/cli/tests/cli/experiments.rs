@@ -1,0 +1,163 @@
+//! `experiment` and `figure`: on the daemon whether anybody looks on or not, and drawn from results.
+
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+use serde_json::json;
+
+use crate::support::{Daemon, until};
+
+const SMALL: &str = "name = \"small\"\nseed = 3\nreplicates = 2\nduration = 20\n\
+                     grid = [{ n = [3, 8] }]\nmeasure = { order_every = 500 }\n";
+const ENDLESS: &str = "name = \"endless\"\nreplicates = 4\nduration = 1e6\nspec = { n = 20 }\n";
+
+fn file(folder: &Path, name: &str, text: &str) -> String {
+    let path = folder.join(name);
+    fs::write(&path, text).unwrap();
+    path.to_str().unwrap().to_owned()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_experiment_is_run_listed_and_its_tables_are_those_of_the_daemon() {
+    let folder = tempfile::tempdir().unwrap();
+    let data = folder.path().join("data");
+    let daemon = Daemon::with(&[("data_dir", data.to_str().unwrap())]).await;
+    let small = file(folder.path(), "small.toml", SMALL);
+    let empty = daemon.jostle("experiment list").await;
+    assert!(
+        empty.stderr.contains("jostle experiment run FILE"),
+        "{empty:?}"
+    );
+
+    let ended = daemon.jostle(&format!("experiment run {small}")).await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(
+        ended
+            .stdout
+            .starts_with("small is finished, 4 of 4 runs finished"),
+        "{ended:?}"
+    );
+    assert!(
+        ended.stderr.starts_with("submitted small, 4 runs"),
+        "{ended:?}"
+    );
+    let again = daemon
+        .said(&format!("experiment run {small} --detach"))
+        .await;
+    assert!(again.starts_with("small is there already"), "{again}");
+    let progress = daemon.reply("experiment status small").await;
+    assert_eq!(
+        (&progress["phase"], &progress["finished"]),
+        (&json!("finished"), &json!(4))
+    );
+    let list = daemon.reply("experiment list").await;
+    assert_eq!(list["result"]["experiments"], json!([progress]));
+    assert!(daemon.said("experiment list").await.contains("100 %"));
+
+    let summary = daemon.said("experiment results small").await;
+    assert_eq!(summary.lines().count(), 3, "{summary}");
+    let out = folder.path().join("results");
+    let wrote = daemon
+        .said(&format!("experiment results small -o {}", out.display()))
+        .await;
+    assert!(wrote.starts_with("wrote 4 runs to "), "{wrote}");
+    for name in ["results.csv", "results.parquet"] {
+        let theirs = fs::read(data.join("experiments/small").join(name)).unwrap();
+        assert!(fs::read(out.join(name)).unwrap() == theirs, "{name}");
+    }
+    let csv = daemon.said("experiment results small --csv").await;
+    assert_eq!(
+        csv.trim(),
+        fs::read_to_string(out.join("results.csv")).unwrap().trim()
+    );
+    let rows = daemon
+        .jostle("--json experiment results small")
+        .await
+        .json_lines();
+    assert_eq!(rows[0].as_array().unwrap().len(), 4);
+
+    let refused = daemon
+        .refusal("experiment results small --order nobody")
+        .await;
+    assert_eq!(refused["code"], "not_found");
+    // Its name has a blank.
+    let order = Command::new(env!("CARGO_BIN_EXE_jostle"))
+        .args(["experiment", "results", "small", "--order", "n=8 #1"])
+        .env("JOSTLE_ENDPOINT", &daemon.endpoint)
+        .output()
+        .unwrap();
+    let order = String::from_utf8(order.stdout).unwrap();
+    let lines: Vec<&str> = order.lines().collect();
+    assert_eq!((lines.len(), lines[0]), (4, "time,order,drift"), "{order}");
+    assert!(lines[2].starts_with("10,"), "{order}");
+
+    for picture in ["figure.svg", "figure.png"] {
+        let picture = folder.path().join(picture);
+        daemon
+            .said(&format!(
+                "figure 2 {} -o {}",
+                out.display(),
+                picture.display()
+            ))
+            .await;
+        assert!(fs::metadata(&picture).unwrap().len() > 1000);
+    }
+    let unsuitable = daemon
+        .refusal(&format!("figure 6 {} -o a.svg", out.display()))
+        .await;
+    assert_eq!(unsuitable["code"], "invalid_argument");
+    daemon.said("create demo --n 9").await;
+    let picture = folder.path().join("now.svg");
+    daemon
+        .said(&format!("figure snapshot demo -o {}", picture.display()))
+        .await;
+    assert!(fs::read_to_string(&picture).unwrap().contains("demo"));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn it_goes_on_without_the_command_line_until_it_is_cancelled() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::start().await;
+    let endless = file(folder.path(), "endless.toml", ENDLESS);
+    let mut running = daemon.begin(&format!("experiment run {endless}"));
+    assert!(running.complaint().starts_with("submitted endless"));
+    assert!(running.complaint().starts_with("endless is running"));
+    running.interrupt();
+    let ended = running.end().await;
+    assert_eq!(ended.code, Some(130));
+    assert!(
+        ended.stderr.contains("jostle experiment attach endless"),
+        "{ended:?}"
+    );
+
+    let is = async |phase: &str| daemon.reply("experiment status endless").await["phase"] == phase;
+    assert!(is("running").await);
+    daemon.said("experiment pause endless").await;
+    assert!(is("paused").await);
+    daemon.said("experiment resume endless").await;
+    until("it runs", async || is("running").await).await;
+    let attached = daemon.begin("experiment attach endless");
+    let cancelled = daemon.said("experiment cancel endless").await;
+    assert!(
+        cancelled.starts_with("endless is cancelled, 0 of 4"),
+        "{cancelled}"
+    );
+    let ended = attached.end().await;
+    assert_eq!(ended.code, Some(4), "{ended:?}");
+    assert!(ended.stderr.contains("was cancelled"), "{ended:?}");
+
+    let other = file(folder.path(), "other.toml", &ENDLESS.replace("1e6", "1e5"));
+    let refused = daemon.refusal(&format!("experiment run {other}")).await;
+    assert_eq!(refused["code"], "already_exists");
+    daemon.said("experiment delete endless").await;
+    let gone = daemon.refusal("experiment attach endless").await;
+    assert_eq!(gone["code"], "not_found");
+    let wrong = daemon
+        .jostle_with("--json experiment run -", "name = \"a\"\nduration = -1\n")
+        .await;
+    assert_eq!(wrong.code, Some(2), "{wrong:?}");
+    assert!(wrong.stderr.contains("line 2"), "{wrong:?}");
+    daemon.stop().await;
+}
