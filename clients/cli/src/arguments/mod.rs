@@ -11,6 +11,7 @@ use clap::{Args, Parser, Subcommand};
 use clap_complete::engine::ArgValueCompleter;
 use jostle_proto::keys::DEFAULT_PREFIX;
 
+pub use self::claims::*;
 pub use self::copies::*;
 pub use self::experiment::*;
 pub use self::looking::*;
@@ -18,7 +19,6 @@ pub use self::sending::*;
 pub use self::verbs::*;
 use crate::completion;
 use crate::values;
-pub use claims::ClaimsArguments;
 
 /// Where a daemon listens unless told otherwise.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
