@@ -28,6 +28,8 @@ pub struct Touch {
     pub contacts: String,
     /// The time step.
     pub dt: f64,
+    /// The mean number of contacts that constrain a step, over the number of individuals.
+    pub listed: f64,
     /// The mean number of contacts that push, over the number of individuals.
     pub pushing: f64,
     /// How fast contacts turn an individual that is pushed, on the mean: angle over time.

@@ -253,7 +253,7 @@ mod tests {
     fn one_alone_walks_straight_and_turns_as_it_should() {
         let plan =
             plan("duration = 20\nspec = { n = 1, dt = 0.01 }\nmeasure = { order_every = 500 }");
-        let Finished { row, fault, series } = finish(&plan);
+        let Finished { row, fault, series, .. } = finish(&plan);
         let row = row.unwrap();
         assert_eq!((fault, row.steps, row.time), (None, 2000, 20.0));
         assert!((row.v - 1.0).abs() < 1e-12 && row.v_pd.is_none());

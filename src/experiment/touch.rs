@@ -19,6 +19,7 @@ const EVERY: f64 = 1.0;
 pub struct Meter {
     from: [f64; 2],
     steps: u64,
+    listed: u64,
     pushing: u64,
     /// How many individuals were pushed, step by step, and by how much they were turned.
     pushed: u64,
@@ -33,6 +34,7 @@ impl Meter {
         Self {
             from: centroid(&state.configuration),
             steps: 0,
+            listed: 0,
             pushing: 0,
             pushed: 0,
             turned: 0.0,
@@ -44,6 +46,7 @@ impl Meter {
     /// Counts the step that led to `state`.
     pub fn add(&mut self, stepper: &Stepper, report: &StepReport, state: &State) {
         self.steps += 1;
+        self.listed += report.contacts as u64;
         self.pushing += report.active as u64;
         let free = &stepper.program().0.free;
         for (moved, free) in stepper.displacement().iter().zip(free) {
@@ -73,6 +76,7 @@ impl Meter {
             pi4: parameters.pi4,
             contacts: contacts.to_owned(),
             dt: parameters.dt,
+            listed: share(self.listed as f64, self.steps * n as u64),
             pushing: share(self.pushing as f64, self.steps * n as u64),
             turned: share(self.turned / parameters.dt, self.pushed),
             beside: share(self.beside as f64, self.looks * n as u64),

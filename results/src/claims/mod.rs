@@ -4,6 +4,7 @@
 //! numbers by the criterion that stands beside it, the same for every rule.
 
 mod animations;
+pub mod bands;
 mod drift;
 mod evidence;
 mod intervals;

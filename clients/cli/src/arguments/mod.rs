@@ -1,5 +1,6 @@
 //! What may be typed.
 
+mod claims;
 mod copies;
 mod experiment;
 mod looking;
@@ -17,6 +18,7 @@ pub use self::sending::*;
 pub use self::verbs::*;
 use crate::completion;
 use crate::values;
+pub use claims::ClaimsArguments;
 
 /// Where a daemon listens unless told otherwise.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
@@ -153,6 +155,8 @@ pub enum Verb {
     Experiment(ExperimentArguments),
     /// Draws a figure of the paper from results, or swarms as they are
     Figure(FigureArguments),
+    /// Holds results against the paper's claims, or against the bands of earlier ones
+    Claims(ClaimsArguments),
     /// Finds out whether everything works from here, and what to do if not
     Doctor,
     /// Describes the messages on the wire, as JSON Schemas

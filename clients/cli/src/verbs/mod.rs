@@ -1,6 +1,7 @@
 //! What each verb does: arguments to a request, the answer to words or JSON.
 
 mod batch;
+mod claims;
 mod copies;
 mod create;
 mod diff;
@@ -41,6 +42,7 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
     let verb = match verb {
         Verb::Completions(arguments) => return shell::completions(output, &arguments),
         Verb::Man(arguments) => return shell::man(output, &arguments),
+        Verb::Claims(arguments) => return claims::judge(output, &arguments),
         Verb::Doctor => return interrupt::either(doctor::doctor(output, global)).await,
         Verb::Figure(arguments) if arguments.kind != Figure::Snapshot => {
             return figure::of_results(output, &arguments);
@@ -87,6 +89,7 @@ async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
         Verb::Run(_)
         | Verb::Watch(_)
         | Verb::Experiment(_)
+        | Verb::Claims(_)
         | Verb::Doctor
         | Verb::Completions(_)
         | Verb::Man(_) => {

@@ -1,0 +1,224 @@
+//! Bands that quick runs must fall into: what an experiment measured at length, give or take chance.
+
+use std::io::Write as _;
+use std::path::Path;
+
+use serde::{Deserialize, Serialize};
+
+use crate::table::TableError;
+use crate::touch::Touch;
+use crate::{Run, file};
+
+/// How many standard errors of the difference between short and long a band is wide, each way:
+/// of a hundred numbers drawn anew one leaves its band in a hundred and fifty tries.
+const ERRORS: f64 = 4.0;
+
+/// What is measured: a number of each run, or of each run's contacts.
+enum Quantity {
+    OfRun(fn(&Run) -> f64),
+    OfTouch(fn(&Touch) -> f64),
+}
+
+const QUANTITIES: [(&str, Quantity); 8] = [
+    ("v", Quantity::OfRun(|it| it.v)),
+    ("ordered_time", Quantity::OfRun(|it| it.ordered_time)),
+    ("worst_overlap", Quantity::OfRun(|it| it.worst_overlap)),
+    ("crossed_share", Quantity::OfRun(|it| it.crossed_share)),
+    ("listed", Quantity::OfTouch(|it| it.listed)),
+    ("pushing", Quantity::OfTouch(|it| it.pushing)),
+    ("turned", Quantity::OfTouch(|it| it.turned)),
+    ("beside", Quantity::OfTouch(|it| it.beside)),
+];
+
+/// Where the mean of a quantity over the runs of one condition should lie.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Band {
+    /// A column of the results, or of what contacts do.
+    pub quantity: String,
+    /// Length over width of a body.
+    pub pi1: f64,
+    /// Individuals.
+    pub n: u64,
+    /// The least mean.
+    pub low: f64,
+    /// The largest mean.
+    pub high: f64,
+}
+
+/// A band and what was measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Judged {
+    /// The band.
+    pub band: Band,
+    /// The mean; none if there are no such runs.
+    pub mean: Option<f64>,
+}
+
+impl Judged {
+    /// Whether the mean lies in its band.
+    #[must_use]
+    pub fn is_inside(&self) -> bool {
+        let Band { low, high, .. } = self.band;
+        self.mean.is_some_and(|mean| (low..=high).contains(&mean))
+    }
+}
+
+/// Measures the mean of each band's quantity.
+#[must_use]
+pub fn judge(bands: &[Band], runs: &[Run], touches: &[Touch]) -> Vec<Judged> {
+    let judged = bands.iter().map(|band| {
+        let values = values(&band.quantity, band.pi1, band.n, runs, touches);
+        Judged {
+            band: band.clone(),
+            mean: mean_and_variance(&values).map(|(mean, _)| mean),
+        }
+    });
+    judged.collect()
+}
+
+/// Makes the bands of `count` runs each, from what many have measured.
+#[must_use]
+pub fn make(runs: &[Run], touches: &[Touch], count: usize) -> Vec<Band> {
+    let mut conditions: Vec<(f64, u64)> = runs.iter().map(|run| (run.pi1, run.n)).collect();
+    conditions.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    conditions.dedup();
+    let mut bands = Vec::new();
+    for (pi1, n) in conditions {
+        for (quantity, _) in &QUANTITIES {
+            let values = values(quantity, pi1, n, runs, touches);
+            if let Some((mean, variance)) = mean_and_variance(&values) {
+                let shares = 1.0 / values.len() as f64 + 1.0 / count as f64;
+                let width = ERRORS * (variance * shares).sqrt();
+                bands.push(Band {
+                    quantity: (*quantity).to_owned(),
+                    pi1,
+                    n,
+                    low: mean - width,
+                    high: mean + width,
+                });
+            }
+        }
+    }
+    bands
+}
+
+/// Reads bands as CSV.
+///
+/// # Errors
+///
+/// [`TableError::Malformed`], also where no band stands.
+pub fn read(path: &Path) -> Result<Vec<Band>, TableError> {
+    let explain = |reason: String| TableError::Malformed {
+        path: path.to_owned(),
+        reason,
+    };
+    let mut reader = csv::Reader::from_path(path).map_err(|error| explain(error.to_string()))?;
+    let bands: Result<Vec<Band>, csv::Error> = reader.deserialize().collect();
+    let bands = bands.map_err(|error| explain(error.to_string()))?;
+    let is_known = |band: &Band| QUANTITIES.iter().any(|(name, _)| *name == band.quantity);
+    if let Some(band) = bands.iter().find(|band| !is_known(band)) {
+        return Err(explain(format!("no quantity is called {}", band.quantity)));
+    }
+    if bands.is_empty() {
+        return Err(explain("it holds no band".to_owned()));
+    }
+    Ok(bands)
+}
+
+/// Writes bands as CSV.
+///
+/// # Errors
+///
+/// [`TableError::Io`].
+pub fn write(path: &Path, bands: &[Band]) -> Result<(), TableError> {
+    let io = |source| TableError::Io {
+        path: path.to_owned(),
+        source,
+    };
+    let mut file = file::begin(path).map_err(io)?;
+    writeln!(file, "quantity,pi1,n,low,high").map_err(io)?;
+    for band in bands {
+        let Band {
+            quantity,
+            pi1,
+            n,
+            low,
+            high,
+        } = band;
+        writeln!(file, "{quantity},{pi1},{n},{low:.6},{high:.6}").map_err(io)?;
+    }
+    file::publish(file, path).map_err(io)
+}
+
+fn values(quantity: &str, pi1: f64, n: u64, runs: &[Run], touches: &[Touch]) -> Vec<f64> {
+    let of = QUANTITIES.iter().find(|(name, _)| *name == quantity);
+    match of.map(|(_, of)| of) {
+        Some(Quantity::OfRun(of)) => {
+            let runs = runs.iter().filter(|run| run.pi1 == pi1 && run.n == n);
+            runs.map(of).collect()
+        }
+        Some(Quantity::OfTouch(of)) => {
+            let touches = touches.iter().filter(|it| it.pi1 == pi1 && it.n == n);
+            touches.map(of).collect()
+        }
+        None => Vec::new(),
+    }
+}
+
+fn mean_and_variance(values: &[f64]) -> Option<(f64, f64)> {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares: f64 = values.iter().map(|it| (it - mean) * (it - mean)).sum();
+    (!values.is_empty()).then(|| (mean, squares / f64::max(count - 1.0, 1.0)))
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::run::sample;
+
+    fn with_v(v: f64) -> Run {
+        Run { v, ..sample() }
+    }
+
+    #[test]
+    fn a_band_is_as_wide_as_chance_and_tells_what_leaves_it() {
+        let many: Vec<Run> = [0.4, 0.6].repeat(50).into_iter().map(with_v).collect();
+        let bands = make(&many, &[], 25);
+        let band = bands.iter().find(|it| it.quantity == "v").unwrap();
+        // The variance is 0.01 · 100 / 99; short and long together 1/100 + 1/25 of it.
+        let width = 4.0 * (0.01 * 100.0 / 99.0 * 0.05f64).sqrt();
+        assert!((band.low - (0.5 - width)).abs() < 1e-12);
+        assert!((band.high - (0.5 + width)).abs() < 1e-12);
+        let inside = |v: f64| judge(std::slice::from_ref(band), &[with_v(v)], &[])[0].is_inside();
+        assert!(inside(0.5) && !inside(0.6) && !inside(0.4));
+        let elsewhere = Run {
+            n: 3,
+            ..with_v(0.5)
+        };
+        assert!(
+            !judge(&bands, &[elsewhere], &[])[0].is_inside(),
+            "no such runs"
+        );
+    }
+
+    #[test]
+    fn bands_survive_a_file_and_nonsense_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("bands.csv");
+        let bands = make(&[with_v(0.5), with_v(0.75)], &[], 4);
+        write(&path, &bands).unwrap();
+        let read_back = read(&path).unwrap();
+        assert_eq!(read_back.len(), bands.len());
+        assert!((read_back[0].low - bands[0].low).abs() < 1e-6);
+        for text in [
+            "quantity,pi1,n,low,high\n",
+            "quantity,pi1,n,low,high\nw,4,3,0,1\n",
+            "a\n1\n",
+        ] {
+            std::fs::write(&path, text).unwrap();
+            assert!(read(&path).is_err(), "{text}");
+        }
+    }
+}
