@@ -131,7 +131,7 @@ fn show(
     } else if bar.is_hidden() && before != Some(progress.phase) && !progress.phase.is_over() {
         output.note(&line(&progress));
     }
-    bar.set_position((progress.share * WHOLE as f64) as u64);
+    bar.set_position(of_whole(progress.share));
     let mut message = match progress.phase {
         ExperimentPhase::Running => String::new(),
         other => format!("{}, ", phase(other)),
@@ -147,6 +147,16 @@ fn show(
     let is_over = progress.phase.is_over();
     *told = Some(progress);
     Ok(is_over)
+}
+
+/// A share of the bar.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a share is from 0 to 1"
+)]
+fn of_whole(share: f64) -> u64 {
+    (share * WHOLE as f64) as u64
 }
 
 /// A bar over the work; hidden unless stderr is a terminal.
