@@ -83,7 +83,12 @@ async fn every_verb_has_a_page_in_the_manual() {
     let written = daemon.reply(&line).await;
     let written = written["written"].as_array().unwrap();
     let surface = include_str!("../../surface.txt");
-    let verbs = surface.lines().filter(|line| !line.contains(' ')).count();
+    let is_word = |word: &str| !word.starts_with(['-', '<']);
+    let verbs = surface.lines().filter(|line| {
+        // What belongs to no verb stands with `jostle`.
+        line.split(' ').all(is_word) && !line.starts_with("jostle ")
+    });
+    let verbs = verbs.count();
     assert_eq!(written.len(), verbs + 1, "and one about them all");
     let page = std::fs::read_to_string(directory.join("jostle-set.1")).unwrap();
     std::fs::remove_dir_all(&directory).unwrap();
