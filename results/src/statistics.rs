@@ -63,6 +63,8 @@ pub struct Summary {
     pub breakdown: Option<Interval>,
     /// How many individuals move as one, from the mean `v`; none below what chance gives.
     pub n_eff: Option<f64>,
+    /// The share of all time that was ordered.
+    pub ordered_share: f64,
     /// The mean share of time in which some two axes crossed.
     pub crossed_share: f64,
 }
@@ -131,6 +133,8 @@ fn summarise_condition(condition: Condition, runs: &[&Run]) -> Summary {
             None
         }
     };
+    let sum = |of: fn(&Run) -> f64| runs.iter().map(|run| of(run)).sum::<f64>();
+    let ordered = sum(|run| run.ordered_time);
     let crossed: Vec<f64> = runs.iter().map(|run| run.crossed_share).collect();
     Summary {
         runs: runs.len(),
@@ -138,6 +142,7 @@ fn summarise_condition(condition: Condition, runs: &[&Run]) -> Summary {
         build_up: interval(|run| (run.unordered_time, run.unordered_intervals)),
         breakdown: interval(|run| (run.ordered_time, run.ordered_intervals)),
         n_eff: n_eff(condition.n, v.mean),
+        ordered_share: ordered / (ordered + sum(|run| run.unordered_time)),
         crossed_share: spread(&crossed).mean,
         condition,
         v,

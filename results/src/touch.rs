@@ -34,6 +34,8 @@ pub struct Touch {
     pub pushing: f64,
     /// How fast contacts turn an individual that is pushed, on the mean: angle over time.
     pub turned: f64,
+    /// How fast contacts displace an individual that is pushed, on the mean: length over time.
+    pub shifted: f64,
     /// The mean share of individuals that have another at their side, heading the same way.
     pub beside: f64,
     /// The way of the centroid from the start to the end, over that of one free individual.

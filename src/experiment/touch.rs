@@ -21,9 +21,10 @@ pub struct Meter {
     steps: u64,
     listed: u64,
     pushing: u64,
-    /// How many individuals were pushed, step by step, and by how much they were turned.
+    /// How many individuals were pushed, step by step, and by how much turned and displaced.
     pushed: u64,
     turned: f64,
+    shifted: f64,
     looks: u64,
     beside: u64,
 }
@@ -38,6 +39,7 @@ impl Meter {
             pushing: 0,
             pushed: 0,
             turned: 0.0,
+            shifted: 0.0,
             looks: 0,
             beside: 0,
         }
@@ -54,6 +56,8 @@ impl Meter {
             if moved != free {
                 self.pushed += 1;
                 self.turned += (moved[2] - free[2]).abs();
+                let [x, y] = [moved[0] - free[0], moved[1] - free[1]];
+                self.shifted += (x * x + y * y).sqrt();
             }
         }
         if state.time() >= EVERY * (self.looks + 1) as f64 {
@@ -79,6 +83,7 @@ impl Meter {
             listed: share(self.listed as f64, self.steps * n as u64),
             pushing: share(self.pushing as f64, self.steps * n as u64),
             turned: share(self.turned / parameters.dt, self.pushed),
+            shifted: share(self.shifted / parameters.dt, self.pushed),
             beside: share(self.beside as f64, self.looks * n as u64),
             way: (way[0] * way[0] + way[1] * way[1]).sqrt() / state.time(),
         })

@@ -10,43 +10,32 @@ pub(super) const CLAIMS: [Claim; 4] = [
         criterion: "less than a tenth of the pushing contacts at π3 = 1",
         ask: |evidence| {
             let pushing = |it: &Touch| it.pushing;
-            compare(
-                evidence,
-                (0.1, 10.0),
-                "pushing contacts each",
-                pushing,
-                |share| share < 0.1,
-            )
+            let what = "pushing contacts each";
+            compare(evidence, (0.1, 10.0), what, pushing, |there, usual| {
+                there < 0.1 * usual
+            })
         },
     },
     Claim {
         name: "6b",
         says: "π3 = 10 (high turning rates): translational motion of the group is suppressed.",
-        criterion: "the centroid's way less than a fifth of that at π3 = 1",
+        criterion: "the centroid's way less than a tenth of a free individual's",
         ask: |evidence| {
             let way = |it: &Touch| it.way;
-            compare(
-                evidence,
-                (10.0, 10.0),
-                "way of the centroid over a free one's",
-                way,
-                |share| share < 0.2,
-            )
+            let what = "way of the centroid over a free one's";
+            compare(evidence, (10.0, 10.0), what, way, |there, _| there < 0.1)
         },
     },
     Claim {
         name: "6c",
         says: "π4 = 1: excentric contacts hardly rotate individuals.",
-        criterion: "whoever is pushed is turned less than a quarter as fast as at π4 = 10",
+        criterion: "contacts turn whoever they displace less than a quarter as much as at π4 = 10",
         ask: |evidence| {
-            let turned = |it: &Touch| it.turned;
-            compare(
-                evidence,
-                (1.0, 1.0),
-                "turning rate of whoever is pushed",
-                turned,
-                |share| share < 0.25,
-            )
+            let turned = |it: &Touch| it.turned / it.shifted;
+            let what = "angle turned for a body size of displacement by contacts";
+            compare(evidence, (1.0, 1.0), what, turned, |there, usual| {
+                there < 0.25 * usual
+            })
         },
     },
     Claim {
@@ -70,7 +59,7 @@ fn compare(
     changed: (f64, f64),
     what: &str,
     of: fn(&Touch) -> f64,
-    is_met: fn(f64) -> bool,
+    is_met: fn(f64, f64) -> bool,
 ) -> Answer {
     let (Some(usual), Some(there)) = (mean(evidence, (1.0, 10.0), of), mean(evidence, changed, of))
     else {
@@ -78,7 +67,7 @@ fn compare(
     };
     Answer {
         measured: format!("{what}: {there:.4}, usually {usual:.4}"),
-        verdict: Verdict::of_cases(usize::from(is_met(there / usual)), 1),
+        verdict: Verdict::of_cases(usize::from(is_met(there, usual)), 1),
     }
 }
 
