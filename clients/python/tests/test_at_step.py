@@ -184,7 +184,7 @@ def test_parameters_tell_all_that_a_form_needs(create: Create) -> None:
     assert (pi3.live, pi3.changed_by, pi3.minimum) == (True, ["set"], None)
     assert (parameters["n"].value, parameters["n"].kind) == (5, "integer")
     assert (parameters["rate"].nullable, parameters["rate"].value) == (True, None)
-    assert parameters["contacts"].choices == ["endpoints", "closest"]
+    assert parameters["contacts"].choices == ["endpoints", "closest", "clamped"]
     assert parameters["contacts"].value == "endpoints"
     assert {"kind": "voronoi"} in parameters["attraction"].choices
     assert not parameters["dt"].live

@@ -76,13 +76,17 @@ def test_the_readme_runs(
     exec(compile(first, "README.md", "exec"), {})
     swarm = client.swarm("school")
     # The others are about a swarm that there is.
-    assert len(more) == 3
+    assert len(more) == 4
     monkeypatch.chdir(tmp_path)
+    project = (FOLDER.parents[1] / "README.md").read_text(encoding="utf-8")
+    (experiment,) = re.findall(r"```toml\n(# order\.toml\n.*?)```", project, re.S)
+    Path("order.toml").write_text(experiment, encoding="utf-8")
     for code in more:
         names = {"jostle": jostle, "client": client, "swarm": swarm}
         exec(compile(code, "README.md", "exec"), names)
     for made in [swarm, client.swarm("other"), client.swarm("again")]:
         made.delete()
+    client.experiment("order").delete()
 
 
 def test_steering_a_swarm_that_stands_ends_with_a_remedy(daemon: Daemon, create: Create) -> None:
