@@ -120,6 +120,9 @@ struct Settings {
     /// States published per second and swarm [default: 50].
     #[arg(long, global = true, value_name = "N")]
     max_hz: Option<String>,
+    /// Runs of experiments at once [default: as many as there are cores].
+    #[arg(long, global = true, value_name = "N")]
+    experiment_threads: Option<String>,
 }
 
 impl Settings {
@@ -135,6 +138,7 @@ impl Settings {
             ("max_swarms", self.max_swarms),
             ("max_memory_mb", self.max_memory_mb),
             ("max_hz", self.max_hz),
+            ("experiment_threads", self.experiment_threads),
             ("data_dir", self.data_dir),
             ("quota_mb", self.quota_mb),
         ];
