@@ -39,8 +39,8 @@ async fn a_thousand_swarms_of_twenty_keep_their_rate() {
     tokio::time::sleep(Duration::from_secs(4)).await;
     let spent = (daemon.cpu_time() - spent).as_secs_f64() / began.elapsed().as_secs_f64();
     let each = spent / FIRST as f64;
-    let most = (ASKED * CORES / each) as usize;
-    let swarms = SWARMS.min(most);
+    let can_step = |&swarms: &usize| swarms as f64 * each <= ASKED * CORES;
+    let swarms = (0..=SWARMS).rev().find(can_step).unwrap();
     println!(
         "{:.2} % of a core each: {swarms} swarms of {SWARMS}",
         100.0 * each
