@@ -362,13 +362,12 @@ fn module() -> &'static str {
 /// Writes one row, and is killed while it writes the second.
 fn be_killed(folder: &Path) {
     let store = open(folder);
+    arm_at_second_write(std::env::var("JOSTLE_STORE_TEST_POINT").unwrap());
     let mut told = File::create(folder.join("told")).unwrap();
     for number in 1..=2 {
         let mut writes = vec![append("a", number)];
         if number == 1 {
             writes.insert(0, create("a"));
-        } else {
-            fail::cfg(std::env::var("JOSTLE_STORE_TEST_POINT").unwrap(), "return").unwrap();
         }
         let (sender, receiver) = channel();
         let mut told = told.try_clone().unwrap();
@@ -384,6 +383,21 @@ fn be_killed(folder: &Path) {
     }
     io::Write::flush(&mut told).unwrap();
     thread::sleep(PATIENCE);
+}
+
+/// Makes `point` deadly when the second write begins, in the writer's own thread: what the first
+/// write and the house-keeping after it still pass is none of this test's.
+fn arm_at_second_write(point: String) {
+    if point == "store-begin" {
+        return fail::cfg(point, "1*off->return").unwrap();
+    }
+    let begun = AtomicUsize::new(0);
+    fail::cfg_callback("store-begin", move || {
+        if begun.fetch_add(1, Ordering::SeqCst) == 1 {
+            fail::cfg(point.as_str(), "return").unwrap();
+        }
+    })
+    .unwrap();
 }
 
 fn refusal(folder: &Path) -> StoreError {
