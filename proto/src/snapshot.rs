@@ -7,7 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::told::told;
-use crate::{ParameterValues, Spec, column, to_cbor};
+use crate::{Attraction, ContactRule, Spec, Stepping, column, to_cbor};
 
 /// The version of the layout of snapshots; it grows when an older reader would misread them.
 pub const SNAPSHOT_VERSION: u32 = 1;
@@ -27,7 +27,7 @@ pub struct Snapshot {
     #[serde(deserialize_with = "told")]
     pub spec: Spec,
     /// The values of the parameters that may change.
-    pub parameters: ParameterValues,
+    pub parameters: SnapshotParameters,
     /// Grows whenever `step` does not continue what was published before.
     pub epoch: u64,
     /// The number of steps since the start.
@@ -94,6 +94,37 @@ pub struct Snapshot {
     /// one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub digest: Option<String>,
+}
+
+/// The values of the parameters that may change while a swarm lives. What is left out is as in
+/// `spec`: snapshots were made before the rules and the noise could change.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct SnapshotParameters {
+    /// Length over width of a body.
+    pub pi1: f64,
+    /// Weight of individuals informed without one.
+    pub pi2: f64,
+    /// Body size over turning radius.
+    pub pi3: f64,
+    /// Translational over rotational drag.
+    pub pi4: f64,
+    /// Which of a pair's contacts constrain it.
+    #[serde(default)]
+    pub contacts: Option<ContactRule>,
+    /// What a contact limits.
+    #[serde(default)]
+    pub stepping: Option<Stepping>,
+    /// How many more programs a step solves about what the last one predicts.
+    #[serde(default)]
+    pub relinearise: Option<u8>,
+    /// What an individual turns towards.
+    #[serde(default)]
+    pub attraction: Option<Attraction>,
+    /// Intensity of white noise on the turning rate, squared angle over time.
+    #[serde(default)]
+    pub noise: Option<f64>,
+    /// Steps between two published states.
+    pub publish_every: u64,
 }
 
 /// What a swarm is doing, to the letter.
@@ -294,14 +325,24 @@ mod tests {
 
     #[test]
     fn what_was_written_before_there_were_other_rules_is_still_read() {
-        let now = include_str!("../fixtures/snapshot.reply.json");
-        let before = now
-            .replace("\"stepping\": \"position\",", "")
-            .replace("\"relinearise\": 0,", "");
-        assert!(before.len() < now.len());
-        let [now, before] =
-            [now, &before].map(|it| serde_json::from_str::<Reply<Snapshot>>(it).unwrap());
-        assert_eq!(now, before);
+        let now: serde_json::Value =
+            serde_json::from_str(include_str!("../fixtures/snapshot.reply.json")).unwrap();
+        let mut before = now.clone();
+        let rules = ["stepping", "relinearise"];
+        let changeable = ["contacts", "stepping", "relinearise", "attraction", "noise"];
+        for (part, fields) in [("spec", &rules[..]), ("parameters", &changeable)] {
+            let part = before["result"][part].as_object_mut().unwrap();
+            for &field in fields {
+                assert!(part.remove(field).is_some(), "{field}");
+            }
+        }
+        let [now, before] = [now, before].map(|it| {
+            serde_json::from_value::<Reply<Snapshot>>(it)
+                .unwrap()
+                .result
+        });
+        assert_eq!(now.spec, before.spec);
+        assert_eq!(before.parameters.attraction, None);
     }
 
     #[test]

@@ -37,16 +37,16 @@ pub struct Spec {
     pub dt: f64,
     /// Which of a pair's contacts constrain it.
     #[serde(default)]
-    #[schemars(extend("x-unit" = "1"))]
+    #[schemars(extend("x-unit" = "1", "x-changed-by" = ["set"]))]
     pub contacts: ContactRule,
     /// What a contact limits.
     #[serde(default)]
-    #[schemars(extend("x-unit" = "1"))]
+    #[schemars(extend("x-unit" = "1", "x-changed-by" = ["set"]))]
     pub stepping: Stepping,
     /// How many more programs a step solves about what the last one predicts: 0 or 1. One more
     /// leaves less overlap, and goes with `position` alone.
     #[serde(default)]
-    #[schemars(range(max = 1), extend("x-unit" = "1"))]
+    #[schemars(range(max = 1), extend("x-unit" = "1", "x-changed-by" = ["set"]))]
     pub relinearise: u8,
     /// The seed of every draw: 0 to 2⁵³ - 1.
     #[serde(default)]
@@ -57,11 +57,11 @@ pub struct Spec {
     pub start: Start,
     /// What an individual turns towards.
     #[serde(default)]
-    #[schemars(extend("x-unit" = "1"))]
+    #[schemars(extend("x-unit" = "1", "x-changed-by" = ["set"]))]
     pub attraction: Attraction,
     /// Intensity of white noise on the turning rate, squared angle over time: 0 or more.
     #[serde(default)]
-    #[schemars(range(min = 0.0, max = 1e6), extend("x-unit" = "free speed / body size"))]
+    #[schemars(range(min = 0.0, max = 1e6), extend("x-unit" = "free speed / body size", "x-changed-by" = ["set"]))]
     pub noise: f64,
     /// Steps between two published states: 1 or more.
     #[serde(default = "default::publish_every")]

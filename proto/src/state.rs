@@ -3,7 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::column;
+use crate::{Attraction, ContactRule, Stepping, column};
 
 /// What a swarm is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -170,6 +170,16 @@ pub struct ParameterValues {
     pub pi3: f64,
     /// Translational over rotational drag.
     pub pi4: f64,
+    /// Which of a pair's contacts constrain it.
+    pub contacts: ContactRule,
+    /// What a contact limits.
+    pub stepping: Stepping,
+    /// How many more programs a step solves about what the last one predicts.
+    pub relinearise: u8,
+    /// What an individual turns towards.
+    pub attraction: Attraction,
+    /// Intensity of white noise on the turning rate, squared angle over time.
+    pub noise: f64,
     /// Steps between two published states.
     pub publish_every: u64,
 }

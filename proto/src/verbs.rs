@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::keys::NAME_RULE;
 use crate::told::told;
-use crate::{LARGEST_WHOLE, ParameterValues, Spec, State};
+use crate::{Attraction, ContactRule, LARGEST_WHOLE, ParameterValues, Spec, State, Stepping};
 
 /// Creates a swarm; sent to a node. The swarm is created paused.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -184,6 +184,23 @@ pub struct SetArgs {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 1e6))]
     pub pi4: Option<f64>,
+    /// Which of a pair's contacts constrain it; all but `closest` need that no axes cross.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub contacts: Option<ContactRule>,
+    /// What a contact limits.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub stepping: Option<Stepping>,
+    /// How many more programs a step solves about what the last one predicts: 0 or 1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(max = 1))]
+    pub relinearise: Option<u8>,
+    /// What an individual turns towards.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub attraction: Option<Attraction>,
+    /// Intensity of white noise on the turning rate, squared angle over time: 0 or more.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 0.0, max = 1e6))]
+    pub noise: Option<f64>,
     /// Steps between two published states: 1 or more.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 1, max = 1_000_000_000))]

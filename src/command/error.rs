@@ -272,7 +272,7 @@ impl CommandError {
                 LabError::Stopping => ErrorCode::Busy,
             },
             CommandError::Order(error) => match error {
-                OrderError::Phase(_) => ErrorCode::IncorrectState,
+                OrderError::Phase(_) | OrderError::StillCrossed { .. } => ErrorCode::IncorrectState,
                 OrderError::Conflict { .. }
                 | OrderError::Past { .. }
                 | OrderError::Late { .. }
@@ -413,6 +413,9 @@ impl CommandError {
                 placed, ..
             })) => {
                 json!({"field": "count", "placed": placed})
+            }
+            CommandError::Order(OrderError::StillCrossed { pairs }) => {
+                json!({"field": "contacts", "pairs": pairs})
             }
             CommandError::Order(OrderError::Start(error)) => match error {
                 StartError::NoRoom { placed, radius, .. } => {

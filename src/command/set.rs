@@ -37,6 +37,11 @@ pub fn order(args: SetArgs) -> Result<Order, CommandError> {
         pi2,
         pi3,
         pi4,
+        contacts,
+        stepping,
+        relinearise,
+        attraction,
+        noise,
         publish_every,
         make_room,
     } = args;
@@ -46,11 +51,11 @@ pub fn order(args: SetArgs) -> Result<Order, CommandError> {
             problem: "goes with a new pi1: name both",
         });
     }
-    let numbers = [pi1, pi2, pi3, pi4];
-    if numbers.iter().all(Option::is_none) && publish_every.is_none() {
+    if args == SetArgs::default() {
         return Err(CommandError::Field {
             field: "args",
-            problem: "names nothing to set: give pi1, pi2, pi3, pi4 or publish_every",
+            problem: "names nothing to set: give pi1, pi2, pi3, pi4, contacts, stepping, \
+                      relinearise, attraction, noise or publish_every",
         });
     }
     let publish_every = publish_every.map(wire::publish_every).transpose()?;
@@ -59,6 +64,11 @@ pub fn order(args: SetArgs) -> Result<Order, CommandError> {
         pi2,
         pi3,
         pi4,
+        contacts: contacts.map(wire::contact_rule),
+        stepping: stepping.map(wire::stepping),
+        relinearise: relinearise.map(wire::relinearise).transpose()?,
+        attraction: attraction.map(wire::attraction),
+        noise,
         publish_every,
         make_room,
     })))

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use thiserror::Error;
 
 use crate::model::injection::{InjectionError, Pose, Region};
-use crate::model::parameters::{Parameters, ParametersError};
+use crate::model::parameters::{Attraction, ContactRule, Parameters, ParametersError, Stepping};
 use crate::model::resize::ResizeError;
 use crate::model::selection::{Selection, SelectionError};
 use crate::model::start::StartError;
@@ -151,6 +151,16 @@ pub struct Settings {
     pub pi3: Option<f64>,
     /// Translational over rotational drag.
     pub pi4: Option<f64>,
+    /// Which of a pair's contacts constrain a step.
+    pub contacts: Option<ContactRule>,
+    /// What a contact limits.
+    pub stepping: Option<Stepping>,
+    /// Whether a second program is solved.
+    pub relinearise: Option<bool>,
+    /// Whom an individual is attracted to.
+    pub attraction: Option<Attraction>,
+    /// Intensity of noise.
+    pub noise: Option<f64>,
     /// Steps between two published states.
     pub publish_every: Option<u64>,
     /// Whether to scale positions so that a new `pi1` fits.
@@ -317,6 +327,15 @@ pub enum OrderError {
     /// The new individuals find no place.
     #[error(transparent)]
     Injection(#[from] InjectionError),
+    /// Axes cross that the rule asked for never lets cross.
+    #[error(
+        "the axes of {pairs} pairs cross, which only `closest` allows: run it until none do, or \
+         reset"
+    )]
+    StillCrossed {
+        /// How many pairs.
+        pairs: usize,
+    },
     /// The new shape finds no room.
     #[error(transparent)]
     Resize(#[from] ResizeError),

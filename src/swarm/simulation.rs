@@ -1,8 +1,9 @@
 //! One swarm's state and what commands make of it, without thread or clock.
 
 use crate::model::State;
+use crate::model::body::gaps;
 use crate::model::configuration::Configuration;
-use crate::model::parameters::{Parameters, check_coordinate, check_weight};
+use crate::model::parameters::{ContactRule, Parameters, check_coordinate, check_weight};
 use crate::model::selection::{Candidates, Selection, select};
 use crate::model::{injection, resize, start};
 use crate::observables::{self, Order, RunningMeans};
@@ -228,7 +229,12 @@ impl Simulation {
             pi2: settings.pi2.unwrap_or(before.pi2),
             pi3: settings.pi3.unwrap_or(before.pi3),
             pi4: settings.pi4.unwrap_or(before.pi4),
-            ..before
+            dt: before.dt,
+            contacts: settings.contacts.unwrap_or(before.contacts),
+            stepping: settings.stepping.unwrap_or(before.stepping),
+            relinearise: settings.relinearise.unwrap_or(before.relinearise),
+            attraction: settings.attraction.unwrap_or(before.attraction),
+            noise: settings.noise.unwrap_or(before.noise),
         };
         parameters.check(self.state.configuration.largest_weight())?;
         Ok(parameters)
@@ -237,6 +243,13 @@ impl Simulation {
     fn set(&mut self, settings: &Settings) -> Result<Outcome, OrderError> {
         let before = (self.state.parameters, self.publish_every);
         let parameters = self.with(settings)?;
+        let may_cross = |parameters: &Parameters| parameters.contacts == ContactRule::Closest;
+        if may_cross(&before.0) && !may_cross(&parameters) {
+            let pairs = gaps(&before.0, &self.state.configuration).crossed;
+            if pairs > 0 {
+                return Err(OrderError::StillCrossed { pairs });
+            }
+        }
         let mut scaled_by = 1.0;
         if parameters.pi1 != before.0.pi1 {
             scaled_by = resize::change_pi1(&mut self.state, parameters.pi1, settings.make_room)?;

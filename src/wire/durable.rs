@@ -19,7 +19,7 @@ use crate::swarm::journal::Record;
 use crate::swarm::order::{Order, Sender};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
-use crate::wire::{self, from_proto, to_proto};
+use crate::wire::{self, WireError, from_proto, to_proto};
 
 /// Why bytes are not what a swarm wrote down.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
@@ -73,7 +73,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         model_version: MODEL_VERSION,
         swarm: swarm.to_owned(),
         spec: wire::spec(recipe, recipe.seed),
-        parameters: to_proto::parameter_values(state.parameters, *publish_every),
+        parameters: parameters_kept(state.parameters, *publish_every),
         epoch: *epoch,
         step: state.step,
         seq: *seq,
@@ -194,21 +194,9 @@ pub fn checkpoint(
         let index = index.map_err(|_| unreadable("somebody lapses who is not there"))?;
         lapses_at[index] = Some(lapse.at_step);
     }
-    let proto::ParameterValues {
-        pi1,
-        pi2,
-        pi3,
-        pi4,
-        publish_every,
-    } = snapshot.parameters;
     let state = State {
-        parameters: model::Parameters {
-            pi1,
-            pi2,
-            pi3,
-            pi4,
-            ..recipe.parameters
-        },
+        parameters: parameters(&snapshot.parameters, recipe.parameters)
+            .map_err(|error| unreadable(&error.to_string()))?,
         seed: recipe.seed,
         step: snapshot.step,
         configuration: Configuration {
@@ -251,7 +239,7 @@ pub fn checkpoint(
     });
     let pending = snapshot.pending.as_ref();
     Ok(Checkpoint {
-        publish_every,
+        publish_every: snapshot.parameters.publish_every,
         epoch: snapshot.epoch,
         seq: snapshot.seq,
         means: RunningMeans {
@@ -283,6 +271,51 @@ pub fn checkpoint(
         is_last: snapshot.is_last,
         recipe,
         state,
+    })
+}
+
+fn parameters_kept(
+    now: model::Parameters,
+    publish_every: u64,
+) -> proto::snapshot::SnapshotParameters {
+    let now = to_proto::parameter_values(now, publish_every);
+    proto::snapshot::SnapshotParameters {
+        pi1: now.pi1,
+        pi2: now.pi2,
+        pi3: now.pi3,
+        pi4: now.pi4,
+        contacts: Some(now.contacts),
+        stepping: Some(now.stepping),
+        relinearise: Some(now.relinearise),
+        attraction: Some(now.attraction),
+        noise: Some(now.noise),
+        publish_every,
+    }
+}
+
+/// The parameters of a snapshot; `made_with` is what the swarm was made with.
+fn parameters(
+    kept: &proto::snapshot::SnapshotParameters,
+    made_with: model::Parameters,
+) -> Result<model::Parameters, WireError> {
+    let relinearise = kept.relinearise.map(from_proto::relinearise).transpose()?;
+    Ok(model::Parameters {
+        pi1: kept.pi1,
+        pi2: kept.pi2,
+        pi3: kept.pi3,
+        pi4: kept.pi4,
+        dt: made_with.dt,
+        contacts: kept
+            .contacts
+            .map_or(made_with.contacts, from_proto::contact_rule),
+        stepping: kept
+            .stepping
+            .map_or(made_with.stepping, from_proto::stepping),
+        relinearise: relinearise.unwrap_or(made_with.relinearise),
+        attraction: kept
+            .attraction
+            .map_or(made_with.attraction, from_proto::attraction),
+        noise: kept.noise.unwrap_or(made_with.noise),
     })
 }
 

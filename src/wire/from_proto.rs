@@ -96,27 +96,10 @@ pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, WireError> {
         pi3,
         pi4,
         dt,
-        contacts: match spec.contacts {
-            proto::ContactRule::Endpoints => ContactRule::Endpoints,
-            proto::ContactRule::Closest => ContactRule::Closest,
-            proto::ContactRule::Clamped => ContactRule::Clamped,
-        },
-        stepping: match spec.stepping {
-            proto::Stepping::Position => Stepping::Position,
-            proto::Stepping::Velocity => Stepping::Velocity,
-        },
-        relinearise: match spec.relinearise {
-            0 => false,
-            1 => true,
-            more => return Err(WireError::out_of_range("relinearise", more)),
-        },
-        attraction: match spec.attraction {
-            proto::Attraction::All { accuracy } => Attraction::All { accuracy },
-            proto::Attraction::Voronoi {} => Attraction::Voronoi,
-            proto::Attraction::Metric { radius } => Attraction::Metric { radius },
-            proto::Attraction::Topological { neighbours } => Attraction::Topological { neighbours },
-            proto::Attraction::Power { exponent } => Attraction::Power { exponent },
-        },
+        contacts: contact_rule(spec.contacts),
+        stepping: stepping(spec.stepping),
+        relinearise: relinearise(spec.relinearise)?,
+        attraction: attraction(spec.attraction),
         noise,
     };
     Ok(Recipe {
@@ -127,6 +110,47 @@ pub fn recipe(spec: &proto::Spec, n: usize) -> Result<Recipe, WireError> {
         publish_every: publish_every(spec.publish_every)?,
         rate: rate(spec.rate)?,
     })
+}
+
+/// The rule by which contacts are chosen.
+pub fn contact_rule(rule: proto::ContactRule) -> ContactRule {
+    match rule {
+        proto::ContactRule::Endpoints => ContactRule::Endpoints,
+        proto::ContactRule::Closest => ContactRule::Closest,
+        proto::ContactRule::Clamped => ContactRule::Clamped,
+    }
+}
+
+/// What contacts limit.
+pub fn stepping(stepping: proto::Stepping) -> Stepping {
+    match stepping {
+        proto::Stepping::Position => Stepping::Position,
+        proto::Stepping::Velocity => Stepping::Velocity,
+    }
+}
+
+/// Whether a second program is solved.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`] for more than one.
+pub fn relinearise(programs: u8) -> Result<bool, WireError> {
+    match programs {
+        0 => Ok(false),
+        1 => Ok(true),
+        more => Err(WireError::out_of_range("relinearise", more)),
+    }
+}
+
+/// The law of attraction.
+pub fn attraction(law: proto::Attraction) -> Attraction {
+    match law {
+        proto::Attraction::All { accuracy } => Attraction::All { accuracy },
+        proto::Attraction::Voronoi {} => Attraction::Voronoi,
+        proto::Attraction::Metric { radius } => Attraction::Metric { radius },
+        proto::Attraction::Topological { neighbours } => Attraction::Topological { neighbours },
+        proto::Attraction::Power { exponent } => Attraction::Power { exponent },
+    }
 }
 
 /// A whole number that every client can hold.

@@ -449,6 +449,11 @@ pub(super) fn parameter_values(
         pi2: parameters.pi2,
         pi3: parameters.pi3,
         pi4: parameters.pi4,
+        contacts: contact_rule(parameters.contacts),
+        stepping: stepping_rule(parameters.stepping),
+        relinearise: u8::from(parameters.relinearise),
+        attraction: attraction_law(parameters.attraction),
+        noise: parameters.noise,
         publish_every,
     }
 }

@@ -417,6 +417,71 @@ async fn set_changes_what_it_names_and_a_new_shape_makes_room() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn the_rules_and_the_noise_change_too_but_no_axes_stay_crossed() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let rules = json!({"contacts": "closest", "stepping": "velocity", "noise": 0.1,
+        "attraction": {"kind": "metric", "radius": 3.0}});
+    let mut spec = rules.clone();
+    spec["n"] = json!(20);
+    client.create("made", spec).await;
+    client.create("told", json!({"n": 20})).await;
+    let reply = client.ok("told", "set", rules.clone()).await;
+    for (field, value) in rules.as_object().unwrap() {
+        assert_eq!(&reply["result"]["now"][field], value, "{field}");
+    }
+    assert_eq!(reply["result"]["before"]["contacts"], "endpoints");
+    assert_eq!(
+        client.hash_at("made", 200).await,
+        client.hash_at("told", 200).await,
+        "told or made, the rules are the same"
+    );
+    for (wrong, says) in [
+        (json!({"relinearise": 1}), "stepping"),
+        (json!({"relinearise": 2}), "relinearise"),
+        (json!({"noise": -1}), "noise"),
+        (json!({"contacts": "all"}), "contacts"),
+        (
+            json!({"attraction": {"kind": "metric", "radius": 0}}),
+            "radius",
+        ),
+    ] {
+        let (code, message) = client.err("told", "set", wrong).await;
+        assert_eq!(code, ErrorCode::InvalidArgument, "{message}");
+        assert!(message.contains(says), "{message}");
+    }
+    client
+        .ok(
+            "told",
+            "set",
+            json!({"stepping": "position", "relinearise": 1}),
+        )
+        .await;
+
+    // Needles in long steps: under `closest` some come to cross.
+    client
+        .create(
+            "loose",
+            json!({"n": 60, "pi1": 8, "pi4": 1, "dt": 0.05, "contacts": "closest"}),
+        )
+        .await;
+    until("crossed axes", async || {
+        client.ok("loose", "step", json!({"steps": 50})).await;
+        client.get("loose", "status").await["result"]["certificate"]["crossed"] != 0
+    })
+    .await;
+    let before = client.hash("loose").await;
+    for strict in ["endpoints", "clamped"] {
+        let request = json!({"contacts": strict, "pi3": 0.9});
+        let (code, message) = client.err("loose", "set", request).await;
+        assert_eq!(code, ErrorCode::IncorrectState);
+        assert!(message.contains("pairs cross"), "{message}");
+    }
+    assert_eq!(client.hash("loose").await, before, "nothing has changed");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn what_the_sender_expects_must_hold() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;

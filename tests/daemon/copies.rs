@@ -118,6 +118,9 @@ async fn a_snapshot_goes_on_in_any_daemon() {
     settled(&here.client, "a", 74).await;
     let informed = json!({"select": {"count": 4}, "direction": 2.0, "for_time": 5.0});
     here.client.ok("a", "inform", informed).await;
+    let rules = json!({"attraction": {"kind": "topological", "neighbours": 7}, "noise": 0.05,
+        "relinearise": 1});
+    here.client.ok("a", "set", rules).await;
     let at_step = json!({"at_step": 1600, "args": {"pi3": 1.5}});
     here.client.ok("a", "set", at_step).await;
     let bytes = snapshot(&here.client, "a").await;
@@ -129,7 +132,12 @@ async fn a_snapshot_goes_on_in_any_daemon() {
         there.client.hash_at("b", 2000).await
     );
     let status = there.client.get("b", "status").await;
-    assert_eq!(status["result"]["parameters"]["pi3"], 1.5);
+    let parameters = &status["result"]["parameters"];
+    assert_eq!(
+        (&parameters["pi3"], &parameters["noise"]),
+        (&json!(1.5), &json!(0.05))
+    );
+    assert_eq!(parameters["attraction"]["neighbours"], 7);
 
     let refused = restore(&there.client, "b", &bytes).await.unwrap_err();
     assert_eq!(refused.code, ErrorCode::AlreadyExists);

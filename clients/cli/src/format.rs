@@ -167,6 +167,26 @@ pub fn ids(ids: &[u32]) -> String {
     ids.join(",")
 }
 
+/// A value as a person writes it.
+pub fn value(value: &Value, is_nullable: bool) -> String {
+    match value {
+        // The one parameter of which that is a value is the rate.
+        Value::Null if is_nullable => "max".into(),
+        Value::Null => NONE.into(),
+        Value::String(word) => word.clone(),
+        Value::Object(choice) => match choice.get("kind").and_then(Value::as_str) {
+            Some(kind) => {
+                // Its number, if it has one, as `--attraction` takes it.
+                let numbers = choice.values().filter_map(Value::as_f64);
+                numbers.fold(kind.into(), |text, it| format!("{text}={}", number(it)))
+            }
+            None => value.to_string(),
+        },
+        Value::Number(it) => it.as_f64().map_or_else(|| it.to_string(), number),
+        other => other.to_string(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use serde_json::json;

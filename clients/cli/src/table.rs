@@ -2,7 +2,8 @@
 
 use comfy_table::{CellAlignment, Table, presets::NOTHING};
 use jostle_proto::verbs::SetResult;
-use jostle_proto::{HistoryFrom, ParameterValues, Reply, Status, SwarmSummary};
+use jostle_proto::{HistoryFrom, ParameterValues, Reply, Status, SwarmSummary, contract};
+use serde_json::Value;
 
 use crate::format;
 use crate::output;
@@ -113,13 +114,6 @@ pub fn status(reply: &Reply<Status>) -> String {
         certificate,
         history_from,
     } = &reply.result;
-    let ParameterValues {
-        pi1,
-        pi2,
-        pi3,
-        pi4,
-        publish_every,
-    } = parameters;
     let mut lines = vec![
         ("swarm", reply.swarm.clone()),
         (
@@ -172,7 +166,11 @@ pub fn status(reply: &Reply<Status>) -> String {
     lines.extend([
         (
             "parameters",
-            format!("pi1={pi1} pi2={pi2} pi3={pi3} pi4={pi4} publish_every={publish_every}"),
+            fields(parameters)
+                .iter()
+                .map(|(name, value)| format!("{name}={value}"))
+                .collect::<Vec<_>>()
+                .join(" "),
         ),
         (
             "exactness",
@@ -209,21 +207,25 @@ pub fn changes(result: &SetResult) -> String {
 /// The parameters that `set` changed, each before and now.
 pub fn changed(result: &SetResult) -> Vec<[String; 3]> {
     let SetResult { before, now, .. } = result;
-    let rows = [
-        ("pi1", before.pi1, now.pi1),
-        ("pi2", before.pi2, now.pi2),
-        ("pi3", before.pi3, now.pi3),
-        ("pi4", before.pi4, now.pi4),
-        (
-            "publish_every",
-            before.publish_every as f64,
-            now.publish_every as f64,
-        ),
-    ];
-    rows.into_iter()
-        .filter(|(_, before, now)| before.to_bits() != now.to_bits())
-        .map(|(name, before, now)| [name.into(), before.to_string(), now.to_string()])
+    let (before, now) = (fields(before), fields(now));
+    let rows = before.into_iter().zip(now);
+    rows.filter(|(before, now)| before != now)
+        .map(|((name, before), (_, now))| [name, before, now])
         .collect()
+}
+
+/// All parameters that may change, each by its name, as a person writes it.
+fn fields(values: &ParameterValues) -> Vec<(String, String)> {
+    // All its numbers are finite and all its keys are strings.
+    let Ok(Value::Object(fields)) = serde_json::to_value(values) else {
+        return Vec::new();
+    };
+    let parameters = contract::parameters().into_iter();
+    let written = parameters.filter_map(|parameter| {
+        let value = fields.get(&parameter.name)?;
+        Some((parameter.name, format::value(value, false)))
+    });
+    written.collect()
 }
 
 fn with_mean(now: Option<f64>, mean: Option<f64>) -> String {

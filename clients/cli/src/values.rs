@@ -211,6 +211,10 @@ pub fn assignment(text: &str) -> Result<Assignment, String> {
         .split_once('=')
         .filter(|(field, _)| !field.is_empty())
         .ok_or_else(|| format!("`{text}` is not NAME=VALUE, such as pi1=6"))?;
+    if field == "attraction" {
+        let field = field.to_owned();
+        return law(value).map(|Law(value)| Assignment { field, value });
+    }
     // An integer stays one: fields that count would refuse 5.0.
     let value = serde_json::from_str::<serde_json::Number>(value)
         .map(Value::Number)

@@ -186,7 +186,8 @@ pub struct SetArguments {
     /// The swarm
     #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: String,
-    /// pi1, pi2, pi3, pi4 or publish_every, such as pi1=6
+    /// pi1 to pi4, contacts, stepping, relinearise, attraction, noise or publish_every, such as
+    /// pi1=6 or attraction=metric=3
     #[arg(required = true, value_name = "NAME=VALUE", value_parser = values::assignment, add = ArgValueCompleter::new(completion::assignments))]
     pub assignments: Vec<Assignment>,
     /// With pi1: spread the individuals by the least factor that makes room

@@ -19,6 +19,11 @@ class Set(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
         pi2: Weight of individuals informed without one; those informed keep theirs.
         pi3: Body size over turning radius: above 0.
         pi4: Translational over rotational drag: above 0.
+        contacts: `endpoints`, `closest` or `clamped`; all but `closest` need that no axes cross.
+        stepping: `position` or `velocity`.
+        relinearise: How many more programs a step solves: 0 or 1.
+        attraction: What an individual turns towards, such as `{"kind": "voronoi"}`; see `Spec`.
+        noise: Intensity of white noise on the turning rate: 0 or more.
         publish_every: Steps between two published states: 1 or more.
         make_room: With `pi1`: scale positions about the centroid by the least factor that lets
             the longer bodies in.
@@ -30,6 +35,11 @@ class Set(msgspec.Struct, frozen=True, kw_only=True, omit_defaults=True):
     pi2: float | None = None
     pi3: float | None = None
     pi4: float | None = None
+    contacts: str | None = None
+    stepping: str | None = None
+    relinearise: int | None = None
+    attraction: dict[str, Any] | None = None
+    noise: float | None = None
     publish_every: int | None = None
     make_room: bool = False
 

@@ -227,6 +227,11 @@ class Commands(Questions):
         pi2: float | None = None,
         pi3: float | None = None,
         pi4: float | None = None,
+        contacts: str | None = None,
+        stepping: str | None = None,
+        relinearise: SupportsIndex | None = None,
+        attraction: dict[str, Any] | None = None,
+        noise: float | None = None,
         publish_every: SupportsIndex | None = None,
         make_room: bool = False,
         **options: Unpack[Options],
@@ -239,6 +244,11 @@ class Commands(Questions):
         pi2: float | None = None,
         pi3: float | None = None,
         pi4: float | None = None,
+        contacts: str | None = None,
+        stepping: str | None = None,
+        relinearise: SupportsIndex | None = None,
+        attraction: dict[str, Any] | None = None,
+        noise: float | None = None,
         publish_every: SupportsIndex | None = None,
         make_room: bool = False,
         at_step: SupportsIndex | None,
@@ -251,6 +261,11 @@ class Commands(Questions):
         pi2: float | None = None,
         pi3: float | None = None,
         pi4: float | None = None,
+        contacts: str | None = None,
+        stepping: str | None = None,
+        relinearise: SupportsIndex | None = None,
+        attraction: dict[str, Any] | None = None,
+        noise: float | None = None,
         publish_every: SupportsIndex | None = None,
         make_room: bool = False,
         at_step: SupportsIndex | None = None,
@@ -263,13 +278,31 @@ class Commands(Questions):
             pi2: Weight of individuals informed without one; those informed keep theirs.
             pi3: Body size over turning radius: above 0.
             pi4: Translational over rotational drag: above 0.
+            contacts: `endpoints`, `closest` or `clamped`; all but `closest` need that no axes
+                cross.
+            stepping: `position` or `velocity`.
+            relinearise: How many more programs a step solves: 0 or 1.
+            attraction: What an individual turns towards, such as `{"kind": "voronoi"}`; see
+                `Spec`.
+            noise: Intensity of white noise on the turning rate: 0 or more.
             publish_every: Steps between two published states: 1 or more.
             make_room: With `pi1`: scale positions about the centroid by the least factor that
                 lets the longer bodies in.
             at_step: Carry it out at this step, see `Swarm`.
             options: See `Options`.
         """
-        args = _named(pi1=pi1, pi2=pi2, pi3=pi3, pi4=pi4, publish_every=publish_every)
+        args = _named(
+            pi1=pi1,
+            pi2=pi2,
+            pi3=pi3,
+            pi4=pi4,
+            contacts=contacts,
+            stepping=stepping,
+            relinearise=relinearise,
+            attraction=attraction,
+            noise=noise,
+            publish_every=publish_every,
+        )
         if make_room:
             args["make_room"] = True
         return self._command("set", args, SetResult, at_step, options)

@@ -70,6 +70,11 @@ class ParameterValues(msgspec.Struct, frozen=True, kw_only=True):
     pi2: float
     pi3: float
     pi4: float
+    contacts: str
+    stepping: str
+    relinearise: int
+    attraction: dict[str, Any]
+    noise: float
     publish_every: int
 
 

@@ -1,7 +1,6 @@
 //! `parameters`: what can be set, to what, and what it is now.
 
 use jostle_proto::{Parameter, ParameterKind, Parameters, Reply};
-use serde_json::Value;
 
 use crate::bus::Bus;
 use crate::failure::Failure;
@@ -22,8 +21,8 @@ pub async fn sight(bus: &Bus, output: Output, swarm: &str) -> Result<Sight, Fail
         let rows = parameters.iter().map(|parameter| {
             [
                 parameter.name.clone(),
-                value(&parameter.value, parameter.nullable),
-                value(&parameter.default, parameter.nullable),
+                format::value(&parameter.value, parameter.nullable),
+                format::value(&parameter.default, parameter.nullable),
                 range(parameter),
                 match parameter.changed_by.as_slice() {
                     [] => format::NONE.into(),
@@ -37,31 +36,6 @@ pub async fn sight(bus: &Bus, output: Output, swarm: &str) -> Result<Sight, Fail
     })
 }
 
-/// A value as a person writes it.
-fn value(value: &Value, is_nullable: bool) -> String {
-    match value {
-        // The one parameter of which that is a value is the rate.
-        Value::Null if is_nullable => "max".into(),
-        Value::Null => format::NONE.into(),
-        Value::String(word) => word.clone(),
-        Value::Object(choice) => match choice.get("kind").and_then(Value::as_str) {
-            Some(kind) => {
-                // Its number, if it has one, as `create --attraction` takes it.
-                let numbers = choice.values().filter_map(Value::as_f64);
-                numbers.fold(kind.into(), |text, it| {
-                    format!("{text}={}", format::number(it))
-                })
-            }
-            None => value.to_string(),
-        },
-        Value::Number(number) => match number.as_f64() {
-            Some(number) => format::number(number),
-            None => number.to_string(),
-        },
-        other => other.to_string(),
-    }
-}
-
 /// What values it takes.
 fn range(parameter: &Parameter) -> String {
     let Parameter {
@@ -73,7 +47,10 @@ fn range(parameter: &Parameter) -> String {
         ..
     } = parameter;
     if parameter.kind == ParameterKind::Choice {
-        let choices: Vec<String> = choices.iter().map(|choice| value(choice, false)).collect();
+        let choices: Vec<String> = choices
+            .iter()
+            .map(|choice| format::value(choice, false))
+            .collect();
         return choices.join(", ");
     }
     let mut text = match (minimum, exclusive_minimum, maximum) {
@@ -126,7 +103,7 @@ mod tests {
         let parameters = contract::parameters();
         let of = |name: &str| {
             let parameter = parameters.iter().find(|it| it.name == name).unwrap();
-            let default = value(&parameter.default, parameter.nullable);
+            let default = format::value(&parameter.default, parameter.nullable);
             format!("{} | {default}", range(parameter))
         };
         assert_eq!(of("n"), "1 or more | -");
@@ -138,7 +115,7 @@ mod tests {
             "all, voronoi, metric, topological, power | all"
         );
         assert_eq!(of("rate"), "above 0, to 1e6, or max | 1");
-        assert_eq!(value(&Value::Null, true), "max");
+        assert_eq!(format::value(&serde_json::Value::Null, true), "max");
     }
 
     #[test]
