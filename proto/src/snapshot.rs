@@ -6,7 +6,7 @@ use ciborium::Value;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::told::told;
+use crate::told::{Told, told};
 use crate::{Attraction, ContactRule, Spec, Stepping, column, to_cbor};
 
 /// The version of the layout of snapshots; it grows when an older reader would misread them.
@@ -98,7 +98,7 @@ pub struct Snapshot {
 
 /// The values of the parameters that may change while a swarm lives. What is left out is as in
 /// `spec`: snapshots were made before the rules and the noise could change.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SnapshotParameters {
     /// Length over width of a body.
     pub pi1: f64,
@@ -119,7 +119,7 @@ pub struct SnapshotParameters {
     pub relinearise: Option<u8>,
     /// What an individual turns towards.
     #[serde(default)]
-    pub attraction: Option<Attraction>,
+    pub attraction: Option<Told<Attraction>>,
     /// Intensity of white noise on the turning rate, squared angle over time.
     #[serde(default)]
     pub noise: Option<f64>,

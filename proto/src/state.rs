@@ -3,6 +3,7 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use crate::told::told;
 use crate::{Attraction, ContactRule, Stepping, column};
 
 /// What a swarm is doing.
@@ -177,6 +178,7 @@ pub struct ParameterValues {
     /// How many more programs a step solves about what the last one predicts.
     pub relinearise: u8,
     /// What an individual turns towards.
+    #[serde(deserialize_with = "told")]
     pub attraction: Attraction,
     /// Intensity of white noise on the turning rate, squared angle over time.
     pub noise: f64,

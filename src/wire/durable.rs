@@ -3,10 +3,10 @@
 use std::sync::Arc;
 
 use jostle_proto as proto;
-use jostle_proto::keys;
 use jostle_proto::snapshot::{
     Doing, Exactness, Lapse, Pending, SNAPSHOT_VERSION, Sent, SolverMemory, Sums, Waiting,
 };
+use jostle_proto::{Told, keys};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;
 
@@ -287,7 +287,7 @@ fn parameters_kept(
         contacts: Some(now.contacts),
         stepping: Some(now.stepping),
         relinearise: Some(now.relinearise),
-        attraction: Some(now.attraction),
+        attraction: Some(Told(now.attraction)),
         noise: Some(now.noise),
         publish_every,
     }
@@ -314,7 +314,8 @@ fn parameters(
         relinearise: relinearise.unwrap_or(made_with.relinearise),
         attraction: kept
             .attraction
-            .map_or(made_with.attraction, from_proto::attraction),
+            .as_ref()
+            .map_or(made_with.attraction, |it| from_proto::attraction(it.0)),
         noise: kept.noise.unwrap_or(made_with.noise),
     })
 }
