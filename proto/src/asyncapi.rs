@@ -56,6 +56,7 @@ pub fn document(examples: &Examples) -> Value {
                 },
                 "swarm": {"description": format!("A swarm's name: {NAME_RULE}")},
                 "node": {"description": format!("A daemon's name: {NAME_RULE}")},
+                "controller": {"description": format!("A controller's name: {NAME_RULE}")},
                 "experiment": {"description": format!("An experiment's name: {NAME_RULE}")},
             },
             "messages": messages(examples),
@@ -77,7 +78,7 @@ fn describe(channel: &Channel) -> Value {
         let place = format!("components/{folder}/{name}");
         (name.to_owned(), refer(&place))
     };
-    let parameters: Map<String, Value> = ["prefix", "swarm", "node", "experiment"]
+    let parameters: Map<String, Value> = ["prefix", "swarm", "node", "controller", "experiment"]
         .into_iter()
         .filter(|name| address.contains(&format!("{{{name}}}")))
         .map(|name| link("parameters", name))
@@ -93,7 +94,7 @@ fn describe(channel: &Channel) -> Value {
         "messages": messages,
         "bindings": {"x-zenoh": zenoh(channel)},
     });
-    if channel.kind == ChannelKind::Token
+    if matches!(channel.kind, ChannelKind::Token | ChannelKind::ClientToken)
         && let Some(fields) = description.as_object_mut()
     {
         fields.remove("messages");
@@ -135,6 +136,12 @@ fn zenoh(channel: &Channel) -> Value {
     };
     match channel.kind {
         ChannelKind::Token => json!({"kind": "liveliness"}),
+        ChannelKind::ClientToken => json!({"kind": "liveliness", "held_by": "client"}),
+        ChannelKind::Put(_) => json!({
+            "kind": "subscriber",
+            "encodings": [JSON, CBOR],
+            "attachment": "none",
+        }),
         ChannelKind::Published("event") => {
             let mut event = publisher(JSON);
             event["advanced"] = json!({"cache": 64, "heartbeat_secs": 2});
@@ -166,7 +173,10 @@ fn zenoh(channel: &Channel) -> Value {
 /// The messages a query on a channel may carry.
 fn asked(kind: ChannelKind) -> Vec<&'static str> {
     match kind {
-        ChannelKind::Published(_) | ChannelKind::Token => vec![],
+        ChannelKind::Published(_)
+        | ChannelKind::Put(_)
+        | ChannelKind::Token
+        | ChannelKind::ClientToken => vec![],
         ChannelKind::Kept(_) | ChannelKind::Get(_) => vec!["query"],
         ChannelKind::Command(args, _) => vec![args, "request"],
     }
@@ -175,11 +185,14 @@ fn asked(kind: ChannelKind) -> Vec<&'static str> {
 /// The messages it may be answered with.
 fn answered(kind: ChannelKind) -> Vec<&'static str> {
     match kind {
-        ChannelKind::Published(_) | ChannelKind::Token => vec![],
+        ChannelKind::Published(_)
+        | ChannelKind::Put(_)
+        | ChannelKind::Token
+        | ChannelKind::ClientToken => vec![],
         ChannelKind::Kept(reply) | ChannelKind::Get(reply) => vec![reply, "error"],
         // There is no swarm yet whose step could be waited for.
         ChannelKind::Command(
-            "create.args" | "fork.args" | "restore.args" | "experiment.args",
+            "create.args" | "fork.args" | "restore.args" | "experiment.args" | "advance.args",
             reply,
         ) => vec![reply, "error"],
         ChannelKind::Command(_, reply) => vec![reply, "scheduled.reply", "error"],
@@ -189,7 +202,7 @@ fn answered(kind: ChannelKind) -> Vec<&'static str> {
 /// Every message of a channel.
 fn all(channel: &Channel) -> Vec<&'static str> {
     match channel.kind {
-        ChannelKind::Published(message) => vec![message],
+        ChannelKind::Published(message) | ChannelKind::Put(message) => vec![message],
         kind => [asked(kind), answered(kind)].concat(),
     }
 }
@@ -214,6 +227,11 @@ fn operate(channel: &Channel) -> Vec<(String, Value)> {
         }
         (format!("{verb}_{id}"), operation)
     };
+    let take = |verb: &str, messages: &[&str]| {
+        let (name, mut operation) = send(verb, messages);
+        operation["action"] = json!("receive");
+        (name, operation)
+    };
     let answer = |verb: &str| {
         let operation = json!({
             "action": "receive",
@@ -231,6 +249,8 @@ fn operate(channel: &Channel) -> Vec<(String, Value)> {
         ChannelKind::Published(message) => vec![send("publish", &[message])],
         ChannelKind::Kept(message) => vec![send("publish", &[message]), answer("answer")],
         ChannelKind::Token => vec![send("hold", &[])],
+        ChannelKind::Put(message) => vec![take("take", &[message])],
+        ChannelKind::ClientToken => vec![take("watch", &[])],
         ChannelKind::Get(_) => vec![answer("answer")],
         ChannelKind::Command(..) => vec![answer("execute")],
     }

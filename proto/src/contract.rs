@@ -11,20 +11,22 @@ use schemars::{JsonSchema, Schema};
 use serde_json::Value;
 
 use crate::verbs::{
-    BatchArgs, BatchResult, CreateArgs, CreateResult, DeleteArgs, EmptyResult, ForkArgs, IdsResult,
-    InformArgs, InjectArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs,
-    RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
+    AdvanceArgs, AdvanceResult, BatchArgs, BatchResult, Control, CreateArgs, CreateResult,
+    DeleteArgs, EmptyResult, ForkArgs, IdsResult, InformArgs, InjectArgs, JoinArgs, JoinResult,
+    LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs, RunResult,
+    Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use crate::{
-    Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello, Journal, Metrics,
-    NodeReply, NodeStatus, OrderPage, OrderSample, Parameter, ParameterKind, Parameters, Progress,
-    Reply, Request, ResultsPage, Schemas, Snapshot, Spec, State, Status, Swarms, Verified,
+    ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
+    Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameter, ParameterKind,
+    Parameters, Progress, Reply, Request, ResultsPage, Schemas, Snapshot, Spec, State, Status,
+    Swarms, Verified,
 };
 
 /// Something that stands on a key of the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Channel {
-    /// Its key, below the prefix; `{swarm}`, `{node}` and `{experiment}` stand for names.
+    /// Its key, below the prefix; `{swarm}`, `{node}`, `{controller}` and `{experiment}` stand for names.
     pub key: &'static str,
     /// How it is used.
     pub kind: ChannelKind,
@@ -43,6 +45,10 @@ pub enum ChannelKind {
     Kept(&'static str),
     /// A liveliness token of the daemon's: no payload.
     Token,
+    /// A client puts this message.
+    Put(&'static str),
+    /// A liveliness token of a client's: no payload.
+    ClientToken,
     /// A query that changes nothing, answered with this message.
     Get(&'static str),
     /// A query that changes something: its arguments, within `request` or alone, and its answer.
@@ -62,7 +68,7 @@ const PAGE: &[(&str, &str)] = &[
 
 /// Every key a daemon serves.
 pub const CHANNELS: &[Channel] = &{
-    use ChannelKind::{Command, Get, Kept, Published, Token};
+    use ChannelKind::{ClientToken, Command, Get, Kept, Published, Put, Token};
     const fn plain(key: &'static str, kind: ChannelKind, doc: &'static str) -> Channel {
         Channel {
             key,
@@ -97,6 +103,11 @@ pub const CHANNELS: &[Channel] = &{
             "{swarm}/get/status",
             Get("status.reply"),
             "What the swarm is and does.",
+        ),
+        plain(
+            "{swarm}/get/controllers",
+            Get("controllers.reply"),
+            "Every controller that has joined: whom it steers, and how it fares.",
         ),
         plain(
             "{swarm}/get/spec",
@@ -205,6 +216,31 @@ pub const CHANNELS: &[Channel] = &{
             "{swarm}/cmd/fork",
             Command("fork.args", "fork.reply"),
             "Makes another swarm as this one is or was, paused.",
+        ),
+        plain(
+            "{swarm}/cmd/join",
+            Command("join.args", "join.reply"),
+            "Has a controller join, and claims whom it steers.",
+        ),
+        plain(
+            "{swarm}/cmd/advance",
+            Command("advance.args", "advance.reply"),
+            "Has a controller advance; the swarm steps when all have.",
+        ),
+        plain(
+            "{swarm}/cmd/leave",
+            Command("leave.args", "leave.reply"),
+            "Has a controller leave.",
+        ),
+        plain(
+            "{swarm}/ctl/{controller}",
+            Put("control"),
+            "Set-points of a controller that joined in mode `free_running`; the newest wins.",
+        ),
+        plain(
+            "{swarm}/ctl/{controller}/alive",
+            ClientToken,
+            "Held by a controller: when it goes, the controller has left.",
         ),
         plain(
             "@node/{node}/alive",
@@ -326,6 +362,14 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("remove.reply", told::<Reply<IdsResult>>()),
         ("batch.args", asked::<BatchArgs>()),
         ("batch.reply", told::<Reply<BatchResult>>()),
+        ("controllers.reply", told::<Reply<ControllerList>>()),
+        ("join.args", asked::<JoinArgs>()),
+        ("join.reply", told::<Reply<JoinResult>>()),
+        ("advance.args", asked::<AdvanceArgs>()),
+        ("advance.reply", told::<Reply<AdvanceResult>>()),
+        ("leave.args", asked::<LeaveArgs>()),
+        ("leave.reply", told::<Reply<EmptyResult>>()),
+        ("control", asked::<Control>()),
         ("fork.args", asked::<ForkArgs>()),
         ("fork.reply", told::<Reply<CreateResult>>()),
         ("restore.args", asked::<RestoreArgs>()),

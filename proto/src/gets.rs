@@ -7,6 +7,7 @@ use std::collections::BTreeMap;
 
 use serde_json::Value;
 
+use crate::verbs::{Mode, OnTimeout};
 use crate::{Certificate, Event, Order, ParameterValues, Phase};
 
 /// A swarm's answer to `get/status`; phase, step and time are in the envelope.
@@ -32,6 +33,12 @@ pub struct Status {
     pub parameters: ParameterValues,
     /// Commands that wait for their step.
     pub scheduled: u64,
+    /// How many controllers have joined.
+    #[serde(default)]
+    pub controllers: u64,
+    /// The controllers that the swarm waits for in lock-step.
+    #[serde(default)]
+    pub waiting_for: Vec<Awaited>,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
     /// Order and drift.
@@ -40,6 +47,60 @@ pub struct Status {
     pub certificate: Certificate,
     /// Where the history begins that is kept of it; `null` while that cannot be read.
     pub history_from: Option<HistoryFrom>,
+}
+
+/// A controller that the others wait for.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Awaited {
+    /// Its name.
+    pub controller: String,
+    /// For how long, seconds.
+    pub secs: f64,
+    /// After how long they wait no more, seconds.
+    pub deadline_secs: f64,
+}
+
+/// A swarm's answer to `get/controllers`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct ControllerList {
+    /// All that have joined, by name.
+    pub controllers: Vec<Controller>,
+}
+
+/// A controller that has joined.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Controller {
+    /// Its name.
+    pub controller: String,
+    /// How it takes part.
+    pub mode: Mode,
+    /// Whom it steers, by id.
+    pub ids: Vec<u32>,
+    /// How long others wait for it, or how long its set-points hold, seconds.
+    pub deadline_secs: f64,
+    /// What becomes of its individuals when it is late.
+    pub on_timeout: OnTimeout,
+    /// The step that it has advanced to; `null` unless in lock-step.
+    pub target_step: Option<u64>,
+    /// Deadlines missed in a row.
+    pub misses: u32,
+    /// For how long others have waited for it, seconds; `null` if they do not.
+    pub waited_secs: Option<f64>,
+    /// What became of its puts.
+    pub puts: Puts,
+}
+
+/// What became of a controller's puts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Puts {
+    /// Applied.
+    pub applied: u64,
+    /// Not newer than one before, or of another epoch.
+    pub stale: u64,
+    /// Overtaken by a newer one before the next step.
+    pub overtaken: u64,
+    /// Unreadable, out of range, or about individuals that are not its own.
+    pub refused: u64,
 }
 
 /// The oldest checkpoint that is kept of a swarm: all that came after it can be told again.

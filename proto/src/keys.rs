@@ -6,8 +6,9 @@
 pub const DEFAULT_PREFIX: &str = "jostle";
 
 /// The nouns that `{prefix}/{swarm}/get/` answers.
-pub const SWARM_GETS: [&str; 8] = [
+pub const SWARM_GETS: [&str; 9] = [
     "status",
+    "controllers",
     "spec",
     "parameters",
     "events",
@@ -18,10 +19,14 @@ pub const SWARM_GETS: [&str; 8] = [
 ];
 
 /// The verbs that `{prefix}/{swarm}/cmd/` executes.
-pub const SWARM_VERBS: [&str; 12] = [
+pub const SWARM_VERBS: [&str; 15] = [
     "delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove",
-    "batch", "fork",
+    "batch", "fork", "join", "advance", "leave",
 ];
+
+/// What a swarm does by itself on account of its controllers, as its journal and its events call
+/// it: nobody can send it.
+pub const OWN_VERBS: [&str; 3] = ["deadline", "lost", "control"];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
 pub const NODE_GETS: [&str; 6] = [
@@ -88,6 +93,16 @@ pub fn get(prefix: &str, swarm: &str, noun: &str) -> String {
 /// The key that executes `verb` on a swarm.
 pub fn cmd(prefix: &str, swarm: &str, verb: &str) -> String {
     format!("{prefix}/{swarm}/cmd/{verb}")
+}
+
+/// The key on which a controller puts set-points while the swarm runs.
+pub fn ctl(prefix: &str, swarm: &str, controller: &str) -> String {
+    format!("{prefix}/{swarm}/ctl/{controller}")
+}
+
+/// The liveliness token of a controller: when it goes, the controller has left.
+pub fn ctl_alive(prefix: &str, swarm: &str, controller: &str) -> String {
+    format!("{prefix}/{swarm}/ctl/{controller}/alive")
 }
 
 /// The liveliness token of a daemon.

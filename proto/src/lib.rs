@@ -32,8 +32,9 @@ pub use experiment::{
     Progress, ResultRow, ResultsPage, RunUnderWay, SubmitArgs,
 };
 pub use gets::{
-    Events, Hello, HistoryFrom, Journal, JournalEntry, Limits, NodeStatus, Parameter,
-    ParameterKind, Parameters, Schemas, Status, SwarmSummary, Swarms, Verified,
+    Awaited, Controller, ControllerList, Events, Hello, HistoryFrom, Journal, JournalEntry, Limits,
+    NodeStatus, Parameter, ParameterKind, Parameters, Puts, Schemas, Status, SwarmSummary, Swarms,
+    Verified,
 };
 pub use metrics::{Metrics, StoreMetrics, SwarmMetrics};
 pub use snapshot::Snapshot;

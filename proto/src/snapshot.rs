@@ -7,6 +7,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::told::{Told, told};
+use crate::verbs::{Mode, News, OnTimeout};
 use crate::{Attraction, ContactRule, Spec, Stepping, column, to_cbor};
 
 /// The version of the layout of snapshots; it grows when an older reader would misread them.
@@ -81,6 +82,9 @@ pub struct Snapshot {
     /// A `step` that is being carried out.
     #[serde(default)]
     pub pending: Option<Pending>,
+    /// The controllers that have joined.
+    #[serde(default)]
+    pub controllers: Vec<Member>,
     /// How many events there have been.
     #[serde(default)]
     pub events: u64,
@@ -151,6 +155,36 @@ pub enum Doing {
         /// Why.
         reason: String,
     },
+}
+
+/// A controller that has joined, with all that outlives a crash.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Member {
+    /// Its name.
+    pub controller: String,
+    /// How it takes part.
+    pub mode: Mode,
+    /// How long others wait for it, or how long its set-points hold, seconds.
+    pub deadline_secs: f64,
+    /// What becomes of its individuals when it is late.
+    pub on_timeout: OnTimeout,
+    /// Whom it may steer.
+    pub ids: Vec<u32>,
+    /// Whom it has steered.
+    pub steered: Vec<u32>,
+    /// The step that it has advanced to.
+    pub target: u64,
+    /// The step at which it began to.
+    pub from: u64,
+    /// The `advance` that is to be answered.
+    #[serde(default)]
+    pub advance: Option<Sent>,
+    /// Deadlines missed in a row.
+    pub misses: u32,
+    /// What it is yet to be told.
+    pub news: News,
+    /// The number of its newest put that was applied.
+    pub sequence: u64,
 }
 
 /// When somebody is uninformed again.

@@ -145,6 +145,187 @@ pub struct StepResult {
     pub state: Option<State>,
 }
 
+/// Has a controller join a swarm, and claims individuals that it alone steers.
+///
+/// In lock-step the swarm stands still and steps whenever every controller has advanced.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct JoinArgs {
+    /// Its name, by which it is known from then on.
+    #[schemars(regex(pattern = NAME_RULE))]
+    pub controller: String,
+    /// Whom it is to steer; draws are from those that no other controller claims. Left out,
+    /// nobody, or whom it had when it comes back.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub select: Option<Select>,
+    /// How it takes part.
+    #[serde(default)]
+    pub mode: Mode,
+    /// In lock-step, how long others wait for it; running freely, how long its set-points hold
+    /// after the last put. Seconds: above 0, at most 60.
+    #[serde(default = "five_secs")]
+    #[schemars(extend("exclusiveMinimum" = 0), range(max = 60.0))]
+    pub deadline_secs: f64,
+    /// What becomes of its individuals when it is late. In lock-step the swarm then goes on
+    /// without it, and after three misses in a row it has left.
+    #[serde(default)]
+    pub on_timeout: OnTimeout,
+    /// Whether it comes back: it takes the place of the controller of its name.
+    #[serde(default)]
+    pub again: bool,
+}
+
+/// How a controller takes part.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Mode {
+    /// The swarm steps when every one of these has advanced.
+    #[default]
+    Lockstep,
+    /// The swarm runs at its rate, and set-points are put on `ctl/{controller}` meanwhile.
+    FreeRunning,
+}
+
+/// What becomes of the individuals of a controller that is late.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum OnTimeout {
+    /// They keep their last set-points, also when it has left.
+    #[default]
+    Hold,
+    /// They are uninformed.
+    Free,
+    /// The swarm pauses, and whoever waits is answered.
+    Pause,
+}
+
+/// What `join` did.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct JoinResult {
+    /// Whom it steers, by id.
+    pub ids: Vec<u32>,
+    /// What came about since it was last there, if it comes back.
+    pub news: News,
+}
+
+/// Has a controller advance: the swarm steps when every other one has too, and answers when it has
+/// come so far. `expect_step` of the envelope says at which step the controller takes it to be.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct AdvanceArgs {
+    /// The controller's name.
+    #[schemars(regex(pattern = NAME_RULE))]
+    pub controller: String,
+    /// How many steps: 1 to 10⁹.
+    #[serde(default = "one")]
+    #[schemars(range(min = 1, max = 1_000_000_000))]
+    pub steps: u64,
+    /// What it wants from the next step on; what it does not name stays as it was.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub set: Option<SetPoints>,
+    /// What the reply carries.
+    #[serde(default, rename = "return")]
+    pub return_: Return,
+}
+
+/// What a controller wants of individuals that it steers: columns of equal length.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct SetPoints {
+    /// Whom.
+    pub ids: Vec<u32>,
+    /// Their preferred directions in radians, counter-clockwise from +x.
+    #[schemars(inner(range(min = -1e6, max = 1e6)))]
+    pub direction: Vec<f64>,
+    /// How much each counts beside attraction, 0 for uninformed; `pi2` each if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(inner(range(min = 0.0, max = 1e6)))]
+    pub weight: Option<Vec<f64>>,
+}
+
+/// Where the swarm has come to.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct AdvanceResult {
+    /// How many steps were taken; fewer than asked for if another command came between.
+    pub steps: u64,
+    /// The last step that a crash of the daemon would not take back.
+    pub durable_step: u64,
+    /// BLAKE3 of the state, in hexadecimal.
+    pub state_hash: String,
+    /// What came about since this controller was last told.
+    pub news: News,
+    /// The state reached, if it was asked for.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub state: Option<State>,
+}
+
+/// What a controller is told beside the step reached.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct News {
+    /// Deadlines that fired, its own too.
+    pub missed: Vec<Miss>,
+    /// Controllers that have left.
+    pub left: Vec<Departed>,
+    /// Individuals of its own that were removed.
+    pub removed: Vec<u32>,
+}
+
+/// A deadline that fired.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Miss {
+    /// Whose.
+    pub controller: String,
+    /// The step at which the swarm waited.
+    pub step: u64,
+    /// How many it has missed in a row: with the third it has left.
+    pub misses: u32,
+}
+
+/// A controller that has left.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct Departed {
+    /// Which.
+    pub controller: String,
+    /// Why.
+    pub why: Departure,
+}
+
+/// Why a controller has left.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Departure {
+    /// It said so.
+    Left,
+    /// Its liveliness token went.
+    Lost,
+    /// It missed three deadlines in a row.
+    Late,
+}
+
+/// Has a controller leave. Whom it steered is uninformed, unless it joined to `hold` them.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct LeaveArgs {
+    /// The controller's name.
+    #[schemars(regex(pattern = NAME_RULE))]
+    pub controller: String,
+}
+
+/// Set-points that a controller puts on `ctl/{controller}` while the swarm runs, as JSON or CBOR.
+/// They apply at the next step; the newest wins.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct Control {
+    /// Grows with every put: what is not newer than the last is stale, and dropped.
+    #[schemars(range(min = 1, max = LARGEST_WHOLE))]
+    pub sequence: u64,
+    /// The epoch it is meant for; of another one it is stale.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub epoch: Option<u64>,
+    /// What it wants.
+    pub set: SetPoints,
+}
+
 /// Puts a swarm back to the start of its spec, at step 0 of a new epoch, paused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
@@ -413,6 +594,10 @@ pub struct EmptyResult {}
 
 fn one() -> u64 {
     1
+}
+
+fn five_secs() -> f64 {
+    5.0
 }
 
 /// Reads no more changes than a batch may have, however many there are.

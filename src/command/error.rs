@@ -272,11 +272,21 @@ impl CommandError {
                 LabError::Stopping => ErrorCode::Busy,
             },
             CommandError::Order(error) => match error {
-                OrderError::Phase(_) | OrderError::StillCrossed { .. } => ErrorCode::IncorrectState,
+                OrderError::Phase(_)
+                | OrderError::StillCrossed { .. }
+                | OrderError::Lockstep
+                | OrderError::RunsFreely(_) => ErrorCode::IncorrectState,
+                OrderError::NotJoined { .. } => ErrorCode::NotFound,
+                OrderError::HasJoined(_) => ErrorCode::AlreadyExists,
+                OrderError::TooManyControllers { .. } => ErrorCode::ResourceExhausted,
+                OrderError::NotClaimed { .. } => ErrorCode::InvalidArgument,
                 OrderError::Conflict { .. }
                 | OrderError::Past { .. }
                 | OrderError::Late { .. }
-                | OrderError::Overtaken { .. } => ErrorCode::Conflict,
+                | OrderError::Overtaken { .. }
+                | OrderError::Claimed { .. }
+                | OrderError::Advancing { .. }
+                | OrderError::Superseded => ErrorCode::Conflict,
                 OrderError::InBatch { error, .. } => CommandError::Order((**error).clone()).code(),
                 OrderError::Panicked => ErrorCode::Internal,
                 OrderError::Parameters(_)
@@ -414,6 +424,20 @@ impl CommandError {
             })) => {
                 json!({"field": "count", "placed": placed})
             }
+            CommandError::Order(
+                OrderError::NotJoined { controller, .. }
+                | OrderError::HasJoined(controller)
+                | OrderError::RunsFreely(controller),
+            ) => json!({"field": "controller", "value": controller}),
+            CommandError::Order(OrderError::Claimed { id, controller }) => {
+                json!({"field": "select", "id": id, "controller": controller})
+            }
+            CommandError::Order(OrderError::NotClaimed { id, owner }) => {
+                json!({"field": "set.ids", "id": id, "controller": owner})
+            }
+            CommandError::Order(OrderError::Advancing { target, .. }) => {
+                json!({"field": "controller", "target": target})
+            }
             CommandError::Order(OrderError::StillCrossed { pairs }) => {
                 json!({"field": "contacts", "pairs": pairs})
             }
@@ -506,7 +530,11 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "x" | "y" | "alpha" | "along" | "direction" => "a number from -1e6 to 1e6",
         "weight" => "a number above 0, at most 1e6",
         "for_time" => "a number above 0, at most 1e9",
-        "make_room" | "exist_ok" => "true or false",
+        "mode" => "\"lockstep\" or \"free_running\"",
+        "deadline_secs" => "a number above 0, at most 60",
+        "on_timeout" => "\"hold\", \"free\" or \"pause\"",
+        "set" => "{\"ids\": […], \"direction\": […]}, \"weight\": […] if wanted",
+        "make_room" | "exist_ok" | "again" => "true or false",
         "timeout_secs" => "a number above 0, at most 3600",
         "at_step" => "a whole number from 0 to 9007199254740991",
         "expect_step" | "expect_epoch" | "step" | "after" => "a whole number, 0 or more",
@@ -518,7 +546,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "phase" => "paused, running or faulted",
         "format" => "json or cbor",
         "request_id" | "client" => "at most 256 bytes of text, each character to be seen",
-        "name" => keys::NAME_RULE,
+        "name" | "controller" => keys::NAME_RULE,
         _ => return None,
     })
 }

@@ -6,17 +6,22 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use jostle_proto::verbs::LeaveArgs;
 use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
 
 use crate::swarm::order::{Order, Sender, When};
 use crate::wire::{self, WireError};
 
+pub mod advance;
 pub mod batch;
+pub mod control;
 pub mod create;
 pub mod delete;
 pub mod error;
 pub mod inform;
 pub mod inject;
+pub mod join;
+pub mod leave;
 pub mod page;
 pub mod pause;
 pub mod remove;
@@ -84,6 +89,21 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
         "inject" => inject::order(request.args()?)?,
         "remove" => remove::order(request.args()?)?,
         "batch" => batch::order(request.args()?)?,
+        "join" => join::order(request.args()?)?,
+        "advance" => {
+            if request.at_step.is_some() {
+                let problem = "is for commands that can wait: a controller advances from where the \
+                               swarm is";
+                return Err(CommandError::Field {
+                    field: "at_step",
+                    problem,
+                });
+            }
+            let args = request.args()?;
+            returns_state = advance::returns_state(&args);
+            advance::order(args)?
+        }
+        "leave" => leave::order(request.args()?)?,
         _ => unreachable!("every known verb is above"),
     };
     Ok(Command {
@@ -99,6 +119,33 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
         sender: Arc::new(sender(verb, request)?),
         timeout: timeout(request)?,
         returns_state,
+    })
+}
+
+/// Reads what a swarm wrote down: what it was commanded, and what it did by itself.
+///
+/// # Errors
+///
+/// [`CommandError`] as for [`read`].
+pub fn read_again(verb: &'static str, request: &Request) -> Result<Command, CommandError> {
+    let order = match verb {
+        "deadline" | "lost" => {
+            let LeaveArgs { controller } = request.args()?;
+            check_name("controller", &controller)?;
+            match verb {
+                "deadline" => Order::Deadline(controller),
+                _ => Order::Lost(controller),
+            }
+        }
+        "control" => control::order(request)?,
+        verb => return read(verb, request),
+    };
+    Ok(Command {
+        order,
+        when: When::default(),
+        sender: Arc::new(sender(verb, request)?),
+        timeout: DEFAULT_TIMEOUT,
+        returns_state: false,
     })
 }
 

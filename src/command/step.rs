@@ -15,10 +15,19 @@ const MOST_STEPS: u64 = 1_000_000_000;
 ///
 /// [`WireError::OutOfRange`].
 pub fn order(args: StepArgs) -> Result<Order, CommandError> {
-    if (1..=MOST_STEPS).contains(&args.steps) {
-        return Ok(Order::Step(args.steps));
+    count(args.steps).map(Order::Step)
+}
+
+/// Checks how many steps are to be taken.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`].
+pub fn count(steps: u64) -> Result<u64, CommandError> {
+    if (1..=MOST_STEPS).contains(&steps) {
+        return Ok(steps);
     }
-    Err(WireError::out_of_range("steps", args.steps).into())
+    Err(WireError::out_of_range("steps", steps).into())
 }
 
 /// Whether the reply is to carry the state reached.

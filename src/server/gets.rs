@@ -86,6 +86,10 @@ impl Dispatcher {
                     let spec = wire::spec(&handle.recipe, seen.seed);
                     Payload::json(&wire::reply(&name, &place, spec))
                 }
+                ("controllers", _) => {
+                    let controllers = wire::controllers(&seen);
+                    Payload::json(&wire::reply(&name, &place, controllers))
+                }
                 ("parameters", _) => {
                     let parameters = wire::parameters(&seen, limits);
                     Payload::json(&wire::reply(&name, &place, parameters))

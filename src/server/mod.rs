@@ -3,6 +3,7 @@
 pub mod answer;
 pub mod archive;
 mod commands;
+mod control;
 mod copies;
 pub mod dispatch;
 pub mod doors;
@@ -26,6 +27,7 @@ use thiserror::Error;
 use tracing::{error, info, warn};
 use zenoh::key_expr::KeyExpr;
 use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::Subscriber;
 use zenoh::query::Queryable;
 use zenoh::{Session, Wait};
 
@@ -109,7 +111,7 @@ pub struct Server {
     watch: Arc<Watch>,
     gateway: Option<Gateway>,
     lab: Lab,
-    doors: (LivelinessToken, [Queryable<()>; 4]),
+    doors: (LivelinessToken, [Queryable<()>; 4], [Subscriber<()>; 2]),
 }
 
 /// Opens the session and serves.
@@ -126,7 +128,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         None => None,
     };
     let store = open_store(config)?;
-    let session = session::open(&config.listen).await?;
+    let session = session::open(&config.listen, prefix).await?;
     let locators = session.info().locators().await;
     let endpoints: Vec<String> = locators.iter().map(ToString::to_string).collect();
 
@@ -206,6 +208,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         )
         .map_err(refused)?,
     ];
+    let controls = control::listen(&session, prefix, host.clone()).map_err(refused)?;
     let token = session
         .liveliness()
         .declare_token(keys::node_alive(prefix, node))
@@ -224,7 +227,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         watch: watching,
         gateway,
         lab,
-        doors: (token, queryables),
+        doors: (token, queryables, controls),
     })
 }
 

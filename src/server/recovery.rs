@@ -294,7 +294,7 @@ fn read_command(sender: &Sender) -> Result<Command, String> {
         args: Some(args),
         ..Request::default()
     };
-    command::read(sender.verb, &request).map_err(|error| error.to_string())
+    command::read_again(sender.verb, &request).map_err(|error| error.to_string())
 }
 
 impl Story {

@@ -3,6 +3,7 @@
 use std::net::{IpAddr, SocketAddr};
 use std::thread;
 
+use jostle_proto::keys;
 use rustix::process::setpriority_process;
 use serde_json::{Value, json};
 use thiserror::Error;
@@ -62,16 +63,16 @@ pub fn check(listen: &[String]) -> Result<(), SessionError> {
     Ok(())
 }
 
-/// Opens the session on `listen`.
+/// Opens the session on `listen`, for keys below `prefix`.
 ///
 /// # Errors
 ///
 /// [`SessionError`].
-pub async fn open(listen: &[String]) -> Result<Session, SessionError> {
+pub async fn open(listen: &[String], prefix: &str) -> Result<Session, SessionError> {
     check(listen)?;
     read_first();
     let mut config = zenoh::Config::default();
-    for (key, value) in settings(listen) {
+    for (key, value) in settings(listen, prefix) {
         config
             .insert_json5(key, &value.to_string())
             .map_err(|error| SessionError::Setting(format!("{key}: {error}")))?;
@@ -109,7 +110,7 @@ fn reason(text: &str) -> String {
 }
 
 /// Every setting that differs from zenoh's own default, each measured to matter.
-fn settings(listen: &[String]) -> Vec<(&'static str, Value)> {
+fn settings(listen: &[String], prefix: &str) -> Vec<(&'static str, Value)> {
     vec![
         ("mode", json!("peer")),
         ("listen/endpoints", json!(listen)),
@@ -135,33 +136,54 @@ fn settings(listen: &[String]) -> Vec<(&'static str, Value)> {
             "transport/link/rx/max_message_size",
             json!(MAX_MESSAGE_BYTES),
         ),
-        ("access_control", access_control()),
+        ("access_control", access_control(prefix)),
     ]
 }
 
-/// Clients query and subscribe. Whatever else they send is dropped, or anyone could forge the
-/// states and answers of a swarm.
-fn access_control() -> Value {
+/// Clients query and subscribe, and controllers put set-points and hold a token, each on its own
+/// keys. Whatever else they send is dropped, or anyone could forge the states and answers of a
+/// swarm; what goes beyond these keys by a wildcard is dropped too.
+fn access_control(prefix: &str) -> Value {
+    // A verbatim chunk is matched only by itself.
+    let everything = ["**", "**/@node/**", "**/@adv/**"];
+    let asking = [
+        "query",
+        "declare_subscriber",
+        "liveliness_query",
+        "declare_liveliness_subscriber",
+    ];
+    let telling = [
+        "put",
+        "delete",
+        "reply",
+        "declare_queryable",
+        "liveliness_token",
+    ];
+    let allow = |id: &str, flow: &str, messages: &[&str], keys: &[&str]| {
+        json!({
+            "id": id,
+            "permission": "allow",
+            "flows": [flow],
+            "messages": messages,
+            "key_exprs": keys,
+        })
+    };
+    let (control, alive) = (
+        keys::ctl(prefix, "*", "*"),
+        keys::ctl_alive(prefix, "*", "*"),
+    );
     json!({
         "enabled": true,
-        "default_permission": "allow",
-        "rules": [{
-            "id": "no_admin",
-            "permission": "deny",
-            "flows": ["ingress"],
-            "messages": ["query"],
-            "key_exprs": ["@/**"],
-        }, {
-            "id": "clients_do_not_publish",
-            "permission": "deny",
-            "flows": ["ingress"],
-            "messages": ["put", "delete", "liveliness_token", "declare_queryable", "reply"],
-            // A verbatim chunk is matched only by itself.
-            "key_exprs": ["**", "**/@node/**", "@/**"],
-        }],
+        "default_permission": "deny",
+        "rules": [
+            allow("clients_ask", "ingress", &asking, &everything),
+            allow("controllers_put", "ingress", &["put"], &[&control]),
+            allow("controllers_live", "ingress", &["liveliness_token"], &[&alive]),
+            allow("the_daemon_tells", "egress", &[&asking[..], &telling].concat(), &everything),
+        ],
         "subjects": [{"id": "everyone"}],
         "policies": [{
-            "rules": ["no_admin", "clients_do_not_publish"],
+            "rules": ["clients_ask", "controllers_put", "controllers_live", "the_daemon_tells"],
             "subjects": ["everyone"],
         }],
     })

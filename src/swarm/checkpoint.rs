@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crate::model::State;
 use crate::observables::RunningMeans;
+use crate::swarm::control::Membership;
 use crate::swarm::frame::Exactness;
 use crate::swarm::order::{Rate, Recipe, Sender};
 use crate::swarm::phase::Phase;
@@ -34,6 +35,8 @@ pub struct Checkpoint {
     pub scheduled: Vec<(u64, Scheduled)>,
     /// The `step` that is being carried out: where it began, and who sent it.
     pub pending: Option<(u64, Arc<Sender>)>,
+    /// The controllers that have joined.
+    pub controllers: Vec<(String, Membership)>,
     /// How many events there have been.
     pub events: u64,
     /// How many lines of its journal it contains.
@@ -53,6 +56,7 @@ impl Checkpoint {
         Checkpoint {
             phase,
             pending: None,
+            controllers: Vec::new(),
             epoch: 1,
             events: 0,
             lines: 0,

@@ -6,6 +6,7 @@ use crate::model::body::{self, Gaps};
 use crate::model::configuration::Configuration;
 use crate::model::parameters::Parameters;
 use crate::observables::{Order, RunningMeans};
+use crate::swarm::control::Seen;
 use crate::swarm::order::{OrderError, Rate, Sender};
 use crate::swarm::phase::Phase;
 
@@ -49,6 +50,8 @@ pub struct Frame {
     pub rate: Rate,
     /// How fast it lately ran.
     pub real_time_factor: Option<f64>,
+    /// The controllers that have joined, where they were asked for.
+    pub controllers: Vec<Seen>,
     /// BLAKE3 of the state, where it was asked for.
     pub hash: Option<[u8; 32]>,
     /// Filled by the first who asks, so that the swarm's thread need not measure.

@@ -3,6 +3,7 @@
 use std::sync::mpsc::{SyncSender, TrySendError};
 use std::sync::{Arc, Mutex, PoisonError};
 
+use crate::swarm::control::Put;
 use crate::swarm::cores::{Cores, Seat};
 use crate::swarm::frame::Summary;
 use crate::swarm::history::History;
@@ -21,6 +22,11 @@ pub enum Ticket {
     Wait(Waiter),
     /// All of it as it is now.
     Copy(Answer),
+    /// Set-points of a controller's, made in an epoch if that is known; none if they could not be
+    /// read.
+    Put(String, Option<u64>, Option<Put>),
+    /// A controller's token is gone.
+    Lost(String),
     /// It has a core now, which it waits for.
     Core,
     /// End now, without an event: the daemon stops.
@@ -121,7 +127,7 @@ impl Ticket {
             | Ticket::Wait(Waiter { answer, .. }) => {
                 answer(Err(Refusal { step, error }));
             }
-            Ticket::Core | Ticket::Stop => {}
+            Ticket::Put(..) | Ticket::Lost(_) | Ticket::Core | Ticket::Stop => {}
         }
     }
 }

@@ -1,6 +1,7 @@
 //! One hosted swarm: its phases, its thread and how to reach it. Knows no zenoh.
 
 pub mod checkpoint;
+pub mod control;
 pub mod cores;
 mod crash;
 pub mod frame;

@@ -10,6 +10,7 @@ use crate::model::resize::ResizeError;
 use crate::model::selection::{Selection, SelectionError};
 use crate::model::start::StartError;
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::control::{Departure, MOST_MISSES, News, SetPoints, Terms};
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::journal::WriteFault;
 use crate::swarm::phase::PhaseError;
@@ -70,6 +71,32 @@ pub enum Order {
     Change(Change),
     /// Several changes at one step, or none of them.
     Batch(Vec<Change>),
+    /// Take a controller in.
+    Join(Terms),
+    /// A controller has advanced by so many steps, with these set-points.
+    Advance {
+        /// Which.
+        controller: String,
+        /// How many.
+        steps: u64,
+        /// What it wants from now on; without them what it wanted before.
+        set: Option<SetPoints>,
+    },
+    /// Let a controller go.
+    Leave(String),
+    /// The others have waited long enough for this controller.
+    Deadline(String),
+    /// This controller's token is gone.
+    Lost(String),
+    /// Set-points that a controller put.
+    Control {
+        /// Which.
+        controller: String,
+        /// Counts its puts.
+        sequence: u64,
+        /// What it wants.
+        set: SetPoints,
+    },
     /// End.
     Delete,
 }
@@ -235,6 +262,25 @@ pub enum Outcome {
         /// Where it arrived.
         seen: Arc<Frame>,
     },
+    /// The controller steers these, and this is news to it.
+    Joined {
+        /// Whom.
+        ids: Vec<u32>,
+        /// What came about since it was last there.
+        news: News,
+    },
+    /// It took this many steps since the controller advanced, fewer than it wanted if another
+    /// command came between.
+    Advanced {
+        /// How many.
+        steps: u64,
+        /// The last step that a crash would not take back.
+        safe_step: u64,
+        /// Where it arrived.
+        seen: Arc<Frame>,
+        /// What came about since the controller was last told.
+        news: News,
+    },
     /// It is this, as a whole.
     Whole(Box<Checkpoint>),
     /// It is back at its start.
@@ -327,6 +373,64 @@ pub enum OrderError {
     /// The new individuals find no place.
     #[error(transparent)]
     Injection(#[from] InjectionError),
+    /// No controller of this name has joined.
+    #[error("{}", not_joined(.controller, *.left))]
+    NotJoined {
+        /// The name.
+        controller: String,
+        /// Why it is no longer there, and at which step it left.
+        left: Option<(Departure, u64)>,
+    },
+    /// A controller of this name has joined.
+    #[error(
+        "a controller {0} has joined: take another name, or say `again` if it is the same one that \
+         comes back"
+    )]
+    HasJoined(String),
+    /// No more controllers can join.
+    #[error("{limit} controllers have joined already: have one leave")]
+    TooManyControllers {
+        /// The limit.
+        limit: usize,
+    },
+    /// Another controller steers an individual.
+    #[error(
+        "individual {id} is steered by controller {controller}: choose others, or have it leave"
+    )]
+    Claimed {
+        /// Which.
+        id: u32,
+        /// Whose it is.
+        controller: String,
+    },
+    /// A controller wants to steer an individual that is not its own.
+    #[error("{}", not_claimed(*.id, .owner.as_deref()))]
+    NotClaimed {
+        /// Which.
+        id: u32,
+        /// Whose it is.
+        owner: Option<String>,
+    },
+    /// The swarm moves when its controllers advance.
+    #[error(
+        "controllers have joined, and the swarm steps when all of them `advance`: have them leave \
+         first"
+    )]
+    Lockstep,
+    /// A controller that steers while the swarm runs does not advance it.
+    #[error("controller {0} joined a swarm that runs freely: join in mode lockstep to advance it")]
+    RunsFreely(String),
+    /// A controller's last advance is under way.
+    #[error("controller {controller} is advancing to step {target} already: wait for that answer")]
+    Advancing {
+        /// Which.
+        controller: String,
+        /// Whither.
+        target: u64,
+    },
+    /// The same controller asked again, and the newer request takes the place of this one.
+    #[error("a later request of the same controller took the place of this one")]
+    Superseded,
     /// Axes cross that the rule asked for never lets cross.
     #[error(
         "the axes of {pairs} pairs cross, which only `closest` allows: run it until none do, or \
@@ -398,7 +502,38 @@ impl Order {
     /// Whether it is written down and safe before it is carried out. Steps are carried out first,
     /// and an end is written when it comes.
     pub fn is_written_first(&self) -> bool {
-        !matches!(self, Order::Step(_) | Order::Delete)
+        !self.is_carried_out_first() && !matches!(self, Order::Delete)
+    }
+
+    /// Whether it is carried out before it is safe: what is exchanged thousands of times a second.
+    pub fn is_carried_out_first(&self) -> bool {
+        matches!(
+            self,
+            Order::Step(_)
+                | Order::Advance { .. }
+                | Order::Deadline(_)
+                | Order::Lost(_)
+                | Order::Control { .. }
+        )
+    }
+}
+
+fn not_joined(controller: &str, left: Option<(Departure, u64)>) -> String {
+    let why = match left {
+        None => return format!("no controller {controller} has joined: join first"),
+        Some((Departure::Left, step)) => format!("left at step {step}"),
+        Some((Departure::Lost, step)) => format!("was lost at step {step}, its token went"),
+        Some((Departure::Late, step)) => {
+            format!("missed {MOST_MISSES} deadlines up to step {step} and was let go")
+        }
+    };
+    format!("controller {controller} {why}: join again")
+}
+
+fn not_claimed(id: u32, owner: Option<&str>) -> String {
+    match owner {
+        Some(owner) => format!("individual {id} is steered by controller {owner}"),
+        None => format!("individual {id} is not among those that the controller joined for"),
     }
 }
 

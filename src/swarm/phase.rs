@@ -38,17 +38,23 @@ pub enum PauseReason {
     Forked,
     /// It was just made from a snapshot.
     Restored,
+    /// It waits for its controllers.
+    Lockstep,
+    /// A controller was late that joined to have it paused then.
+    Deadline,
 }
 
 impl PauseReason {
     /// Every reason.
-    pub const ALL: [PauseReason; 6] = [
+    pub const ALL: [PauseReason; 8] = [
         PauseReason::Created,
         PauseReason::Requested,
         PauseReason::Finished,
         PauseReason::Reset,
         PauseReason::Forked,
         PauseReason::Restored,
+        PauseReason::Lockstep,
+        PauseReason::Deadline,
     ];
 }
 
@@ -61,6 +67,8 @@ impl fmt::Display for PauseReason {
             PauseReason::Reset => "reset",
             PauseReason::Forked => "forked",
             PauseReason::Restored => "restored",
+            PauseReason::Lockstep => "lockstep",
+            PauseReason::Deadline => "deadline",
         })
     }
 }

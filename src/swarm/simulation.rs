@@ -1,14 +1,17 @@
 //! One swarm's state and what commands make of it, without thread or clock.
 
+use std::collections::BTreeSet;
+
 use crate::model::State;
 use crate::model::body::gaps;
 use crate::model::configuration::Configuration;
 use crate::model::parameters::{ContactRule, Parameters, check_coordinate, check_weight};
-use crate::model::selection::{Candidates, Selection, select};
+use crate::model::selection::{Candidates, Selection, SelectionError, select};
 use crate::model::{injection, resize, start};
 use crate::observables::{self, Order, RunningMeans};
 use crate::stepper::{StepError, StepReport, Stepper};
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::control::SetPoints;
 use crate::swarm::frame::Exactness;
 use crate::swarm::order::{
     Admit, Change, ChangeKind, OrderError, Outcome, Placement, Recipe, Settings, Start,
@@ -279,6 +282,51 @@ impl Simulation {
             configuration.inform(individual, weight, direction, lapses_at);
         }
         Ok(self.ids(&chosen))
+    }
+
+    /// Gives individuals the directions and weights that a controller wants: all of them or none.
+    ///
+    /// # Errors
+    ///
+    /// [`OrderError::Selection`] for one that is not there, [`OrderError::Parameters`].
+    pub fn steer(&mut self, set: &SetPoints) -> Result<(), OrderError> {
+        let SetPoints {
+            ids,
+            direction,
+            weight,
+        } = set;
+        let usual = self.state.parameters.pi2;
+        let weight_of = |k: usize| weight.as_ref().map_or(usual, |weight| weight[k]);
+        let configuration = &self.state.configuration;
+        let mut individuals = Vec::with_capacity(ids.len());
+        let mut largest = configuration.largest_weight();
+        for (k, id) in ids.iter().enumerate() {
+            check_coordinate("set.direction", direction[k])?;
+            check_weight("set.weight", weight_of(k))?;
+            largest = largest.max(weight_of(k));
+            let index = configuration.id.binary_search(id);
+            let candidates = configuration.n();
+            individuals.push(index.map_err(|_| SelectionError::UnknownId {
+                id: *id,
+                candidates,
+            })?);
+        }
+        self.state.parameters.check(largest)?;
+        for (k, &individual) in individuals.iter().enumerate() {
+            let configuration = &mut self.state.configuration;
+            configuration.inform(individual, weight_of(k), direction[k], None);
+        }
+        Ok(())
+    }
+
+    /// Uninforms those of these that are there.
+    pub fn release(&mut self, ids: &BTreeSet<u32>) {
+        let configuration = &mut self.state.configuration;
+        for id in ids {
+            if let Ok(individual) = configuration.id.binary_search(id) {
+                configuration.uninform(individual);
+            }
+        }
     }
 
     fn inject(

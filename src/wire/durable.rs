@@ -1,10 +1,11 @@
 //! What a swarm writes down, as bytes: a checkpoint is a snapshot, a line a small CBOR record.
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use jostle_proto as proto;
 use jostle_proto::snapshot::{
-    Doing, Exactness, Lapse, Pending, SNAPSHOT_VERSION, Sent, SolverMemory, Sums, Waiting,
+    Doing, Exactness, Lapse, Member, Pending, SNAPSHOT_VERSION, Sent, SolverMemory, Sums, Waiting,
 };
 use jostle_proto::{Told, keys};
 use serde::{Deserialize, Serialize};
@@ -14,6 +15,7 @@ use crate::model::state::MODEL_VERSION;
 use crate::model::{self, Configuration, Remembered, State};
 use crate::observables::RunningMeans;
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::control::Membership;
 use crate::swarm::frame;
 use crate::swarm::journal::Record;
 use crate::swarm::order::{Order, Sender};
@@ -62,6 +64,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         rate,
         scheduled,
         pending,
+        controllers,
         events,
         lines,
         is_last,
@@ -133,6 +136,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
             from: *from,
             sent: sent(sender),
         }),
+        controllers: controllers.iter().map(member_kept).collect(),
         events: *events,
         lines: *lines,
         is_last: *is_last,
@@ -266,6 +270,11 @@ pub fn checkpoint(
         pending: pending
             .map(|pending| Ok((pending.from, sender(&pending.sent)?)))
             .transpose()?,
+        controllers: snapshot
+            .controllers
+            .iter()
+            .map(membership)
+            .collect::<Result<_, _>>()?,
         events: snapshot.events,
         lines: snapshot.lines,
         is_last: snapshot.is_last,
@@ -320,6 +329,42 @@ fn parameters(
     })
 }
 
+fn member_kept((name, kept): &(String, Membership)) -> Member {
+    Member {
+        controller: name.clone(),
+        mode: to_proto::mode(kept.mode),
+        deadline_secs: kept.deadline.as_secs_f64(),
+        on_timeout: to_proto::on_timeout(kept.on_timeout),
+        ids: kept.claims.iter().copied().collect(),
+        steered: kept.steered.iter().copied().collect(),
+        target: kept.target,
+        from: kept.from,
+        advance: kept.advance.as_deref().map(sent),
+        misses: kept.misses,
+        news: to_proto::news(kept.news.clone()),
+        sequence: kept.sequence,
+    }
+}
+
+fn membership(member: &Member) -> Result<(String, Membership), DurableError> {
+    let deadline = Duration::try_from_secs_f64(member.deadline_secs)
+        .map_err(|error| DurableError::Unreadable(error.to_string()))?;
+    let kept = Membership {
+        mode: from_proto::mode(member.mode),
+        deadline,
+        on_timeout: from_proto::on_timeout(member.on_timeout),
+        claims: member.ids.iter().copied().collect(),
+        steered: member.steered.iter().copied().collect(),
+        target: member.target,
+        from: member.from,
+        advance: member.advance.as_ref().map(sender).transpose()?,
+        misses: member.misses,
+        news: from_proto::news(member.news.clone()),
+        sequence: member.sequence,
+    };
+    Ok((member.controller.clone(), kept))
+}
+
 fn pause_reason(text: &str) -> Result<PauseReason, DurableError> {
     PauseReason::ALL
         .into_iter()
@@ -338,7 +383,8 @@ fn sent(sender: &Sender) -> Sent {
 }
 
 fn sender(sent: &Sent) -> Result<Arc<Sender>, DurableError> {
-    let known = keys::SWARM_VERBS.iter().find(|verb| **verb == sent.verb);
+    let mut known = keys::SWARM_VERBS.iter().chain(&keys::OWN_VERBS);
+    let known = known.find(|verb| **verb == sent.verb);
     let Some(verb) = known else {
         let problem = format!("there is no verb {:?}", sent.verb);
         return Err(DurableError::Unreadable(problem));

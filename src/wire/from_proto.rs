@@ -1,13 +1,14 @@
 //! What clients send, checked as far as it can be without a swarm.
 
 use jostle_proto as proto;
-use jostle_proto::verbs::{Pose, Region, Select};
+use jostle_proto::verbs::{self, Pose, Region, Select};
 use serde_json::Value;
 use thiserror::Error;
 
 use crate::model::injection;
 use crate::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use crate::model::selection::Selection;
+use crate::swarm::control::{Departure, Miss, Mode, News, OnTimeout};
 use crate::swarm::order::{Rate, Recipe, Start};
 
 /// The largest whole number that every client can hold: doubles are exact up to here.
@@ -150,6 +151,45 @@ pub fn attraction(law: proto::Attraction) -> Attraction {
         proto::Attraction::Metric { radius } => Attraction::Metric { radius },
         proto::Attraction::Topological { neighbours } => Attraction::Topological { neighbours },
         proto::Attraction::Power { exponent } => Attraction::Power { exponent },
+    }
+}
+
+/// How a controller takes part.
+pub fn mode(mode: verbs::Mode) -> Mode {
+    match mode {
+        verbs::Mode::Lockstep => Mode::Lockstep,
+        verbs::Mode::FreeRunning => Mode::FreeRunning,
+    }
+}
+
+/// What becomes of the individuals of a controller that is late.
+pub fn on_timeout(on_timeout: verbs::OnTimeout) -> OnTimeout {
+    match on_timeout {
+        verbs::OnTimeout::Hold => OnTimeout::Hold,
+        verbs::OnTimeout::Free => OnTimeout::Free,
+        verbs::OnTimeout::Pause => OnTimeout::Pause,
+    }
+}
+
+/// What a controller is to be told.
+pub fn news(news: verbs::News) -> News {
+    let missed = news.missed.into_iter().map(|miss| Miss {
+        controller: miss.controller,
+        step: miss.step,
+        misses: miss.misses,
+    });
+    let left = news.left.into_iter().map(|departed| {
+        let why = match departed.why {
+            verbs::Departure::Left => Departure::Left,
+            verbs::Departure::Lost => Departure::Lost,
+            verbs::Departure::Late => Departure::Late,
+        };
+        (departed.controller, why)
+    });
+    News {
+        missed: missed.collect(),
+        left: left.collect(),
+        removed: news.removed,
     }
 }
 

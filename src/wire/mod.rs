@@ -10,10 +10,10 @@ mod to_proto;
 pub use experiments::{order_page, progress, results_page};
 pub use figures::metrics;
 pub use from_proto::{
-    WireError, attraction, contact_rule, count, pose, publish_every, rate, recipe, region,
-    relinearise, selection, stepping, weight, whole,
+    WireError, attraction, contact_rule, count, mode, on_timeout, pose, publish_every, rate,
+    recipe, region, relinearise, selection, stepping, weight, whole,
 };
 pub use to_proto::{
-    Payload, created, event, events, hexadecimal, journal, limits, order_sample, outcome,
-    parameters, reply, spec, state, status, summary,
+    Payload, controllers, created, event, events, hexadecimal, journal, limits, order_sample,
+    outcome, parameters, reply, spec, state, status, summary,
 };

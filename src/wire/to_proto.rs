@@ -2,13 +2,14 @@
 
 use jostle_proto as proto;
 use jostle_proto::verbs::{
-    BatchResult, Changed, CreateResult, EmptyResult, IdsResult, ResetResult, RunResult, Scheduled,
-    SetResult, StepResult,
+    self, AdvanceResult, BatchResult, Changed, CreateResult, EmptyResult, IdsResult, JoinResult,
+    ResetResult, RunResult, Scheduled, SetResult, StepResult,
 };
 use serde::Serialize;
 
 use crate::host::Limits;
 use crate::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
+use crate::swarm::control::{Departure, Mode, News, OnTimeout};
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
 use crate::swarm::history::{Entry, Page};
 use crate::swarm::order::{ChangeKind, OrderError, Outcome, Recipe, Sender, Start};
@@ -74,6 +75,30 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
                 steps,
                 durable_step: safe_step,
                 state_hash: hash(&seen),
+                state,
+            };
+            let reply = reply(swarm, place, result);
+            match frame {
+                Some(_) => Payload::cbor(&reply),
+                None => Payload::json(&reply),
+            }
+        }
+        Outcome::Joined { ids, news: told } => {
+            let news = news(told);
+            Payload::json(&reply(swarm, place, JoinResult { ids, news }))
+        }
+        Outcome::Advanced {
+            steps,
+            safe_step,
+            seen,
+            news: told,
+        } => {
+            let state = frame.map(|frame| state(swarm, &seen, frame));
+            let result = AdvanceResult {
+                steps,
+                durable_step: safe_step,
+                state_hash: hash(&seen),
+                news: news(told),
                 state,
             };
             let reply = reply(swarm, place, result);
@@ -220,6 +245,80 @@ fn attraction_law(law: Attraction) -> proto::Attraction {
     }
 }
 
+pub(super) fn mode(mode: Mode) -> verbs::Mode {
+    match mode {
+        Mode::Lockstep => verbs::Mode::Lockstep,
+        Mode::FreeRunning => verbs::Mode::FreeRunning,
+    }
+}
+
+pub(super) fn on_timeout(on_timeout: OnTimeout) -> verbs::OnTimeout {
+    match on_timeout {
+        OnTimeout::Hold => verbs::OnTimeout::Hold,
+        OnTimeout::Free => verbs::OnTimeout::Free,
+        OnTimeout::Pause => verbs::OnTimeout::Pause,
+    }
+}
+
+pub(super) fn news(news: News) -> verbs::News {
+    let missed = news.missed.into_iter().map(|miss| verbs::Miss {
+        controller: miss.controller,
+        step: miss.step,
+        misses: miss.misses,
+    });
+    let left = news
+        .left
+        .into_iter()
+        .map(|(controller, why)| verbs::Departed {
+            controller,
+            why: match why {
+                Departure::Left => verbs::Departure::Left,
+                Departure::Lost => verbs::Departure::Lost,
+                Departure::Late => verbs::Departure::Late,
+            },
+        });
+    verbs::News {
+        missed: missed.collect(),
+        left: left.collect(),
+        removed: news.removed,
+    }
+}
+
+/// Every controller that has joined.
+pub fn controllers(seen: &Frame) -> proto::ControllerList {
+    let controllers = seen.controllers.iter().map(|it| proto::Controller {
+        controller: it.controller.clone(),
+        mode: mode(it.mode),
+        ids: it.ids.clone(),
+        deadline_secs: it.deadline.as_secs_f64(),
+        on_timeout: on_timeout(it.on_timeout),
+        target_step: it.target,
+        misses: it.misses,
+        waited_secs: it.waited.map(|waited| waited.as_secs_f64()),
+        puts: proto::Puts {
+            applied: it.puts.applied,
+            stale: it.puts.stale,
+            overtaken: it.puts.overtaken,
+            refused: it.puts.refused,
+        },
+    });
+    proto::ControllerList {
+        controllers: controllers.collect(),
+    }
+}
+
+/// The controllers that the swarm waits for.
+fn waiting_for(seen: &Frame) -> Vec<proto::Awaited> {
+    let awaited = seen.controllers.iter().filter_map(|it| {
+        Some(proto::Awaited {
+            controller: it.controller.clone(),
+            secs: it.waited?.as_secs_f64(),
+            deadline_secs: it.deadline.as_secs_f64(),
+        })
+    });
+    awaited.collect()
+}
+
 /// A swarm's status, with where its history begins.
 pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::Status {
     proto::Status {
@@ -233,6 +332,8 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         dt: seen.parameters.dt,
         parameters: parameter_values(seen.parameters, seen.publish_every),
         scheduled: seen.scheduled as u64,
+        controllers: seen.controllers.len() as u64,
+        waiting_for: waiting_for(seen),
         state_hash: hash(seen),
         order: order(seen),
         certificate: certificate(seen),

@@ -9,6 +9,7 @@ mod claim;
 mod codes;
 mod commands;
 mod contract;
+mod controllers;
 mod copies;
 mod corpora;
 mod crash;

@@ -209,7 +209,7 @@ mod tests {
         let of = |typed: &str| completed(&assignments(OsStr::new(typed)));
         assert_eq!(of("pi"), ["pi1=", "pi2=", "pi3=", "pi4="]);
         assert_eq!(of("pu"), ["publish_every="]);
-        assert_eq!(of("n"), [""; 0], "`set` does not change it");
+        assert_eq!(of("d"), [""; 0], "`set` does not change dt");
         assert_eq!(of("pi1=6"), [""; 0]);
     }
 

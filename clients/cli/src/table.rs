@@ -109,6 +109,8 @@ pub fn status(reply: &Reply<Status>) -> String {
         dt,
         parameters,
         scheduled,
+        controllers,
+        waiting_for,
         state_hash,
         order,
         certificate,
@@ -155,6 +157,19 @@ pub fn status(reply: &Reply<Status>) -> String {
     if *scheduled > 0 {
         let commands = format::count(*scheduled, "command");
         lines.push(("scheduled", format!("{commands} for a step to come")));
+    }
+    if *controllers > 0 {
+        let joined = format::count(*controllers, "controller");
+        let awaited = waiting_for.iter().map(|it| {
+            let (secs, most) = (it.secs, it.deadline_secs);
+            format!("{} for {secs:.1} of {most} s", it.controller)
+        });
+        let awaited: Vec<String> = awaited.collect();
+        let waits = match awaited.is_empty() {
+            true => String::new(),
+            false => format!(", waiting for {}", awaited.join(", ")),
+        };
+        lines.push(("controllers", format!("{joined}{waits}")));
     }
     if let Some(direction) = order.direction {
         let drift = with_mean(order.drift, order.mean_drift);

@@ -92,6 +92,8 @@ fn keys() -> String {
             ChannelKind::Published(message) => ("published", format!("`{message}`")),
             ChannelKind::Kept(message) => ("published; query", format!("`{message}`")),
             ChannelKind::Token => ("liveliness token", String::new()),
+            ChannelKind::Put(message) => ("put by a client", format!("`{message}`")),
+            ChannelKind::ClientToken => ("a client's liveliness token", String::new()),
             ChannelKind::Get(reply) => ("query", format!("`{reply}`")),
             ChannelKind::Command(args, reply) => ("command", format!("`{args}`, `{reply}`")),
         };

@@ -1,14 +1,15 @@
 //! The Rust type of every message.
 
 use jostle_proto::verbs::{
-    BatchArgs, BatchResult, CreateArgs, CreateResult, DeleteArgs, EmptyResult, ForkArgs, IdsResult,
-    InformArgs, InjectArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs,
-    RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
+    AdvanceArgs, AdvanceResult, BatchArgs, BatchResult, Control, CreateArgs, CreateResult,
+    DeleteArgs, EmptyResult, ForkArgs, IdsResult, InformArgs, InjectArgs, JoinArgs, JoinResult,
+    LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs, RunResult,
+    Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use jostle_proto::{
-    Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello, Journal, Metrics,
-    NodeReply, NodeStatus, OrderPage, OrderSample, Parameters, Progress, Reply, Request,
-    ResultsPage, Schemas, Snapshot, Spec, State, Status, Swarms, Told, Verified,
+    ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
+    Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameters, Progress, Reply,
+    Request, ResultsPage, Schemas, Snapshot, Spec, State, Status, Swarms, Told, Verified,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -38,7 +39,14 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "restore.args" => asked::<RestoreArgs>(text),
         "create.reply" | "fork.reply" | "restore.reply" => told::<Reply<CreateResult>>(text),
         "delete.args" => asked::<DeleteArgs>(text),
-        "delete.reply" | "pause.reply" => told::<Reply<EmptyResult>>(text),
+        "controllers.reply" => told::<Reply<ControllerList>>(text),
+        "join.args" => asked::<JoinArgs>(text),
+        "join.reply" => told::<Reply<JoinResult>>(text),
+        "advance.args" => asked::<AdvanceArgs>(text),
+        "advance.reply" => told::<Reply<AdvanceResult>>(text),
+        "leave.args" => asked::<LeaveArgs>(text),
+        "control" => asked::<Control>(text),
+        "delete.reply" | "pause.reply" | "leave.reply" => told::<Reply<EmptyResult>>(text),
         "run.args" => asked::<RunArgs>(text),
         "run.reply" => told::<Reply<RunResult>>(text),
         "pause.args" => asked::<PauseArgs>(text),

@@ -5,6 +5,7 @@
 
 mod orders;
 pub mod replay;
+mod steering;
 
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -16,6 +17,7 @@ use fail::fail_point;
 use tracing::warn;
 
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::control::Controllers;
 use crate::swarm::cores::Seat;
 use crate::swarm::crash;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
@@ -70,6 +72,7 @@ pub struct Worker {
     events: u64,
     pending: Option<Pending>,
     waiters: Waiters,
+    controllers: Controllers,
     journal: Journal,
     since: Since,
     replay: Replay,
@@ -170,6 +173,7 @@ impl Worker {
             events: 0,
             pending: None,
             waiters: Waiters::default(),
+            controllers: Controllers::default(),
         }
     }
 
@@ -199,6 +203,7 @@ impl Worker {
             rate: self.rate,
             scheduled: self.schedule.list(),
             pending: pending.map(|pending| (pending.from, pending.sender.clone())),
+            controllers: self.controllers.kept(),
             events: self.events,
             lines: self.journal.lines(),
             is_last: false,
@@ -210,6 +215,17 @@ impl Worker {
         (self.place(), self.frame(true))
     }
 
+    /// The swarm as it is now, its controllers too.
+    fn look_at_all(&self) -> (Place, Arc<Frame>) {
+        let (place, frame) = self.look();
+        if self.controllers.is_empty() {
+            return (place, frame);
+        }
+        let mut frame = Arc::unwrap_or_clone(frame);
+        frame.controllers = self.controllers.seen(Instant::now());
+        (place, Arc::new(frame))
+    }
+
     /// Steps and takes tickets until the swarm ends.
     pub fn run(mut self) -> End {
         let end = self.live();
@@ -219,6 +235,11 @@ impl Worker {
 
     fn live(&mut self) -> End {
         loop {
+            if self.controllers.due().is_some()
+                && let Some(end) = self.fire_overdue()
+            {
+                return end;
+            }
             if self.phase.is_moving() {
                 self.tally.pulse.beat();
                 if let Some(end) = self.take_with_others(None) {
@@ -237,13 +258,14 @@ impl Worker {
             let ticket = match wait {
                 // It is called when there is a core for it.
                 Some(Duration::ZERO) => self.tickets.recv().map_err(RecvTimeoutError::from),
-                Some(wait) => {
+                wait => {
                     self.seat.leave();
-                    self.tickets.recv_timeout(wait)
-                }
-                None => {
-                    self.seat.leave();
-                    self.tickets.recv().map_err(RecvTimeoutError::from)
+                    let due = self.controllers.due();
+                    let until_due = due.map(|due| due.saturating_duration_since(Instant::now()));
+                    match wait.into_iter().chain(until_due).min() {
+                        Some(wait) => self.tickets.recv_timeout(wait),
+                        None => self.tickets.recv().map_err(RecvTimeoutError::from),
+                    }
                 }
             };
             match ticket {
@@ -289,7 +311,8 @@ impl Worker {
         while let Some(ticket) = tickets.pop_front() {
             match ticket {
                 Ticket::Command(command) => {
-                    let is_last = matches!(command.order, Order::Reset(_) | Order::Step(_));
+                    let order = &command.order;
+                    let is_last = matches!(order, Order::Reset(_)) || order.is_carried_out_first();
                     together.push(command);
                     let goes_on = matches!(tickets.front(), Some(Ticket::Command(_)));
                     if (is_last || !goes_on)
@@ -312,10 +335,19 @@ impl Worker {
     fn take(&mut self, ticket: Ticket) -> Option<End> {
         match ticket {
             Ticket::Look(answer) => {
-                let (place, frame) = self.look();
+                let (place, frame) = self.look_at_all();
                 answer(Ok((place, Outcome::Seen(frame))));
                 None
             }
+            Ticket::Put(controller, epoch, put) => {
+                let is_of_now = epoch.is_none_or(|epoch| epoch == self.simulation.epoch);
+                match put {
+                    Some(put) => self.controllers.put(&controller, put, is_of_now),
+                    None => self.controllers.refuse_put(&controller),
+                }
+                None
+            }
+            Ticket::Lost(controller) => self.lost(controller),
             Ticket::Wait(waiter) => {
                 if let Some(waiter) = self.waiters.add(waiter) {
                     (waiter.answer)(Err(self.refusal(OrderError::Busy)));
@@ -343,6 +375,7 @@ impl Worker {
 
     /// Takes one step, and carries out what was put off until the step reached.
     fn step(&mut self) -> Option<End> {
+        self.apply_puts();
         let began = Instant::now();
         let late = self.pace.late_by(began);
         let simulation = &mut self.simulation;
@@ -393,6 +426,7 @@ impl Worker {
             if !matches!(self.phase, Phase::Stepping { .. }) {
                 self.answer_pending(&self.phase.clone());
             }
+            self.answer_arrived();
         } else {
             if step.is_multiple_of(self.simulation.publish_every) && now >= self.frame_due {
                 // Counted from when it was due, so that a frame a little late costs no other.
@@ -467,7 +501,10 @@ impl Worker {
         self.show();
         self.renew_summary();
         if let Some(pending) = self.pending.take() {
-            (pending.answer)(Err(self.refusal(OrderError::Faulted(reason))));
+            (pending.answer)(Err(self.refusal(OrderError::Faulted(reason.clone()))));
+        }
+        for answer in self.controllers.give_up() {
+            answer(Err(self.refusal(OrderError::Faulted(reason.clone()))));
         }
         self.answer_waiters();
     }
@@ -476,7 +513,7 @@ impl Worker {
         let mut waiters = std::mem::take(&mut self.waiters);
         let step = self.simulation.state.step;
         waiters.answer(step, &self.phase, || {
-            let (place, frame) = self.look();
+            let (place, frame) = self.look_at_all();
             Ok((place, Outcome::Seen(frame)))
         });
         self.waiters = waiters;
@@ -513,6 +550,7 @@ impl Worker {
             exactness: simulation.exactness,
             rate: self.rate,
             real_time_factor: self.real_time_factor(),
+            controllers: Vec::new(),
             hash: hashed.then(|| simulation.state.hash()),
             gaps: OnceLock::new(),
         })

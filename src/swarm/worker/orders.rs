@@ -18,6 +18,7 @@ use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::simulation::steps_in;
+use crate::swarm::worker::steering::Coupling;
 use crate::swarm::worker::{End, Pending, Worker};
 
 impl Worker {
@@ -35,7 +36,7 @@ impl Worker {
         let is_far_ahead = self.journal.is_far_ahead();
         let is_written_first = |command: &Command| {
             let order = &command.order;
-            let is_held = is_far_ahead && matches!(order, Order::Step(_));
+            let is_held = is_far_ahead && order.is_carried_out_first();
             order.is_written_first() || put_off(command).is_some() || is_held
         };
         let records: Vec<Record> = possible
@@ -107,7 +108,7 @@ impl Worker {
 
     /// Writes down what became of the command on line `input`. What was refused by chance must not
     /// be carried out when the journal is told again, so its refusal is safe before it is told.
-    fn became(&mut self, input: u64, outcome: Result<u64, &OrderError>) {
+    pub(super) fn became(&mut self, input: u64, outcome: Result<u64, &OrderError>) {
         let record = Record::Became {
             input,
             seq: outcome.ok(),
@@ -124,7 +125,7 @@ impl Worker {
     }
 
     /// Carries out a command and answers it; all but `step` at once.
-    fn carry_out(
+    pub(super) fn carry_out(
         &mut self,
         input: u64,
         order: Order,
@@ -145,6 +146,24 @@ impl Worker {
                 self.begin_steps(input, steps, sender, answer);
                 return None;
             }
+            Order::Advance {
+                controller,
+                steps,
+                set,
+            } => {
+                let coupling = Coupling { input, sender };
+                self.begin_advance(coupling, (&controller, steps, set.as_ref()), answer);
+                return None;
+            }
+            Order::Deadline(_) | Order::Lost(_) | Order::Control { .. } => {
+                if let Err(error) = self.couple(&Coupling { input, sender }, &order) {
+                    self.simulation.seq = seq;
+                    answer(Err(self.refusal(error)));
+                }
+                return None;
+            }
+            Order::Join(terms) => self.join(&terms),
+            Order::Leave(controller) => self.leave(&controller),
             Order::Run { until, rate } => self.begin_run(until, rate),
             Order::Pause => self.pause(),
             Order::Reset(seed) => self.reset(seed),
@@ -193,7 +212,14 @@ impl Worker {
             simulation.apply_all(changes)
         }));
         match changed {
-            Ok(Ok(outcomes)) => Ok(outcomes),
+            Ok(Ok(outcomes)) => {
+                if !self.controllers.is_empty() {
+                    let there = &self.simulation.state.configuration.id;
+                    self.controllers
+                        .forget(|id| there.binary_search(&id).is_ok());
+                }
+                Ok(outcomes)
+            }
             Ok(Err((index, error))) => {
                 self.simulation.go_back(before);
                 Err(OrderError::InBatch {
@@ -322,6 +348,9 @@ impl Worker {
             _ => until,
         };
         let next = phase::next(&self.phase, Cue::Run(until))?;
+        if self.controllers.is_lockstep() {
+            return Err(OrderError::Lockstep);
+        }
         if let Some(until) = until
             && until < step
         {
@@ -342,7 +371,9 @@ impl Worker {
     fn pause(&mut self) -> Result<Outcome, OrderError> {
         let next = phase::next(&self.phase, Cue::Pause)?;
         self.answer_pending(&next);
+        self.cut_short(&next);
         self.enter(next);
+        self.go_on();
         Ok(Outcome::Done)
     }
 
@@ -351,7 +382,11 @@ impl Worker {
         let fresh = self.simulation.fresh(seed)?;
         // What is pending came this far; after the reset that could not be told any more.
         self.answer_pending(&next);
+        self.cut_short(&next);
         self.simulation.restart(fresh);
+        let there = &self.simulation.state.configuration.id;
+        self.controllers
+            .restart(0, |id| there.binary_search(&id).is_ok());
         self.enter(next);
         Ok(Outcome::Reset(self.frame(true)))
     }
@@ -359,7 +394,12 @@ impl Worker {
     fn begin_steps(&mut self, input: u64, steps: u64, sender: Arc<Sender>, answer: Answer) {
         let from = self.simulation.state.step;
         let until = from.saturating_add(steps);
-        match phase::next(&self.phase, Cue::Step(until)) {
+        let next = phase::next(&self.phase, Cue::Step(until)).map_err(OrderError::from);
+        let next = next.and_then(|next| match self.controllers.is_lockstep() {
+            true => Err(OrderError::Lockstep),
+            false => Ok(next),
+        });
+        match next {
             Ok(next) => {
                 // One that ends at the step for which this was put off has come to its end.
                 self.answer_pending(&next);
@@ -386,7 +426,6 @@ impl Worker {
             }
             Err(error) => {
                 self.simulation.seq -= 1;
-                let error = error.into();
                 if input > 0 {
                     self.became(input, Err(&error));
                 }
@@ -411,7 +450,9 @@ impl Worker {
         }
         crash::point("swarm-ended");
         self.phase = Phase::Paused(PauseReason::Requested);
-        self.answer_pending(&self.phase.clone());
+        let phase = self.phase.clone();
+        self.answer_pending(&phase);
+        self.cut_short(&phase);
         self.tell(EventKind::Deleted);
         let place = self.place();
         let step = Some(place.step);
@@ -433,7 +474,7 @@ impl Worker {
         }
     }
 
-    fn enter(&mut self, next: Phase) {
+    pub(super) fn enter(&mut self, next: Phase) {
         if next != self.phase {
             self.phase = next;
             self.tell(EventKind::Phase);

@@ -6,6 +6,7 @@ use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::control::Controllers;
 use crate::swarm::crash;
 use crate::swarm::frame::{EventKind, Place};
 use crate::swarm::handle::{Command, Handle, Ticket};
@@ -142,6 +143,7 @@ impl Worker {
         }
         let is_last = checkpoint.is_last && lines.is_empty();
         let pending = checkpoint.pending.clone();
+        let joined = checkpoint.controllers.clone();
         let mut worker = Worker::from_copy(
             checkpoint,
             tickets,
@@ -155,6 +157,7 @@ impl Worker {
             from,
             sender,
         });
+        worker.controllers = Controllers::recall(joined, &recall);
         let end = worker.retell(lines, damage, &recall, to);
         if !is_last {
             worker.events = (worker.events / EVENTS_LOST + 1) * EVENTS_LOST;
@@ -212,6 +215,7 @@ impl Worker {
         self.keep();
         self.tell(EventKind::Phase);
         self.renew_summary();
+        self.go_on();
         kept.map(drop)
     }
 
@@ -258,7 +262,7 @@ impl Worker {
                         continue;
                     }
                     let input = match order {
-                        Order::Step(_) if at_step.is_none() => 0,
+                        ref order if order.is_carried_out_first() && at_step.is_none() => 0,
                         _ => line.number,
                     };
                     let command = Command {

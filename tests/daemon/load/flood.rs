@@ -119,7 +119,9 @@ async fn a_bare_process() {
         return;
     }
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let session = jostled::server::session::open(&listen).await.unwrap();
+    let session = jostled::server::session::open(&listen, "jostle")
+        .await
+        .unwrap();
     let busy = r#"{"code":"busy","message":"too many requests wait already: try again"}"#;
     let busy = ZBytes::from(busy);
     let (accepted, to_write) = channel::<zenoh::query::Query>();

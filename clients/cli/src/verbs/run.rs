@@ -259,7 +259,11 @@ mod tests {
         let result = json!({
             "reason": "because", "until_step": null, "rate": 1.0, "real_time_factor": null,
             "n": 3, "informed": 0, "seed": 0, "dt": 0.02,
-            "parameters": {"pi1": 4.0, "pi2": 0.5, "pi3": 1.0, "pi4": 10.0, "publish_every": 5},
+            "parameters": {
+                "pi1": 4.0, "pi2": 0.5, "pi3": 1.0, "pi4": 10.0, "contacts": "endpoints",
+                "stepping": "position", "relinearise": 0, "attraction": {"kind": "all"},
+                "noise": 0.0, "publish_every": 5,
+            },
             "scheduled": 0, "state_hash": "",
             "order": {
                 "order": 0.0, "mean_order": null, "velocity": [0.0, 0.0], "mean_velocity": null,

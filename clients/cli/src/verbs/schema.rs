@@ -44,9 +44,12 @@ pub async fn schema(bus: &Bus, output: Output, arguments: &SchemaArguments) -> R
 /// The key a message stands on, if it is one, and what it is for.
 fn purpose(message: &str) -> (String, String) {
     let is_its = |channel: &&Channel| match channel.kind {
-        ChannelKind::Published(it) | ChannelKind::Kept(it) | ChannelKind::Get(it) => it == message,
+        ChannelKind::Published(it)
+        | ChannelKind::Kept(it)
+        | ChannelKind::Put(it)
+        | ChannelKind::Get(it) => it == message,
         ChannelKind::Command(args, reply) => args == message || reply == message,
-        ChannelKind::Token => false,
+        ChannelKind::Token | ChannelKind::ClientToken => false,
     };
     let what = match message {
         "request" => "What may stand around the arguments of a command.",

@@ -1,0 +1,76 @@
+//! Set-points that a controller puts while the swarm runs: what has no reply.
+
+use std::sync::Arc;
+
+use jostle_proto::verbs::{Control, SetPoints};
+use serde::{Deserialize, Serialize};
+
+use crate::command::{CommandError, advance, check_name};
+use crate::swarm::control::Put;
+use crate::swarm::order::{Order, Sender};
+
+/// Set-points as the journal has them.
+#[derive(Serialize, Deserialize)]
+struct Applied {
+    controller: String,
+    sequence: u64,
+    set: SetPoints,
+}
+
+/// Reads what a controller put, with the epoch that it is meant for.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn read(controller: &str, bytes: &[u8], is_cbor: bool) -> Result<(Option<u64>, Put), String> {
+    let control: Control = match is_cbor {
+        true => ciborium::from_reader(bytes).map_err(|error| error.to_string())?,
+        false => serde_json::from_slice(bytes).map_err(|error| error.to_string())?,
+    };
+    let Control {
+        sequence,
+        epoch,
+        set,
+    } = control;
+    let applied = Applied {
+        controller: controller.to_owned(),
+        sequence,
+        set,
+    };
+    // A number that JSON has none for is refused by the swarm's own bounds.
+    let args = serde_json::to_string(&applied).map_err(|error| error.to_string())?;
+    let set = advance::set_points(applied.set).map_err(|error| error.to_string())?;
+    let is_finite = |column: &[f64]| column.iter().all(|value| value.is_finite());
+    if !is_finite(&set.direction) || !set.weight.as_deref().is_none_or(is_finite) {
+        return Err("has a number that is not finite".into());
+    }
+    let put = Put {
+        sequence,
+        set,
+        sender: Arc::new(Sender {
+            verb: "control",
+            args,
+            ..Sender::default()
+        }),
+    };
+    Ok((epoch, put))
+}
+
+/// What the journal says was applied.
+///
+/// # Errors
+///
+/// [`CommandError`] when it is not as it was written.
+pub fn order(request: &jostle_proto::Request) -> Result<Order, CommandError> {
+    let Applied {
+        controller,
+        sequence,
+        set,
+    } = request.args()?;
+    check_name("controller", &controller)?;
+    Ok(Order::Control {
+        controller,
+        sequence,
+        set: advance::set_points(set)?,
+    })
+}
