@@ -234,7 +234,7 @@ pub const CHANNELS: &[Channel] = &{
         ),
         plain(
             "{swarm}/ctl/{controller}",
-            Put("control"),
+            Put("control.args"),
             "Set-points of a controller that joined in mode `free_running`; the newest wins.",
         ),
         plain(
@@ -369,7 +369,7 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("advance.reply", told::<Reply<AdvanceResult>>()),
         ("leave.args", asked::<LeaveArgs>()),
         ("leave.reply", told::<Reply<EmptyResult>>()),
-        ("control", asked::<Control>()),
+        ("control.args", asked::<Control>()),
         ("fork.args", asked::<ForkArgs>()),
         ("fork.reply", told::<Reply<CreateResult>>()),
         ("restore.args", asked::<RestoreArgs>()),
@@ -504,10 +504,12 @@ mod tests {
         let mut named = BTreeSet::from(["request", "error", "scheduled.reply"]);
         for channel in CHANNELS {
             match channel.kind {
-                ChannelKind::Published(message) | ChannelKind::Kept(message) => {
+                ChannelKind::Published(message)
+                | ChannelKind::Kept(message)
+                | ChannelKind::Put(message) => {
                     named.insert(message);
                 }
-                ChannelKind::Token => {}
+                ChannelKind::Token | ChannelKind::ClientToken => {}
                 ChannelKind::Get(reply) => {
                     named.insert(reply);
                 }

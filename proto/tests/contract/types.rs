@@ -45,7 +45,7 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "advance.args" => asked::<AdvanceArgs>(text),
         "advance.reply" => told::<Reply<AdvanceResult>>(text),
         "leave.args" => asked::<LeaveArgs>(text),
-        "control" => asked::<Control>(text),
+        "control.args" => asked::<Control>(text),
         "delete.reply" | "pause.reply" | "leave.reply" => told::<Reply<EmptyResult>>(text),
         "run.args" => asked::<RunArgs>(text),
         "run.reply" => told::<Reply<RunResult>>(text),

@@ -4,7 +4,7 @@ use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Error, ErrorCode, Request, keys};
 use jostled::command::{self, Command, CommandError, create};
 use jostled::host::Limits;
-use jostled::swarm::order::{Change, Order, Placement, Recipe, Start, Until};
+use jostled::swarm::order::{Change, Order, Placement, Recipe, Settings, Start, Until};
 
 const LIMITS: Limits = Limits {
     max_individuals: 2000,
@@ -102,6 +102,25 @@ fn is_in_range(command: &Command) {
             assert!((1..=256).contains(&changes.len()));
             changes.iter().for_each(can_be_tried);
         }
+        Order::Join(terms) => {
+            let secs = terms.deadline.as_secs_f64();
+            assert!(keys::is_name(&terms.controller) && secs > 0.0 && secs <= 60.0);
+        }
+        Order::Advance {
+            controller,
+            steps,
+            set,
+        } => {
+            assert!(keys::is_name(controller) && (1..=1_000_000_000).contains(steps));
+            if let Some(set) = set {
+                let weights = set.weight.as_ref().map_or(set.ids.len(), Vec::len);
+                assert_eq!([set.direction.len(), weights], [set.ids.len(); 2]);
+            }
+        }
+        Order::Leave(controller) => assert!(keys::is_name(controller)),
+        Order::Deadline(_) | Order::Lost(_) | Order::Control { .. } => {
+            panic!("nobody can order {command:?}")
+        }
         Order::Pause | Order::Delete => {}
     }
 }
@@ -111,9 +130,13 @@ fn can_be_tried(change: &Change) {
     match change {
         Change::Set(settings) => {
             let numbers = [settings.pi1, settings.pi2, settings.pi3, settings.pi4];
-            let named = numbers.into_iter().flatten().count();
-            assert!(numbers.into_iter().flatten().all(f64::is_finite));
-            assert!(named > 0 || settings.publish_every.is_some());
+            let numbers = numbers.into_iter().chain([settings.noise]);
+            assert!(numbers.flatten().all(f64::is_finite));
+            let nothing = Settings {
+                make_room: settings.make_room,
+                ..Settings::default()
+            };
+            assert_ne!(*settings, nothing);
             let often = 1..=1_000_000_000;
             assert!(
                 settings
