@@ -18,6 +18,8 @@ pub enum Look {
     Status(LookArguments),
     /// Shows a swarm's parameters: values, ranges, units, and which verb changes them
     Parameters(LookArguments),
+    /// Shows the controllers of a swarm, and for whom it waits
+    Controllers(LookArguments),
     /// Prints what a swarm was made from, as `create --spec` reads it
     Spec(LookArguments),
     /// Shows the commands a swarm has applied
@@ -33,7 +35,10 @@ impl Look {
     pub fn every_secs(&self) -> Option<f64> {
         match self {
             Look::List(repeat) | Look::Nodes(repeat) => repeat.watch,
-            Look::Status(look) | Look::Parameters(look) | Look::Spec(look) => look.repeat.watch,
+            Look::Status(look)
+            | Look::Parameters(look)
+            | Look::Controllers(look)
+            | Look::Spec(look) => look.repeat.watch,
             Look::Journal(journal) => journal.repeat.watch,
             Look::Top(top) => Some(top.interval),
         }

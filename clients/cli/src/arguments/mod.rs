@@ -139,6 +139,8 @@ pub enum Verb {
     Remove(SelectArguments),
     /// Applies several changes at one step, or none
     Batch(BatchArguments),
+    /// Has a controller leave a swarm, so that nobody waits for it
+    Leave(LeaveArguments),
     /// Deletes swarms
     Delete(DeleteArguments),
     /// Makes another swarm as this one is or was, paused: one future until treated differently

@@ -273,6 +273,20 @@ pub struct BatchArguments {
     pub sending: SendingArguments,
 }
 
+/// Which controller is to leave.
+#[derive(Debug, Args)]
+pub struct LeaveArguments {
+    /// The swarm
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: String,
+    /// The controller
+    #[arg(value_parser = values::name)]
+    pub controller: String,
+    /// How it is sent.
+    #[command(flatten)]
+    pub sending: SendingArguments,
+}
+
 /// Which swarms to delete.
 #[derive(Debug, Args)]
 pub struct DeleteArguments {

@@ -1,14 +1,14 @@
 //! `pause`, `step`, `reset`, `set` and `delete`: the swarm as a whole.
 
 use jostle_proto::verbs::{
-    DeleteArgs, EmptyResult, PauseArgs, ResetArgs, ResetResult, Return, SetResult, StepArgs,
-    StepResult,
+    DeleteArgs, EmptyResult, LeaveArgs, PauseArgs, ResetArgs, ResetResult, Return, SetResult,
+    StepArgs, StepResult,
 };
 use jostle_proto::{Parameter, Reply, contract};
 use serde_json::{Map, Value};
 
 use crate::arguments::{
-    DeleteArguments, PauseArguments, ResetArguments, SetArguments, StepArguments,
+    DeleteArguments, LeaveArguments, PauseArguments, ResetArguments, SetArguments, StepArguments,
 };
 use crate::bus::Bus;
 use crate::failure::Failure;
@@ -130,6 +130,23 @@ pub async fn set(bus: &Bus, output: Output, arguments: &SetArguments) -> Result<
             ));
         }
         text
+    })
+}
+
+/// Has a controller leave.
+///
+/// # Errors
+///
+/// Why it is still there.
+pub async fn leave(bus: &Bus, output: Output, arguments: &LeaveArguments) -> Result<(), Failure> {
+    let args = LeaveArgs {
+        controller: arguments.controller.clone(),
+    };
+    let LeaveArguments { name, sending, .. } = arguments;
+    let answer = bus.command(name, "leave", &args, sending).await?;
+    print_outcome(output, &answer, "leave", |reply: &Reply<EmptyResult>| {
+        let (controller, swarm) = (&arguments.controller, &reply.swarm);
+        format!("{controller} has left {swarm}, which is {}", place(reply))
     })
 }
 

@@ -1,5 +1,6 @@
 //! The verbs that only look, once or again and again.
 
+mod controllers;
 mod journal;
 mod nodes;
 mod parameters;
@@ -94,6 +95,7 @@ async fn sight(
         Look::List(_) => show::list(bus, output).await,
         Look::Status(arguments) => show::status(bus, output, &arguments.name).await,
         Look::Spec(arguments) => show::spec(bus, output, &arguments.name).await,
+        Look::Controllers(arguments) => controllers::sight(bus, output, &arguments.name).await,
         Look::Parameters(arguments) => parameters::sight(bus, output, &arguments.name).await,
         Look::Journal(arguments) => journal::sight(bus, output, arguments).await,
         Look::Nodes(_) => nodes::sight(bus, output).await,

@@ -1,0 +1,245 @@
+//! What an exchange in lock-step takes, beside what a bare zenoh query takes: in one run, with
+//! the daemon, the bare queryable and the controllers each in a process of their own.
+//!
+//! ```sh
+//! cargo bench --bench exchange            # a table
+//! cargo bench --bench exchange -- --json  # an object a line
+//! ```
+
+#![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use jostle_proto::keys;
+use serde_json::{Value, json};
+use zenoh::{Session, Wait};
+
+const SWARM: &str = "bench";
+const N: u64 = 50;
+
+/// Exchanges of each controller in one round, and rounds in turn with bare queries: the machine is
+/// shared, and what is compared is to meet the same noise.
+const EXCHANGES: usize = 1000;
+const ROUNDS: usize = 5;
+
+/// Tells a copy of this program that it is to be the bare queryable.
+const BARE: &str = "JOSTLE_BENCH_BARE";
+
+/// As long as an answer to `advance`.
+const ANSWER: &str = r#"{"swarm":"bench","epoch":1,"step":12345,"time":246.9,"phase":"paused","seq":12347,"result":{"steps":1,"durable_step":12344,"state_hash":"e41b9893ccd59f32b247f125d644f4113973c141bc3abe333824e46b5c4387dc","news":{"missed":[],"left":[],"removed":[]}}}"#;
+
+#[tokio::main(flavor = "multi_thread", worker_threads = 2)]
+async fn main() {
+    if std::env::var(BARE).is_ok() {
+        return bare().await;
+    }
+    if std::env::args().any(|argument| argument == "--test") {
+        return;
+    }
+    let as_json = std::env::args().any(|argument| argument == "--json");
+    let folder = std::env::temp_dir().join(format!("jostle-exchange-{}", std::process::id()));
+    let mut daemon = Command::new(env!("CARGO_BIN_EXE_jostled"));
+    daemon.args(["--listen", "tcp/127.0.0.1:0", "--http", "", "--data-dir"]);
+    daemon.arg(&folder);
+    let (mut daemon, daemon_at) = started(daemon, "listening on ");
+    let mut bare = Command::new(std::env::current_exe().unwrap());
+    bare.env(BARE, "1");
+    let (mut bare, bare_at) = started(bare, "listening on ");
+
+    let asker = open(&bare_at).await;
+    let mut controllers = Vec::new();
+    for _ in 0..8 {
+        controllers.push(open(&daemon_at).await);
+    }
+    let step = settle(&controllers[0]).await;
+    let (mut alone, mut one, mut eight) = (Vec::new(), Vec::new(), Vec::new());
+    for _ in 0..ROUNDS {
+        alone.extend(bare_round(&asker).await);
+        one.extend(round(&controllers[..1]).await);
+        eight.extend(round(&controllers).await);
+    }
+    let (alone, one, eight) = (median(alone), median(one), median(eight));
+    let micros = |time: Duration| time.as_secs_f64() * 1e6;
+    let (of_one, of_eight) = (
+        micros(one) / micros(alone + step),
+        micros(eight) / micros(one),
+    );
+    if as_json {
+        println!(
+            "{}",
+            json!({"n": N, "step_us": micros(step), "bare_query_us": micros(alone),
+                "exchange_us": micros(one), "exchange_of_eight_us": micros(eight),
+                "exchange_over_bare_and_step": of_one, "eight_over_one": of_eight})
+        );
+    } else {
+        println!("n = {N}, medians of {} exchanges", ROUNDS * EXCHANGES);
+        println!("a step                      {:8.1} µs", micros(step));
+        println!("a bare zenoh query          {:8.1} µs", micros(alone));
+        println!(
+            "an exchange, 1 controller   {:8.1} µs   {of_one:.2} of query and step",
+            micros(one)
+        );
+        println!(
+            "an exchange, 8 controllers  {:8.1} µs   {of_eight:.2} of 1 controller",
+            micros(eight)
+        );
+    }
+    for session in controllers.into_iter().chain([asker]) {
+        session.close().await.unwrap();
+    }
+    for process in [&mut daemon, &mut bare] {
+        process.kill().unwrap();
+        process.wait().unwrap();
+    }
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+/// A queryable that answers at once, on a session like the daemon's.
+async fn bare() {
+    let listen = ["tcp/127.0.0.1:0".to_owned()];
+    let session = jostled::server::session::open(&listen, "jostle")
+        .await
+        .unwrap();
+    let queryable = session
+        .declare_queryable("jostle/*/cmd/**")
+        .callback(|query| {
+            let reply = query.reply(query.key_expr().clone(), ANSWER);
+            reply.encoding("application/json").wait().unwrap();
+        });
+    let _queryable = queryable.await.unwrap();
+    println!("listening on {}", session.info().locators().await[0]);
+    std::future::pending::<()>().await;
+}
+
+/// Starts a process and reads where it listens.
+fn started(mut command: Command, word: &str) -> (Child, String) {
+    let mut process = command
+        .stdout(Stdio::piped())
+        .stderr(Stdio::null())
+        .spawn()
+        .unwrap();
+    let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
+    let endpoint = loop {
+        let line = lines.next().unwrap().unwrap();
+        if let Some((_, rest)) = line.split_once(word) {
+            break rest.split([' ', ',']).next().unwrap().to_owned();
+        }
+    };
+    std::thread::spawn(move || lines.for_each(drop));
+    (process, endpoint)
+}
+
+async fn open(endpoint: &str) -> Session {
+    let mut config = zenoh::Config::default();
+    for (setting, value) in [
+        ("mode", json!("client")),
+        ("connect/endpoints", json!([endpoint])),
+        ("scouting/multicast/enabled", json!(false)),
+        ("scouting/gossip/enabled", json!(false)),
+    ] {
+        config.insert_json5(setting, &value.to_string()).unwrap();
+    }
+    zenoh::open(config).await.unwrap()
+}
+
+async fn ask(session: &Session, key: String, request: &Value) -> Value {
+    let query = session
+        .get(key)
+        .payload(serde_json::to_vec(request).unwrap());
+    let answers = query
+        .encoding("application/json")
+        .timeout(Duration::from_secs(60));
+    let answer = answers.await.unwrap().recv_async().await.unwrap();
+    match answer.into_result() {
+        Ok(sample) => serde_json::from_slice(&sample.payload().to_bytes()).unwrap(),
+        Err(error) => panic!("{}", String::from_utf8_lossy(&error.payload().to_bytes())),
+    }
+}
+
+async fn command(session: &Session, verb: &str, request: Value) -> Value {
+    ask(session, keys::cmd("jostle", SWARM, verb), &request).await
+}
+
+/// Makes the swarm and lets it come together. Returns what a step of it takes.
+async fn settle(session: &Session) -> Duration {
+    let key = keys::node_cmd("jostle", "*", "create");
+    let nodes = session
+        .liveliness()
+        .get("jostle/@node/*/alive")
+        .await
+        .unwrap();
+    let token = nodes.recv_async().await.unwrap().into_result().unwrap();
+    let node = token
+        .key_expr()
+        .as_str()
+        .split('/')
+        .nth(2)
+        .unwrap()
+        .to_owned();
+    let create = json!({"name": SWARM, "spec": {"n": N, "seed": 1}});
+    ask(session, key.replace('*', &node), &create).await;
+    let steps = |count: u64| json!({"timeout_secs": 60, "args": {"steps": count}});
+    command(session, "step", steps(5000)).await;
+    let began = Instant::now();
+    command(session, "step", steps(5000)).await;
+    began.elapsed() / 5000
+}
+
+/// What bare queries take.
+async fn bare_round(session: &Session) -> Vec<Duration> {
+    let request = advance(0, 12345);
+    let mut took = Vec::new();
+    for _ in 0..EXCHANGES {
+        let began = Instant::now();
+        command(session, "advance", request.clone()).await;
+        took.push(began.elapsed());
+    }
+    took
+}
+
+/// What exchanges take while every one of these controls the swarm.
+async fn round(sessions: &[Session]) -> Vec<Duration> {
+    let mut step = 0;
+    for (k, session) in sessions.iter().enumerate() {
+        let join = json!({"controller": format!("c{k}"), "select": {"ids": [k]},
+            "deadline_secs": 60});
+        step = command(session, "join", join).await["step"]
+            .as_u64()
+            .unwrap();
+    }
+    let tasks = sessions.iter().cloned().enumerate().map(|(k, session)| {
+        tokio::spawn(async move {
+            let (mut step, mut took) = (step, Vec::new());
+            for _ in 0..EXCHANGES {
+                let began = Instant::now();
+                let reply = command(&session, "advance", advance(k, step)).await;
+                took.push(began.elapsed());
+                step = reply["step"].as_u64().unwrap();
+            }
+            took
+        })
+    });
+    let tasks: Vec<_> = tasks.collect();
+    let mut took = Vec::new();
+    for task in tasks {
+        took.extend(task.await.unwrap());
+    }
+    for (k, session) in sessions.iter().enumerate() {
+        command(session, "leave", json!({"controller": format!("c{k}")})).await;
+    }
+    took
+}
+
+fn advance(controller: usize, step: u64) -> Value {
+    json!({"expect_step": step, "timeout_secs": 60, "args": {
+        "controller": format!("c{controller}"),
+        "set": {"ids": [controller], "direction": [0.001 * step as f64]},
+    }})
+}
+
+fn median(mut took: Vec<Duration>) -> Duration {
+    took.sort();
+    took[took.len() / 2]
+}
