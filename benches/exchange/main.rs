@@ -10,10 +10,13 @@
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
 use serde_json::{Value, json};
+use tokio::sync::Barrier;
+use tokio::task::JoinHandle;
 use zenoh::{Session, Wait};
 
 const SWARM: &str = "bench";
@@ -48,20 +51,22 @@ async fn main() {
     bare.env(BARE, "1");
     let (mut bare, bare_at) = started(bare, "listening on ");
 
-    let asker = open(&bare_at).await;
-    let mut controllers = Vec::new();
+    let (mut askers, mut controllers) = (Vec::new(), Vec::new());
     for _ in 0..8 {
+        askers.push(open(&bare_at).await);
         controllers.push(open(&daemon_at).await);
     }
     let step = settle(&controllers[0]).await;
-    let (mut alone, mut one, mut eight) = (Vec::new(), Vec::new(), Vec::new());
+    let mut took: [Vec<Duration>; 4] = Default::default();
     for _ in 0..ROUNDS {
-        alone.extend(bare_round(&asker).await);
-        one.extend(round(&controllers[..1]).await);
-        eight.extend(round(&controllers).await);
+        took[0].extend(bare_round(&askers[..1]).await);
+        took[1].extend(round(&controllers[..1]).await);
+        took[2].extend(bare_round(&askers).await);
+        took[3].extend(round(&controllers).await);
     }
-    let (alone, one, eight) = (median(alone), median(one), median(eight));
+    let [alone, one, bare_eight, eight] = took.map(median);
     let micros = |time: Duration| time.as_secs_f64() * 1e6;
+    let bare_of_eight = micros(bare_eight) / micros(alone);
     let (of_one, of_eight) = (
         micros(one) / micros(alone + step),
         micros(eight) / micros(one),
@@ -71,6 +76,8 @@ async fn main() {
             "{}",
             json!({"n": N, "step_us": micros(step), "bare_query_us": micros(alone),
                 "exchange_us": micros(one), "exchange_of_eight_us": micros(eight),
+                "bare_queries_of_eight_us": micros(bare_eight),
+                "bare_eight_over_one": bare_of_eight,
                 "exchange_over_bare_and_step": of_one, "eight_over_one": of_eight})
         );
     } else {
@@ -82,11 +89,15 @@ async fn main() {
             micros(one)
         );
         println!(
+            "8 bare queries at once      {:8.1} µs   {bare_of_eight:.2} of one",
+            micros(bare_eight)
+        );
+        println!(
             "an exchange, 8 controllers  {:8.1} µs   {of_eight:.2} of 1 controller",
             micros(eight)
         );
     }
-    for session in controllers.into_iter().chain([asker]) {
+    for session in controllers.into_iter().chain(askers) {
         session.close().await.unwrap();
     }
     for process in [&mut daemon, &mut bare] {
@@ -187,16 +198,24 @@ async fn settle(session: &Session) -> Duration {
     began.elapsed() / 5000
 }
 
-/// What bare queries take.
-async fn bare_round(session: &Session) -> Vec<Duration> {
-    let request = advance(0, 12345);
-    let mut took = Vec::new();
-    for _ in 0..EXCHANGES {
-        let began = Instant::now();
-        command(session, "advance", request.clone()).await;
-        took.push(began.elapsed());
-    }
-    took
+/// What bare queries take; of several at once, until the last of them is answered.
+async fn bare_round(sessions: &[Session]) -> Vec<Duration> {
+    let together = Arc::new(Barrier::new(sessions.len()));
+    let tasks = sessions.iter().cloned().map(|session| {
+        let together = together.clone();
+        tokio::spawn(async move {
+            let request = advance(0, 12345);
+            let mut took = Vec::new();
+            for _ in 0..EXCHANGES {
+                let began = Instant::now();
+                command(&session, "advance", request.clone()).await;
+                together.wait().await;
+                took.push(began.elapsed());
+            }
+            took
+        })
+    });
+    join_all(tasks.collect()).await
 }
 
 /// What exchanges take while every one of these controls the swarm.
@@ -221,13 +240,17 @@ async fn round(sessions: &[Session]) -> Vec<Duration> {
             took
         })
     });
-    let tasks: Vec<_> = tasks.collect();
+    let took = join_all(tasks.collect()).await;
+    for (k, session) in sessions.iter().enumerate() {
+        command(session, "leave", json!({"controller": format!("c{k}")})).await;
+    }
+    took
+}
+
+async fn join_all(tasks: Vec<JoinHandle<Vec<Duration>>>) -> Vec<Duration> {
     let mut took = Vec::new();
     for task in tasks {
         took.extend(task.await.unwrap());
-    }
-    for (k, session) in sessions.iter().enumerate() {
-        command(session, "leave", json!({"controller": format!("c{k}")})).await;
     }
     took
 }

@@ -9,6 +9,7 @@ use crate::command::{self, Command, CommandError, create};
 use crate::host::Created;
 use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::archive::{self, MakePayload};
+use crate::server::clerk::Clerk;
 use crate::server::dispatch::Dispatcher;
 use crate::server::ledger::Entered;
 use crate::server::query::request;
@@ -27,7 +28,7 @@ const BYTES_PER_INDIVIDUAL: usize = 256;
 /// The longest request of all: what zenoh lets through, less its own framing.
 const MOST_BYTES: usize = MAX_MESSAGE_BYTES - 4096;
 
-impl Dispatcher {
+impl Clerk {
     /// Executes only what its own key names: a wildcard changes nothing.
     pub(super) fn command(&self, swarm: &Arc<str>, asked: &Asked) {
         let query = &asked.query;
@@ -93,25 +94,6 @@ impl Dispatcher {
                 })
             },
         );
-    }
-
-    /// Answers whoever deleted a swarm and asks again, when nothing of it is there to answer. Others
-    /// are left to whoever has that swarm.
-    pub(super) fn deleted(&self, asked: &Asked) {
-        let query = &asked.query;
-        let key = query.key_expr().as_str();
-        let swarm = key
-            .strip_prefix(&self.prefix)
-            .and_then(|key| key.strip_prefix('/')?.strip_suffix("/cmd/delete"));
-        if query.key_expr().is_wild() || swarm.is_none_or(|swarm| self.doors.has(swarm)) {
-            return;
-        }
-        if let Ok(request) = request(query, self.most_bytes())
-            && let Some(id) = &request.request_id
-        {
-            let promise = self.desk.promise(asked, key.to_owned());
-            self.ledger.tell(key, &request, id, &promise);
-        }
     }
 
     pub(super) fn node_command(&self, asked: &Asked) {
@@ -223,5 +205,26 @@ impl Dispatcher {
     pub(super) fn most_bytes(&self) -> usize {
         let everybody = BYTES_PER_INDIVIDUAL.saturating_mul(self.host.limits().max_individuals);
         everybody.saturating_add(BYTES_OF_REQUEST).min(MOST_BYTES)
+    }
+}
+
+impl Dispatcher {
+    /// Answers whoever deleted a swarm and asks again, when nothing of it is there to answer. Others
+    /// are left to whoever has that swarm.
+    pub(super) fn deleted(&self, asked: &Asked) {
+        let query = &asked.query;
+        let key = query.key_expr().as_str();
+        let swarm = key
+            .strip_prefix(&self.clerk.prefix)
+            .and_then(|key| key.strip_prefix('/')?.strip_suffix("/cmd/delete"));
+        if query.key_expr().is_wild() || swarm.is_none_or(|swarm| self.doors.has(swarm)) {
+            return;
+        }
+        if let Ok(request) = request(query, self.clerk.most_bytes())
+            && let Some(id) = &request.request_id
+        {
+            let promise = self.clerk.desk.promise(asked, key.to_owned());
+            self.clerk.ledger.tell(key, &request, id, &promise);
+        }
     }
 }

@@ -14,7 +14,7 @@ use crate::command::{self, CommandError, DEFAULT_TIMEOUT, check_name, selector};
 use crate::host::{Host, Register};
 use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::archive::{self, MakePayload};
-use crate::server::dispatch::Dispatcher;
+use crate::server::clerk::Clerk;
 use crate::server::query::request;
 use crate::server::recovery;
 use crate::swarm::checkpoint::Checkpoint;
@@ -30,7 +30,7 @@ const BYTES_AROUND_SNAPSHOT: usize = 4096;
 /// How long a history may be told again before its asker hears that it takes longer.
 const PATIENCE_WITH_HISTORY: Duration = Duration::from_secs(3600);
 
-impl Dispatcher {
+impl Clerk {
     /// Makes a swarm as another one is, or as it was on arriving at a step.
     pub(super) fn fork(&self, swarm: &Arc<str>, asked: &Asked) {
         let query = &asked.query;

@@ -10,7 +10,7 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Queryable;
 use zenoh::{Session, Wait};
 
-use crate::server::answer::Desk;
+use crate::server::clerk::Clerk;
 use crate::server::dispatch::Intake;
 use crate::server::query::{Topic, queryable};
 
@@ -27,7 +27,7 @@ pub struct Doors {
     prefix: String,
     node: String,
     intake: SyncSender<Intake>,
-    desk: Desk,
+    clerk: Arc<Clerk>,
     doors: BTreeMap<String, Door>,
     swept: Instant,
 }
@@ -42,20 +42,20 @@ struct Door {
 }
 
 impl Doors {
-    /// No doors yet. Queries are handed to `intake`, or turned away where `desk` is full.
+    /// No doors yet. Queries are handed to `intake`, or turned away where the clerk's desk is full.
     pub fn new(
         session: Session,
         prefix: String,
         node: String,
         intake: SyncSender<Intake>,
-        desk: Desk,
+        clerk: Arc<Clerk>,
     ) -> Self {
         Doors {
             session,
             prefix,
             node,
             intake,
-            desk,
+            clerk,
             doors: BTreeMap::new(),
             swept: Instant::now(),
         }
@@ -108,7 +108,7 @@ impl Doors {
     fn queryables(&self, swarm: &str) -> zenoh::Result<[Queryable<()>; 3]> {
         let name: Arc<str> = swarm.into();
         let queryable =
-            |key: String, topic| queryable(&self.session, &key, topic, &self.intake, &self.desk);
+            |key: String, topic| queryable(&self.session, &key, topic, &self.intake, &self.clerk);
         Ok([
             queryable(keys::state(&self.prefix, swarm), Topic::State(name.clone()))?,
             queryable(

@@ -16,8 +16,8 @@ use zenoh::{Session, Wait};
 use crate::command::{self, CommandError, check_name, page};
 use crate::lab::{Lab, Report};
 use crate::server::answer::{Asked, Keeper, Promise};
+use crate::server::clerk::Clerk;
 use crate::server::copies::refuse_when;
-use crate::server::dispatch::Dispatcher;
 use crate::server::query::{names, no_parameters};
 use crate::wire::{self, Payload};
 
@@ -68,7 +68,7 @@ impl Errands {
     }
 }
 
-impl Dispatcher {
+impl Clerk {
     /// Does what is asked for with an experiment.
     pub(super) fn experiment(
         &self,

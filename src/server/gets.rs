@@ -10,7 +10,7 @@ use zenoh::query::Query;
 use crate::command::error::refusal;
 use crate::command::{CommandError, page, shortened, wait};
 use crate::server::answer::{Asked, Promise};
-use crate::server::dispatch::Dispatcher;
+use crate::server::clerk::Clerk;
 use crate::server::query::{format, names, no_parameters};
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Place};
@@ -19,7 +19,7 @@ use crate::swarm::order::Outcome;
 use crate::swarm::waiters::Waiter;
 use crate::wire::{self, Payload};
 
-impl Dispatcher {
+impl Clerk {
     pub(super) fn state(&self, swarm: &Arc<str>, asked: &Asked) {
         let key = keys::state(&self.prefix, swarm);
         let as_json = match format(&asked.query) {

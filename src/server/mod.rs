@@ -2,6 +2,7 @@
 
 pub mod answer;
 pub mod archive;
+pub mod clerk;
 mod commands;
 mod control;
 mod copies;
@@ -17,6 +18,7 @@ pub mod session;
 use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::num::NonZero;
+use std::sync::atomic::AtomicUsize;
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::thread;
@@ -40,6 +42,7 @@ use crate::lab::Lab;
 use crate::meter::Pulse;
 use crate::publish::Press;
 use crate::server::answer::Desk;
+use crate::server::clerk::Clerk;
 use crate::server::dispatch::{Crier, Dispatcher, Intake, MOST_QUERIES};
 use crate::server::doors::Doors;
 use crate::server::experiments::Errands;
@@ -147,7 +150,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         ("publish", press.pulse.clone()),
         ("replies", desk.pulse.clone()),
     ];
-    let dispatcher = Dispatcher {
+    let clerk = Arc::new(Clerk {
         session: session.clone(),
         prefix: prefix.clone(),
         node: node.clone(),
@@ -158,17 +161,21 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         store: store.clone(),
         ledger: ledger.clone(),
         schemas: gets::schemas(),
+        lab: lab.clone(),
+        errands,
+        watch: watch.clone(),
+        waiting: AtomicUsize::new(0),
+    });
+    let dispatcher = Dispatcher {
+        clerk: clerk.clone(),
         doors: Doors::new(
             session.clone(),
             prefix.clone(),
             node.clone(),
             intake.clone(),
-            desk.clone(),
+            clerk.clone(),
         ),
-        lab: lab.clone(),
-        errands,
         pulse,
-        watch: watch.clone(),
     };
     thread::Builder::new()
         .name("dispatch".into())
@@ -197,7 +204,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     recovered.await.expect("recovery does not panic")?;
 
     let refused = |error: zenoh::Error| ServerError::Keys(error.to_string());
-    let queryable = |key: String, topic| queryable(&session, &key, topic, &intake, &desk);
+    let queryable = |key: String, topic| queryable(&session, &key, topic, &intake, &clerk);
     let queryables = [
         queryable(keys::node_get(prefix, node, "**"), Topic::NodeGet).map_err(refused)?,
         queryable(keys::node_cmd(prefix, node, "**"), Topic::NodeCommand).map_err(refused)?,

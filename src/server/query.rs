@@ -1,7 +1,7 @@
 //! What a query says: its key, its parameters, the request in it. And how queries come in.
 
 use std::sync::Arc;
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
 
 use jostle_proto::Request;
@@ -11,7 +11,7 @@ use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
 use crate::command::{CommandError, selector, shortened};
-use crate::server::answer::Desk;
+use crate::server::clerk::Clerk;
 use crate::server::dispatch::Intake;
 use crate::wire::Payload;
 
@@ -44,19 +44,26 @@ pub fn queryable(
     key: &str,
     topic: Topic,
     intake: &SyncSender<Intake>,
-    desk: &Desk,
+    clerk: &Arc<Clerk>,
 ) -> zenoh::Result<Queryable<()>> {
     let intake: SyncSender<Intake> = intake.clone();
-    let desk = desk.clone();
+    let clerk = clerk.clone();
     let turns = Arc::new(AtomicUsize::new(0));
     let Payload { bytes, encoding } = Payload::json(&CommandError::Busy.to_wire(None));
     let busy = ZBytes::from(bytes);
     session
         .declare_queryable(key)
         .callback(move |query| {
-            let asked = desk.take_in(&query, &turns);
+            let asked = clerk.desk.take_in(&query, &turns);
             let is_taken = asked.is_some_and(|asked| {
+                if clerk.answers_at_the_door(&topic, &query, &asked) {
+                    return true;
+                }
+                clerk.waiting.fetch_add(1, Ordering::AcqRel);
                 let sent = intake.try_send(Intake::Query(topic.clone(), asked));
+                if sent.is_err() {
+                    clerk.waiting.fetch_sub(1, Ordering::AcqRel);
+                }
                 // A daemon that is going takes nothing, and its silence says so.
                 !matches!(sent, Err(TrySendError::Full(_)))
             });

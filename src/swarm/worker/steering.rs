@@ -130,7 +130,7 @@ impl Worker {
         }
         let until = self.controllers.together(step);
         self.note_coupling(&coupling, until);
-        self.tell(EventKind::Command(coupling.sender));
+        self.enter_in_history(coupling.sender);
         self.go_on();
     }
 
@@ -194,10 +194,7 @@ impl Worker {
                 }
                 steered?;
                 self.note_coupling(coupling, None);
-                self.history.recall(Entry {
-                    place: self.place(),
-                    sender: coupling.sender.clone(),
-                });
+                self.enter_in_history(coupling.sender.clone());
                 return Ok(());
             }
             _ => unreachable!("all else has a sender who waits"),
@@ -261,6 +258,15 @@ impl Worker {
             input => Record::Became { input, seq },
         };
         self.journal.note(self.at(), record, until);
+    }
+
+    /// Enters what comes thousands of times a second where `get/journal` shows it. No event tells
+    /// of it: whoever follows those would see nothing else.
+    fn enter_in_history(&self, sender: Arc<Sender>) {
+        self.history.recall(Entry {
+            place: self.place(),
+            sender,
+        });
     }
 
     /// Steps if every controller has advanced, stands still if one has not, and looks for whom the

@@ -1,0 +1,184 @@
+//! Answers queries: an order or a look handed to a swarm, and the promise of its answer.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
+use std::time::{Duration, Instant};
+
+use fail::fail_point;
+use jostle_proto::Schemas;
+use tracing::error;
+use zenoh::Session;
+use zenoh::bytes::ZBytes;
+use zenoh::query::Query;
+
+use crate::command::{CommandError, DEFAULT_TIMEOUT};
+use crate::health::Watch;
+use crate::host::Host;
+use crate::lab::Lab;
+use crate::publish::Press;
+use crate::server::answer::{Asked, Desk, Excuse, Keeper, Promise};
+use crate::server::experiments::Errands;
+use crate::server::ledger::Ledger;
+use crate::server::query::Topic;
+use crate::store::Store;
+use crate::swarm::frame::{Frame, Place};
+use crate::swarm::handle::Ticket;
+use crate::swarm::order::{Answered, OrderError, Outcome, Refusal};
+use crate::wire::{self, Payload};
+
+/// The longest request that is read where it came in, in bytes.
+const MOST_BYTES_AT_THE_DOOR: usize = 16 * 1024;
+
+/// What it takes to answer a query. Shared by the thread that dispatches and those that take in.
+pub struct Clerk {
+    /// The daemon's session.
+    pub session: Session,
+    /// The first chunk of every key.
+    pub prefix: String,
+    /// The daemon's name.
+    pub node: String,
+    /// The swarms.
+    pub host: Arc<Host>,
+    /// Where answers go.
+    pub desk: Desk,
+    /// Where states go.
+    pub press: Arc<Press>,
+    /// When the daemon started.
+    pub started: Instant,
+    /// What outlives the daemon.
+    pub store: Store,
+    /// What the named requests came to.
+    pub ledger: Ledger,
+    /// The schemas of every message.
+    pub schemas: Schemas,
+    /// The experiments.
+    pub lab: Lab,
+    /// Where what is to be done with them is handed in.
+    pub errands: Errands,
+    /// The daemon in numbers, once it is watched.
+    pub watch: Arc<OnceLock<Arc<Watch>>>,
+    /// How many queries wait for the dispatching thread, or are at it.
+    pub waiting: AtomicUsize,
+}
+
+impl Clerk {
+    /// Answers a query where it came in, if that is done in a moment and nothing came before it:
+    /// an exchange in lock-step is worth one thread less to wake. Otherwise false.
+    pub fn answers_at_the_door(&self, topic: &Topic, query: &Query, asked: &Asked) -> bool {
+        let is_short = query.payload().map_or(0, ZBytes::len) <= MOST_BYTES_AT_THE_DOOR;
+        let is_advance = query.key_expr().as_str().ends_with("/cmd/advance");
+        let is_first = self.waiting.load(Ordering::Acquire) == 0;
+        let answers = is_short && is_advance && is_first && matches!(topic, Topic::Command(_));
+        if answers {
+            self.survive(topic, asked);
+        }
+        answers
+    }
+
+    /// Dispatches a query; one that uncovers a defect ends with an error and not with the daemon.
+    pub fn survive(&self, topic: &Topic, asked: &Asked) {
+        if catch_unwind(AssertUnwindSafe(|| self.query(topic, asked))).is_err() {
+            let key = asked.query.key_expr().as_str().to_owned();
+            error!(key, "a defect: the query panicked");
+            let promise = self.desk.promise(asked, key);
+            promise.refuse(&CommandError::Internal, None);
+        }
+    }
+
+    fn query(&self, topic: &Topic, asked: &Asked) {
+        fail_point!("query");
+        let has_payload = asked
+            .query
+            .payload()
+            .is_some_and(|payload| !payload.is_empty());
+        if has_payload
+            && matches!(
+                topic,
+                Topic::State(_) | Topic::Get(_) | Topic::NodeGet | Topic::Experiment
+            )
+        {
+            let error = CommandError::Field {
+                field: "payload",
+                problem: "means nothing to a get: what it takes goes behind the key's `?`",
+            };
+            let key = asked.query.key_expr().as_str().to_owned();
+            return self.desk.promise(asked, key).refuse(&error, None);
+        }
+        match topic {
+            Topic::State(swarm) => self.state(swarm, asked),
+            Topic::Get(swarm) => self.get(swarm, asked),
+            Topic::Command(swarm) => self.command(swarm, asked),
+            Topic::Deletion => {
+                unreachable!("only the dispatching thread knows which swarms are gone")
+            }
+            Topic::NodeGet => self.node_get(asked),
+            Topic::NodeCommand => self.node_command(asked),
+            Topic::Experiment => self.experiment_get(asked),
+        }
+    }
+
+    /// Looks at a swarm and answers with what `payload` makes of it.
+    pub(super) fn look(
+        &self,
+        swarm: &str,
+        promise: &Promise,
+        payload: impl FnOnce(Place, Arc<Frame>) -> Payload + Send + 'static,
+    ) {
+        let name = swarm.to_owned();
+        self.send(
+            swarm,
+            promise,
+            (DEFAULT_TIMEOUT, CommandError::deadline),
+            |answer| {
+                Ticket::Look(Box::new(move |answered| {
+                    answer(answered, move |place, outcome| match outcome {
+                        Outcome::Seen(seen) => payload(place, seen),
+                        other => wire::outcome(&name, &place, other, None),
+                    });
+                }))
+            },
+        );
+    }
+
+    /// Hands a ticket to a swarm. The promise is kept by its answer, in time or with an excuse.
+    pub(super) fn send<A>(
+        &self,
+        swarm: &str,
+        promise: &Promise,
+        (patience, excuse): (Duration, Excuse),
+        ticket: impl FnOnce(AnswerTo<A>) -> Ticket,
+    ) where
+        A: FnOnce(Place, Outcome) -> Payload + Send + 'static,
+    {
+        let Some(handle) = self.host.find(swarm) else {
+            let error = CommandError::UnknownSwarm(swarm.to_owned());
+            return promise.refuse(&error, None);
+        };
+        let late = handle.step_later();
+        promise.keep_within(patience, excuse, late);
+        handle.send(ticket(answer_to(promise)));
+    }
+}
+
+/// Takes what a swarm answers and how to word it.
+pub(super) type AnswerTo<A> = Box<dyn FnOnce(Answered, A) + Send>;
+
+/// Keeps `promise` with whatever is answered; if it is dropped unanswered, with a refusal.
+fn answer_to<A>(promise: &Promise) -> AnswerTo<A>
+where
+    A: FnOnce(Place, Outcome) -> Payload + Send + 'static,
+{
+    let keeper = Keeper::new(promise.clone());
+    Box::new(move |answered, payload| match answered {
+        Ok((place, outcome)) => keeper.0.fulfil(move || Ok(payload(place, outcome))),
+        // It was carried out, though not to its end.
+        Err(Refusal {
+            step,
+            error: error @ OrderError::Faulted(_),
+        }) => keeper
+            .0
+            .fulfil(move || Err(Payload::json(&CommandError::from(error).to_wire(step)))),
+        Err(Refusal { step, error }) => keeper.0.refuse(&error.into(), step),
+    })
+}
