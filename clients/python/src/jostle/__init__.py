@@ -50,6 +50,7 @@ from ._errors import (
 )
 from ._events import Event, JournalEntry
 from ._experiment import Experiment
+from ._local import Local, local
 from ._messages import (
     BatchResult,
     Certificate,
@@ -107,6 +108,7 @@ __all__ = [
     "JostleError",
     "JournalEntry",
     "Limits",
+    "Local",
     "Metrics",
     "NodeStatus",
     "NotFound",
@@ -155,6 +157,7 @@ __all__ = [
     "fraction",
     "given",
     "ids",
+    "local",
     "poses",
     "within",
 ]

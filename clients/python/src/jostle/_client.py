@@ -52,6 +52,18 @@ def connect(
     """
     if endpoint is None:
         endpoint = os.environ.get("JOSTLE_ENDPOINT") or DEFAULT_ENDPOINT
+    return Client(*open_link(endpoint, node=node, prefix=prefix, client=client, timeout=timeout))
+
+
+def open_link(
+    endpoint: str,
+    *,
+    node: str | None = None,
+    prefix: str = "jostle",
+    client: str | None = None,
+    timeout: float = 5.0,
+) -> tuple[Link, str]:
+    """A link with the daemon at `endpoint` and that daemon's name, as `connect` says."""
     if node is not None:
         check_name("node", node)
     if not prefix or any(c in "*$?#" for c in prefix) or "" in prefix.split("/"):
@@ -69,7 +81,7 @@ def connect(
         link.close()
         raise
     link.max_message_bytes = hello.limits.max_message_bytes
-    return Client(link, hello.node)
+    return link, hello.node
 
 
 def experiment(

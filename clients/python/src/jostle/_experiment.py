@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ._arguments import check_name, check_seconds
+from ._cancel import rest
 from ._errors import (
     DeadlineExceeded,
     Faulted,
@@ -102,7 +103,7 @@ class Experiment:
                         f"experiment {self._name!r} is not finished after {seconds} s: it goes on",
                         details={"after_secs": seconds},
                     )
-                time.sleep(_LOOK_AGAIN_SECS)
+                rest(_LOOK_AGAIN_SECS)
         finally:
             if bar is not None:
                 bar.close()

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import atexit
 import contextlib
+import ctypes
 import json
+import os
 import threading
 import time
 import uuid
@@ -14,6 +16,7 @@ from typing import TYPE_CHECKING, Any, SupportsIndex
 
 import zenoh
 
+from . import _cancel
 from ._arguments import check_label, check_seconds, to_json
 from ._errors import (
     Busy,
@@ -44,7 +47,7 @@ _LIVELINESS_SECS = 2.0
 _JOIN_SECS = 1.0
 
 _open_links: weakref.WeakSet[Link] = weakref.WeakSet()
-_listeners: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
+_threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
 
 
 def open_session(endpoint: str, timeout: float) -> zenoh.Session:
@@ -100,14 +103,26 @@ class Link:
         self.client = client
         self.timeout = timeout
         self.max_message_bytes: int | None = None
+        # What lives as long as this does, such as a daemon of its own.
+        self.held: object = None
         self.streams: weakref.WeakSet[Stream[Any]] = weakref.WeakSet()
+        self._owner = os.getpid()
         _open_links.add(self)
 
     def close(self) -> None:
         """Ends every stream and the session; harmless when done already."""
+        if not self.is_ours():
+            return
         for stream in list(self.streams):
             stream.close()
         self.session.close()
+
+    def is_ours(self) -> bool:
+        """Whether this process opened it, and not one that this was forked from.
+
+        A forked process has none of zenoh's threads, and would wait for them for ever.
+        """
+        return os.getpid() == self._owner
 
     def swarm_key(self, swarm: str, rest: str) -> str:
         """A key of a swarm, such as `jostle/demo/get/status`."""
@@ -218,7 +233,7 @@ class Link:
         """Who is connected, waiting a little for a connection that is being made again."""
         give_up = time.monotonic() + min(seconds, _RETURN_SECS)
         while not (connected := self._connected()) and time.monotonic() < give_up:
-            time.sleep(_LOOK_AGAIN_SECS)
+            _cancel.rest(_LOOK_AGAIN_SECS)
         return connected
 
     def _write(self, request: dict[str, Any]) -> bytes:
@@ -277,6 +292,7 @@ class Link:
                 encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
                 timeout=listen_secs,
                 consolidation=zenoh.ConsolidationMode.NONE,
+                cancellation_token=_cancel.token(),
             )
         except zenoh.ZError as error:
             raise self._broken(error) from error
@@ -287,6 +303,8 @@ class Link:
             elif reply.err is not None:
                 said = read_error(reply.err.payload.to_bytes())
                 raise self._late(time.monotonic() - began) if said is None else said
+        # A query that was cancelled ends like one that nobody answers.
+        _cancel.check()
         return answers
 
     def _late(self, seconds: float) -> Unavailable:
@@ -303,10 +321,14 @@ class Link:
             Unavailable: The session is closed.
         """
         try:
-            replies = self.session.liveliness().get(key, timeout=_LIVELINESS_SECS)
+            replies = self.session.liveliness().get(
+                key, timeout=_LIVELINESS_SECS, cancellation_token=_cancel.token()
+            )
         except zenoh.ZError as error:
             raise self._broken(error) from error
-        return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+        keys = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+        _cancel.check()
+        return keys
 
     def nodes(self) -> list[str]:
         """The names of the daemons that are there.
@@ -376,8 +398,27 @@ def listen(
                 take(handler.recv())
 
     thread = threading.Thread(target=run, name="jostle-listener", daemon=True)
-    _listeners.add(thread)
+    join_at_exit(thread)
     thread.start()
+
+
+def join_at_exit(thread: threading.Thread) -> None:
+    """Has the interpreter's end wait for a thread that ends soon after every link is closed."""
+    _threads.add(thread)
+
+
+def _keep_for_ever() -> None:
+    """In a process forked from this one: lets go of nothing of zenoh's, which would not return."""
+    for link in list(_open_links):
+        for stream in list(link.streams):
+            for subscriber in stream.subscribers:
+                ctypes.pythonapi.Py_IncRef(ctypes.py_object(subscriber))
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(link.session))
+    _open_links.clear()
+    _threads.clear()
+
+
+os.register_at_fork(after_in_child=_keep_for_ever)
 
 
 @atexit.register
@@ -385,5 +426,5 @@ def _close_links() -> None:
     # A thread that waits within zenoh when the interpreter goes would abort the process.
     for link in list(_open_links):
         link.close()
-    for thread in list(_listeners):
+    for thread in list(_threads):
         thread.join(_JOIN_SECS)

@@ -118,7 +118,7 @@ class Stream(Generic[T]):
         self._inbox = _Inbox(capacity)
         self._ready: deque[T] = deque()
         self._silent_since = time.monotonic()
-        self._subscribers: list[zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]] = []
+        self.subscribers: list[zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]] = []
         self._timeout = None if timeout is None else check_seconds("timeout", timeout)
         inbox, session = self._inbox, link.session
         try:
@@ -152,7 +152,7 @@ class Stream(Generic[T]):
         subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]],
         take: Callable[[zenoh.Sample], None],
     ) -> None:
-        self._subscribers.append(subscriber)
+        self.subscribers.append(subscriber)
         listen(subscriber, take)
 
     def __iter__(self) -> Iterator[T]:
@@ -217,9 +217,11 @@ class Stream(Generic[T]):
 
     def close(self) -> None:
         """Stops listening; harmless when done already."""
+        if not self._link.is_ours():
+            return
         self._ready = deque()
         self._inbox.close()
-        subscribers, self._subscribers = self._subscribers, []
+        subscribers, self.subscribers = self.subscribers, []
         for subscriber in subscribers:
             # A closed session has undeclared them already and does not mind.
             subscriber.undeclare()
@@ -237,5 +239,5 @@ class Stream(Generic[T]):
 
     def __del__(self) -> None:
         # A failed constructor leaves nothing to close.
-        if hasattr(self, "_subscribers"):
+        if hasattr(self, "subscribers"):
             self.close()
