@@ -36,7 +36,6 @@ _current: ContextVar[Canceller | None] = ContextVar("jostle_canceller", default=
 def call_with(canceller: Canceller, work: Callable[[], T]) -> T:
     """Calls `work` so that `canceller` ends it; within a context of its own."""
     _current.set(canceller)
-    check()
     return work()
 
 
