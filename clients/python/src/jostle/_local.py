@@ -22,6 +22,7 @@ from ._arguments import check_seconds
 from ._client import Client, open_link
 from ._errors import InvalidArgument, Unavailable
 from ._link import Link
+from ._progress import Bar
 
 # A daemon that finds a large folder tells its swarms' pasts before it listens.
 _START_SECS = 120.0
@@ -62,6 +63,7 @@ def local(
     jostled: str | os.PathLike[str] | None = None,
     client: str | None = None,
     timeout: float = 5.0,
+    show: bool | None = None,
     **settings: str | float,
 ) -> Local:
     """Starts a daemon that nobody else knows of, and connects with it.
@@ -79,6 +81,8 @@ def local(
             the `PATH`.
         client: Who commands say they are from, as `connect` takes it.
         timeout: Seconds that every command may take unless it says otherwise.
+        show: Show that it is being started; None is if that is seen, on a terminal or in a
+            notebook, and takes a while, as with much in its folder.
         settings: What `jostled config explain` lists, such as `max_individuals=5000`; HTTP is not
             served unless `http` says where.
 
@@ -87,7 +91,7 @@ def local(
         Unavailable: There is no `jostled`, or it does not start; its log says why.
     """
     seconds = check_seconds("timeout", timeout)
-    daemon = Daemon(_find(jostled), folder, settings)
+    daemon = Daemon(_find(jostled), folder, settings, show)
     try:
         link, node = open_link(daemon.endpoint, client=client, timeout=seconds)
     except BaseException:
@@ -138,7 +142,11 @@ class Daemon:
     """A `jostled` that ends with this process."""
 
     def __init__(
-        self, program: str, folder: str | os.PathLike[str] | None, settings: dict[str, str | float]
+        self,
+        program: str,
+        folder: str | os.PathLike[str] | None,
+        settings: Mapping[str, str | float],
+        show: bool | None,
     ) -> None:
         flags = _flags(settings)
         self._stopping = threading.Lock()
@@ -152,7 +160,7 @@ class Daemon:
             self.folder = self.folder.resolve()
             self.folder.mkdir(parents=True, exist_ok=True)
             self.log = self.folder / "jostled.log"
-            self.endpoint = self._start([program, *flags])
+            self.endpoint = self._start([program, *flags], show)
         except BaseException:
             self.stop()
             raise
@@ -205,7 +213,7 @@ class Daemon:
         if hasattr(self, "endpoint"):
             self.stop()
 
-    def _start(self, command: list[str]) -> str:
+    def _start(self, command: list[str], show: bool | None) -> str:
         """Starts it and returns its endpoint."""
         folder = str(self.folder)
         where = ["--listen", "tcp/127.0.0.1:0", "--data-dir", folder]
@@ -225,10 +233,10 @@ class Daemon:
         finally:
             os.close(stdin)
         assert self._process.stdout is not None
-        with self._process.stdout as stdout:
-            return self._read_endpoint(stdout, written)
+        with self._process.stdout as stdout, Bar("jostled", show) as bar:
+            return self._read_endpoint(stdout, written, bar)
 
-    def _read_endpoint(self, stdout: IO[bytes], written: int) -> str:
+    def _read_endpoint(self, stdout: IO[bytes], written: int, bar: Bar) -> str:
         """Waits for the line that says where it listens; its log is as long as `written` before."""
         deadline = time.monotonic() + _START_SECS
         said = b""
@@ -236,6 +244,7 @@ class Daemon:
             selector.register(stdout, selectors.EVENT_READ)
             while time.monotonic() < deadline:
                 _cancel.check()
+                bar.show(None, f"is starting in {self.folder}")
                 if not selector.select(_LOOK_AGAIN_SECS):
                     continue
                 chunk = os.read(stdout.fileno(), 4096)

@@ -311,6 +311,12 @@ class Swarm:
     orders = _streamed(jostle.Swarm.orders)
     events = _streamed(jostle.Swarm.events)
 
+    frame = _awaited(jostle.Swarm.frame)
+
+    def view(self, seconds: float = 60.0, *, hz: float = 10.0) -> jostle.View:
+        """A live view of it for a notebook, as `jostle.Swarm.view`."""
+        return self._sync.view(seconds, hz=hz)
+
     async def close(self) -> None:
         """Closes its streams; the swarm itself lives on."""
         await finish(self._sync.close)
