@@ -92,12 +92,13 @@ def _bodies(
     lines = "".join(f"M{a:.1f} {b:.1f}L{c:.1f} {d:.1f}" for a, b, c, d in np.hstack((tail, head)))
     dots = "".join(f"M{a:.1f} {b:.1f}h0" for a, b in mark)
     width = 2.0 * radius * camera.scale
+    dot = (0.42 + 0.18 * slender) * width
     inner = max(width - 2.0 * _EDGE_PX, 0.55 * width)
     fill, edge = colours
     return (
         f'<g stroke-linecap="round"><path d="{lines}" stroke="{edge}" stroke-width="{width:.2f}"/>'
         f'<path d="{lines}" stroke="{fill}" stroke-width="{inner:.2f}"/>'
-        f'<path d="{dots}" stroke="{edge}" stroke-width="{(0.42 + 0.18 * slender) * width:.2f}"/></g>'
+        f'<path d="{dots}" stroke="{edge}" stroke-width="{dot:.2f}"/></g>'
     )
 
 
