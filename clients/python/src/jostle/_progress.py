@@ -39,6 +39,11 @@ class Bar:
             self._shown = self._shown or _bar(self._name)
             self._shown.show(share, text)
 
+    def end(self, text: str) -> None:
+        """Shows that all is done, if anything was shown of it."""
+        if self._shown is not None:
+            self._shown.show(1.0, text)
+
     def __enter__(self) -> Self:
         return self
 
@@ -87,7 +92,7 @@ class _Tqdm:
     """The bar of tqdm."""
 
     def __init__(self, tqdm: Any, name: str) -> None:
-        form = "{desc} {percentage:3.0f}%|{bar}| {postfix} [{elapsed}<{remaining}]"
+        form = "{desc} {percentage:3.0f}%|{bar}|{postfix} [{elapsed}<{remaining}]"
         self._bar = tqdm.tqdm(total=_WHOLE, desc=name, bar_format=form)
 
     def show(self, share: float | None, text: str) -> None:

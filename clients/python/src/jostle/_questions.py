@@ -154,6 +154,8 @@ class Questions:
         deadline = None if seconds is None else time.monotonic() + seconds
         with Bar(self._name, False if target is None else show) as bar:
             status = self._wait(condition, deadline, bar, target or 0)
+            if target is not None and status.step >= target:
+                bar.end(f"step {target}")
         if target is not None and status.step < target:
             kind = Faulted if status.phase == "faulted" else IncorrectState
             raise kind(
