@@ -182,7 +182,8 @@ class Client:
         except JostleError as error:
             return trouble(error)
         title = f"{hello.node}, jostled {hello.version} at {self.endpoint}"
-        return f"<p><b>{escape(title)}</b></p>{swarms._repr_html_()}"
+        shown = swarms._repr_html_() if swarms else "<p>no swarms so far</p>"
+        return f"<p><b>{escape(title)}</b></p>{shown}"
 
     def create(
         self,

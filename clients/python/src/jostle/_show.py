@@ -11,7 +11,8 @@ import msgspec
 
 T = TypeVar("T")
 
-_LONGEST_TABLE = 100
+_ROWS_AT_AN_END = 12
+_LONGEST_LIST = 100
 _LONGEST_TEXT = 120
 _CELL = 'style="text-align:left;vertical-align:top;white-space:nowrap"'
 
@@ -27,12 +28,17 @@ class Listed(list[T]):
     """A list that a notebook shows as a table, with a row for each."""
 
     def _repr_html_(self) -> str:
-        rows = [_fields(item) for item in self[:_LONGEST_TABLE]]
+        if not self:
+            return "<p>none</p>"
+        left_out = max(0, len(self) - 2 * _ROWS_AT_AN_END)
+        first = len(self) if not left_out else _ROWS_AT_AN_END
+        rows = [_fields(item) for item in self[:first] + self[first + left_out :]]
         every = dict.fromkeys(name for row in rows for name in row)
         names = [name for name in every if any(_says(row.get(name)) for row in rows)]
-        shown = table(names, ([row.get(name) for name in names] for row in rows))
-        more = len(self) - len(rows)
-        return shown + (f"<p>and {more} more</p>" if more else "") if rows else "<p>none</p>"
+        cells = [[row.get(name) for name in names] for row in rows]
+        if left_out:
+            cells.insert(first, [f"… {left_out} more …"] + [None] * (len(names) - 1))
+        return table(names, cells)
 
 
 def facts(title: str, fields: Mapping[str, Any]) -> str:
@@ -95,8 +101,8 @@ def _cell(value: object) -> str:
     if isinstance(value, list) and value and isinstance(value[0], msgspec.Struct):
         return Listed(value)._repr_html_()
     if isinstance(value, list | tuple) and not any(isinstance(it, list | dict) for it in value):
-        return ", ".join(_cell(it) for it in value[:_LONGEST_TABLE]) + (
-            ", …" if len(value) > _LONGEST_TABLE else ""
+        return ", ".join(_cell(it) for it in value[:_LONGEST_LIST]) + (
+            ", …" if len(value) > _LONGEST_LIST else ""
         )
     return f"<code>{_text(json.dumps(msgspec.to_builtins(value), ensure_ascii=False))}</code>"
 
