@@ -7,6 +7,8 @@ import gc
 import inspect
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Coroutine
@@ -330,3 +332,34 @@ def test_an_experiment_is_awaited(daemon: Daemon) -> None:
             await experiment.delete()
 
     run(main)
+
+
+@pytest.mark.parametrize(("ends", "code"), [("", 0), ("raise KeyError", 1), ("sys.exit(3)", 3)])
+def test_a_program_that_closes_nothing_exits(ends: str, code: int) -> None:
+    program = (
+        "import asyncio, jostle, sys\n"
+        "from jostle import aio\n"
+        "kept = []\n"
+        "async def main():\n"
+        "    client = await aio.local()\n"
+        "    swarm = await client.create('x', {'n': 3})\n"
+        "    states = swarm.states()\n"
+        "    await anext(states)\n"
+        "    tasks = [asyncio.create_task(states.__anext__()),\n"
+        "             asyncio.create_task(swarm.wait(phase='running'))]\n"
+        "    kept.extend([client, swarm, states, tasks])\n"
+        "    await asyncio.sleep(0.05)\n"
+        f"    {ends}\n"
+        "asyncio.run(main())\n"
+    )
+    ran = subprocess.run(
+        [sys.executable, "-W", "error", "-c", program],
+        env={**os.environ, "JOSTLED": str(JOSTLED)},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_SECS,
+        check=False,
+    )
+    assert ran.returncode == code
+    assert ran.stderr == "" or code == 1
+    assert "Exception ignored" not in ran.stderr

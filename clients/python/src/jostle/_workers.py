@@ -24,10 +24,13 @@ class Workers:
         self._changed = threading.Condition()
         self._work: deque[Callable[[], None]] = deque()
         self._idle = 0
-        self._is_over = False
+        self.is_over = False
 
     def start(self, work: Callable[[], None]) -> None:
-        """Has `work` called, which raises nothing."""
+        """Has `work` called, which raises nothing; here and now when the interpreter ends."""
+        if self.is_over:
+            work()
+            return
         with self._changed:
             self._work.append(work)
             if len(self._work) <= self._idle:
@@ -42,7 +45,7 @@ class Workers:
         while True:
             with self._changed:
                 self._idle += 1
-                self._changed.wait_for(lambda: bool(self._work) or self._is_over, _IDLE_SECS)
+                self._changed.wait_for(lambda: bool(self._work) or self.is_over, _IDLE_SECS)
                 self._idle -= 1
                 if not self._work:
                     return
@@ -54,7 +57,7 @@ class Workers:
     def end(self) -> None:
         """Has every thread end when its work is done."""
         with self._changed:
-            self._is_over = True
+            self.is_over = True
             self._changed.notify_all()
 
 

@@ -192,7 +192,8 @@ class Stream(Generic[T]):
 
     def __del__(self) -> None:
         # Whoever left a loop over it with `break` holds it no more.
-        if hasattr(self, "_source") and not self._source.is_closed:
+        # At the interpreter's end every link is closed already.
+        if hasattr(self, "_source") and not self._source.is_closed and not workers.is_over:
             workers.start(self._source.close)
 
 
