@@ -95,6 +95,7 @@ ADDED = {
     ("event", "skipped"),  # Counted by the reader.
     ("events.reply.events[]", "skipped"),
     ("journal.reply.entries[]", "skipped"),
+    ("state", "pi1"),  # As last heard.
     ("state", "skipped"),
     ("state", "state_hash"),  # From the answer around the state.
 }
