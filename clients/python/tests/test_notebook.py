@@ -259,5 +259,14 @@ def test_a_view_without_a_notebook_says_what_brings_one(create: Create) -> None:
     view = swarm.view()
     assert repr(view) == f"View({swarm.name!r})"
     view.stop()
+    assert view.wait()
     with pytest.raises(jostle.InvalidArgument):
         swarm.view(0.0)
+    code = (
+        "import sys\nsys.modules['IPython'] = None\nimport jostle\n"
+        f"with jostle.connect({swarm._link.endpoint!r}) as client:\n"
+        f"    try:\n        client.swarm({swarm.name!r}).view().show()\n"
+        "    except ImportError as error:\n        print(error)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "pip install 'jostle[notebook]'" in ran.stdout

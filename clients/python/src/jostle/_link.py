@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import atexit
-import contextlib
-import ctypes
 import json
 import os
-import threading
 import time
 import uuid
 import weakref
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
 import zenoh
 
 from . import _cancel
 from ._arguments import check_label, check_seconds, to_json
+from ._ends import open_links
 from ._errors import (
     Busy,
     InvalidArgument,
@@ -44,10 +40,6 @@ _LONGEST_LISTEN_SECS = 30.0
 _RETURN_SECS = 2.0
 _LOOK_AGAIN_SECS = 0.02
 _LIVELINESS_SECS = 2.0
-_JOIN_SECS = 1.0
-
-_open_links: weakref.WeakSet[Link] = weakref.WeakSet()
-_threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
 
 
 def open_session(endpoint: str, timeout: float) -> zenoh.Session:
@@ -107,7 +99,7 @@ class Link:
         self.held: object = None
         self.streams: weakref.WeakSet[Stream[Any]] = weakref.WeakSet()
         self._owner = os.getpid()
-        _open_links.add(self)
+        open_links.add(self)
 
     def close(self) -> None:
         """Ends every stream and the session; harmless when done already."""
@@ -381,50 +373,3 @@ class Link:
         if self.session.is_closed():
             return Unavailable("this client is closed: connect again")
         return Unavailable(f"the session with {self.endpoint} failed: {error}")
-
-
-def listen(
-    subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]], take: Callable[[zenoh.Sample], None]
-) -> None:
-    """Calls `take` with every sample, from a thread of its own, until it is undeclared.
-
-    A callback given to zenoh would run in a thread that keeps the interpreter from exiting.
-    """
-    handler = subscriber.handler
-
-    def run() -> None:
-        with contextlib.suppress(zenoh.ZError):
-            while True:
-                take(handler.recv())
-
-    thread = threading.Thread(target=run, name="jostle-listener", daemon=True)
-    join_at_exit(thread)
-    thread.start()
-
-
-def join_at_exit(thread: threading.Thread) -> None:
-    """Has the interpreter's end wait for a thread that ends soon after every link is closed."""
-    _threads.add(thread)
-
-
-def _keep_for_ever() -> None:
-    """In a process forked from this one: lets go of nothing of zenoh's, which would not return."""
-    for link in list(_open_links):
-        for stream in list(link.streams):
-            for subscriber in stream.subscribers:
-                ctypes.pythonapi.Py_IncRef(ctypes.py_object(subscriber))
-        ctypes.pythonapi.Py_IncRef(ctypes.py_object(link.session))
-    _open_links.clear()
-    _threads.clear()
-
-
-os.register_at_fork(after_in_child=_keep_for_ever)
-
-
-@atexit.register
-def _close_links() -> None:
-    # A thread that waits within zenoh when the interpreter goes would abort the process.
-    for link in list(_open_links):
-        link.close()
-    for thread in list(_threads):
-        thread.join(_JOIN_SECS)

@@ -88,6 +88,7 @@ def local(
 
     Raises:
         InvalidArgument: A setting is not one that can be given here.
+        OSError: The folder cannot be made.
         Unavailable: There is no `jostled`, or it does not start; its log says why.
     """
     seconds = check_seconds("timeout", timeout)

@@ -12,8 +12,9 @@ from typing import Generic, Protocol, Self, TypeVar
 import zenoh
 
 from ._arguments import check_seconds
+from ._ends import listen
 from ._errors import DeadlineExceeded, Internal, Unavailable
-from ._link import Link, listen
+from ._link import Link
 from ._reading import read_event
 
 T = TypeVar("T")

@@ -159,8 +159,9 @@ class Swarm(Commands):
 
             swarm.frame(steps=1000, every=50).groupby("step").order.first().plot()
 
-        It has a row for each individual in each state, see `jostle.frame`. Of a swarm that runs
-        by itself the same is made of what `states` yields.
+        It has a row for each individual in each state, see `jostle.frame`. Each state is reached
+        by a `step` of its own, as its journal tells. Of a swarm that runs by itself the same is
+        made of what `states` yields.
 
         Args:
             steps: Step it so far; the table has the state before the first and after the last.

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 from . import _show
 from ._arguments import check_seconds
 from ._draw import Camera, draw
+from ._ends import join_at_exit
 from ._errors import DeadlineExceeded, JostleError
-from ._link import join_at_exit
 from ._notebook import Place, as_html, place
 
 if TYPE_CHECKING:

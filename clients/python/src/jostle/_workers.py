@@ -7,7 +7,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 
-from ._link import join_at_exit
+from ._ends import join_at_exit
 
 # A thread is kept this long for the next call, seconds: in a loop of calls none is started anew.
 _IDLE_SECS = 2.0
