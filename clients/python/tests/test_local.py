@@ -232,6 +232,37 @@ def test_a_forked_process_leaves_it_alone() -> None:
     assert (stdout, stderr) == ("1\n", "")
 
 
+@pytest.mark.parametrize(
+    "use",
+    [
+        "c.swarms()",
+        "swarm.step()",
+        "swarm.states()",
+        "next(states)",
+        "jostle.local()",
+        "jostle.connect(c.endpoint)",
+    ],
+)
+def test_a_forked_process_is_told_that_it_cannot_connect(use: str) -> None:
+    # As multiprocessing forks by itself: what it inherits would wait for ever.
+    program = start(
+        "swarm = c.create('x', {'n': 2})\n"
+        "states = swarm.states()\n"
+        "next(states)\n"
+        "pid = os.fork()\n"
+        "if pid == 0:\n"
+        f"    try: {use}\n"
+        "    except jostle.Unavailable as error: print(error, flush=True)\n"
+        "    os._exit(0)\n"
+        "assert os.waitpid(pid, 0)[1] == 0\n"
+        "print(swarm.step().step)\n"
+    )
+    said(program)
+    stdout, stderr = program.communicate(timeout=PATIENCE_SECS)
+    assert "spawn" in stdout.splitlines()[0]
+    assert (stdout.splitlines()[1], stderr) == ("1", "")
+
+
 def test_ctrl_c_is_for_the_program_alone() -> None:
     program = subprocess.Popen(
         [

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING
 
 import zenoh
 
+from ._errors import Unavailable
+
 if TYPE_CHECKING:
     from ._link import Link
 
@@ -20,6 +22,10 @@ _JOIN_SECS = 1.0
 
 open_links: weakref.WeakSet[Link] = weakref.WeakSet()
 """Those that this process opened and somebody holds."""
+
+# Whether this process has used zenoh, and whether it was forked from one that had.
+_is_used = False
+_is_lost = False
 
 _threads: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
 
@@ -48,8 +54,32 @@ def join_at_exit(thread: threading.Thread) -> None:
     _threads.add(thread)
 
 
+def use_zenoh() -> None:
+    """Notes that zenoh is used from now on.
+
+    Raises:
+        Unavailable: It was used before this process was forked, and would wait for ever for
+            threads that there are none of here.
+    """
+    global _is_used
+    if _is_lost:
+        raise forked()
+    _is_used = True
+
+
+def forked() -> Unavailable:
+    """The error in a process that was forked from one that had connected already."""
+    return Unavailable(
+        "this process was forked from one that had connected already, which no connection "
+        "survives: have it started anew, as multiprocessing does in its contexts `spawn` and "
+        "`forkserver`, and connect there"
+    )
+
+
 def _keep_for_ever() -> None:
     """In a process forked from this one: lets go of nothing of zenoh's, which would not return."""
+    global _is_lost
+    _is_lost = _is_used
     for link in list(open_links):
         for stream in list(link.streams):
             for subscriber in stream.subscribers:

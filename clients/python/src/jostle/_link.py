@@ -13,7 +13,7 @@ import zenoh
 
 from . import _cancel
 from ._arguments import check_label, check_seconds, to_json
-from ._ends import open_links
+from ._ends import forked, open_links, use_zenoh
 from ._errors import (
     Busy,
     InvalidArgument,
@@ -47,8 +47,9 @@ def open_session(endpoint: str, timeout: float) -> zenoh.Session:
 
     Raises:
         InvalidArgument: It is no endpoint.
-        Unavailable: No daemon answers there.
+        Unavailable: No daemon answers there, or zenoh cannot be used in this process.
     """
+    use_zenoh()
     milliseconds = max(1, round(timeout * 1000))
     config = zenoh.Config()
     for key, value in {
@@ -115,6 +116,15 @@ class Link:
         A forked process has none of zenoh's threads, and would wait for them for ever.
         """
         return os.getpid() == self._owner
+
+    def check_ours(self) -> None:
+        """Goes no further in a process that was forked from the one that opened it.
+
+        Raises:
+            Unavailable: This is one.
+        """
+        if not self.is_ours():
+            raise forked()
 
     def swarm_key(self, swarm: str, rest: str) -> str:
         """A key of a swarm, such as `jostle/demo/get/status`."""
@@ -276,6 +286,7 @@ class Link:
         Raises:
             JostleError: A daemon's own error, or `Unavailable` if one is there and too late.
         """
+        self.check_ours()
         began = time.monotonic()
         try:
             replies = self.session.get(
@@ -312,6 +323,7 @@ class Link:
         Raises:
             Unavailable: The session is closed.
         """
+        self.check_ours()
         try:
             replies = self.session.liveliness().get(
                 key, timeout=_LIVELINESS_SECS, cancellation_token=_cancel.token()
@@ -363,6 +375,7 @@ class Link:
 
     def _connected(self) -> frozenset[str]:
         """The zenoh nodes at the other end; a daemon that was started again is another one."""
+        self.check_ours()
         try:
             info = self.session.info
             return frozenset(map(str, (*info.routers_zid(), *info.peers_zid())))

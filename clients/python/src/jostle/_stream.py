@@ -122,6 +122,7 @@ class Stream(Generic[T]):
         self.subscribers: list[zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]] = []
         self._timeout = None if timeout is None else check_seconds("timeout", timeout)
         inbox, session = self._inbox, link.session
+        link.check_ours()
         try:
             # The end is watched for before anything else, so that it cannot fall in between.
             events = session.declare_subscriber(link.swarm_key(swarm, "event"))
@@ -160,6 +161,7 @@ class Stream(Generic[T]):
         return self
 
     def __next__(self) -> T:
+        self._link.check_ours()
         deadline = None if self._timeout is None else time.monotonic() + self._timeout
         while True:
             # `close` puts another in its place, from whatever thread.
