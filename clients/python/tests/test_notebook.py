@@ -84,6 +84,8 @@ def test_the_size_of_bodies_is_as_last_heard(create: Create, client: jostle.Clie
     swarm.batch([jostle.Set(pi1=1.25)])
     with swarm.states() as states:
         assert next(states).pi1 == 1.25
+    client.swarm(swarm.name).reset()
+    assert swarm.step(state=True).pi1 == 2.0
     client.swarm(swarm.name).set(pi1=1.0)
     swarm.status()
     state = swarm.state()

@@ -34,8 +34,10 @@ class Questions:
     def __init__(self, link: Link, name: str) -> None:
         self._link = link
         self._name = check_name("swarm", name)
-        # How long the bodies are, as far as this client has heard; pictures show it.
+        # How long the bodies are, as far as this client has heard, and since which epoch, as a
+        # reset may change it; pictures show it.
         self._pi1: float | None = None
+        self._pi1_epoch: int | None = None
 
     @property
     def name(self) -> str:
@@ -186,14 +188,14 @@ class Questions:
                 bar.show(share, f"step {step} of {target}")
 
     def _heard(self, status: Status) -> Status:
-        self._pi1 = status.parameters.pi1
+        self._pi1, self._pi1_epoch = status.parameters.pi1, status.epoch
         return status
 
     def _shaped(self, state: State) -> State:
         """The state with how long its bodies are, which no daemon says with it so far."""
         if state.pi1 is not None:
             return state
-        if self._pi1 is None:
+        if self._pi1_epoch != state.epoch:
             # What can be had without it is not to fail for want of it.
             with contextlib.suppress(JostleError):
                 self.status()
