@@ -80,7 +80,7 @@ def test_every_command_takes_the_arguments_of_its_schema(name: str) -> None:
     method = getattr(jostle.Client if verb in OF_CLIENTS else jostle.Swarm, verb)
     mine = dict(inspect.signature(method).parameters)
     asked = {RENAMED.get(key, key) for key in SCHEMAS[name].get("properties", {})}
-    own = {"run": {"wait"}}.get(verb, set[str]())
+    own = {"run": {"wait", "show"}}.get(verb, set[str]())
     assert mine.keys() - {"self"} - OPTIONS - own == asked
     for key in SCHEMAS[name].get("required", []):
         assert mine[RENAMED.get(key, key)].default is inspect.Parameter.empty

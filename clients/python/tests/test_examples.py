@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 import jostle
-from conftest import Daemon
+from conftest import JOSTLED, Daemon
 
 FOLDER = Path(__file__).resolve().parents[1]
 Create = Callable[..., jostle.Swarm]
@@ -73,10 +73,11 @@ def test_the_readme_runs(
     readme = (FOLDER / "README.md").read_text(encoding="utf-8")
     first, *more = re.findall(r"```python\n(.*?)```", readme, re.S)
     monkeypatch.setenv("JOSTLE_ENDPOINT", daemon.endpoint)
+    monkeypatch.setenv("JOSTLED", str(JOSTLED))
     exec(compile(first, "README.md", "exec"), {})
     swarm = client.swarm("school")
     # The others are about a swarm that there is.
-    assert len(more) == 4
+    assert len(more) == 7
     monkeypatch.chdir(tmp_path)
     project = (FOLDER.parents[1] / "README.md").read_text(encoding="utf-8")
     (experiment,) = re.findall(r"```toml\n(# order\.toml\n.*?)```", project, re.S)

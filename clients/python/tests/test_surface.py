@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 
 import jostle
+from jostle import aio
 
 LISTING = Path(__file__).with_name("surface.txt")
 
@@ -21,7 +22,7 @@ LISTING = Path(__file__).with_name("surface.txt")
 def describe(name: str, thing: object) -> Iterator[str]:
     """One line for each thing that someone may use, and how it is called."""
     if inspect.isfunction(thing):
-        yield f"def {name}{inspect.signature(thing)}"
+        yield f"{_def(thing)} {name}{inspect.signature(thing)}"
     elif isinstance(thing, type):
         bases = ", ".join(base.__name__ for base in thing.__bases__ if base is not object)
         yield f"class {name}({bases})"
@@ -45,14 +46,20 @@ def describe(name: str, thing: object) -> Iterator[str]:
             if isinstance(value, property):
                 yield f"    {member} (property)"
             elif inspect.isfunction(value):
-                yield f"    def {member}{inspect.signature(value)}"
+                yield f"    {_def(value)} {member}{inspect.signature(value)}"
     else:
         yield f"{name}: {thing}"
 
 
+def _def(function: object) -> str:
+    return "async def" if inspect.iscoroutinefunction(function) else "def"
+
+
 def listing() -> str:
-    """Everything in `__all__`, in its order."""
+    """Everything in `__all__`, in its order, and then what `jostle.aio` has."""
     lines = [line for name in jostle.__all__ for line in describe(name, getattr(jostle, name))]
+    for name in aio.__all__:
+        lines += describe(f"aio.{name}", getattr(aio, name))
     return "\n".join(lines) + "\n"
 
 
@@ -62,6 +69,7 @@ def test_the_public_surface_is_the_one_listed() -> None:
 
 def test_all_is_sorted_and_complete() -> None:
     assert list(jostle.__all__) == sorted(jostle.__all__)
+    assert list(aio.__all__) == sorted(aio.__all__)
     public = {
         name
         for name, thing in vars(jostle).items()

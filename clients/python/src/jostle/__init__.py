@@ -50,6 +50,8 @@ from ._errors import (
 )
 from ._events import Event, JournalEntry
 from ._experiment import Experiment
+from ._frame import frame
+from ._local import Local, local
 from ._messages import (
     BatchResult,
     Certificate,
@@ -73,11 +75,13 @@ from ._messages import (
 from ._metrics import Metrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
 from ._results import ExperimentPhase, OrderSeries, Progress, ResultRow, RunUnderWay
+from ._show import Listed
 from ._snapshot import Snapshot
 from ._spec import Disc, Given, Spec
 from ._state import State
 from ._stream import Stream
 from ._swarm import Swarm
+from ._view import View
 
 __all__ = [
     "AlreadyExists",
@@ -107,6 +111,8 @@ __all__ = [
     "JostleError",
     "JournalEntry",
     "Limits",
+    "Listed",
+    "Local",
     "Metrics",
     "NodeStatus",
     "NotFound",
@@ -147,14 +153,17 @@ __all__ = [
     "Unavailable",
     "Uninform",
     "Verified",
+    "View",
     "connect",
     "count",
     "disc",
     "experiment",
     "foremost",
     "fraction",
+    "frame",
     "given",
     "ids",
+    "local",
     "poses",
     "within",
 ]

@@ -5,11 +5,12 @@ from __future__ import annotations
 import base64
 import os
 from collections.abc import Mapping
+from html import escape
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
 from ._arguments import check_label, check_name, check_seconds
-from ._errors import InvalidArgument, Unavailable
+from ._errors import InvalidArgument, JostleError, Unavailable
 from ._experiment import Experiment, Source, send, to_toml
 from ._link import GRACE_SECS, Link, open_session
 from ._messages import CreateResult
@@ -17,6 +18,7 @@ from ._metrics import Metrics
 from ._node import WIRE_VERSION, Hello, NodeStatus, Schemas, Swarms, SwarmSummary
 from ._reading import read_reply
 from ._results import Experiments, Progress
+from ._show import Listed, trouble
 from ._snapshot import Snapshot
 from ._spec import Spec
 from ._swarm import Swarm
@@ -52,6 +54,18 @@ def connect(
     """
     if endpoint is None:
         endpoint = os.environ.get("JOSTLE_ENDPOINT") or DEFAULT_ENDPOINT
+    return Client(*open_link(endpoint, node=node, prefix=prefix, client=client, timeout=timeout))
+
+
+def open_link(
+    endpoint: str,
+    *,
+    node: str | None = None,
+    prefix: str = "jostle",
+    client: str | None = None,
+    timeout: float = 5.0,
+) -> tuple[Link, str]:
+    """A link with the daemon at `endpoint` and that daemon's name, as `connect` says."""
     if node is not None:
         check_name("node", node)
     if not prefix or any(c in "*$?#" for c in prefix) or "" in prefix.split("/"):
@@ -69,7 +83,7 @@ def connect(
         link.close()
         raise
     link.max_message_bytes = hello.limits.max_message_bytes
-    return Client(link, hello.node)
+    return link, hello.node
 
 
 def experiment(
@@ -161,6 +175,15 @@ class Client:
 
     def __repr__(self) -> str:
         return f"Client({self._node!r} at {self._link.endpoint})"
+
+    def _repr_html_(self) -> str:
+        try:
+            hello, swarms = self.hello(), self.swarms()
+        except JostleError as error:
+            return trouble(error)
+        title = f"{hello.node}, jostled {hello.version} at {self.endpoint}"
+        shown = swarms._repr_html_() if swarms else "<p>no swarms so far</p>"
+        return f"<p><b>{escape(title)}</b></p>{shown}"
 
     def create(
         self,
@@ -257,17 +280,17 @@ class Client:
         """The experiment of that name; whether it is there shows when it is asked something."""
         return Experiment(self._link, self._node, name)
 
-    def experiments(self) -> list[Progress]:
+    def experiments(self) -> Listed[Progress]:
         """Every experiment and how far it is, in the order in which they were submitted."""
-        return self._get("experiments", Experiments).experiments
+        return Listed(self._get("experiments", Experiments).experiments)
 
     def swarm(self, name: str) -> Swarm:
         """The swarm of that name; whether it is there shows when it is asked something."""
         return Swarm(self._link, name)
 
-    def swarms(self) -> list[SwarmSummary]:
+    def swarms(self) -> Listed[SwarmSummary]:
         """All that the daemon hosts, ordered by name."""
-        return self._get("swarms", Swarms).swarms
+        return Listed(self._get("swarms", Swarms).swarms)
 
     def hello(self) -> Hello:
         """Who the daemon is and what it takes."""

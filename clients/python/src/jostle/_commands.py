@@ -82,6 +82,7 @@ class Commands(Questions):
         until_step: SupportsIndex | None = None,
         rate: float | EllipsisType | None = ...,
         wait: Literal[True],
+        show: bool | None = None,
         **options: Unpack[Options],
     ) -> Status: ...
     def run(
@@ -91,6 +92,7 @@ class Commands(Questions):
         until_step: SupportsIndex | None = None,
         rate: float | EllipsisType | None = ...,
         wait: bool = False,
+        show: bool | None = None,
         at_step: SupportsIndex | None = None,
         **options: Unpack[Options],
     ) -> RunResult | Status | Scheduled:
@@ -103,6 +105,7 @@ class Commands(Questions):
                 change.
             wait: Return when it has arrived, however long that takes. It needs an end, and no
                 `at_step`.
+            show: With `wait`: show a bar; None is if it is seen, on a terminal or in a notebook.
             at_step: Carry it out at this step, see `Swarm`.
             options: See `Options`.
 
@@ -130,7 +133,9 @@ class Commands(Questions):
         result = self._command("run", args, RunResult, at_step, options)
         if not wait or isinstance(result, Scheduled):
             return result
-        return self.status() if result.until_step is None else self.wait(step=result.until_step)
+        if result.until_step is None:
+            return self.status()
+        return self.wait(step=result.until_step, show=show)
 
     def pause(self, *, at_step: SupportsIndex | None = None, **options: Unpack[Options]) -> Reply:
         """Stops it after the step it is at; no change if it is paused.
@@ -187,7 +192,7 @@ class Commands(Questions):
             return self._command("step", {"steps": steps}, StepResult, at_step, options)
         payload = self._send("step", {"steps": steps, "return": "state"}, at_step, options)
         scheduled = None if at_step is None else read_scheduled(payload)
-        return read_step_reply(payload)[1] if scheduled is None else scheduled
+        return self._shaped(read_step_reply(payload)[1]) if scheduled is None else scheduled
 
     @overload
     def reset(
@@ -305,7 +310,10 @@ class Commands(Questions):
         )
         if make_room:
             args["make_room"] = True
-        return self._command("set", args, SetResult, at_step, options)
+        result = self._command("set", args, SetResult, at_step, options)
+        if isinstance(result, SetResult):
+            self._pi1 = result.now.pi1
+        return result
 
     @overload
     def inform(
@@ -484,7 +492,13 @@ class Commands(Questions):
         """
         payload = self._send("batch", {"commands": commands(changes)}, at_step, options)
         scheduled = None if at_step is None else read_scheduled(payload)
-        return read_batch(payload) if scheduled is None else scheduled
+        if scheduled is not None:
+            return scheduled
+        result = read_batch(payload)
+        # What was set on the way.
+        for changed in result.results:
+            self._pi1 = self._pi1 if changed.now is None else changed.now.pi1
+        return result
 
     def delete(self, *, at_step: SupportsIndex | None = None, **options: Unpack[Options]) -> Reply:
         """Deletes the swarm from its daemon, for good.

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import msgspec
-
 from ._errors import ErrorMessage
 from ._messages import Phase, Reply
+from ._show import Shown
 
 
-class Event(msgspec.Struct, frozen=True, kw_only=True):
+class Event(Shown, frozen=True, kw_only=True):
     """Something that happened to a swarm.
 
     What it tells beside when it happened depends on its `kind`; the rest is None:
@@ -80,7 +79,7 @@ class Events(Reply, frozen=True, kw_only=True):
     newest: int
 
 
-class JournalEntry(msgspec.Struct, frozen=True, kw_only=True):
+class JournalEntry(Shown, frozen=True, kw_only=True):
     """A command that a swarm applied.
 
     Attributes:

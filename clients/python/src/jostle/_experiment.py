@@ -2,31 +2,34 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import os
-import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from ._arguments import check_name, check_seconds
+from ._cancel import rest
 from ._errors import (
     DeadlineExceeded,
     Faulted,
     IncorrectState,
     Internal,
     InvalidArgument,
+    JostleError,
     Unavailable,
 )
+from ._extras import need
 from ._link import Link
+from ._progress import Bar
 from ._reading import read_map, read_reply
 from ._results import ExperimentResult, OrderSeries, Progress, ResultRow, ResultsPage
+from ._show import Listed, trouble
 
 if TYPE_CHECKING:
     import pandas
@@ -34,7 +37,6 @@ if TYPE_CHECKING:
 _LOOK_AGAIN_SECS = 0.5
 # How long a daemon that is gone is waited for: it goes on when it is back.
 _RETURN_SECS = 60.0
-_WHOLE = 1000
 
 Source = str | os.PathLike[str] | Mapping[str, Any]
 """What an experiment is made from: a file, the text of one, or what such a text says."""
@@ -59,6 +61,12 @@ class Experiment:
     def __repr__(self) -> str:
         return f"Experiment({self._name!r} at {self._link.endpoint})"
 
+    def _repr_html_(self) -> str:
+        try:
+            return self.progress()._repr_html_()
+        except JostleError as error:
+            return trouble(error)
+
     def progress(self) -> Progress:
         """How far it is.
 
@@ -72,7 +80,7 @@ class Experiment:
 
         Args:
             timeout: Seconds; None is however long it takes.
-            show: Show a bar on standard error; None is if that is a terminal.
+            show: Show a bar; None is if it is seen, on a terminal or in a notebook.
 
         Raises:
             DeadlineExceeded: Not within `timeout`; it goes on.
@@ -81,9 +89,8 @@ class Experiment:
         """
         seconds = None if timeout is None else check_seconds("timeout", timeout)
         began = time.monotonic()
-        bar = _bar(self._name) if (sys.stderr.isatty() if show is None else show) else None
         lost: float | None = None
-        try:
+        with Bar(self._name, show) as bar:
             while True:
                 try:
                     progress = self.progress()
@@ -93,8 +100,7 @@ class Experiment:
                     if time.monotonic() - lost > _RETURN_SECS:
                         raise
                 else:
-                    if bar is not None:
-                        bar.show(progress)
+                    bar.show(progress.share, progress._told())
                     if progress.is_over:
                         return self._finished(progress)
                 if seconds is not None and time.monotonic() - began >= seconds:
@@ -102,10 +108,7 @@ class Experiment:
                         f"experiment {self._name!r} is not finished after {seconds} s: it goes on",
                         details={"after_secs": seconds},
                     )
-                time.sleep(_LOOK_AGAIN_SECS)
-        finally:
-            if bar is not None:
-                bar.close()
+                rest(_LOOK_AGAIN_SECS)
 
     def _finished(self, progress: Progress) -> Self:
         if progress.phase == "finished":
@@ -141,7 +144,7 @@ class Experiment:
 
     def rows(self) -> list[ResultRow]:
         """What came of the runs that are finished by now, in the order of its plan."""
-        rows: list[ResultRow] = []
+        rows: Listed[ResultRow] = Listed()
         after = 0
         while True:
             page = read_reply(self._get(f"results?after={after};limit=1000"), ResultsPage)
@@ -153,12 +156,14 @@ class Experiment:
     def frame(self) -> pandas.DataFrame:
         """The same as a table of pandas, its columns those of `results.csv`.
 
-        `pip install jostle[pandas]` brings what it needs.
+        Raises:
+            ImportError: pandas is missing; `pip install jostle[pandas]` brings it.
         """
-        import pandas as pd
-
+        pd = need("pandas", "pandas")
         columns = ResultRow.__struct_fields__
-        frame = pd.DataFrame([msgspec.structs.astuple(row) for row in self.rows()], columns=columns)
+        frame: pandas.DataFrame = pd.DataFrame(
+            [msgspec.structs.astuple(row) for row in self.rows()], columns=columns
+        )
         # Of no number at all pandas would make a column of objects.
         return frame.astype({"v_pd": "float64"})
 
@@ -260,52 +265,3 @@ def _column(fields: Mapping[str, Any], name: str) -> NDArray[np.float64]:
     if not isinstance(data, bytes):
         raise Internal(f"the daemon sent an order whose {name} is no column")
     return np.frombuffer(data, "<f8")
-
-
-class _Bar(Protocol):
-    """Shows how far an experiment is."""
-
-    def show(self, progress: Progress) -> None:
-        """Shows it."""
-
-    def close(self) -> None:
-        """Leaves the last on the screen."""
-
-
-class _Plain:
-    """A line that changes."""
-
-    def show(self, progress: Progress) -> None:
-        left = progress.left_secs
-        until = "" if left is None else f", {left:.0f} s left"
-        done = f"{100 * progress.share:3.0f} %, {progress.finished} of {progress.runs} runs{until}"
-        sys.stderr.write(f"\r\x1b[K{progress.name} {progress.phase} {done}")
-        sys.stderr.flush()
-
-    def close(self) -> None:
-        sys.stderr.write("\n")
-
-
-class _Tqdm:
-    """The bar of tqdm."""
-
-    def __init__(self, tqdm: Any, name: str) -> None:
-        form = "{desc} {percentage:3.0f}%|{bar}| {postfix} [{elapsed}<{remaining}]"
-        self._bar = tqdm.tqdm(total=_WHOLE, desc=name, bar_format=form)
-
-    def show(self, progress: Progress) -> None:
-        self._bar.set_postfix_str(
-            f"{progress.phase}, {progress.finished} of {progress.runs} runs", refresh=False
-        )
-        self._bar.update(round(_WHOLE * progress.share) - self._bar.n)
-
-    def close(self) -> None:
-        self._bar.close()
-
-
-def _bar(name: str) -> _Bar:
-    try:
-        tqdm = importlib.import_module("tqdm.auto")
-    except ImportError:
-        return _Plain()
-    return _Tqdm(tqdm, name)

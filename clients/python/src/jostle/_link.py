@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import atexit
-import contextlib
 import json
-import threading
+import os
 import time
 import uuid
 import weakref
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
 import zenoh
 
+from . import _cancel
 from ._arguments import check_label, check_seconds, to_json
+from ._ends import forked, open_links, use_zenoh
 from ._errors import (
     Busy,
     InvalidArgument,
@@ -41,10 +40,6 @@ _LONGEST_LISTEN_SECS = 30.0
 _RETURN_SECS = 2.0
 _LOOK_AGAIN_SECS = 0.02
 _LIVELINESS_SECS = 2.0
-_JOIN_SECS = 1.0
-
-_open_links: weakref.WeakSet[Link] = weakref.WeakSet()
-_listeners: weakref.WeakSet[threading.Thread] = weakref.WeakSet()
 
 
 def open_session(endpoint: str, timeout: float) -> zenoh.Session:
@@ -52,8 +47,9 @@ def open_session(endpoint: str, timeout: float) -> zenoh.Session:
 
     Raises:
         InvalidArgument: It is no endpoint.
-        Unavailable: No daemon answers there.
+        Unavailable: No daemon answers there, or zenoh cannot be used in this process.
     """
+    use_zenoh()
     milliseconds = max(1, round(timeout * 1000))
     config = zenoh.Config()
     for key, value in {
@@ -100,14 +96,35 @@ class Link:
         self.client = client
         self.timeout = timeout
         self.max_message_bytes: int | None = None
+        # What lives as long as this does, such as a daemon of its own.
+        self.held: object = None
         self.streams: weakref.WeakSet[Stream[Any]] = weakref.WeakSet()
-        _open_links.add(self)
+        self._owner = os.getpid()
+        open_links.add(self)
 
     def close(self) -> None:
         """Ends every stream and the session; harmless when done already."""
+        if not self.is_ours():
+            return
         for stream in list(self.streams):
             stream.close()
         self.session.close()
+
+    def is_ours(self) -> bool:
+        """Whether this process opened it, and not one that this was forked from.
+
+        A forked process has none of zenoh's threads, and would wait for them for ever.
+        """
+        return os.getpid() == self._owner
+
+    def check_ours(self) -> None:
+        """Goes no further in a process that was forked from the one that opened it.
+
+        Raises:
+            Unavailable: This is one.
+        """
+        if not self.is_ours():
+            raise forked()
 
     def swarm_key(self, swarm: str, rest: str) -> str:
         """A key of a swarm, such as `jostle/demo/get/status`."""
@@ -218,7 +235,7 @@ class Link:
         """Who is connected, waiting a little for a connection that is being made again."""
         give_up = time.monotonic() + min(seconds, _RETURN_SECS)
         while not (connected := self._connected()) and time.monotonic() < give_up:
-            time.sleep(_LOOK_AGAIN_SECS)
+            _cancel.rest(_LOOK_AGAIN_SECS)
         return connected
 
     def _write(self, request: dict[str, Any]) -> bytes:
@@ -269,6 +286,7 @@ class Link:
         Raises:
             JostleError: A daemon's own error, or `Unavailable` if one is there and too late.
         """
+        self.check_ours()
         began = time.monotonic()
         try:
             replies = self.session.get(
@@ -277,6 +295,7 @@ class Link:
                 encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
                 timeout=listen_secs,
                 consolidation=zenoh.ConsolidationMode.NONE,
+                cancellation_token=_cancel.token(),
             )
         except zenoh.ZError as error:
             raise self._broken(error) from error
@@ -287,6 +306,8 @@ class Link:
             elif reply.err is not None:
                 said = read_error(reply.err.payload.to_bytes())
                 raise self._late(time.monotonic() - began) if said is None else said
+        # A query that was cancelled ends like one that nobody answers.
+        _cancel.check()
         return answers
 
     def _late(self, seconds: float) -> Unavailable:
@@ -302,11 +323,16 @@ class Link:
         Raises:
             Unavailable: The session is closed.
         """
+        self.check_ours()
         try:
-            replies = self.session.liveliness().get(key, timeout=_LIVELINESS_SECS)
+            replies = self.session.liveliness().get(
+                key, timeout=_LIVELINESS_SECS, cancellation_token=_cancel.token()
+            )
         except zenoh.ZError as error:
             raise self._broken(error) from error
-        return sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+        keys = sorted(str(reply.ok.key_expr) for reply in replies if reply.ok is not None)
+        _cancel.check()
+        return keys
 
     def nodes(self) -> list[str]:
         """The names of the daemons that are there.
@@ -349,6 +375,7 @@ class Link:
 
     def _connected(self) -> frozenset[str]:
         """The zenoh nodes at the other end; a daemon that was started again is another one."""
+        self.check_ours()
         try:
             info = self.session.info
             return frozenset(map(str, (*info.routers_zid(), *info.peers_zid())))
@@ -359,31 +386,3 @@ class Link:
         if self.session.is_closed():
             return Unavailable("this client is closed: connect again")
         return Unavailable(f"the session with {self.endpoint} failed: {error}")
-
-
-def listen(
-    subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]], take: Callable[[zenoh.Sample], None]
-) -> None:
-    """Calls `take` with every sample, from a thread of its own, until it is undeclared.
-
-    A callback given to zenoh would run in a thread that keeps the interpreter from exiting.
-    """
-    handler = subscriber.handler
-
-    def run() -> None:
-        with contextlib.suppress(zenoh.ZError):
-            while True:
-                take(handler.recv())
-
-    thread = threading.Thread(target=run, name="jostle-listener", daemon=True)
-    _listeners.add(thread)
-    thread.start()
-
-
-@atexit.register
-def _close_links() -> None:
-    # A thread that waits within zenoh when the interpreter goes would abort the process.
-    for link in list(_open_links):
-        link.close()
-    for thread in list(_listeners):
-        thread.join(_JOIN_SECS)

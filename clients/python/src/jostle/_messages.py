@@ -12,15 +12,14 @@ from __future__ import annotations
 
 from typing import Any, Literal
 
-import msgspec
-
+from ._show import Shown
 from ._spec import Spec
 
 Phase = Literal["paused", "running", "faulted"]
 """What a swarm is doing: standing still, stepping, or stopped by a step that failed."""
 
 
-class Order(msgspec.Struct, frozen=True, kw_only=True):
+class Order(Shown, frozen=True, kw_only=True):
     """How ordered a swarm is and where it drifts, now and on average since the start or reset.
 
     Attributes:
@@ -42,7 +41,7 @@ class Order(msgspec.Struct, frozen=True, kw_only=True):
     mean_drift: float | None = None
 
 
-class Certificate(msgspec.Struct, frozen=True, kw_only=True):
+class Certificate(Shown, frozen=True, kw_only=True):
     """What shows that a state is an exact one.
 
     Attributes:
@@ -63,7 +62,7 @@ class Certificate(msgspec.Struct, frozen=True, kw_only=True):
     iterations: int
 
 
-class ParameterValues(msgspec.Struct, frozen=True, kw_only=True):
+class ParameterValues(Shown, frozen=True, kw_only=True):
     """The parameters that may change while a swarm lives; `Spec` says what each means."""
 
     pi1: float
@@ -78,7 +77,7 @@ class ParameterValues(msgspec.Struct, frozen=True, kw_only=True):
     publish_every: int
 
 
-class Reply(msgspec.Struct, frozen=True, kw_only=True):
+class Reply(Shown, frozen=True, kw_only=True):
     """What every answer of a swarm tells.
 
     Attributes:
@@ -190,7 +189,7 @@ class IdsResult(Reply, frozen=True, kw_only=True):
     n: int
 
 
-class Changed(msgspec.Struct, frozen=True, kw_only=True):
+class Changed(Shown, frozen=True, kw_only=True):
     """What one change of a `batch` came to; what is not of its verb is None.
 
     Attributes:
@@ -220,7 +219,7 @@ class BatchResult(Reply, frozen=True, kw_only=True):
     results: list[Changed]
 
 
-class HistoryFrom(msgspec.Struct, frozen=True, kw_only=True):
+class HistoryFrom(Shown, frozen=True, kw_only=True):
     """The oldest checkpoint kept of a swarm: all that came after it can be told again.
 
     Attributes:
@@ -287,7 +286,7 @@ class Verified(Reply, frozen=True, kw_only=True):
     differs_in_epoch: int | None = None
 
 
-class Parameter(msgspec.Struct, frozen=True, kw_only=True):
+class Parameter(Shown, frozen=True, kw_only=True):
     """A parameter of a swarm, with all that a form or a slider needs.
 
     Attributes:
@@ -333,7 +332,7 @@ class SpecReply(Reply, frozen=True, kw_only=True):
     result: Spec
 
 
-class OrderSample(msgspec.Struct, frozen=True, kw_only=True):
+class OrderSample(Shown, frozen=True, kw_only=True):
     """One published order; the fields mean what they mean in `State` and `Status`."""
 
     swarm: str

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import msgspec
-
 from ._messages import Phase
+from ._show import Shown
 
 
-class StoreMetrics(msgspec.Struct, frozen=True, kw_only=True):
+class StoreMetrics(Shown, frozen=True, kw_only=True):
     """How a daemon's memory on disk does.
 
     Attributes:
@@ -31,7 +30,7 @@ class StoreMetrics(msgspec.Struct, frozen=True, kw_only=True):
     overrun: bool
 
 
-class SwarmMetrics(msgspec.Struct, frozen=True, kw_only=True):
+class SwarmMetrics(Shown, frozen=True, kw_only=True):
     """A swarm in numbers.
 
     Attributes:
@@ -67,7 +66,7 @@ class SwarmMetrics(msgspec.Struct, frozen=True, kw_only=True):
     faults: int
 
 
-class Metrics(msgspec.Struct, frozen=True, kw_only=True):
+class Metrics(Shown, frozen=True, kw_only=True):
     """A daemon in numbers; what grows for ever is counted since it started.
 
     Attributes:

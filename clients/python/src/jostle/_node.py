@@ -7,12 +7,13 @@ from typing import Any
 import msgspec
 
 from ._messages import Phase
+from ._show import Shown
 
 WIRE_VERSION = 1
 """The version of the contract this package speaks."""
 
 
-class Limits(msgspec.Struct, frozen=True, kw_only=True):
+class Limits(Shown, frozen=True, kw_only=True):
     """What a daemon refuses to go beyond.
 
     Attributes:
@@ -30,7 +31,7 @@ class Limits(msgspec.Struct, frozen=True, kw_only=True):
     max_hz: int
 
 
-class Hello(msgspec.Struct, frozen=True, kw_only=True):
+class Hello(Shown, frozen=True, kw_only=True):
     """Who a daemon is.
 
     Attributes:
@@ -48,7 +49,7 @@ class Hello(msgspec.Struct, frozen=True, kw_only=True):
     limits: Limits
 
 
-class NodeStatus(msgspec.Struct, frozen=True, kw_only=True):
+class NodeStatus(Shown, frozen=True, kw_only=True):
     """How a daemon fares.
 
     Attributes:
@@ -72,7 +73,7 @@ class NodeStatus(msgspec.Struct, frozen=True, kw_only=True):
     clients: int
 
 
-class SwarmSummary(msgspec.Struct, frozen=True, kw_only=True):
+class SwarmSummary(Shown, frozen=True, kw_only=True):
     """A swarm in a list; the fields mean what they mean in `Status`, `order` is that now."""
 
     swarm: str

@@ -5,6 +5,7 @@ from __future__ import annotations
 import random
 import time
 
+from ._cancel import rest
 from ._errors import JostleError
 
 # Twice as long each time, and about half more or less so that many do not come back at one moment.
@@ -51,6 +52,6 @@ class Patience:
         pause = self._pause * random.uniform(0.5, 1.5)
         if now + pause >= self._give_up:
             raise trouble
-        time.sleep(pause)
+        rest(pause)
         self._pause = min(2.0 * self._pause, _LONGEST_PAUSE_SECS)
         return self._give_up - now - pause

@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
+from dataclasses import replace
 from typing import SupportsIndex, overload
 
 from ._arguments import check_name, check_seconds, whole, whole_from_0
-from ._errors import DeadlineExceeded, Faulted, IncorrectState, InvalidArgument
+from ._errors import DeadlineExceeded, Faulted, IncorrectState, InvalidArgument, JostleError
 from ._events import Event, Journal, JournalEntry
 from ._history import mark_entry_gaps, mark_event_gaps, pages
 from ._link import Link
 from ._messages import Parameter, Parameters, Phase, SpecReply, Status, Verified
+from ._progress import Bar
 from ._reading import read_events, read_json, read_reply
+from ._show import Listed
 from ._snapshot import Snapshot, read_snapshot
 from ._spec import Spec
 from ._state import State, read_state
 
 # The daemon holds a `get/wait` no longer than this; it is asked again until the caller's deadline.
 _HOLD_SECS = 30.0
+# With somebody looking on it is asked so often.
+_LOOK_SECS = 0.25
 # Longer than the daemon tells a past before it says that it takes longer.
 _RETELLING_SECS = 3610.0
 
@@ -28,6 +34,10 @@ class Questions:
     def __init__(self, link: Link, name: str) -> None:
         self._link = link
         self._name = check_name("swarm", name)
+        # How long the bodies are, as far as this client has heard, and since which epoch, as a
+        # reset may change it; pictures show it.
+        self._pi1: float | None = None
+        self._pi1_epoch: int | None = None
 
     @property
     def name(self) -> str:
@@ -36,7 +46,7 @@ class Questions:
 
     def status(self) -> Status:
         """What it is and does now."""
-        return read_reply(self._get("get/status"), Status)
+        return self._heard(read_reply(self._get("get/status"), Status))
 
     def spec(self) -> Spec:
         """What it was made from, with every default filled in."""
@@ -44,7 +54,7 @@ class Questions:
 
     def state(self) -> State:
         """Its state now, never older than an answer already given."""
-        return read_state(self._get("state"))
+        return self._shaped(read_state(self._get("state")))
 
     def parameters(self) -> dict[str, Parameter]:
         """Every parameter but the start, by name, in the order of the spec.
@@ -54,7 +64,7 @@ class Questions:
         reply = read_reply(self._get("get/parameters"), Parameters)
         return {parameter.name: parameter for parameter in reply.parameters}
 
-    def history(self, after: SupportsIndex = 0) -> list[Event]:
+    def history(self, after: SupportsIndex = 0) -> Listed[Event]:
         """What happened to it, oldest first, as far back as its daemon remembers.
 
         Args:
@@ -65,9 +75,9 @@ class Questions:
             InvalidArgument: `after` is no whole number, or below 0.
         """
         known = whole_from_0("after", after)
-        return mark_event_gaps(self._events_after(known)[0], known)
+        return Listed(mark_event_gaps(self._events_after(known)[0], known))
 
-    def journal(self, after: SupportsIndex = 0) -> list[JournalEntry]:
+    def journal(self, after: SupportsIndex = 0) -> Listed[JournalEntry]:
         """The commands it applied, oldest first, as far back as its daemon remembers.
 
         With its spec that is all that its present state comes from. The daemon remembers some
@@ -86,7 +96,7 @@ class Questions:
             return page.entries, page.newest
 
         known = whole_from_0("after", after)
-        return mark_entry_gaps(pages(ask, lambda entry: entry.seq, known)[0], known)
+        return Listed(mark_entry_gaps(pages(ask, lambda entry: entry.seq, known)[0], known))
 
     def snapshot(self) -> Snapshot:
         """All that its future depends on, to be kept and restored by any daemon.
@@ -112,7 +122,9 @@ class Questions:
         return read_reply(self._get("get/verify", timeout=seconds), Verified)
 
     @overload
-    def wait(self, *, step: SupportsIndex, timeout: float | None = None) -> Status: ...
+    def wait(
+        self, *, step: SupportsIndex, timeout: float | None = None, show: bool | None = None
+    ) -> Status: ...
     @overload
     def wait(self, *, phase: Phase, timeout: float | None = None) -> Status: ...
     def wait(
@@ -121,6 +133,7 @@ class Questions:
         step: SupportsIndex | None = None,
         phase: Phase | None = None,
         timeout: float | None = None,
+        show: bool | None = None,
     ) -> Status:
         """Waits until it has reached a step or entered a phase.
 
@@ -128,6 +141,7 @@ class Questions:
             step: Return at this step or a later one.
             phase: Return in this phase; exactly one of the two.
             timeout: Seconds; None is however long it takes.
+            show: For a step: show a bar; None is if it is seen, on a terminal or in a notebook.
 
         Raises:
             DeadlineExceeded: Not within `timeout`.
@@ -140,25 +154,52 @@ class Questions:
         condition = f"phase={phase}" if target is None else f"step={target}"
         seconds = None if timeout is None else check_seconds("timeout", timeout)
         deadline = None if seconds is None else time.monotonic() + seconds
+        with Bar(self._name, False if target is None else show) as bar:
+            status = self._wait(condition, deadline, bar, target or 0)
+            if target is not None and status.step >= target:
+                bar.end(f"step {target}")
+        if target is not None and status.step < target:
+            kind = Faulted if status.phase == "faulted" else IncorrectState
+            raise kind(
+                f"swarm {self._name!r} is {status.phase} at step {status.step} and will not "
+                f"reach step {target} by itself: {status.reason or 'no reason given'}",
+                details={"phase": status.phase, "reason": status.reason},
+                step=status.step,
+            )
+        return self._heard(status)
+
+    def _wait(self, condition: str, deadline: float | None, bar: Bar, target: int) -> Status:
+        """Asks until the condition holds; `bar` shows how far it is to the step `target`."""
+        first: int | None = None
+        longest = _LOOK_SECS if bar.is_wanted else _HOLD_SECS
         while True:
-            hold = _HOLD_SECS if deadline is None else min(_HOLD_SECS, deadline - time.monotonic())
+            hold = longest if deadline is None else min(longest, deadline - time.monotonic())
             hold = max(hold, 0.001)
             selector = f"get/wait?{condition};timeout_secs={hold:.3f}"
             try:
-                status = read_reply(self._get(selector, timeout=hold), Status)
-            except DeadlineExceeded:
+                return read_reply(self._get(selector, timeout=hold), Status)
+            except DeadlineExceeded as error:
                 if deadline is not None and time.monotonic() >= deadline:
                     raise
-                continue
-            if target is not None and status.step < target:
-                kind = Faulted if status.phase == "faulted" else IncorrectState
-                raise kind(
-                    f"swarm {self._name!r} is {status.phase} at step {status.step} and will not "
-                    f"reach step {target} by itself: {status.reason or 'no reason given'}",
-                    details={"phase": status.phase, "reason": status.reason},
-                    step=status.step,
-                )
-            return status
+                step = error.step
+            if bar.is_wanted and step is not None:
+                first = step if first is None else first
+                share = (step - first) / max(target - first, 1)
+                bar.show(share, f"step {step} of {target}")
+
+    def _heard(self, status: Status) -> Status:
+        self._pi1, self._pi1_epoch = status.parameters.pi1, status.epoch
+        return status
+
+    def _shaped(self, state: State) -> State:
+        """The state with how long its bodies are, which no daemon says with it so far."""
+        if state.pi1 is not None:
+            return state
+        if self._pi1_epoch != state.epoch:
+            # What can be had without it is not to fail for want of it.
+            with contextlib.suppress(JostleError):
+                self.status()
+        return state if self._pi1 is None else replace(state, pi1=self._pi1)
 
     def _events_after(self, number: int) -> tuple[list[Event], int]:
         """The events of higher numbers, and the newest number there is."""

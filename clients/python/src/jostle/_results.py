@@ -9,6 +9,8 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from ._show import Shown, bar
+
 ExperimentPhase = Literal["queued", "running", "paused", "finished", "cancelled", "failed"]
 """What an experiment is doing."""
 
@@ -52,6 +54,16 @@ class Progress(msgspec.Struct, frozen=True, kw_only=True):
     running: list[RunUnderWay]
     message: str | None = None
 
+    def _told(self) -> str:
+        """The same in words, but for the share."""
+        left = "" if self.left_secs is None or self.is_over else f", {self.left_secs:.0f} s left"
+        faulted = f", {self.faulted} faulted" if self.faulted else ""
+        why = f": {self.message}" if self.message else ""
+        return f"{self.phase}, {self.finished} of {self.runs} runs{faulted}{left}{why}"
+
+    def _repr_html_(self) -> str:
+        return bar(self.share, f"{self.name} {100 * self.share:.0f} %, {self._told()}")
+
     @property
     def is_over(self) -> bool:
         """Whether nothing more happens to it by itself."""
@@ -79,7 +91,7 @@ class Experiments(msgspec.Struct, frozen=True, kw_only=True):
     experiments: list[Progress]
 
 
-class ResultRow(msgspec.Struct, frozen=True, kw_only=True):
+class ResultRow(Shown, frozen=True, kw_only=True):
     """What a run came to, its fields the columns of the table of results.
 
     Attributes:

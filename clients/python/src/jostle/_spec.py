@@ -6,6 +6,8 @@ from typing import Any
 
 import msgspec
 
+from ._show import Shown
+
 
 class Disc(msgspec.Struct, frozen=True, tag_field="kind", tag="disc", omit_defaults=True):
     """A start: uniformly in a disc, one after the other, none overlapping an earlier one.
@@ -31,7 +33,7 @@ class Given(msgspec.Struct, frozen=True, tag_field="kind", tag="given"):
     alpha: list[float]
 
 
-class Spec(msgspec.Struct, frozen=True, kw_only=True):
+class Spec(Shown, frozen=True, kw_only=True):
     """What a swarm is made from: same spec, same seed, same bytes.
 
     Attributes:

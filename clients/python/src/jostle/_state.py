@@ -49,6 +49,7 @@ class State:
         state_hash: BLAKE3 in hexadecimal, on a state that `step` returned; else None.
         skipped: In `for state in swarm.states()`: how many published states lie between the one
             before and this, because the loop was slower than they came or they were lost.
+        pi1: Length over width of a body, as far as is known; pictures are drawn with it.
     """
 
     swarm: str
@@ -68,6 +69,7 @@ class State:
     certificate: Certificate
     state_hash: str | None = None
     skipped: int = 0
+    pi1: float | None = None
 
     @property
     def n(self) -> int:
@@ -86,6 +88,12 @@ class State:
     def informed(self) -> NDArray[np.bool_]:
         """Who has a direction of its own, shape (n,)."""
         return self.weight > 0.0
+
+    def _repr_html_(self) -> str:
+        # It is made from a state.
+        from ._draw import draw
+
+        return draw(self)
 
     def __repr__(self) -> str:
         return (
@@ -106,6 +114,8 @@ class _Head(msgspec.Struct, frozen=True, kw_only=True):
     origin: tuple[int, int]
     order: Order
     certificate: Certificate
+    # A daemon may come to say it.
+    pi1: float | None = None
 
 
 def read_state(payload: bytes) -> State:
@@ -150,6 +160,7 @@ def _state(fields: Mapping[str, Any], state_hash: str | None = None) -> State:
         order=head.order,
         certificate=head.certificate,
         state_hash=state_hash,
+        pi1=head.pi1,
     )
     lengths = {len(c) for c in (state.x, state.y, state.alpha, state.weight, state.direction)}
     if lengths != {state.n}:

@@ -12,8 +12,9 @@ from typing import Generic, Protocol, Self, TypeVar
 import zenoh
 
 from ._arguments import check_seconds
+from ._ends import listen
 from ._errors import DeadlineExceeded, Internal, Unavailable
-from ._link import Link, listen
+from ._link import Link
 from ._reading import read_event
 
 T = TypeVar("T")
@@ -118,9 +119,10 @@ class Stream(Generic[T]):
         self._inbox = _Inbox(capacity)
         self._ready: deque[T] = deque()
         self._silent_since = time.monotonic()
-        self._subscribers: list[zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]] = []
+        self.subscribers: list[zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]] = []
         self._timeout = None if timeout is None else check_seconds("timeout", timeout)
         inbox, session = self._inbox, link.session
+        link.check_ours()
         try:
             # The end is watched for before anything else, so that it cannot fall in between.
             events = session.declare_subscriber(link.swarm_key(swarm, "event"))
@@ -152,13 +154,14 @@ class Stream(Generic[T]):
         subscriber: zenoh.Subscriber[zenoh.Handler[zenoh.Sample]],
         take: Callable[[zenoh.Sample], None],
     ) -> None:
-        self._subscribers.append(subscriber)
+        self.subscribers.append(subscriber)
         listen(subscriber, take)
 
     def __iter__(self) -> Iterator[T]:
         return self
 
     def __next__(self) -> T:
+        self._link.check_ours()
         deadline = None if self._timeout is None else time.monotonic() + self._timeout
         while True:
             # `close` puts another in its place, from whatever thread.
@@ -217,9 +220,11 @@ class Stream(Generic[T]):
 
     def close(self) -> None:
         """Stops listening; harmless when done already."""
+        if not self._link.is_ours():
+            return
         self._ready = deque()
         self._inbox.close()
-        subscribers, self._subscribers = self._subscribers, []
+        subscribers, self.subscribers = self.subscribers, []
         for subscriber in subscribers:
             # A closed session has undeclared them already and does not mind.
             subscriber.undeclare()
@@ -237,5 +242,5 @@ class Stream(Generic[T]):
 
     def __del__(self) -> None:
         # A failed constructor leaves nothing to close.
-        if hasattr(self, "_subscribers"):
+        if hasattr(self, "subscribers"):
             self.close()

@@ -5,17 +5,26 @@ from __future__ import annotations
 import weakref
 from dataclasses import replace
 from types import TracebackType
-from typing import Any, Self, SupportsIndex, TypeVar
+from typing import TYPE_CHECKING, Any, Self, SupportsIndex, TypeVar
 
 from ._arguments import whole_from_0
 from ._commands import PATIENT_SECS, Commands
+from ._errors import InvalidArgument, JostleError
 from ._events import Event
+from ._extras import need
+from ._frame import of_states
 from ._history import EventReader
 from ._link import Link
 from ._messages import CreateResult, OrderSample
+from ._progress import Bar
 from ._reading import read_json, read_reply
+from ._show import trouble
 from ._state import FrameReader, State, read_state
 from ._stream import Reader, Stream
+from ._view import View
+
+if TYPE_CHECKING:
+    import pandas
 
 T = TypeVar("T")
 
@@ -98,7 +107,9 @@ class Swarm(Commands):
             NotFound: No such swarm. On the way `Unavailable` is raised if the daemon goes away.
         """
         reader = FrameReader(
-            read_state, self.state, lambda state, skipped: replace(state, skipped=skipped)
+            lambda payload: self._shaped(read_state(payload)),
+            self.state,
+            lambda state, skipped: replace(state, skipped=skipped),
         )
         return self._stream("state", reader, capacity=1, timeout=timeout)
 
@@ -136,6 +147,66 @@ class Swarm(Commands):
         known = None if after is None else whole_from_0("after", after)
         reader = EventReader(self._events_after, known)
         return self._stream("event", reader, capacity=_EVENTS_KEPT, timeout=timeout)
+
+    def frame(
+        self,
+        steps: SupportsIndex | None = None,
+        *,
+        every: SupportsIndex = 1,
+        show: bool | None = None,
+    ) -> pandas.DataFrame:
+        """A table of its state now, or of what a paused swarm does in the next steps.
+
+            swarm.frame(steps=1000, every=50).groupby("step").order.first().plot()
+
+        It has a row for each individual in each state, see `jostle.frame`. Each state is reached
+        by a `step` of its own, as its journal tells. Of a swarm that runs by itself the same is
+        made of what `states` yields.
+
+        Args:
+            steps: Step it so far; the table has the state before the first and after the last.
+            every: Have a state after so many steps each.
+            show: Show a bar; None is if it is seen, on a terminal or in a notebook.
+
+        Raises:
+            Conflict: Somebody else stepped it meanwhile.
+            ImportError: pandas is missing; `pip install jostle[pandas]` brings it.
+            IncorrectState: It runs or is faulted.
+        """
+        need("pandas", "pandas")
+        total, stride = whole_from_0("steps", steps or 0), whole_from_0("every", every)
+        if stride == 0:
+            raise InvalidArgument("`every` is 0: 1 or more", details={"field": "every"})
+        states = [self.state()]
+        first = states[0].step
+        with Bar(self._name, show) as bar:
+            while (done := states[-1].step - first) < total:
+                last = states[-1]
+                steps = min(stride, total - done)
+                states.append(
+                    self.step(steps, state=True, expect_step=last.step, expect_epoch=last.epoch)
+                )
+                bar.show((done + steps) / total, f"step {last.step + steps}")
+        return of_states(states)
+
+    def view(self, seconds: float = 60.0, *, hz: float = 10.0) -> View:
+        """A live view of it for a notebook, as the last thing in a cell.
+
+            swarm.view()           # goes on while other cells steer it
+            swarm.view(5).show()   # this cell ends when the view does
+
+        Args:
+            seconds: How long it lasts; it ends before when the swarm is deleted.
+            hz: How often a second the picture changes, at most.
+        """
+        return View(self, seconds, hz)
+
+    def _repr_html_(self) -> str:
+        try:
+            self.status()
+            return self.state()._repr_html_()
+        except JostleError as error:
+            return trouble(error)
 
     def close(self) -> None:
         """Closes its streams; the swarm itself lives on."""

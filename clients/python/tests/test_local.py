@@ -1,0 +1,282 @@
+"""A daemon of one's own: it comes, and it goes with whoever started it, whatever happens."""
+
+from __future__ import annotations
+
+import gc
+import os
+import signal
+import subprocess
+import sys
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+import jostle
+from conftest import JOSTLED, PATIENCE_SECS, eventually
+
+
+@pytest.fixture(autouse=True)
+def _named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("JOSTLED", str(JOSTLED))
+
+
+def is_running(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()[0]
+    except (FileNotFoundError, ProcessLookupError):
+        return False
+    # Nobody may be there to take note of the end of what lost its parent.
+    return state != "Z"
+
+
+def keepers() -> int:
+    """How many shells look after a daemon, of whoever's."""
+    count = 0
+    for folder in Path("/proc").iterdir():
+        if folder.name.isdigit():
+            try:
+                command = (folder / "cmdline").read_bytes()
+            except (FileNotFoundError, ProcessLookupError):
+                continue
+            count += command.startswith(b"/bin/sh\0-c\0\nexec 3<&0")
+    return count
+
+
+def start(code: str) -> subprocess.Popen[str]:
+    """A program of its own that begins with a private daemon and says its process and folder."""
+    begin = "import jostle, os, sys\nc = jostle.local()\nprint(c.pid, c.folder, flush=True)\n"
+    return subprocess.Popen(
+        [sys.executable, "-W", "error", "-c", begin + code],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def said(program: subprocess.Popen[str]) -> tuple[int, Path]:
+    assert program.stdout is not None
+    pid, folder = program.stdout.readline().split()
+    return int(pid), Path(folder)
+
+
+def test_it_serves_and_leaves_nothing_behind() -> None:
+    before = keepers()
+    with jostle.local() as client:
+        pid, folder = client.pid, client.folder
+        assert client.endpoint.startswith("tcp/127.0.0.1:")
+        assert client.create("school", jostle.Spec(n=3)).step(5).step == 5
+        assert "serving" in client.log.read_text(encoding="utf-8")
+        with jostle.connect(client.endpoint) as other:
+            assert [it.swarm for it in other.swarms()] == ["school"]
+        assert is_running(pid)
+    assert not is_running(pid)
+    assert not folder.exists()
+    eventually("its keeper ends", lambda: keepers() == before)
+    client.close()
+    with pytest.raises(jostle.Unavailable, match="closed"):
+        client.swarms()
+
+
+def test_two_at_once_are_apart() -> None:
+    with jostle.local() as one, jostle.local() as two:
+        assert one.endpoint != two.endpoint
+        one.create("school", jostle.Spec(n=2))
+        assert two.swarms() == []
+
+
+def test_a_folder_is_kept_and_goes_on(tmp_path: Path) -> None:
+    folder = tmp_path / "not" / "there yet"
+    with jostle.local(folder) as client:
+        at = client.create("school", jostle.Spec(n=3)).step(7).state_hash
+        with pytest.raises(jostle.Unavailable, match="another jostled uses this folder"):
+            jostle.local(folder)
+    with jostle.local(folder) as client:
+        assert client.swarm("school").status().state_hash == at
+
+
+def test_it_lives_as_long_as_anything_of_it_is_held() -> None:
+    swarm = jostle.local().create("school", jostle.Spec(n=3))
+    gc.collect()
+    assert swarm.step(3).step == 3
+    held = swarm._link.held
+    pid = int(held.pid)  # type: ignore[attr-defined]
+    del swarm, held
+    gc.collect()
+    eventually("it ends", lambda: not is_running(pid))
+
+
+def test_what_it_takes_is_set(tmp_path: Path) -> None:
+    with jostle.local(max_individuals=3, node="mine", client="ada") as client:
+        assert (client.node, client.hello().limits.max_individuals) == ("mine", 3)
+        with pytest.raises(jostle.InvalidArgument, match="from 1 to 3"):
+            client.create("school", jostle.Spec(n=4))
+
+
+def test_nothing_to_start_is_said_with_a_remedy(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    with pytest.raises(jostle.Unavailable, match=r"nowhere.*cargo build"):
+        jostle.local(jostled=tmp_path / "nowhere")
+    monkeypatch.setenv("JOSTLED", str(tmp_path))
+    with pytest.raises(jostle.Unavailable, match="no program"):
+        jostle.local()
+    monkeypatch.delenv("JOSTLED")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(jostle.Unavailable, match="PATH"):
+        jostle.local()
+    (tmp_path / "jostled").symlink_to(JOSTLED)
+    # The shell that starts it is not looked for.
+    jostle.local().close()
+
+
+def test_why_it_did_not_start_is_said(tmp_path: Path) -> None:
+    before = set(Path("/tmp").glob("jostle-*"))
+    with pytest.raises(jostle.Unavailable, match=r"ended with 2.*\n.*max_individuals"):
+        jostle.local(max_individuals=-1)
+    with pytest.raises(jostle.Unavailable, match="unexpected argument '--nonsense'"):
+        jostle.local(nonsense=1)
+    with pytest.raises(jostle.InvalidArgument, match="endpoint"):
+        jostle.local(listen="tcp/0.0.0.0:1")
+    liar = tmp_path / "liar"
+    liar.write_text("#!/bin/sh\necho 'I am not it' >&2\n", encoding="utf-8")
+    liar.chmod(0o755)
+    with pytest.raises(jostle.Unavailable, match=r"ended with 0.*\nI am not it"):
+        jostle.local(jostled=liar)
+    liar.write_bytes(b"\x7fELF and no more")
+    with pytest.raises(jostle.Unavailable, match="ended with 12"):
+        jostle.local(jostled=liar)
+    assert set(Path("/tmp").glob("jostle-*")) <= before
+
+
+def test_it_outlives_the_thread_that_started_it() -> None:
+    made: list[jostle.Local] = []
+    thread = threading.Thread(target=lambda: made.append(jostle.local()))
+    thread.start()
+    thread.join()
+    with made[0] as client:
+        assert client.create("school", jostle.Spec(n=2)).step().step == 1
+
+
+def test_closing_from_many_threads_stops_it_once() -> None:
+    client = jostle.local()
+    with ThreadPoolExecutor(8) as pool:
+        for work in [pool.submit(client.close) for _ in range(8)]:
+            work.result(PATIENCE_SECS)
+    assert not is_running(client.pid)
+
+
+def test_a_daemon_that_is_killed_is_told_and_closing_is_harmless() -> None:
+    with jostle.local() as client:
+        states = client.create("school", jostle.Spec(n=3, rate=None)).states()
+        next(states)
+        os.kill(client.pid, signal.SIGKILL)
+        with pytest.raises(jostle.Unavailable):
+            list(states)
+        with pytest.raises(jostle.Unavailable, match="gone"):
+            client.swarms()
+    assert not client.folder.exists()
+
+
+@pytest.mark.parametrize("ends", ["", "sys.exit(3)", "raise KeyError", "c.swarms(); del c"])
+def test_it_ends_with_a_program_that_closes_nothing(ends: str) -> None:
+    program = start(f"states = c.create('x', {{'n': 3}}).states()\nnext(states)\n{ends}\n")
+    pid, folder = said(program)
+    _, stderr = program.communicate(timeout=PATIENCE_SECS)
+    assert program.returncode in (0, 1, 3)
+    assert stderr == "" or ends == "raise KeyError"
+    # By then: nothing that another program might look at is there any more.
+    assert not is_running(pid)
+    assert not folder.exists()
+
+
+@pytest.mark.parametrize("blow", [signal.SIGKILL, signal.SIGTERM, signal.SIGHUP])
+@pytest.mark.parametrize("has_child", [False, True])
+def test_it_ends_with_a_program_that_is_killed(blow: signal.Signals, has_child: bool) -> None:
+    # A process forked from it, such as one of multiprocessing, holds what it held.
+    fork = (
+        "pid = os.fork()\nif pid == 0:\n    import time; time.sleep(60)\nprint(pid, flush=True)\n"
+    )
+    program = start((fork if has_child else "") + "sys.stdin.read()\n")
+    pid, folder = said(program)
+    assert program.stdout is not None
+    child = int(program.stdout.readline()) if has_child else None
+    assert is_running(pid)
+    program.send_signal(blow)
+    program.wait(PATIENCE_SECS)
+    eventually("the daemon ends", lambda: not is_running(pid))
+    eventually("its folder goes", lambda: not folder.exists())
+    if child is not None:
+        assert is_running(child)
+        os.kill(child, signal.SIGKILL)
+    for pipe in (program.stdin, program.stdout, program.stderr):
+        assert pipe is not None
+        pipe.close()
+
+
+def test_a_forked_process_leaves_it_alone() -> None:
+    program = start(
+        "states = c.create('x', {'n': 2}).states()\n"
+        "next(states)\n"
+        "pid = os.fork()\n"
+        "if pid == 0:\n"
+        "    c.close()\n"
+        "    sys.exit(0)\n"
+        "assert os.waitpid(pid, 0)[1] == 0\n"
+        "print(c.swarm('x').step().step)\n"
+    )
+    said(program)
+    stdout, stderr = program.communicate(timeout=PATIENCE_SECS)
+    assert (stdout, stderr) == ("1\n", "")
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        "c.swarms()",
+        "swarm.step()",
+        "swarm.states()",
+        "next(states)",
+        "jostle.local()",
+        "jostle.connect(c.endpoint)",
+    ],
+)
+def test_a_forked_process_is_told_that_it_cannot_connect(use: str) -> None:
+    # As multiprocessing forks by itself: what it inherits would wait for ever.
+    program = start(
+        "swarm = c.create('x', {'n': 2})\n"
+        "states = swarm.states()\n"
+        "next(states)\n"
+        "pid = os.fork()\n"
+        "if pid == 0:\n"
+        f"    try: {use}\n"
+        "    except jostle.Unavailable as error: print(error, flush=True)\n"
+        "    os._exit(0)\n"
+        "assert os.waitpid(pid, 0)[1] == 0\n"
+        "print(swarm.step().step)\n"
+    )
+    said(program)
+    stdout, stderr = program.communicate(timeout=PATIENCE_SECS)
+    assert "spawn" in stdout.splitlines()[0]
+    assert (stdout.splitlines()[1], stderr) == ("1", "")
+
+
+def test_ctrl_c_is_for_the_program_alone() -> None:
+    program = subprocess.Popen(
+        [
+            sys.executable,
+            "-c",
+            "import jostle, time\n"
+            "c = jostle.local()\n"
+            "try:\n    print(c.pid, c.folder, flush=True); time.sleep(60)\n"
+            "except KeyboardInterrupt:\n    print(c.create('x', {'n': 2}).step().step)\n",
+        ],
+        stdout=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    said(program)
+    os.killpg(program.pid, signal.SIGINT)
+    assert program.communicate(timeout=PATIENCE_SECS)[0] == "1\n"

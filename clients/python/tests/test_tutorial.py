@@ -1,0 +1,59 @@
+"""The tutorial runs from its first cell to its last, as a newcomer runs it."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import Any
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+from conftest import JOSTLED
+
+TUTORIAL = Path(__file__).resolve().parents[1] / "examples" / "tutorial.ipynb"
+
+
+def read() -> Any:
+    v4: Any = nbformat.v4
+    text = TUTORIAL.read_text(encoding="utf-8")
+    notebook = v4.reads(text)
+    # Written again it is the same: nothing of one run or one editor is kept in it.
+    assert v4.writes(notebook) + "\n" == text
+    return notebook
+
+
+def test_the_tutorial_is_kept_without_what_one_run_put_out() -> None:
+    for number, cell in enumerate(read().cells):
+        assert cell.id == f"cell-{number + 1:02}"
+        if cell.cell_type == "code":
+            assert (cell.outputs, cell.execution_count) == ([], None)
+
+
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_the_tutorial_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("JOSTLED", str(JOSTLED))
+    notebook = read()
+    began = time.monotonic()
+    NotebookClient(
+        notebook, timeout=60, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}
+    ).execute()
+    assert time.monotonic() - began < 60.0
+    kinds = []
+    for cell in notebook.cells:
+        for output in cell.get("outputs", []):
+            # What is only warned of would be there as well.
+            assert output.get("name") != "stderr", output.text
+            kinds += list(output.get("data", {}))
+    assert kinds.count("image/png") == 4
+    pictures = [
+        output.data["text/html"]
+        for cell in notebook.cells
+        for output in cell.get("outputs", [])
+        if "<svg" in output.get("data", {}).get("text/html", "")
+    ]
+    # At the start, in the view, and going east in the end.
+    assert len(pictures) == 3
+    assert "step 2000" in pictures[1]
+    assert "10 informed" in pictures[2]
