@@ -136,7 +136,7 @@ fn zenoh(channel: &Channel) -> Value {
     };
     match channel.kind {
         ChannelKind::Token => json!({"kind": "liveliness"}),
-        ChannelKind::ClientToken => json!({"kind": "liveliness", "held_by": "client"}),
+        ChannelKind::ClientToken => json!({"kind": "liveliness of a client"}),
         ChannelKind::Put(_) => json!({
             "kind": "subscriber",
             "encodings": [JSON, CBOR],

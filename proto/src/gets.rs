@@ -80,6 +80,8 @@ pub struct Controller {
     pub deadline_secs: f64,
     /// What becomes of its individuals when it is late.
     pub on_timeout: OnTimeout,
+    /// Whether it may drive individuals directly.
+    pub driving: bool,
     /// The step that it has advanced to; `null` unless in lock-step.
     pub target_step: Option<u64>,
     /// Deadlines missed in a row.

@@ -71,6 +71,9 @@ pub struct Snapshot {
     pub direction: Vec<f64>,
     /// Who is uninformed again, and at the end of which step.
     pub lapses: Vec<Lapse>,
+    /// Who is driven directly, by a controller.
+    #[serde(default)]
+    pub drives: Vec<Drive>,
     /// What the solver carries from one step to the next.
     pub memory: SolverMemory,
     /// Sums over the steps since the start or reset.
@@ -168,6 +171,8 @@ pub struct Member {
     pub deadline_secs: f64,
     /// What becomes of its individuals when it is late.
     pub on_timeout: OnTimeout,
+    /// Whether it may drive individuals directly.
+    pub driving: bool,
     /// Whom it may steer.
     pub ids: Vec<u32>,
     /// Whom it has steered.
@@ -194,6 +199,17 @@ pub struct Lapse {
     pub id: u32,
     /// At the end of which step.
     pub at_step: u64,
+}
+
+/// How somebody is driven directly, beyond the paper.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct Drive {
+    /// Who.
+    pub id: u32,
+    /// Turning rate, angle over time; `null` to turn by itself.
+    pub turn: Option<f64>,
+    /// Factor of the free speed; `null` to move by itself.
+    pub speed: Option<f64>,
 }
 
 /// What the solver carries from one step to the next: the contacts that pushed, as columns, and

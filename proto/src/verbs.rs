@@ -170,6 +170,9 @@ pub struct JoinArgs {
     /// without it, and after three misses in a row it has left.
     #[serde(default)]
     pub on_timeout: OnTimeout,
+    /// Whether it may drive individuals directly, by turning rate and speed. Beyond the paper.
+    #[serde(default)]
+    pub driving: bool,
     /// Whether it comes back: it takes the place of the controller of its name.
     #[serde(default)]
     pub again: bool,
@@ -241,6 +244,17 @@ pub struct SetPoints {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(inner(range(min = 0.0, max = 1e6)))]
     pub weight: Option<Vec<f64>>,
+    /// Beyond the paper, for controllers that joined with `driving`: turning rates, angle over
+    /// time, instead of turning as the model says; cut at the fastest free one, `pi3 (1 + largest
+    /// weight)`. `null` for who turns by itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(inner(range(min = -1e6, max = 1e6)))]
+    pub turn: Option<Vec<Option<f64>>>,
+    /// Beyond the paper, for controllers that joined with `driving`: factors of the free speed, 0
+    /// to 1. `null` for who moves by itself.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(inner(range(min = 0.0, max = 1.0)))]
+    pub speed: Option<Vec<Option<f64>>>,
 }
 
 /// Where the swarm has come to.

@@ -3,6 +3,7 @@
 use jostle_proto::verbs::{AdvanceArgs, Return, SetPoints};
 
 use crate::command::{CommandError, check_name, step};
+use crate::model::Drive;
 use crate::swarm::control;
 use crate::swarm::order::Order;
 
@@ -41,6 +42,8 @@ pub fn set_points(set: SetPoints) -> Result<control::SetPoints, CommandError> {
         ids,
         direction,
         weight,
+        turn,
+        speed,
     } = set;
     let wrong = |field, problem| Err(CommandError::Field { field, problem });
     if direction.len() != ids.len() {
@@ -49,6 +52,25 @@ pub fn set_points(set: SetPoints) -> Result<control::SetPoints, CommandError> {
     if weight.as_ref().is_some_and(|it| it.len() != ids.len()) {
         return wrong("set.weight", "has not as many numbers as there are ids");
     }
+    let fits = |column: &Option<Vec<Option<f64>>>| {
+        column
+            .as_ref()
+            .is_none_or(|column| column.len() == ids.len())
+    };
+    for (field, column) in [("set.turn", &turn), ("set.speed", &speed)] {
+        if !fits(column) {
+            return wrong(field, "has not as many entries as there are ids");
+        }
+    }
+    let entry = |column: &Option<Vec<Option<f64>>>, k: usize| column.as_ref().and_then(|it| it[k]);
+    let is_driving = turn.is_some() || speed.is_some();
+    let drives = is_driving.then(|| {
+        let drives = (0..ids.len()).map(|k| Drive {
+            turn: entry(&turn, k),
+            speed: entry(&speed, k),
+        });
+        drives.collect()
+    });
     let mut sorted = ids.clone();
     sorted.sort_unstable();
     if sorted.windows(2).any(|pair| pair[0] == pair[1]) {
@@ -58,5 +80,6 @@ pub fn set_points(set: SetPoints) -> Result<control::SetPoints, CommandError> {
         ids,
         direction,
         weight,
+        drives,
     })
 }

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::command::{CommandError, advance, check_name};
 use crate::swarm::control::Put;
 use crate::swarm::order::{Order, Sender};
+use crate::wire;
 
 /// Set-points as the journal has them.
 #[derive(Serialize, Deserialize)]
@@ -23,15 +24,11 @@ struct Applied {
 ///
 /// What is wrong with it.
 pub fn read(controller: &str, bytes: &[u8], is_cbor: bool) -> Result<(Option<u64>, Put), String> {
-    let control: Control = match is_cbor {
-        true => ciborium::from_reader(bytes).map_err(|error| error.to_string())?,
-        false => serde_json::from_slice(bytes).map_err(|error| error.to_string())?,
-    };
     let Control {
         sequence,
         epoch,
         set,
-    } = control;
+    } = wire::control(bytes, is_cbor)?;
     let applied = Applied {
         controller: controller.to_owned(),
         sequence,
@@ -41,7 +38,12 @@ pub fn read(controller: &str, bytes: &[u8], is_cbor: bool) -> Result<(Option<u64
     let args = serde_json::to_string(&applied).map_err(|error| error.to_string())?;
     let set = advance::set_points(applied.set).map_err(|error| error.to_string())?;
     let is_finite = |column: &[f64]| column.iter().all(|value| value.is_finite());
-    if !is_finite(&set.direction) || !set.weight.as_deref().is_none_or(is_finite) {
+    let drives = set.drives.iter().flatten();
+    let mut driven = drives.flat_map(|drive| [drive.turn, drive.speed]).flatten();
+    if !is_finite(&set.direction)
+        || !set.weight.as_deref().is_none_or(is_finite)
+        || !driven.all(f64::is_finite)
+    {
         return Err("has a number that is not finite".into());
     }
     let put = Put {

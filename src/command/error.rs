@@ -279,7 +279,9 @@ impl CommandError {
                 OrderError::NotJoined { .. } => ErrorCode::NotFound,
                 OrderError::HasJoined(_) => ErrorCode::AlreadyExists,
                 OrderError::TooManyControllers { .. } => ErrorCode::ResourceExhausted,
-                OrderError::NotClaimed { .. } => ErrorCode::InvalidArgument,
+                OrderError::NotClaimed { .. } | OrderError::NotDriving(_) => {
+                    ErrorCode::InvalidArgument
+                }
                 OrderError::Conflict { .. }
                 | OrderError::Past { .. }
                 | OrderError::Late { .. }
@@ -427,7 +429,8 @@ impl CommandError {
             CommandError::Order(
                 OrderError::NotJoined { controller, .. }
                 | OrderError::HasJoined(controller)
-                | OrderError::RunsFreely(controller),
+                | OrderError::RunsFreely(controller)
+                | OrderError::NotDriving(controller),
             ) => json!({"field": "controller", "value": controller}),
             CommandError::Order(OrderError::Claimed { id, controller }) => {
                 json!({"field": "select", "id": id, "controller": controller})
@@ -528,13 +531,15 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "fraction" => "a number from 0 to 1",
         "radius" => "a number above 0, at most 1e6",
         "x" | "y" | "alpha" | "along" | "direction" => "a number from -1e6 to 1e6",
+        "turn" => "null, or a number from -1e6 to 1e6",
+        "speed" => "null, or a number from 0 to 1",
         "weight" => "a number above 0, at most 1e6",
         "for_time" => "a number above 0, at most 1e9",
         "mode" => "\"lockstep\" or \"free_running\"",
         "deadline_secs" => "a number above 0, at most 60",
         "on_timeout" => "\"hold\", \"free\" or \"pause\"",
         "set" => "{\"ids\": […], \"direction\": […]}, \"weight\": […] if wanted",
-        "make_room" | "exist_ok" | "again" => "true or false",
+        "make_room" | "exist_ok" | "again" | "driving" => "true or false",
         "timeout_secs" => "a number above 0, at most 3600",
         "at_step" => "a whole number from 0 to 9007199254740991",
         "expect_step" | "expect_epoch" | "step" | "after" => "a whole number, 0 or more",

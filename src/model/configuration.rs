@@ -1,7 +1,19 @@
 //! All individuals at one step, as columns ordered by id.
 
+use std::collections::BTreeMap;
+
 /// The spacing of the origins that positions are kept relative to.
 pub const CELL: f64 = 1024.0;
+
+/// How somebody is driven directly. Beyond the paper: what is given takes the place of what the
+/// individual would do by itself, and the others push it as ever.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Drive {
+    /// Turning rate, angle over time; cut at the fastest free one.
+    pub turn: Option<f64>,
+    /// Factor of the free speed, from 0 to 1.
+    pub speed: Option<f64>,
+}
 
 /// All positions and angles at one step, and who is informed.
 ///
@@ -28,6 +40,8 @@ pub struct Configuration {
     pub direction: Vec<f64>,
     /// The step at whose end the individual becomes uninformed.
     pub lapses_at: Vec<Option<u64>>,
+    /// Those who are driven directly, by id.
+    pub drives: BTreeMap<u32, Drive>,
 }
 
 impl Configuration {
@@ -121,6 +135,8 @@ impl Configuration {
         retain(&mut self.weight, &kept);
         retain(&mut self.direction, &kept);
         retain(&mut self.lapses_at, &kept);
+        let there = &self.id;
+        self.drives.retain(|id, _| there.binary_search(id).is_ok());
     }
 }
 

@@ -18,6 +18,6 @@ pub mod start;
 pub mod state;
 pub mod threads;
 
-pub use configuration::{CELL, Configuration};
+pub use configuration::{CELL, Configuration, Drive};
 pub use parameters::{Attraction, ContactRule, Parameters, ParametersError, Stepping};
 pub use state::{MODEL_VERSION, Remembered, SolverMemory, State};

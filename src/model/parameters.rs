@@ -312,6 +312,22 @@ pub fn check_weight(field: &'static str, value: f64) -> Result<(), ParametersErr
     })
 }
 
+/// Checks a share of something.
+///
+/// # Errors
+///
+/// [`ParametersError::OutOfRange`] with `field`, outside `[0, 1]` or not a number.
+pub fn check_share(field: &'static str, value: f64) -> Result<(), ParametersError> {
+    if (0.0..=1.0).contains(&value) {
+        return Ok(());
+    }
+    Err(ParametersError::OutOfRange {
+        field,
+        value,
+        range: "[0, 1]",
+    })
+}
+
 /// Checks an angle or a coordinate; beyond a million, doubles no longer resolve a step.
 ///
 /// # Errors

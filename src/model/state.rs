@@ -1,6 +1,6 @@
 //! Everything that decides a swarm's future, and the hash that "same bytes" means.
 
-use super::{Attraction, Configuration, ContactRule, Parameters, Stepping};
+use super::{Attraction, Configuration, ContactRule, Drive, Parameters, Stepping};
 
 /// Changes whenever the same state would have another future.
 pub const MODEL_VERSION: u32 = 2;
@@ -62,7 +62,8 @@ impl State {
     /// multiplier, then the order of elimination and its age. A column is its length as 64 bits,
     /// then its entries; an entry of "lapses" is a byte 0, or a byte 1 and the step. The rules are
     /// a byte with a bit each for `closest`, `velocity`, `relinearise`, noise, whose intensity
-    /// then follows, and `clamped`; the attraction law is a byte and its number, if it has one. Floats are
+    /// then follows, `clamped`, and whether anybody is driven directly: after the lapses then come
+    /// their ids, each with a byte and a number for turning rate and speed. The attraction law is a byte and its number, if it has one. Floats are
     /// hashed by their bits.
     #[must_use]
     pub fn hash(&self) -> [u8; 32] {
@@ -98,6 +99,7 @@ impl State {
             *relinearise,
             is_noisy,
             *contacts == ContactRule::Clamped,
+            !configuration.drives.is_empty(),
         ];
         let rules = rules.iter().rev();
         bytes.put([rules.fold(0, |bits, &is_set| bits << 1 | u8::from(is_set))]);
@@ -127,6 +129,7 @@ impl State {
             weight,
             direction,
             lapses_at,
+            drives,
         } = configuration;
         origin.iter().for_each(|cell| bytes.put(cell.to_le_bytes()));
         bytes.put(next_id.to_le_bytes());
@@ -139,6 +142,13 @@ impl State {
             bytes.put([u8::from(lapse.is_some())]);
             if let Some(step) = lapse {
                 bytes.put(step.to_le_bytes());
+            }
+        }
+        for (id, Drive { turn, speed }) in drives {
+            bytes.put(id.to_le_bytes());
+            for value in [turn, speed] {
+                bytes.put([u8::from(value.is_some())]);
+                bytes.put(value.unwrap_or_default().to_le_bytes());
             }
         }
         let SolverMemory {
@@ -274,6 +284,17 @@ mod tests {
             |state| state.configuration.weight[0] = -1.0,
             |state| state.configuration.direction[0] = -0.0,
             |state| state.configuration.lapses_at[0] = Some(0),
+            |state| drop(state.configuration.drives.insert(0, Drive::default())),
+            |state| {
+                let turn = Some(0.0);
+                let drive = Drive { turn, speed: None };
+                state.configuration.drives.insert(0, drive);
+            },
+            |state| {
+                let speed = Some(0.0);
+                let drive = Drive { turn: None, speed };
+                state.configuration.drives.insert(0, drive);
+            },
             |state| state.memory.contacts[0].first = 9,
             |state| state.memory.contacts[0].second = 9,
             |state| state.memory.contacts[0].code = 9,

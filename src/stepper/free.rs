@@ -4,7 +4,7 @@ use super::heading::unit_vectors;
 use crate::model::attraction::Social;
 use crate::model::lanes::Level;
 use crate::model::random::{Purpose, Stream};
-use crate::model::{Configuration, Parameters, State};
+use crate::model::{Configuration, Drive, Parameters, State};
 
 /// Free motion of all individuals.
 #[derive(Clone, Debug, Default)]
@@ -76,6 +76,33 @@ impl Free {
     }
 }
 
+/// Moves those who are driven directly as they are driven, beyond the paper: at a turning rate of
+/// at most the fastest free one, and at a part of the free speed. Nobody is then faster than the
+/// longest step and the reach of contacts allow for.
+pub fn drive(
+    parameters: &Parameters,
+    configuration: &Configuration,
+    displacement: &mut [[f64; 3]],
+) {
+    if configuration.drives.is_empty() {
+        return;
+    }
+    let fastest = parameters.fastest_turning_rate(configuration.largest_weight());
+    for (id, Drive { turn, speed }) in &configuration.drives {
+        let Ok(individual) = configuration.id.binary_search(id) else {
+            continue;
+        };
+        let [x, y, angle] = &mut displacement[individual];
+        if let Some(turn) = turn {
+            *angle = parameters.dt * turn.clamp(-fastest, fastest);
+        }
+        if let Some(speed) = speed {
+            *x *= speed;
+            *y *= speed;
+        }
+    }
+}
+
 /// Adds white noise of intensity `D_α` to the turns: `√(2 D_α dt) ξ`, ξ standard normal.
 ///
 /// Every draw is named by seed, step and individual, so no order and no restart changes one.
@@ -96,6 +123,34 @@ mod tests {
     use std::f64::consts::FRAC_PI_2;
 
     use super::*;
+
+    #[test]
+    fn who_is_driven_turns_and_moves_as_told_and_no_faster_than_it_could() {
+        let parameters = Parameters::default();
+        let mut configuration = Configuration::default();
+        for place in 0..3 {
+            configuration.push(5.0 * f64::from(place), 0.0, FRAC_PI_2);
+        }
+        let mut free = Free::default();
+        free.compute(&parameters, &configuration);
+        let by_themselves = free.displacement.clone();
+        let driven = |turn, speed| Drive { turn, speed };
+        configuration.drives.insert(0, driven(Some(0.5), None));
+        configuration
+            .drives
+            .insert(2, driven(Some(-1e6), Some(0.25)));
+        drive(&parameters, &configuration, &mut free.displacement);
+        let [first, second, third] = free.displacement[..] else {
+            panic!("three are three");
+        };
+        assert_eq!(
+            first,
+            [by_themselves[0][0], by_themselves[0][1], 0.02 * 0.5]
+        );
+        assert_eq!(second, by_themselves[1]);
+        assert_eq!(third[1], 0.25 * 0.02);
+        assert_eq!(third[2], -0.02 * parameters.fastest_turning_rate(0.0));
+    }
 
     #[test]
     fn an_informed_individual_turns_between_the_others_and_its_own_direction() {

@@ -226,6 +226,7 @@ impl Stepper {
         self.free.head(configuration);
         let free = &mut self.qp.free;
         self.free.steer(parameters, configuration, pull, free);
+        free::drive(parameters, configuration, free);
         free::shake(state, free);
         self.qp.weights = [1.0, 1.0, parameters.rho2()];
         self.carried.clear();

@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use crate::model::Drive;
 use crate::model::selection::Selection;
 use crate::swarm::order::{Answer, OrderError, Sender};
 
@@ -17,6 +18,15 @@ pub const MOST_MISSES: u32 = 3;
 
 /// Departures that are remembered, to tell whoever comes back.
 const MOST_DEPARTURES: usize = 256;
+
+/// The longest that others wait for a controller, or that its set-points hold.
+const LONGEST_DEADLINE_SECS: f64 = 60.0;
+
+/// So many seconds, if a deadline may be so long.
+pub fn deadline(secs: f64) -> Option<Duration> {
+    let is_fine = secs > 0.0 && secs <= LONGEST_DEADLINE_SECS;
+    is_fine.then(|| Duration::from_secs_f64(secs).max(Duration::from_nanos(1)))
+}
 
 /// How a controller takes part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,6 +61,8 @@ pub struct Terms {
     pub deadline: Duration,
     /// What becomes of its individuals when it is late.
     pub on_timeout: OnTimeout,
+    /// Whether it may drive individuals directly.
+    pub driving: bool,
     /// Whether it comes back, and takes the place it had.
     pub again: bool,
 }
@@ -64,6 +76,8 @@ pub struct SetPoints {
     pub direction: Vec<f64>,
     /// Their weights, 0 for uninformed; `pi2` each if left out.
     pub weight: Option<Vec<f64>>,
+    /// How each is driven directly, if they are.
+    pub drives: Option<Vec<Drive>>,
 }
 
 /// Why a controller has left.
@@ -108,6 +122,8 @@ pub struct Membership {
     pub deadline: Duration,
     /// What becomes of its individuals when it is late.
     pub on_timeout: OnTimeout,
+    /// Whether it may drive individuals directly.
+    pub driving: bool,
     /// Whom it may steer.
     pub claims: BTreeSet<u32>,
     /// Whom it has steered.
@@ -175,6 +191,8 @@ pub struct Seen {
     pub deadline: Duration,
     /// What becomes of its individuals when it is late.
     pub on_timeout: OnTimeout,
+    /// Whether it may drive individuals directly.
+    pub driving: bool,
     /// The step that it has advanced to, in lock-step.
     pub target: Option<u64>,
     /// Deadlines missed in a row.
@@ -293,6 +311,7 @@ impl Controllers {
             mode: terms.mode,
             deadline: terms.deadline,
             on_timeout: terms.on_timeout,
+            driving: terms.driving,
             claims: BTreeSet::new(),
             steered: BTreeSet::new(),
             target: step,
@@ -307,6 +326,7 @@ impl Controllers {
             mode: terms.mode,
             deadline: terms.deadline,
             on_timeout: terms.on_timeout,
+            driving: terms.driving,
             steered: old.steered.intersection(&claims).copied().collect(),
             claims,
             target: step,
@@ -499,6 +519,7 @@ impl Controllers {
                 ids: kept.claims.iter().copied().collect(),
                 deadline: kept.deadline,
                 on_timeout: kept.on_timeout,
+                driving: kept.driving,
                 target: is_lockstep.then_some(kept.target),
                 misses: kept.misses,
                 waited: waited.map(|since| now.saturating_duration_since(since)),

@@ -411,6 +411,9 @@ pub enum OrderError {
         /// Whose it is.
         owner: Option<String>,
     },
+    /// A controller wants to drive individuals directly that did not join for it.
+    #[error("controller {0} did not join to drive individuals directly: join with `driving`")]
+    NotDriving(String),
     /// The swarm moves when its controllers advance.
     #[error(
         "controllers have joined, and the swarm steps when all of them `advance`: have them leave \

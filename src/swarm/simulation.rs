@@ -2,11 +2,13 @@
 
 use std::collections::BTreeSet;
 
-use crate::model::State;
 use crate::model::body::gaps;
 use crate::model::configuration::Configuration;
-use crate::model::parameters::{ContactRule, Parameters, check_coordinate, check_weight};
+use crate::model::parameters::{
+    ContactRule, Parameters, check_coordinate, check_share, check_weight,
+};
 use crate::model::selection::{Candidates, Selection, SelectionError, select};
+use crate::model::{Drive, State};
 use crate::model::{injection, resize, start};
 use crate::observables::{self, Order, RunningMeans};
 use crate::stepper::{StepError, StepReport, Stepper};
@@ -294,6 +296,7 @@ impl Simulation {
             ids,
             direction,
             weight,
+            drives,
         } = set;
         let usual = self.state.parameters.pi2;
         let weight_of = |k: usize| weight.as_ref().map_or(usual, |weight| weight[k]);
@@ -304,6 +307,10 @@ impl Simulation {
             check_coordinate("set.direction", direction[k])?;
             check_weight("set.weight", weight_of(k))?;
             largest = largest.max(weight_of(k));
+            if let Some(Drive { turn, speed }) = drives.as_ref().map(|drives| drives[k]) {
+                turn.map_or(Ok(()), |turn| check_coordinate("set.turn", turn))?;
+                speed.map_or(Ok(()), |speed| check_share("set.speed", speed))?;
+            }
             let index = configuration.id.binary_search(id);
             let candidates = configuration.n();
             individuals.push(index.map_err(|_| SelectionError::UnknownId {
@@ -315,16 +322,26 @@ impl Simulation {
         for (k, &individual) in individuals.iter().enumerate() {
             let configuration = &mut self.state.configuration;
             configuration.inform(individual, weight_of(k), direction[k], None);
+            if let Some(drives) = drives {
+                match drives[k] {
+                    Drive {
+                        turn: None,
+                        speed: None,
+                    } => drop(configuration.drives.remove(&ids[k])),
+                    drive => drop(configuration.drives.insert(ids[k], drive)),
+                }
+            }
         }
         Ok(())
     }
 
-    /// Uninforms those of these that are there.
+    /// Uninforms those of these that are there, and drives them no more.
     pub fn release(&mut self, ids: &BTreeSet<u32>) {
         let configuration = &mut self.state.configuration;
         for id in ids {
             if let Ok(individual) = configuration.id.binary_search(id) {
                 configuration.uninform(individual);
+                configuration.drives.remove(id);
             }
         }
     }

@@ -1,11 +1,11 @@
 //! What a swarm writes down, as bytes: a checkpoint is a snapshot, a line a small CBOR record.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use jostle_proto as proto;
 use jostle_proto::snapshot::{
-    Doing, Exactness, Lapse, Member, Pending, SNAPSHOT_VERSION, Sent, SolverMemory, Sums, Waiting,
+    Doing, Drive, Exactness, Lapse, Member, Pending, SNAPSHOT_VERSION, Sent, SolverMemory, Sums,
+    Waiting,
 };
 use jostle_proto::{Told, keys};
 use serde::{Deserialize, Serialize};
@@ -15,7 +15,7 @@ use crate::model::state::MODEL_VERSION;
 use crate::model::{self, Configuration, Remembered, State};
 use crate::observables::RunningMeans;
 use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::control::Membership;
+use crate::swarm::control::{self, Membership};
 use crate::swarm::frame;
 use crate::swarm::journal::Record;
 use crate::swarm::order::{Order, Sender};
@@ -71,6 +71,11 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
     } = checkpoint;
     let (configuration, remembered) = (&state.configuration, &state.memory.contacts);
     let lapses = configuration.id.iter().zip(&configuration.lapses_at);
+    let drives = configuration.drives.iter().map(|(id, drive)| Drive {
+        id: *id,
+        turn: drive.turn,
+        speed: drive.speed,
+    });
     proto::Snapshot {
         version: SNAPSHOT_VERSION,
         model_version: MODEL_VERSION,
@@ -103,6 +108,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
         lapses: lapses
             .filter_map(|(id, at)| at.map(|at_step| Lapse { id: *id, at_step }))
             .collect(),
+        drives: drives.collect(),
         memory: SolverMemory {
             first: remembered.iter().map(|it| it.first).collect(),
             second: remembered.iter().map(|it| it.second).collect(),
@@ -213,6 +219,7 @@ pub fn checkpoint(
             weight: weight.clone(),
             direction: direction.clone(),
             lapses_at,
+            drives: snapshot.drives.iter().map(drive).collect(),
         },
         memory: model::SolverMemory {
             contacts: (0..contacts)
@@ -329,12 +336,18 @@ fn parameters(
     })
 }
 
+fn drive(kept: &Drive) -> (u32, model::Drive) {
+    let Drive { id, turn, speed } = *kept;
+    (id, model::Drive { turn, speed })
+}
+
 fn member_kept((name, kept): &(String, Membership)) -> Member {
     Member {
         controller: name.clone(),
         mode: to_proto::mode(kept.mode),
         deadline_secs: kept.deadline.as_secs_f64(),
         on_timeout: to_proto::on_timeout(kept.on_timeout),
+        driving: kept.driving,
         ids: kept.claims.iter().copied().collect(),
         steered: kept.steered.iter().copied().collect(),
         target: kept.target,
@@ -347,12 +360,15 @@ fn member_kept((name, kept): &(String, Membership)) -> Member {
 }
 
 fn membership(member: &Member) -> Result<(String, Membership), DurableError> {
-    let deadline = Duration::try_from_secs_f64(member.deadline_secs)
-        .map_err(|error| DurableError::Unreadable(error.to_string()))?;
+    let deadline = control::deadline(member.deadline_secs);
+    let deadline = deadline.ok_or_else(|| {
+        DurableError::Unreadable(format!("a deadline of {} s", member.deadline_secs))
+    })?;
     let kept = Membership {
         mode: from_proto::mode(member.mode),
         deadline,
         on_timeout: from_proto::on_timeout(member.on_timeout),
+        driving: member.driving,
         claims: member.ids.iter().copied().collect(),
         steered: member.steered.iter().copied().collect(),
         target: member.target,

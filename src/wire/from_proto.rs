@@ -154,6 +154,18 @@ pub fn attraction(law: proto::Attraction) -> Attraction {
     }
 }
 
+/// Set-points that were put, in CBOR or JSON.
+///
+/// # Errors
+///
+/// What is wrong with them.
+pub fn control(bytes: &[u8], is_cbor: bool) -> Result<verbs::Control, String> {
+    match is_cbor {
+        true => ciborium::from_reader(bytes).map_err(|error| error.to_string()),
+        false => serde_json::from_slice(bytes).map_err(|error| error.to_string()),
+    }
+}
+
 /// How a controller takes part.
 pub fn mode(mode: verbs::Mode) -> Mode {
     match mode {

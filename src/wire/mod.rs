@@ -10,8 +10,8 @@ mod to_proto;
 pub use experiments::{order_page, progress, results_page};
 pub use figures::metrics;
 pub use from_proto::{
-    WireError, attraction, contact_rule, count, mode, on_timeout, pose, publish_every, rate,
-    recipe, region, relinearise, selection, stepping, weight, whole,
+    WireError, attraction, contact_rule, control, count, mode, on_timeout, pose, publish_every,
+    rate, recipe, region, relinearise, selection, stepping, weight, whole,
 };
 pub use to_proto::{
     Payload, controllers, created, event, events, hexadecimal, journal, limits, order_sample,

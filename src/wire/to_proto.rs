@@ -292,6 +292,7 @@ pub fn controllers(seen: &Frame) -> proto::ControllerList {
         ids: it.ids.clone(),
         deadline_secs: it.deadline.as_secs_f64(),
         on_timeout: on_timeout(it.on_timeout),
+        driving: it.driving,
         target_step: it.target,
         misses: it.misses,
         waited_secs: it.waited.map(|waited| waited.as_secs_f64()),

@@ -41,6 +41,7 @@ const EXPERIMENT: &str = "small";
 fn filled(address: &Value, swarm: &str) -> String {
     let address = address.as_str().unwrap().replace("{prefix}", PREFIX);
     let address = address.replace("{swarm}", swarm).replace("{node}", NODE);
+    let address = address.replace("{controller}", "*");
     address.replace("{experiment}", EXPERIMENT)
 }
 
@@ -119,6 +120,10 @@ async fn prepare_experiment(client: &Client, args: &Value) {
 async fn send(client: &Client, swarm: &str, verb: &str, request: &Value) -> Answer {
     if !keys::NODE_VERBS.contains(&verb) {
         create(client, swarm).await;
+    }
+    if ["advance", "leave"].contains(&verb) {
+        let args = json!({"controller": "ada", "select": {"ids": [1, 2]}, "driving": true});
+        client.ok(swarm, "join", args).await;
     }
     send_again(client, swarm, verb, request).await
 }
@@ -204,6 +209,10 @@ async fn every_channel_of_the_document_is_served() {
                 // Others have the same name.
                 let made = reply["swarm"].as_str().unwrap();
                 client.ok(made, "delete", json!({})).await;
+            } else if verb == "advance" {
+                let error = send_again(client, &swarm, &verb, &later).await.unwrap_err();
+                assert_eq!(error.details["field"], "at_step", "{verb}");
+                client.ok(&swarm, "delete", json!({})).await;
             } else if verb != "delete" {
                 let reply = client.ok(&swarm, &verb, later).await;
                 check_reply("scheduled.reply", &reply);
@@ -299,7 +308,8 @@ async fn whatever_the_daemon_declares_is_in_the_document() {
     .await;
     assert_eq!(declared(&peer, "queryable").await, queryable);
     assert_eq!(declared(&peer, "token").await, token);
-    assert_eq!(declared(&peer, "subscriber").await, BTreeSet::new());
+    let controls = BTreeSet::from([keys::ctl(PREFIX, "*", "*")]);
+    assert_eq!(declared(&peer, "subscriber").await, controls);
     let of_nodes = tokens(&client.session, "**/@node/**").await;
     assert_eq!(
         BTreeSet::from_iter(of_nodes),

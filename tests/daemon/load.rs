@@ -30,7 +30,8 @@ async fn a_thousand_swarms_of_twenty_keep_their_rate() {
                 .create(&name, json!({"n": 20, "seed": i, "rate": 1}))
                 .await;
             // Groups that push are what takes time.
-            client.ok(&name, "step", json!({"steps": 500})).await;
+            let request = json!({"timeout_secs": 60, "args": {"steps": 500}});
+            client.ok(&name, "step", request).await;
             client.ok(&name, "run", json!({})).await;
         }
     };

@@ -54,6 +54,7 @@ async fn main() -> Result<(), Failure> {
         mode: Mode::Lockstep,
         deadline_secs: 5.0,
         on_timeout: OnTimeout::Free,
+        driving: false,
         again: true,
     };
     let joined: Reply<JoinResult> = ask(&session, &swarm, "join", None, &join).await?;
@@ -68,6 +69,7 @@ async fn main() -> Result<(), Failure> {
                 ids: joined.result.ids.clone(),
                 direction: vec![direction; joined.result.ids.len()],
                 weight: Some(vec![1.0; joined.result.ids.len()]),
+                ..SetPoints::default()
             }),
             return_: Return::None,
         };

@@ -156,7 +156,11 @@ impl Worker {
     }
 
     fn check_claims(&mut self, controller: &str, set: &SetPoints) -> Result<(), OrderError> {
-        let claims = &self.controllers.find(controller)?.kept.claims;
+        let kept = &self.controllers.find(controller)?.kept;
+        if set.drives.is_some() && !kept.driving {
+            return Err(OrderError::NotDriving(controller.to_owned()));
+        }
+        let claims = &kept.claims;
         match set.ids.iter().find(|id| !claims.contains(id)) {
             None => Ok(()),
             Some(&id) => Err(OrderError::NotClaimed {

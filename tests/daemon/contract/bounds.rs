@@ -128,6 +128,8 @@ async fn the_bounds_of_the_schemas_are_those_of_the_daemon() {
     let requests = schemas.iter().filter_map(|(message, schema)| {
         let verb = match *message {
             "request" => "inform",
+            // Nobody answers a put: `controllers` looks at what becomes of them.
+            "control.args" => return None,
             message => message.strip_suffix(".args")?,
         };
         Some((*message, verb, schema.as_value()))

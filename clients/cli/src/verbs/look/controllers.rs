@@ -55,6 +55,7 @@ fn row(controller: &Controller) -> [String; 11] {
         ids,
         deadline_secs,
         on_timeout,
+        driving: _,
         target_step,
         misses,
         waited_secs,
