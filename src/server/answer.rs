@@ -6,7 +6,7 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
@@ -60,6 +60,8 @@ pub struct Desk {
     /// Whether the sending thread is at work.
     pub pulse: Arc<Pulse>,
     held_bytes: Arc<AtomicUsize>,
+    /// Whether the daemon is going: swarms that end then are there again when it is back.
+    is_closing: Arc<AtomicBool>,
 }
 
 /// A query that was taken in. Clones are the same one.
@@ -149,6 +151,7 @@ impl Desk {
             deadlines,
             pulse,
             held_bytes: Arc::default(),
+            is_closing: Arc::default(),
         })
     }
 
@@ -183,6 +186,12 @@ impl Desk {
         })
     }
 
+    /// From here on nobody is told that a swarm is gone: whoever asked hears nothing, as of a daemon
+    /// that is not there, and asks again.
+    pub fn close(&self) {
+        self.is_closing.store(true, Ordering::Release);
+    }
+
     /// Ends the sending thread once it has sent what was handed in, and the watching one.
     pub fn stop(&self) {
         let _ = self.outgoing.send(None);
@@ -210,6 +219,10 @@ impl Promise {
 
     /// Refuses what was asked for; nothing has changed then.
     pub fn refuse(&self, error: &CommandError, step: Option<u64>) {
+        let is_gone = matches!(error, CommandError::Order(OrderError::Gone));
+        if is_gone && self.0.desk.is_closing.load(Ordering::Acquire) {
+            return drop(self.lock().take());
+        }
         let payload = Payload::json(&error.to_wire(step));
         if let Some(page) = self.page().take() {
             page.tear_out(&payload);

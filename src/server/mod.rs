@@ -334,6 +334,7 @@ impl Server {
     /// seconds whatever the clients do.
     pub async fn stop(self) {
         info!("stopping");
+        self.desk.close();
         self.watch.stop();
         if let Some(gateway) = &self.gateway {
             gateway.stop();

@@ -122,7 +122,7 @@ async fn send(client: &Client, swarm: &str, verb: &str, request: &Value) -> Answ
         create(client, swarm).await;
     }
     if ["advance", "leave"].contains(&verb) {
-        let args = json!({"controller": "ada", "select": {"ids": [1, 2]}, "driving": true});
+        let args = json!({"controller": "ada", "select": {"ids": [0, 1, 2]}, "driving": true});
         client.ok(swarm, "join", args).await;
     }
     send_again(client, swarm, verb, request).await

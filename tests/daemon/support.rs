@@ -237,6 +237,10 @@ fn read(encoding: &Encoding, bytes: &[u8]) -> Value {
         Err(_) => {
             type Stepped = jostle_proto::Reply<jostle_proto::verbs::StepResult>;
             type Whole = jostle_proto::Reply<jostle_proto::Snapshot>;
+            type Advanced = jostle_proto::Reply<jostle_proto::verbs::AdvanceResult>;
+            if let Ok(reply) = ciborium::from_reader::<Advanced, _>(bytes) {
+                return serde_json::to_value(reply).unwrap();
+            }
             if let Ok(order) = ciborium::from_reader::<jostle_proto::OrderPage, _>(bytes) {
                 return serde_json::to_value(order).unwrap();
             }

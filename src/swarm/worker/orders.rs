@@ -26,7 +26,7 @@ impl Worker {
     pub(super) fn commands(&mut self, commands: Vec<Command>) -> Option<End> {
         let mut possible = Vec::with_capacity(commands.len());
         for command in commands {
-            match self.check(command.when) {
+            match self.check(&command.order, command.when) {
                 Ok(()) => possible.push(command),
                 Err(error) => (command.answer)(Err(self.refusal(error))),
             }
@@ -234,7 +234,11 @@ impl Worker {
         }
     }
 
-    fn check(&self, when: When) -> Result<(), OrderError> {
+    fn check(&mut self, order: &Order, when: When) -> Result<(), OrderError> {
+        // Who has left is behind, mostly, and is to hear why.
+        if let Order::Advance { controller, .. } = order {
+            self.controllers.find(controller)?;
+        }
         let step = self.simulation.state.step;
         let at = [
             ("epoch", when.expect_epoch, self.simulation.epoch),
