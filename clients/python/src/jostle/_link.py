@@ -27,6 +27,7 @@ from ._errors import (
 from ._patience import Patience
 
 if TYPE_CHECKING:
+    from ._controller import Controller
     from ._stream import Stream
 
 GRACE_SECS = 2.0
@@ -99,6 +100,7 @@ class Link:
         # What lives as long as this does, such as a daemon of its own.
         self.held: object = None
         self.streams: weakref.WeakSet[Stream[Any]] = weakref.WeakSet()
+        self.controllers: weakref.WeakSet[Controller] = weakref.WeakSet()
         self._owner = os.getpid()
         open_links.add(self)
 
@@ -317,6 +319,30 @@ class Link:
             details={"is_late": True},
         )
 
+    def put(self, key: str, payload: bytes) -> None:
+        """Publishes JSON that nobody answers.
+
+        Raises:
+            Unavailable: The session is closed.
+        """
+        self.check_ours()
+        try:
+            self.session.put(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+        except zenoh.ZError as error:
+            raise self._broken(error) from error
+
+    def declare_token(self, key: str) -> zenoh.LivelinessToken:
+        """Has a liveliness token stand on `key` for as long as it is held and this is connected.
+
+        Raises:
+            Unavailable: The session is closed.
+        """
+        self.check_ours()
+        try:
+            return self.session.liveliness().declare_token(key)
+        except zenoh.ZError as error:
+            raise self._broken(error) from error
+
     def alive(self, key: str) -> list[str]:
         """The liveliness tokens that stand on `key`.
 
@@ -365,12 +391,13 @@ class Link:
             who = f"node {nodes[0]!r}" if swarm is None else f"swarm {swarm!r}"
             return PermissionDenied(
                 f"{who} is there but does not answer: this client is not permitted to ask that, "
-                "or the daemon is just closing"
+                "or the daemon is just closing",
+                details={"is_silence": True},
             )
         where = ", ".join(repr(node) for node in nodes)
         return NotFound(
             f"no swarm is named {swarm!r} on {where}: create it, or look at `client.swarms()`",
-            details={"swarm": swarm},
+            details={"swarm": swarm, "is_silence": True},
         )
 
     def _connected(self) -> frozenset[str]:
