@@ -10,13 +10,14 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, SupportsIndex, cast
+from typing import Any, Self, SupportsIndex, Unpack, cast
 
 import numpy as np
 import zenoh
 from numpy.typing import ArrayLike
 
 from ._arguments import Select, check_name, check_seconds, ids, to_json, whole
+from ._commands import PATIENT_SECS, Options
 from ._errors import (
     Conflict,
     InvalidArgument,
@@ -32,11 +33,6 @@ from ._patience import Patience
 from ._reading import read_reply
 from ._state import State, read_state
 
-if TYPE_CHECKING:
-    from ._commands import Options
-
-# Others may take their time: each of them its deadline, and three times over.
-_PATIENT_SECS = 3600.0
 # What a daemon that crashed may have forgotten. Of what it has on the disk nothing is kept, and it
 # is some milliseconds behind, so that there are so many only if the disk is full.
 _MOST_ANSWERED = 10_000
@@ -178,7 +174,7 @@ class Controller:
             )
         if state:
             args["return"] = "state"
-        seconds = _PATIENT_SECS if timeout is None else check_seconds("timeout", timeout)
+        seconds = PATIENT_SECS if timeout is None else check_seconds("timeout", timeout)
         request = self._unanswered
         # What was not answered and is asked for again is the same exchange.
         if request is None or (request.step, request.args) != (self._step, args):
@@ -247,7 +243,7 @@ class Controller:
         self._step, self._epoch = state.step, state.epoch
         return state
 
-    def leave(self, **options: Any) -> Reply:
+    def leave(self, **options: Unpack[Options]) -> Reply:
         """Leaves. Whom it steered is uninformed, unless it joined to `hold` them.
 
         Args:
