@@ -7,8 +7,10 @@ import os
 import time
 import uuid
 import weakref
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
+import msgspec
 import zenoh
 
 from . import _cancel
@@ -139,7 +141,7 @@ class Link:
     def command(
         self,
         key: str,
-        args: dict[str, Any],
+        args: dict[str, Any] | msgspec.Raw,
         *,
         swarm: str | None,
         at_step: SupportsIndex | None = None,
@@ -153,7 +155,7 @@ class Link:
         When the answer is lost or the daemon is busy the same request is sent again: under the
         same id the daemon carries it out only if it has not yet.
 
-        `swarm` is whom `key` is about; None if it is about a daemon.
+        `swarm` is whom `key` is about; None if it is about a daemon. `args` may be JSON already.
 
         Raises:
             JostleError: The daemon's own error, or what its silence means.
@@ -241,7 +243,8 @@ class Link:
         return connected
 
     def _write(self, request: dict[str, Any]) -> bytes:
-        payload = to_json(request)
+        is_json = isinstance(request["args"], msgspec.Raw)
+        payload = msgspec.json.encode(request) if is_json else to_json(request)
         limit = self.max_message_bytes
         if limit is not None and len(payload) > limit:
             # One much longer is dropped by the transport without a word, which is like silence.
@@ -282,8 +285,8 @@ class Link:
 
     def ask_all(
         self, selector: str, listen_secs: float, payload: bytes | None = None
-    ) -> list[bytes]:
-        """Sends a query and returns every answer's payload; none if nobody answers.
+    ) -> Iterator[bytes]:
+        """Sends a query and yields every answer's payload as it comes; none if nobody answers.
 
         Raises:
             JostleError: A daemon's own error, or `Unavailable` if one is there and too late.
@@ -301,16 +304,14 @@ class Link:
             )
         except zenoh.ZError as error:
             raise self._broken(error) from error
-        answers = []
         for reply in replies:
             if reply.ok is not None:
-                answers.append(reply.ok.payload.to_bytes())
+                yield reply.ok.payload.to_bytes()
             elif reply.err is not None:
                 said = read_error(reply.err.payload.to_bytes())
                 raise self._late(time.monotonic() - began) if said is None else said
         # A query that was cancelled ends like one that nobody answers.
         _cancel.check()
-        return answers
 
     def _late(self, seconds: float) -> Unavailable:
         return Unavailable(
