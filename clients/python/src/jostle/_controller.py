@@ -325,7 +325,7 @@ class Controller:
                     raise
             except (Unavailable, NotFound, PermissionDenied) as error:
                 is_silence = isinstance(error, Unavailable) or error.details.get("is_silence")
-                if not is_silence or self._link.session.is_closed():
+                if not is_silence or not self._link.is_open():
                     raise
                 # So it sounds while a daemon is being started again.
                 patience = patience or Patience(time.monotonic(), seconds, self._link.timeout)

@@ -121,6 +121,10 @@ class Link:
         """
         return os.getpid() == self._owner
 
+    def is_open(self) -> bool:
+        """Whether it may still come to something: it is this process's, and not closed."""
+        return self.is_ours() and not self.session.is_closed()
+
     def check_ours(self) -> None:
         """Goes no further in a process that was forked from the one that opened it.
 
