@@ -145,7 +145,8 @@ class Recorder(Link):
         """Raises `Sent`."""
         raise Sent(payload)
 
-    def _connected(self) -> frozenset[str]:
+    def connected(self) -> frozenset[str]:
+        """Says that somebody is there."""
         return frozenset({"nobody"})
 
     def _ask(self, selector: str, swarm: Any, timeout: Any, payload: Any, before: Any) -> bytes:

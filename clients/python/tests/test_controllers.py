@@ -54,10 +54,9 @@ def test_one_controller_steps_a_swarm_and_gets_its_state(create: Create) -> None
         advanced = ada.advance()
         assert (advanced.steps, advanced.step, ada.step, advanced.state) == (1, 1, 1, None)
         assert advanced.state_hash == swarm.status().state_hash
-        advanced = ada.advance(np.int64(4), direction=0.5, weight=2.0, state=True)
-        state = advanced.state
-        assert state is not None
-        assert (state.step, state.n, state.state_hash) == (5, 5, advanced.state_hash)
+        arrived = ada.advance(np.int64(4), direction=0.5, weight=2.0, state=True)
+        state = arrived.state
+        assert (state.step, state.n, state.state_hash) == (5, 5, arrived.state_hash)
         assert state.weight.tolist() == [0.0, 2.0, 0.0, 2.0, 0.0]
         assert state.direction[[1, 3]].tolist() == [0.5, 0.5]
         (mine,) = swarm.controllers()

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Iterable
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Any, Self, SupportsIndex, Unpack, cast
+from typing import Any, Literal, Self, SupportsIndex, Unpack, cast, overload
 
 import msgspec
 import numpy as np
@@ -28,7 +28,7 @@ from ._errors import (
     PermissionDenied,
     Unavailable,
 )
-from ._exchange import Advanced, Controllers, Joined, Mode, News, OnTimeout, read_advanced
+from ._exchange import Advanced, Arrived, Controllers, Joined, Mode, News, OnTimeout, read_advanced
 from ._link import Link
 from ._messages import Reply
 from ._patience import Patience
@@ -128,6 +128,28 @@ class Controller:
     def __repr__(self) -> str:
         return f"Controller({self._name!r} of {self._swarm!r} at {self._link.endpoint})"
 
+    @overload
+    def advance(
+        self,
+        steps: SupportsIndex = 1,
+        *,
+        ids: Iterable[SupportsIndex] | None = None,
+        direction: ArrayLike | None = None,
+        weight: ArrayLike | None = None,
+        state: Literal[True],
+        timeout: float | None = None,
+    ) -> Arrived: ...
+    @overload
+    def advance(
+        self,
+        steps: SupportsIndex = 1,
+        *,
+        ids: Iterable[SupportsIndex] | None = None,
+        direction: ArrayLike | None = None,
+        weight: ArrayLike | None = None,
+        state: bool = False,
+        timeout: float | None = None,
+    ) -> Advanced: ...
     def advance(
         self,
         steps: SupportsIndex = 1,
@@ -147,7 +169,7 @@ class Controller:
                 radians, counter-clockwise from +x. None, and whoever is not named: as before.
             weight: How much each counts beside attraction, shape (m,) or one for all: 0 is
                 uninformed; None is `pi2`.
-            state: Have the state reached in the answer.
+            state: Have the state reached in the answer, as its `state`.
             timeout: Seconds it may take; None is an hour, since the others have deadlines.
 
         Returns:
@@ -314,30 +336,36 @@ class Controller:
         """
         patience: Patience | None = None
         is_behind = False
+        # Each daemon needs to be told only once of what the one before was told.
+        told: frozenset[str] | None = None
         while True:
             try:
                 if is_behind:
+                    is_behind = False
                     self._catch_up(seconds)
                 return self._send(request, seconds)
             except Conflict as error:
                 is_behind = error.step is not None and error.step < self._step
-                if not is_behind or not self._answered:
+                daemon = self._link.connected()
+                if not is_behind or not self._answered or daemon == told:
                     raise
+                told, patience = daemon, None
             except (Unavailable, NotFound, PermissionDenied) as error:
                 is_silence = isinstance(error, Unavailable) or error.details.get("is_silence")
                 if not is_silence or not self._link.is_open():
                     raise
                 # So it sounds while a daemon is being started again.
+                told = None
                 patience = patience or Patience(time.monotonic(), seconds, self._link.timeout)
                 patience.pause(error)
 
     def _catch_up(self, seconds: float) -> None:
         """Advances anew what a crash took back.
 
-        What it did not take back is not carried out again, but answered as it was.
+        What it did not take back is not carried out again, but answered as it was. All of it is
+        kept until it is on the disk, as the next crash may come before that.
         """
-        while self._answered:
-            before = self._answered[0]
+        for before in list(self._answered):
             advanced = self._send(before.request, seconds)
             if advanced.state_hash != before.state_hash:
                 self._answered.clear()
@@ -346,7 +374,6 @@ class Controller:
                     f"{before.reached} is not as it was: `sync` gets in line again",
                     step=advanced.step,
                 )
-            self._answered.popleft()
 
     def _send(self, request: _Request, seconds: float) -> Advanced:
         payload = self._link.command(

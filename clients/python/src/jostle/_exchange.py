@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import msgspec
 
@@ -83,6 +83,12 @@ class Advanced(StepResult, frozen=True, kw_only=True):
     state: State | None = None
 
 
+class Arrived(Advanced, frozen=True, kw_only=True):
+    """Where a swarm has come to, with the state reached."""
+
+    state: State
+
+
 class Puts(Shown, frozen=True, kw_only=True):
     """What became of the set-points that a controller put while the swarm ran.
 
@@ -159,29 +165,29 @@ def read_advanced(payload: bytes) -> Advanced:
     Raises:
         Internal: It is not what the contract says.
     """
-    state = None
     if payload.startswith(b"{"):
         try:
-            told = _decoder.decode(payload)
+            return Advanced(**_fields(_decoder.decode(payload)))
         except msgspec.DecodeError as error:
             raise unreadable(Advanced, error) from error
-    else:
-        fields = read_map(payload)
-        told = convert(fields, _Envelope)
-        state = fields["result"].get("state")
-        if not isinstance(state, dict):
-            raise Internal("the daemon's answer holds no state")
-        state = read_columns(state, told.result.state_hash)
-    return Advanced(
-        swarm=told.swarm,
-        epoch=told.epoch,
-        step=told.step,
-        time=told.time,
-        phase=told.phase,
-        seq=told.seq,
-        steps=told.result.steps,
-        durable_step=told.result.durable_step,
-        state_hash=told.result.state_hash,
-        news=told.result.news,
-        state=state,
-    )
+    fields = read_map(payload)
+    told = convert(fields, _Envelope)
+    state = fields["result"].get("state")
+    if not isinstance(state, dict):
+        raise Internal("the daemon's answer holds no state")
+    return Arrived(**_fields(told), state=read_columns(state, told.result.state_hash))
+
+
+def _fields(told: _Envelope) -> dict[str, Any]:
+    return {
+        "swarm": told.swarm,
+        "epoch": told.epoch,
+        "step": told.step,
+        "time": told.time,
+        "phase": told.phase,
+        "seq": told.seq,
+        "steps": told.result.steps,
+        "durable_step": told.result.durable_step,
+        "state_hash": told.result.state_hash,
+        "news": told.result.news,
+    }

@@ -178,7 +178,7 @@ class Link:
         }
         request = {name: value for name, value in request.items() if value is not None}
         began = time.monotonic()
-        before = self._connected() or self._await_connection(seconds)
+        before = self.connected() or self._await_connection(seconds)
         listen = _FIRST_LISTEN_SECS if seconds > _FIRST_LISTEN_SECS else seconds + GRACE_SECS
         try:
             return self._ask(key, swarm, listen, self._write(request), before)
@@ -230,7 +230,7 @@ class Link:
             JostleError: The daemon's own error, or what its silence means.
         """
         seconds = self.timeout if timeout is None else timeout
-        before = self._connected()
+        before = self.connected()
         patience: Patience | None = None
         while True:
             try:
@@ -242,7 +242,7 @@ class Link:
     def _await_connection(self, seconds: float) -> frozenset[str]:
         """Who is connected, waiting a little for a connection that is being made again."""
         give_up = time.monotonic() + min(seconds, _RETURN_SECS)
-        while not (connected := self._connected()) and time.monotonic() < give_up:
+        while not (connected := self.connected()) and time.monotonic() < give_up:
             _cancel.rest(_LOOK_AGAIN_SECS)
         return connected
 
@@ -390,7 +390,7 @@ class Link:
         `before` the query still is: otherwise they are those of a daemon that it never reached.
         """
         nodes = self.nodes()
-        if not nodes or (before is not None and before != self._connected()):
+        if not nodes or (before is not None and before != self.connected()):
             return self.gone()
         if swarm is None or self.alive(self.swarm_key(swarm, "alive/*")):
             who = f"node {nodes[0]!r}" if swarm is None else f"swarm {swarm!r}"
@@ -405,7 +405,7 @@ class Link:
             details={"swarm": swarm, "is_silence": True},
         )
 
-    def _connected(self) -> frozenset[str]:
+    def connected(self) -> frozenset[str]:
         """The zenoh nodes at the other end; a daemon that was started again is another one."""
         self.check_ours()
         try:
