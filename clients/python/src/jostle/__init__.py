@@ -31,6 +31,7 @@ from ._arguments import (
 from ._changes import Change, Inform, Inject, Remove, Set, Uninform
 from ._client import Client, connect, experiment
 from ._commands import Options
+from ._controller import Controller
 from ._errors import (
     AlreadyExists,
     Busy,
@@ -49,10 +50,22 @@ from ._errors import (
     Unavailable,
 )
 from ._events import Event, JournalEntry
+from ._exchange import (
+    Advanced,
+    Arrived,
+    ControllerSummary,
+    Departed,
+    Miss,
+    Mode,
+    News,
+    OnTimeout,
+    Puts,
+)
 from ._experiment import Experiment
 from ._frame import frame
 from ._local import Local, local
 from ._messages import (
+    Awaited,
     BatchResult,
     Certificate,
     Changed,
@@ -84,7 +97,10 @@ from ._swarm import Swarm
 from ._view import View
 
 __all__ = [
+    "Advanced",
     "AlreadyExists",
+    "Arrived",
+    "Awaited",
     "BatchResult",
     "Busy",
     "Certificate",
@@ -92,7 +108,10 @@ __all__ = [
     "Changed",
     "Client",
     "Conflict",
+    "Controller",
+    "ControllerSummary",
     "DeadlineExceeded",
+    "Departed",
     "Disc",
     "ErrorMessage",
     "Event",
@@ -114,8 +133,12 @@ __all__ = [
     "Listed",
     "Local",
     "Metrics",
+    "Miss",
+    "Mode",
+    "News",
     "NodeStatus",
     "NotFound",
+    "OnTimeout",
     "Options",
     "Order",
     "OrderSample",
@@ -126,6 +149,7 @@ __all__ = [
     "Phase",
     "Pose",
     "Progress",
+    "Puts",
     "Region",
     "Remove",
     "Reply",

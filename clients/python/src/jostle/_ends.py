@@ -84,6 +84,8 @@ def _keep_for_ever() -> None:
         for stream in list(link.streams):
             for subscriber in stream.subscribers:
                 ctypes.pythonapi.Py_IncRef(ctypes.py_object(subscriber))
+        for controller in list(link.controllers):
+            ctypes.pythonapi.Py_IncRef(ctypes.py_object(controller))
         ctypes.pythonapi.Py_IncRef(ctypes.py_object(link.session))
     open_links.clear()
     _threads.clear()

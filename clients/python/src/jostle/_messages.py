@@ -231,6 +231,20 @@ class HistoryFrom(Shown, frozen=True, kw_only=True):
     step: int
 
 
+class Awaited(Shown, frozen=True, kw_only=True):
+    """A controller that the others wait for.
+
+    Attributes:
+        controller: Its name.
+        secs: For how long.
+        deadline_secs: After how long they wait no more.
+    """
+
+    controller: str
+    secs: float
+    deadline_secs: float
+
+
 class Status(Reply, frozen=True, kw_only=True):
     """What a swarm is and does.
 
@@ -245,6 +259,8 @@ class Status(Reply, frozen=True, kw_only=True):
         dt: The time step.
         parameters: Those that may change while it lives.
         scheduled: How many commands wait for their step.
+        controllers: How many controllers have joined.
+        waiting_for: The controllers that the swarm waits for in lock-step.
         state_hash: BLAKE3 of the state, in hexadecimal.
         order: Order and drift.
         certificate: How exact the state is.
@@ -262,6 +278,8 @@ class Status(Reply, frozen=True, kw_only=True):
     dt: float
     parameters: ParameterValues
     scheduled: int
+    controllers: int
+    waiting_for: list[Awaited]
     state_hash: str
     order: Order
     certificate: Certificate

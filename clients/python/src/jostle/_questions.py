@@ -10,6 +10,7 @@ from typing import SupportsIndex, overload
 from ._arguments import check_name, check_seconds, whole, whole_from_0
 from ._errors import DeadlineExceeded, Faulted, IncorrectState, InvalidArgument, JostleError
 from ._events import Event, Journal, JournalEntry
+from ._exchange import Controllers, ControllerSummary
 from ._history import mark_entry_gaps, mark_event_gaps, pages
 from ._link import Link
 from ._messages import Parameter, Parameters, Phase, SpecReply, Status, Verified
@@ -97,6 +98,10 @@ class Questions:
 
         known = whole_from_0("after", after)
         return Listed(mark_entry_gaps(pages(ask, lambda entry: entry.seq, known)[0], known))
+
+    def controllers(self) -> Listed[ControllerSummary]:
+        """Every controller that has joined, by name: whom it steers, and how it fares."""
+        return Listed(read_reply(self._get("get/controllers"), Controllers).controllers)
 
     def snapshot(self) -> Snapshot:
         """All that its future depends on, to be kept and restored by any daemon.

@@ -124,7 +124,7 @@ def read_state(payload: bytes) -> State:
     Raises:
         Internal: It is not what the contract says.
     """
-    return _state(read_map(payload))
+    return read_columns(read_map(payload))
 
 
 def read_step_reply(payload: bytes) -> tuple[StepResult, State]:
@@ -138,10 +138,15 @@ def read_step_reply(payload: bytes) -> tuple[StepResult, State]:
     if not isinstance(within, dict) or not isinstance(within.get("state"), dict):
         raise Internal("the daemon's answer holds no state")
     result = convert({**within, **fields}, StepResult)
-    return result, _state(within["state"], result.state_hash)
+    return result, read_columns(within["state"], result.state_hash)
 
 
-def _state(fields: Mapping[str, Any], state_hash: str | None = None) -> State:
+def read_columns(fields: Mapping[str, Any], state_hash: str | None = None) -> State:
+    """Makes a state of what was decoded already; `state_hash` is from the answer around it.
+
+    Raises:
+        Internal: It is not what the contract says.
+    """
     head = convert(fields, _Head)
     state = State(
         swarm=head.swarm,

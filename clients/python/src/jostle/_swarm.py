@@ -5,12 +5,14 @@ from __future__ import annotations
 import weakref
 from dataclasses import replace
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Self, SupportsIndex, TypeVar
+from typing import TYPE_CHECKING, Any, Self, SupportsIndex, TypeVar, Unpack
 
-from ._arguments import whole_from_0
-from ._commands import PATIENT_SECS, Commands
+from ._arguments import Select, whole_from_0
+from ._commands import PATIENT_SECS, Commands, Options
+from ._controller import Controller, terms
 from ._errors import InvalidArgument, JostleError
 from ._events import Event
+from ._exchange import Mode, OnTimeout
 from ._extras import need
 from ._frame import of_states
 from ._history import EventReader
@@ -92,6 +94,51 @@ class Swarm(Commands):
         )
         read_reply(payload, CreateResult)
         return fork
+
+    def join(
+        self,
+        controller: str,
+        select: Select | None = None,
+        *,
+        mode: Mode = "lockstep",
+        deadline: float = 5.0,
+        on_timeout: OnTimeout = "hold",
+        again: bool = False,
+        **options: Unpack[Options],
+    ) -> Controller:
+        """Has a controller join, which alone steers some of the individuals.
+
+            with swarm.join("ada", jostle.ids([0, 1])) as ada:
+                state = ada.advance(direction=0.5, state=True).state
+
+        In lock-step the swarm pauses, and steps when every controller has advanced.
+
+        Args:
+            controller: Its name: 1 to 64 of a-z, 0-9, - and _, the first a letter or digit.
+            select: Whom it is to steer; draws are from those that no other controller does.
+                None is nobody, or whom it had if it comes back.
+            mode: `lockstep`, or `free_running` for set-points `put` while the swarm runs.
+            deadline: In lock-step, how long others wait for it; running freely, how long its
+                set-points hold after the last `put`. Seconds: above 0, at most 60.
+            on_timeout: When it is late its individuals `hold` their set-points, also when it has
+                left, or are `free` of them, or the swarm is to `pause`. In lock-step it has left
+                after three misses in a row.
+            again: It comes back, as after a crash of its process: it takes the place of the
+                controller of its name, if there is one.
+            options: See `Options`.
+
+        Raises:
+            AlreadyExists: A controller of this name has joined.
+            Conflict: Another controller steers one of them.
+            InvalidArgument: There are not as many, or an argument is wrong.
+        """
+        return Controller(
+            self._link,
+            self._name,
+            controller,
+            terms(select, mode, deadline, on_timeout, again),
+            options,
+        )
 
     def states(self, *, timeout: float | None = None) -> Stream[State]:
         """Its states: first the one now, then each as it is published, always the newest.
