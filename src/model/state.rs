@@ -284,7 +284,9 @@ mod tests {
             |state| state.configuration.weight[0] = -1.0,
             |state| state.configuration.direction[0] = -0.0,
             |state| state.configuration.lapses_at[0] = Some(0),
-            |state| drop(state.configuration.drives.insert(0, Drive::default())),
+            |state| {
+                state.configuration.drives.insert(0, Drive::default());
+            },
             |state| {
                 let turn = Some(0.0);
                 let drive = Drive { turn, speed: None };

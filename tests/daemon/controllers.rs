@@ -144,7 +144,11 @@ async fn it_steps_when_all_have_advanced_and_tells_each_where_it_is() {
         json!([{"controller": "bob", "why": "left"}])
     );
     let error = advance(bob, "bob", 11, json!({})).await.unwrap_err();
-    assert_eq!(error.code, ErrorCode::NotFound, "though it is elsewhere too");
+    assert_eq!(
+        error.code,
+        ErrorCode::NotFound,
+        "though it is elsewhere too"
+    );
     assert!(
         error.message.contains("left at step 11"),
         "{}",

@@ -445,6 +445,25 @@ ada.leave()
     subprocess.run(arguments, timeout=PATIENCE_SECS, check=True)
 
 
+def test_who_is_driven_directly_moves_as_told(create: Create) -> None:
+    start = {"kind": "given", "x": [0.0, 20.0], "y": [0.0, 0.0], "alpha": [1.5, 1.5]}
+    swarm = create(n=2, start=start)
+    with swarm.join("ada", jostle.ids([0, 1])) as ada:
+        with pytest.raises(jostle.InvalidArgument, match="driving"):
+            ada.advance(direction=0.0, turn=0.0)
+    with swarm.join("ada", jostle.ids([0, 1]), driving=True) as ada:
+        assert swarm.controllers().controllers[0].driving
+        with pytest.raises(jostle.InvalidArgument, match="finite"):
+            ada.advance(direction=0.0, turn=np.inf)
+        arrived = ada.advance(
+            50, direction=0.0, weight=0.0, turn=[0.0, np.nan], speed=[0.5, np.nan], state=True
+        )
+    state = arrived.state
+    assert state.alpha[0] == 1.5
+    assert state.alpha[1] != 1.5
+    assert np.hypot(state.x[0], state.y[0]) == pytest.approx(0.5)
+
+
 def test_a_thousand_exchanges_a_second_are_not_far_from_a_bare_query(
     create: Create, client: jostle.Client
 ) -> None:

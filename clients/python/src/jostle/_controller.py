@@ -136,6 +136,8 @@ class Controller:
         ids: Iterable[SupportsIndex] | None = None,
         direction: ArrayLike | None = None,
         weight: ArrayLike | None = None,
+        turn: ArrayLike | None = None,
+        speed: ArrayLike | None = None,
         state: Literal[True],
         timeout: float | None = None,
     ) -> Arrived: ...
@@ -147,6 +149,8 @@ class Controller:
         ids: Iterable[SupportsIndex] | None = None,
         direction: ArrayLike | None = None,
         weight: ArrayLike | None = None,
+        turn: ArrayLike | None = None,
+        speed: ArrayLike | None = None,
         state: bool = False,
         timeout: float | None = None,
     ) -> Advanced: ...
@@ -157,6 +161,8 @@ class Controller:
         ids: Iterable[SupportsIndex] | None = None,
         direction: ArrayLike | None = None,
         weight: ArrayLike | None = None,
+        turn: ArrayLike | None = None,
+        speed: ArrayLike | None = None,
         state: bool = False,
         timeout: float | None = None,
     ) -> Advanced:
@@ -169,6 +175,10 @@ class Controller:
                 radians, counter-clockwise from +x. None, and whoever is not named: as before.
             weight: How much each counts beside attraction, shape (m,) or one for all: 0 is
                 uninformed; None is `pi2`.
+            turn: Beyond the paper, if it joined with `driving`: turning rates in place of the
+                model's, shape (m,) or one for all, at most the fastest free one; NaN is as by
+                itself.
+            speed: The same with factors of the free speed, 0 to 1.
             state: Have the state reached in the answer, as its `state`.
             timeout: Seconds it may take; None is an hour, since the others have deadlines.
 
@@ -190,10 +200,10 @@ class Controller:
         if steps != 1:
             args["steps"] = whole("steps", steps)
         if direction is not None:
-            args["set"] = self._set_points(ids, direction, weight)
-        elif ids is not None or weight is not None:
+            args["set"] = self._set_points(ids, direction, weight, turn, speed)
+        elif not (ids is None and weight is None and turn is None and speed is None):
             raise InvalidArgument(
-                "`ids` and `weight` say nothing without a `direction`",
+                "`ids`, `weight`, `turn` and `speed` say nothing without a `direction`",
                 details={"field": "set.direction"},
             )
         if state:
@@ -221,6 +231,8 @@ class Controller:
         ids: Iterable[SupportsIndex] | None = None,
         direction: ArrayLike,
         weight: ArrayLike | None = None,
+        turn: ArrayLike | None = None,
+        speed: ArrayLike | None = None,
     ) -> None:
         """Puts set-points for a swarm that runs, if it joined in mode `free_running`.
 
@@ -233,13 +245,15 @@ class Controller:
                 counter-clockwise from +x.
             weight: How much each counts beside attraction, shape (m,) or one for all: 0 is
                 uninformed; None is `pi2`.
+            turn: Turning rates, see `advance`.
+            speed: Factors of the free speed, see `advance`.
 
         Raises:
             InvalidArgument: They are no numbers, or not as many as individuals.
             Unavailable: The client is closed.
         """
         self._sequence += 1
-        set_points = self._set_points(ids, direction, weight)
+        set_points = self._set_points(ids, direction, weight, turn, speed)
         payload = to_json({"sequence": self._sequence, "set": set_points})
         self._link.put(self._link.swarm_key(self._swarm, f"ctl/{self._name}"), payload)
 
@@ -387,12 +401,24 @@ class Controller:
         return read_advanced(payload)
 
     def _set_points(
-        self, ids: Iterable[SupportsIndex] | None, direction: ArrayLike, weight: ArrayLike | None
+        self,
+        ids: Iterable[SupportsIndex] | None,
+        direction: ArrayLike,
+        weight: ArrayLike | None,
+        turn: ArrayLike | None,
+        speed: ArrayLike | None,
     ) -> dict[str, Any]:
         whom = self._ids if ids is None else [whole("set.ids", one) for one in ids]
-        points = {"ids": whom, "direction": _column("direction", direction, len(whom))}
+        points: dict[str, Any] = {
+            "ids": whom,
+            "direction": _column("direction", direction, len(whom)),
+        }
         if weight is not None:
             points["weight"] = _column("weight", weight, len(whom))
+        for name, driven in (("turn", turn), ("speed", speed)):
+            if driven is not None:
+                column = _column(name, driven, len(whom), may_be_nan=True)
+                points[name] = [None if math.isnan(value) else value for value in column]
         return points
 
     def _get(self, rest: str) -> bytes:
@@ -400,19 +426,27 @@ class Controller:
 
 
 def terms(
-    select: Select | None, mode: Mode, deadline: float, on_timeout: OnTimeout, again: bool
+    select: Select | None,
+    mode: Mode,
+    deadline: float,
+    on_timeout: OnTimeout,
+    driving: bool,
+    again: bool,
 ) -> dict[str, Any]:
     """What a controller joins with, as the wire has it."""
     terms: dict[str, Any] = {
         "mode": mode,
         "deadline_secs": check_seconds("deadline", deadline),
         "on_timeout": on_timeout,
+        "driving": driving,
         "again": again,
     }
     return terms if select is None else {"select": select, **terms}
 
 
-def _column(name: str, values: ArrayLike, length: int) -> list[float]:
+def _column(
+    name: str, values: ArrayLike, length: int, *, may_be_nan: bool = False
+) -> list[float]:
     """One number for each of so many individuals.
 
     Raises:
@@ -431,6 +465,7 @@ def _column(name: str, values: ArrayLike, length: int) -> list[float]:
         )
     numbers = cast("list[float]", column.tolist() if column.ndim > 0 else [float(column)] * length)
     # For as few as one controller steers this is faster than NumPy's.
-    if not all(map(math.isfinite, numbers)):
+    is_fine = all(map(math.isfinite, numbers))
+    if not is_fine and (not may_be_nan or any(map(math.isinf, numbers))):
         raise InvalidArgument(f"{name} holds a number that is not finite", details=field)
     return numbers

@@ -114,6 +114,7 @@ class ControllerSummary(Shown, frozen=True, kw_only=True):
         ids: Whom it steers.
         deadline_secs: How long others wait for it, or how long its set-points hold.
         on_timeout: What becomes of its individuals when it is late.
+        driving: Whether it may drive its individuals directly.
         target_step: The step that it has advanced to; None unless in lock-step.
         misses: Deadlines missed in a row.
         waited_secs: For how long others have waited for it; None if they do not.
@@ -125,6 +126,7 @@ class ControllerSummary(Shown, frozen=True, kw_only=True):
     ids: list[int]
     deadline_secs: float
     on_timeout: OnTimeout
+    driving: bool
     target_step: int | None = None
     misses: int
     waited_secs: float | None = None

@@ -103,6 +103,7 @@ class Swarm(Commands):
         mode: Mode = "lockstep",
         deadline: float = 5.0,
         on_timeout: OnTimeout = "hold",
+        driving: bool = False,
         again: bool = False,
         **options: Unpack[Options],
     ) -> Controller:
@@ -123,6 +124,8 @@ class Swarm(Commands):
             on_timeout: When it is late its individuals `hold` their set-points, also when it has
                 left, or are `free` of them, or the swarm is to `pause`. In lock-step it has left
                 after three misses in a row.
+            driving: It may drive its individuals directly, by turning rate and speed; beyond the
+                paper.
             again: It comes back, as after a crash of its process: it takes the place of the
                 controller of its name, if there is one.
             options: See `Options`.
@@ -136,7 +139,7 @@ class Swarm(Commands):
             self._link,
             self._name,
             controller,
-            terms(select, mode, deadline, on_timeout, again),
+            terms(select, mode, deadline, on_timeout, driving, again),
             options,
         )
 
