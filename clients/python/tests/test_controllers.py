@@ -259,10 +259,9 @@ def test_what_comes_between_answers_whoever_waits(create: Create, pool: ThreadPo
         assert swarm.status().step == 3
         with pytest.raises(jostle.DeadlineExceeded):
             ada.advance(direction=3.0, timeout=0.1)
-        both = pool.submit(bob.advance)
-        assert ada.advance(direction=4.0).step == 4
-        both.result(PATIENCE_SECS)
-        assert swarm.state().direction[0] == 4.0
+        instead = pool.submit(ada.advance, direction=4.0)
+        eventually("it takes its place", lambda: swarm.state().direction[0] == 4.0)
+        assert bob.advance().step == instead.result(PATIENCE_SECS).step == 4
 
 
 def test_what_is_in_a_with_block_that_fails_is_what_is_raised(create: Create) -> None:
@@ -300,7 +299,14 @@ def test_a_token_stands_from_before_it_joins_until_it_leaves(
         theirs.join("bob")
         bob = theirs.join("bob", again=True)
         assert bob.advance().step == 2
+    with pytest.raises(jostle.Unavailable, match="closed"):
+        bob.advance()
     # With its session a token goes, and its controller has left.
+    eventually("it is lost", lambda: swarm.controllers() == [])
+    # So it does with what holds it.
+    cyd = swarm.join("cyd")
+    assert tokens(daemon, swarm, client) != []
+    del cyd
     eventually("it is lost", lambda: swarm.controllers() == [])
     swarm.step()
 

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 import jostle
-from conftest import PATIENCE_SECS, Daemon, Wire
+from conftest import PATIENCE_SECS, Daemon, Wire, eventually
 from steering import directions
 
 Create = Callable[..., jostle.Swarm]
@@ -315,6 +315,26 @@ def test_a_link_that_is_cut_is_a_controller_lost_until_it_comes_back(
     assert len(bob.heard("out")) == 1
     assert ada.missed == []
     ada.is_whole()
+
+
+def test_an_exchange_whose_answer_is_lost_is_taken_once(create: Create, wire: Wire) -> None:
+    swarm = create(n=20, seed=7)
+    with jostle.connect(wire.endpoint, timeout=PATIENCE_SECS) as far:
+        ada = far.swarm(swarm.name).join("ada", jostle.ids([0, 1]), deadline=60.0)
+        told: list[jostle.Advanced] = []
+        for step in range(1, 4):
+            wire.mute()
+            waiting = threading.Thread(target=lambda: told.append(ada.advance(direction=0.5)))
+            waiting.start()
+            eventually("it is carried out", lambda: swarm.status().step == step)  # noqa: B023
+            wire.cut()
+            waiting.join(PATIENCE_SECS)
+            assert (told[-1].step, ada.step, swarm.status().step) == (step, step, step)
+            # By then it was lost, or its token was there again.
+            ada.sync()
+            assert (ada.ids, ada.step) == ([0, 1], step)
+        ada.leave()
+    assert swarm.verify(timeout=PATIENCE_SECS).differs_at is None
 
 
 def test_a_link_that_stalls_is_a_controller_that_is_late(

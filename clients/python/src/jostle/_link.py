@@ -240,7 +240,13 @@ class Link:
                 patience.pause(error)
 
     def _await_connection(self, seconds: float) -> frozenset[str]:
-        """Who is connected, waiting a little for a connection that is being made again."""
+        """Who is connected, waiting a little for a connection that is being made again.
+
+        Raises:
+            Unavailable: The session is closed.
+        """
+        if self.session.is_closed():
+            raise self._closed()
         give_up = time.monotonic() + min(seconds, _RETURN_SECS)
         while not (connected := self.connected()) and time.monotonic() < give_up:
             _cancel.rest(_LOOK_AGAIN_SECS)
@@ -416,5 +422,8 @@ class Link:
 
     def _broken(self, error: zenoh.ZError) -> Unavailable:
         if self.session.is_closed():
-            return Unavailable("this client is closed: connect again")
+            return self._closed()
         return Unavailable(f"the session with {self.endpoint} failed: {error}")
+
+    def _closed(self) -> Unavailable:
+        return Unavailable("this client is closed: connect again")
