@@ -99,7 +99,7 @@ class Daemon:
 
 
 class Wire:
-    """A cable between clients and a daemon, to be cut."""
+    """A cable between clients and a daemon, to be cut, stalled and slowed."""
 
     def __init__(self, endpoint: str) -> None:
         self.daemon = endpoint
@@ -107,6 +107,10 @@ class Wire:
         self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
         self._lock = threading.Lock()
         self._is_mute = False
+        self._is_out = False
+        self._delay = 0.0
+        self._flows = threading.Event()
+        self._flows.set()
         self._ends: list[socket.socket] = []
         threading.Thread(target=self._accept, daemon=True).start()
 
@@ -124,15 +128,37 @@ class Wire:
                 end.shutdown(socket.SHUT_RDWR)
             end.close()
 
+    def unplug(self) -> None:
+        """Ends every connection, and those made from now on at once."""
+        self._is_out = True
+        self.cut()
+
+    def plug(self) -> None:
+        """Has all flow again, what was held up as well."""
+        self._is_out = False
+        self._flows.set()
+
+    def stall(self) -> None:
+        """Holds up all that is sent, either way."""
+        self._flows.clear()
+
+    def slow(self, seconds: float) -> None:
+        """Delays all that is sent by as long, either way."""
+        self._delay = seconds
+
     def close(self) -> None:
         """Ends every connection and takes no more."""
         self._listener.close()
+        self._flows.set()
         self.cut()
 
     def _accept(self) -> None:
         with contextlib.suppress(OSError):
             while True:
                 client, _ = self._listener.accept()
+                if self._is_out:
+                    client.close()
+                    continue
                 host, port = self.daemon.removeprefix("tcp/").split(":")
                 try:
                     daemon = socket.create_connection((host, int(port)))
@@ -149,6 +175,8 @@ class Wire:
     def _carry(self, source: socket.socket, target: socket.socket, may_be_mute: bool) -> None:
         with contextlib.suppress(OSError):
             while data := source.recv(65536):
+                self._flows.wait()
+                time.sleep(self._delay)
                 if not (may_be_mute and self._is_mute):
                     target.sendall(data)
         with contextlib.suppress(OSError):

@@ -14,6 +14,7 @@ import numpy as np
 
 import jostle
 from jostle._events import Events, Journal
+from jostle._exchange import Controllers, Joined
 from jostle._messages import CreateResult, Parameters, SpecReply
 from jostle._node import Swarms
 from jostle._results import ExperimentResult, Experiments, ResultsPage
@@ -21,7 +22,9 @@ from jostle._results import ExperimentResult, Experiments, ResultsPage
 PROTO = Path(__file__).resolve().parents[3] / "proto"
 
 READ: dict[str, type[Any]] = {
+    "advance.reply": jostle.Advanced,
     "batch.reply": jostle.BatchResult,
+    "controllers.reply": Controllers,
     "create.reply": CreateResult,
     "delete.reply": jostle.Reply,
     "fork.reply": CreateResult,
@@ -33,7 +36,9 @@ READ: dict[str, type[Any]] = {
     "experiment.results": ResultsPage,
     "inform.reply": jostle.IdsResult,
     "inject.reply": jostle.IdsResult,
+    "join.reply": Joined,
     "journal.reply": Journal,
+    "leave.reply": jostle.Reply,
     "node.experiments.reply": Experiments,
     "node.hello.reply": jostle.Hello,
     "node.metrics.reply": jostle.Metrics,
@@ -70,6 +75,9 @@ CHANGES: dict[str, type[Any]] = {
 }
 """What a `batch` takes several of."""
 
+OF_CONTROLLERS = {"advance": "advance", "control": "put", "leave": "leave"}
+"""What a controller does, and what the method is called."""
+
 
 def schemas() -> dict[str, dict[str, Any]]:
     """Every schema of the contract, by the name of its message."""
@@ -96,6 +104,9 @@ ADDED = {
     ("events.reply.events[]", "skipped"),
     ("journal.reply.entries[]", "skipped"),
     ("state", "pi1"),  # As last heard.
+    ("advance.reply.state", "pi1"),
+    ("advance.reply.state", "skipped"),
+    ("advance.reply.state", "state_hash"),
     ("state", "skipped"),
     ("state", "state_hash"),  # From the answer around the state.
 }
@@ -103,9 +114,7 @@ ELSEWHERE = {
     ("step.reply", "state"),  # `Swarm.step(state=True)` returns it.
 }
 # A dictionary, so that kinds of other daemons can be asked for and read.
-LOOSE = {"spec.reply.result.attraction", "create.reply.spec.attraction"}
-LOOSE |= {"fork.reply.spec.attraction", "restore.reply.spec.attraction"}
-LOOSE |= {"create.args.spec.attraction"}
+LOOSE = ".attraction"
 
 
 class Checker:
@@ -212,7 +221,7 @@ class Checker:
         if kind == "array":
             self.check_array(where, hint, schema)
         elif kind == "object":
-            if schema.keys() & {"properties", "oneOf"} and where not in LOOSE:
+            if schema.keys() & {"properties", "oneOf"} and not where.endswith(LOOSE):
                 self.check_object(where, hint, schema)
             elif hint != dict[str, Any]:
                 self.problems.append(f"{where} is an object and not {hint}")

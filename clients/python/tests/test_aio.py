@@ -65,6 +65,7 @@ def run(main: Callable[[], Coroutine[Any, Any, None]]) -> None:
         (jostle.Local, aio.Local),
         (jostle.Swarm, aio.Swarm),
         (jostle.Experiment, aio.Experiment),
+        (jostle.Controller, aio.Controller),
     ],
 )
 def test_every_call_is_there(sync: type, form: type) -> None:

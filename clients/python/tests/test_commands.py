@@ -103,8 +103,20 @@ def test_set_changes_what_is_named(create: Create) -> None:
     assert (result.before.pi1, result.now.pi1, result.scaled_by) == (4.0, 4.0, 1.0)
     assert swarm.set(pi2=0.25, pi4=5.0).now.pi3 == 1.25
     assert swarm.status().parameters == jostle.ParameterValues(
-        pi1=4.0, pi2=0.25, pi3=1.25, pi4=5.0, publish_every=2
+        pi1=4.0,
+        pi2=0.25,
+        pi3=1.25,
+        pi4=5.0,
+        contacts="endpoints",
+        stepping="position",
+        relinearise=0,
+        attraction={"kind": "all"},
+        noise=0.0,
+        publish_every=2,
     )
+    changed = swarm.set(stepping="velocity", attraction={"kind": "voronoi"}, noise=0.5).now
+    assert (changed.stepping, changed.noise) == ("velocity", 0.5)
+    assert (changed.attraction["kind"], changed.contacts) == ("voronoi", "endpoints")
 
 
 def test_longer_bodies_are_let_in_with_make_room(create: Create) -> None:

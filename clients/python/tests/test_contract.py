@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import functools
 import inspect
+import weakref
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -13,6 +14,7 @@ import pytest
 
 import contract
 import jostle
+from contract import OF_CONTROLLERS
 from jostle._link import Link
 
 SCHEMAS = contract.schemas()
@@ -47,6 +49,7 @@ RENAMED = {
     "until_time": "until",  # The one most often given, so it comes first.
     "return": "state",  # `return` is a keyword of Python, and a state all that can be returned.
     "commands": "changes",  # Not every command may be in a batch.
+    "deadline_secs": "deadline",  # As `timeout_secs` is `timeout`.
 }
 # The verbs that a daemon executes, and no swarm.
 OF_CLIENTS = {"create", "restore"}
@@ -59,9 +62,9 @@ def test_every_message_of_the_contract_has_its_type() -> None:
     verbs = {name.removesuffix(".args") for name in SCHEMAS if name.endswith(".args")}
     asked = {f"{verb}.args" for verb in verbs} | {"request"}
     assert SCHEMAS.keys() == contract.READ.keys() | contract.OPAQUE | asked
-    assert all(
-        callable(getattr(jostle.Swarm, verb)) for verb in verbs - OF_CLIENTS - OF_EXPERIMENTS
-    )
+    of_others = OF_CLIENTS | OF_EXPERIMENTS | OF_CONTROLLERS.keys()
+    assert all(callable(getattr(jostle.Swarm, verb)) for verb in verbs - of_others)
+    assert all(callable(getattr(jostle.Controller, it)) for it in OF_CONTROLLERS.values())
     kinds = {next(iter(kind["properties"])) for kind in SCHEMAS["experiment.args"]["oneOf"]}
     assert all(callable(getattr(jostle.Experiment, kind)) for kind in kinds - {"submit"})
     assert callable(jostle.Client.submit)
@@ -77,13 +80,21 @@ def test_every_message_of_the_contract_has_its_type() -> None:
 )
 def test_every_command_takes_the_arguments_of_its_schema(name: str) -> None:
     verb = name.removesuffix(".args")
-    method = getattr(jostle.Client if verb in OF_CLIENTS else jostle.Swarm, verb)
+    owner: type = jostle.Client if verb in OF_CLIENTS else jostle.Swarm
+    owner = jostle.Controller if verb in OF_CONTROLLERS else owner
+    method = getattr(owner, OF_CONTROLLERS.get(verb, verb))
     mine = dict(inspect.signature(method).parameters)
     asked = {RENAMED.get(key, key) for key in SCHEMAS[name].get("properties", {})}
+    if verb in OF_CONTROLLERS:
+        # Its name it has, what a put is numbered by it counts itself, and it has one epoch.
+        asked -= {"controller", "sequence", "epoch"}
+        if "set" in asked:
+            asked = asked - {"set"} | set(SCHEMAS[name]["$defs"]["SetPoints"]["properties"])
     own = {"run": {"wait", "show"}}.get(verb, set[str]())
     assert mine.keys() - {"self"} - OPTIONS - own == asked
     for key in SCHEMAS[name].get("required", []):
-        assert mine[RENAMED.get(key, key)].default is inspect.Parameter.empty
+        if verb not in OF_CONTROLLERS:
+            assert mine[RENAMED.get(key, key)].default is inspect.Parameter.empty
 
 
 def test_a_spec_is_the_one_of_the_contract_and_its_defaults_too() -> None:
@@ -106,20 +117,41 @@ class Sent(Exception):
         self.message: dict[str, Any] = msgspec.json.decode(payload)
 
 
-class Recorder(Link):
-    """A link with nobody that raises `Sent` instead of sending."""
+class Token:
+    """A liveliness token of nobody."""
 
-    def __init__(self) -> None:
+    def undeclare(self) -> None:
+        """Does nothing."""
+
+
+class Recorder(Link):
+    """A link with nobody that raises `Sent` instead of sending, but lets controllers join."""
+
+    def __init__(self, joined: bytes | None = None) -> None:
+        self.joined = joined
         self.client = "ada@lab"
         self.timeout = 5.0
         self.max_message_bytes = None
         self.prefix = "jostle"
         self.endpoint = "nowhere"
+        self.streams = weakref.WeakSet()
+        self.controllers = weakref.WeakSet()
 
-    def _connected(self) -> frozenset[str]:
+    def declare_token(self, key: str) -> Any:
+        """Stands for nobody."""
+        return Token()
+
+    def put(self, key: str, payload: bytes) -> None:
+        """Raises `Sent`."""
+        raise Sent(payload)
+
+    def connected(self) -> frozenset[str]:
+        """Says that somebody is there."""
         return frozenset({"nobody"})
 
     def _ask(self, selector: str, swarm: Any, timeout: Any, payload: Any, before: Any) -> bytes:
+        if self.joined is not None and selector.endswith("/join"):
+            return self.joined
         raise Sent(payload)
 
 
@@ -134,6 +166,15 @@ def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
             send = getattr(client.experiment(of["name"]), what)
         with pytest.raises(Sent) as caught:
             send()
+        return caught.value.message
+    if verb in OF_CONTROLLERS:
+        joined = (contract.PROTO / "fixtures" / "join.reply.json").read_bytes()
+        controller = jostle.Swarm(Recorder(joined), "school").join(args.get("controller", "ada"))
+        options |= args.get("set", {}) | {k: args[k] for k in ("steps",) if k in args}
+        if args.get("return") == "state":
+            options["state"] = True
+        with pytest.raises(Sent) as caught:
+            getattr(controller, OF_CONTROLLERS[verb])(**options)
         return caught.value.message
     arguments = {RENAMED.get(name, name): value for name, value in args.items()}
     method: Callable[..., object]
@@ -170,6 +211,11 @@ def args_fixtures() -> Iterator[Any]:
 @pytest.mark.parametrize(("name", "args"), list(args_fixtures()))
 def test_commands_send_what_the_fixtures_say(name: str, args: dict[str, Any]) -> None:
     sent = call(name.removesuffix(".args"), args)
+    if name == "control.args":
+        # No command, so without an envelope; it counts what it sends itself.
+        assert sent.keys() == {"sequence", "set"}
+        assert sent["set"] == args["set"]
+        return
     assert without_defaults(name, sent["args"]) == without_defaults(name, args)
     if name in contract.CHANGES:
         change = contract.CHANGES[name](**args)

@@ -15,6 +15,7 @@ import pytest
 import contract
 import jostle
 from jostle._errors import read_error
+from jostle._exchange import read_advanced
 from jostle._messages import SpecReply
 from jostle._reading import (
     read_batch,
@@ -33,7 +34,8 @@ FREE = {"args", "attraction", "choices", "default", "details", "schemas", "value
 TOLD = [
     pytest.param(name, path, id=path.stem)
     for name, path in contract.fixtures("json")
-    if name in contract.READ and name != "state"
+    # A state comes as CBOR; as JSON it is for people.
+    if name in contract.READ and name != "state" and path.stem != "advance.reply.state"
 ]
 
 
@@ -41,6 +43,8 @@ def read(name: str, payload: bytes) -> Any:
     """Reads a message as this package does."""
     kind = contract.READ[name]
     match name:
+        case "advance.reply":
+            return read_advanced(payload)
         case "batch.reply":
             return read_batch(payload)
         case "error":
@@ -198,3 +202,25 @@ def test_every_field_of_an_answer_with_a_state_arrives() -> None:
     assert arrived(message["result"]["state"], plain(state)) == []
     assert arrived(flat("step.reply", message), msgspec.to_builtins(result)) == []
     assert state.state_hash == message["result"]["state_hash"]
+
+
+def test_every_field_of_an_exchange_with_a_state_arrives() -> None:
+    folder = contract.PROTO / "fixtures"
+    message = json.loads((folder / "advance.reply.state.json").read_bytes())
+    told = json.loads((folder / "advance.reply.state.json").read_bytes())
+    kinds = dict.fromkeys(("x", "y", "alpha", "weight", "direction"), (86, "<f8"))
+    for name, (tag, dtype) in {"id": (70, "<u4"), **kinds}.items():
+        column = np.array(told["result"]["state"][name], dtype)
+        told["result"]["state"][name] = cbor2.CBORTag(tag, column.tobytes())
+    advanced = read_advanced(cbor2.dumps(told))
+    assert advanced.state is not None
+    state = message["result"].pop("state")
+    assert arrived(state, plain(advanced.state)) == []
+    fields = {name: getattr(advanced, name) for name in advanced.__struct_fields__}
+    fields["news"] = msgspec.to_builtins(advanced.news)
+    assert arrived(flat("advance.reply", message), fields) == []
+    assert advanced.state.state_hash == advanced.state_hash
+    told["result"].pop("state")
+    for cut in (cbor2.dumps(told), cbor2.dumps(told)[:-1]):
+        with pytest.raises(jostle.Internal):
+            read_advanced(cut)

@@ -52,6 +52,7 @@ from ._errors import (
 from ._events import Event, JournalEntry
 from ._exchange import (
     Advanced,
+    Arrived,
     ControllerSummary,
     Departed,
     Miss,
@@ -98,6 +99,7 @@ from ._view import View
 __all__ = [
     "Advanced",
     "AlreadyExists",
+    "Arrived",
     "Awaited",
     "BatchResult",
     "Busy",

@@ -7,8 +7,8 @@ from typing import Any, Literal
 import msgspec
 
 from ._errors import Internal
-from ._messages import Reply, StepResult
-from ._reading import convert, read_map, read_reply
+from ._messages import Phase, Reply, StepResult
+from ._reading import convert, read_map, unreadable
 from ._show import Shown
 from ._state import State, read_columns
 
@@ -83,6 +83,12 @@ class Advanced(StepResult, frozen=True, kw_only=True):
     state: State | None = None
 
 
+class Arrived(Advanced, frozen=True, kw_only=True):
+    """Where a swarm has come to, with the state reached."""
+
+    state: State
+
+
 class Puts(Shown, frozen=True, kw_only=True):
     """What became of the set-points that a controller put while the swarm ran.
 
@@ -131,6 +137,28 @@ class Controllers(Reply, frozen=True, kw_only=True):
     controllers: list[ControllerSummary]
 
 
+class _Result(msgspec.Struct, kw_only=True):
+    steps: int
+    durable_step: int
+    state_hash: str
+    news: News
+
+
+class _Envelope(msgspec.Struct, kw_only=True):
+    """An answer to `advance` as it crosses the wire: read as it is, it costs the least."""
+
+    swarm: str
+    epoch: int
+    step: int
+    time: float
+    phase: Phase
+    seq: int
+    result: _Result
+
+
+_decoder = msgspec.json.Decoder(_Envelope)
+
+
 def read_advanced(payload: bytes) -> Advanced:
     """Reads the answer to `advance`, with the state within it if it is CBOR.
 
@@ -138,11 +166,28 @@ def read_advanced(payload: bytes) -> Advanced:
         Internal: It is not what the contract says.
     """
     if payload.startswith(b"{"):
-        return read_reply(payload, Advanced)
-    fields: dict[str, Any] = read_map(payload)
-    within = fields.pop("result", None)
-    if not isinstance(within, dict) or not isinstance(within.get("state"), dict):
+        try:
+            return Advanced(**_fields(_decoder.decode(payload)))
+        except msgspec.DecodeError as error:
+            raise unreadable(Advanced, error) from error
+    fields = read_map(payload)
+    told = convert(fields, _Envelope)
+    state = fields["result"].get("state")
+    if not isinstance(state, dict):
         raise Internal("the daemon's answer holds no state")
-    state = within.pop("state")
-    result = convert({**within, **fields}, Advanced)
-    return msgspec.structs.replace(result, state=read_columns(state, result.state_hash))
+    return Arrived(**_fields(told), state=read_columns(state, told.result.state_hash))
+
+
+def _fields(told: _Envelope) -> dict[str, Any]:
+    return {
+        "swarm": told.swarm,
+        "epoch": told.epoch,
+        "step": told.step,
+        "time": told.time,
+        "phase": told.phase,
+        "seq": told.seq,
+        "steps": told.result.steps,
+        "durable_step": told.result.durable_step,
+        "state_hash": told.result.state_hash,
+        "news": told.result.news,
+    }

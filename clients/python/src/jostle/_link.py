@@ -7,8 +7,10 @@ import os
 import time
 import uuid
 import weakref
+from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
+import msgspec
 import zenoh
 
 from . import _cancel
@@ -119,6 +121,10 @@ class Link:
         """
         return os.getpid() == self._owner
 
+    def is_open(self) -> bool:
+        """Whether it may still come to something: it is this process's, and not closed."""
+        return self.is_ours() and not self.session.is_closed()
+
     def check_ours(self) -> None:
         """Goes no further in a process that was forked from the one that opened it.
 
@@ -139,7 +145,7 @@ class Link:
     def command(
         self,
         key: str,
-        args: dict[str, Any],
+        args: dict[str, Any] | msgspec.Raw,
         *,
         swarm: str | None,
         at_step: SupportsIndex | None = None,
@@ -153,7 +159,7 @@ class Link:
         When the answer is lost or the daemon is busy the same request is sent again: under the
         same id the daemon carries it out only if it has not yet.
 
-        `swarm` is whom `key` is about; None if it is about a daemon.
+        `swarm` is whom `key` is about; None if it is about a daemon. `args` may be JSON already.
 
         Raises:
             JostleError: The daemon's own error, or what its silence means.
@@ -172,7 +178,7 @@ class Link:
         }
         request = {name: value for name, value in request.items() if value is not None}
         began = time.monotonic()
-        before = self._connected() or self._await_connection(seconds)
+        before = self.connected() or self._await_connection(seconds)
         listen = _FIRST_LISTEN_SECS if seconds > _FIRST_LISTEN_SECS else seconds + GRACE_SECS
         try:
             return self._ask(key, swarm, listen, self._write(request), before)
@@ -224,7 +230,7 @@ class Link:
             JostleError: The daemon's own error, or what its silence means.
         """
         seconds = self.timeout if timeout is None else timeout
-        before = self._connected()
+        before = self.connected()
         patience: Patience | None = None
         while True:
             try:
@@ -236,12 +242,13 @@ class Link:
     def _await_connection(self, seconds: float) -> frozenset[str]:
         """Who is connected, waiting a little for a connection that is being made again."""
         give_up = time.monotonic() + min(seconds, _RETURN_SECS)
-        while not (connected := self._connected()) and time.monotonic() < give_up:
+        while not (connected := self.connected()) and time.monotonic() < give_up:
             _cancel.rest(_LOOK_AGAIN_SECS)
         return connected
 
     def _write(self, request: dict[str, Any]) -> bytes:
-        payload = to_json(request)
+        is_json = isinstance(request["args"], msgspec.Raw)
+        payload = msgspec.json.encode(request) if is_json else to_json(request)
         limit = self.max_message_bytes
         if limit is not None and len(payload) > limit:
             # One much longer is dropped by the transport without a word, which is like silence.
@@ -282,8 +289,8 @@ class Link:
 
     def ask_all(
         self, selector: str, listen_secs: float, payload: bytes | None = None
-    ) -> list[bytes]:
-        """Sends a query and returns every answer's payload; none if nobody answers.
+    ) -> Iterator[bytes]:
+        """Sends a query and yields every answer's payload as it comes; none if nobody answers.
 
         Raises:
             JostleError: A daemon's own error, or `Unavailable` if one is there and too late.
@@ -301,16 +308,14 @@ class Link:
             )
         except zenoh.ZError as error:
             raise self._broken(error) from error
-        answers = []
         for reply in replies:
             if reply.ok is not None:
-                answers.append(reply.ok.payload.to_bytes())
+                yield reply.ok.payload.to_bytes()
             elif reply.err is not None:
                 said = read_error(reply.err.payload.to_bytes())
                 raise self._late(time.monotonic() - began) if said is None else said
         # A query that was cancelled ends like one that nobody answers.
         _cancel.check()
-        return answers
 
     def _late(self, seconds: float) -> Unavailable:
         return Unavailable(
@@ -385,7 +390,7 @@ class Link:
         `before` the query still is: otherwise they are those of a daemon that it never reached.
         """
         nodes = self.nodes()
-        if not nodes or (before is not None and before != self._connected()):
+        if not nodes or (before is not None and before != self.connected()):
             return self.gone()
         if swarm is None or self.alive(self.swarm_key(swarm, "alive/*")):
             who = f"node {nodes[0]!r}" if swarm is None else f"swarm {swarm!r}"
@@ -400,7 +405,7 @@ class Link:
             details={"swarm": swarm, "is_silence": True},
         )
 
-    def _connected(self) -> frozenset[str]:
+    def connected(self) -> frozenset[str]:
         """The zenoh nodes at the other end; a daemon that was started again is another one."""
         self.check_ours()
         try:

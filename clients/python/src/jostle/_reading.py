@@ -74,7 +74,7 @@ def read_json(payload: bytes, kind: type[T]) -> T:
     try:
         return msgspec.json.decode(payload, type=kind)
     except msgspec.DecodeError as error:
-        raise _unreadable(kind, error) from error
+        raise unreadable(kind, error) from error
 
 
 def read_map(payload: bytes) -> dict[str, Any]:
@@ -102,7 +102,7 @@ def convert(fields: object, kind: type[T]) -> T:
     try:
         return msgspec.convert(fields, kind)
     except msgspec.ValidationError as error:
-        raise _unreadable(kind, error) from error
+        raise unreadable(kind, error) from error
 
 
 def _flat(fields: dict[str, Any], name: str) -> dict[str, Any]:
@@ -118,6 +118,7 @@ def _flat_each(items: object, name: str) -> object:
     return [_flat(item, name) if isinstance(item, dict) else item for item in items]
 
 
-def _unreadable(kind: type[object], error: Exception) -> Internal:
+def unreadable(kind: type[object], error: Exception) -> Internal:
+    """The error when what a daemon sent is no `kind`."""
     name = getattr(kind, "__name__", str(kind))
     return Internal(f"the daemon sent a {name} that cannot be read: {error}")

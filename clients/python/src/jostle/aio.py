@@ -31,6 +31,7 @@ from ._offload import call, finish
 
 __all__ = [
     "Client",
+    "Controller",
     "Experiment",
     "Local",
     "Opening",
@@ -45,7 +46,7 @@ P = ParamSpec("P")
 T = TypeVar("T")
 R = TypeVar("R")
 S = TypeVar("S")
-C = TypeVar("C", bound="Client")
+C = TypeVar("C", bound="_Entered")
 D = TypeVar("D", bound=jostle.Client)
 S_co = TypeVar("S_co", covariant=True)
 
@@ -55,6 +56,18 @@ class _Of(Protocol[S_co]):
 
     @property
     def _sync(self) -> S_co: ...
+
+
+class _Entered(Protocol):
+    """Has an end to its `async with` block."""
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+        /,
+    ) -> None: ...
 
 
 def _awaited(
@@ -107,19 +120,35 @@ def _opened(function: Callable[P, D], make: Callable[[D], C]) -> Callable[P, Ope
     return opened
 
 
+def _joined(
+    method: Callable[Concatenate[S, P], T], make: Callable[[T], C], discard: Callable[[T], object]
+) -> Callable[Concatenate[_Of[S], P], Opening[C]]:
+    """The method, to be awaited or entered; what nobody waits for any more is discarded."""
+
+    @functools.wraps(method)
+    def joined(self: _Of[S], /, *args: P.args, **kwargs: P.kwargs) -> Opening[C]:
+        async def open_() -> C:
+            work = functools.partial(method, self._sync, *args, **kwargs)
+            return make(await call(work, discard))
+
+        return Opening(open_)
+
+    return joined
+
+
 class Opening(Generic[C]):
-    """A client that is yet to be opened: `await` it, or `async with` it."""
+    """A client or a controller that is yet to be there: `await` it, or `async with` it."""
 
     def __init__(self, open_: Callable[[], Coroutine[Any, Any, C]]) -> None:
         self._open = open_
-        self._client: C | None = None
+        self._opened: C | None = None
 
     def __await__(self) -> Generator[Any, None, C]:
         return self._open().__await__()
 
     async def __aenter__(self) -> C:
-        self._client = await self._open()
-        return self._client
+        self._opened = await self._open()
+        return self._opened
 
     async def __aexit__(
         self,
@@ -127,8 +156,8 @@ class Opening(Generic[C]):
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        if self._client is not None:
-            await self._client.close()
+        if self._opened is not None:
+            await self._opened.__aexit__(kind, error, traceback)
 
 
 class Experiment:
@@ -160,6 +189,62 @@ class Experiment:
     order = _awaited(jostle.Experiment.order)
 
 
+class Controller:
+    """A controller of a swarm, as `jostle.Controller`; `Swarm.join` makes one."""
+
+    def __init__(self, sync: jostle.Controller) -> None:
+        self._sync = sync
+
+    @property
+    def name(self) -> str:
+        """Its name."""
+        return self._sync.name
+
+    @property
+    def swarm(self) -> str:
+        """The name of the swarm that it steers."""
+        return self._sync.swarm
+
+    @property
+    def ids(self) -> list[int]:
+        """Whom it steers, ascending; a new list."""
+        return self._sync.ids
+
+    @property
+    def step(self) -> int:
+        """The step that it takes the swarm to be at, and makes its next advance for."""
+        return self._sync.step
+
+    @property
+    def epoch(self) -> int:
+        """The epoch it last heard of."""
+        return self._sync.epoch
+
+    @property
+    def news(self) -> jostle.News:
+        """What it was last told beside the step: who was late, who has left, who was removed."""
+        return self._sync.news
+
+    def __repr__(self) -> str:
+        return f"aio.{self._sync!r}"
+
+    advance = _awaited(jostle.Controller.advance)
+    put = _awaited(jostle.Controller.put)
+    sync = _awaited(jostle.Controller.sync)
+    leave = _awaited(jostle.Controller.leave)
+
+    async def __aenter__(self) -> Self:
+        return self
+
+    async def __aexit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        await finish(functools.partial(self._sync.__exit__, kind, error, traceback))
+
+
 class Swarm:
     """A swarm on a daemon, as `jostle.Swarm`."""
 
@@ -178,6 +263,7 @@ class Swarm:
     spec = _awaited(jostle.Swarm.spec)
     state = _awaited(jostle.Swarm.state)
     parameters = _awaited(jostle.Swarm.parameters)
+    controllers = _awaited(jostle.Swarm.controllers)
     history = _awaited(jostle.Swarm.history)
     journal = _awaited(jostle.Swarm.journal)
     snapshot = _awaited(jostle.Swarm.snapshot)
@@ -196,6 +282,8 @@ class Swarm:
     batch = _awaited(jostle.Swarm.batch)
     delete = _awaited(jostle.Swarm.delete)
     fork = _made(jostle.Swarm.fork, lambda sync: Swarm(sync))
+
+    join = _joined(jostle.Swarm.join, Controller, lambda sync: sync.leave())
 
     states = _streamed(jostle.Swarm.states)
     orders = _streamed(jostle.Swarm.orders)
