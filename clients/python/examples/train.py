@@ -118,9 +118,7 @@ def drift(policy: Policy, seed: int) -> float:
     draws = np.random.default_rng(seed)
     is_over = False
     while not is_over:
-        observation, _, _, is_over, info = _env.step(
-            policy.act(observation, draws).astype(np.float32)
-        )
+        observation, _, _, is_over, info = _env.step(policy.act(observation, draws))
     return float(info["drift"])
 
 

@@ -17,9 +17,10 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-import pettingzoo.test
 import pytest
 from gymnasium.utils.env_checker import check_env
+from pettingzoo.test.parallel_test import parallel_api_test
+from pettingzoo.test.seed_test import parallel_seed_test
 
 import jostle
 import jostle.env
@@ -80,11 +81,11 @@ def hashes(env: Env, seed: int | None, actions: int = 5) -> list[str]:
 
 def test_the_parallel_environment_is_one_to_pettingzoo() -> None:
     with ParallelEnv(n=8, informed=3, max_steps=20, steps_per_action=5) as env:
-        pettingzoo.test.parallel_api_test(env, num_cycles=50)
+        parallel_api_test(env, num_cycles=50)
 
 
 def test_seeds_of_the_parallel_environment_are_such_to_pettingzoo() -> None:
-    pettingzoo.test.parallel_seed_test(lambda: ParallelEnv(n=8, informed=3), num_cycles=20)
+    parallel_seed_test(lambda: ParallelEnv(n=8, informed=3), num_cycles=20)  # type: ignore[no-untyped-call]
 
 
 @pytest.mark.parametrize("n", [1, 20])
@@ -287,7 +288,8 @@ def test_a_picture_shows_the_group(make: Callable[..., Env]) -> None:
     env.step(act(env, 0.0))
     picture = env.render()
     assert picture is not None
-    assert (picture.shape, picture.dtype) == ((360, 520, 3), np.uint8)
+    assert picture.shape == (360, 520, 3)
+    assert picture.dtype == np.uint8
     colours = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
     assert {(255, 255, 255), (0x8F, 0xB3, 0xD1), (0xF2, 0xA1, 0x54)} <= colours
     quiet = make()
@@ -423,5 +425,7 @@ def test_the_example_trains_and_compares(tmp_path: Path) -> None:
         check=False,
     )
     assert (ran.returncode, ran.stderr) == (0, "")
-    assert re.search(r"learned is [+-]\d\.\d{3} ± \d\.\d{3} better, on \d of 4 held-out", ran.stdout), ran.stdout
+    assert re.search(
+        r"learned is [+-]\d\.\d{3} ± \d\.\d{3} better, on \d of 4 held-out", ran.stdout
+    ), ran.stdout
     assert figure.read_text(encoding="utf-8").startswith("<?xml")

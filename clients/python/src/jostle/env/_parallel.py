@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from types import TracebackType
 from typing import Any, Self, SupportsIndex
 
@@ -9,13 +10,14 @@ import numpy as np
 import pettingzoo
 from gymnasium.spaces import Box, Space
 from gymnasium.utils import seeding
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .._draw import Camera
 from .._errors import InvalidArgument
 from . import _views
+from ._checks import at_least_1, check_render_mode, positive, read_action
 from ._picture import Pixels, paint
-from ._world import World, at_least_1, check_render_mode, draw_seed, positive, read_action
+from ._world import World, draw_seed
 
 Floats = NDArray[np.float32]
 
@@ -45,10 +47,12 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Floats, Floats]):
     - 0, 1: its heading.
     - 2, 3: where the group's centre is: d / (√n + d) for a distance d.
     - 4, 5: the mean heading of the group, which is its velocity.
-    - 6, 7: the mean of the unit vectors to all the others, which is what attracts it.
+    - 6, 7: the mean of the unit vectors to all the others, which attracts it by the default law.
     - 8: how crowded it is: c / (1 + c) with c others within one body size.
     - Then 4 for each of the nearest in sight, the nearest first: where it is, in units of `sight`,
       and its heading; zeros where there is none.
+
+    `state()` is what `ShepherdEnv` observes, for a critic of all agents.
 
     **Rewards**, the same for all: the drift, which is how fast the group's centre moved along the
     goal while the actions held, in free speeds: at most 1.
@@ -99,6 +103,8 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Floats, Floats]):
     ) -> None:
         self._world = World(
             n,
+            informed,
+            steers_all=False,
             goal=goal,
             max_weight=max_weight,
             steps_per_action=steps_per_action,
@@ -106,11 +112,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Floats, Floats]):
             endpoint=endpoint,
             spec=spec,
         )
-        self._who = np.arange(at_least_1("informed", informed))
-        if len(self._who) > self._world.n:
-            raise InvalidArgument(
-                f"{len(self._who)} informed of {self._world.n}", details={"field": "informed"}
-            )
+        self._who = np.arange(self._world.informed)
         self._neighbours = at_least_1("neighbours", neighbours)
         self._sight = positive("sight", sight)
         self.render_mode = check_render_mode(render_mode)
@@ -122,6 +124,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Floats, Floats]):
         self.observation_spaces: dict[str, Space[Floats]] = {
             agent: Box(-1.0, 1.0, (size,), np.float32) for agent in self.possible_agents
         }
+        self.state_space = Box(-1.0, 1.0, (_views.ABOVE_SIZE,), np.float32)
         self.action_spaces: dict[str, Space[Floats]] = {
             agent: Box(-1.0, 1.0, (2,), np.float32) for agent in self.possible_agents
         }
@@ -149,13 +152,13 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Floats, Floats]):
         """
         if seed is not None:
             self._random, _ = seeding.np_random(seed)
-        self._world.reset(draw_seed(self._random), self._who.tolist())
+        self._world.reset(draw_seed(self._random))
         self.agents = list(self.possible_agents)
         self._camera = Camera()
         return self._observe(), self._infos()
 
     def step(
-        self, actions: dict[str, Floats]
+        self, actions: Mapping[str, ArrayLike]
     ) -> tuple[
         dict[str, Floats],
         dict[str, float],
@@ -187,6 +190,10 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Floats, Floats]):
             self._infos(),
         )
 
+    def state(self) -> Floats:
+        """The group from above, which is what `ShepherdEnv` observes: for a critic of all."""
+        return _views.above(self._world.state, self._world.goal)
+
     def render(self) -> Pixels | None:
         """The group now, as an array of shape (360, 520, 3); None without a `render_mode`."""
         if self.render_mode is None:
@@ -210,7 +217,7 @@ class ParallelEnv(pettingzoo.ParallelEnv[str, Floats, Floats]):
         self.close()
 
     def __repr__(self) -> str:
-        return f"ParallelEnv(n={self._world.n}, informed={len(self._who)})"
+        return f"ParallelEnv(n={self._world.n}, informed={self._world.informed})"
 
     def _observe(self) -> dict[str, Floats]:
         world = self._world

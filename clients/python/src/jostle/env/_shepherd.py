@@ -7,13 +7,13 @@ from typing import Any, SupportsIndex
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from .._draw import Camera
-from .._errors import InvalidArgument
 from . import _views
+from ._checks import check_render_mode, read_action
 from ._picture import Pixels, paint
-from ._world import World, at_least_1, check_render_mode, draw_seed, read_action
+from ._world import World, draw_seed
 
 Floats = NDArray[np.float32]
 
@@ -88,6 +88,8 @@ class ShepherdEnv(gymnasium.Env[Floats, Floats]):
     ) -> None:
         self._world = World(
             n,
+            informed,
+            steers_all=True,
             goal=goal,
             max_weight=max_weight,
             steps_per_action=steps_per_action,
@@ -95,11 +97,6 @@ class ShepherdEnv(gymnasium.Env[Floats, Floats]):
             endpoint=endpoint,
             spec=spec,
         )
-        self._count = at_least_1("informed", informed)
-        if self._count > self._world.n:
-            raise InvalidArgument(
-                f"{self._count} informed of {self._world.n}", details={"field": "informed"}
-            )
         self.render_mode = check_render_mode(render_mode)
         self._camera = Camera()
         self._informed = np.empty(0, np.intp)
@@ -120,12 +117,12 @@ class ShepherdEnv(gymnasium.Env[Floats, Floats]):
             Unavailable: The daemon does not start, or is gone.
         """
         super().reset(seed=seed)
-        self._world.reset(draw_seed(self.np_random), range(self._world.n))
+        self._world.reset(draw_seed(self.np_random))
         self._informed = np.empty(0, np.intp)
         self._camera = Camera()
         return self._observe(), self._world.info()
 
-    def step(self, action: Floats) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
+    def step(self, action: ArrayLike) -> tuple[Floats, float, bool, bool, dict[str, Any]]:
         """Informs those the action chooses, and has the swarm advance.
 
         Raises:
@@ -135,7 +132,7 @@ class ShepherdEnv(gymnasium.Env[Floats, Floats]):
         """
         world = self._world
         numbers = read_action("action", action, 4)
-        chosen = _views.nearest(world.state, world.goal, numbers[:2], self._count)
+        chosen = _views.nearest(world.state, world.goal, numbers[:2], world.informed)
         # Whoever is told something else now, or nothing any more.
         told = np.union1d(self._informed, chosen)
         preference = np.where(np.isin(told, chosen)[:, None], numbers[2:], 0.0)

@@ -38,7 +38,7 @@ def within(state: State, who: NDArray[np.intp], goal: float, neighbours: int, si
     0, 1: its heading.
     2, 3: where the group's centre is, d / (√n + |d|).
     4, 5: the mean heading of the group, which is its velocity.
-    6, 7: the mean of the unit vectors to all the others: what it is attracted to.
+    6, 7: the mean of the unit vectors to all the others, which attracts it by the default law.
     8: how crowded it is: c / (1 + c) with c others within one body size.
     Then for each of the nearest `neighbours` in `sight`, the nearest first: where it is, in units
     of `sight`, and its heading; zeros where there is none.

@@ -8,14 +8,13 @@ from __future__ import annotations
 import contextlib
 import math
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any, SupportsIndex
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from .._arguments import ids as ids_of
-from .._arguments import whole_from_0
 from .._client import Client, connect
 from .._controller import Controller
 from .._errors import Conflict, IncorrectState, InvalidArgument, JostleError
@@ -23,6 +22,7 @@ from .._local import local
 from .._spec import Spec
 from .._state import State
 from .._swarm import Swarm
+from ._checks import at_least_1, finite, positive
 
 _CONTROLLER = "env"
 # Nobody watches the swarm of an environment, so that it need not be published often.
@@ -42,6 +42,7 @@ class World:
 
     Attributes:
         n: The size of the group.
+        informed: How many of it are informed.
         goal: The direction in which the group is to go, radians.
         max_weight: The weight of a preference of length 1.
         max_steps: Actions in an episode.
@@ -51,7 +52,9 @@ class World:
     def __init__(
         self,
         n: SupportsIndex,
+        informed: SupportsIndex,
         *,
+        steers_all: bool,
         goal: float,
         max_weight: float,
         steps_per_action: SupportsIndex,
@@ -67,10 +70,17 @@ class World:
         except TypeError as error:
             raise InvalidArgument(f"no such argument, nor field of `Spec`: {error}") from error
         self.n = self.spec.n
-        self.goal = _finite("goal", goal)
+        self.informed = at_least_1("informed", informed)
+        if self.informed > self.n:
+            raise InvalidArgument(
+                f"{self.informed} informed of {self.n}", details={"field": "informed"}
+            )
+        self.goal = finite("goal", goal)
         self.max_weight = positive("max_weight", max_weight)
         self.max_steps = at_least_1("max_steps", max_steps)
         self._steps_per_action = at_least_1("steps_per_action", steps_per_action)
+        # It joins for those that it may ever inform.
+        self._steered = range(self.n if steers_all else self.informed)
         self._endpoint = endpoint
         self._is_closed = False
         self._client: Client | None = None
@@ -110,8 +120,8 @@ class World:
         if self.is_over:
             raise IncorrectState("the episode is over: call `reset`")
 
-    def reset(self, seed: int, steered: Iterable[int]) -> None:
-        """Begins an episode, in which those `steered` will be told their preferences.
+    def reset(self, seed: int) -> None:
+        """Begins an episode.
 
         Raises:
             IncorrectState: The environment is closed.
@@ -124,7 +134,7 @@ class World:
         if self._swarm is None:
             self._swarm = self._create()
         if self._controller is None:
-            self._controller = self._swarm.join(_CONTROLLER, select=ids_of(steered))
+            self._controller = self._swarm.join(_CONTROLLER, select=ids_of(self._steered))
         self._hash = self._swarm.reset(seed).state_hash
         self._state = self._controller.sync()
         self._began_at = self._along(self._state)
@@ -200,65 +210,6 @@ class World:
         direction = self.goal + np.arctan2(preference[:, 1], preference[:, 0])
         weight: NDArray[np.float64] = length * self.max_weight
         return np.where(length > 0.0, direction, 0.0), weight
-
-
-def read_action(name: str, action: ArrayLike, size: int) -> NDArray[np.float64]:
-    """An action as numbers from -1 to 1; what is beyond is taken as that.
-
-    Raises:
-        InvalidArgument: It is of another shape, or not finite.
-    """
-    numbers = np.asarray(action, float)
-    if numbers.shape != (size,) or not np.isfinite(numbers).all():
-        raise InvalidArgument(
-            f"{name} is {action!r}: it takes {size} finite numbers", details={"field": name}
-        )
-    clipped: NDArray[np.float64] = np.clip(numbers, -1.0, 1.0)
-    return clipped
-
-
-def at_least_1(name: str, value: SupportsIndex) -> int:
-    """A whole number of at least 1.
-
-    Raises:
-        InvalidArgument: It is none.
-    """
-    number = whole_from_0(name, value)
-    if number == 0:
-        raise InvalidArgument(f"{name!r} is 0: 1 or more", details={"field": name})
-    return number
-
-
-def _finite(name: str, value: float) -> float:
-    number = float(value)
-    if not math.isfinite(number):
-        raise InvalidArgument(f"{name!r} is {value!r}: a finite number", details={"field": name})
-    return number
-
-
-def positive(name: str, value: float) -> float:
-    """A number above 0.
-
-    Raises:
-        InvalidArgument: It is none.
-    """
-    number = _finite(name, value)
-    if number <= 0.0:
-        raise InvalidArgument(f"{name!r} is {value!r}: above 0", details={"field": name})
-    return number
-
-
-def check_render_mode(mode: str | None) -> str | None:
-    """A render mode that there is.
-
-    Raises:
-        InvalidArgument: It is none.
-    """
-    if mode not in (None, "rgb_array"):
-        raise InvalidArgument(
-            f"`render_mode` is {mode!r}: 'rgb_array' or None", details={"field": "render_mode"}
-        )
-    return mode
 
 
 def draw_seed(random: np.random.Generator) -> int:
