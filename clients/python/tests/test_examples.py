@@ -77,7 +77,7 @@ def test_the_readme_runs(
     exec(compile(first, "README.md", "exec"), {})
     swarm = client.swarm("school")
     # The others are about a swarm that there is.
-    assert len(more) == 8
+    assert len(more) == 9
     monkeypatch.chdir(tmp_path)
     project = (FOLDER.parents[1] / "README.md").read_text(encoding="utf-8")
     (experiment,) = re.findall(r"```toml\n(# order\.toml\n.*?)```", project, re.S)

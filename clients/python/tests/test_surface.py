@@ -14,7 +14,7 @@ from pathlib import Path
 import msgspec
 
 import jostle
-from jostle import aio
+from jostle import aio, env
 
 LISTING = Path(__file__).with_name("surface.txt")
 
@@ -56,10 +56,13 @@ def _def(function: object) -> str:
 
 
 def listing() -> str:
-    """Everything in `__all__`, in its order, and then what `jostle.aio` has."""
+    """Everything in `__all__`, in its order, then what `jostle.aio` has, and `jostle.env`."""
     lines = [line for name in jostle.__all__ for line in describe(name, getattr(jostle, name))]
     for name in aio.__all__:
         lines += describe(f"aio.{name}", getattr(aio, name))
+    for name in env.__all__:
+        kind, *members = describe(f"env.{name}", getattr(env, name))
+        lines += [kind, f"    {inspect.signature(getattr(env, name))}", *members]
     return "\n".join(lines) + "\n"
 
 
@@ -70,6 +73,7 @@ def test_the_public_surface_is_the_one_listed() -> None:
 def test_all_is_sorted_and_complete() -> None:
     assert list(jostle.__all__) == sorted(jostle.__all__)
     assert list(aio.__all__) == sorted(aio.__all__)
+    assert list(env.__all__) == sorted(env.__all__)
     public = {
         name
         for name, thing in vars(jostle).items()

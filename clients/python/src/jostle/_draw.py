@@ -19,8 +19,8 @@ _LOOSE = 0.6
 # Without knowing better, bodies are drawn as the paper's.
 _USUAL_PI1 = 4.0
 
-_PLAIN = ("#8fb3d1", "#2f5474")
-_INFORMED = ("#f2a154", "#8a4408")
+PLAIN = ("#8fb3d1", "#2f5474")
+INFORMED = ("#f2a154", "#8a4408")
 _WISH = "#d9711a"
 
 
@@ -57,7 +57,7 @@ def draw(state: State, pi1: float | None = None, camera: Camera | None = None) -
     camera.follow(position)
     parts = [_grid(camera)]
     heading = np.column_stack((np.cos(state.alpha), np.sin(state.alpha)))
-    for informed, colours in ((False, _PLAIN), (True, _INFORMED)):
+    for informed, colours in ((False, PLAIN), (True, INFORMED)):
         those = state.informed == informed
         parts.append(_bodies(position[those], heading[those], pi1, camera, colours))
     parts.append(_wishes(state))
