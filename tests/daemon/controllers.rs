@@ -78,7 +78,12 @@ async fn it_steps_when_all_have_advanced_and_tells_each_where_it_is() {
     // One who has advanced waits; whoever only looks does not, and does not hold anybody up.
     let set = json!({"set": {"ids": [0], "direction": [1.0], "weight": [2.0]}});
     let (first, ()) = tokio::join!(advance(ada, "ada", 0, set), async {
-        sleep(Duration::from_millis(200)).await;
+        until("bob is awaited", async || {
+            let status = bob.get("a", "status").await;
+            let secs = status["result"]["waiting_for"][0]["secs"].as_f64();
+            secs.is_some_and(|secs| secs >= 0.1)
+        })
+        .await;
         let status = bob.get("a", "status").await;
         let waiting = &status["result"]["waiting_for"];
         assert_eq!(
@@ -86,7 +91,6 @@ async fn it_steps_when_all_have_advanced_and_tells_each_where_it_is() {
             (&json!(0), &json!("paused"))
         );
         assert_eq!(waiting[0]["controller"], "bob");
-        assert!(waiting[0]["secs"].as_f64().unwrap() >= 0.1, "{waiting}");
         assert_eq!(
             weights(bob).await[0],
             2.0,
@@ -168,7 +172,7 @@ async fn a_deadline_fires_and_after_three_the_others_are_alone() {
         let (ada, bob) = (&daemon.client, &daemon.another_client().await);
         ada.create("a", json!({"n": 12})).await;
         join(ada, "ada", &[0], json!({"deadline_secs": 30})).await;
-        let late = json!({"deadline_secs": 0.1, "on_timeout": on_timeout});
+        let late = json!({"deadline_secs": 0.5, "on_timeout": on_timeout});
         join(bob, "bob", &[1], late).await;
         let set = json!({"set": {"ids": [1], "direction": [1.0], "weight": [2.0]}});
         let (one, other) = tokio::join!(
@@ -180,7 +184,7 @@ async fn a_deadline_fires_and_after_three_the_others_are_alone() {
             (json!(1), json!(1))
         );
         // Nobody waits, so nobody is late.
-        sleep(Duration::from_millis(250)).await;
+        sleep(Duration::from_millis(700)).await;
         let mut step = 1;
         for misses in 1..=3 {
             let began = Instant::now();
@@ -189,7 +193,7 @@ async fn a_deadline_fires_and_after_three_the_others_are_alone() {
             let is_paused = on_timeout == "pause";
             assert_eq!(reply["result"]["steps"], u64::from(!is_paused), "{reply}");
             step = reply["step"].as_u64().unwrap();
-            assert!(took >= Duration::from_millis(100), "{took:?}");
+            assert!(took >= Duration::from_millis(500), "{took:?}");
             let missed = &reply["result"]["news"]["missed"];
             assert_eq!(missed[0]["controller"], "bob", "{reply}");
             assert_eq!(missed[0]["misses"], misses);
@@ -237,7 +241,7 @@ async fn who_is_late_but_comes_goes_on_counting_from_none() {
     let client = &daemon.client;
     client.create("a", json!({"n": 6})).await;
     join(client, "ada", &[0], json!({})).await;
-    join(client, "bob", &[1], json!({"deadline_secs": 0.05})).await;
+    join(client, "bob", &[1], json!({"deadline_secs": 0.4})).await;
     let mut step = 0;
     for _ in 0..3 {
         for _ in 0..2 {
@@ -277,7 +281,10 @@ async fn a_controller_whose_token_goes_has_left_at_once() {
     let took = began.elapsed();
     let reply = reply.unwrap();
     assert_eq!(reply["step"], 1);
-    assert!(took < Duration::from_secs(2), "{took:?}");
+    assert!(
+        took < Duration::from_secs(10),
+        "{took:?}, with deadlines of a minute"
+    );
     let left = json!([{"controller": "bob", "why": "lost"}]);
     assert_eq!(reply["result"]["news"]["left"], left);
     daemon.stop().await;
@@ -410,7 +417,7 @@ async fn set_points_reach_a_swarm_that_runs_and_lapse_with_their_lease() {
     let client = &daemon.client;
     client.create("a", json!({"n": 20, "rate": 2})).await;
     client.ok("a", "run", json!({})).await;
-    let free = json!({"mode": "free_running", "deadline_secs": 0.5, "on_timeout": "free"});
+    let free = json!({"mode": "free_running", "deadline_secs": 2.0, "on_timeout": "free"});
     join(client, "ada", &[3, 4], free).await;
     assert_eq!(client.get("a", "status").await["phase"], "running");
     let error = advance(client, "ada", 0, json!({})).await.unwrap_err();
