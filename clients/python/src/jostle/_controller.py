@@ -444,9 +444,7 @@ def terms(
     return terms if select is None else {"select": select, **terms}
 
 
-def _column(
-    name: str, values: ArrayLike, length: int, *, may_be_nan: bool = False
-) -> list[float]:
+def _column(name: str, values: ArrayLike, length: int, *, may_be_nan: bool = False) -> list[float]:
     """One number for each of so many individuals.
 
     Raises:
