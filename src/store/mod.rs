@@ -68,6 +68,10 @@ use queue::{End, Queue, Submit};
 use read::Trouble;
 use writer::Writer;
 
+/// How long the lock of a folder may be held on: whatever process its last holder has just started
+/// has a share in it until it has become another program.
+const PATIENCE_WITH_LOCK: Duration = Duration::from_millis(500);
+
 /// How much lower than the rest of the daemon the thread that writes ranks: most of what it does in
 /// a flood is for those who flood.
 const NICENESS: i32 = 4;
@@ -418,11 +422,19 @@ fn lock(folder: &Path) -> Result<File, StoreError> {
         .write(true)
         .open(folder.join("lock"))
         .map_err(fail)?;
-    match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
-        Ok(()) => Ok(lock),
-        Err(Errno::WOULDBLOCK) => Err(StoreError::InUse {
-            folder: folder.to_path_buf(),
-        }),
-        Err(error) => Err(fail(io::Error::from(error))),
+    let began = Instant::now();
+    loop {
+        match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
+            Ok(()) => return Ok(lock),
+            Err(Errno::WOULDBLOCK) if began.elapsed() < PATIENCE_WITH_LOCK => {
+                thread::sleep(PATIENCE_WITH_LOCK / 50);
+            }
+            Err(Errno::WOULDBLOCK) => {
+                return Err(StoreError::InUse {
+                    folder: folder.to_path_buf(),
+                });
+            }
+            Err(error) => return Err(fail(io::Error::from(error))),
+        }
     }
 }
