@@ -48,13 +48,20 @@ async fn overloaded_cores_are_shared_fairly_and_no_hash_changes() {
     for k in 0..SWARMS {
         client.ok(&format!("s{k}"), "run", json!({})).await;
     }
-    let times = async || -> Vec<f64> {
-        let swarms = client.node("swarms").await["swarms"].take();
-        let times = swarms.as_array().unwrap().iter();
-        times.map(|swarm| swarm["time"].as_f64().unwrap()).collect()
+    // Each swarm's time and when it was, and the factor it then tells: a list would be of the last
+    // tenth of a second.
+    let look = async || -> Vec<(f64, Instant, f64)> {
+        let mut seen = Vec::new();
+        for k in 0..SWARMS {
+            let status = client.get(&format!("s{k}"), "status").await;
+            let factor = &status["result"]["real_time_factor"];
+            let time = status["time"].as_f64().unwrap();
+            seen.push((time, Instant::now(), factor.as_f64().unwrap_or(0.0)));
+        }
+        seen
     };
     tokio::time::sleep(Duration::from_secs(2)).await;
-    let (mut before, mut looked, began) = (times().await, Instant::now(), Instant::now());
+    let (mut before, began) = (None, Instant::now());
     let computed_before = computed(daemon.0.id());
     let (spent, busy) = (daemon.cpu_time(), busy_time());
     let mut waits = Vec::new();
@@ -66,22 +73,18 @@ async fn overloaded_cores_are_shared_fairly_and_no_hash_changes() {
         waits.push(asked.elapsed());
         // What they are told is of the last second, and so is what it is held against: their
         // steps cost less as they settle.
-        if began.elapsed() < Duration::from_secs(9) {
-            (before, looked) = (times().await, Instant::now());
+        if began.elapsed() > Duration::from_secs(9) && before.is_none() {
+            before = Some(look().await);
         }
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     let computed_after = computed(daemon.0.id());
-    let (after, lately) = (times().await, looked.elapsed().as_secs_f64());
+    let (before, after) = (before.unwrap(), look().await);
     let elapsed = began.elapsed().as_secs_f64();
     let spent = (daemon.cpu_time() - spent).as_secs_f64() / elapsed;
     let others = (busy_time() - busy).as_secs_f64() / elapsed - spent;
-    let mut factors = Vec::new();
-    for k in 0..SWARMS {
-        let status = client.get(&format!("s{k}"), "status").await;
-        factors.push(status["result"]["real_time_factor"].as_f64().unwrap());
-    }
-    let passed = before.iter().zip(&after).map(|(a, b)| (b - a) / lately);
+    let passed = before.iter().zip(&after);
+    let passed = passed.map(|(a, b)| (b.0 - a.0) / (b.1 - a.1).as_secs_f64());
     let mean = passed.sum::<f64>() / SWARMS as f64;
     let shares: Vec<f64> = computed_before
         .iter()
@@ -93,7 +96,7 @@ async fn overloaded_cores_are_shared_fairly_and_no_hash_changes() {
         .iter()
         .map(|it| (it / share - 1.0).abs())
         .fold(0.0, f64::max);
-    let told = factors.iter().sum::<f64>() / factors.len() as f64;
+    let told = after.iter().map(|(_, _, factor)| factor).sum::<f64>() / SWARMS as f64;
     waits.sort();
     let p99 = waits[waits.len() * 99 / 100];
     println!(
