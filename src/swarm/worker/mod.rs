@@ -500,11 +500,12 @@ impl Worker {
         self.tell(EventKind::Fault(reason.clone()));
         self.show();
         self.renew_summary();
+        let faulted = OrderError::Faulted(reason);
         if let Some(pending) = self.pending.take() {
-            (pending.answer)(Err(self.refusal(OrderError::Faulted(reason.clone()))));
+            (pending.answer)(Err(self.refusal(faulted.clone())));
         }
         for answer in self.controllers.give_up() {
-            answer(Err(self.refusal(OrderError::Faulted(reason.clone()))));
+            answer(Err(self.refusal(faulted.clone())));
         }
         self.answer_waiters();
     }
