@@ -165,7 +165,13 @@ def test_a_view_lives_while_other_cells_run(daemon: Daemon, create: Create) -> N
         "swarm.inform(jostle.count(3), 0.0)\n"
         "time.sleep(0.5)\n"
         "print(view)\nview.stop()\nview.stop()\nprint(view)\n"
-        "print([it.name for it in threading.enumerate() if 'jostle' in it.name])",
+        # They end soon after what they listen to is undeclared.
+        "def left():\n"
+        "    return [it.name for it in threading.enumerate() if 'jostle' in it.name]\n"
+        "until = time.monotonic() + 10\n"
+        "while left() and time.monotonic() < until:\n"
+        "    time.sleep(0.01)\n"
+        "print(left())",
         "swarm.view(0.3).show()",
         "swarm.delete()\nswarm.view(20.0).show()",
     )
