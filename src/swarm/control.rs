@@ -459,6 +459,11 @@ impl Controllers {
         }
     }
 
+    /// Waits for nobody, until it is looked anew.
+    pub fn rest(&mut self) {
+        self.due = None;
+    }
+
     /// When the next deadline or lease ends.
     pub fn due(&self) -> Option<Instant> {
         self.due

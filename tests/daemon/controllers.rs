@@ -550,3 +550,38 @@ async fn who_is_driven_directly_moves_as_told_and_only_by_who_joined_for_it() {
     );
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_has_faulted_stays_so_whoever_is_late_or_gone() {
+    let daemon = Daemon::start().await;
+    let (client, other) = (&daemon.client, daemon.another_client().await);
+    // Bodies that turn at a touch, in the longest step: two of them cross within a while.
+    let spec = json!({"n": 60, "pi4": 1e6, "dt": 0.2, "seed": 2, "rate": null});
+    client.create("a", spec).await;
+    let late = json!({"mode": "free_running", "deadline_secs": 1.0, "on_timeout": "pause"});
+    let _token = token(&other, "ada").await;
+    join(&other, "ada", &[0], late).await;
+    client.ok("a", "run", json!({})).await;
+    let control = json!({"sequence": 1, "set": {"ids": [0], "direction": [1.0], "weight": [0.1]}});
+    let key = keys::ctl(PREFIX, "a", "ada");
+    let put = client.session.put(&key, control.to_string());
+    put.encoding("application/json").await.unwrap();
+    until("a fault", async || {
+        let phase = client.get("a", "status").await["phase"].clone();
+        if phase == "paused" {
+            client.ok("a", "run", json!({})).await;
+        }
+        phase == "faulted"
+    })
+    .await;
+    let (hash, before) = (client.hash("a").await, weights(client).await);
+    other.session.close().await.unwrap();
+    sleep(Duration::from_millis(1500)).await;
+    let status = client.get("a", "status").await;
+    assert_eq!(status["phase"], "faulted");
+    assert_eq!(client.hash("a").await, hash);
+    assert_eq!(weights(client).await, before);
+    let error = client.err("a", "leave", json!({"controller": "ada"})).await;
+    assert_eq!(error.0, ErrorCode::IncorrectState);
+    daemon.stop().await;
+}

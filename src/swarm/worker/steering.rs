@@ -79,6 +79,7 @@ impl Worker {
 
     /// Lets a controller go, at its own wish.
     pub(super) fn leave(&mut self, controller: &str) -> Result<Outcome, OrderError> {
+        phase::next(&self.phase, Cue::Change)?;
         self.controllers.find(controller)?;
         self.part(controller, Departure::Left);
         self.go_on();
@@ -338,6 +339,9 @@ impl Worker {
 
     /// Fires the deadlines that have passed.
     pub(super) fn fire_overdue(&mut self) -> Option<End> {
+        if matches!(self.phase, Phase::Faulted(_)) {
+            self.controllers.rest();
+        }
         for controller in self.controllers.overdue(Instant::now()) {
             let sender = by_itself("deadline", &controller);
             if let Some(end) = self.order_itself(Order::Deadline(controller), sender) {
@@ -380,6 +384,10 @@ impl Worker {
     }
 
     fn order_itself(&mut self, order: Order, sender: Arc<Sender>) -> Option<End> {
+        // A fault keeps the last good state: nothing comes about by itself until a reset.
+        if matches!(self.phase, Phase::Faulted(_)) {
+            return None;
+        }
         self.since.inputs += 1;
         self.carry_out(0, order, sender, Box::new(|_| {}))
     }
