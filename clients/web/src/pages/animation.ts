@@ -1,0 +1,176 @@
+/** One animation at work, beside what to look for and its numbers. */
+import { touchingShare } from "../geometry/touching.ts";
+import { Watch } from "../panels/watch.ts";
+import { announce, attempt } from "../parts/announce.ts";
+import { el, say } from "../parts/dom.ts";
+import { fixed, signed, time } from "../parts/format.ts";
+import { PhaseChip } from "../parts/phase.ts";
+import type { Page } from "../parts/router.ts";
+import type { Session } from "../parts/session.ts";
+import { tokenNote } from "../parts/token_dialog.ts";
+import { command, commandNode, Refused } from "../wire/http.ts";
+import type { SwarmRow } from "../wire/messages.ts";
+import type { State } from "../wire/state.ts";
+import { ANIMATIONS, type Animation } from "./animations.ts";
+
+/** Creates the swarm, informs whom it has to and runs it; one that is there is left as it is. */
+export async function start({ swarm, spec, informed }: Animation): Promise<true> {
+  try {
+    await commandNode("create", { name: swarm, spec });
+  } catch (error) {
+    if (error instanceof Refused && error.code === "already_exists") {
+      return true;
+    }
+    throw error;
+  }
+  if (informed > 0) {
+    await command(swarm, "inform", { select: { count: informed }, direction: 0 });
+  }
+  await command(swarm, "run");
+  return true;
+}
+
+const NUMBERS = [
+  "order",
+  "drift",
+  "contacts per individual",
+  "share touching another",
+  "time",
+] as const;
+
+export function animationPage(animation: Animation, session: Session): Page {
+  const { swarm, title, reference, look, informed } = animation;
+  const phase = new PhaseChip();
+  const places = NUMBERS.map((name) => [name, el("dd", { "data-number": name }, "–")] as const);
+  const numbers = new Map(places);
+  const put = (name: (typeof NUMBERS)[number], text: string) => say(numbers.get(name)!, text);
+  let counted = 0;
+  let row: SwarmRow | undefined;
+  const showState = (state: State) => {
+    phase.show(state.phase);
+    const n = state.id.length;
+    put("order", fixed(state.order.order, 3));
+    put("drift", state.order.drift === null ? "nobody is informed" : signed(state.order.drift, 3));
+    put("time", time(state.time));
+    const now = performance.now();
+    if (now - counted > 200) {
+      counted = now;
+      put("contacts per individual", fixed(state.certificate.contacts / n, 2));
+      put("share touching another", `${fixed(100 * touchingShare(n, watch.stage.pairs()), 0)} %`);
+    }
+  };
+  const run = el("button", { type: "button", class: "primary" });
+  const note = tokenNote(session);
+  const refresh = () => {
+    note.hidden = session.mayCommand;
+    run.disabled = !session.mayCommand || row?.phase === "faulted";
+    say(run, !row ? "Create and run it" : row.phase === "running" ? "❚❚ Pause" : "▶ Run");
+  };
+  const watch: Watch = new Watch(swarm, session, {
+    state: showState,
+    order: () => undefined,
+    row: (it) => {
+      row = it;
+      if (it) {
+        phase.show(it.phase);
+      }
+      refresh();
+    },
+    parameters: () => undefined,
+    event: () => undefined,
+    catchUp: () => undefined,
+    changed: () => undefined,
+    directed: (direction) => {
+      const ids = [...watch.stage.selected];
+      if (session.mayCommand && ids.length > 0) {
+        void attempt(() => command(swarm, "inform", { select: { ids }, direction }));
+      }
+    },
+  });
+  watch.stage.shows.preferences = animation.preferences;
+  watch.toolbar.show();
+
+  const toggle = async () => {
+    if (!session.mayCommand) {
+      announce("to command, open the link that jostled printed");
+    } else if (!row) {
+      await attempt(() => start(animation));
+      session.live.look();
+    } else {
+      await attempt(() => command(swarm, row?.phase === "running" ? "pause" : "run"));
+    }
+  };
+  run.addEventListener("click", () => void toggle());
+  const at = ANIMATIONS.indexOf(animation);
+  const link = (it: Animation | undefined, text: string) =>
+    it ? el("a", { href: `#/gallery/${it.swarm}` }, text) : el("span", {});
+  const element = el(
+    "div",
+    { class: "page swarm-page show-page" },
+    el(
+      "header",
+      { class: "page-head" },
+      el("h1", {}, title),
+      phase.element,
+      el("span", { class: "soft" }, reference),
+    ),
+    el("div", { class: "seen" }, watch.element),
+    el(
+      "aside",
+      { class: "panels" },
+      el("section", { class: "panel" }, el("h2", {}, "What to look for"), el("p", {}, look)),
+      el(
+        "section",
+        { class: "panel" },
+        el("h2", {}, "Now"),
+        el(
+          "dl",
+          { class: "numbers" },
+          ...places.map(([name, place]) => el("div", {}, el("dt", {}, name), place)),
+        ),
+      ),
+      el(
+        "section",
+        { class: "panel" },
+        note,
+        el(
+          "p",
+          { class: "buttons" },
+          run,
+          el("a", { class: "button", href: `#/swarm/${swarm}` }, "Steer it"),
+        ),
+        el(
+          "p",
+          { class: "soft" },
+          informed > 0 ? `n = 50, ${informed} informed of +x. ` : "n = 50, nobody informed. ",
+          animation.preferences
+            ? "Red lines: everybody's preference vector, the attraction to all others and its own direction."
+            : "",
+        ),
+      ),
+      el(
+        "nav",
+        { class: "between", "aria-label": "animations" },
+        link(ANIMATIONS[at - 1], "← before"),
+        el("a", { href: "#/gallery" }, "all seven"),
+        link(ANIMATIONS[at + 1], "next →"),
+      ),
+    ),
+  );
+  const forget = session.onChange(refresh);
+  return {
+    element,
+    title,
+    key: (event) => {
+      if (event.key === " ") {
+        void toggle();
+        return true;
+      }
+      return watch.key(event);
+    },
+    end: () => {
+      forget();
+      watch.end();
+    },
+  };
+}

@@ -1,0 +1,97 @@
+/**
+ * The seven animations attached to the paper, its references [35] and [39], with the parameters
+ * and seeds of `experiments/animations.toml`: the same groups as in `docs/reproduction.md`.
+ *
+ * The paper gives no number of individuals for [35] and does not say whether some are informed; the
+ * red lines are everybody's preference vector p, eq. (3).
+ */
+import type { Spec } from "../wire/messages.ts";
+
+export interface Animation {
+  /** The swarm's name. */
+  swarm: string;
+  reference: string;
+  title: string;
+  spec: Spec;
+  /** How many are informed of +x at the start. */
+  informed: number;
+  preferences: boolean;
+  look: string;
+}
+
+const USUAL: Spec = {
+  n: 50,
+  pi1: 4,
+  pi2: 0.5,
+  pi3: 1,
+  pi4: 10,
+  dt: 0.02,
+  rate: 5,
+  publish_every: 5,
+};
+
+export const ANIMATIONS: Animation[] = [
+  {
+    swarm: "animation-1",
+    reference: "[35] 1",
+    title: "Original parameters",
+    spec: { ...USUAL, seed: 5421423068289429 },
+    informed: 10,
+    preferences: true,
+    look: "Uninformed bodies turn towards the group only, yet contacts line neighbours up, and clusters that walk one way form and dissolve. Watch the ten orange ones, told of +x: the drift shows how far they take the others along.",
+  },
+  {
+    swarm: "animation-2-pi3-low",
+    reference: "[35] 2",
+    title: "π3 = 0.1: slow turning",
+    spec: { ...USUAL, pi3: 0.1, seed: 383217765923619 },
+    informed: 10,
+    preferences: true,
+    look: "Turning is ten times slower than in the first: paths are long arcs, and the group is loose. The paper finds hardly any contact; here there is about half as much as in the first, and the number of contacts per individual tells how much just now.",
+  },
+  {
+    swarm: "animation-3-pi3-high",
+    reference: "[35] 3",
+    title: "π3 = 10: quick turning",
+    spec: { ...USUAL, pi3: 10, seed: 6575033691187541 },
+    informed: 10,
+    preferences: true,
+    look: "Everybody turns to the others so quickly that the group becomes a ball that quivers in one place: the drift stays near zero though ten are informed, and the order is low. Nearly every body touches another all the time.",
+  },
+  {
+    swarm: "animation-4-pi4-low",
+    reference: "[35] 4",
+    title: "π4 = 1: contacts hardly turn bodies",
+    spec: { ...USUAL, pi4: 1, seed: 5194409676321886 },
+    informed: 10,
+    preferences: true,
+    look: "A push off centre moves a body rather than turning it, so bodies that meet keep their headings and slide along each other. Contact no longer lines neighbours up: compare the order with that of the first.",
+  },
+  {
+    swarm: "animation-5-pi4-high",
+    reference: "[35] 5",
+    title: "π4 = 100: contacts turn bodies easily",
+    spec: { ...USUAL, pi4: 100, seed: 6551935668636473 },
+    informed: 10,
+    preferences: true,
+    look: "The least push off centre turns a body, so those who meet lie down side by side. Look for pairs shoulder to shoulder, walking on although their red lines point elsewhere: contact holds them. In our tables just under half of all have another at their side, hardly more than with the original parameters.",
+  },
+  {
+    swarm: "animation-6-discs",
+    reference: "[39] 1",
+    title: "Fifty discs",
+    spec: { ...USUAL, pi1: 1, seed: 7144187709157662 },
+    informed: 0,
+    preferences: false,
+    look: "Discs cannot turn each other, so nothing aligns them: all walk inwards and pack into a round heap, each pointing at the middle. Order stays close to zero, below that of fifty random headings (0.125).",
+  },
+  {
+    swarm: "animation-7-elongated",
+    reference: "[39] 2",
+    title: "Fifty elongated bodies",
+    spec: { ...USUAL, seed: 5421423068289429 },
+    informed: 0,
+    preferences: false,
+    look: "The same attraction, but the bodies are four times as long as wide. Clusters line up, set out together, are turned back by those behind and form anew: order rises and falls, far above that of the discs. Nobody has a direction, so where it goes is chance.",
+  },
+];

@@ -1,0 +1,109 @@
+/** One swarm, large, with all there is to see and to do. */
+import { Charts } from "../panels/charts.ts";
+import { Controls } from "../panels/controls.ts";
+import { Events } from "../panels/events.ts";
+import { Numbers } from "../panels/numbers.ts";
+import { Parameters } from "../panels/parameters.ts";
+import { Steering } from "../panels/steering.ts";
+import { Watch } from "../panels/watch.ts";
+import { el, say } from "../parts/dom.ts";
+import { PhaseChip } from "../parts/phase.ts";
+import type { Page } from "../parts/router.ts";
+import type { Session } from "../parts/session.ts";
+
+/** A part of the page that can be folded. */
+function panel(title: string, kind: string, open: boolean, child: HTMLElement): HTMLElement {
+  return el("details", { class: `panel ${kind}`, open }, el("summary", {}, title), child);
+}
+
+export function swarmPage(name: string, session: Session): Page {
+  const phase = new PhaseChip();
+  const reason = el("span", { class: "soft reason" });
+  const numbers = new Numbers();
+  const charts = new Charts();
+  const parameters = new Parameters(name);
+  let events = new Events(name);
+  const log = el("div", {}, events.element);
+  const controls = new Controls(name, session);
+
+  const watch = new Watch(name, session, {
+    state: (state) => {
+      numbers.showState(state);
+      phase.show(state.phase);
+      if (state.phase !== "running") {
+        charts.take({ ...state, real_time_factor: null });
+      }
+    },
+    order: (message) => {
+      numbers.showOrder(message);
+      charts.take(message);
+    },
+    row: (row) => {
+      controls.show(row);
+      if (!row) {
+        return;
+      }
+      phase.show(row.phase);
+      say(reason, row.reason ?? "");
+      numbers.showRow(row);
+    },
+    parameters: (all) => parameters.show(all, session.mayCommand),
+    event: (event) => {
+      if (event.event.kind === "created") {
+        // Another swarm of this name: its events are numbered anew.
+        events.end();
+        events = new Events(name);
+        log.replaceChildren(events.element);
+      }
+      events.take(event);
+    },
+    catchUp: () => void events.catchUp(),
+    changed: () => steering?.show(),
+    directed: (direction) => void steering.inform(direction),
+  });
+  const steering: Steering = new Steering(name, session, watch.stage);
+
+  const element = el(
+    "div",
+    { class: "page swarm-page" },
+    el("header", { class: "page-head" }, el("h1", {}, name), phase.element, reason),
+    el("div", { class: "seen" }, watch.element, numbers.element, charts.element),
+    el(
+      "aside",
+      { class: "panels" },
+      panel("Control", "", true, controls.element),
+      panel("Inform", "", true, steering.element),
+      panel("Parameters", "later", innerWidth > 900, parameters.element),
+      panel("Events", "later", true, log),
+    ),
+  );
+  void events.catchUp();
+  const forget = session.onChange(() => {
+    controls.allow();
+    steering.show();
+    if (watch.parameters.length > 0) {
+      parameters.show(watch.parameters, session.mayCommand);
+    }
+  });
+
+  return {
+    element,
+    title: name,
+    key: (event) => {
+      if (event.key === " ") {
+        void controls.toggle();
+      } else if (event.key === "s") {
+        void controls.step();
+      } else {
+        return watch.key(event);
+      }
+      return true;
+    },
+    end: () => {
+      forget();
+      watch.end();
+      charts.end();
+      events.end();
+    },
+  };
+}

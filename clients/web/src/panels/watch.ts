@@ -1,0 +1,246 @@
+/**
+ * A swarm on the screen: its picture, its numbers, and what keeps both up to date. The page of a
+ * swarm and the gallery build on it.
+ */
+import { complain } from "../parts/announce.ts";
+import { el, say } from "../parts/dom.ts";
+import { fixed, plural } from "../parts/format.ts";
+import type { Session } from "../parts/session.ts";
+import { Stage } from "../stage/stage.ts";
+import { get } from "../wire/http.ts";
+import type { Connection } from "../wire/live.ts";
+import type { OrderMessage, Parameter, SwarmEvent, SwarmRow } from "../wire/messages.ts";
+import type { State } from "../wire/state.ts";
+import { Toolbar } from "./toolbar.ts";
+
+/** Verbs after which the parameters may be others. */
+const CHANGES = ["set", "batch", "reset", "run", "inject", "remove"];
+const METER_MS = 1000;
+
+export interface WatchEvents {
+  state(state: State): void;
+  order(message: OrderMessage): void;
+  /** What the list says of it; nothing when it is not there. */
+  row(row: SwarmRow | undefined): void;
+  parameters(parameters: Parameter[]): void;
+  event(event: SwarmEvent): void;
+  /** Events were lost, or the connection is new: there is something to catch up. */
+  catchUp(): void;
+  changed(): void;
+  directed(direction: number): void;
+}
+
+export class Watch {
+  readonly element: HTMLElement;
+  readonly stage: Stage;
+  readonly toolbar: Toolbar;
+  parameters: Parameter[] = [];
+
+  private readonly hint = el("p", { class: "hint", hidden: true });
+  private readonly curtain = el("p", { class: "curtain", role: "status", hidden: true });
+  private readonly meter = el("span", { class: "meter", "data-fps": "0" });
+  private readonly unlisten: () => void;
+  private readonly timer: ReturnType<typeof setInterval>;
+  private counted = { drawn: 0, states: 0, at: performance.now() };
+  private states = 0;
+  private gone = false;
+  private absent = 0;
+  private described = 0;
+  private connection: Connection = "connecting";
+
+  constructor(
+    readonly swarm: string,
+    private readonly session: Session,
+    private readonly events: WatchEvents,
+  ) {
+    const { live } = session;
+    this.stage = new Stage({
+      take: () => live.takeState(),
+      state: (state) => this.takeState(state),
+      changed: () => this.changed(),
+      directed: (direction) => events.directed(direction),
+      failed: complain,
+    });
+    this.toolbar = new Toolbar(this.stage, () => this.enter("lasso"));
+    this.element = el(
+      "figure",
+      { class: "stage", "aria-label": `picture of ${swarm}` },
+      this.stage.canvas,
+      this.toolbar.element,
+      this.hint,
+      this.curtain,
+      this.meter,
+    );
+    this.unlisten = live.listen({
+      state: () => {
+        this.states += 1;
+        this.stage.ask();
+      },
+      order: (message) => events.order(message),
+      event: (event) => this.takeEvent(event),
+      missed: () => events.catchUp(),
+      gone: () => {
+        this.miss(true);
+        events.row(undefined);
+      },
+      swarms: (rows) => {
+        const row = rows.find((it) => it.swarm === swarm);
+        // One list without it may be older than the swarm.
+        this.absent = row ? 0 : this.absent + 1;
+        if (row && this.gone) {
+          // Another one of this name, which may stand still: its state is asked for.
+          live.look();
+        }
+        this.miss(this.absent > 1);
+        events.row(row);
+      },
+      connection: (connection) => {
+        this.connection = connection;
+        this.veil();
+        if (connection === "here") {
+          void this.readParameters();
+          events.catchUp();
+        }
+      },
+    });
+    live.watch(swarm);
+    if (live.connection === "here") {
+      void this.readParameters();
+    }
+    this.timer = setInterval(() => this.measure(), METER_MS);
+    this.veil();
+  }
+
+  enter(mode: "look" | "lasso" | "direct"): void {
+    this.stage.mode = this.stage.mode === mode ? "look" : mode;
+    this.changed();
+  }
+
+  /** What a key means for the picture; whether it means anything. */
+  key(event: KeyboardEvent): boolean {
+    if (event.key === "l") {
+      this.enter("lasso");
+    } else if (event.key === "d") {
+      this.enter("direct");
+    } else if (event.key === "Escape") {
+      if (this.stage.mode !== "look") {
+        this.enter("look");
+      } else {
+        this.stage.change(() => this.stage.selected.clear());
+      }
+    } else {
+      return this.toolbar.key(event.key);
+    }
+    return true;
+  }
+
+  async readParameters(): Promise<void> {
+    try {
+      const { result } = await get<{ parameters: Parameter[] }>(this.swarm, "parameters");
+      this.parameters = result.parameters;
+      const pi1 = result.parameters.find((it) => it.name === "pi1")?.value;
+      if (typeof pi1 === "number") {
+        this.stage.setPi1(pi1);
+      }
+      this.events.parameters(result.parameters);
+    } catch {
+      // The daemon is away, or the swarm gone: it is asked again when they are back.
+    }
+  }
+
+  end(): void {
+    clearInterval(this.timer);
+    this.unlisten();
+    this.stage.end();
+  }
+
+  private takeState(state: State): void {
+    if (this.gone) {
+      // Somebody made one of this name: what is known of the last is of no use.
+      this.gone = false;
+      void this.readParameters();
+      this.events.catchUp();
+    }
+    this.veil();
+    this.describe(state);
+    this.events.state(state);
+  }
+
+  private miss(gone: boolean): void {
+    if (gone !== this.gone) {
+      this.gone = gone;
+      this.veil();
+    }
+  }
+
+  private takeEvent(event: SwarmEvent): void {
+    const { kind, verb } = event.event;
+    if (kind === "deleted") {
+      this.miss(true);
+      this.events.row(undefined);
+    }
+    if (kind !== "command" || CHANGES.includes(String(verb))) {
+      void this.readParameters();
+    }
+    this.events.event(event);
+  }
+
+  /** Says for those who do not see it what the picture shows, now and then. */
+  private describe(state: State): void {
+    const now = performance.now();
+    if (now - this.described > 2000) {
+      this.described = now;
+      const informed = state.weight.filter((it) => it > 0).length;
+      const said = [
+        `${plural(state.id.length, "individual")}, ${informed} informed, ${state.phase}`,
+        `order ${fixed(state.order.order, 2)}`,
+      ];
+      this.stage.canvas.setAttribute("aria-label", `${this.swarm}: ${said.join(", ")}`);
+    }
+  }
+
+  private changed(): void {
+    this.toolbar.show();
+    const { mode, selected } = this.stage;
+    const count = plural(selected.size, "individual");
+    const hints = {
+      look: "",
+      lasso: "Draw around those you mean. Esc leaves.",
+      direct: !this.session.mayCommand
+        ? "Selected. To give them a direction, open the link that jostled printed. Esc leaves."
+        : selected.size === 0
+          ? "Click those you mean, then drag the direction they are to prefer. Esc leaves."
+          : `Drag the direction that ${count} ${selected.size === 1 ? "is" : "are"} to prefer. Esc leaves.`,
+    };
+    say(this.hint, hints[mode]);
+    this.hint.hidden = mode === "look";
+    this.events.changed();
+  }
+
+  /** Dims the last picture while it is not the present one. */
+  private veil(): void {
+    const away = this.connection === "away";
+    const nobody = this.gone && !away;
+    this.element.classList.toggle("dimmed", away || nobody);
+    this.curtain.hidden = !away && !nobody && this.stage.state !== null;
+    const words = nobody
+      ? `There is no swarm ${this.swarm} now.`
+      : away
+        ? "The daemon is away, trying again …"
+        : "Asking the daemon …";
+    say(this.curtain, words);
+  }
+
+  private measure(): void {
+    const now = performance.now();
+    const secs = (now - this.counted.at) / 1000;
+    const drawn = (this.stage.drawn - this.counted.drawn) / secs;
+    const states = (this.states - this.counted.states) / secs;
+    this.counted = { drawn: this.stage.drawn, states: this.states, at: now };
+    this.meter.dataset.fps = drawn.toFixed(1);
+    say(
+      this.meter,
+      drawn < 0.5 ? "" : `${drawn.toFixed(0)} pictures, ${states.toFixed(0)} states a second`,
+    );
+  }
+}

@@ -1,0 +1,80 @@
+/** What all pages share: the socket, who the daemon is, and whether this tab may command. */
+import { hello, Refused } from "../wire/http.ts";
+import { Live } from "../wire/live.ts";
+import type { Hello, SwarmRow } from "../wire/messages.ts";
+import { currentToken, keepToken } from "../wire/token.ts";
+
+/** Points of a sparkline: one or two a second. */
+const REMEMBERED = 240;
+
+export class Session {
+  readonly live = new Live();
+  hello: Hello | null = null;
+  /** The order of each swarm, as the list told it, oldest first. */
+  readonly orders = new Map<string, number[]>();
+  private readonly listeners = new Set<() => void>();
+
+  constructor() {
+    this.live.listen({
+      swarms: (rows) => this.remember(rows),
+      connection: (connection) => {
+        if (connection === "here") {
+          void this.ask();
+        }
+      },
+    });
+  }
+
+  get mayCommand(): boolean {
+    return this.hello?.may_command ?? false;
+  }
+
+  get hasToken(): boolean {
+    return currentToken() !== null;
+  }
+
+  /** Calls now, and whenever it is known anew whether this tab may command. */
+  onChange(listener: () => void): () => void {
+    this.listeners.add(listener);
+    listener();
+    return () => this.listeners.delete(listener);
+  }
+
+  async useToken(pasted: string): Promise<boolean> {
+    keepToken(pasted);
+    await this.ask();
+    return this.mayCommand;
+  }
+
+  async ask(): Promise<void> {
+    try {
+      this.hello = await hello();
+    } catch (error) {
+      if (!(error instanceof Refused)) {
+        throw error;
+      }
+      // The socket says that the daemon is away, and asks again.
+    }
+    for (const listener of [...this.listeners]) {
+      listener();
+    }
+  }
+
+  private remember(rows: SwarmRow[]): void {
+    const there = new Set<string>();
+    for (const row of rows) {
+      there.add(row.swarm);
+      const past = this.orders.get(row.swarm) ?? [];
+      past.push(row.order);
+      if (past.length > REMEMBERED) {
+        past.shift();
+      }
+      this.orders.set(row.swarm, past);
+    }
+    for (const name of this.orders.keys()) {
+      if (!there.has(name)) {
+        this.orders.delete(name);
+      }
+    }
+  }
+}

@@ -1,0 +1,56 @@
+/**
+ * Colours of the picture, light and dark: bodies as in the Python package's pictures. Clusters have
+ * those of Okabe and Ito, told apart without colour vision, and numbers besides.
+ */
+
+export interface Colours {
+  paper: string;
+  grid: string;
+  ink: string;
+  plain: { fill: string; edge: string };
+  informed: { fill: string; edge: string };
+  wish: string;
+  trail: string;
+  selected: string;
+  contact: string;
+  contact_edge: string;
+  label: string;
+}
+
+const BODIES = {
+  plain: { fill: "#8fb3d1", edge: "#2f5474" },
+  informed: { fill: "#f2a154", edge: "#8a4408" },
+};
+
+const LIGHT: Colours = {
+  ...BODIES,
+  paper: "#fbfcfd",
+  grid: "#e3e8ed",
+  ink: "#1b242d",
+  wish: "#c8102e",
+  trail: "#4a6f8f",
+  selected: "#6a1fb0",
+  contact: "#111820",
+  contact_edge: "#ffffff",
+  label: "#ffffff",
+};
+
+const DARK: Colours = {
+  plain: { fill: "#9cc0de", edge: "#24425c" },
+  informed: { fill: "#f6ab61", edge: "#7a3a05" },
+  paper: "#10151b",
+  grid: "#1f2831",
+  ink: "#e4ebf1",
+  wish: "#ff5a66",
+  trail: "#7ea6c6",
+  selected: "#d3a2ff",
+  contact: "#ffffff",
+  contact_edge: "#10151b",
+  label: "#10151b",
+};
+
+export const CLUSTERS = ["#009e73", "#cc79a7", "#f0e442", "#0072b2", "#d55e00", "#56b4e9"];
+
+export function colours(is_dark: boolean): Colours {
+  return is_dark ? DARK : LIGHT;
+}

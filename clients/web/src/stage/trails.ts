@@ -1,0 +1,71 @@
+/** Where everybody was: the newest positions at even distances in time. */
+import type { State } from "../wire/state.ts";
+import type { Camera } from "./camera.ts";
+
+/** Time units between two kept positions, and how many are kept at most. */
+const SPACING = 0.2;
+const MOST = 75;
+/** Points of all trails together. */
+const BUDGET = 12_000;
+/** Trails fade in so many shades; those of many are of one, which is drawn four times as quickly. */
+const SHADES = 4;
+const MANY = 250;
+
+interface Past {
+  time: number;
+  x: Float64Array;
+  y: Float64Array;
+}
+
+export class Trails {
+  private past: Past[] = [];
+
+  keep(state: State): void {
+    const last = this.past.at(-1);
+    if (last && state.time - last.time < SPACING && state.time >= last.time) {
+      return;
+    }
+    this.past.push({ time: state.time, x: state.x.slice(), y: state.y.slice() });
+    const most = Math.max(3, Math.min(MOST, Math.floor(BUDGET / Math.max(1, state.x.length))));
+    if (this.past.length > most) {
+      this.past.splice(0, this.past.length - most);
+    }
+  }
+
+  clear(): void {
+    this.past = [];
+  }
+
+  rebase(dx: number, dy: number): void {
+    for (const { x, y } of this.past) {
+      for (let i = 0; i < x.length; i += 1) {
+        x[i]! += dx;
+        y[i]! += dy;
+      }
+    }
+  }
+
+  draw(g: CanvasRenderingContext2D, camera: Camera, colour: string): void {
+    const { past } = this;
+    const n = past[0]?.x.length ?? 0;
+    g.strokeStyle = colour;
+    g.lineWidth = 1;
+    g.lineJoin = "bevel";
+    const shades = n > MANY ? 1 : SHADES;
+    const length = Math.ceil((past.length - 1) / shades);
+    for (let shade = 0; shade < shades; shade += 1) {
+      const first = shade * length;
+      const last = Math.min(past.length - 1, first + length);
+      g.globalAlpha = (0.75 * (shade + 1)) / shades;
+      for (let i = 0; first < last && i < n; i += 1) {
+        g.beginPath();
+        for (let k = first; k <= last; k += 1) {
+          const [left, top] = camera.toScreen(past[k]!.x[i]!, past[k]!.y[i]!);
+          k === first ? g.moveTo(left, top) : g.lineTo(left, top);
+        }
+        g.stroke();
+      }
+    }
+    g.globalAlpha = 1;
+  }
+}

@@ -1,0 +1,64 @@
+/**
+ * Reads a state: a CBOR map whose columns are typed arrays of RFC 8746.
+ *
+ * Positions are `1024 · origin + (x, y)`. The columns stay relative to the origin, whose integers
+ * are exact: nothing here or later adds the two up in one double.
+ */
+import { decode } from "cborg";
+import type { Certificate, OrderNumbers, Phase } from "./messages.ts";
+
+/** What one unit of the origin is, in body sizes. */
+export const ORIGIN_UNIT = 1024;
+
+export type Origin = readonly [number, number];
+
+export interface State {
+  swarm: string;
+  epoch: number;
+  frame: number;
+  step: number;
+  time: number;
+  phase: Phase;
+  origin: Origin;
+  id: Uint32Array;
+  x: Float64Array;
+  y: Float64Array;
+  alpha: Float64Array;
+  weight: Float64Array;
+  direction: Float64Array;
+  order: OrderNumbers;
+  certificate: Certificate;
+}
+
+const UINT32_LITTLE = 70;
+const FLOAT64_LITTLE = 86;
+
+type Inner = Uint8Array | (() => Uint8Array);
+
+/** A copy of the bytes of a tagged byte string, since a column of doubles must be aligned. */
+function bytesOf(inner: Inner): ArrayBuffer {
+  const bytes = typeof inner === "function" ? inner() : inner;
+  return bytes.slice().buffer as ArrayBuffer;
+}
+
+const tags: ((inner: Inner) => unknown)[] = [];
+tags[UINT32_LITTLE] = (inner) => new Uint32Array(bytesOf(inner));
+tags[FLOAT64_LITTLE] = (inner) => new Float64Array(bytesOf(inner));
+
+/** Decodes a state; throws when it is none. */
+export function decodeState(bytes: ArrayBuffer | Uint8Array): State {
+  const view = bytes instanceof Uint8Array ? bytes : new Uint8Array(bytes);
+  const state = decode(view, { tags } as unknown as Parameters<typeof decode>[1]) as State;
+  const n = state.id.length;
+  for (const column of [state.x, state.y, state.alpha, state.weight, state.direction]) {
+    if (column.length !== n) {
+      throw new Error(`a column has ${column.length} entries, not ${n}`);
+    }
+  }
+  return state;
+}
+
+/** By how much positions relative to `from` grow when they are told relative to `to`: exact. */
+export function shift(from: Origin, to: Origin): [number, number] {
+  return [ORIGIN_UNIT * (from[0] - to[0]), ORIGIN_UNIT * (from[1] - to[1])];
+}

@@ -1,0 +1,333 @@
+/** The page in Chromium, against a daemon. */
+import assert from "node:assert/strict";
+import { after, afterEach, before, test } from "node:test";
+import type { Browser, Page } from "playwright-core";
+import { launch, openTab, type Tab, until } from "./browser.ts";
+import { Daemon } from "./daemon.ts";
+
+interface StateJson {
+  step: number;
+  id: number[];
+  x: number[];
+  y: number[];
+  weight: number[];
+  direction: number[];
+}
+
+interface Rows {
+  result: { swarms: { swarm: string; phase: string; step: number; n: number }[] };
+}
+
+let browser: Browser;
+let daemon: Daemon;
+const tabs: Tab[] = [];
+
+before(async () => {
+  daemon = await Daemon.start();
+  browser = await launch();
+  await daemon.create("school", { n: 40, seed: 3, rate: 5, publish_every: 5 });
+});
+
+/** Nothing may have been complained of, in any tab of a test. */
+afterEach(async () => {
+  for (const tab of tabs.splice(0)) {
+    const { complaints } = tab;
+    await tab.close();
+    assert.deepEqual(complaints, []);
+  }
+});
+
+after(async () => {
+  await browser.close();
+  await daemon.end();
+});
+
+async function open(hash: string, token = true): Promise<Page> {
+  const tab = await openTab(browser);
+  tabs.push(tab);
+  await tab.page.goto(token ? `${daemon.link}&${hash}` : `${daemon.told.http}/#${hash}`);
+  return tab.page;
+}
+
+const number = (page: Page, name: string) => page.locator(`dd[data-number="${name}"]`).first();
+const step = async (page: Page) => Number(await number(page, "step").textContent());
+const row = async (name: string) =>
+  (await daemon.get<Rows>("@node/get/swarms")).result.swarms.find((it) => it.swarm === name);
+const state = (name: string) => daemon.get<StateJson>(`${name}/state?format=json`);
+
+test("the list shows the swarm, and a click opens it", async () => {
+  await daemon.command("school", "run");
+  const page = await open("/");
+  const card = page.locator('[data-swarm="school"]');
+  await card.waitFor();
+  await until("the phase", async () => (await card.textContent())?.includes("running"));
+  assert.match((await card.textContent()) ?? "", /n 40/);
+  const line = card.locator("polyline");
+  await until("a sparkline", async () => ((await line.getAttribute("points")) ?? "").includes(" "));
+  await card.click();
+  await page.locator("h1", { hasText: "school" }).waitFor();
+});
+
+test("a running swarm is followed: its step, time and pictures go on", async () => {
+  await daemon.command("school", "run");
+  const page = await open("/swarm/school");
+  const first = await until("a step", () => step(page));
+  await until("later steps", async () => (await step(page)) > first + 50);
+  const fps = page.locator(".meter");
+  await until("pictures", async () => Number(await fps.getAttribute("data-fps")) > 5);
+  assert.equal(
+    await page.getByRole("button", { name: "Follow" }).getAttribute("aria-pressed"),
+    "true",
+  );
+  assert.equal(await page.evaluate("location.href.includes('token')"), false);
+  assert.equal(await page.evaluate("localStorage.length"), 0);
+});
+
+test("space pauses and runs, s takes a step", async () => {
+  await daemon.command("school", "run");
+  const page = await open("/swarm/school");
+  const runs = page.locator("button.wide");
+  await until("the button", async () => (await runs.textContent())?.includes("Pause"));
+  await page.locator("canvas.picture").focus();
+  await page.keyboard.press(" ");
+  await until("a pause", async () => (await row("school"))?.phase === "paused");
+  await until("its button", async () => (await runs.textContent())?.includes("Run"));
+  const before = (await state("school")).step;
+  await page.keyboard.press("s");
+  await until("a step", async () => (await state("school")).step === before + 1);
+  await until("its number", async () => (await step(page)) === before + 1);
+  await page.keyboard.press(" ");
+  await until("running", async () => (await row("school"))?.phase === "running");
+});
+
+test("keys show contacts, clusters and trails, and leave and return to following", async () => {
+  const page = await open("/swarm/school");
+  await until("a state", () => step(page));
+  const pressed = (name: string) =>
+    page.getByRole("button", { name, exact: true }).getAttribute("aria-pressed");
+  for (const [key, name] of [
+    ["c", "Contacts"],
+    ["k", "Clusters"],
+    ["t", "Trails"],
+  ] as const) {
+    await page.keyboard.press(key);
+    assert.equal(await pressed(name), "true");
+  }
+  await page.keyboard.press("ArrowLeft");
+  assert.equal(await pressed("Follow"), "false");
+  await page.keyboard.press("f");
+  assert.equal(await pressed("Follow"), "true");
+  const scale = async () => Number(await page.locator("canvas.picture").getAttribute("data-scale"));
+  const fitted = await scale();
+  await page.keyboard.press("+");
+  await until("a larger scale", async () => (await scale()) > fitted);
+  await page.keyboard.press("?");
+  await page.locator("dialog").waitFor();
+  await page.keyboard.press("Escape");
+  await until("no dialog", async () => (await page.locator("dialog").count()) === 0);
+});
+
+test("without a token nothing can be commanded, and the daemon refuses it, too", async () => {
+  await daemon.command("school", "run");
+  const page = await open("/swarm/school", false);
+  await until("a state", () => step(page));
+  for (const name of ["Pause", "Step", "Inject", "Fork", "Delete", "Inform", "Uninform"]) {
+    const button = page.locator(".panels button", { hasText: name }).first();
+    assert.equal(await button.isDisabled(), true, name);
+  }
+  assert.equal(await page.locator(".parameters button").count(), 0);
+  await page.getByText("open the link that jostled printed").first().waitFor();
+  await page.keyboard.press(" ");
+  for (const token of [null, "0".repeat(32)]) {
+    const refused = await daemon.post("/api/cmd/school/pause", {}, token);
+    assert.equal(refused.status, 401);
+    assert.equal(((await refused.json()) as { code: string }).code, "permission_denied");
+  }
+  assert.equal((await row("school"))?.phase, "running");
+});
+
+test("a token can be pasted, with the link around it", async () => {
+  const page = await open("/swarm/school", false);
+  await page.locator(".rights").click();
+  await page.locator("dialog input").fill(daemon.link);
+  await page.locator("dialog button.primary").click();
+  await until("rights", async () => !(await page.locator("button.wide").isDisabled()));
+  await page.reload();
+  await until("rights after all", async () => !(await page.locator("button.wide").isDisabled()));
+});
+
+test("a lasso informs exactly the individuals it encloses", async () => {
+  await daemon.create("herd", { n: 30, seed: 8, pi1: 4 });
+  await daemon.command("herd", "step", { steps: 200 });
+  const page = await open("/swarm/herd");
+  await until("a state", () => step(page));
+  const at = await state("herd");
+  const canvas = page.locator("canvas.picture");
+  const box = (await canvas.boundingBox())!;
+  const scale = Number(await canvas.getAttribute("data-scale"));
+  const mean = (column: number[]) => column.reduce((sum, it) => sum + it, 0) / column.length;
+  const [mx, my] = [mean(at.x), mean(at.y)];
+  const screen = at.id.map((id, i) => ({
+    id,
+    left: box.width / 2 + (at.x[i]! - mx) * scale,
+    top: box.height / 2 - (at.y[i]! - my) * scale,
+  }));
+  // A triangle about part of the group, no centre too near its sides.
+  const corners = [
+    [box.width * 0.5, box.height * 0.02],
+    [box.width * 0.04, box.height * 0.6],
+    [box.width * 0.62, box.height * 0.95],
+  ] as const;
+  const expected = screen.filter((it) => inTriangle(it.left, it.top, corners)).map(({ id }) => id);
+  assert(expected.length > 2 && expected.length < 28, `${expected.length} are enclosed`);
+
+  await page.keyboard.press("l");
+  await drag(page, box, [...corners, corners[0]]);
+  await page.getByText(`${expected.length} individuals selected`).waitFor();
+  await page.getByLabel("weight").fill("0.75");
+  // The direction: up and to the right, 45 degrees from +x.
+  await drag(page, box, [
+    [100, 200],
+    [180, 120],
+  ]);
+  const informed = await until("who is informed", async () => {
+    const now = await state("herd");
+    return now.weight.some((it) => it > 0) && now;
+  });
+  assert.deepEqual(
+    informed.id.filter((_, i) => informed.weight[i]! > 0),
+    expected,
+  );
+  informed.weight.forEach((weight, i) => {
+    assert.equal(weight, expected.includes(informed.id[i]!) ? 0.75 : 0);
+    if (weight > 0) {
+      assert(Math.abs(informed.direction[i]! - Math.PI / 4) < 1e-6);
+    }
+  });
+  await page.locator("button", { hasText: "Uninform" }).click();
+  await until("nobody informed", async () => (await state("herd")).weight.every((it) => it === 0));
+});
+
+function inTriangle(
+  x: number,
+  y: number,
+  corners: readonly (readonly [number, number])[],
+): boolean {
+  const sides = corners.map(([ax, ay], k) => {
+    const [bx, by] = corners[(k + 1) % 3]!;
+    return (bx - ax) * (y - ay) - (by - ay) * (x - ax);
+  });
+  return sides.every((it) => it > 0) || sides.every((it) => it < 0);
+}
+
+async function drag(
+  page: Page,
+  box: { x: number; y: number },
+  places: readonly (readonly [number, number])[],
+): Promise<void> {
+  const [first, ...rest] = places;
+  await page.mouse.move(box.x + first![0], box.y + first![1]);
+  await page.mouse.down();
+  for (const [x, y] of rest) {
+    await page.mouse.move(box.x + x, box.y + y, { steps: 12 });
+  }
+  await page.mouse.up();
+}
+
+test("a parameter is set, and a refusal is said in the daemon's words", async () => {
+  const page = await open("/swarm/herd");
+  const field = page.getByLabel("pi3", { exact: true });
+  await field.fill("1.5");
+  await page.getByRole("button", { name: "set pi3" }).click();
+  const parameter = page.locator(".parameter", { hasText: "Body size over turning radius" });
+  await until("its value", async () => (await parameter.locator("output").textContent()) === "1.5");
+  await field.fill("0");
+  await page.getByRole("button", { name: "set pi3" }).click();
+  await page.locator(".errors", { hasText: "pi3" }).waitFor();
+  await page.locator(".events li", { hasText: "set pi3 1.5" }).waitFor();
+});
+
+test("a swarm is created, forked and deleted, the last after a question", async () => {
+  const page = await open("/");
+  await page.getByRole("button", { name: "Create a swarm" }).click();
+  await page.locator("dialog input").first().fill("made");
+  await page.locator("dialog").getByRole("button", { name: "Create" }).click();
+  await page.locator("h1", { hasText: "made" }).waitFor();
+  await until("it runs", async () => (await row("made"))?.phase === "running");
+  await page.getByRole("button", { name: "Fork" }).click();
+  await page.locator("h1", { hasText: "made-fork" }).waitFor();
+  assert.equal((await row("made-fork"))?.phase, "paused");
+  await page.getByRole("button", { name: "Delete" }).click();
+  await page.getByRole("button", { name: "Keep it" }).click();
+  assert(await row("made-fork"));
+  await page.getByRole("button", { name: "Delete" }).click();
+  await page.locator("dialog button.danger").click();
+  await until("it is gone", async () => !(await row("made-fork")));
+  await page.locator("h1", { hasText: "Swarms" }).waitFor();
+  await daemon.command("made", "delete");
+});
+
+test("a swarm that goes is missed, and another of its name is shown", async () => {
+  await daemon.create("brief", { n: 12 });
+  const page = await open("/swarm/brief");
+  await until("its size", async () => (await number(page, "n").textContent()) === "12");
+  await daemon.command("brief", "delete");
+  await page.getByText("There is no swarm brief now").waitFor();
+  await daemon.create("brief", { n: 7 });
+  await until("its size", async () => (await number(page, "n").textContent()) === "7");
+  await until("no veil", async () => (await page.locator(".stage.dimmed").count()) === 0);
+  await until("its events", async () => (await page.locator(".events li").count()) === 1);
+  await daemon.command("brief", "delete");
+});
+
+test("light and dark are the system's, until they are switched", async () => {
+  const page = await open("/");
+  const theme = () => page.evaluate("document.documentElement.dataset.theme");
+  assert.equal(await theme(), "light");
+  await page.emulateMedia({ colorScheme: "dark" });
+  await until("dark", async () => (await theme()) === "dark");
+  await page.getByRole("button", { name: "switch to light" }).click();
+  assert.equal(await theme(), "light");
+  await page.reload();
+  assert.equal(await theme(), "light");
+});
+
+test("the gallery makes an animation with one click, and shows one that is there", async () => {
+  const page = await open("/gallery");
+  const card = page.locator('[data-swarm="animation-6-discs"]');
+  await card.getByRole("button", { name: "Create and run it" }).click();
+  await page.locator("h1", { hasText: "discs" }).waitFor();
+  await until("it runs", async () => (await row("animation-6-discs"))?.phase === "running");
+  await until("its order", async () => Number(await number(page, "order").textContent()) >= 0);
+  await page.getByText("What to look for").waitFor();
+  await page.goto(`${daemon.told.http}/#/gallery`);
+  await card.getByRole("button", { name: "Show it" }).waitFor();
+  await daemon.command("animation-6-discs", "delete");
+});
+
+test("the daemon's end dims the picture, and its return goes on by itself", async () => {
+  await daemon.command("school", "run");
+  const page = await open("/swarm/school");
+  await until("a state", () => step(page));
+  await daemon.kill();
+  await page.getByText("The daemon is away, trying again").first().waitFor();
+  assert.equal(await page.locator(".stage.dimmed").count(), 1);
+  assert((await step(page)) > 0, "the last numbers stay");
+  await daemon.again();
+  await until("the picture", async () => (await page.locator(".stage.dimmed").count()) === 0);
+  const back = await step(page);
+  await until("later steps", async () => (await step(page)) > back + 20);
+  await page.keyboard.press(" ");
+  await until("it still commands", async () => (await row("school"))?.phase === "paused");
+});
+
+test("on a phone nothing is wider than the screen", async () => {
+  for (const hash of ["/", "/swarm/school", "/gallery", "/gallery/animation-1"]) {
+    const tab = await openTab(browser, { viewport: { width: 360, height: 740 }, hasTouch: true });
+    tabs.push(tab);
+    await tab.page.goto(`${daemon.link}&${hash}`);
+    await tab.page.locator("h1").first().waitFor();
+    await tab.page.waitForTimeout(300);
+    assert.equal(await tab.page.evaluate("document.documentElement.scrollWidth"), 360, hash);
+  }
+});

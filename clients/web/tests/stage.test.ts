@@ -1,0 +1,146 @@
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { Camera, extentOf } from "../src/stage/camera.ts";
+import { Motion } from "../src/stage/motion.ts";
+import { roundLength } from "../src/stage/overlays.ts";
+import { type State, shift } from "../src/wire/state.ts";
+
+function camera(): Camera {
+  const it = new Camera();
+  it.width = 800;
+  it.height = 600;
+  it.scale = 20;
+  return it;
+}
+
+function state(step: number, x: number[], origin: [number, number] = [0, 0], epoch = 1): State {
+  const n = x.length;
+  return {
+    swarm: "s",
+    epoch,
+    frame: step,
+    step,
+    time: 0.02 * step,
+    phase: "running",
+    origin,
+    id: Uint32Array.from({ length: n }, (_, i) => i),
+    x: Float64Array.from(x),
+    y: new Float64Array(n),
+    alpha: new Float64Array(n),
+    weight: new Float64Array(n),
+    direction: new Float64Array(n),
+    order: {
+      order: 0,
+      mean_order: null,
+      velocity: [0, 0],
+      mean_velocity: null,
+      direction: null,
+      drift: null,
+      mean_drift: null,
+    },
+    certificate: {
+      worst_gap: null,
+      residual: 0,
+      degraded: 0,
+      crossed: 0,
+      contacts: 0,
+      iterations: 0,
+    },
+  };
+}
+
+test("what is on the screen is where it is in the plane, and back", () => {
+  const it = camera();
+  [it.x, it.y] = [3, -2];
+  assert.deepEqual(it.toScreen(3, -2), [400, 300]);
+  // The plane's y is upwards.
+  assert.deepEqual(it.toScreen(4, -1), [420, 280]);
+  assert.deepEqual(it.toPlane(420, 280), [4, -1]);
+});
+
+test("zooming keeps what is under the pointer, unless the camera follows", () => {
+  const it = camera();
+  it.following = false;
+  const before = it.toPlane(650, 100);
+  it.zoomAt(650, 100, 1.7);
+  const after = it.toPlane(650, 100);
+  assert(Math.hypot(after[0] - before[0], after[1] - before[1]) < 1e-12);
+  const follower = camera();
+  follower.zoomAt(650, 100, 1.7);
+  assert.deepEqual([follower.x, follower.y], [0, 0]);
+  assert.equal(follower.following, true);
+});
+
+test("dragging leaves following, and following returns to the centre of mass", () => {
+  const it = camera();
+  const extent = { x: 5, y: 6, half_width: 4, half_height: 4 };
+  it.track(extent, true);
+  assert.deepEqual([it.x, it.y], [5, 6]);
+  it.pan(20, 20);
+  it.track({ ...extent, x: 9 }, true);
+  assert(it.x < 5 && it.y > 6, "the plane moves with the pointer");
+  it.follow();
+  it.track({ ...extent, x: 9 }, true);
+  assert.deepEqual([it.x, it.y], [9, 6]);
+});
+
+test("the scale fits the group and stays for small changes", () => {
+  const it = camera();
+  const extent = { x: 0, y: 0, half_width: 10, half_height: 10 };
+  it.track(extent, true);
+  const fitted = it.scale;
+  assert(fitted * 10 <= 300);
+  it.track({ ...extent, half_width: 9, half_height: 9 }, true);
+  assert.equal(it.scale, fitted);
+  it.track({ ...extent, half_width: 30, half_height: 30 }, true);
+  assert(it.scale * 30 <= 300);
+});
+
+test("the extent is about the centre of mass, and a stray body does not make all small", () => {
+  const x = Float64Array.from({ length: 40 }, (_, i) => (i % 2 ? 1 : -1));
+  x[0] = 500;
+  const extent = extentOf(x, new Float64Array(40));
+  assert(Math.abs(extent.x - (500 + 1) / 40) < 1e-12);
+  assert(extent.half_width < 20);
+});
+
+test("another origin shifts by whole numbers of units, exactly", () => {
+  assert.deepEqual(shift([5, -3], [4, -3]), [1024, 0]);
+  const far = 2 ** 40;
+  assert.deepEqual(shift([far + 1, 0], [far, 1]), [1024, -1024]);
+  const motion = new Motion();
+  motion.accept(state(1, [511.9]), 0, false);
+  const by = motion.accept(state(2, [-512.05], [1, 0]), 50, false);
+  assert.deepEqual(by, [-1024, 0]);
+  // Half way between 511.9 - 1024 = -512.1 and -512.05, though the origin has changed.
+  const shown = motion.at(50 + 45).x[0]!;
+  assert(shown >= -512.1 - 1e-9 && shown <= -512.05, String(shown));
+});
+
+test("between two states bodies are on their way, and arrive exactly", () => {
+  const motion = new Motion();
+  motion.accept(state(1, [0, 1]), 1000, false);
+  assert.equal(motion.isMoving(), false);
+  motion.accept(state(6, [1, 3]), 1100, false);
+  assert.equal(motion.isMoving(), true);
+  const half = motion.at(1150);
+  assert(Math.abs(half.x[0]! - 0.5) < 1e-9 && Math.abs(half.x[1]! - 2) < 1e-9);
+  assert.deepEqual([...motion.at(1300).x], [1, 3]);
+  assert.equal(motion.isMoving(), false);
+});
+
+test("another group, an earlier step or another epoch is shown at once", () => {
+  for (const next of [state(6, [1, 3, 5]), state(0, [9, 9]), state(9, [1, 3], [0, 0], 2)]) {
+    const motion = new Motion();
+    motion.accept(state(5, [0, 1]), 1000, false);
+    motion.accept(next, 1050, false);
+    assert.deepEqual([...motion.at(1051).x], [...next.x]);
+  }
+});
+
+test("the scale bar has a round length", () => {
+  assert.equal(roundLength(24, 60), 5);
+  assert.equal(roundLength(60, 60), 1);
+  assert.equal(roundLength(300, 60), 0.2);
+  assert.equal(roundLength(0.5, 60), 200);
+});

@@ -1,0 +1,22 @@
+import { defineConfig } from "vite";
+
+// The names carry no hash, so that the same sources give the same files, whatever else there is;
+// the daemon has nothing cached (`no-store`).
+export default defineConfig({
+  base: "./",
+  build: {
+    target: "es2022",
+    assetsInlineLimit: 0,
+    modulePreload: false,
+    cssCodeSplit: false,
+    reportCompressedSize: false,
+    rolldownOptions: {
+      output: {
+        entryFileNames: "page.js",
+        chunkFileNames: "[name].js",
+        assetFileNames: "[name][extname]",
+        codeSplitting: false,
+      },
+    },
+  },
+});
