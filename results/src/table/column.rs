@@ -4,7 +4,7 @@ use std::path::Path;
 
 use parquet::basic::{LogicalType, Repetition, Type as Physical};
 use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
-use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int64Type};
+use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int32Type, Int64Type};
 use parquet::errors::ParquetError;
 use parquet::file::writer::SerializedColumnWriter;
 use parquet::schema::types::Type;
@@ -109,6 +109,31 @@ impl Cell for u64 {
         convert(required(reader, rows)?, |value| {
             Self::try_from(value).map_err(|_| format!("{value} is negative"))
         })
+    }
+}
+
+impl Cell for u32 {
+    fn schema(name: &str) -> Result<Type, ParquetError> {
+        Type::primitive_type_builder(name, Physical::INT32)
+            .with_repetition(Repetition::REQUIRED)
+            .with_logical_type(Some(LogicalType::integer(32, false)))
+            .build()
+    }
+
+    fn write(values: &[Self], column: &mut SerializedColumnWriter<'_>) -> Result<(), CellError> {
+        let signed: Vec<i32> = values.iter().map(|value| value.cast_signed()).collect();
+        column
+            .typed::<Int32Type>()
+            .write_batch(&signed, None, None)?;
+        Ok(())
+    }
+
+    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+        let ColumnReader::Int32ColumnReader(reader) = column else {
+            return Err(CellError::Value(0, "no whole number of 32 bits".to_owned()));
+        };
+        let signed = required(reader, rows)?;
+        Ok(signed.into_iter().map(i32::cast_unsigned).collect())
     }
 }
 

@@ -5,9 +5,9 @@
 
 pub mod order;
 
-mod column;
+pub(crate) mod column;
 mod comma;
-mod parquet;
+pub(crate) mod parquet;
 
 use std::io;
 use std::path::{Path, PathBuf};

@@ -1,0 +1,194 @@
+//! Parquet, tidy: a row for each individual and frame.
+
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+use parquet::basic::Compression;
+use parquet::errors::ParquetError;
+use parquet::file::metadata::KeyValue;
+use parquet::file::properties::WriterProperties;
+use parquet::file::writer::SerializedFileWriter;
+use parquet::schema::types::ColumnPath;
+
+use super::draft::Draft;
+use super::mcap::length;
+use super::{About, Frame, RecordingError};
+use crate::table::TableError;
+use crate::table::column::Cell;
+use crate::table::parquet::{group, write_column};
+
+/// An origin counts in units of so many body sizes.
+const ORIGIN_UNIT: f64 = 1024.0;
+
+/// Rows kept in memory until they are written together, about.
+const ROWS: usize = 64 * 1024;
+
+/// What a row takes on the disk at most: its values twice, once in a dictionary that is given up.
+const ROW_BYTES: u64 = 256;
+
+/// What a group of rows adds at most: its pages' heads, its columns' statistics.
+const GROUP_BYTES: u64 = 32 * 1024;
+
+/// Lists the columns once: their names, their order and their types.
+macro_rules! columns {
+    ($($field:ident: $cell:ty),* $(,)?) => {
+        /// Rows that are not written yet, as columns of one length.
+        #[derive(Default)]
+        struct Columns { $($field: Vec<$cell>),* }
+
+        impl Columns {
+            fn schemas() -> Vec<Result<parquet::schema::types::Type, ParquetError>> {
+                vec![$(<$cell as Cell>::schema(stringify!($field))),*]
+            }
+
+            /// Writes the rows as a group and forgets them.
+            fn write(&mut self, part: &mut SerializedFileWriter<File>, path: &Path)
+                -> Result<(), TableError>
+            {
+                let mut group = part.next_row_group().map_err(|error| malformed(path, &error))?;
+                $(
+                    write_column(path, &mut group, stringify!($field), &self.$field)?;
+                    self.$field.clear();
+                )*
+                group.close().map_err(|error| malformed(path, &error))?;
+                Ok(())
+            }
+        }
+    };
+}
+
+columns! {
+    epoch: u64,
+    frame: u64,
+    step: u64,
+    time: f64,
+    id: u32,
+    x: f64,
+    y: f64,
+    alpha: f64,
+    weight: f64,
+    direction: f64,
+    order: f64,
+    worst_gap: Option<f64>,
+    residual: f64,
+    contacts: u64,
+}
+
+/// A file that is being written.
+pub struct ParquetPart {
+    path: PathBuf,
+    writer: SerializedFileWriter<File>,
+    columns: Columns,
+    groups: u64,
+    about: u64,
+}
+
+impl ParquetPart {
+    /// Begins the file.
+    pub fn begin(draft: &Draft, about: &About) -> Result<Self, RecordingError> {
+        let mut properties = WriterProperties::builder()
+            .set_compression(Compression::SNAPPY)
+            .set_created_by(concat!("jostle-results ", env!("CARGO_PKG_VERSION")).to_owned())
+            .set_key_value_metadata(Some(key_values(about)));
+        // No two bodies are in one place: looking for repetitions would only take time.
+        for column in ["x", "y", "alpha"] {
+            properties = properties.set_column_dictionary_enabled(ColumnPath::from(column), false);
+        }
+        let file = draft.file()?;
+        let writer = group("frames", Columns::schemas())
+            .and_then(|schema| {
+                SerializedFileWriter::new(file, Arc::new(schema), Arc::new(properties.build()))
+            })
+            .map_err(|error| malformed(&draft.path, &error))?;
+        Ok(ParquetPart {
+            path: draft.path.clone(),
+            writer,
+            columns: Columns::default(),
+            groups: 0,
+            about: 2 * length(about),
+        })
+    }
+
+    /// Takes a frame if there is room for it.
+    pub fn frame(&mut self, draft: &mut Draft, frame: &Frame<'_>) -> Result<(), RecordingError> {
+        let n = frame.id.len();
+        draft.reserve(self.bytes() + n as u64 * ROW_BYTES)?;
+        let columns = &mut self.columns;
+        columns.epoch.extend(vec![frame.moment.epoch; n]);
+        columns.frame.extend(vec![frame.moment.number; n]);
+        columns.step.extend(vec![frame.step; n]);
+        columns.time.extend(vec![frame.moment.time; n]);
+        columns.id.extend(frame.id);
+        let [x, y] = frame.origin.map(|origin| ORIGIN_UNIT * origin as f64);
+        columns
+            .x
+            .extend(frame.x.iter().map(|relative| relative + x));
+        columns
+            .y
+            .extend(frame.y.iter().map(|relative| relative + y));
+        columns.alpha.extend(frame.alpha);
+        columns.weight.extend(frame.weight);
+        columns.direction.extend(frame.direction);
+        columns.order.extend(vec![frame.order; n]);
+        columns.worst_gap.extend(vec![frame.worst_gap; n]);
+        columns.residual.extend(vec![frame.residual; n]);
+        columns.contacts.extend(vec![frame.contacts; n]);
+        let rows = columns.id.len();
+        let columns = [
+            &columns.x,
+            &columns.y,
+            &columns.alpha,
+            &columns.weight,
+            &columns.direction,
+        ];
+        assert!(
+            columns.iter().all(|column| column.len() == rows),
+            "columns of one length"
+        );
+        if rows >= ROWS {
+            self.write_group()?;
+        }
+        Ok(())
+    }
+
+    /// Ends the file; what the recording says of itself stands at its end.
+    pub fn finish(mut self, draft: &Draft, closing: &About) -> Result<(), RecordingError> {
+        // A group without rows is legal but some readers stumble over it.
+        if !self.columns.id.is_empty() {
+            self.write_group()?;
+        }
+        for pair in key_values(closing) {
+            self.writer.append_key_value_metadata(pair);
+        }
+        self.writer
+            .finish()
+            .map_err(|error| malformed(&draft.path, &error))?;
+        Ok(())
+    }
+
+    /// How long the file is at most, ended now.
+    pub fn bytes(&self) -> u64 {
+        let rows = self.columns.id.len() as u64 * ROW_BYTES;
+        self.writer.bytes_written() as u64 + rows + (self.groups + 2) * GROUP_BYTES + self.about
+    }
+
+    fn write_group(&mut self) -> Result<(), TableError> {
+        self.groups += 1;
+        self.columns.write(&mut self.writer, &self.path)
+    }
+}
+
+fn key_values(about: &About) -> Vec<KeyValue> {
+    let pairs = about.iter();
+    pairs
+        .map(|(key, value)| KeyValue::new(key.clone(), value.clone()))
+        .collect()
+}
+
+fn malformed(path: &Path, error: &ParquetError) -> TableError {
+    TableError::Malformed {
+        path: path.to_owned(),
+        reason: error.to_string(),
+    }
+}
