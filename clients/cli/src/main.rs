@@ -46,7 +46,9 @@ fn carry_out(arguments: Arguments, output: Output) -> Result<(), Failure> {
         .enable_all()
         .build()
         .map_err(Failure::Output)?;
-    let outcome = runtime.block_on(interrupt::watched(verbs::execute(arguments, output)));
+    let grace = verbs::grace(&arguments.verb);
+    let outcome = runtime.block_on(interrupt::watched(grace, verbs::execute(arguments, output)));
+    verbs::give_back_the_terminal();
     // A thread may still wait for a name server or a reader that never comes.
     runtime.shutdown_background();
     outcome

@@ -91,13 +91,13 @@ pub fn number(text: &str) -> Result<f64, String> {
     }
 }
 
-/// Reads a positive number of seconds.
+/// Reads a positive number of seconds, such as `20` or `20s`.
 ///
 /// # Errors
 ///
 /// What is wrong with it.
 pub fn seconds(text: &str) -> Result<f64, String> {
-    match number(text) {
+    match number(text.strip_suffix('s').unwrap_or(text)) {
         Ok(seconds) if seconds > 0.0 && seconds <= 1e9 => Ok(seconds),
         _ => Err(format!("`{text}` is not a number of seconds above 0")),
     }
@@ -297,7 +297,8 @@ mod tests {
     #[test]
     fn seconds_are_positive_and_fit_a_duration() {
         assert_eq!(seconds("0.5"), Ok(0.5));
-        for text in ["0", "-1", "1e300", "soon"] {
+        assert_eq!(seconds("20s"), Ok(20.0));
+        for text in ["0", "-1", "1e300", "soon", "s", "2ss"] {
             assert!(seconds(text).is_err(), "{text:?}");
         }
     }

@@ -143,13 +143,13 @@ pub struct EventsArguments {
 /// What to show live, and for how long.
 #[derive(Debug, Args)]
 pub struct WatchArguments {
-    /// The swarm
+    /// The swarm; left out on a terminal, all of them
     #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
-    pub name: String,
+    pub name: Option<String>,
     /// Print whole states as JSON Lines instead
     #[arg(long)]
     pub frames: bool,
-    /// End after this many samples, states or lines
+    /// Print lines, and end after this many samples, states or lines
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     pub count: Option<u64>,
     /// End after this long

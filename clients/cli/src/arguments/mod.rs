@@ -4,6 +4,7 @@ mod claims;
 mod copies;
 mod experiment;
 mod looking;
+mod recording;
 mod sending;
 mod verbs;
 
@@ -15,6 +16,7 @@ pub use self::claims::*;
 pub use self::copies::*;
 pub use self::experiment::*;
 pub use self::looking::*;
+pub use self::recording::*;
 pub use self::sending::*;
 pub use self::verbs::*;
 use crate::completion;
@@ -32,6 +34,7 @@ Examples:
   jostle --json watch demo --frames --count 3
   jostle set demo pi1=6 --make-room --at-step 9000
   jostle status demo --watch
+  jostle record demo -o demo.parquet --for 20s
   jostle fork demo other --at-step 5000
   jostle diff demo other
   jostle snapshot demo -o demo.snapshot
@@ -55,7 +58,7 @@ Exit codes:
     5  not permitted (permission_denied)
     6  no daemon, or no answer in time (unreachable, deadline_exceeded, timeout)
     7  too much (busy, resource_exhausted)
-    8  the daemon's disk is full (storage_full)
+    8  the disk is full, the daemon's or here (storage_full)
     9  the past comes out otherwise when it is told again (mismatch)
   130  interrupted";
 
@@ -117,8 +120,10 @@ pub enum Verb {
     Look(Look),
     /// Shows what happened to a swarm
     Events(EventsArguments),
-    /// Shows live how a swarm is doing
+    /// Watches swarms live; on a terminal a view that steers them, too
     Watch(WatchArguments),
+    /// Records what a swarm publishes to a file
+    Record(RecordArguments),
     /// Lets a swarm run; changes target and rate of one that runs
     Run(RunArguments),
     /// Pauses a swarm
@@ -269,6 +274,9 @@ mod tests {
             "set demo",
             "delete",
             "watch demo --count 0",
+            "record demo",
+            "record demo -o a.mcap --every 0",
+            "record demo -o a.mcap --steps 0",
             "step demo -3",
             "status demo --timeout 0",
             "pause *",

@@ -28,6 +28,11 @@ impl Answer {
         }
     }
 
+    /// The answer as it came.
+    pub fn bytes(&self) -> &[u8] {
+        &self.payload
+    }
+
     /// The JSON of the answer as it came.
     ///
     /// # Errors

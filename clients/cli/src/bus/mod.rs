@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
-use jostle_proto::{Error, Experiments, Hello, JSON, NodeReply, Request};
+use jostle_proto::{Error, Experiments, Hello, JSON, NodeReply, Request, SwarmSummary, Swarms};
 use serde::Serialize;
 use zenoh::Session;
 use zenoh::handlers::{RingChannel, RingChannelHandler};
@@ -122,6 +122,11 @@ impl Bus {
             .map_err(Failure::unreadable)
     }
 
+    /// Where the daemon is reached.
+    pub fn endpoint(&self) -> &str {
+        &self.endpoint
+    }
+
     /// The first chunk of every key.
     pub fn prefix(&self) -> &str {
         &self.prefix
@@ -221,6 +226,18 @@ impl Bus {
         let node = self.node().await?;
         let key = keys::node_get(&self.prefix, &node, noun);
         self.ask_again(Whom::Node(&node), &key, None).await
+    }
+
+    /// The swarms of a daemon, ordered by name.
+    ///
+    /// # Errors
+    ///
+    /// What the daemon says, or why it says nothing.
+    pub async fn swarms_of(&self, node: &str) -> Result<Vec<SwarmSummary>, Failure> {
+        let key = keys::node_get(&self.prefix, node, "swarms");
+        let answer = self.ask_again(Whom::Node(node), &key, None).await?;
+        let reply: NodeReply<Swarms> = answer.read()?;
+        Ok(reply.result.swarms)
     }
 
     /// The key of what an experiment tells, such as its `progress`.

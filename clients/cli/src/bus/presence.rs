@@ -66,6 +66,22 @@ impl Bus {
         }
     }
 
+    /// The nodes to look at: the one named, or all.
+    ///
+    /// # Errors
+    ///
+    /// That there is none.
+    pub async fn nodes_to_ask(&self) -> Result<Vec<String>, Failure> {
+        if let Some(node) = &self.node {
+            return Ok(vec![node.clone()]);
+        }
+        let there = self.nodes().await?;
+        if there.is_empty() {
+            return Err(self.nobody().await);
+        }
+        Ok(there)
+    }
+
     /// The nodes in the keys of liveliness tokens, ordered.
     async fn tokens(&self, key: &str) -> Result<Vec<String>, Failure> {
         let keys = self.keys_of_tokens(key).await?;

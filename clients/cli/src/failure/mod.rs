@@ -203,6 +203,12 @@ pub enum Failure {
         /// Why.
         error: io::Error,
     },
+    /// There is no room here for what is recorded.
+    #[error("{problem}")]
+    DiskFull {
+        /// What could not go on.
+        problem: String,
+    },
     /// The daemon came back, the swarm did not.
     #[error("the daemon is back, but without {swarm}")]
     LeftBehind {
@@ -285,6 +291,7 @@ impl Failure {
             Failure::Mismatch { .. } => "mismatch",
             Failure::Interrupted { .. } => "interrupted",
             Failure::Pipe => "broken_pipe",
+            Failure::DiskFull { .. } => "storage_full",
             Failure::Unwell { code, .. } | Failure::Unfinished { code, .. } => code,
             Failure::Results(_) => "invalid_argument",
             Failure::Unreadable { .. }

@@ -187,7 +187,7 @@ fn line(event: &Event) -> String {
 }
 
 /// What happened, in a line.
-fn what(kind: &EventKind) -> String {
+pub fn what(kind: &EventKind) -> String {
     let by = |client: &Option<String>| match client {
         Some(client) => format!(", by {client}"),
         None => String::new(),

@@ -12,12 +12,16 @@ mod figure;
 mod individuals;
 mod look;
 mod lookout;
+mod record;
 mod run;
 mod schema;
 mod shell;
 mod steer;
 mod verify;
 mod watch;
+
+use std::sync::Arc;
+use std::time::Duration;
 
 use jostle_proto::Reply;
 use jostle_proto::verbs::Scheduled;
@@ -30,6 +34,7 @@ use crate::format;
 use crate::interrupt;
 use crate::output::Output;
 use crate::values::Figure;
+pub use crate::verbs::watch::give_back_the_terminal;
 
 /// Connects, does what was asked for and says goodbye.
 ///
@@ -49,11 +54,12 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
         }
         verb => verb,
     };
-    let bus = interrupt::either(Bus::open(global)).await?;
+    let bus = Arc::new(interrupt::either(Bus::open(global)).await?);
     let outcome = match verb {
         // These have something to say when interrupted.
         Verb::Run(arguments) => run::run(&bus, output, &arguments).await,
         Verb::Watch(arguments) => watch::watch(&bus, output, &arguments).await,
+        Verb::Record(arguments) => record::record(&bus, output, &arguments).await,
         Verb::Experiment(arguments) => experiment::experiment(&bus, output, &arguments.what).await,
         verb => interrupt::either(once(&bus, output, verb)).await,
     };
@@ -61,6 +67,15 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
         bus.close().await;
     }
     outcome
+}
+
+/// How long a verb may take to end once it is interrupted.
+pub fn grace(verb: &Verb) -> Duration {
+    match verb {
+        // All of it is to be on the disk, however slow that is.
+        Verb::Record(_) => Duration::from_secs(60),
+        _ => interrupt::GRACE,
+    }
 }
 
 /// The verbs that end at once when interrupted.
@@ -89,6 +104,7 @@ async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
         Verb::Schema(arguments) => schema::schema(bus, output, &arguments).await,
         Verb::Run(_)
         | Verb::Watch(_)
+        | Verb::Record(_)
         | Verb::Experiment(_)
         | Verb::Claims(_)
         | Verb::Doctor

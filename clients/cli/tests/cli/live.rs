@@ -158,7 +158,7 @@ async fn a_reader_that_goes_away_ends_a_stream_quietly() {
         assert_eq!((ended.code, ended.stderr.as_str()), (Some(0), ""), "{line}");
     }
     until("the daemon forgets them", async || {
-        daemon.server.subscribers("demo").await == 0
+        daemon.server.sessions() == 0
     })
     .await;
     daemon.stop().await;

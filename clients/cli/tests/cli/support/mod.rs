@@ -2,6 +2,7 @@
 
 mod impostor;
 mod link;
+mod terminal;
 
 use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Command, Stdio};
@@ -15,6 +16,7 @@ use serde_json::Value;
 
 pub use self::impostor::Impostor;
 pub use self::link::Link;
+pub use self::terminal::Terminal;
 
 /// How long anything may take that should come at once, on a machine busy with other tests.
 pub const PATIENCE: Duration = Duration::from_secs(60);

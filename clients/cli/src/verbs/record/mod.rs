@@ -1,0 +1,334 @@
+//! `record`: what a swarm publishes, to a file, until it is enough.
+
+mod intake;
+
+use std::path::Path;
+use std::pin::pin;
+use std::time::{Duration, SystemTime};
+
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use jostle_proto::{Event, EventKind, OrderSample, Reply, State, Status, keys};
+use jostle_results::recording::{About, Format, Frame, Moment, Recorder, RecordingError, Written};
+use serde_json::json;
+use serde_json::value::RawValue;
+use tokio::time::Instant;
+use zenoh::sample::Sample;
+
+use self::intake::Intake;
+use crate::arguments::RecordArguments;
+use crate::bus::{Answer, Bus, Samples};
+use crate::failure::Failure;
+use crate::format;
+use crate::interrupt;
+use crate::output::Output;
+use crate::verbs::lookout::{BACK, GONE, Lookout, News, reach};
+
+/// How many samples may wait to be written before the oldest are dropped: seconds of them.
+const BACKLOG: usize = 512;
+
+/// Records a swarm to a file.
+///
+/// # Errors
+///
+/// Why there is no recording, or why it ended before it should: it is whole even then, unless the
+/// message says otherwise.
+pub async fn record(bus: &Bus, output: Output, arguments: &RecordArguments) -> Result<(), Failure> {
+    let mut recording = interrupt::either(Recording::begin(bus, output, arguments)).await?;
+    let ended = recording.follow(bus).await;
+    recording.finish(ended)
+}
+
+/// A recording that is being made.
+struct Recording<'a> {
+    output: Output,
+    arguments: &'a RecordArguments,
+    recorder: Recorder,
+    intake: Intake,
+    states: Samples,
+    /// Only MCAP holds them.
+    orders: Option<Samples>,
+    events: Samples,
+    lookout: Lookout<'a>,
+    end: Option<Instant>,
+    bar: ProgressBar,
+}
+
+/// How a recording came to its end, if nothing went wrong.
+enum Ended {
+    Enough,
+    Interrupted,
+    Deleted,
+}
+
+impl<'a> Recording<'a> {
+    /// Subscribes first and looks then, so that nothing falls in between.
+    async fn begin(
+        bus: &'a Bus,
+        output: Output,
+        arguments: &'a RecordArguments,
+    ) -> Result<Self, Failure> {
+        let RecordArguments { name, out, .. } = arguments;
+        let format = Format::of(out).map_err(|error| explain(out, error))?;
+        let prefix = bus.prefix();
+        let states = bus.subscribe(&keys::state(prefix, name), BACKLOG).await?;
+        let events = bus.subscribe(&keys::event(prefix, name), BACKLOG).await?;
+        let orders = match format {
+            Format::Parquet => None,
+            Format::Mcap => Some(bus.subscribe(&keys::order(prefix, name), BACKLOG).await?),
+        };
+        let lookout = Lookout::begin(bus, name).await?;
+        let about = about(bus, arguments).await?;
+        let first = bus.state(name).await?;
+        let recorder =
+            Recorder::to_file(out, arguments.force, about).map_err(|error| explain(out, error))?;
+        let mut recording = Recording {
+            output,
+            arguments,
+            recorder,
+            intake: Intake::new(arguments.every),
+            states,
+            orders,
+            events,
+            lookout,
+            end: arguments
+                .for_secs
+                .map(|secs| Instant::now() + Duration::from_secs_f64(secs)),
+            bar: bar(output, arguments),
+        };
+        recording.state(&first)?;
+        Ok(recording)
+    }
+
+    /// Writes what comes until it is enough.
+    async fn follow(&mut self, bus: &Bus) -> Result<Ended, Failure> {
+        let mut interrupted = pin!(interrupt::pressed());
+        while self
+            .arguments
+            .steps
+            .is_none_or(|steps| self.intake.steps < steps)
+        {
+            tokio::select! {
+                biased;
+                () = &mut interrupted => return Ok(Ended::Interrupted),
+                () = reach(self.end) => return Ok(Ended::Enough),
+                state = self.states.recv_async() => self.state(&received(state)?)?,
+                order = next(self.orders.as_ref()) => self.order(&received(order)?)?,
+                event = self.events.recv_async() => {
+                    if self.event(&received(event)?)? {
+                        return Ok(Ended::Deleted);
+                    }
+                }
+                news = self.lookout.news() => match news {
+                    Err(Failure::Deleted { .. }) => return Ok(Ended::Deleted),
+                    Err(failure) => return Err(failure),
+                    Ok(news) => {
+                        let said = if news == News::Gone { GONE } else { BACK };
+                        self.bar.suspend(|| self.output.note(said));
+                        // One that stands still publishes nothing.
+                        if news != News::Gone
+                            && let Ok(state) = bus.state(&self.arguments.name).await
+                        {
+                            self.state(&state)?;
+                        }
+                    }
+                }
+            }
+        }
+        Ok(Ended::Enough)
+    }
+
+    fn state(&mut self, answer: &Answer) -> Result<(), Failure> {
+        let state: State = answer.read()?;
+        if !self.intake.takes(&state) {
+            return Ok(());
+        }
+        let frame = Frame {
+            moment: moment(state.epoch, state.frame, state.time),
+            step: state.step,
+            origin: state.origin,
+            id: &state.id,
+            x: &state.x,
+            y: &state.y,
+            alpha: &state.alpha,
+            weight: &state.weight,
+            direction: &state.direction,
+            order: state.order.order,
+            worst_gap: state.certificate.worst_gap,
+            residual: state.certificate.residual,
+            contacts: state.certificate.contacts,
+            published: answer.bytes(),
+        };
+        let outcome = self.recorder.frame(&frame);
+        outcome.map_err(|error| explain(&self.arguments.out, error))?;
+        if let Some(steps) = self.arguments.steps {
+            self.bar.set_position(self.intake.steps.min(steps));
+        }
+        self.bar.set_message(format!(
+            "time {}, {}{}",
+            format::time(state.time),
+            format::count(self.recorder.written().frames, "frame"),
+            missed(self.intake.missed)
+        ));
+        Ok(())
+    }
+
+    fn order(&mut self, answer: &Answer) -> Result<(), Failure> {
+        let order: OrderSample = answer.read()?;
+        let moment = moment(order.epoch, order.frame, order.time);
+        let outcome = self.recorder.order(&moment, answer.bytes());
+        outcome.map_err(|error| explain(&self.arguments.out, error))
+    }
+
+    /// Writes an event; whether it is the last there will be.
+    fn event(&mut self, answer: &Answer) -> Result<bool, Failure> {
+        let event: Event = answer.read()?;
+        let moment = moment(event.epoch, event.number, event.time);
+        let outcome = self.recorder.event(&moment, answer.bytes());
+        outcome.map_err(|error| explain(&self.arguments.out, error))?;
+        Ok(event.event == EventKind::Deleted {})
+    }
+
+    /// Ends the file, however the recording came to its end, and tells what is in it.
+    fn finish(self, ended: Result<Ended, Failure>) -> Result<(), Failure> {
+        let RecordArguments { name, out, .. } = self.arguments;
+        let missed = self.intake.missed;
+        let frames = self.recorder.written().frames;
+        let closing = About::from([
+            ("frames".to_owned(), frames.to_string()),
+            ("missed".to_owned(), missed.to_string()),
+        ]);
+        self.bar.finish_and_clear();
+        let finished = self.recorder.finish(&closing);
+        let written = match (finished, &ended) {
+            (Ok(written), _) => written,
+            // What went wrong first is the reason.
+            (Err(_), Err(_)) => return ended.map(drop),
+            (Err(error), Ok(_)) => return Err(explain(out, error)),
+        };
+        if let Ok(Ended::Deleted) = ended {
+            self.output.note(
+                &Failure::Deleted {
+                    swarm: name.clone(),
+                }
+                .to_string(),
+            );
+        }
+        tell(self.output, self.arguments, written, missed)?;
+        ended.map(drop)
+    }
+}
+
+/// What the recording says of itself.
+async fn about(bus: &Bus, arguments: &RecordArguments) -> Result<About, Failure> {
+    let name = &arguments.name;
+    let status: Reply<Status> = bus.get(name, "status").await?.read()?;
+    let spec = bus.get(name, "spec").await?;
+    let spec: Reply<Box<RawValue>> = spec.read()?;
+    let parameters = status.result.parameters;
+    let parameters = serde_json::to_string(&parameters).map_err(Failure::defect)?;
+    let began = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
+    let mut about = About::from([
+        ("swarm".to_owned(), name.clone()),
+        ("spec".to_owned(), spec.result.get().to_owned()),
+        ("parameters".to_owned(), parameters),
+        ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
+        (
+            "began_unix_secs".to_owned(),
+            began.unwrap_or_default().as_secs().to_string(),
+        ),
+    ]);
+    if let Some(every) = arguments.every {
+        about.insert("every".to_owned(), every.to_string());
+    }
+    Ok(about)
+}
+
+fn tell(
+    output: Output,
+    arguments: &RecordArguments,
+    written: Written,
+    missed: u64,
+) -> Result<(), Failure> {
+    let Written { frames, bytes, .. } = written;
+    let (swarm, file) = (&arguments.name, arguments.out.display().to_string());
+    if output.json {
+        let said = json!({
+            "swarm": swarm, "file": file, "frames": frames, "missed": missed, "bytes": bytes,
+        });
+        return output.data(&said.to_string());
+    }
+    output.data(&format!(
+        "recorded {} of {swarm} to {file}, {}{}",
+        format::count(frames, "frame"),
+        format::bytes(bytes),
+        self::missed(missed)
+    ))
+}
+
+/// What is said of states that were published and did not come.
+fn missed(missed: u64) -> String {
+    match missed {
+        0 => String::new(),
+        _ => format!("; {missed} were published and did not come"),
+    }
+}
+
+fn moment(epoch: u64, number: u64, time: f64) -> Moment {
+    Moment {
+        epoch,
+        number,
+        time,
+        taken: SystemTime::now(),
+    }
+}
+
+/// The next sample of a stream; never one if there is none.
+async fn next(samples: Option<&Samples>) -> zenoh::Result<Sample> {
+    match samples {
+        Some(samples) => samples.recv_async().await,
+        None => std::future::pending().await,
+    }
+}
+
+fn received(sample: zenoh::Result<Sample>) -> Result<Answer, Failure> {
+    Ok(Answer::from(&sample.map_err(Failure::defect)?))
+}
+
+fn explain(out: &Path, error: RecordingError) -> Failure {
+    let wrong = |problem: &str| Failure::Argument {
+        argument: out.display().to_string(),
+        problem: problem.to_owned(),
+    };
+    match error {
+        RecordingError::UnknownKind { .. } => wrong("its name ends in neither .parquet nor .mcap"),
+        RecordingError::Exists { .. } => wrong("is there already: --force replaces it"),
+        RecordingError::Unfinished { partial } => wrong(&format!(
+            "{} is there: another recording writes it, or was killed; then remove it",
+            partial.display()
+        )),
+        RecordingError::Io { source, .. } => Failure::File {
+            path: out.display().to_string(),
+            error: source,
+        },
+        error @ RecordingError::Full { .. } => Failure::DiskFull {
+            problem: error.to_string(),
+        },
+        error => Failure::defect(error),
+    }
+}
+
+/// What goes on while it goes on; hidden unless stderr is a terminal.
+fn bar(output: Output, arguments: &RecordArguments) -> ProgressBar {
+    if output.json {
+        return ProgressBar::hidden();
+    }
+    let template = match arguments.steps {
+        Some(_) => "{prefix} {bar:20} {percent:>3}%  {wide_msg} {eta} left",
+        None => "{prefix} {spinner} {elapsed} {msg}",
+    };
+    let bar = ProgressBar::with_draw_target(arguments.steps, ProgressDrawTarget::stderr());
+    bar.set_style(ProgressStyle::with_template(template).expect("a constant"));
+    bar.set_prefix(arguments.name.clone());
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar
+}

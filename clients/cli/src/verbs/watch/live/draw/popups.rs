@@ -1,0 +1,88 @@
+//! What stands above all else: the keys, and the questions of `inform`.
+
+use ratatui::Frame;
+use ratatui::layout::Rect;
+use ratatui::text::{Line, Span};
+use ratatui::widgets::{Clear, Paragraph};
+
+use super::{Palette, boxed, cut};
+use crate::verbs::watch::live::keys::KEYS;
+use crate::verbs::watch::live::prompt::{Prompt, QUESTIONS};
+use crate::verbs::watch::live::view::View;
+
+/// The least room for the questions; with less the last line asks them one by one.
+const QUESTIONS_NEED: (u16, u16) = (46, 8);
+
+/// Draws what is open.
+pub fn draw(frame: &mut Frame<'_>, area: Rect, view: &View, palette: Palette) {
+    if let Some(prompt) = &view.prompt {
+        if area.width >= QUESTIONS_NEED.0 && area.height >= QUESTIONS_NEED.1 {
+            let name = view.chosen.as_ref().map_or("", |it| it.name.as_str());
+            draw_prompt(frame, area, prompt, name, palette);
+        }
+    } else if view.is_help_shown {
+        draw_keys(frame, area, palette);
+    }
+}
+
+fn draw_keys(frame: &mut Frame<'_>, area: Rect, palette: Palette) {
+    let lines: Vec<Line<'_>> = KEYS
+        .iter()
+        .map(|(key, does)| {
+            let key = Span::styled(format!(" {key:9}"), palette.strong());
+            Line::from(vec![key, Span::raw(*does)])
+        })
+        .collect();
+    popup(frame, area, palette, " keys ", lines);
+}
+
+fn draw_prompt(frame: &mut Frame<'_>, area: Rect, prompt: &Prompt, swarm: &str, palette: Palette) {
+    let asked = QUESTIONS.iter().zip(&prompt.answers).enumerate();
+    let mut lines: Vec<Line<'_>> = asked
+        .map(|(index, ((name, how), answer))| {
+            let is_at = index == prompt.at;
+            let (mark, end) = if is_at { ("›", "▏") } else { (" ", " ") };
+            let answer = format!("{answer}{end}");
+            let style = if is_at {
+                palette.strong()
+            } else {
+                palette.faint()
+            };
+            Line::from(vec![
+                Span::styled(format!("{mark} {name:10}"), style),
+                Span::raw(format!("{answer:8} ")),
+                Span::styled(*how, palette.faint()),
+            ])
+        })
+        .collect();
+    lines.push(match &prompt.problem {
+        Some(problem) => Line::styled(format!("  {problem}"), palette.error()),
+        None => Line::styled("  Enter goes on, Esc leaves", palette.faint()),
+    });
+    popup(
+        frame,
+        area,
+        palette,
+        &format!(" inform some of {swarm} "),
+        lines,
+    );
+}
+
+/// Draws lines in a box in the middle, as many as fit.
+fn popup(frame: &mut Frame<'_>, area: Rect, palette: Palette, title: &str, lines: Vec<Line<'_>>) {
+    let widest = lines.iter().map(Line::width).max().unwrap_or(0);
+    let widest = widest.max(title.chars().count()) + 3;
+    let width = u16::try_from(widest).unwrap_or(u16::MAX).min(area.width);
+    let tall = u16::try_from(lines.len() + 2).unwrap_or(u16::MAX);
+    let height = tall.min(area.height);
+    let place = Rect {
+        x: area.x + (area.width - width) / 2,
+        y: area.y + (area.height - height) / 2,
+        width,
+        height,
+    };
+    frame.render_widget(Clear, place);
+    let title = cut(title, usize::from(width.saturating_sub(2)));
+    let inner = boxed(frame, place, palette, title);
+    frame.render_widget(Paragraph::new(lines), inner);
+}

@@ -1,0 +1,104 @@
+//! How order and drift came about, in bounded memory.
+
+/// How many points are kept: more than the widest chart has dots.
+const MOST: usize = 1024;
+
+/// A moment that was seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Point {
+    /// When.
+    pub time: f64,
+    /// The order then.
+    pub order: f64,
+    /// The drift then, if there was a direction.
+    pub drift: Option<f64>,
+}
+
+/// The moments that were seen of one run, oldest first. When there are too many every second one
+/// goes, so that the whole time watched stays in sight.
+#[derive(Debug, Default)]
+pub struct History {
+    points: Vec<Point>,
+    epoch: u64,
+    /// The least time between two points.
+    spacing: f64,
+}
+
+impl History {
+    /// Adds a moment. One of a later run begins anew, and what comes late is passed over.
+    pub fn add(&mut self, epoch: u64, point: Point) {
+        if epoch > self.epoch {
+            *self = History::default();
+        }
+        if let Some(last) = self.points.last() {
+            if epoch < self.epoch || point.time < last.time {
+                return;
+            }
+            if point.time == last.time {
+                self.points.pop();
+            } else if point.time - last.time < self.spacing {
+                return;
+            }
+        }
+        self.epoch = epoch;
+        self.points.push(point);
+        if self.points.len() > MOST {
+            let mut index = 0;
+            self.points.retain(|_| {
+                index += 1;
+                index % 2 == 1
+            });
+            let (first, last) = (self.points[0].time, self.points[self.points.len() - 1].time);
+            self.spacing = (last - first) / (self.points.len() - 1) as f64;
+        }
+    }
+
+    /// The points, oldest first.
+    pub fn points(&self) -> &[Point] {
+        &self.points
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn at(time: f64) -> Point {
+        Point {
+            time,
+            order: 0.5,
+            drift: None,
+        }
+    }
+
+    #[test]
+    fn however_long_it_goes_on_its_beginning_stays_and_it_is_bounded() {
+        let mut history = History::default();
+        for step in 0..100_000 {
+            history.add(1, at(f64::from(step) * 0.02));
+        }
+        let points = history.points();
+        assert!(
+            (MOST / 3..=MOST).contains(&points.len()),
+            "{}",
+            points.len()
+        );
+        assert_eq!(points[0], at(0.0));
+        assert!(points.is_sorted_by(|a, b| a.time < b.time));
+        assert!(points[points.len() - 1].time > 1990.0);
+    }
+
+    #[test]
+    fn a_later_run_begins_anew() {
+        let mut history = History::default();
+        history.add(1, at(0.0));
+        history.add(1, at(1.0));
+        history.add(1, at(1.0));
+        assert_eq!(history.points().len(), 2, "the same moment stands once");
+        history.add(1, at(0.5));
+        assert_eq!(history.points().len(), 2, "that came late");
+        history.add(2, at(0.7));
+        history.add(1, at(1.1));
+        assert_eq!(history.points(), [at(0.7)], "another epoch");
+    }
+}

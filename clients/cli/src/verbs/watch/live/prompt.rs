@@ -1,0 +1,183 @@
+//! The three questions of `inform`: who, which way, how much.
+
+use jostle_proto::verbs::{InformArgs, Select};
+use ratatui::crossterm::event::{KeyCode, KeyEvent};
+
+use crate::values;
+
+/// What is asked, and how it may be answered.
+pub const QUESTIONS: [(&str, &str); 3] = [
+    ("who", "a count, 5, or a share, 0.1 or 10%"),
+    ("direction", "90d or 1.57 from +x, counter-clockwise"),
+    ("weight", "empty: the swarm's pi2"),
+];
+/// The longest answer.
+const LONGEST: usize = 24;
+
+/// What was answered so far.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prompt {
+    /// The answers as typed.
+    pub answers: [String; 3],
+    /// The question that is answered.
+    pub at: usize,
+    /// What is wrong with what was sent.
+    pub problem: Option<String>,
+}
+
+/// What a key made of a prompt.
+#[derive(Debug, PartialEq)]
+pub enum Pressed {
+    /// It goes on.
+    Open,
+    /// It was left.
+    Left,
+    /// It is answered.
+    Answered(InformArgs),
+}
+
+impl Default for Prompt {
+    fn default() -> Self {
+        Prompt {
+            answers: ["10%".into(), "0d".into(), String::new()],
+            at: 0,
+            problem: None,
+        }
+    }
+}
+
+impl Prompt {
+    /// Takes a key.
+    pub fn press(&mut self, key: KeyEvent) -> Pressed {
+        self.problem = None;
+        let last = QUESTIONS.len() - 1;
+        match key.code {
+            KeyCode::Esc => return Pressed::Left,
+            KeyCode::Enter if self.at == last => match self.read() {
+                Ok(args) => return Pressed::Answered(args),
+                Err((at, problem)) => {
+                    self.at = at;
+                    self.problem = Some(problem);
+                }
+            },
+            KeyCode::Enter | KeyCode::Tab | KeyCode::Down => self.at = (self.at + 1).min(last),
+            KeyCode::BackTab | KeyCode::Up => self.at = self.at.saturating_sub(1),
+            KeyCode::Backspace => drop(self.answers[self.at].pop()),
+            KeyCode::Char(typed) if self.answers[self.at].chars().count() < LONGEST => {
+                self.answers[self.at].push(typed);
+            }
+            _ => {}
+        }
+        Pressed::Open
+    }
+
+    /// The arguments, or which answer is wrong and how.
+    fn read(&self) -> Result<InformArgs, (usize, String)> {
+        let [who, direction, weight] = &self.answers;
+        let weight = match weight.trim() {
+            "" => Ok(None),
+            weight => values::number(weight).map(Some),
+        };
+        Ok(InformArgs {
+            select: select(who).map_err(|it| (0, it))?,
+            direction: radians(direction).map_err(|it| (1, it))?,
+            weight: weight.map_err(|it| (2, it))?,
+            for_time: None,
+        })
+    }
+}
+
+/// `5` is a count, `0.1` and `10%` are shares.
+fn select(text: &str) -> Result<Select, String> {
+    let text = text.trim();
+    if let Some(percent) = text.strip_suffix('%') {
+        return values::number(percent).map(|it| Select::Fraction(it / 100.0));
+    }
+    match text.parse() {
+        Ok(count) => Ok(Select::Count(count)),
+        Err(_) => values::number(text).map(Select::Fraction),
+    }
+}
+
+/// `90d`, `90deg` and `90°` are degrees, `1.57` is radians.
+fn radians(text: &str) -> Result<f64, String> {
+    let text = text.trim();
+    let radians = text.strip_suffix("rad");
+    let degrees = ["°", "deg", "d"]
+        .iter()
+        .find_map(|it| text.strip_suffix(it));
+    if let (None, Some(degrees)) = (radians, degrees) {
+        return values::number(degrees).map(f64::to_radians);
+    }
+    let radians = values::number(radians.unwrap_or(text))?;
+    // More than a turn is a slip far more often than meant.
+    if radians.abs() > std::f64::consts::TAU {
+        return Err(format!("more than a turn: degrees are written {radians}d"));
+    }
+    Ok(radians)
+}
+
+#[cfg(test)]
+mod tests {
+    use ratatui::crossterm::event::KeyModifiers;
+
+    use super::*;
+
+    fn answered(answers: [&str; 3]) -> Result<InformArgs, (usize, String)> {
+        Prompt {
+            answers: answers.map(Into::into),
+            ..Prompt::default()
+        }
+        .read()
+    }
+
+    #[test]
+    fn counts_shares_degrees_and_radians_are_told_apart() {
+        let args = |select, direction, weight| {
+            Ok(InformArgs {
+                select,
+                direction,
+                weight,
+                for_time: None,
+            })
+        };
+        assert_eq!(answered(["5", "0", ""]), args(Select::Count(5), 0.0, None));
+        let up = 90.0_f64.to_radians();
+        for degrees in ["90d", " 90° ", "90deg"] {
+            let expected = args(Select::Fraction(0.1), up, Some(2.0));
+            assert_eq!(answered(["10%", degrees, "2"]), expected);
+            assert_eq!(answered(["0.1", degrees, " 2"]), expected);
+        }
+        assert_eq!(
+            answered(["1.0", "-1.5rad", ""]),
+            args(Select::Fraction(1.0), -1.5, None)
+        );
+    }
+
+    #[test]
+    fn what_is_wrong_is_said_where_it_is() {
+        let wrong = |answers| answered(answers).map_err(|(at, _)| at);
+        assert_eq!(wrong(["", "0", ""]), Err(0));
+        assert_eq!(wrong(["five", "0", ""]), Err(0));
+        assert_eq!(wrong(["5", "90", ""]), Err(1), "radians by far too many");
+        assert_eq!(wrong(["5", "", ""]), Err(1));
+        assert_eq!(wrong(["5", "0", "x"]), Err(2));
+    }
+
+    #[test]
+    fn keys_edit_go_on_and_leave() {
+        let mut prompt = Prompt::default();
+        let mut press = |code| prompt.press(KeyEvent::new(code, KeyModifiers::NONE));
+        for _ in 0..3 {
+            press(KeyCode::Backspace);
+        }
+        press(KeyCode::Char('7'));
+        press(KeyCode::Enter);
+        press(KeyCode::Tab);
+        let Pressed::Answered(args) = press(KeyCode::Enter) else {
+            panic!("it is answered");
+        };
+        assert_eq!(args.select, Select::Count(7));
+        assert_eq!(press(KeyCode::Esc), Pressed::Left);
+    }
+}

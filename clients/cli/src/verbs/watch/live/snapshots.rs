@@ -1,0 +1,294 @@
+//! The view as it looks at every size, as plain text, and how messages change it.
+
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+use jostle_proto::verbs::Select;
+use jostle_proto::{Event, Phase, Reply, State, Status, SwarmSummary};
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use ratatui::crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use ratatui::style::{Color, Modifier};
+use serde_json::json;
+
+use super::command::What;
+use super::draw::{Palette, draw};
+use super::view::{End, Message, View, Wish};
+
+/// Bodies at (x, y, alpha), with a weight.
+pub fn state_of(bodies: &[(f64, f64, f64, f64)]) -> State {
+    let column = |what: fn(&(f64, f64, f64, f64)) -> f64| bodies.iter().map(what).collect();
+    let status = status();
+    State {
+        swarm: "demo".into(),
+        epoch: 1,
+        frame: 1,
+        step: 12_345,
+        time: 246.9,
+        phase: Phase::Running,
+        origin: [0, 0],
+        id: (0..).take(bodies.len()).collect(),
+        x: column(|it| it.0),
+        y: column(|it| it.1),
+        alpha: column(|it| it.2),
+        weight: column(|it| it.3),
+        direction: vec![0.0; bodies.len()],
+        order: status.result.order,
+        certificate: status.result.certificate,
+    }
+}
+
+/// That of the fixtures, of another swarm.
+fn status() -> Reply<Status> {
+    let text = include_str!("../../../../../../proto/fixtures/status.reply.json");
+    let mut status: Reply<Status> = serde_json::from_str(text).unwrap();
+    status.swarm = "demo".into();
+    status.phase = Phase::Running;
+    (status.step, status.time) = (12_345, 246.9);
+    status.result.reason = None;
+    status.result.informed = 1;
+    status.result.order.drift = Some(0.61);
+    status.result.real_time_factor = Some(0.98);
+    status
+}
+
+fn summary(swarm: &str, phase: Phase, n: u64) -> SwarmSummary {
+    SwarmSummary {
+        swarm: swarm.into(),
+        phase,
+        reason: None,
+        step: 12_345,
+        time: 246.9,
+        n,
+        informed: 0,
+        order: 0.5,
+        rate: Some(1.0),
+        real_time_factor: (phase == Phase::Running).then_some(0.98),
+    }
+}
+
+fn list() -> Vec<SwarmSummary> {
+    vec![
+        summary("broken", Phase::Faulted, 3),
+        summary("demo", Phase::Running, 4),
+        summary("school-of-the-long-name", Phase::Paused, 2000),
+    ]
+}
+
+fn event(number: u64, kind: &serde_json::Value) -> Event {
+    let event = json!({"swarm": "demo", "number": number, "epoch": 1, "step": 0, "time": 50.0,
+                       "phase": "running", "event": kind});
+    serde_json::from_value(event).unwrap()
+}
+
+/// A view of a swarm of four, one of them informed.
+fn view() -> View {
+    let mut view = View::new("tcp/127.0.0.1:7447", Some("demo".into()));
+    view.update(Message::Swarms(list()));
+    for step in 0..12_u32 {
+        let mut status = status();
+        status.step = u64::from(step);
+        status.time = f64::from(step) * 20.0;
+        status.result.order.order = f64::from(step) / 12.0;
+        status.result.order.drift = (step > 3).then(|| f64::from(step) / 12.0 - 0.3);
+        view.update(Message::Status(Box::new(status)));
+    }
+    view.update(Message::Status(Box::new(status())));
+    view.update(Message::State(Box::new(state_of(&[
+        (0.0, 0.0, 0.0, 0.0),
+        (2.0, 1.5, 1.0, 0.0),
+        (-2.0, 1.0, 2.5, 0.5),
+        (0.5, -2.0, -0.7, 0.0),
+    ]))));
+    view.update(Message::Events(vec![
+        event(1, &json!({"kind": "created"})),
+        event(
+            2,
+            &json!({"kind": "command", "seq": 1, "verb": "set", "args": {"pi3": 1.0},
+                        "client": "ada", "request_id": null}),
+        ),
+    ]));
+    view
+}
+
+fn press(view: &mut View, code: KeyCode) -> Vec<Wish> {
+    view.update(Message::Key(KeyEvent::new(code, KeyModifiers::NONE)))
+}
+
+/// The screen, and the buffer behind it.
+fn drawn(view: &View, (width, height): (u16, u16), is_coloured: bool) -> TestBackend {
+    let mut terminal = Terminal::new(TestBackend::new(width, height)).unwrap();
+    let palette = Palette { is_coloured };
+    terminal.draw(|frame| draw(frame, view, palette)).unwrap();
+    terminal.backend().clone()
+}
+
+fn text(view: &View, size: (u16, u16)) -> String {
+    let backend = drawn(view, size, true);
+    let lines = backend.to_string();
+    // The backend puts each line into quotes.
+    let lines = lines.lines().map(|line| line.trim_matches('"').trim_end());
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+#[test]
+fn it_looks_like_this_at_every_size() {
+    let mut others = Vec::new();
+    for (size, expected) in [
+        ((120, 40), include_str!("snapshots/120x40.txt")),
+        ((80, 24), include_str!("snapshots/80x24.txt")),
+        ((40, 12), include_str!("snapshots/40x12.txt")),
+        ((20, 5), include_str!("snapshots/20x5.txt")),
+    ] {
+        let now = text(&view(), size);
+        if now != expected.trim_end() {
+            others.push(format!("{}x{}.txt now:\n{now}\n", size.0, size.1));
+        }
+    }
+    assert!(others.is_empty(), "{}", others.join("\n"));
+}
+
+#[test]
+fn no_size_is_too_small_for_anything_that_can_be_open() {
+    let mut views = vec![view(), view(), view(), View::new("tcp/h:1", None)];
+    press(&mut views[1], KeyCode::Char('?'));
+    press(&mut views[2], KeyCode::Char('i'));
+    views[3].update(Message::Swarms(Vec::new()));
+    for view in &views {
+        for width in (1..30).chain([45, 59, 60, 61, 200]) {
+            for height in (1..20).chain([60]) {
+                drawn(view, (width, height), false);
+            }
+        }
+    }
+}
+
+#[test]
+fn keys_and_questions_are_shown_above_all_else() {
+    let mut view = view();
+    press(&mut view, KeyCode::Char('?'));
+    assert!(text(&view, (80, 24)).contains("quit; the swarms go on"));
+    press(&mut view, KeyCode::Char('i'));
+    let asking = text(&view, (80, 24));
+    assert!(asking.contains("inform some of demo") && !asking.contains("quit; the"));
+    let tiny = text(&view, (20, 5));
+    assert!(tiny.ends_with(" who: 10%▏ a count,…"), "{tiny}");
+}
+
+#[test]
+fn without_colours_the_informed_bear_a_mark_and_nothing_is_coloured() {
+    let backend = drawn(&view(), (80, 24), false);
+    let cells = backend.buffer().content();
+    assert_eq!(cells.iter().filter(|cell| cell.symbol() == "●").count(), 1);
+    assert!(
+        cells
+            .iter()
+            .all(|cell| cell.fg == Color::Reset && cell.bg == Color::Reset)
+    );
+    let is_chosen = |row: u16| {
+        backend.buffer()[(9, row)]
+            .modifier
+            .contains(Modifier::REVERSED)
+    };
+    assert!(is_chosen(4) && !is_chosen(3));
+    let coloured = drawn(&view(), (80, 24), true);
+    let cells = coloured.buffer().content();
+    assert!(cells.iter().any(|cell| cell.fg == Color::Magenta));
+    assert!(cells.iter().all(|cell| cell.symbol() != "●"));
+}
+
+#[test]
+fn keys_become_commands_to_the_chosen_swarm() {
+    let mut view = view();
+    let mut command = |code| match press(&mut view, code).pop() {
+        Some(Wish::Command(command)) => (command.swarm, command.what),
+        other => panic!("{other:?}"),
+    };
+    let demo = || "demo".to_owned();
+    assert_eq!(command(KeyCode::Char(' ')), (demo(), What::Pause));
+    assert_eq!(command(KeyCode::Char('s')), (demo(), What::Step(1)));
+    assert_eq!(command(KeyCode::Char('S')), (demo(), What::Step(100)));
+    press(&mut view, KeyCode::Char('i'));
+    press(&mut view, KeyCode::Enter);
+    press(&mut view, KeyCode::Enter);
+    let wishes = press(&mut view, KeyCode::Enter);
+    let [Wish::Command(command)] = &wishes[..] else {
+        panic!("{wishes:?}");
+    };
+    let What::Inform(args) = &command.what else {
+        panic!("{command:?}");
+    };
+    assert_eq!(args.select, Select::Fraction(0.1));
+    assert_eq!(view.under_way, 4);
+    let mut paused = status();
+    paused.phase = Phase::Paused;
+    view.update(Message::Status(Box::new(paused)));
+    let wishes = press(&mut view, KeyCode::Char(' '));
+    assert!(matches!(&wishes[..], [Wish::Command(it)] if it.what == What::Run));
+    for _ in 0..9 {
+        press(&mut view, KeyCode::Char('s'));
+    }
+    assert!(
+        press(&mut view, KeyCode::Char('s')).is_empty(),
+        "enough wait"
+    );
+    let wishes = press(&mut view, KeyCode::Char('q'));
+    assert!(matches!(&wishes[..], [Wish::End(End::Quit)]));
+}
+
+#[test]
+fn another_swarm_is_followed_when_it_is_chosen_or_the_chosen_one_is_gone() {
+    let followed = |wishes: Vec<Wish>| match &wishes[..] {
+        [Wish::Follow(swarm)] => swarm.clone().unwrap_or_default(),
+        other => panic!("{other:?}"),
+    };
+    let mut view = View::new("tcp/h:1", None);
+    assert_eq!(followed(view.update(Message::Swarms(list()))), "broken");
+    assert!(press(&mut view, KeyCode::Up).is_empty(), "it is the first");
+    assert_eq!(followed(press(&mut view, KeyCode::Down)), "demo");
+    view.update(Message::Events(vec![event(9, &json!({"kind": "deleted"}))]));
+    let mut rest = list();
+    rest.remove(1);
+    let next = followed(view.update(Message::Swarms(rest)));
+    assert_eq!(next, "school-of-the-long-name");
+    assert_eq!(view.said.as_ref().unwrap().text, "demo is no longer there");
+    for _ in 0..4 {
+        view.update(Message::Swarms(Vec::new()));
+    }
+    assert!(view.chosen.is_none());
+    assert!(text(&view, (80, 24)).contains("no swarms here"));
+    assert!(text(&view, (20, 5)).contains("no swarms here"));
+    assert_eq!(followed(view.update(Message::Swarms(list()))), "broken");
+}
+
+#[test]
+fn a_daemon_that_goes_is_missed_and_one_that_comes_back_is_followed_again() {
+    let mut view = view();
+    view.update(Message::Away("the daemon is gone".into()));
+    assert!(text(&view, (80, 24)).ends_with(" the daemon is gone"));
+    assert!(
+        text(&view, (80, 24)).contains("t 246.9"),
+        "what was last known stays"
+    );
+    let wishes = view.update(Message::Swarms(Vec::new()));
+    assert!(matches!(&wishes[..], [Wish::Follow(Some(_))]), "{wishes:?}");
+    assert!(text(&view, (80, 24)).ends_with(" the daemon is back"));
+    let wishes = view.update(Message::Swarms(list()));
+    assert!(matches!(&wishes[..], [Wish::Follow(Some(_))]), "{wishes:?}");
+}
+
+#[test]
+fn what_changes_nothing_is_not_drawn_again() {
+    let mut view = view();
+    view.is_changed = false;
+    let state = view.chosen.as_ref().unwrap().state.clone().unwrap();
+    view.update(Message::Swarms(list()));
+    view.update(Message::Status(Box::new(status())));
+    view.update(Message::State(Box::new(state)));
+    view.update(Message::Events(vec![event(
+        1,
+        &json!({"kind": "phase", "reason": null}),
+    )]));
+    assert!(!view.is_changed);
+    view.update(Message::Answered(Err("no".into())));
+    assert!(view.is_changed && text(&view, (80, 24)).ends_with(" no"));
+}

@@ -1,0 +1,124 @@
+//! Recordings: files that are whole however they end.
+
+use std::fs;
+
+use serde_json::json;
+
+use crate::support::{Daemon, object, until};
+
+/// A folder, and the path of a file in it.
+fn file(name: &str) -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name).to_str().unwrap().to_owned();
+    (folder, path)
+}
+
+/// Whether a file of that kind was ended.
+fn is_whole(path: &str) -> bool {
+    let bytes = fs::read(path).unwrap();
+    let end: &[u8] = if path.ends_with(".mcap") {
+        b"\x89MCAP0\r\n"
+    } else {
+        b"PAR1"
+    };
+    bytes.starts_with(end) && bytes.ends_with(end) && bytes.len() > 100
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_recording_of_so_many_steps_is_a_whole_file() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10 --publish-every 1").await;
+    for name in ["take.parquet", "take.mcap"] {
+        let (folder, path) = file(name);
+        let recording = daemon.begin(&format!("--json record demo -o {path} --steps 20"));
+        until("the recording has begun", async || {
+            fs::exists(format!("{path}.partial")).unwrap()
+        })
+        .await;
+        daemon.jostle("run demo").await;
+        let told = object(&recording.end().await);
+        daemon.jostle("pause demo").await;
+        assert_eq!(
+            (&told["swarm"], &told["file"]),
+            (&json!("demo"), &json!(path))
+        );
+        assert!(told["frames"].as_u64() > Some(1), "{told}");
+        assert_eq!(told["bytes"], fs::metadata(&path).unwrap().len());
+        assert!(is_whole(&path));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ctrl_c_and_the_swarms_deletion_end_a_recording_whole() {
+    let daemon = Daemon::start().await;
+    for name in ["take.parquet", "take.mcap"] {
+        let (_folder, path) = file(name);
+        daemon.jostle("create demo --n 10").await;
+        let recording = daemon.begin(&format!("record demo -o {path}"));
+        let partial = format!("{path}.partial");
+        until("the recording has begun", async || {
+            fs::exists(&partial).unwrap()
+        })
+        .await;
+        recording.interrupt();
+        let ended = recording.end().await;
+        assert_eq!((ended.code, &*ended.stderr), (Some(0), ""), "{ended:?}");
+        assert!(ended.stdout.contains("of demo to"), "{ended:?}");
+        assert!(is_whole(&path));
+
+        let recording = daemon.begin(&format!("record demo -o {path} --force"));
+        until("the recording has begun", async || {
+            fs::exists(&partial).unwrap()
+        })
+        .await;
+        daemon.jostle("delete demo").await;
+        let ended = recording.end().await;
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        assert!(ended.stderr.contains("demo was deleted"), "{ended:?}");
+        assert!(is_whole(&path));
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_recorded_is_said_and_what_is_there_stays() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10").await;
+    let (folder, path) = file("take.mcap");
+    fs::write(&path, "old").unwrap();
+    let line = format!("record demo -o {path} --for 0.1");
+    let refusal = daemon.refusal(&line).await;
+    assert_eq!(refusal["code"], "invalid_argument");
+    assert!(refusal["message"].as_str().unwrap().contains("--force"));
+    assert_eq!(fs::read(&path).unwrap(), b"old");
+
+    fs::write(format!("{path}.partial"), "").unwrap();
+    let refusal = daemon.refusal(&format!("{line} --force")).await;
+    assert!(
+        refusal["message"]
+            .as_str()
+            .unwrap()
+            .contains(".partial is there")
+    );
+    fs::remove_file(format!("{path}.partial")).unwrap();
+
+    let ended = daemon.jostle(&format!("{line} --force")).await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(is_whole(&path));
+
+    let refusal = daemon.refusal("record demo -o take.csv").await;
+    assert!(refusal["message"].as_str().unwrap().contains(".parquet"));
+    let nowhere = folder.path().join("nowhere/take.mcap");
+    let refusal = daemon
+        .refusal(&format!("record demo -o {}", nowhere.display()))
+        .await;
+    assert_eq!(refusal["code"], "internal");
+    let refusal = daemon
+        .refusal(&format!("record nobody -o {path} --force"))
+        .await;
+    assert_eq!(refusal["code"], "not_found");
+    assert!(is_whole(&path));
+    daemon.stop().await;
+}

@@ -1,0 +1,147 @@
+//! A command line in a terminal of its own, which `script` provides.
+
+use std::io::{Read, Write};
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::thread;
+
+use crate::support::until;
+
+/// The size of the terminal.
+const ROWS: usize = 24;
+const COLUMNS: usize = 80;
+
+/// A shell in a terminal of 24 lines of 80, running one command line.
+pub struct Terminal {
+    child: Child,
+    keys: ChildStdin,
+    seen: Arc<Mutex<String>>,
+}
+
+impl Terminal {
+    /// Starts a command line. The shell around it tells the process, how the line ended and the
+    /// terminal's settings before and after it.
+    pub fn begin(endpoint: &str, line: &str) -> Self {
+        let shell = format!(
+            "stty rows {ROWS} cols {COLUMNS}; echo before $(stty -g); \
+             sh -c 'echo process $$.; exec \"$JOSTLE\" {line}'; \
+             echo code $?.; echo after $(stty -g); echo over."
+        );
+        let mut child = Command::new("script")
+            .args(["-qfec", &shell, "/dev/null"])
+            .env("JOSTLE", env!("CARGO_BIN_EXE_jostle"))
+            .env("JOSTLE_ENDPOINT", endpoint)
+            .env("TERM", "xterm-256color")
+            .env("SHELL", "/bin/sh")
+            .stdin(Stdio::piped())
+            .stdout(Stdio::piped())
+            .spawn()
+            .unwrap();
+        let keys = child.stdin.take().unwrap();
+        let mut output = child.stdout.take().unwrap();
+        let seen = Arc::new(Mutex::new(String::new()));
+        let written = seen.clone();
+        thread::spawn(move || {
+            let mut piece = [0; 4096];
+            while let Ok(length @ 1..) = output.read(&mut piece) {
+                let text = String::from_utf8_lossy(&piece[..length]);
+                written.lock().unwrap().push_str(&text);
+            }
+        });
+        Terminal { child, keys, seen }
+    }
+
+    /// Presses keys.
+    pub fn press(&mut self, keys: &str) {
+        self.keys.write_all(keys.as_bytes()).unwrap();
+        self.keys.flush().unwrap();
+    }
+
+    /// All that was written so far.
+    pub fn seen(&self) -> String {
+        self.seen.lock().unwrap().clone()
+    }
+
+    /// Waits until something stands on the screen, or was written in one piece.
+    pub async fn until_seen(&self, what: &str) {
+        until(what, async || {
+            let seen = self.seen();
+            seen.contains(what) || screen(&seen).contains(what)
+        })
+        .await;
+    }
+
+    /// Sends the process of the command line a signal.
+    pub fn signal(&self, signal: &str) {
+        let pid = self.told("process ");
+        let status = Command::new("kill").args([signal, &pid]).status().unwrap();
+        assert!(status.success());
+    }
+
+    /// Waits until it ends and returns its exit code. The terminal is as it was before.
+    pub async fn end(mut self) -> String {
+        self.until_seen("over.").await;
+        self.child.wait().unwrap();
+        let seen = self.seen();
+        assert_eq!(self.told("before "), self.told("after "), "{seen}");
+        let of = |sequence: &str| seen.rfind(sequence);
+        assert!(of("\x1b[?1049l") > of("\x1b[?1049h"), "the screen is back");
+        assert!(of("\x1b[?25h") > of("\x1b[?25l"), "the cursor is back");
+        self.told("code ")
+    }
+
+    /// What the shell told.
+    fn told(&self, name: &str) -> String {
+        let seen = self.seen();
+        let start = seen.find(name).unwrap() + name.len();
+        let rest = &seen[start..];
+        let end = rest.find(['\r', '\n', '.']).unwrap();
+        rest[..end].to_owned()
+    }
+}
+
+/// What stands on the screen after all that was written: only what changed is, wherever it stands.
+fn screen(written: &str) -> String {
+    let mut cells = vec![vec![' '; COLUMNS]; ROWS];
+    let (mut row, mut column) = (0, 0);
+    let mut characters = written.chars();
+    while let Some(character) = characters.next() {
+        match character {
+            '\x1b' => {
+                let mut numbers = String::new();
+                let end = characters.by_ref().skip(1).find(|it| {
+                    numbers.push(*it);
+                    it.is_ascii_alphabetic()
+                });
+                numbers.pop();
+                match end {
+                    Some('H') => {
+                        let mut at = numbers.split(';').map(|it| it.parse().unwrap_or(1));
+                        row = at.next().unwrap_or(1) - 1;
+                        column = at.next().unwrap_or(1) - 1;
+                    }
+                    Some('J') => cells = vec![vec![' '; COLUMNS]; ROWS],
+                    _ => {}
+                }
+            }
+            '\r' => column = 0,
+            '\n' => row += 1,
+            character => {
+                if let Some(cell) = cells.get_mut(row).and_then(|row| row.get_mut(column)) {
+                    *cell = character;
+                }
+                column += 1;
+            }
+        }
+    }
+    let lines = cells.iter().map(|line| line.iter().collect::<String>());
+    lines.collect::<Vec<_>>().join("\n")
+}
+
+impl Drop for Terminal {
+    fn drop(&mut self) {
+        // Of a test that failed; `script` takes its terminal along.
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}

@@ -1,0 +1,102 @@
+//! `watch` on a terminal: keys in, a picture out, and the terminal as it was when it ends.
+
+use crate::support::{Daemon, Terminal, object, until};
+
+async fn is(daemon: &Daemon, phase: &str) {
+    until(phase, async || {
+        let status = object(&daemon.jostle("--json status demo").await);
+        status["phase"] == phase
+    })
+    .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn keys_steer_the_swarm_that_is_watched() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10").await;
+    daemon.said("run demo").await;
+    let mut terminal = Terminal::begin(&daemon.endpoint, "watch");
+    terminal.until_seen("running").await;
+    terminal.press(" ");
+    is(&daemon, "paused").await;
+    terminal.until_seen("demo is paused at step").await;
+
+    let step = object(&daemon.jostle("--json status demo").await)["step"].clone();
+    terminal.press("S");
+    until("a hundred steps", async || {
+        let now = object(&daemon.jostle("--json status demo").await);
+        now["step"].as_u64() == step.as_u64().map(|step| step + 100)
+    })
+    .await;
+
+    // The first answer is 10%, of ten; the second is typed.
+    terminal.press("i");
+    terminal.until_seen("inform some of demo").await;
+    terminal.press("\t\x7f\x7f90d\r\r");
+    terminal.until_seen("informed 1 individual of demo").await;
+    let status = object(&daemon.jostle("--json status demo").await);
+    assert_eq!(status["result"]["informed"], 1);
+    let direction = status["result"]["order"]["direction"].as_f64().unwrap();
+    assert!((direction - std::f64::consts::FRAC_PI_2).abs() < 1e-9);
+
+    terminal.press(" ");
+    is(&daemon, "running").await;
+    terminal.press("s");
+    terminal
+        .until_seen("the swarm is running: pause it first")
+        .await;
+    terminal.press("q");
+    assert_eq!(terminal.end().await, "0");
+    is(&daemon, "running").await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn however_it_ends_the_terminal_is_as_it_was() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 10").await;
+    for (how, code) in [
+        ("-INT", "130"),
+        ("-TERM", "130"),
+        ("^C", "130"),
+        ("for", "0"),
+    ] {
+        let line = if how == "for" {
+            "watch demo --for 1"
+        } else {
+            "watch demo"
+        };
+        let mut terminal = Terminal::begin(&daemon.endpoint, line);
+        terminal.until_seen("created").await;
+        match how {
+            "for" => {}
+            "^C" => terminal.press("\x03"),
+            signal => terminal.signal(signal),
+        }
+        assert_eq!(terminal.end().await, code, "{how}");
+    }
+    let missing = Terminal::begin(&daemon.endpoint, "watch dmeo");
+    missing.until_seen("did you mean `demo`?").await;
+    assert!(
+        !missing.seen().contains("\x1b[?1049h"),
+        "the screen was not taken"
+    );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn it_outlives_the_daemon_and_its_swarms() {
+    let daemon = Daemon::start().await;
+    let mut terminal = Terminal::begin(&daemon.endpoint, "watch");
+    terminal.until_seen("no swarms here").await;
+    daemon.said("create demo --n 10").await;
+    terminal.until_seen("created").await;
+    let daemon = daemon.restart().await;
+    terminal.until_seen("the daemon is back").await;
+    daemon.said("create other --n 3").await;
+    daemon.said("delete demo").await;
+    terminal.until_seen("demo is no longer there").await;
+    terminal.press("q");
+    assert_eq!(terminal.end().await, "0");
+    daemon.stop().await;
+}
