@@ -87,6 +87,7 @@ from ._messages import (
 )
 from ._metrics import Metrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
+from ._recording import RecordedFrame, Recording, read_recording
 from ._results import ExperimentPhase, OrderSeries, Progress, ResultRow, RunUnderWay
 from ._show import Listed
 from ._snapshot import Snapshot
@@ -150,6 +151,8 @@ __all__ = [
     "Pose",
     "Progress",
     "Puts",
+    "RecordedFrame",
+    "Recording",
     "Region",
     "Remove",
     "Reply",
@@ -189,5 +192,6 @@ __all__ = [
     "ids",
     "local",
     "poses",
+    "read_recording",
     "within",
 ]

@@ -1,0 +1,207 @@
+"""Recordings: what is read back, here and by other people's readers, to the bit."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+
+import ase.io
+import mcap.reader
+import numpy as np
+import pandas as pd
+import pytest
+
+import jostle
+from conftest import JOSTLED, PATIENCE_SECS, Daemon, eventually
+
+Create = Callable[..., jostle.Swarm]
+
+STEPS = 12
+NAMES = ("take.parquet", "take.mcap")
+COLUMNS = [
+    *("epoch", "frame", "step", "time", "id", "x", "y", "alpha", "weight", "direction"),
+    *("order", "worst_gap", "residual", "contacts"),
+]
+
+Take = tuple[Path, list[jostle.State]]
+
+
+@pytest.fixture
+def take(daemon: Daemon, create: Create, tmp_path: Path) -> Take:
+    """A folder with a recording of each format, and the states that are in it."""
+    # Far from home, where absolute positions are coarser than those that are published.
+    start = {"kind": "given", "x": [0.1, 5.0, 6e3], "y": [0.2, 5.0, -6e3], "alpha": [1, 2, 3]}
+    swarm = create(n=3, start=start, rate=None)
+    swarm.inform(jostle.ids([1]), direction=0.7, weight=1 / 3)
+    begun = [
+        begin(daemon, swarm, tmp_path / name, "--json", "--steps", str(STEPS)) for name in NAMES
+    ]
+    for name in NAMES:
+        eventually("it records", (tmp_path / f"{name}.partial").exists)
+    states = [swarm.state()]
+    for step in range(STEPS):
+        # One more from the middle on: columns of different lengths.
+        if step == STEPS // 2:
+            swarm.inject(1)
+        states.append(swarm.step(state=True))
+    for recorder in begun:
+        told = json.loads(recorder.communicate(timeout=PATIENCE_SECS)[0])
+        assert recorder.returncode == 0
+        assert told["missed"] == 0
+    return tmp_path, states
+
+
+def begin(daemon: Daemon, swarm: jostle.Swarm, path: Path, *more: str) -> subprocess.Popen[bytes]:
+    """Begins to record a swarm, as anybody would."""
+    line = [str(JOSTLED.with_name("jostle")), "-e", daemon.endpoint, "record", swarm.name]
+    return subprocess.Popen([*line, "-o", str(path), *more], stdout=subprocess.PIPE)
+
+
+def last_of_each_step(recording: jostle.Recording) -> list[jostle.RecordedFrame]:
+    """What was published twice of a step, because a command came between, only as it was last."""
+    return list({frame.step: frame for frame in recording}.values())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_frame_is_the_state_that_was_published(take: Take, name: str) -> None:
+    folder, states = take
+    recording = jostle.read_recording(folder / name)
+    frames = last_of_each_step(recording)
+    assert [frame.step for frame in frames] == [state.step for state in states]
+    for frame, state in zip(frames, states, strict=True):
+        # The injected one was published before the step that follows.
+        if frame.n != state.n:
+            assert frame.step == STEPS // 2
+            continue
+        assert frame.time == state.time
+        assert np.array_equal(frame.id, state.id)
+        assert np.array_equal(frame.position, state.position)
+        for column in ("alpha", "weight", "direction"):
+            assert np.array_equal(getattr(frame, column), getattr(state, column))
+        assert (frame.order, frame.residual) == (state.order.order, state.certificate.residual)
+        assert frame.worst_gap == state.certificate.worst_gap
+        assert frame.contacts == state.certificate.contacts
+    assert {frame.n for frame in frames} == {3, 4}
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_recording_says_what_it_is_of(take: Take, name: str) -> None:
+    recording = jostle.read_recording(take[0] / name)
+    about = recording.about
+    assert json.loads(about["spec"])["n"] == 3
+    assert json.loads(about["parameters"])["pi1"] == 4.0
+    assert int(about["frames"]) == len(list(recording))
+    assert (about["missed"], about["version"]) == ("0", "0.1.0")
+    assert about["swarm"] in repr(recording)
+
+
+def test_both_formats_are_the_same_table(take: Take) -> None:
+    tables = [jostle.read_recording(take[0] / name).frame() for name in NAMES]
+    for table in tables:
+        assert list(table.columns) == COLUMNS
+        assert table.dtypes["id"] == np.uint32
+    one, other = tables
+    pd.testing.assert_frame_equal(one, other, check_exact=True)
+
+
+def test_pandas_reads_parquet_as_it_is(take: Take) -> None:
+    path = take[0] / "take.parquet"
+    table = pd.read_parquet(path)
+    expected = jostle.read_recording(path).frame()
+    pd.testing.assert_frame_equal(table, expected, check_exact=True, check_dtype=False)
+    assert table.dtypes["id"] == np.uint32
+    # A folder of parts is a table too, as it is while the next part is written.
+    parts = take[0] / "parts"
+    parts.mkdir()
+    (parts / "part-00000.parquet").write_bytes(path.read_bytes())
+    (parts / "part-00001.parquet").write_bytes(path.read_bytes())
+    (parts / ".part-00002.parquet.partial").write_bytes(b"PAR1")
+    assert len(pd.read_parquet(parts)) == 2 * len(table)
+    assert len(jostle.read_recording(parts).frame()) == 2 * len(table)
+
+
+def test_mcaps_own_reader_finds_what_was_published(take: Take) -> None:
+    folder, states = take
+    with (folder / "take.mcap").open("rb") as file:
+        reader = mcap.reader.make_reader(file)
+        summary = reader.get_summary()
+        assert summary is not None
+        topics = {channel.topic: channel.message_encoding for channel in summary.channels.values()}
+        assert topics == {"state": "cbor", "order": "json", "event": "json"}
+        assert summary.statistics is not None
+        # Simulated time, in nanoseconds.
+        assert summary.statistics.message_end_time == round(states[-1].time * 1e9)
+        for _, channel, message in reader.iter_messages():
+            if channel.topic == "event":
+                assert json.loads(message.data)["event"]["kind"] in ("command", "phase")
+            if channel.topic == "order":
+                assert json.loads(message.data)["frame"] == message.sequence
+            assert message.publish_time > 1e18
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_csv_is_the_same_table_to_the_bit(take: Take, name: str) -> None:
+    recording = jostle.read_recording(take[0] / name)
+    path = recording.to_csv(take[0] / "take.csv")
+    table = recording.frame()
+    with path.open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert list(rows[0]) == COLUMNS
+    for name in COLUMNS:
+        read = np.array([float(row[name] or "nan") for row in rows])
+        assert np.array_equal(read, table[name].to_numpy(float), equal_nan=True)
+    assert pd.read_csv(path).shape == table.shape
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_ase_reads_extended_xyz_to_the_bit(take: Take, name: str) -> None:
+    recording = jostle.read_recording(take[0] / name)
+    path = recording.to_extxyz(take[0] / "take.xyz")
+    read = ase.io.read(path, index=":", format="extxyz")
+    frames = list(recording)
+    assert len(read) == len(frames)
+    for atoms, frame in zip(read, frames, strict=True):
+        assert np.array_equal(atoms.positions[:, :2], frame.position)
+        assert (atoms.positions[:, 2] == 0.0).all()
+        for column in ("id", "alpha", "weight", "direction"):
+            assert np.array_equal(atoms.arrays[column], getattr(frame, column))
+        assert (atoms.info["Time"], atoms.info["step"]) == (frame.time, frame.step)
+        assert atoms.info["order"] == frame.order
+        assert not atoms.pbc.any()
+        assert not atoms.cell.any()
+
+
+def test_a_group_without_neighbours_has_no_gap(
+    daemon: Daemon, create: Create, tmp_path: Path
+) -> None:
+    path = tmp_path / "take.parquet"
+    with begin(daemon, create(n=1), path, "--for", "0.1s") as recorder:
+        assert recorder.wait(PATIENCE_SECS) == 0
+    (frame,) = jostle.read_recording(path)
+    assert frame.worst_gap is None
+    recording = jostle.read_recording(path)
+    assert math.isnan(recording.frame().worst_gap[0])
+    assert pd.read_csv(recording.to_csv(tmp_path / "take.csv")).worst_gap.isna().all()
+
+
+def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
+    for name in ("take.parquet", "take.mcap"):
+        with pytest.raises(FileNotFoundError):
+            jostle.read_recording(tmp_path / name)
+        for content in (b"", b"no recording at all", b"PAR1" * 20, b"\x89MCAP0\r\n" * 9):
+            (tmp_path / name).write_bytes(content)
+            with pytest.raises(jostle.InvalidArgument, match=name):
+                jostle.read_recording(tmp_path / name)
+    pd.DataFrame({"x": [1.0]}).to_parquet(tmp_path / "take.parquet")
+    with pytest.raises(jostle.InvalidArgument, match="no column 'epoch'"):
+        jostle.read_recording(tmp_path / "take.parquet")
+    with pytest.raises(jostle.InvalidArgument, match="neither"):
+        jostle.read_recording(tmp_path / "take.csv")
+    with pytest.raises(jostle.InvalidArgument, match="never ended"):
+        jostle.read_recording(tmp_path / "take.mcap.partial")
+    with pytest.raises(jostle.InvalidArgument, match="no part"):
+        jostle.read_recording(tmp_path)
