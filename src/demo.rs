@@ -82,7 +82,7 @@ pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoE
     } else {
         say!("elsewhere: jostle -e {endpoint} watch {NAME}");
     }
-    say!("     time   order   drift +x   real-time factor   subscribers");
+    say!("     time   order   drift +x   real-time factor   clients");
     tokio::select! {
         ended = play(&swarm, lasting) => ended,
         gone = print_lines(server, &swarm) => gone,
@@ -210,13 +210,13 @@ async fn print_lines(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
 
 async fn print_line(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
     let frame = look(swarm).await?;
-    let subscribers = server.subscribers(NAME).await;
+    let clients = server.sessions();
     let factor = match frame.real_time_factor {
         Some(factor) => format!("{factor:.1} of {RATE}"),
         None => frame.place.phase.reason().unwrap_or_default(),
     };
     say!(
-        "{:9.1} {:7.3} {:+10.3} {factor:>18} {subscribers:13}",
+        "{:9.1} {:7.3} {:+10.3} {factor:>18} {clients:9}",
         frame.place.time,
         frame.order.order,
         frame.order.velocity[0]

@@ -269,6 +269,7 @@ impl Host {
             history: Arc::default(),
             tally: Arc::default(),
             tickets: Arc::new(tickets),
+            shelf: Arc::default(),
             cores: self.cores.clone(),
             summary: Arc::default(),
         };
@@ -410,12 +411,16 @@ impl Host {
         let name = &handle.outlet.name;
         // Zero names the calling thread. Where it is not permitted the swarm ranks like the rest.
         let _ = rustix::process::setpriority_process(None, SWARM_NICENESS);
-        let worker = match self.build(handle, taken, beginning) {
+        let worker = match self.build(handle, beginning) {
             Ok(Ok(worker)) => worker,
             // It had ended, though its end was not safe.
-            Ok(Err(End::Deleted(ended))) => return self.herald.ended(name, ended),
+            Ok(Err(End::Deleted(ended))) => {
+                drop(taken);
+                return self.herald.ended(name, ended);
+            }
             Ok(Err(End::Stopped)) => return,
             Err(error) => {
+                drop(taken);
                 let refused = move || built(Err(Refusal { step: None, error }));
                 return self.herald.ended(name, Box::new(refused));
             }
@@ -425,7 +430,10 @@ impl Host {
             name,
             Box::new(move || built(Ok((place, Outcome::Seen(frame))))),
         );
-        match worker.run() {
+        let end = worker.run(&taken, &handle.shelf);
+        // Whoever asks from here on hears that it is gone.
+        drop(taken);
+        match end {
             End::Deleted(ended) => self.herald.ended(name, ended),
             End::Stopped => {}
         }
@@ -435,7 +443,6 @@ impl Host {
     fn build(
         self: &Arc<Self>,
         handle: &Handle,
-        taken: Receiver<Ticket>,
         beginning: Beginning,
     ) -> Result<Result<Worker, End>, OrderError> {
         let name = &handle.outlet.name;
@@ -446,20 +453,19 @@ impl Host {
         match beginning {
             Beginning::Recipe(register) => {
                 let simulation = Simulation::new((*handle.recipe).clone(), admit)?;
-                let worker = Worker::new(simulation, taken, handle, shortest, writer);
+                let worker = Worker::new(simulation, handle, shortest, writer);
                 register_new(&worker, register)?;
                 Ok(Ok(worker))
             }
             Beginning::Copy(checkpoint, register) => {
-                let worker =
-                    Worker::from_copy(*checkpoint, taken, handle, shortest, (writer, admit));
+                let worker = Worker::from_copy(*checkpoint, handle, shortest, (writer, admit));
                 register_new(&worker, register)?;
                 Ok(Ok(worker))
             }
             Beginning::Past(past) => {
                 let always: Admit = Box::new(|_| Ok(()));
                 let (mut worker, end) =
-                    Worker::from_past(*past, taken, handle, shortest, (writer, always));
+                    Worker::from_past(*past, handle, shortest, (writer, always));
                 if let Some(end) = end {
                     return Ok(Err(end));
                 }
@@ -492,19 +498,19 @@ impl Host {
 /// of its hashes came out the same, and the first epoch and step whose hash did not.
 pub fn tell_again(past: Past) -> (Checkpoint, u64, Option<(u64, u64)>) {
     let _ = rustix::process::setpriority_process(None, RETELLING_NICENESS);
-    let (tickets, taken) = sync_channel(1);
+    let (tickets, _) = sync_channel(1);
     let handle = Handle {
         recipe: Arc::new(past.checkpoint.recipe.clone()),
         outlet: Arc::new(Outlet::new(String::new(), || {}, || false)),
         history: Arc::default(),
         tally: Arc::default(),
         tickets: Arc::new(tickets),
+        shelf: Arc::default(),
         cores: Arc::new(Cores::new(1)),
         summary: Arc::default(),
     };
     let always: Admit = Box::new(|_| Ok(()));
-    let (worker, _) =
-        Worker::from_past(past, taken, &handle, Duration::ZERO, (to_nowhere(), always));
+    let (worker, _) = Worker::from_past(past, &handle, Duration::ZERO, (to_nowhere(), always));
     let replay = worker.replay();
     (worker.checkpoint(), replay.same, replay.differs_at)
 }

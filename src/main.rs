@@ -281,6 +281,9 @@ async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
     if let Some(address) = server.http() {
         let _ = writeln!(std::io::stdout(), "http on http://{address}");
     }
+    if let Some(link) = server.page() {
+        let _ = writeln!(std::io::stdout(), "page on {link}");
+    }
     let code = match demo {
         None => {
             told_to_stop().await;

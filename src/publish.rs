@@ -4,7 +4,7 @@
 //! a stopped reader costs nobody else anything.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -37,9 +37,15 @@ pub struct Publication {
 }
 
 struct Publishers {
-    state: Publisher<'static>,
-    order: Publisher<'static>,
+    state: Watched,
+    order: Watched,
     event: AdvancedPublisher<'static>,
+}
+
+/// A publisher that knows whether anyone reads: asking zenoh takes longer than a step.
+struct Watched {
+    publisher: Publisher<'static>,
+    is_read: Arc<AtomicBool>,
 }
 
 impl Publication {
@@ -52,11 +58,12 @@ impl Publication {
 impl Publishers {
     fn declare(session: &Session, prefix: &str, swarm: &str) -> zenoh::Result<Self> {
         let publisher = |key: String, encoding: &'static str| {
-            session
+            let publisher = session
                 .declare_publisher(key)
                 .congestion_control(CongestionControl::Drop)
                 .encoding(encoding)
-                .wait()
+                .wait()?;
+            Watched::new(publisher)
         };
         Ok(Publishers {
             state: publisher(keys::state(prefix, swarm), CBOR)?,
@@ -190,7 +197,7 @@ impl Press {
 
 impl Publication {
     fn is_watched(&self) -> bool {
-        is_matched(&self.publishers.state) || is_matched(&self.publishers.order)
+        self.publishers.state.is_read() || self.publishers.order.is_read()
     }
 
     fn publish(&self, swarm: &str) {
@@ -208,22 +215,31 @@ impl Publication {
     /// Publishes a state and its order, each only if someone listens.
     fn publish_frame(&self, swarm: &str, publishers: &Publishers, frame: &Frame) {
         let number = self.frames.fetch_add(1, Ordering::Relaxed) + 1;
-        if is_matched(&publishers.state) {
+        if publishers.state.is_read() {
             let bytes = wire::state(swarm, frame, number).to_cbor();
-            report(swarm, publishers.state.put(bytes).wait());
+            report(swarm, publishers.state.publisher.put(bytes).wait());
         }
-        if is_matched(&publishers.order) {
+        if publishers.order.is_read() {
             let Payload { bytes, .. } = Payload::json(&wire::order_sample(swarm, frame, number));
-            report(swarm, publishers.order.put(bytes).wait());
+            report(swarm, publishers.order.publisher.put(bytes).wait());
         }
     }
 }
 
-fn is_matched(publisher: &Publisher<'_>) -> bool {
-    publisher
-        .matching_status()
-        .wait()
-        .is_ok_and(|status| status.matching())
+impl Watched {
+    fn new(publisher: Publisher<'static>) -> zenoh::Result<Self> {
+        let is_read = Arc::new(AtomicBool::new(false));
+        let told = is_read.clone();
+        let listener = publisher
+            .matching_listener()
+            .callback(move |status| told.store(status.matching(), Ordering::Relaxed));
+        listener.background().wait()?;
+        Ok(Watched { publisher, is_read })
+    }
+
+    fn is_read(&self) -> bool {
+        self.is_read.load(Ordering::Relaxed)
+    }
 }
 
 fn report(swarm: &str, put: zenoh::Result<()>) {

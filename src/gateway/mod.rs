@@ -1,29 +1,47 @@
-//! HTTP for those who watch the daemon: `/healthz` and `/metrics`.
+//! HTTP: the page, what it watches and orders, and `/healthz` and `/metrics` for machines.
 //!
-//! Only this machine reaches it, and only pages of this machine: a name that an attacker's page
-//! resolves to 127.0.0.1 is refused by its `Host`. Nothing can be changed here, no body is taken,
-//! and no other origin is let read.
+//! Only this machine reaches it, and only its own page: a name that an attacker's page resolves to
+//! 127.0.0.1 is refused by its `Host`, another page by its `Origin`. Whoever changes something
+//! shows the token that the daemon prints when it starts.
 
+mod admit;
+mod bus;
+mod feed;
+mod page;
+mod socket;
 mod text;
+mod token;
 
-use std::net::{IpAddr, SocketAddr};
+pub use bus::Bus;
+pub use token::Token;
+
+use std::net::SocketAddr;
 use std::sync::Arc;
 
 use axum::Router;
-use axum::extract::{Request, State};
-use axum::http::header::{
-    CACHE_CONTROL, CONTENT_LENGTH, CONTENT_TYPE, HOST, TRANSFER_ENCODING, X_CONTENT_TYPE_OPTIONS,
-};
-use axum::http::{HeaderValue, StatusCode};
-use axum::middleware::{Next, from_fn, map_response};
+use axum::body::Bytes;
+use axum::extract::rejection::BytesRejection;
+use axum::extract::{DefaultBodyLimit, Path, Query, RawQuery, State, WebSocketUpgrade};
+use axum::http::header::CONTENT_TYPE;
+use axum::http::{HeaderMap, StatusCode};
+use axum::middleware::{from_fn, map_response};
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{any, get, post};
+use jostle_proto::{ErrorCode, keys};
+use serde::Deserialize;
 use serde_json::json;
 use thiserror::Error;
 use tokio::net::TcpListener;
+use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 
+use crate::gateway::admit::{MOST_BODY_BYTES, admit, harden};
+use crate::gateway::bus::{refuse, told_of};
+use crate::gateway::feed::Feeds;
 use crate::health::Watch;
+
+/// Tabs at once.
+const MOST_TABS: usize = 256;
 
 /// Why HTTP is not served.
 #[derive(Debug, Error)]
@@ -84,17 +102,36 @@ impl Gateway {
         listener.map_err(|source| GatewayError::Listen { address, source })
     }
 
-    /// Serves what `watch` sees of the daemon of this name.
+    /// Serves the page, and what `watch` sees of the daemon.
     ///
     /// # Errors
     ///
     /// When the listener does not know its address.
-    pub fn serve(listener: TcpListener, node: &str, watch: Arc<Watch>) -> std::io::Result<Self> {
+    pub fn serve(
+        listener: TcpListener,
+        bus: Bus,
+        token: Token,
+        watch: Arc<Watch>,
+    ) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
+        let served = Served {
+            feeds: Feeds::start(bus.clone()),
+            bus,
+            watch,
+            token,
+            tabs: Arc::new(Semaphore::new(MOST_TABS)),
+        };
         let router = Router::new()
             .route("/healthz", get(healthz))
             .route("/metrics", get(metrics))
-            .with_state(Arc::new((node.to_owned(), watch)))
+            .route("/api/hello", get(hello))
+            .route("/api/get/{*rest}", get(look))
+            .route("/api/cmd/{swarm}/{verb}", post(command))
+            .route("/api/node/{verb}", post(node_command))
+            .route("/api/ws", any(tab))
+            .fallback(get(page::file))
+            .layer(DefaultBodyLimit::max(MOST_BODY_BYTES))
+            .with_state(Arc::new(served))
             .layer(from_fn(admit))
             .layer(map_response(harden));
         let serving = tokio::spawn(async move {
@@ -115,10 +152,18 @@ impl Gateway {
     }
 }
 
-type Seen = State<Arc<(String, Arc<Watch>)>>;
+struct Served {
+    bus: Bus,
+    feeds: Arc<Feeds>,
+    watch: Arc<Watch>,
+    token: Token,
+    tabs: Arc<Semaphore>,
+}
+
+type Seen = State<Arc<Served>>;
 
 async fn healthz(State(seen): Seen) -> Response {
-    let (node, watch) = &*seen;
+    let (node, watch) = (&seen.bus.node, &seen.watch);
     let reasons = watch.reasons();
     let status = match reasons.is_empty() {
         true => StatusCode::OK,
@@ -139,89 +184,116 @@ async fn healthz(State(seen): Seen) -> Response {
 }
 
 async fn metrics(State(seen): Seen) -> Response {
-    let (_, watch) = &*seen;
-    match text::of(watch.figures()) {
+    match text::of(seen.watch.figures()) {
         Ok(text) => ([(CONTENT_TYPE, text::CONTENT_TYPE)], text).into_response(),
         Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
     }
 }
 
-/// Lets in who asks this machine by one of its own names, and brings nothing along.
-async fn admit(request: Request, next: Next) -> Response {
-    let headers = request.headers();
-    let mut hosts = headers.get_all(HOST).iter();
-    let is_ours = matches!((hosts.next(), hosts.next()), (Some(host), None) if is_own(host))
-        && request.uri().host().is_none_or(is_own_name);
-    if !is_ours {
-        let told = "ask 127.0.0.1 or localhost by that name: the Host of this request is another\n";
-        return (StatusCode::MISDIRECTED_REQUEST, told).into_response();
-    }
-    let length = headers.get(CONTENT_LENGTH);
-    if length.is_some_and(|length| length != "0") || headers.contains_key(TRANSFER_ENCODING) {
-        return (StatusCode::PAYLOAD_TOO_LARGE, "no body is taken here\n").into_response();
-    }
-    next.run(request).await
+async fn hello(State(seen): Seen, headers: HeaderMap) -> Response {
+    let document = json!({
+        "node": seen.bus.node,
+        "prefix": seen.bus.prefix,
+        "version": env!("CARGO_PKG_VERSION"),
+        "may_command": seen.token.is_in(&headers),
+    });
+    let json = [(CONTENT_TYPE, jostle_proto::JSON)];
+    (json, document.to_string()).into_response()
 }
 
-/// What holds for every answer: it is as of now, and it is what it says it is.
-async fn harden(mut response: Response) -> Response {
-    let headers = response.headers_mut();
-    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    let plain = HeaderValue::from_static("nosniff");
-    headers.insert(X_CONTENT_TYPE_OPTIONS, plain);
-    response
-}
-
-/// Whether a `Host` is this machine, whatever the port: a tunnel may have another one.
-fn is_own(host: &HeaderValue) -> bool {
-    let Ok(host) = host.to_str() else {
-        return false;
+/// What changes nothing: a key with `get` in it, and a swarm's state.
+async fn look(
+    State(seen): Seen,
+    Path(rest): Path<String>,
+    RawQuery(parameters): RawQuery,
+) -> Response {
+    let chunks: Vec<&str> = rest.split('/').collect();
+    let is_look = match chunks[..] {
+        ["@node", "get", _] | [_, "get", _] | [_, "state"] => true,
+        ["@node", "experiment", ..] => chunks.len() > 2,
+        _ => false,
     };
-    let name = match host.rsplit_once(':') {
-        Some((name, port)) if port.parse::<u16>().is_ok() && !host.ends_with(']') => name,
-        _ => host,
-    };
-    is_own_name(name)
+    if !is_look {
+        let told = format!("{rest:?} is nothing to look at: SWARM/get/… or @node/get/…");
+        return refuse(&told_of(ErrorCode::NotFound, told));
+    }
+    let parameters = parameters.unwrap_or_default();
+    match seen.bus.ask(&rest, &parameters, None).await {
+        Ok(answer) => answer.into_response(),
+        Err(error) => refuse(&error),
+    }
 }
 
-fn is_own_name(name: &str) -> bool {
-    let bare = name.strip_prefix('[').and_then(|it| it.strip_suffix(']'));
-    let address = bare.unwrap_or(name).parse::<IpAddr>();
-    name.eq_ignore_ascii_case("localhost") || address.is_ok_and(|it| it.is_loopback())
+async fn command(
+    seen: Seen,
+    Path((swarm, verb)): Path<(String, String)>,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Response {
+    order(seen, &format!("{swarm}/cmd/{verb}"), &headers, body).await
+}
+
+async fn node_command(
+    seen: Seen,
+    Path(verb): Path<String>,
+    headers: HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Response {
+    order(seen, &format!("@node/cmd/{verb}"), &headers, body).await
+}
+
+/// What changes something: only with the token.
+async fn order(
+    State(seen): Seen,
+    rest: &str,
+    headers: &HeaderMap,
+    body: Result<Bytes, BytesRejection>,
+) -> Response {
+    if !seen.token.is_in(headers) {
+        let told = "watching only: open the link with the token that jostled printed";
+        return refuse(&told_of(ErrorCode::PermissionDenied, told));
+    }
+    let body = match body {
+        Ok(body) => body,
+        Err(rejection) => return rejection.into_response(),
+    };
+    // What is under way goes on, whether or not the tab waits for it.
+    let asked = tokio::spawn({
+        let (seen, rest) = (seen.clone(), rest.to_owned());
+        async move { seen.bus.ask(&rest, "", Some(body)).await }
+    });
+    match asked.await {
+        Ok(Ok(answer)) => answer.into_response(),
+        Ok(Err(error)) => refuse(&error),
+        Err(_) => refuse(&told_of(ErrorCode::Internal, "the daemon is going")),
+    }
+}
+
+/// Which swarm a tab watches beside the list.
+#[derive(Deserialize)]
+struct Tab {
+    swarm: Option<String>,
+}
+
+async fn tab(State(seen): Seen, Query(tab): Query<Tab>, upgrade: WebSocketUpgrade) -> Response {
+    if let Some(swarm) = &tab.swarm
+        && !keys::is_name(swarm)
+    {
+        let told = format!("{swarm:?} is no name of a swarm");
+        return refuse(&told_of(ErrorCode::InvalidArgument, told));
+    }
+    let Ok(place) = seen.tabs.clone().try_acquire_owned() else {
+        let told = format!("{MOST_TABS} tabs are open: close one");
+        return refuse(&told_of(ErrorCode::ResourceExhausted, told));
+    };
+    let feeds = seen.feeds.clone();
+    let upgrade = upgrade.max_message_size(4096).max_frame_size(4096);
+    upgrade.on_upgrade(move |socket| socket::serve(socket, feeds, tab.swarm, place))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn only_names_of_this_machine_that_nobody_can_rebind_are_its_own() {
-        for own in [
-            "localhost",
-            "LocalHost:8080",
-            "127.0.0.1",
-            "127.0.0.1:1",
-            "127.9.9.9:80",
-            "[::1]",
-            "[::1]:8080",
-        ] {
-            assert!(is_own(&HeaderValue::from_static(own)), "{own}");
-        }
-        for foreign in [
-            "",
-            "evil.example",
-            "evil.example:8080",
-            "127.0.0.1.evil.example",
-            "localhost.evil.example:8080",
-            "localhost:8080:8080",
-            "10.0.0.1:8080",
-            "0.0.0.0:8080",
-            "[::]:8080",
-            "[::1",
-        ] {
-            assert!(!is_own(&HeaderValue::from_static(foreign)), "{foreign}");
-        }
-    }
 
     #[test]
     fn only_addresses_of_this_machine_are_served_on() {

@@ -3,12 +3,10 @@
 //! Whoever has the answer only hands it over. A query that nobody answers, because its swarm
 //! ended or its time was up, is answered all the same: no asker is left in silence.
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -19,6 +17,7 @@ use zenoh::query::Query;
 
 use crate::command::CommandError;
 use crate::meter::Pulse;
+use crate::server::deadlines::{Deadlines, Due};
 use crate::server::ledger::Page;
 use crate::swarm::order::OrderError;
 use crate::wire::Payload;
@@ -30,9 +29,6 @@ const MOST_TURNS: usize = 128;
 
 /// Bytes of requests that may be held unanswered; beyond that new queries are turned away.
 const MOST_HELD_BYTES: usize = 64 * 1024 * 1024;
-
-/// Deadlines kept without looking for those that no longer matter.
-const DEADLINES_BEFORE_SWEEP: usize = 4096;
 
 /// Words that an answer did not come within so many seconds.
 pub type Excuse = fn(f64) -> CommandError;
@@ -69,7 +65,47 @@ pub struct Desk {
 pub struct Asked {
     /// What came in.
     pub query: Query,
-    turn: Option<Arc<Turn>>,
+    _turn: Option<Arc<Turn>>,
+    door: Option<Arc<Door>>,
+}
+
+/// Where a query came in, while whoever reads it stays there: an answer that is given meanwhile is
+/// sent from there, which is sooner than another thread would be woken.
+#[derive(Default)]
+pub struct Door(Mutex<AtTheDoor>);
+
+#[derive(Default)]
+enum AtTheDoor {
+    #[default]
+    Nothing,
+    Answer(Box<Outgoing>),
+    Shut,
+}
+
+impl Door {
+    /// Leaves an answer here; gives it back if the door is shut.
+    fn leave(&self, answer: Outgoing) -> Option<Outgoing> {
+        let mut door = self.lock();
+        match *door {
+            AtTheDoor::Nothing => {
+                *door = AtTheDoor::Answer(Box::new(answer));
+                None
+            }
+            _ => Some(answer),
+        }
+    }
+
+    /// Sends the answer that was left here. Those that come later go another way.
+    pub fn shut(&self) {
+        let before = std::mem::replace(&mut *self.lock(), AtTheDoor::Shut);
+        if let AtTheDoor::Answer(answer) = before {
+            answer.send();
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, AtTheDoor> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Asked {
@@ -78,7 +114,16 @@ impl Asked {
     pub fn aside(&self) -> Asked {
         Asked {
             query: self.query.clone(),
-            turn: None,
+            _turn: None,
+            door: None,
+        }
+    }
+
+    /// The same query, while whoever reads it waits at the door.
+    pub fn at(&self, door: &Arc<Door>) -> Asked {
+        Asked {
+            door: Some(door.clone()),
+            ..self.clone()
         }
     }
 }
@@ -102,30 +147,6 @@ struct Outgoing {
     asker: Option<(Asked, String)>,
     page: Option<Page>,
     body: Body,
-}
-
-/// When promises are to be kept at the latest. Whoever watches them is woken by a time that comes
-/// before all others, and not by every promise: in a flood those are ten thousands a second.
-#[derive(Default)]
-struct Deadlines {
-    dues: Mutex<Dues>,
-    changed: Condvar,
-}
-
-#[derive(Default)]
-struct Dues {
-    heap: BinaryHeap<Reverse<Due>>,
-    /// How many there are to be before those are dropped that no longer matter.
-    sweep_at: usize,
-    is_stopped: bool,
-}
-
-/// A promise, when it is to be kept, and what is said if it was not.
-struct Due {
-    at: Instant,
-    number: u64,
-    promise: Promise,
-    excuse: Box<dyn FnOnce() -> Payload + Send>,
 }
 
 impl Desk {
@@ -182,7 +203,8 @@ impl Desk {
         }
         Some(Asked {
             query: query.clone(),
-            turn: Some(Arc::new(turn)),
+            _turn: Some(Arc::new(turn)),
+            door: None,
         })
     }
 
@@ -232,10 +254,20 @@ impl Promise {
 
     fn hand_in(&self, page: Option<Page>, body: Body) {
         let Owed { key, desk, .. } = &*self.0;
-        let asker = self.lock().take().map(|asked| (asked, key.clone()));
-        if asker.is_some() || page.is_some() {
+        let mut asked = self.lock().take();
+        let door = asked.as_mut().and_then(|asked| asked.door.take());
+        let asker = asked.map(|asked| (asked, key.clone()));
+        if asker.is_none() && page.is_none() {
+            return;
+        }
+        let answer = Outgoing { asker, page, body };
+        let to_send = match door {
+            Some(door) => door.leave(answer),
+            None => Some(answer),
+        };
+        if to_send.is_some() {
             // Once the desk is closed the daemon is going, and its silence says so.
-            let _ = desk.outgoing.send(Some(Outgoing { asker, page, body }));
+            let _ = desk.outgoing.send(to_send);
         }
     }
 
@@ -247,14 +279,16 @@ impl Promise {
         excuse: Excuse,
         step: impl FnOnce() -> Option<u64> + Send + 'static,
     ) {
-        static NUMBERS: AtomicU64 = AtomicU64::new(0);
         let excuse = move || Payload::json(&excuse(patience.as_secs_f64()).to_wire(step()));
-        self.0.desk.deadlines.add(Due {
-            at: Instant::now() + patience,
-            number: NUMBERS.fetch_add(1, Ordering::Relaxed),
-            promise: self.clone(),
-            excuse: Box::new(excuse),
-        });
+        let due = Due::new(Instant::now() + patience, self.clone(), Box::new(excuse));
+        self.0.desk.deadlines.add(due);
+    }
+
+    /// Whether whoever reads the query waits at the door.
+    pub fn is_at_the_door(&self) -> bool {
+        self.lock()
+            .as_ref()
+            .is_some_and(|asked| asked.door.is_some())
     }
 
     /// Whether it has been kept.
@@ -296,109 +330,30 @@ impl Drop for Keeper {
 }
 
 fn send_all(to_send: &Receiver<Option<Outgoing>>, pulse: &Pulse) {
-    while let Ok(Some(Outgoing { asker, page, body })) = to_send.recv() {
+    while let Ok(Some(answer)) = to_send.recv() {
         pulse.beat();
+        answer.send();
+        pulse.rest();
+    }
+}
+
+impl Outgoing {
+    fn send(self) {
+        let Outgoing { asker, page, body } = self;
         let answer = catch_unwind(AssertUnwindSafe(body))
             .unwrap_or_else(|_| Err(Payload::json(&CommandError::Internal.to_wire(None))));
         if let Some(page) = page {
             page.write(&answer);
         }
-        if let Some((Asked { query, turn: _turn }, key)) = asker {
-            let sent = match answer {
-                Ok(Payload { bytes, encoding }) => {
-                    query.reply(key, bytes).encoding(encoding).wait()
-                }
-                Err(Payload { bytes, encoding }) => {
-                    query.reply_err(bytes).encoding(encoding).wait()
-                }
-            };
-            if let Err(error) = sent {
-                debug!(%error, "failed to send an answer");
-            }
-        }
-        pulse.rest();
-    }
-}
-
-impl Deadlines {
-    fn add(&self, due: Due) {
-        let mut dues = self.lock();
-        if dues.is_stopped {
+        let Some((Asked { query, .. }, key)) = &asker else {
             return;
+        };
+        let sent = match answer {
+            Ok(Payload { bytes, encoding }) => query.reply(key, bytes).encoding(encoding).wait(),
+            Err(Payload { bytes, encoding }) => query.reply_err(bytes).encoding(encoding).wait(),
+        };
+        if let Err(error) = sent {
+            debug!(%error, "failed to send an answer");
         }
-        if dues.heap.len() >= dues.sweep_at {
-            dues.heap.retain(|Reverse(due)| !due.promise.is_kept());
-            dues.sweep_at = (2 * dues.heap.len()).max(DEADLINES_BEFORE_SWEEP);
-        }
-        let is_first = dues
-            .heap
-            .peek()
-            .is_none_or(|Reverse(first)| due.at < first.at);
-        dues.heap.push(Reverse(due));
-        drop(dues);
-        if is_first {
-            self.changed.notify_one();
-        }
-    }
-
-    /// Refuses what is not kept in time, until stopped.
-    fn watch(&self) {
-        let mut dues = self.lock();
-        while !dues.is_stopped {
-            let Some(Reverse(first)) = dues.heap.peek() else {
-                let woken = self.changed.wait(dues);
-                dues = woken.unwrap_or_else(PoisonError::into_inner);
-                continue;
-            };
-            let left = first.at.saturating_duration_since(Instant::now());
-            if !left.is_zero() {
-                let woken = self.changed.wait_timeout(dues, left);
-                dues = woken.unwrap_or_else(PoisonError::into_inner).0;
-                continue;
-            }
-            let due = dues.heap.pop();
-            drop(dues);
-            if let Some(Reverse(Due {
-                promise, excuse, ..
-            })) = due
-                && !promise.is_kept()
-            {
-                promise.keep(move || Err(excuse()));
-            }
-            dues = self.lock();
-        }
-        // What is owed holds the desk, and letting go of a query may wait for a frozen client.
-        let left = std::mem::take(&mut dues.heap);
-        drop(dues);
-        drop(left);
-    }
-
-    fn stop(&self) {
-        self.lock().is_stopped = true;
-        self.changed.notify_one();
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Dues> {
-        self.dues.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl PartialEq for Due {
-    fn eq(&self, other: &Self) -> bool {
-        self.number == other.number
-    }
-}
-
-impl Eq for Due {}
-
-impl PartialOrd for Due {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Due {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        (self.at, self.number).cmp(&(other.at, other.number))
     }
 }

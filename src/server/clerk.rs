@@ -71,14 +71,21 @@ impl Clerk {
         let is_first = self.waiting.load(Ordering::Acquire) == 0;
         let answers = is_short && is_advance && is_first && matches!(topic, Topic::Command(_));
         if answers {
-            self.survive(topic, asked);
+            let door = Arc::default();
+            self.survive(topic, &asked.at(&door));
+            door.shut();
         }
         answers
     }
 
-    /// Dispatches a query; one that uncovers a defect ends with an error and not with the daemon.
+    /// Dispatches a query.
     pub fn survive(&self, topic: &Topic, asked: &Asked) {
-        if catch_unwind(AssertUnwindSafe(|| self.query(topic, asked))).is_err() {
+        self.guard(asked, || self.query(topic, asked));
+    }
+
+    /// Has a query answered; one that uncovers a defect ends with an error and not with the daemon.
+    pub fn guard(&self, asked: &Asked, answer: impl FnOnce()) {
+        if catch_unwind(AssertUnwindSafe(answer)).is_err() {
             let key = asked.query.key_expr().as_str().to_owned();
             error!(key, "a defect: the query panicked");
             let promise = self.desk.promise(asked, key);
@@ -157,7 +164,10 @@ impl Clerk {
         };
         let late = handle.step_later();
         promise.keep_within(patience, excuse, late);
-        handle.send(ticket(answer_to(promise)));
+        match ticket(answer_to(promise)) {
+            Ticket::Command(command) if promise.is_at_the_door() => handle.send_here(command),
+            ticket => handle.send(ticket),
+        }
     }
 }
 

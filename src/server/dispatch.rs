@@ -81,7 +81,7 @@ impl Dispatcher {
             match taken {
                 Ok(Intake::Query(topic, asked)) => {
                     match topic {
-                        Topic::Deletion => self.deleted(&asked),
+                        Topic::Deletion => self.clerk.guard(&asked, || self.deleted(&asked)),
                         topic => self.clerk.survive(&topic, &asked),
                     }
                     self.clerk.waiting.fetch_sub(1, Ordering::Release);

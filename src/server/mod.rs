@@ -6,6 +6,7 @@ pub mod clerk;
 mod commands;
 mod control;
 mod copies;
+mod deadlines;
 pub mod dispatch;
 pub mod doors;
 pub mod experiments;
@@ -15,7 +16,6 @@ pub mod query;
 pub mod recovery;
 pub mod session;
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::net::SocketAddr;
 use std::num::NonZero;
 use std::sync::atomic::AtomicUsize;
@@ -27,7 +27,6 @@ use std::time::{Duration, Instant};
 use jostle_proto::keys;
 use thiserror::Error;
 use tracing::{error, info, warn};
-use zenoh::key_expr::KeyExpr;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::pubsub::Subscriber;
 use zenoh::query::Queryable;
@@ -35,7 +34,7 @@ use zenoh::{Session, Wait};
 
 use crate::command::{CommandError, check_name};
 use crate::config::Config;
-use crate::gateway::{self, Gateway, GatewayError};
+use crate::gateway::{self, Bus, Gateway, GatewayError, Token};
 use crate::health::{Watch, Watched};
 use crate::host::Host;
 use crate::lab::Lab;
@@ -99,11 +98,13 @@ pub enum ServerError {
     /// No thread can be started.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
+    /// The token of the page can neither be read nor written.
+    #[error("cannot keep the page's token in the data directory: {0}")]
+    Token(std::io::Error),
 }
 
 /// A daemon that serves.
 pub struct Server {
-    prefix: String,
     host: Arc<Host>,
     store: Store,
     session: Session,
@@ -113,6 +114,7 @@ pub struct Server {
     endpoints: Vec<String>,
     watch: Arc<Watch>,
     gateway: Option<Gateway>,
+    page: Option<Token>,
     lab: Lab,
     doors: (LivelinessToken, [Queryable<()>; 4], [Subscriber<()>; 2]),
 }
@@ -191,8 +193,18 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     })?;
     let watching = watch.get_or_init(|| watching).clone();
     // Whoever looks after the daemon reaches it while its swarms are brought back.
+    let mut page = None;
     let gateway = match http {
-        Some(listener) => Some(Gateway::serve(listener, node, watching.clone())?),
+        Some(listener) => {
+            let token = Token::of(&config.data_dir).map_err(ServerError::Token)?;
+            let bus = Bus {
+                session: session.clone(),
+                prefix: prefix.clone(),
+                node: node.clone(),
+            };
+            page = Some(token.clone());
+            Some(Gateway::serve(listener, bus, token, watching.clone())?)
+        }
         None => None,
     };
 
@@ -223,7 +235,6 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         .map_err(refused)?;
     info!(node, endpoints = endpoints.join(" "), "serving");
     Ok(Server {
-        prefix: prefix.clone(),
         host,
         store,
         session,
@@ -233,6 +244,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         endpoints,
         watch: watching,
         gateway,
+        page,
         lab,
         doors: (token, queryables, controls),
     })
@@ -281,6 +293,12 @@ impl Server {
         self.gateway.as_ref().map(Gateway::address)
     }
 
+    /// Where the page is, for whoever may steer: the link holds the token, and belongs in no log.
+    pub fn page(&self) -> Option<String> {
+        let (address, token) = (self.http()?, self.page.as_ref()?);
+        Some(format!("http://{address}/#token={}", token.text()))
+    }
+
     /// What tells whether all is well.
     pub fn watch(&self) -> &Arc<Watch> {
         &self.watch
@@ -301,33 +319,9 @@ impl Server {
         &self.host
     }
 
-    /// How many clients subscribe to anything of a swarm.
-    pub async fn subscribers(&self, swarm: &str) -> usize {
-        let Ok(published) = KeyExpr::new(format!("{}/{swarm}/*", self.prefix)) else {
-            return 0;
-        };
-        let zid = self.session.zid().to_string();
-        let declared = format!("@/{zid}/peer/subscriber/");
-        let Ok(replies) = self.session.get(format!("{declared}**")).await else {
-            return 0;
-        };
-        let mut clients = BTreeSet::new();
-        while let Ok(reply) = replies.recv_async().await {
-            let Ok(sample) = reply.into_result() else {
-                continue;
-            };
-            let key = sample.key_expr().as_str();
-            let is_about = key
-                .strip_prefix(&declared)
-                .and_then(|key| KeyExpr::new(key).ok())
-                .is_some_and(|key| key.intersects(&published));
-            if is_about {
-                let sources: BTreeMap<String, Vec<String>> =
-                    serde_json::from_slice(&sample.payload().to_bytes()).unwrap_or_default();
-                clients.extend(sources.into_values().flatten().filter(|id| *id != zid));
-            }
-        }
-        clients.len()
+    /// How many clients are connected.
+    pub fn sessions(&self) -> usize {
+        self.session.info().transports().wait().count()
     }
 
     /// Stops: no new orders, every swarm between two steps, goodbye. Takes less than two

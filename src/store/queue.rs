@@ -63,6 +63,8 @@ struct State {
     durable: usize,
     end: Option<End>,
     writer: Option<ThreadId>,
+    /// When the writer wakes by itself, while it sleeps.
+    wakes_at: Option<Instant>,
     /// Whether everything was written, once the writer has ended.
     outcome: Option<bool>,
 }
@@ -105,8 +107,14 @@ impl Queue {
         }
         state.size = (state.size.0 + writes, state.size.1 + bytes);
         state.durable += usize::from(submit.wanted.is_now());
-        state.submits.push_back((submit, Instant::now()));
-        self.filled.notify_one();
+        let now = Instant::now();
+        state.submits.push_back((submit, now));
+        // Waking it takes as long as a step: those who follow share its sleep.
+        let is_sooner = |wakes_at| due(&state, now).is_some_and(|due| due < wakes_at);
+        if state.wakes_at.is_some_and(is_sooner) {
+            state.wakes_at = None;
+            self.filled.notify_one();
+        }
         Ok(())
     }
 
@@ -129,10 +137,12 @@ impl Queue {
                 return (Vec::new(), state.end.clone());
             }
             let wake = due.map_or(until, |due| due.min(until));
+            state.wakes_at = Some(wake);
             (state, _) = self
                 .filled
                 .wait_timeout(state, wake - now)
                 .unwrap_or_else(PoisonError::into_inner);
+            state.wakes_at = None;
         }
     }
 

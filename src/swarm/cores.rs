@@ -158,6 +158,11 @@ impl Seat {
         }
     }
 
+    /// Whether nobody waits for a core: what takes a moment needs none.
+    pub fn is_needless(&self) -> bool {
+        self.cores.first_waiting.load(Ordering::Relaxed) == NOBODY
+    }
+
     /// Needs no core for now.
     pub fn leave(&mut self) {
         match std::mem::replace(&mut self.has, Has::Nothing) {

@@ -9,6 +9,7 @@ use crate::swarm::frame::Summary;
 use crate::swarm::history::History;
 use crate::swarm::order::{Answer, Order, OrderError, Recipe, Refusal, Sender, When};
 use crate::swarm::outlet::Outlet;
+use crate::swarm::shelf::Shelf;
 use crate::swarm::tally::{Tally, Totals};
 use crate::swarm::waiters::Waiter;
 
@@ -27,8 +28,8 @@ pub enum Ticket {
     Put(String, Option<u64>, Option<Put>),
     /// A controller's token is gone.
     Lost(String),
-    /// It has a core now, which it waits for.
-    Core,
+    /// It is to look for itself: it has a core now, or somebody else has done what it waited for.
+    Awake,
     /// End now, without an event: the daemon stops.
     Stop,
 }
@@ -57,6 +58,7 @@ pub struct Handle {
     /// What its thread counts of itself.
     pub tally: Arc<Tally>,
     pub(crate) tickets: Arc<SyncSender<Ticket>>,
+    pub(crate) shelf: Arc<Shelf>,
     pub(crate) cores: Arc<Cores>,
     pub(crate) summary: Arc<Mutex<Option<Summary>>>,
 }
@@ -65,12 +67,25 @@ impl Handle {
     /// Hands over a ticket. Its answer comes from the swarm's thread, or from here when too many
     /// wait already ([`OrderError::Busy`]) or the swarm has ended ([`OrderError::Gone`]).
     pub fn send(&self, ticket: Ticket) {
+        self.shelf.queue();
         let (ticket, error) = match self.tickets.try_send(ticket) {
             Ok(()) => return,
             Err(TrySendError::Full(ticket)) => (ticket, OrderError::Busy),
             Err(TrySendError::Disconnected(ticket)) => (ticket, OrderError::Gone),
         };
+        self.shelf.unqueue();
         ticket.refuse(self.step(), error);
+    }
+
+    /// Hands over a command. If the swarm waits for it and it is done in a moment, that is done
+    /// here, and it is answered when this returns; otherwise as with [`send`](Handle::send).
+    pub fn send_here(&self, command: Command) {
+        match self.shelf.carry_out(command) {
+            Ok(false) => {}
+            // A thread whose queue is full wakes for that.
+            Ok(true) => drop(self.tickets.try_send(Ticket::Awake)),
+            Err(command) => self.send(Ticket::Command(*command)),
+        }
     }
 
     /// Its place among the swarms that share the cores. It keeps no queue of tickets alive.
@@ -79,7 +94,7 @@ impl Handle {
         self.cores.seat(move || {
             if let Some(tickets) = tickets.upgrade() {
                 // A thread whose queue is full is awake, or wakes for that.
-                let _ = tickets.try_send(Ticket::Core);
+                let _ = tickets.try_send(Ticket::Awake);
             }
         })
     }
@@ -118,6 +133,11 @@ impl Handle {
 }
 
 impl Ticket {
+    /// Whether it only wakes; such a ticket is not counted.
+    pub(crate) fn is_awake(&self) -> bool {
+        matches!(self, Ticket::Awake)
+    }
+
     /// Answers a ticket that no swarm took.
     fn refuse(self, step: Option<u64>, error: OrderError) {
         match self {
@@ -127,7 +147,7 @@ impl Ticket {
             | Ticket::Wait(Waiter { answer, .. }) => {
                 answer(Err(Refusal { step, error }));
             }
-            Ticket::Put(..) | Ticket::Lost(_) | Ticket::Core | Ticket::Stop => {}
+            Ticket::Put(..) | Ticket::Lost(_) | Ticket::Awake | Ticket::Stop => {}
         }
     }
 }

@@ -13,6 +13,7 @@ pub mod outlet;
 pub mod pace;
 pub mod phase;
 pub mod schedule;
+mod shelf;
 pub mod simulation;
 pub mod tally;
 pub mod waiters;

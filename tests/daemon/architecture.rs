@@ -50,8 +50,8 @@ const MAY_USE: [(&str, &[&str]); 21] = [
 ];
 
 /// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 18] = [
-    ("zenoh::", &["publish", "server"]),
+const ONLY_IN: [(&str, &[&str]); 19] = [
+    ("zenoh::", &["gateway", "publish", "server"]),
     ("zenoh_ext::", &["publish"]),
     (
         "jostle_proto",
@@ -61,6 +61,7 @@ const ONLY_IN: [(&str, &[&str]); 18] = [
             "demo",
             "experiment/grid",
             "experiment/plan",
+            "gateway",
             "lab",
             "publish",
             "server",
@@ -84,6 +85,7 @@ const ONLY_IN: [(&str, &[&str]); 18] = [
     ("jostle_results", &["experiment", "lab", "wire"]),
     ("indicatif::", &["batch"]),
     ("axum::", &["gateway"]),
+    ("rust_embed", &["gateway"]),
     ("prometheus_client::", &["gateway"]),
     ("tokio::", &["demo", "gateway", "main", "server"]),
     ("clap::", &["main"]),
@@ -108,6 +110,7 @@ const ONLY_IN: [(&str, &[&str]); 18] = [
             "command",
             "demo",
             "experiment/control",
+            "gateway",
             "health",
             "host",
             "lab",
@@ -125,6 +128,7 @@ const ONLY_IN: [(&str, &[&str]); 18] = [
             "batch",
             "config",
             "experiment/folder",
+            "gateway/token",
             "health",
             "lab/shelf",
             "store",

@@ -13,7 +13,7 @@ use crate::apart::{Process, jostled};
 use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, alone, beside_others, until};
 
 /// The answer to a request as it came: status, head and body.
-fn send(address: &str, request: &str) -> (u16, String, String) {
+pub fn send(address: &str, request: &str) -> (u16, String, String) {
     let mut stream = TcpStream::connect(address).unwrap();
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
     stream.write_all(request.as_bytes()).unwrap();
@@ -24,7 +24,7 @@ fn send(address: &str, request: &str) -> (u16, String, String) {
     (status, head.to_lowercase(), body.to_owned())
 }
 
-fn get(address: &str, path: &str) -> (u16, String, String) {
+pub fn get(address: &str, path: &str) -> (u16, String, String) {
     let request = format!("GET {path} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
     send(address, &request)
 }
@@ -92,7 +92,7 @@ fn series(address: &str) -> BTreeMap<String, f64> {
     series
 }
 
-fn of_daemon(daemon: &Daemon) -> String {
+pub fn of_daemon(daemon: &Daemon) -> String {
     daemon.server.http().unwrap().to_string()
 }
 
@@ -317,7 +317,7 @@ async fn only_this_machine_by_its_own_name_is_answered_and_only_to_a_bare_get() 
         assert_eq!(ask(&line, chunks), 413);
         assert_eq!(ask(&format!("POST {path}"), "Host: localhost\r\n"), 405);
     }
-    assert_eq!(ask("GET /", "Host: localhost\r\n"), 404);
+    assert_eq!(ask("GET /nothing", "Host: localhost\r\n"), 404);
     daemon.stop().await;
 }
 

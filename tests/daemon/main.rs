@@ -20,6 +20,7 @@ mod history;
 mod load;
 mod once;
 mod overload;
+mod page;
 mod process;
 mod repeat;
 mod schedule;

@@ -3,6 +3,7 @@
 //! It takes tickets between steps in the order of arrival, paces itself, and puts what is to be
 //! published in its outlet. It never waits for a reader.
 
+mod idle;
 mod orders;
 pub mod replay;
 mod steering;
@@ -29,6 +30,7 @@ use crate::swarm::outlet::Outlet;
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{Cue, PauseReason, Phase};
 use crate::swarm::schedule::Schedule;
+use crate::swarm::shelf::Shelf;
 use crate::swarm::simulation::Simulation;
 use crate::swarm::tally::Tally;
 use crate::swarm::waiters::Waiters;
@@ -60,7 +62,6 @@ pub struct Worker {
     rate: Option<f64>,
     pace: Pace,
     seat: Seat,
-    tickets: Receiver<Ticket>,
     outlet: Arc<Outlet>,
     history: Arc<History>,
     tally: Arc<Tally>,
@@ -75,6 +76,9 @@ pub struct Worker {
     controllers: Controllers,
     journal: Journal,
     since: Since,
+    step_took: Duration,
+    /// When its thread wakes by itself, while it sleeps.
+    wakes_at: Option<Instant>,
     replay: Replay,
 }
 
@@ -125,19 +129,12 @@ impl Worker {
     /// A paused worker around a swarm that was just built.
     pub fn new(
         simulation: Simulation,
-        tickets: Receiver<Ticket>,
         handle: &Handle,
         shortest_between_frames: Duration,
         writer: Writer,
     ) -> Self {
         let journal = Journal::new(writer, 0, simulation.state.step);
-        let mut worker = Worker::around(
-            simulation,
-            tickets,
-            handle,
-            shortest_between_frames,
-            journal,
-        );
+        let mut worker = Worker::around(simulation, handle, shortest_between_frames, journal);
         worker.tell(EventKind::Created);
         worker.renew_summary();
         worker
@@ -145,7 +142,6 @@ impl Worker {
 
     fn around(
         simulation: Simulation,
-        tickets: Receiver<Ticket>,
         handle: &Handle,
         shortest_between_frames: Duration,
         journal: Journal,
@@ -157,11 +153,12 @@ impl Worker {
             seat: handle.seat(),
             journal,
             since: Since::new(),
+            step_took: Duration::MAX,
+            wakes_at: None,
             replay: Replay::default(),
             simulation,
             phase: Phase::Paused(PauseReason::Created),
             rate,
-            tickets,
             outlet: handle.outlet.clone(),
             history: handle.history.clone(),
             tally: handle.tally.clone(),
@@ -227,51 +224,60 @@ impl Worker {
     }
 
     /// Steps and takes tickets until the swarm ends.
-    pub fn run(mut self) -> End {
-        let end = self.live();
-        self.tally.pulse.rest();
+    pub fn run(self, tickets: &Receiver<Ticket>, shelf: &Shelf) -> End {
+        let tally = self.tally.clone();
+        let end = Box::new(self).live(tickets, shelf);
+        tally.pulse.rest();
         end
     }
 
-    fn live(&mut self) -> End {
+    fn live(self: Box<Self>, tickets: &Receiver<Ticket>, shelf: &Shelf) -> End {
+        let mut worker = self;
+        let others = || tickets.try_iter();
         loop {
-            if self.controllers.due().is_some()
-                && let Some(end) = self.fire_overdue()
+            if worker.controllers.due().is_some()
+                && let Some(end) = worker.fire_overdue()
             {
                 return end;
             }
-            if self.phase.is_moving() {
-                self.tally.pulse.beat();
-                if let Some(end) = self.take_with_others(None) {
+            if worker.phase.is_moving() {
+                worker.tally.pulse.beat();
+                if let Some(end) = worker.take_with_others(others(), shelf) {
                     return end;
                 }
             }
-            let wait = self.wait();
-            if wait == Some(Duration::ZERO) && self.has_core() {
-                self.tally.pulse.beat();
-                if let Some(end) = self.step() {
+            let wait = worker.wait();
+            if wait == Some(Duration::ZERO) && worker.has_core() {
+                worker.tally.pulse.beat();
+                if let Some(end) = worker.step() {
                     return end;
                 }
                 continue;
             }
-            self.tally.pulse.rest();
-            let ticket = match wait {
+            worker.tally.pulse.rest();
+            worker.wakes_at = match wait {
                 // It is called when there is a core for it.
-                Some(Duration::ZERO) => self.tickets.recv().map_err(RecvTimeoutError::from),
+                Some(Duration::ZERO) => None,
                 wait => {
-                    self.seat.leave();
-                    let due = self.controllers.due();
-                    let until_due = due.map(|due| due.saturating_duration_since(Instant::now()));
-                    match wait.into_iter().chain(until_due).min() {
-                        Some(wait) => self.tickets.recv_timeout(wait),
-                        None => self.tickets.recv().map_err(RecvTimeoutError::from),
-                    }
+                    worker.seat.leave();
+                    let next = wait.map(|wait| Instant::now() + wait);
+                    next.into_iter().chain(worker.controllers.due()).min()
                 }
+            };
+            let ticket = if worker.lies_idle() {
+                let wakes_at = worker.wakes_at;
+                shelf.put(worker);
+                let ticket = receive(tickets, wakes_at);
+                worker = shelf.take();
+                ticket
+            } else {
+                receive(tickets, worker.wakes_at)
             };
             match ticket {
                 Ok(ticket) => {
-                    self.tally.pulse.beat();
-                    if let Some(end) = self.take_with_others(Some(ticket)) {
+                    worker.tally.pulse.beat();
+                    let all = std::iter::once(ticket).chain(others());
+                    if let Some(end) = worker.take_with_others(all, shelf) {
                         return end;
                     }
                 }
@@ -301,12 +307,18 @@ impl Worker {
         }
     }
 
-    /// Takes a ticket, and those that came meanwhile. Commands that follow each other are made
+    /// Takes the tickets that have come. Commands that follow each other are made
     /// safe together; what comes after one that starts over has another step, and what comes after
     /// a `step`, which is written down when it is carried out, is to stand on a later line.
-    fn take_with_others(&mut self, first: Option<Ticket>) -> Option<End> {
-        let more = self.tickets.try_iter().take(TICKETS_PER_STEP);
-        let mut tickets: VecDeque<Ticket> = first.into_iter().chain(more).collect();
+    fn take_with_others(
+        &mut self,
+        tickets: impl Iterator<Item = Ticket>,
+        shelf: &Shelf,
+    ) -> Option<End> {
+        let mut tickets: VecDeque<Ticket> = tickets.take(TICKETS_PER_STEP).collect();
+        for _ in tickets.iter().filter(|ticket| !ticket.is_awake()) {
+            shelf.unqueue();
+        }
         let mut together = Vec::new();
         while let Some(ticket) = tickets.pop_front() {
             match ticket {
@@ -361,8 +373,8 @@ impl Worker {
                 None
             }
             Ticket::Command(command) => self.commands(vec![command]),
-            // It asks itself, before its next step.
-            Ticket::Core => None,
+            // It looks for itself, before its next step.
+            Ticket::Awake => None,
             Ticket::Stop => {
                 self.journal.keep(Checkpoint {
                     is_last: true,
@@ -390,6 +402,7 @@ impl Worker {
                 let took = now.saturating_duration_since(began);
                 self.since.steps += 1;
                 self.since.work += took;
+                self.step_took = took;
                 // What is told again was counted when it was first taken.
                 if !self.journal.is_replaying() {
                     self.tally.stepped(took, late, &report);
@@ -597,5 +610,13 @@ impl Worker {
             real_time_factor: self.real_time_factor(),
         };
         *self.summary.lock().unwrap_or_else(PoisonError::into_inner) = Some(summary);
+    }
+}
+
+/// The next ticket, which may come until then.
+fn receive(tickets: &Receiver<Ticket>, until: Option<Instant>) -> Result<Ticket, RecvTimeoutError> {
+    match until {
+        Some(until) => tickets.recv_timeout(until.saturating_duration_since(Instant::now())),
+        None => tickets.recv().map_err(RecvTimeoutError::from),
     }
 }

@@ -2,14 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
-use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::control::Controllers;
 use crate::swarm::crash;
 use crate::swarm::frame::{EventKind, Place};
-use crate::swarm::handle::{Command, Handle, Ticket};
+use crate::swarm::handle::{Command, Handle};
 use crate::swarm::history::Entry;
 use crate::swarm::journal::{Journal, Line, Record, WriteFault, Writer};
 use crate::swarm::order::{Admit, Answer, Order, Sender, When};
@@ -116,7 +115,6 @@ impl Worker {
     /// journal says that it did.
     pub fn from_past(
         past: Past,
-        tickets: Receiver<Ticket>,
         handle: &Handle,
         shortest_between_frames: Duration,
         (writer, admit): (Writer, Admit),
@@ -144,13 +142,8 @@ impl Worker {
         let is_last = checkpoint.is_last && lines.is_empty();
         let pending = checkpoint.pending.clone();
         let joined = checkpoint.controllers.clone();
-        let mut worker = Worker::from_copy(
-            checkpoint,
-            tickets,
-            handle,
-            shortest_between_frames,
-            (writer, admit),
-        );
+        let mut worker =
+            Worker::from_copy(checkpoint, handle, shortest_between_frames, (writer, admit));
         worker.journal.replay();
         worker.pending = pending.map(|(from, sender)| Pending {
             answer: recall(&sender),
@@ -168,7 +161,6 @@ impl Worker {
     /// A worker around a swarm as it was at a checkpoint.
     pub fn from_copy(
         checkpoint: Checkpoint,
-        tickets: Receiver<Ticket>,
         handle: &Handle,
         shortest_between_frames: Duration,
         (writer, admit): (Writer, Admit),
@@ -176,7 +168,6 @@ impl Worker {
         let simulation = Simulation::from_checkpoint(&checkpoint, admit);
         let mut worker = Worker::around(
             simulation,
-            tickets,
             handle,
             shortest_between_frames,
             Journal::new(writer, checkpoint.lines, checkpoint.state.step),

@@ -1,0 +1,461 @@
+//! What the page is served, over HTTP and WebSockets as a browser asks.
+
+use std::io::{BufRead, BufReader, Read};
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use futures_util::{SinkExt, StreamExt};
+use serde_json::{Value, json};
+use tokio::net::TcpStream;
+use tokio::time::{sleep, timeout};
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::{self, Message};
+use tokio_tungstenite::{WebSocketStream, client_async};
+
+use crate::apart::jostled;
+use crate::health::{get, of_daemon, send};
+use crate::support::{Daemon, NODE, PATIENCE, alone, beside_others, until};
+
+/// A browser that may steer, or not.
+struct Browser {
+    address: String,
+    token: Option<String>,
+}
+
+impl Browser {
+    fn of(daemon: &Daemon) -> Self {
+        let link = daemon.server.page().unwrap();
+        let (_, token) = link.split_once("/#token=").unwrap();
+        Browser {
+            address: of_daemon(daemon),
+            token: Some(token.to_owned()),
+        }
+    }
+
+    fn head(&self) -> String {
+        let Browser { address, token } = self;
+        let token = token.as_ref();
+        let token = token.map(|token| format!("Authorization: Bearer {token}\r\n"));
+        let token = token.unwrap_or_default();
+        format!("Host: {address}\r\nOrigin: http://{address}\r\nConnection: close\r\n{token}")
+    }
+
+    fn post(&self, path: &str, body: &str) -> (u16, Value) {
+        let head = self.head();
+        let length = body.len();
+        let request =
+            format!("POST {path} HTTP/1.1\r\n{head}Content-Length: {length}\r\n\r\n{body}");
+        let (status, _, body) = send(&self.address, &request);
+        (status, serde_json::from_str(&body).unwrap_or_default())
+    }
+
+    fn get(&self, path: &str) -> (u16, Value) {
+        let request = format!("GET {path} HTTP/1.1\r\n{}\r\n", self.head());
+        let (status, _, body) = send(&self.address, &request);
+        (status, serde_json::from_str(&body).unwrap_or_default())
+    }
+}
+
+type Tab = WebSocketStream<TcpStream>;
+
+async fn open(address: &str, path: &str, origin: Option<&str>) -> tungstenite::Result<Tab> {
+    let stream = TcpStream::connect(address).await.unwrap();
+    let mut request = format!("ws://{address}{path}").into_client_request()?;
+    if let Some(origin) = origin {
+        request
+            .headers_mut()
+            .insert("origin", origin.parse().unwrap());
+    }
+    client_async(request, stream).await.map(|(tab, _)| tab)
+}
+
+async fn tab(address: &str, path: &str) -> Tab {
+    open(address, path, Some(&format!("http://{address}")))
+        .await
+        .unwrap()
+}
+
+/// The next thing told that `pick` takes.
+async fn told<T>(tab: &mut Tab, mut pick: impl FnMut(&Message) -> Option<T>) -> T {
+    let next = async {
+        loop {
+            let message = tab.next().await.unwrap().unwrap();
+            if let Some(picked) = pick(&message) {
+                return picked;
+            }
+        }
+    };
+    timeout(PATIENCE, next).await.unwrap()
+}
+
+/// What a text message tells under a name.
+fn named(message: &Message, name: &str) -> Option<Value> {
+    let document: Value = serde_json::from_str(message.to_text().ok()?).ok()?;
+    document.get(name).cloned()
+}
+
+/// The step of a state.
+fn step_of(message: &Message) -> Option<u64> {
+    let Message::Binary(bytes) = message else {
+        return None;
+    };
+    let state: jostle_proto::State = ciborium::from_reader(&bytes[..]).unwrap();
+    Some(state.step)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_page_is_served_and_may_load_nothing_from_elsewhere() {
+    let daemon = Daemon::start().await;
+    let address = of_daemon(&daemon);
+    let (status, head, body) = get(&address, "/");
+    assert_eq!(status, 200);
+    assert!(head.contains("content-type: text/html"), "{head}");
+    assert!(
+        head.contains("content-security-policy: default-src 'self'"),
+        "{head}"
+    );
+    assert!(body.contains("jostle"));
+    for nothing in [
+        "/nothing",
+        "/../Cargo.toml",
+        "/%2e%2e/Cargo.toml",
+        "/api/nothing",
+    ] {
+        assert_eq!(get(&address, nothing).0, 404, "{nothing}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn nothing_is_changed_without_the_token() {
+    let daemon = Daemon::start().await;
+    daemon.client.create("a", json!({"n": 3})).await;
+    let steering = Browser::of(&daemon);
+    let token = steering.token.clone().unwrap();
+    let address = steering.address.clone();
+    let before = daemon.client.get("a", "status").await;
+    let wrong = [
+        None,
+        Some(String::new()),
+        Some(token[1..].to_owned()),
+        Some(token.replace(|c: char| c.is_ascii_digit(), "z")),
+    ];
+    for token in wrong {
+        let watching = Browser {
+            address: address.clone(),
+            token,
+        };
+        assert_eq!(watching.get("/api/hello").1["may_command"], false);
+        for verb in [
+            "run", "step", "set", "inform", "inject", "reset", "fork", "delete", "nothing",
+        ] {
+            let (status, error) = watching.post(&format!("/api/cmd/a/{verb}"), "{}");
+            assert_eq!(status, 401, "{verb}: {error}");
+            assert_eq!(error["code"], "permission_denied");
+            assert!(error["message"].as_str().unwrap().contains("token"));
+        }
+        let (status, _) = watching.post("/api/node/create", r#"{"name": "b", "spec": {"n": 3}}"#);
+        assert_eq!(status, 401);
+    }
+    // Nor with it in a get, where a link or a picture could bring it about.
+    assert_eq!(steering.get("/api/cmd/a/delete").0, 405);
+    for no_look in [
+        "a/cmd/delete",
+        "@node/cmd/create",
+        "**/get/status",
+        "a/get/**",
+        "a/event",
+    ] {
+        let (status, _) = steering.get(&format!("/api/get/{no_look}"));
+        assert!([400, 404].contains(&status), "{no_look}: {status}");
+    }
+    assert_eq!(
+        daemon.client.get("a", "status").await["result"],
+        before["result"]
+    );
+    assert_eq!(
+        daemon.client.node("swarms").await["swarms"]
+            .as_array()
+            .unwrap()
+            .len(),
+        1
+    );
+
+    assert_eq!(steering.get("/api/hello").1["may_command"], true);
+    let (status, answer) = steering.post("/api/cmd/a/step", r#"{"steps": 3}"#);
+    assert_eq!((status, &answer["step"]), (200, &json!(3)), "{answer}");
+    let (status, error) = steering.post("/api/cmd/a/step", r#"{"steps": -1}"#);
+    assert_eq!((status, &error["code"]), (400, &json!("invalid_argument")));
+    let (status, error) = steering.post("/api/cmd/nobody/step", "{}");
+    assert_eq!((status, &error["code"]), (404, &json!("not_found")));
+    let request = r#"{"client": "page", "request_id": "once", "args": {"steps": 2}}"#;
+    for _ in 0..2 {
+        assert_eq!(steering.post("/api/cmd/a/step", request).1["step"], 5);
+    }
+    let (status, _) = steering.post("/api/node/create", r#"{"name": "b", "spec": {"n": 3}}"#);
+    assert_eq!(status, 200);
+    let (_, journal) = steering.get("/api/get/a/get/journal?after=1&limit=10");
+    let entries = journal["result"]["entries"].as_array().unwrap();
+    assert!(
+        entries.iter().any(|entry| entry["client"] == "page"),
+        "{journal}"
+    );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn other_pages_and_long_bodies_are_turned_away() {
+    let daemon = Daemon::start().await;
+    daemon.client.create("a", json!({"n": 3})).await;
+    let Browser { address, token } = Browser::of(&daemon);
+    let token = token.unwrap();
+    let ask = |line: &str, headers: &str| {
+        let request = format!(
+            "{line} HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\
+             Authorization: Bearer {token}\r\n{headers}\r\n"
+        );
+        send(&address, &request).0
+    };
+    let foreign = [
+        "Origin: http://evil.example\r\n".to_owned(),
+        "Origin: null\r\n".into(),
+        "Origin:\r\n".into(),
+        format!("Origin: http://{address}.evil.example\r\n"),
+        format!("Origin: http://{address}\r\nOrigin: http://evil.example\r\n"),
+        "Origin: http://127.0.0.1:1\r\n".into(),
+    ];
+    for origin in &foreign {
+        for line in [
+            "GET /",
+            "GET /api/get/a/get/status",
+            "POST /api/cmd/a/delete",
+            "GET /api/ws",
+        ] {
+            assert_eq!(ask(line, origin), 403, "{line} {origin}");
+        }
+        let origin = origin
+            .lines()
+            .next()
+            .unwrap()
+            .trim_start_matches("Origin:")
+            .trim();
+        if origin != format!("http://{address}") {
+            let refused = open(&address, "/api/ws?swarm=a", Some(origin))
+                .await
+                .unwrap_err();
+            let tungstenite::Error::Http(answer) = refused else {
+                panic!("{refused}");
+            };
+            assert_eq!(answer.status(), 403);
+        }
+    }
+    assert_eq!(
+        ask(
+            "GET /api/get/a/get/status",
+            &format!("Origin: http://{address}\r\n")
+        ),
+        200
+    );
+    assert_eq!(
+        ask("POST /api/cmd/a/step", "Content-Length: 1000000000\r\n"),
+        413
+    );
+    assert_eq!(
+        ask("GET /api/get/a/get/status", "Content-Length: 10\r\n"),
+        413
+    );
+    let steering = Browser::of(&daemon);
+    let long = format!(r#"{{"steps": 1, "x": "{}"}}"#, "y".repeat(1 << 20));
+    assert_eq!(steering.post("/api/cmd/a/step", &long).0, 413);
+    assert_eq!(daemon.client.get("a", "status").await["step"], 0);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_tab_is_told_the_list_the_newest_state_and_every_event() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client
+        .create("a", json!({"n": 3, "publish_every": 1}))
+        .await;
+    let address = of_daemon(&daemon);
+    let mut tab = tab(&address, "/api/ws?swarm=a").await;
+    // What stands still is there at once.
+    assert_eq!(told(&mut tab, step_of).await, 0);
+    let swarms = told(&mut tab, |message| named(message, "swarms")).await;
+    assert_eq!(swarms[0]["swarm"], "a");
+    client.ok("a", "step", json!({"steps": 40})).await;
+    told(&mut tab, |message| {
+        step_of(message).filter(|step| *step == 40)
+    })
+    .await;
+    client
+        .ok(
+            "a",
+            "inform",
+            json!({"select": {"ids": [1]}, "direction": 0.5}),
+        )
+        .await;
+    let is_inform = |message: &Message| {
+        named(message, "event").filter(|event| event["event"]["verb"] == "inform")
+    };
+    told(&mut tab, is_inform).await;
+    let is_informed =
+        |message: &Message| named(message, "order").filter(|order| order["informed"] == 1);
+    client.ok("a", "step", json!({"steps": 1})).await;
+    told(&mut tab, is_informed).await;
+    client.create("b", json!({"n": 3})).await;
+    let both = |message: &Message| {
+        named(message, "swarms").filter(|swarms| swarms.as_array().unwrap().len() == 2)
+    };
+    told(&mut tab, both).await;
+    client.ok("a", "delete", json!({})).await;
+    let is_end = |message: &Message| {
+        named(message, "event").filter(|event| event["event"]["kind"] == "deleted")
+    };
+    told(&mut tab, is_end).await;
+    told(&mut tab, |message| named(message, "gone")).await;
+    let (status, _) = Browser::of(&daemon).get("/api/get/a/get/status");
+    assert_eq!(status, 404);
+
+    let mut gone = self::tab(&address, "/api/ws?swarm=a").await;
+    told(&mut gone, |message| named(message, "gone")).await;
+    let refused = open(&address, "/api/ws?swarm=A*", None).await.unwrap_err();
+    let tungstenite::Error::Http(answer) = refused else {
+        panic!("{refused}");
+    };
+    assert_eq!(answer.status(), 400);
+    // What a tab says means nothing, and hurts nobody.
+    let _ = tab.send(Message::text("delete everything")).await;
+    let _ = tab.send(Message::binary(vec![0; 100_000])).await;
+    assert_eq!(get(&address, "/healthz").0, 200);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn tabs_that_do_not_read_cost_nobody_anything() {
+    let _alone = alone().await;
+    let daemon = Daemon::for_measuring().await;
+    let client = &daemon.client;
+    let address = of_daemon(&daemon);
+    let spec = json!({"n": 200, "seed": 1, "publish_every": 1, "rate": 10.0});
+    client.create("a", spec).await;
+    client.ok("a", "run", json!({})).await;
+    let bytes = || {
+        let statm = std::fs::read_to_string("/proc/self/statm").unwrap();
+        let pages: u64 = statm.split(' ').nth(1).unwrap().parse().unwrap();
+        pages * 4096
+    };
+    // None of these reads on; what their sockets hold is the system's and bounded.
+    let mut stopped = Vec::new();
+    for _ in 0..49 {
+        let mut tab = tab(&address, "/api/ws?swarm=a").await;
+        told(&mut tab, step_of).await;
+        stopped.push(tab);
+    }
+    let mut reading = tab(&address, "/api/ws?swarm=a").await;
+    sleep(Duration::from_secs(2)).await;
+    let time = async || client.get("a", "status").await["time"].as_f64().unwrap();
+    let (before, first, began) = (bytes(), time().await, Instant::now());
+    let mut frames = 0;
+    while began.elapsed() < Duration::from_secs(6) {
+        told(&mut reading, step_of).await;
+        frames += 1;
+    }
+    let rate = (time().await - first) / began.elapsed().as_secs_f64();
+    let grown = bytes().saturating_sub(before);
+    println!(
+        "beside 49 that do not read: {frames} frames in 6 s, rate {rate:.2} of 10, {grown} bytes more"
+    );
+    assert!(rate > 9.5, "{rate}");
+    assert!(frames > 150, "{frames}");
+    assert!(grown < 16 << 20, "{grown}");
+    // Whoever reads on comes to the newest after what its socket holds.
+    let newest = told(&mut reading, step_of).await;
+    let late = &mut stopped[7];
+    told(late, |message| {
+        step_of(message).filter(|step| *step >= newest)
+    })
+    .await;
+    drop(stopped);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn so_many_tabs_are_open_at_once_and_no_more() {
+    let daemon = Daemon::start().await;
+    let address = of_daemon(&daemon);
+    let mut tabs = Vec::new();
+    for _ in 0..256 {
+        tabs.push(tab(&address, "/api/ws").await);
+    }
+    let refused = open(&address, "/api/ws", None).await.unwrap_err();
+    let tungstenite::Error::Http(answer) = refused else {
+        panic!("{refused}");
+    };
+    assert_eq!(answer.status(), 429);
+    let told = String::from_utf8_lossy(answer.body().as_deref().unwrap_or_default()).into_owned();
+    assert!(told.contains("close one"), "{told}");
+    tabs.truncate(255);
+    until("a place is free", async || {
+        open(&address, "/api/ws", None).await.is_ok()
+    })
+    .await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_token_is_printed_once_and_in_no_log() {
+    let _machine = beside_others().await;
+    let folder = tempfile::tempdir().unwrap();
+    let mut command = jostled(&["--listen", "tcp/127.0.0.1:0", "--node", NODE]);
+    command
+        .args(["--http", "127.0.0.1:0", "--data-dir"])
+        .arg(folder.path())
+        .env(
+            "RUST_LOG",
+            "jostled=trace,axum=trace,hyper=trace,tungstenite=trace",
+        )
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    let mut process = command.spawn().unwrap();
+    let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
+    let link =
+        lines.find_map(|line| Some(line.unwrap().strip_prefix("page on http://")?.to_owned()));
+    let (address, token) = {
+        let link = link.unwrap();
+        let (address, token) = link.split_once("/#token=").unwrap();
+        (address.to_owned(), token.to_owned())
+    };
+    let steering = Browser {
+        address: address.clone(),
+        token: Some(token.clone()),
+    };
+    assert_eq!(
+        steering
+            .post("/api/node/create", r#"{"name": "a", "spec": {"n": 3}}"#)
+            .0,
+        200
+    );
+    assert_eq!(steering.get("/api/get/a/get/status").0, 200);
+    drop(tab(&address, "/api/ws?swarm=a").await);
+    process.kill().unwrap();
+    let mut told = String::new();
+    process
+        .stderr
+        .take()
+        .unwrap()
+        .read_to_string(&mut told)
+        .unwrap();
+    process.wait().unwrap();
+    assert!(!told.contains(&token));
+    let rest: Vec<String> = lines.map_while(Result::ok).collect();
+    assert!(!rest.iter().any(|line| line.contains(&token)), "{rest:?}");
+    for file in std::fs::read_dir(folder.path()).unwrap() {
+        let path = file.unwrap().path();
+        let is_its_own = path.file_name().unwrap() == "page-token";
+        let text = std::fs::read(&path).unwrap_or_default();
+        let text = String::from_utf8_lossy(&text);
+        assert_eq!(text.contains(&token), is_its_own, "{}", path.display());
+    }
+}
