@@ -17,6 +17,7 @@ use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::journal::{WriteFault, Writer, to_nowhere};
 use crate::swarm::order::{Admit, Answer, OrderError, Outcome, Recipe, Refusal};
 use crate::swarm::outlet::Outlet;
+use crate::swarm::player::{Film, Player};
 use crate::swarm::simulation::Simulation;
 use crate::swarm::tally::Totals;
 use crate::swarm::worker::replay::Past;
@@ -105,6 +106,26 @@ enum Beginning {
     Copy(Box<Checkpoint>, Register),
     /// From what is left of it.
     Past(Box<Past>),
+    /// It is a recording.
+    Film(Box<dyn Film>),
+}
+
+/// What a thread hosts under a name.
+enum Guest {
+    Swarm(Box<Worker>),
+    Film(Box<Player>),
+}
+
+/// A recording to be shown.
+pub struct Showing {
+    /// The recording.
+    pub film: Box<dyn Film>,
+    /// What the recorded swarm was made from.
+    pub recipe: Recipe,
+    /// The size of the largest group in it.
+    pub most_individuals: usize,
+    /// What it takes in memory, beside a frame.
+    pub bytes: u64,
 }
 
 /// What tells the world of a swarm's beginning and end. Called from the swarm's thread.
@@ -245,6 +266,37 @@ impl Host {
         self.begin(&mut hosted, name, recipe, memory_bytes, beginning, promise)
     }
 
+    /// Shows a recording as if it were a swarm. Nothing of it outlives the daemon.
+    ///
+    /// # Errors
+    ///
+    /// [`HostError`]; nothing is promised then.
+    pub fn show(
+        self: &Arc<Self>,
+        name: &str,
+        showing: Showing,
+        promise: impl FnOnce() -> Answer,
+    ) -> Result<(), HostError> {
+        let mut hosted = self.lock();
+        if hosted.stopping {
+            return Err(HostError::Stopping);
+        }
+        if hosted.swarms.contains_key(name) {
+            return Err(HostError::OtherSpec);
+        }
+        let needed = memory_of(showing.most_individuals).saturating_add(showing.bytes);
+        self.admit_bytes(&hosted, needed)?;
+        let beginning = Beginning::Film(showing.film);
+        self.begin(
+            &mut hosted,
+            name,
+            showing.recipe,
+            needed,
+            beginning,
+            promise,
+        )
+    }
+
     /// Starts a swarm's thread.
     fn begin(
         self: &Arc<Self>,
@@ -360,12 +412,16 @@ impl Host {
 
     /// Admits the memory of `n` individuals before anything of it is allocated.
     fn admit(&self, hosted: &Hosted, n: usize) -> Result<u64, HostError> {
+        let needed = memory_of(n);
+        self.admit_bytes(hosted, needed).map(|()| needed)
+    }
+
+    fn admit_bytes(&self, hosted: &Hosted, needed: u64) -> Result<(), HostError> {
         let limits = &self.limits;
         if hosted.swarms.len() >= limits.max_swarms {
             let limit = limits.max_swarms;
             return Err(HostError::TooManySwarms { limit });
         }
-        let needed = memory_of(n);
         let free = limits.max_memory_bytes.saturating_sub(hosted.memory_bytes);
         if needed > free {
             let limit = limits.max_memory_bytes;
@@ -375,7 +431,7 @@ impl Host {
                 limit,
             });
         }
-        Ok(needed)
+        Ok(())
     }
 
     /// Sets memory aside for a swarm that is to have `n` individuals.
@@ -411,8 +467,8 @@ impl Host {
         let name = &handle.outlet.name;
         // Zero names the calling thread. Where it is not permitted the swarm ranks like the rest.
         let _ = rustix::process::setpriority_process(None, SWARM_NICENESS);
-        let worker = match self.build(handle, beginning) {
-            Ok(Ok(worker)) => worker,
+        let guest = match self.build(handle, beginning) {
+            Ok(Ok(guest)) => guest,
             // It had ended, though its end was not safe.
             Ok(Err(End::Deleted(ended))) => {
                 drop(taken);
@@ -425,12 +481,18 @@ impl Host {
                 return self.herald.ended(name, Box::new(refused));
             }
         };
-        let (place, frame) = worker.look();
+        let (place, frame) = match &guest {
+            Guest::Swarm(worker) => worker.look(),
+            Guest::Film(player) => player.look(),
+        };
         self.herald.begun(
             name,
             Box::new(move || built(Ok((place, Outcome::Seen(frame))))),
         );
-        let end = worker.run(&taken, &handle.shelf);
+        let end = match guest {
+            Guest::Swarm(worker) => worker.run(&taken, &handle.shelf),
+            Guest::Film(player) => player.run(&taken, &handle.shelf),
+        };
         // Whoever asks from here on hears that it is gone.
         drop(taken);
         match end {
@@ -444,7 +506,7 @@ impl Host {
         self: &Arc<Self>,
         handle: &Handle,
         beginning: Beginning,
-    ) -> Result<Result<Worker, End>, OrderError> {
+    ) -> Result<Result<Guest, End>, OrderError> {
         let name = &handle.outlet.name;
         let (host, swarm) = (self.clone(), name.clone());
         let admit: Admit = Box::new(move |n| host.resize(&swarm, n));
@@ -455,12 +517,12 @@ impl Host {
                 let simulation = Simulation::new((*handle.recipe).clone(), admit)?;
                 let worker = Worker::new(simulation, handle, shortest, writer);
                 register_new(&worker, register)?;
-                Ok(Ok(worker))
+                Ok(Ok(Guest::Swarm(Box::new(worker))))
             }
             Beginning::Copy(checkpoint, register) => {
                 let worker = Worker::from_copy(*checkpoint, handle, shortest, (writer, admit));
                 register_new(&worker, register)?;
-                Ok(Ok(worker))
+                Ok(Ok(Guest::Swarm(Box::new(worker))))
             }
             Beginning::Past(past) => {
                 let always: Admit = Box::new(|_| Ok(()));
@@ -473,7 +535,11 @@ impl Host {
                 if let Err(fault) = worker.resume(admit) {
                     warn!(swarm = name, %fault, "failed to write down that it goes on");
                 }
-                Ok(Ok(worker))
+                Ok(Ok(Guest::Swarm(Box::new(worker))))
+            }
+            Beginning::Film(film) => {
+                let player = Player::new(film, handle, shortest)?;
+                Ok(Ok(Guest::Film(Box::new(player))))
             }
         }
     }

@@ -11,6 +11,9 @@
 //! How an experiment is made: [`experiment`] reads a grid of runs from a file, steps each from its
 //! start to its end, and writes a row for each; [`batch`] is its command line.
 //!
+//! How a recording is shown: [`replay`] opens it as a film, and its thread plays that as a swarm shows
+//! itself.
+//!
 //! Each module may use those above it: `model`, `stepper`, `observables`, `swarm`, `host`,
 //! `command`, `server`. Only `publish` and `server` know zenoh, and the first three know no
 //! clock, thread, file or serialiser.
@@ -37,6 +40,7 @@ pub mod demo;
 pub mod gateway;
 pub mod health;
 pub mod publish;
+pub mod replay;
 pub mod server;
 pub mod store;
 pub mod wire;

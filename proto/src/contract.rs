@@ -19,8 +19,8 @@ use crate::verbs::{
 use crate::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
     Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameter, ParameterKind,
-    Parameters, Progress, Reply, Request, ResultsPage, Schemas, Snapshot, Spec, State, Status,
-    Swarms, Verified,
+    Parameters, Progress, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs,
+    Snapshot, Spec, State, Status, Swarms, Verified,
 };
 
 /// Something that stands on a key of the bus.
@@ -233,6 +233,11 @@ pub const CHANNELS: &[Channel] = &{
             "Has a controller leave.",
         ),
         plain(
+            "{swarm}/cmd/seek",
+            Command("seek.args", "seek.reply"),
+            "Has a replay go somewhere.",
+        ),
+        plain(
             "{swarm}/ctl/{controller}",
             Put("control.args"),
             "Set-points of a controller that joined in mode `free_running`; the newest wins.",
@@ -291,6 +296,11 @@ pub const CHANNELS: &[Channel] = &{
             "@node/{node}/cmd/experiment",
             Command("experiment.args", "experiment.reply"),
             "Submits, pauses, resumes, cancels or deletes an experiment.",
+        ),
+        plain(
+            "@node/{node}/cmd/replay",
+            Command("replay.args", "replay.reply"),
+            "Takes in a recording, and shows it as if it were a swarm.",
         ),
         plain(
             "@node/{node}/experiment/{experiment}/progress",
@@ -370,10 +380,14 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("leave.args", asked::<LeaveArgs>()),
         ("leave.reply", told::<Reply<EmptyResult>>()),
         ("control.args", asked::<Control>()),
+        ("seek.args", asked::<SeekArgs>()),
+        ("seek.reply", told::<Reply<EmptyResult>>()),
         ("fork.args", asked::<ForkArgs>()),
         ("fork.reply", told::<Reply<CreateResult>>()),
         ("restore.args", asked::<RestoreArgs>()),
         ("restore.reply", told::<Reply<CreateResult>>()),
+        ("replay.args", asked::<ReplayArgs>()),
+        ("replay.reply", told::<NodeReply<ReplayResult>>()),
         ("node.hello.reply", told::<NodeReply<Hello>>()),
         ("node.status.reply", told::<NodeReply<NodeStatus>>()),
         ("node.swarms.reply", told::<NodeReply<Swarms>>()),

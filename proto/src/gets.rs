@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use serde_json::Value;
 
 use crate::verbs::{Mode, OnTimeout};
-use crate::{Certificate, Event, Order, ParameterValues, Phase};
+use crate::{Certificate, Event, Order, ParameterValues, Phase, Replay};
 
 /// A swarm's answer to `get/status`; phase, step and time are in the envelope.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -39,7 +39,7 @@ pub struct Status {
     /// The controllers that the swarm waits for in lock-step.
     #[serde(default)]
     pub waiting_for: Vec<Awaited>,
-    /// BLAKE3 of the state, in hexadecimal.
+    /// BLAKE3 of the state, in hexadecimal; zeros for a replay, which has frames and no state.
     pub state_hash: String,
     /// Order and drift.
     pub order: Order,
@@ -47,6 +47,9 @@ pub struct Status {
     pub certificate: Certificate,
     /// Where the history begins that is kept of it; `null` while that cannot be read.
     pub history_from: Option<HistoryFrom>,
+    /// Where it is, if it is the replay of a recording.
+    #[serde(default)]
+    pub replay: Option<Replay>,
 }
 
 /// A controller that the others wait for.
@@ -312,4 +315,7 @@ pub struct SwarmSummary {
     pub rate: Option<f64>,
     /// Time units per second of wall clock it lately ran at; `null` while it does not run.
     pub real_time_factor: Option<f64>,
+    /// Whether it is the replay of a recording.
+    #[serde(default)]
+    pub replay: bool,
 }

@@ -19,9 +19,9 @@ pub const SWARM_GETS: [&str; 9] = [
 ];
 
 /// The verbs that `{prefix}/{swarm}/cmd/` executes.
-pub const SWARM_VERBS: [&str; 15] = [
+pub const SWARM_VERBS: [&str; 16] = [
     "delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove",
-    "batch", "fork", "join", "advance", "leave",
+    "batch", "fork", "join", "advance", "leave", "seek",
 ];
 
 /// What a swarm does by itself on account of its controllers, as its journal and its events call
@@ -39,7 +39,7 @@ pub const NODE_GETS: [&str; 6] = [
 ];
 
 /// The verbs that `{prefix}/@node/{node}/cmd/` executes.
-pub const NODE_VERBS: [&str; 3] = ["create", "restore", "experiment"];
+pub const NODE_VERBS: [&str; 4] = ["create", "restore", "experiment", "replay"];
 
 /// The nouns that `{prefix}/@node/{node}/experiment/{experiment}/` answers.
 pub const EXPERIMENT_GETS: [&str; 3] = ["progress", "results", "order"];

@@ -18,6 +18,7 @@ mod event;
 mod experiment;
 mod gets;
 mod metrics;
+mod replay;
 pub mod snapshot;
 mod spec;
 mod state;
@@ -37,6 +38,7 @@ pub use gets::{
     Verified,
 };
 pub use metrics::{Metrics, StoreMetrics, SwarmMetrics};
+pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArgs};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start, Stepping};
 pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};

@@ -11,6 +11,7 @@ use crate::model::parameters::ParametersError;
 use crate::model::resize::ResizeError;
 use crate::model::selection::SelectionError;
 use crate::model::start::StartError;
+use crate::replay::{MOST_BYTES, ReplayError};
 use crate::swarm::order::OrderError;
 use crate::wire::WireError;
 
@@ -157,6 +158,9 @@ pub enum CommandError {
     /// The swarm refuses the order.
     #[error(transparent)]
     Order(#[from] OrderError),
+    /// A recording is not shown.
+    #[error(transparent)]
+    Replay(#[from] ReplayError),
     /// The laboratory refuses what is to be done with an experiment.
     #[error(transparent)]
     Lab(#[from] LabError),
@@ -259,6 +263,15 @@ impl CommandError {
                 | HostError::NoThread(_) => ErrorCode::ResourceExhausted,
                 HostError::Stopping => ErrorCode::Busy,
             },
+            CommandError::Replay(error) => match error {
+                ReplayError::Unreadable(_) => ErrorCode::InvalidArgument,
+                ReplayError::Piece { .. } => ErrorCode::Conflict,
+                ReplayError::NotUploaded(_) | ReplayError::Unknown(_) => ErrorCode::NotFound,
+                ReplayError::TooLong { .. } | ReplayError::TooMany(_) => {
+                    ErrorCode::ResourceExhausted
+                }
+                ReplayError::Unkept(_) => ErrorCode::StorageFull,
+            },
             CommandError::Lab(error) => match error {
                 LabError::Plan { .. } | LabError::Name(_) | LabError::NoSeries(_) => {
                     ErrorCode::InvalidArgument
@@ -275,6 +288,8 @@ impl CommandError {
                 OrderError::Phase(_)
                 | OrderError::StillCrossed { .. }
                 | OrderError::Lockstep
+                | OrderError::Recorded
+                | OrderError::NotRecorded
                 | OrderError::RunsFreely(_) => ErrorCode::IncorrectState,
                 OrderError::NotJoined { .. } => ErrorCode::NotFound,
                 OrderError::HasJoined(_) => ErrorCode::AlreadyExists,
@@ -291,6 +306,7 @@ impl CommandError {
                 | OrderError::Superseded => ErrorCode::Conflict,
                 OrderError::InBatch { error, .. } => CommandError::Order((**error).clone()).code(),
                 OrderError::Panicked => ErrorCode::Internal,
+                OrderError::Film(_) => ErrorCode::InvalidArgument,
                 OrderError::Parameters(_)
                 | OrderError::Selection(_)
                 | OrderError::NobodyLeft(_) => ErrorCode::InvalidArgument,
@@ -395,6 +411,12 @@ impl CommandError {
                 LabError::TooMany(limit) => json!({"limit": limit}),
                 _ => json!({}),
             },
+            CommandError::Replay(ReplayError::Piece { received }) => {
+                json!({"field": "upload.offset", "uploaded": received})
+            }
+            CommandError::Replay(ReplayError::TooLong { length }) => {
+                json!({"bytes": length, "limit": MOST_BYTES})
+            }
             CommandError::OtherRequest(id) => json!({"field": "request_id", "value": id}),
             CommandError::Order(OrderError::NoMemory { n, needed, free }) => {
                 json!({"field": "n", "n": n, "needed": needed, "free": free})
@@ -520,6 +542,8 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "until_step" => "a whole number from 0 to 9007199254740991",
         "until_time" => "a number from 0 to 1e12",
         "steps" => "a whole number from 1 to 1e9",
+        "bytes" => "base64 of a piece of the file",
+        "offset" | "length" => "a whole number of bytes",
         "snapshot" => "what get/snapshot answers as `result`, its CBOR in base64",
         "return" => "\"none\" or \"state\"",
         "select" => {

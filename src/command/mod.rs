@@ -27,6 +27,7 @@ pub mod pause;
 pub mod remove;
 pub mod reset;
 pub mod run;
+pub mod seek;
 pub mod set;
 pub mod step;
 pub mod uninform;
@@ -64,8 +65,9 @@ pub struct Command {
 ///
 /// [`CommandError`] when there is no such verb or its arguments are wrong.
 pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
-    // A fork is the host's to make, and no order to the swarm.
-    let known = keys::SWARM_VERBS.iter().filter(|known| **known != "fork");
+    // A fork is the host's to make, a seek is for recordings: neither is an order to a swarm.
+    let is_order = |verb: &&&str| !["fork", "seek"].contains(*verb);
+    let known = keys::SWARM_VERBS.iter().filter(is_order);
     let Some(verb) = known.copied().find(|known| *known == verb) else {
         return Err(CommandError::UnknownVerb {
             verb: shortened(verb),

@@ -1,6 +1,7 @@
 //! Answers queries: an order or a look handed to a swarm, and the promise of its answer.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -17,6 +18,7 @@ use crate::health::Watch;
 use crate::host::Host;
 use crate::lab::Lab;
 use crate::publish::Press;
+use crate::replay::Uploads;
 use crate::server::answer::{Asked, Desk, Excuse, Keeper, Promise};
 use crate::server::experiments::Errands;
 use crate::server::ledger::Ledger;
@@ -56,6 +58,10 @@ pub struct Clerk {
     pub lab: Lab,
     /// Where what is to be done with them is handed in.
     pub errands: Errands,
+    /// Recordings on their way in.
+    pub uploads: Arc<Uploads>,
+    /// Where the daemon's own recordings are.
+    pub recordings: PathBuf,
     /// The daemon in numbers, once it is watched.
     pub watch: Arc<OnceLock<Arc<Watch>>>,
     /// How many queries wait for the dispatching thread, or are at it.

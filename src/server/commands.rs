@@ -36,6 +36,9 @@ impl Clerk {
         if key == keys::cmd(&self.prefix, swarm, "fork") {
             return self.fork(swarm, asked);
         }
+        if key == keys::cmd(&self.prefix, swarm, "seek") {
+            return self.seek(swarm, asked);
+        }
         let promise = self.desk.promise(asked, key.to_owned());
         let verb = key.strip_prefix(&keys::cmd(&self.prefix, swarm, ""));
         let read = if query.key_expr().is_wild() {
@@ -116,6 +119,8 @@ impl Clerk {
                 .and_then(|request| self.restore(&promise, &request)),
             Some("experiment") => request(query, self.most_bytes())
                 .and_then(|request| self.experiment(&promise, &request)),
+            Some("replay") => request(query, self.most_bytes())
+                .and_then(|request| self.replay(&promise, &request)),
             verb => Err(CommandError::UnknownVerb {
                 verb: command::shortened(verb.unwrap_or_default()),
                 known: &keys::NODE_VERBS,

@@ -56,7 +56,11 @@ impl Errands {
     }
 
     /// Has something done in its turn. What is owed is refused if it panics or never comes.
-    fn hand_in(&self, promise: &Promise, errand: impl FnOnce(&Lab, Keeper) + Send + 'static) {
+    pub(super) fn hand_in(
+        &self,
+        promise: &Promise,
+        errand: impl FnOnce(&Lab, Keeper) + Send + 'static,
+    ) {
         let keeper = Keeper::new(promise.clone());
         // Once the thread has ended the daemon is going.
         let _ = self.0.send(Box::new(move |lab| {

@@ -14,6 +14,7 @@ mod gets;
 pub mod ledger;
 pub mod query;
 pub mod recovery;
+mod replays;
 pub mod session;
 
 use std::net::SocketAddr;
@@ -40,6 +41,7 @@ use crate::host::Host;
 use crate::lab::Lab;
 use crate::meter::Pulse;
 use crate::publish::Press;
+use crate::replay::Uploads;
 use crate::server::answer::Desk;
 use crate::server::clerk::Clerk;
 use crate::server::dispatch::{Crier, Dispatcher, Intake, MOST_QUERIES};
@@ -87,6 +89,14 @@ pub enum ServerError {
     /// What outlived it cannot be brought back.
     #[error("cannot bring the swarms back: {0}")]
     Recovery(#[from] RecoveryError),
+    /// There is no place for recordings that are to be shown.
+    #[error("cannot use {folder} for replays: {error}")]
+    Uploads {
+        /// Where they would be.
+        folder: String,
+        /// What the system says.
+        error: std::io::Error,
+    },
     /// The experiments cannot be read.
     #[error("cannot read the experiments in {folder}: {error}")]
     Lab {
@@ -145,6 +155,11 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let ledger = Ledger::new(store.clone());
     let lab = open_lab(config).await?;
     let errands = Errands::start(lab.clone())?;
+    let folder = config.data_dir.join("replays");
+    let uploads = Uploads::open(&folder).map_err(|error| ServerError::Uploads {
+        folder: folder.display().to_string(),
+        error,
+    })?;
     experiments::publish(lab.clone(), session.clone(), prefix.clone(), node.clone())?;
     let (pulse, watch) = (Arc::new(Pulse::default()), Arc::new(OnceLock::new()));
     let threads = vec![
@@ -165,6 +180,8 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         schemas: gets::schemas(),
         lab: lab.clone(),
         errands,
+        uploads: Arc::new(uploads),
+        recordings: config.data_dir.join("recordings"),
         watch: watch.clone(),
         waiting: AtomicUsize::new(0),
     });

@@ -50,6 +50,8 @@ pub struct Frame {
     pub rate: Rate,
     /// How fast it lately ran.
     pub real_time_factor: Option<f64>,
+    /// What it is a frame of, if it was recorded.
+    pub replay: Option<Replay>,
     /// The controllers that have joined, where they were asked for.
     pub controllers: Vec<Seen>,
     /// BLAKE3 of the state, where it was asked for.
@@ -65,6 +67,21 @@ impl Frame {
             .gaps
             .get_or_init(|| body::gaps(&self.parameters, &self.configuration))
     }
+}
+
+/// Where in a recording a frame stands.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Replay {
+    /// The swarm that was recorded.
+    pub of: Arc<str>,
+    /// The number of the frame, from 1.
+    pub frame: u64,
+    /// How many there are.
+    pub frames: u64,
+    /// Time units since the first.
+    pub position: f64,
+    /// Time units from the first to the last.
+    pub duration: f64,
 }
 
 /// How exact the last step was.
@@ -95,6 +112,8 @@ pub struct Summary {
     pub rate: Rate,
     /// How fast it lately ran.
     pub real_time_factor: Option<f64>,
+    /// Whether it is a recording.
+    pub is_replay: bool,
 }
 
 /// Something that happened to a swarm.
@@ -125,6 +144,8 @@ pub enum EventKind {
     Lapsed(Vec<u32>),
     /// A step failed.
     Fault(String),
+    /// A recording tells this, as JSON.
+    Told(Arc<str>),
     /// It was deleted.
     Deleted,
 }

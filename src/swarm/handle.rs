@@ -1,13 +1,14 @@
 //! How the rest of the daemon reaches a swarm.
 
-use std::sync::mpsc::{SyncSender, TrySendError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError};
 use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
 
 use crate::swarm::control::Put;
 use crate::swarm::cores::{Cores, Seat};
 use crate::swarm::frame::Summary;
 use crate::swarm::history::History;
-use crate::swarm::order::{Answer, Order, OrderError, Recipe, Refusal, Sender, When};
+use crate::swarm::order::{Answer, Order, OrderError, Recipe, Refusal, Seek, Sender, When};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::shelf::Shelf;
 use crate::swarm::tally::{Tally, Totals};
@@ -23,6 +24,8 @@ pub enum Ticket {
     Wait(Waiter),
     /// All of it as it is now.
     Copy(Answer),
+    /// A recording is to go there.
+    Seek(Seek, Arc<Sender>, Answer),
     /// Set-points of a controller's, made in an epoch if that is known; none if they could not be
     /// read.
     Put(String, Option<u64>, Option<Put>),
@@ -144,10 +147,22 @@ impl Ticket {
             Ticket::Command(Command { answer, .. })
             | Ticket::Look(answer)
             | Ticket::Copy(answer)
+            | Ticket::Seek(_, _, answer)
             | Ticket::Wait(Waiter { answer, .. }) => {
                 answer(Err(Refusal { step, error }));
             }
             Ticket::Put(..) | Ticket::Lost(_) | Ticket::Awake | Ticket::Stop => {}
         }
+    }
+}
+
+/// The next ticket, which may come until then.
+pub(super) fn receive(
+    tickets: &Receiver<Ticket>,
+    until: Option<Instant>,
+) -> Result<Ticket, RecvTimeoutError> {
+    match until {
+        Some(until) => tickets.recv_timeout(until.saturating_duration_since(Instant::now())),
+        None => tickets.recv().map_err(RecvTimeoutError::from),
     }
 }

@@ -141,6 +141,7 @@ impl EventKind {
             | EventKind::Refused(sender, _) => sender.bytes(),
             EventKind::Lapsed(ids) => 4 * ids.len(),
             EventKind::Fault(reason) => reason.len(),
+            EventKind::Told(what) => what.len(),
             EventKind::Created | EventKind::Phase | EventKind::Deleted => 0,
         }
     }

@@ -1,4 +1,4 @@
-//! One hosted swarm: its phases, its thread and how to reach it. Knows no zenoh.
+//! One hosted swarm, or a recording played as one: its phases, its thread and how to reach it. Knows no zenoh.
 
 pub mod checkpoint;
 pub mod control;
@@ -12,6 +12,7 @@ pub mod order;
 pub mod outlet;
 pub mod pace;
 pub mod phase;
+pub mod player;
 pub mod schedule;
 mod shelf;
 pub mod simulation;

@@ -110,6 +110,17 @@ pub enum Until {
     Time(f64),
 }
 
+/// Where a recording is to go: to the last frame that is not later.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Seek {
+    /// This step of its present run.
+    Step(u64),
+    /// This time of its present run.
+    Time(f64),
+    /// This share of all of it, from 0 to 1.
+    Fraction(f64),
+}
+
 /// A change of parameters or of the group: all of it or nothing.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
@@ -192,6 +203,25 @@ pub struct Settings {
     pub publish_every: Option<u64>,
     /// Whether to scale positions so that a new `pi1` fits.
     pub make_room: bool,
+}
+
+impl Settings {
+    /// What they make of parameters; unchecked.
+    #[must_use]
+    pub fn of(&self, before: Parameters) -> Parameters {
+        Parameters {
+            pi1: self.pi1.unwrap_or(before.pi1),
+            pi2: self.pi2.unwrap_or(before.pi2),
+            pi3: self.pi3.unwrap_or(before.pi3),
+            pi4: self.pi4.unwrap_or(before.pi4),
+            dt: before.dt,
+            contacts: self.contacts.unwrap_or(before.contacts),
+            stepping: self.stepping.unwrap_or(before.stepping),
+            relinearise: self.relinearise.unwrap_or(before.relinearise),
+            attraction: self.attraction.unwrap_or(before.attraction),
+            noise: self.noise.unwrap_or(before.noise),
+        }
+    }
 }
 
 /// Where new individuals go.
@@ -478,6 +508,18 @@ pub enum OrderError {
     /// The order could not be made safe, so it was not carried out.
     #[error("{0}: nothing was changed; make room on the disk of data_dir and send it again")]
     Unsafe(WriteFault),
+    /// A recording has no future that could be changed.
+    #[error(
+        "this is a replay of a recording: it takes run, pause, step, seek, reset and delete; create \
+         or restore a swarm to change what happens"
+    )]
+    Recorded,
+    /// Only a recording can be sought through.
+    #[error("this swarm is no replay: fork it at a step it has passed, or replay a recording")]
+    NotRecorded,
+    /// A recording cannot be shown.
+    #[error("the recording cannot be shown: {0}")]
+    Film(String),
     /// Too many orders or waiters at once.
     #[error("too much at once for this swarm: try again in a moment")]
     Busy,

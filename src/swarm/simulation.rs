@@ -228,19 +228,7 @@ impl Simulation {
 
     /// The parameters with these settings, checked.
     fn with(&self, settings: &Settings) -> Result<Parameters, OrderError> {
-        let before = self.state.parameters;
-        let parameters = Parameters {
-            pi1: settings.pi1.unwrap_or(before.pi1),
-            pi2: settings.pi2.unwrap_or(before.pi2),
-            pi3: settings.pi3.unwrap_or(before.pi3),
-            pi4: settings.pi4.unwrap_or(before.pi4),
-            dt: before.dt,
-            contacts: settings.contacts.unwrap_or(before.contacts),
-            stepping: settings.stepping.unwrap_or(before.stepping),
-            relinearise: settings.relinearise.unwrap_or(before.relinearise),
-            attraction: settings.attraction.unwrap_or(before.attraction),
-            noise: settings.noise.unwrap_or(before.noise),
-        };
+        let parameters = settings.of(self.state.parameters);
         parameters.check(self.state.configuration.largest_weight())?;
         Ok(parameters)
     }

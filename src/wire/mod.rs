@@ -4,6 +4,7 @@ pub mod durable;
 mod experiments;
 mod figures;
 mod from_proto;
+mod recorded;
 pub mod sanity;
 mod to_proto;
 
@@ -13,7 +14,8 @@ pub use from_proto::{
     WireError, attraction, contact_rule, control, count, mode, on_timeout, pose, publish_every,
     rate, recipe, region, relinearise, selection, stepping, weight, whole,
 };
+pub use recorded::{recorded, recorded_event, shot};
 pub use to_proto::{
     Payload, controllers, created, event, events, hexadecimal, journal, limits, order_sample,
-    outcome, parameters, reply, spec, state, status, summary,
+    outcome, parameters, replay, reply, spec, state, status, summary,
 };

@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::host::Limits;
 use crate::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use crate::swarm::control::{Departure, Mode, News, OnTimeout};
-use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
+use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
 use crate::swarm::history::{Entry, Page};
 use crate::swarm::order::{ChangeKind, OrderError, Outcome, Recipe, Sender, Start};
 use crate::swarm::phase::Phase;
@@ -339,6 +339,18 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         order: order(seen),
         certificate: certificate(seen),
         history_from,
+        replay: seen.replay.as_ref().map(replay),
+    }
+}
+
+/// Where a recording is.
+pub fn replay(replay: &Replay) -> proto::Replay {
+    proto::Replay {
+        of: replay.of.to_string(),
+        frame: replay.frame,
+        frames: replay.frames,
+        position: replay.position,
+        duration: replay.duration,
     }
 }
 
@@ -427,6 +439,10 @@ pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
             },
             EventKind::Lapsed(ids) => proto::EventKind::Lapsed { ids },
             EventKind::Fault(reason) => proto::EventKind::Fault { reason },
+            // It was one when it was recorded.
+            EventKind::Told(what) => {
+                serde_json::from_str(&what).unwrap_or(proto::EventKind::Phase { reason: None })
+            }
             EventKind::Deleted => proto::EventKind::Deleted {},
         },
     }
@@ -520,6 +536,7 @@ pub fn summary(swarm: &str, summary: &Summary) -> proto::SwarmSummary {
         order: summary.order,
         rate: summary.rate,
         real_time_factor: summary.real_time_factor,
+        replay: summary.is_replay,
     }
 }
 

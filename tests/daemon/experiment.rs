@@ -81,7 +81,7 @@ fn tables_are_the_same_bytes_however_often_it_is_killed_and_on_any_number_of_thr
     let rows = String::from_utf8(expected["results.csv"].clone()).unwrap();
     assert_eq!(rows.lines().count(), RUNS + 1);
 
-    for done in [1, 8, 16] {
+    for done in [1, 4, 8] {
         let mut process =
             Process::of(command(folder, "killed", &["--threads", "2"]).stdout(Stdio::null()));
         until("some runs", || finished(folder, "killed").len() >= done);

@@ -23,6 +23,7 @@ mod overload;
 mod page;
 mod process;
 mod repeat;
+mod replay;
 mod schedule;
 mod soak;
 mod streams;

@@ -1,5 +1,6 @@
 //! A daemon in this process, and clients with sessions of their own.
 
+use std::path::Path;
 use std::time::{Duration, Instant};
 
 use jostle_proto::{Error, ErrorCode, keys};
@@ -86,6 +87,10 @@ impl Daemon {
         self.client.session.close().await.unwrap();
         self.server.stop().await;
         Self::on(self._machine, &[], self.folder).await
+    }
+
+    pub fn data_dir(&self) -> &Path {
+        self.folder.path()
     }
 
     pub async fn another_client(&self) -> Client {

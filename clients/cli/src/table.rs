@@ -80,7 +80,11 @@ pub fn swarms(swarms: &[SwarmSummary]) -> String {
         [
             swarm.swarm.clone(),
             format::phase(swarm.phase).into(),
-            swarm.reason.clone().unwrap_or_else(|| format::NONE.into()),
+            match (&swarm.reason, swarm.replay) {
+                (Some(reason), true) => format!("replay, {reason}"),
+                (None, true) => "replay".into(),
+                (reason, false) => reason.clone().unwrap_or_else(|| format::NONE.into()),
+            },
             swarm.step.to_string(),
             format::time(swarm.time),
             swarm.n.to_string(),
@@ -115,6 +119,7 @@ pub fn status(reply: &Reply<Status>) -> String {
         order,
         certificate,
         history_from,
+        replay,
     } = &reply.result;
     let mut lines = vec![
         ("swarm", reply.swarm.clone()),
@@ -154,6 +159,12 @@ pub fn status(reply: &Reply<Status>) -> String {
         ("n", format!("{n}, {informed} informed")),
         ("order", with_mean(Some(order.order), order.mean_order)),
     ];
+    if let Some(replay) = replay {
+        let (frame, frames, of) = (replay.frame, replay.frames, &replay.of);
+        let (position, duration) = (format::time(replay.position), format::time(replay.duration));
+        let text = format!("of {of}: frame {frame} of {frames}, {position} of {duration}");
+        lines.insert(1, ("replay", text));
+    }
     if *scheduled > 0 {
         let commands = format::count(*scheduled, "command");
         lines.push(("scheduled", format!("{commands} for a step to come")));
@@ -206,8 +217,10 @@ pub fn status(reply: &Reply<Status>) -> String {
             ),
         ),
         ("seed", seed.to_string()),
-        ("state hash", state_hash.clone()),
     ]);
+    if replay.is_none() {
+        lines.push(("state hash", state_hash.clone()));
+    }
     if let Some(HistoryFrom { epoch, step }) = history_from {
         lines.push(("history", format!("kept from step {step} of epoch {epoch}")));
     }

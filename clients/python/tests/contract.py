@@ -17,6 +17,7 @@ from jostle._events import Events, Journal
 from jostle._exchange import Controllers, Joined
 from jostle._messages import CreateResult, Parameters, SpecReply
 from jostle._node import Swarms
+from jostle._replay import ReplayResult
 from jostle._results import ExperimentResult, Experiments, ResultsPage
 
 PROTO = Path(__file__).resolve().parents[3] / "proto"
@@ -49,10 +50,12 @@ READ: dict[str, type[Any]] = {
     "parameters.reply": Parameters,
     "pause.reply": jostle.Reply,
     "remove.reply": jostle.IdsResult,
+    "replay.reply": ReplayResult,
     "reset.reply": jostle.ResetResult,
     "restore.reply": CreateResult,
     "run.reply": jostle.RunResult,
     "scheduled.reply": jostle.Scheduled,
+    "seek.reply": jostle.Reply,
     "set.reply": jostle.SetResult,
     "spec.reply": SpecReply,
     "state": jostle.State,

@@ -16,6 +16,8 @@ import contract
 import jostle
 from contract import OF_CONTROLLERS
 from jostle._link import Link
+from jostle._replay import open_replay
+from jostle._replay import send as send_replay
 
 SCHEMAS = contract.schemas()
 
@@ -54,7 +56,7 @@ RENAMED = {
 # The verbs that a daemon executes, and no swarm.
 OF_CLIENTS = {"create", "restore"}
 # One of several things to be done, each a method of its own.
-OF_EXPERIMENTS = {"experiment"}
+OF_EXPERIMENTS = {"experiment", "replay"}
 OPTIONS = {"expect_step", "expect_epoch", "request_id", "timeout", "at_step", "options"}
 
 
@@ -157,6 +159,16 @@ class Recorder(Link):
 
 def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
     """What the method of a verb sends when it is given these arguments."""
+    if verb == "replay":
+        with pytest.raises(Sent) as caught:
+            if recording := args.get("open", {}).get("recording"):
+                client = jostle.Client(Recorder(), "main")
+                client.replay(name=args["open"]["name"], recording=recording)
+            elif "open" in args:
+                open_replay(Recorder(), "main", args["open"]["name"], None, None)
+            else:
+                send_replay(Recorder(), "main", dict(args), None, None)
+        return caught.value.message
     if verb in OF_EXPERIMENTS:
         ((what, of),) = args.items()
         client = jostle.Client(Recorder(), "main")

@@ -205,3 +205,32 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
         jostle.read_recording(tmp_path / "take.mcap.partial")
     with pytest.raises(jostle.InvalidArgument, match="no part"):
         jostle.read_recording(tmp_path)
+
+
+def test_a_recording_is_replayed_as_it_was_seen(take: Take, client: jostle.Client) -> None:
+    folder, states = take
+    with client.replay(folder / "take.mcap", "tape") as tape:
+        status = tape.status()
+        assert status.replay is not None
+        assert (status.phase, status.replay.frames) == ("paused", len(states))
+        assert [it.replay for it in client.swarms() if it.swarm == "tape"] == [True]
+        for state in (states[-1], states[5], states[0]):
+            assert tape.seek(step=state.step).step == state.step
+            shown = tape.state()
+            assert np.array_equal(shown.positions, state.positions)
+            assert np.array_equal(shown.id, state.id)
+        with pytest.raises(jostle.IncorrectState, match="replay"):
+            tape.inform(jostle.ids([1]), direction=0.0)
+        with pytest.raises(jostle.InvalidArgument, match="one of step"):
+            tape.seek()
+        with pytest.raises(jostle.AlreadyExists):
+            client.replay(folder / "take.mcap", "tape")
+        tape.run(rate=None)
+        assert tape.wait(phase="paused").step == states[-1].step
+        tape.delete()
+    with pytest.raises(jostle.InvalidArgument, match="Parquet"):
+        client.replay(folder / "take.parquet")
+    with pytest.raises(jostle.InvalidArgument, match="one of them"):
+        client.replay()
+    with pytest.raises(jostle.NotFound):
+        client.replay(recording="nobodys")

@@ -8,8 +8,9 @@ use jostle_proto::verbs::{
 };
 use jostle_proto::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
-    Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameters, Progress, Reply,
-    Request, ResultsPage, Schemas, Snapshot, Spec, State, Status, Swarms, Told, Verified,
+    Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameters, Progress,
+    ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs, Snapshot, Spec,
+    State, Status, Swarms, Told, Verified,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -46,7 +47,12 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "advance.reply" => told::<Reply<AdvanceResult>>(text),
         "leave.args" => asked::<LeaveArgs>(text),
         "control.args" => asked::<Control>(text),
-        "delete.reply" | "pause.reply" | "leave.reply" => told::<Reply<EmptyResult>>(text),
+        "seek.args" => asked::<SeekArgs>(text),
+        "replay.args" => asked::<ReplayArgs>(text),
+        "replay.reply" => told::<NodeReply<ReplayResult>>(text),
+        "delete.reply" | "pause.reply" | "leave.reply" | "seek.reply" => {
+            told::<Reply<EmptyResult>>(text)
+        }
         "run.args" => asked::<RunArgs>(text),
         "run.reply" => told::<Reply<RunResult>>(text),
         "pause.args" => asked::<PauseArgs>(text),

@@ -22,7 +22,7 @@ pub const ORDER: usize = 1;
 pub const EVENT: usize = 2;
 
 /// The metadata records that say what was recorded; what a later one says adds to an earlier.
-const METADATA: &str = "jostle";
+pub const METADATA: &str = "jostle";
 
 /// What stands around a message at most: its header, its entries in the indexes and, if it fills a
 /// chunk of its own, that chunk's.

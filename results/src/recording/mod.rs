@@ -9,6 +9,7 @@
 mod draft;
 mod mcap;
 mod parquet;
+mod reading;
 mod timeline;
 
 use std::collections::BTreeMap;
@@ -24,6 +25,7 @@ use self::timeline::Timeline;
 use crate::table::TableError;
 
 pub use self::draft::PARTIAL;
+pub use self::reading::{Message, bytes_at, read};
 
 /// What a recording says of itself, such as `swarm` and `version`.
 pub type About = BTreeMap<String, String>;
@@ -78,6 +80,14 @@ pub enum RecordingError {
         /// The file.
         path: PathBuf,
         /// What it says.
+        reason: String,
+    },
+    /// What is no recording, or not a whole one.
+    #[error("{}: {reason}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
         reason: String,
     },
     /// The writer of Parquet refused.

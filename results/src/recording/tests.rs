@@ -310,3 +310,89 @@ fn a_clock_before_1970_is_as_good_as_1970() {
     recorder.event(&early, b"{}").unwrap();
     recorder.finish(&About::new()).unwrap();
 }
+
+/// Every message of a file, as it is read.
+fn messages(path: &Path) -> Result<(About, Vec<(String, u64, Vec<u8>)>), RecordingError> {
+    let mut messages = Vec::new();
+    let about = read(path, |message| {
+        messages.push((
+            message.topic.to_owned(),
+            message.offset,
+            message.bytes.to_vec(),
+        ));
+        Ok(())
+    })?;
+    Ok((about, messages))
+}
+
+/// A file of some messages.
+fn recorded(folder: &Path) -> PathBuf {
+    let path = folder.join("take.mcap");
+    let mut recorder = Recorder::to_file(&path, false, about()).unwrap();
+    recorder.event(&moment(1), b"{}").unwrap();
+    for number in 1..4 {
+        let published = [number as u8; 100];
+        recorder.frame(&frame(number, &published)).unwrap();
+    }
+    let closing = About::from([("frames".to_owned(), "3".to_owned())]);
+    recorder.finish(&closing).unwrap();
+    path
+}
+
+#[test]
+fn mcap_is_read_back_in_order_each_message_from_where_it_lies() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = recorded(folder.path());
+    let (about, messages) = messages(&path).unwrap();
+    assert_eq!((&*about["swarm"], &*about["frames"]), ("demo", "3"));
+    let topics: Vec<&str> = messages.iter().map(|(topic, ..)| &**topic).collect();
+    assert_eq!(topics, ["event", "state", "state", "state"]);
+    let mut file = fs::File::open(&path).unwrap();
+    for (_, offset, bytes) in &messages {
+        assert_eq!(bytes_at(&mut file, *offset, bytes.len()).unwrap(), *bytes);
+    }
+    assert_eq!(messages[3].2, [3; 100]);
+    let refused = read(&path, |_| Err("enough".to_owned())).unwrap_err();
+    assert!(
+        refused.to_string().ends_with("take.mcap: enough"),
+        "{refused}"
+    );
+}
+
+#[test]
+fn a_file_that_is_cut_short_is_refused_and_one_that_is_damaged_never_read_wrong() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = recorded(folder.path());
+    let whole = fs::read(&path).unwrap();
+    let (_, expected) = messages(&path).unwrap();
+    let harmed = folder.path().join("harmed.mcap");
+    // What is behind the footer's head is an index, which nobody needs here.
+    let data = whole
+        .windows(7)
+        .rposition(|it| it == b"summary")
+        .unwrap_or(whole.len() - 45);
+    for length in 0..data.min(whole.len() - 40) {
+        fs::write(&harmed, &whole[..length]).unwrap();
+        let read = messages(&harmed);
+        assert!(
+            matches!(read, Err(RecordingError::Unreadable { .. })),
+            "{length}"
+        );
+    }
+    let mut refused = 0;
+    for place in 0..whole.len() {
+        let mut bytes = whole.clone();
+        bytes[place] ^= 0x41;
+        fs::write(&harmed, &bytes).unwrap();
+        match messages(&harmed) {
+            Ok((_, messages)) => {
+                // Names of topics, and what stands around the chunk, have no checksum of their own.
+                for message in &messages {
+                    assert!(expected.iter().any(|it| it.2 == message.2), "{place}");
+                }
+            }
+            Err(_) => refused += 1,
+        }
+    }
+    assert!(refused > 400, "{refused}");
+}

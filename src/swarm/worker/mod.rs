@@ -22,7 +22,7 @@ use crate::swarm::control::Controllers;
 use crate::swarm::cores::Seat;
 use crate::swarm::crash;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
-use crate::swarm::handle::{Handle, Ticket};
+use crate::swarm::handle::{Handle, Ticket, receive};
 use crate::swarm::history::History;
 use crate::swarm::journal::{Journal, Record, Writer};
 use crate::swarm::order::{Answer, Order, OrderError, Outcome, Refusal, Sender};
@@ -372,6 +372,10 @@ impl Worker {
                 answer(Ok((self.place(), whole)));
                 None
             }
+            Ticket::Seek(_, _, answer) => {
+                answer(Err(self.refusal(OrderError::NotRecorded)));
+                None
+            }
             Ticket::Command(command) => self.commands(vec![command]),
             // It looks for itself, before its next step.
             Ticket::Awake => None,
@@ -564,6 +568,7 @@ impl Worker {
             exactness: simulation.exactness,
             rate: self.rate,
             real_time_factor: self.real_time_factor(),
+            replay: None,
             controllers: Vec::new(),
             hash: hashed.then(|| simulation.state.hash()),
             gaps: OnceLock::new(),
@@ -608,15 +613,8 @@ impl Worker {
             order: self.simulation.order().order,
             rate: self.rate,
             real_time_factor: self.real_time_factor(),
+            is_replay: false,
         };
         *self.summary.lock().unwrap_or_else(PoisonError::into_inner) = Some(summary);
-    }
-}
-
-/// The next ticket, which may come until then.
-fn receive(tickets: &Receiver<Ticket>, until: Option<Instant>) -> Result<Ticket, RecvTimeoutError> {
-    match until {
-        Some(until) => tickets.recv_timeout(until.saturating_duration_since(Instant::now())),
-        None => tickets.recv().map_err(RecvTimeoutError::from),
     }
 }

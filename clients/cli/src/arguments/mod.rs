@@ -5,6 +5,7 @@ mod copies;
 mod experiment;
 mod looking;
 mod recording;
+mod replay;
 mod sending;
 mod verbs;
 
@@ -17,6 +18,7 @@ pub use self::copies::*;
 pub use self::experiment::*;
 pub use self::looking::*;
 pub use self::recording::*;
+pub use self::replay::*;
 pub use self::sending::*;
 pub use self::verbs::*;
 use crate::completion;
@@ -34,7 +36,8 @@ Examples:
   jostle --json watch demo --frames --count 3
   jostle set demo pi1=6 --make-room --at-step 9000
   jostle status demo --watch
-  jostle record demo -o demo.parquet --for 20s
+  jostle record demo -o demo.mcap --for 20s
+  jostle replay demo.mcap --as tape
   jostle fork demo other --at-step 5000
   jostle diff demo other
   jostle snapshot demo -o demo.snapshot
@@ -124,6 +127,10 @@ pub enum Verb {
     Watch(WatchArguments),
     /// Records what a swarm publishes to a file
     Record(RecordArguments),
+    /// Shows a recording as if it were a swarm: to watch, pause, step and seek
+    Replay(ReplayArguments),
+    /// Has a replay go somewhere else in its recording
+    Seek(SeekArguments),
     /// Lets a swarm run; changes target and rate of one that runs
     Run(RunArguments),
     /// Pauses a swarm

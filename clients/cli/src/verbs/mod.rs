@@ -13,6 +13,7 @@ mod individuals;
 mod look;
 mod lookout;
 mod record;
+mod replay;
 mod run;
 mod schema;
 mod shell;
@@ -98,6 +99,8 @@ async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
         Verb::Fork(arguments) => copies::fork(bus, output, &arguments).await,
         Verb::Snapshot(arguments) => copies::snapshot(bus, output, &arguments).await,
         Verb::Restore(arguments) => copies::restore(bus, output, &arguments).await,
+        Verb::Replay(arguments) => replay::replay(bus, output, &arguments).await,
+        Verb::Seek(arguments) => replay::seek(bus, output, &arguments).await,
         Verb::Diff(arguments) => diff::diff(bus, output, &arguments).await,
         Verb::Verify(arguments) => verify::verify(bus, output, &arguments).await,
         Verb::Figure(arguments) => figure::snapshot(bus, output, &arguments).await,

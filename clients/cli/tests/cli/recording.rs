@@ -122,3 +122,66 @@ async fn what_cannot_be_recorded_is_said_and_what_is_there_stays() {
     assert!(is_whole(&path));
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_recorded_is_replayed_under_a_name_and_sought_through() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10 --publish-every 1").await;
+    let (folder, path) = file("Take.mcap");
+    let recording = daemon.begin(&format!("--json record demo -o {path} --steps 40"));
+    until("the recording has begun", async || {
+        fs::exists(format!("{path}.partial")).unwrap()
+    })
+    .await;
+    daemon.jostle("run demo").await;
+    let frames = object(&recording.end().await)["frames"].clone();
+
+    let told = object(
+        &daemon
+            .jostle(&format!("--json replay {path} --paused"))
+            .await,
+    );
+    assert_eq!(told["result"]["replay"]["of"], "demo");
+    assert_eq!(told["result"]["replay"]["frames"], frames);
+    let status = object(&daemon.jostle("--json status take").await);
+    assert_eq!(
+        (&status["phase"], &status["step"]),
+        (&json!("paused"), &json!(0))
+    );
+    let sought = daemon.jostle("seek take --fraction 1").await;
+    assert_eq!(sought.code, Some(0), "{sought:?}");
+    let shown = daemon.jostle("status take").await.stdout;
+    assert!(shown.contains("replay"), "{shown}");
+    assert!(
+        shown.contains(&format!("frame {frames} of {frames}")),
+        "{shown}"
+    );
+    assert!(!shown.contains("state hash"), "{shown}");
+    let listed = daemon.jostle("list").await.stdout;
+    assert!(listed.contains("replay, "), "{listed}");
+
+    let again = daemon.refusal(&format!("replay {path}")).await;
+    assert_eq!(again["code"], "already_exists");
+    let tape = daemon
+        .jostle(&format!("replay {path} --as tape --rate max"))
+        .await;
+    assert!(tape.stdout.contains("tape replays demo"), "{tape:?}");
+    let live = daemon.refusal("seek demo --step 3").await;
+    assert_eq!(live["code"], "incorrect_state");
+    for line in [
+        "seek take",
+        "seek take --step 1 --time 1",
+        "replay",
+        "replay a --recording b",
+    ] {
+        let ended = daemon.jostle(line).await;
+        assert_eq!(ended.code, Some(2), "{line}: {ended:?}");
+    }
+    let table = folder.path().join("take.parquet");
+    fs::write(&table, "PAR1").unwrap();
+    let refusal = daemon.refusal(&format!("replay {}", table.display())).await;
+    assert!(refusal["message"].as_str().unwrap().contains(".mcap"));
+    let refusal = daemon.refusal("replay nowhere.mcap").await;
+    assert!(refusal["message"].as_str().unwrap().contains("not there"));
+    daemon.stop().await;
+}

@@ -6,6 +6,7 @@ import base64
 import os
 from collections.abc import Mapping
 from html import escape
+from pathlib import Path
 from types import TracebackType
 from typing import Any, Self, TypeVar
 
@@ -17,6 +18,7 @@ from ._messages import CreateResult
 from ._metrics import Metrics
 from ._node import WIRE_VERSION, Hello, NodeStatus, Schemas, Swarms, SwarmSummary
 from ._reading import read_reply
+from ._replay import open_replay, upload
 from ._results import Experiments, Progress
 from ._show import Listed, trouble
 from ._snapshot import Snapshot
@@ -244,6 +246,43 @@ class Client:
         key = self._link.node_key(self._node, "cmd/restore")
         payload = self._link.command(key, args, swarm=None, timeout=timeout, request_id=request_id)
         read_reply(payload, CreateResult)
+        return swarm
+
+    def replay(
+        self,
+        path: str | os.PathLike[str] | None = None,
+        name: str | None = None,
+        *,
+        recording: str | None = None,
+        progress: bool | None = None,
+        timeout: float | None = None,
+    ) -> Swarm:
+        """Has the daemon show a recording as if it were a swarm, paused at its first frame.
+
+        `run`, `pause`, `step`, `seek`, `reset` and `delete` do with it what they do with a swarm;
+        nothing else changes it. It is gone when the daemon ends.
+
+        Args:
+            path: The recording, MCAP; it is sent to the daemon.
+            name: What to show it as; None is what the file or the recording is called.
+            recording: One that the daemon has recorded, instead of a file.
+            progress: Show how much is sent; None does if somebody looks on and it takes a while.
+            timeout: Seconds it may take to look through; None is 60.
+
+        Raises:
+            AlreadyExists: The name is taken.
+            InvalidArgument: It is no recording in MCAP, or damaged.
+            NotFound: The daemon has no such recording.
+            OSError: The file cannot be read.
+        """
+        if (path is None) == (recording is None):
+            raise InvalidArgument("give a file or the name of a recording, one of them")
+        if name is None:
+            name = recording if path is None else Path(path).stem.lower()
+        swarm = Swarm(self._link, check_name("name", str(name)))
+        if path is not None:
+            upload(self._link, self._node, path, swarm.name, progress)
+        open_replay(self._link, self._node, swarm.name, recording, timeout)
         return swarm
 
     def submit(

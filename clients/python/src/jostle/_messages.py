@@ -231,6 +231,24 @@ class HistoryFrom(Shown, frozen=True, kw_only=True):
     step: int
 
 
+class Replay(Shown, frozen=True, kw_only=True):
+    """A recording that is shown as if it were a swarm, and where it is.
+
+    Attributes:
+        of: The swarm that was recorded.
+        frame: The number of the frame it is at, from 1.
+        frames: How many frames it has.
+        position: Time units since its first frame.
+        duration: Time units from its first frame to its last, resets and gaps left out.
+    """
+
+    of: str
+    frame: int
+    frames: int
+    position: float
+    duration: float
+
+
 class Awaited(Shown, frozen=True, kw_only=True):
     """A controller that the others wait for.
 
@@ -266,6 +284,7 @@ class Status(Reply, frozen=True, kw_only=True):
         certificate: How exact the state is.
         history_from: Where the history begins that is kept of it; None while that cannot be
             read.
+        replay: Where it is, if it is the replay of a recording.
     """
 
     reason: str | None = None
@@ -284,6 +303,7 @@ class Status(Reply, frozen=True, kw_only=True):
     order: Order
     certificate: Certificate
     history_from: HistoryFrom | None = None
+    replay: Replay | None = None
 
 
 class Verified(Reply, frozen=True, kw_only=True):

@@ -74,7 +74,8 @@ class NodeStatus(Shown, frozen=True, kw_only=True):
 
 
 class SwarmSummary(Shown, frozen=True, kw_only=True):
-    """A swarm in a list; the fields mean what they mean in `Status`, `order` is that now."""
+    """A swarm in a list; the fields mean what they mean in `Status`, `order` is that now,
+    `replay` whether it is the replay of a recording."""
 
     swarm: str
     phase: Phase
@@ -86,6 +87,7 @@ class SwarmSummary(Shown, frozen=True, kw_only=True):
     order: float
     rate: float | None = None
     real_time_factor: float | None = None
+    replay: bool = False
 
 
 class Swarms(msgspec.Struct, frozen=True, kw_only=True):

@@ -17,7 +17,7 @@ from ._extras import need
 from ._frame import of_states
 from ._history import EventReader
 from ._link import Link
-from ._messages import CreateResult, OrderSample
+from ._messages import CreateResult, OrderSample, Reply
 from ._progress import Bar
 from ._reading import read_json, read_reply
 from ._show import trouble
@@ -94,6 +94,36 @@ class Swarm(Commands):
         )
         read_reply(payload, CreateResult)
         return fork
+
+    def seek(
+        self,
+        *,
+        step: SupportsIndex | None = None,
+        time: float | None = None,
+        fraction: float | None = None,
+        timeout: float | None = None,
+        request_id: str | None = None,
+    ) -> Reply:
+        """Has a replay go to the last frame that is not later; see `Client.replay`.
+
+        Args:
+            step: A step; where the swarm was reset, of the run that is shown.
+            time: A time; where the swarm was reset, of the run that is shown.
+            fraction: A share of the whole recording: 0 to 1.
+            timeout: Seconds it may take; None is the client's.
+            request_id: What to call it, see `Options`; None is a new one.
+
+        Raises:
+            IncorrectState: This is no replay.
+            InvalidArgument: Not exactly one place is named.
+        """
+        places = {"step": step, "time": time, "fraction": fraction}
+        args = {name: place for name, place in places.items() if place is not None}
+        key = self._link.swarm_key(self._name, "cmd/seek")
+        payload = self._link.command(
+            key, args, swarm=self._name, timeout=timeout, request_id=request_id
+        )
+        return read_reply(payload, Reply)
 
     def join(
         self,

@@ -281,6 +281,7 @@ class Swarm:
     remove = _awaited(jostle.Swarm.remove)
     batch = _awaited(jostle.Swarm.batch)
     delete = _awaited(jostle.Swarm.delete)
+    seek = _awaited(jostle.Swarm.seek)
     fork = _made(jostle.Swarm.fork, lambda sync: Swarm(sync))
 
     join = _joined(jostle.Swarm.join, Controller, lambda sync: sync.leave())
@@ -332,6 +333,7 @@ class Client:
 
     create = _made(jostle.Client.create, Swarm)
     restore = _made(jostle.Client.restore, Swarm)
+    replay = _made(jostle.Client.replay, Swarm)
     submit = _made(jostle.Client.submit, Experiment)
     experiments = _awaited(jostle.Client.experiments)
     swarms = _awaited(jostle.Client.swarms)

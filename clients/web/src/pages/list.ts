@@ -38,6 +38,7 @@ class Card {
     this.line.show(orders, LEAST_SHOWN);
     say(this.order, fixed(row.order, 2));
     const facts = [
+      row.replay ? "replay" : "",
       `n ${row.n}`,
       `informed ${row.informed}`,
       `time ${time(row.time)}`,

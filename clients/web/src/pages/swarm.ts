@@ -5,6 +5,7 @@ import { Events } from "../panels/events.ts";
 import { Numbers } from "../panels/numbers.ts";
 import { Parameters } from "../panels/parameters.ts";
 import { Steering } from "../panels/steering.ts";
+import { Tape } from "../panels/tape.ts";
 import { Watch } from "../panels/watch.ts";
 import { el, say } from "../parts/dom.ts";
 import { PhaseChip } from "../parts/phase.ts";
@@ -25,6 +26,10 @@ export function swarmPage(name: string, session: Session): Page {
   let events = new Events(name);
   const log = el("div", {}, events.element);
   const controls = new Controls(name, session);
+  const tape = new Tape(name, session);
+  let replay = false;
+  const informing = el("div", {});
+  const informs = panel("Inform", "", true, informing);
 
   const watch = new Watch(name, session, {
     state: (state) => {
@@ -40,6 +45,9 @@ export function swarmPage(name: string, session: Session): Page {
     },
     row: (row) => {
       controls.show(row);
+      tape.show(row);
+      replay = row?.replay ?? replay;
+      informs.hidden = replay;
       if (!row) {
         return;
       }
@@ -47,7 +55,7 @@ export function swarmPage(name: string, session: Session): Page {
       say(reason, row.reason ?? "");
       numbers.showRow(row);
     },
-    parameters: (all) => parameters.show(all, session.mayCommand),
+    parameters: (all) => parameters.show(all, session.mayCommand && !replay),
     event: (event) => {
       if (event.event.kind === "created") {
         // Another swarm of this name: its events are numbered anew.
@@ -56,6 +64,9 @@ export function swarmPage(name: string, session: Session): Page {
         log.replaceChildren(events.element);
       }
       events.take(event);
+      if (event.event.kind !== "lapsed") {
+        void tape.ask();
+      }
     },
     catchUp: () => void events.catchUp(),
     changed: () => steering?.show(),
@@ -63,16 +74,17 @@ export function swarmPage(name: string, session: Session): Page {
   });
   const steering: Steering = new Steering(name, session, watch.stage);
 
+  informing.append(steering.element);
   const element = el(
     "div",
     { class: "page swarm-page" },
     el("header", { class: "page-head" }, el("h1", {}, name), phase.element, reason),
-    el("div", { class: "seen" }, watch.element, numbers.element, charts.element),
+    el("div", { class: "seen" }, watch.element, tape.element, numbers.element, charts.element),
     el(
       "aside",
       { class: "panels" },
       panel("Control", "", true, controls.element),
-      panel("Inform", "", true, steering.element),
+      informs,
       panel("Parameters", "later", innerWidth > 900, parameters.element),
       panel("Events", "later", true, log),
     ),
@@ -80,9 +92,10 @@ export function swarmPage(name: string, session: Session): Page {
   void events.catchUp();
   const forget = session.onChange(() => {
     controls.allow();
+    tape.allow();
     steering.show();
     if (watch.parameters.length > 0) {
-      parameters.show(watch.parameters, session.mayCommand);
+      parameters.show(watch.parameters, session.mayCommand && !replay);
     }
   });
 
@@ -102,6 +115,7 @@ export function swarmPage(name: string, session: Session): Page {
     end: () => {
       forget();
       watch.end();
+      tape.end();
       charts.end();
       events.end();
     },

@@ -31,6 +31,7 @@ export class Controls {
   private readonly fields: HTMLFieldSetElement;
   private readonly note: HTMLElement;
   private readonly stepButton = el("button", {}, "Step");
+  private readonly changing: HTMLElement[];
 
   constructor(
     private readonly swarm: string,
@@ -55,6 +56,15 @@ export class Controls {
         () => command(swarm, "inject", { count: count.input.valueAsNumber }),
         `${plural(count.input.valueAsNumber, "individual")} injected`,
       );
+    this.changing = [
+      form({ class: "row" }, inject, count.label, el("button", {}, "Inject")),
+      form(
+        { class: "row" },
+        () => this.fork(fork.input.value),
+        fork.label,
+        el("button", {}, "Fork"),
+      ),
+    ];
     this.fields = el(
       "fieldset",
       { class: "controls" },
@@ -67,13 +77,7 @@ export class Controls {
         el("button", {}, "Run at rate"),
       ),
       form({ class: "row" }, () => this.step(), this.steps.label, this.stepButton),
-      form({ class: "row" }, inject, count.label, el("button", {}, "Inject")),
-      form(
-        { class: "row" },
-        () => this.fork(fork.input.value),
-        fork.label,
-        el("button", {}, "Fork"),
-      ),
+      ...this.changing,
       el("p", { class: "buttons" }, reset, remove),
     );
     this.element = el("div", {}, this.note, this.fields);
@@ -81,8 +85,12 @@ export class Controls {
   }
 
   /** Shows what can be done in a phase; nothing when the swarm is not there. */
-  show(row: Pick<SwarmRow, "phase" | "rate"> | undefined): void {
+  show(row: Pick<SwarmRow, "phase" | "rate" | "replay"> | undefined): void {
     this.there = row !== undefined;
+    // A recording has no future that could be changed.
+    for (const part of this.changing) {
+      part.hidden = row?.replay ?? false;
+    }
     if (row) {
       this.showPhase(row.phase, row.rate);
     }

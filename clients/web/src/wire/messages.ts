@@ -39,6 +39,17 @@ export interface SwarmRow {
   order: number;
   rate: number | null;
   real_time_factor: number | null;
+  /** Whether it is the replay of a recording. */
+  replay?: boolean;
+}
+
+/** Where a replay is. */
+export interface Replay {
+  of: string;
+  frame: number;
+  frames: number;
+  position: number;
+  duration: number;
 }
 
 export interface OrderNumbers {

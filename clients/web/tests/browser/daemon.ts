@@ -1,9 +1,10 @@
 /** A daemon of its own for each test: the binary that JOSTLED names, on ports of its own. */
 import assert from "node:assert/strict";
-import { type ChildProcess, spawn } from "node:child_process";
+import { type ChildProcess, execFile, spawn } from "node:child_process";
 import { mkdtempSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
-import { join } from "node:path";
+import { dirname, join } from "node:path";
+import { promisify } from "node:util";
 
 export interface Told {
   zenoh: string;
@@ -68,6 +69,13 @@ export class Daemon {
   async create(name: string, spec: object): Promise<void> {
     const response = await this.post("/api/node/create", { name, spec });
     assert.equal(response.status, 200, `create: ${await response.clone().text()}`);
+  }
+
+  /** Carries out a line of the command line, which lies beside the daemon. */
+  async jostle(...line: string[]): Promise<string> {
+    const jostle = join(dirname(process.env.JOSTLED ?? ""), "jostle");
+    const run = promisify(execFile);
+    return (await run(jostle, ["-e", this.told.zenoh, ...line], { cwd: this.folder })).stdout;
   }
 
   private begin(listen: string, http: string): Promise<void> {

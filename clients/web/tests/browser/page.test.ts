@@ -331,3 +331,33 @@ test("on a phone nothing is wider than the screen", async () => {
     assert.equal(await tab.page.evaluate("document.documentElement.scrollWidth"), 360, hash);
   }
 });
+
+test("a replay is shown like a swarm, says where it is, and goes where the slider is put", async () => {
+  await daemon.create("filmed", { n: 10, seed: 4, rate: 20, publish_every: 1 });
+  const recorded = daemon.jostle("record", "filmed", "-o", "film.mcap", "--steps", "60");
+  await daemon.command("filmed", "run");
+  await recorded;
+  await daemon.jostle("replay", "film.mcap", "--as", "film", "--paused");
+
+  const page = await open("/swarm/film");
+  const slider = page.getByRole("slider", { name: "place in the recording" });
+  await slider.waitFor();
+  assert.match((await page.locator(".tape").textContent()) ?? "", /replay of filmed/);
+  assert.equal(await page.getByRole("button", { name: "Inject" }).isVisible(), false);
+  await slider.focus();
+  await page.keyboard.press("End");
+  const last = await until("it is at its end", async () => {
+    const { step } = (await row("film")) ?? {};
+    return step !== undefined && step > 50 ? step : null;
+  });
+  await until("the page shows it", async () => (await step(page)) === last || null);
+  await page.keyboard.press("Home");
+  await until("it is at its beginning", async () => ((await row("film"))?.step ?? 1) < 5 || null);
+  await page.getByRole("button", { name: "Run", exact: false }).first().click();
+  await until("it has run to its end", async () => (await step(page)) === last || null);
+
+  const stranger = await open("/swarm/film", false);
+  const theirs = stranger.getByRole("slider", { name: "place in the recording" });
+  await theirs.waitFor();
+  assert.equal(await theirs.isDisabled(), true);
+});

@@ -1,0 +1,62 @@
+//! The arguments of the verbs that show recordings.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueHint};
+use clap_complete::engine::ArgValueCompleter;
+
+use crate::arguments::SenderArguments;
+use crate::completion;
+use crate::values::{self, Rate};
+
+/// Which recording to show, as what.
+#[derive(Debug, Args)]
+pub struct ReplayArguments {
+    /// The recording, .mcap
+    #[arg(value_hint = ValueHint::FilePath, required_unless_present = "recording")]
+    pub file: Option<PathBuf>,
+    /// One that the daemon has recorded, instead of a file
+    #[arg(long, value_name = "NAME", value_parser = values::name, conflicts_with = "file")]
+    pub recording: Option<String>,
+    /// What to show it as [default: what the file or the recording is called]
+    #[arg(long = "as", value_name = "NAME", value_parser = values::name)]
+    pub name: Option<String>,
+    /// Time units per second of wall clock, or max [default: as it was recorded]
+    #[arg(long, value_parser = values::rate, allow_negative_numbers = true)]
+    pub rate: Option<Rate>,
+    /// Stay at the first frame
+    #[arg(long, conflicts_with = "rate")]
+    pub paused: bool,
+    /// Who sends it.
+    #[command(flatten)]
+    pub sender: SenderArguments,
+}
+
+/// Where a replay is to go.
+#[derive(Debug, Args)]
+pub struct SeekArguments {
+    /// The replay
+    #[arg(value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    pub name: String,
+    /// Where: as long as it is not later.
+    #[command(flatten)]
+    pub place: PlaceArguments,
+    /// Who sends it.
+    #[command(flatten)]
+    pub sender: SenderArguments,
+}
+
+/// A place in a recording.
+#[derive(Debug, Args)]
+#[group(required = true, multiple = false)]
+pub struct PlaceArguments {
+    /// To the last frame up to this step
+    #[arg(long, value_parser = values::whole, allow_negative_numbers = true)]
+    pub step: Option<u64>,
+    /// To the last frame up to this time
+    #[arg(long, value_parser = values::number, allow_negative_numbers = true)]
+    pub time: Option<f64>,
+    /// To this share of the recording, from 0 to 1
+    #[arg(long, value_parser = values::number, allow_negative_numbers = true)]
+    pub fraction: Option<f64>,
+}
