@@ -7,7 +7,8 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::replay::ReplayError;
+use crate::replay::reel::ReadOrder;
+use crate::replay::{Reel, ReplayError};
 
 /// The longest recording that is taken in, in bytes.
 pub const MOST_BYTES: u64 = 1024 * 1024 * 1024;
@@ -97,19 +98,28 @@ impl Uploads {
         Ok(end)
     }
 
-    /// The file that was uploaded under a name, now for whoever asks to read and remove.
+    /// Opens what was uploaded under a name; it is no upload any more.
     ///
     /// # Errors
     ///
-    /// [`ReplayError::NotUploaded`] while it is not whole.
-    pub fn finished(&self, name: &str) -> Result<PathBuf, ReplayError> {
+    /// [`ReplayError::NotUploaded`] while it is not whole, [`ReplayError::Unreadable`].
+    pub fn reel(&self, name: &str, read_order: ReadOrder<'_>) -> Result<Reel, ReplayError> {
         let mut by_name = self.lock();
         let is_whole = |it: &Upload| it.received == it.length;
         if !by_name.get(name).is_some_and(is_whole) {
             return Err(ReplayError::NotUploaded(name.to_owned()));
         }
+        // Under a name that no upload has, for another one may begin meanwhile.
+        let path = self.path(name);
+        let opening = path.with_extension("opening");
+        let moved = fs::rename(&path, &opening);
         by_name.remove(name);
-        Ok(self.path(name))
+        drop(by_name);
+        moved.map_err(|error| ReplayError::Unkept(error.to_string()))?;
+        let reel = Reel::open(std::slice::from_ref(&opening), read_order);
+        // What is open stays readable, and leaves nothing behind.
+        let _ = fs::remove_file(opening);
+        reel
     }
 
     /// Drops what has stood still, and refuses one more than there may be.

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 use std::thread;
+use std::time::Duration;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -9,7 +10,7 @@ use jostle_proto::{NodeReply, OpenArgs, ReplayArgs, ReplayResult, Request, SeekA
 
 use crate::command::{self, CommandError, check_name, seek};
 use crate::host::{Host, Showing};
-use crate::replay::{Reel, ReplayError};
+use crate::replay::Reel;
 use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::clerk::Clerk;
 use crate::server::copies::refuse_when;
@@ -20,7 +21,7 @@ use crate::swarm::player::Film as _;
 use crate::wire::{self, Payload};
 
 /// How long a recording may take to be opened before its asker hears that it takes longer.
-const PATIENCE: std::time::Duration = std::time::Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_secs(60);
 
 impl Clerk {
     /// Takes a piece of a recording in, or shows one.
@@ -31,6 +32,9 @@ impl Clerk {
             ReplayArgs::Upload(piece) => {
                 let within = |error: CommandError| error.within("upload".to_owned());
                 check_name("name", &piece.name).map_err(within)?;
+                let whole = |field, number| wire::whole(field, number).map_err(CommandError::from);
+                whole("offset", piece.offset).map_err(within)?;
+                whole("length", piece.length).map_err(within)?;
                 let bytes = STANDARD.decode(piece.bytes.as_bytes()).map_err(|_| {
                     within(CommandError::Field {
                         field: "bytes",
@@ -88,13 +92,8 @@ impl Clerk {
         let (uploads, recordings) = (self.uploads.clone(), self.recordings.clone());
         let opened = thread::Builder::new().name("replay".into()).spawn(move || {
             let reel = match &args.recording {
-                Some(name) => recorded(&recordings, name),
-                None => uploads.finished(&args.name).and_then(|path| {
-                    let reel = Reel::open(std::slice::from_ref(&path), &read_order);
-                    // What is open stays readable, and leaves nothing behind.
-                    let _ = std::fs::remove_file(path);
-                    reel
-                }),
+                Some(name) => Reel::of_recording(&recordings, name, &read_order),
+                None => uploads.reel(&args.name, &read_order),
             };
             match reel {
                 Ok(reel) => show(&host, node, args.name, reel, keeper),
@@ -137,17 +136,6 @@ impl Clerk {
             )
         });
     }
-}
-
-/// A recording of the daemon's own.
-fn recorded(recordings: &std::path::Path, name: &str) -> Result<Reel, ReplayError> {
-    let parts = jostle_results::recording::parts(&recordings.join(name)).unwrap_or_default();
-    let is_mcap = |path: &std::path::PathBuf| path.extension().is_some_and(|it| it == "mcap");
-    let parts: Vec<_> = parts.into_iter().filter(is_mcap).collect();
-    if parts.is_empty() {
-        return Err(ReplayError::Unknown(name.to_owned()));
-    }
-    Reel::open(&parts, &read_order)
 }
 
 /// Shows it, and answers when it can be seen.

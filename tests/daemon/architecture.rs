@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 21] = [
+const MAY_USE: [(&str, &[&str]); 22] = [
     ("model", &[]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
@@ -15,7 +15,10 @@ const MAY_USE: [(&str, &[&str]); 21] = [
     ("store", &["meter"]),
     ("health", &["meter", "swarm", "host", "store"]),
     ("gateway", &["meter", "swarm", "health"]),
-    ("command", &["model", "swarm", "host", "lab", "wire"]),
+    (
+        "command",
+        &["model", "swarm", "host", "lab", "replay", "wire"],
+    ),
     (
         "wire",
         &[
@@ -34,13 +37,14 @@ const MAY_USE: [(&str, &[&str]); 21] = [
         &["model", "stepper", "observables", "swarm", "wire"],
     ),
     ("lab", &["experiment"]),
+    ("replay", &["model", "swarm", "wire"]),
     ("batch", &["experiment"]),
     ("config", &["host"]),
     (
         "server",
         &[
-            "meter", "swarm", "host", "lab", "command", "config", "publish", "store", "wire",
-            "health", "gateway",
+            "meter", "swarm", "host", "lab", "replay", "command", "config", "publish", "store",
+            "wire", "health", "gateway",
         ],
     ),
     ("demo", &["swarm", "host", "command", "server"]),
@@ -82,7 +86,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "wire",
         ],
     ),
-    ("jostle_results", &["experiment", "lab", "wire"]),
+    ("jostle_results", &["experiment", "lab", "replay", "wire"]),
     ("indicatif::", &["batch"]),
     ("axum::", &["gateway"]),
     ("rust_embed", &["gateway"]),
@@ -117,6 +121,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "main",
             "meter",
             "publish",
+            "replay/uploads",
             "server",
             "store",
             "swarm",
@@ -131,6 +136,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "gateway/token",
             "health",
             "lab/shelf",
+            "replay",
             "store",
         ],
     ),
@@ -149,6 +155,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "meter",
             "model/threads",
             "publish",
+            "replay",
             "server",
             "store",
             "swarm",

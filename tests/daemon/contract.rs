@@ -10,6 +10,7 @@ use serde_json::{Value, json};
 use zenoh::Session;
 use zenoh_ext::{AdvancedSubscriberBuilderExt, HistoryConfig};
 
+use crate::replay;
 use crate::support::{Answer, Client, Daemon, NODE, PREFIX, until};
 
 mod bounds;
@@ -116,6 +117,28 @@ async fn prepare_experiment(client: &Client, args: &Value) {
     }
 }
 
+/// Has what a replay is made of be there.
+async fn prepare_replay(daemon: &Daemon, args: &Value, take: &[u8]) {
+    let client = &daemon.client;
+    client.ask(&keys::cmd(PREFIX, "tape", "delete"), None).await;
+    if let Some(upload) = args.get("upload") {
+        let number = |name: &str| upload[name].as_u64().unwrap() as usize;
+        let file = vec![0; number("length")];
+        let mut from = 0;
+        while from < number("offset") {
+            let to = number("offset").min(from + 100_000);
+            let _ = replay::piece(client, "tape", &file, from, to).await;
+            from = to;
+        }
+    } else if let Some(recording) = args["open"]["recording"].as_str() {
+        let folder = daemon.data_dir().join("recordings").join(recording);
+        fs::create_dir_all(&folder).unwrap();
+        fs::write(folder.join("part-00000.mcap"), take).unwrap();
+    } else {
+        replay::upload(client, "tape", take).await;
+    }
+}
+
 /// Sends a command's arguments to a swarm of its own, or to the node.
 async fn send(client: &Client, swarm: &str, verb: &str, request: &Value) -> Answer {
     if !keys::NODE_VERBS.contains(&verb) {
@@ -190,20 +213,31 @@ async fn every_channel_of_the_document_is_served() {
             check_reply(&message, &reply);
         }
     }
+    let take = replay::take(client).await;
     for verb in verbs {
         for (i, (fixture, args)) in fixtures(&format!("{verb}.args")).into_iter().enumerate() {
             let swarm = format!("{verb}-{i}");
             if verb == "experiment" {
                 prepare_experiment(client, &args).await;
             }
-            let answer = send(client, &swarm, &verb, &args).await;
+            let answer = match &*verb {
+                "replay" => {
+                    prepare_replay(&daemon, &args, &take).await;
+                    send(client, &swarm, &verb, &args).await
+                }
+                "seek" => {
+                    replay::show(client, &swarm, &take).await.unwrap();
+                    send_again(client, &swarm, &verb, &args).await
+                }
+                _ => send(client, &swarm, &verb, &args).await,
+            };
             let reply = answer.unwrap_or_else(|error| panic!("{fixture}: {error:?}"));
             check_reply(&format!("{verb}.reply"), &reply);
             let later = json!({"at_step": 1_000_000, "args": args});
-            if MAKING.contains(&&*verb) || verb == "experiment" {
+            if MAKING.contains(&&*verb) || ["experiment", "replay", "seek"].contains(&&*verb) {
                 let error = send_again(client, &swarm, &verb, &later).await.unwrap_err();
                 assert_eq!(error.details["field"], "at_step", "{verb}");
-                if verb == "experiment" {
+                if ["experiment", "replay"].contains(&&*verb) {
                     continue;
                 }
                 // Others have the same name.

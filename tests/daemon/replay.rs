@@ -42,7 +42,11 @@ async fn record(client: &Client, path: &Path) -> Vec<State> {
                 let select = json!({"select": {"ids": [1, 4]}, "direction": 1.5});
                 client.ok("live", "inform", select).await;
             }
-            20 => drop(client.ok("live", "set", json!({"pi1": 3.0})).await),
+            20 => drop(
+                client
+                    .ok("live", "set", json!({"pi1": 3.0, "make_room": true}))
+                    .await,
+            ),
             _ => {}
         }
         let events = format!("events?after={told}");
@@ -106,15 +110,24 @@ async fn replay(client: &Client, args: Value) -> Answer {
     client.one(&key, Some(args.to_string().as_bytes())).await
 }
 
-async fn piece(client: &Client, name: &str, file: &[u8], from: usize, to: usize) -> Answer {
+/// A recording of a swarm that is there no more.
+pub async fn take(client: &Client) -> Vec<u8> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("take.mcap");
+    record(client, &path).await;
+    client.ok("live", "delete", json!({})).await;
+    fs::read(path).unwrap()
+}
+
+pub async fn piece(client: &Client, name: &str, file: &[u8], from: usize, to: usize) -> Answer {
     let args = json!({"upload": {
         "name": name, "offset": from, "length": file.len(), "bytes": STANDARD.encode(&file[from..to]),
     }});
     replay(client, args).await
 }
 
-/// Uploads a file and opens it.
-async fn show(client: &Client, name: &str, file: &[u8]) -> Answer {
+/// Uploads a file.
+pub async fn upload(client: &Client, name: &str, file: &[u8]) {
     let mut from = 0;
     while from < file.len() {
         let to = file.len().min(from + 50_000);
@@ -122,6 +135,11 @@ async fn show(client: &Client, name: &str, file: &[u8]) -> Answer {
         assert_eq!(uploaded["result"]["uploaded"], to);
         from = to;
     }
+}
+
+/// Uploads a file and opens it.
+pub async fn show(client: &Client, name: &str, file: &[u8]) -> Answer {
+    upload(client, name, file).await;
     replay(client, json!({"open": {"name": name}})).await
 }
 
