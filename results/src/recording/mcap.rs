@@ -12,7 +12,7 @@ use super::draft::Draft;
 use super::{About, Moment, RecordingError, io_error};
 
 /// The channels, in their order: topics, and how their messages are encoded.
-const CHANNELS: [(&str, &str); 3] = [("state", "cbor"), ("order", "json"), ("event", "json")];
+pub const CHANNELS: [(&str, &str); 3] = [("state", "cbor"), ("order", "json"), ("event", "json")];
 
 /// The channel of states, in CBOR as they are published.
 pub const STATE: usize = 0;

@@ -7,6 +7,7 @@
 //! what ends the file: a full disk ends a recording and damages none.
 
 mod draft;
+mod extent;
 mod mcap;
 mod parquet;
 mod reading;
@@ -18,7 +19,10 @@ use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
+use serde::{Deserialize, Serialize};
+
 use self::draft::Draft;
+use self::extent::Extent;
 use self::mcap::McapPart;
 use self::parquet::ParquetPart;
 use self::timeline::Timeline;
@@ -96,7 +100,8 @@ pub enum RecordingError {
 }
 
 /// How a recording is written.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Format {
     /// Columns, for data frames.
     Parquet,
@@ -168,6 +173,10 @@ pub struct Recorder {
     about: About,
     timeline: Timeline,
     part: Option<Part>,
+    /// The number of the next part of a folder.
+    next: u64,
+    /// The frames of whole parts.
+    frames_before: u64,
     written: Written,
 }
 
@@ -240,6 +249,30 @@ impl Recorder {
         Ok(Recorder::new(place, format, about))
     }
 
+    /// Goes on in the folder of a recording that came to no end, with a part of its own. What a
+    /// crash left there is to be swept before.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordingError`] with the part that cannot be read.
+    pub fn go_on(folder: &Path, format: Format, about: About) -> Result<Self, RecordingError> {
+        let mut recorder = Recorder::new(Place::Folder(folder.to_owned()), format, about);
+        for part in parts(folder)? {
+            let Extent {
+                frames,
+                last,
+                bytes,
+            } = Extent::of(&part)?;
+            recorder.written.frames += frames;
+            recorder.written.parts += 1;
+            recorder.written.bytes += bytes;
+            recorder.timeline.go_on(last);
+            recorder.next = recorder.next.max(number_of(&part).map_or(0, |it| it + 1));
+        }
+        recorder.frames_before = recorder.written.frames;
+        Ok(recorder)
+    }
+
     fn new(place: Place, format: Format, about: About) -> Self {
         Recorder {
             place,
@@ -247,6 +280,8 @@ impl Recorder {
             about,
             timeline: Timeline::default(),
             part: None,
+            next: 0,
+            frames_before: 0,
             written: Written::default(),
         }
     }
@@ -311,7 +346,8 @@ impl Recorder {
     }
 
     /// Ends the part in hand, if there is one: what was recorded so far outlives a crash. The next
-    /// frame begins another. `closing` is said in this part, on top of what all say.
+    /// frame begins another. `closing` is said in this part, on top of what all say; a part of a
+    /// folder says how many frames it has.
     ///
     /// # Errors
     ///
@@ -320,19 +356,26 @@ impl Recorder {
         let Some(part) = self.part.take() else {
             return Ok(());
         };
+        let mut closing = closing.clone();
+        if matches!(self.place, Place::Folder(_)) {
+            let frames = self.written.frames - self.frames_before;
+            closing.insert(extent::FRAMES.to_owned(), frames.to_string());
+        }
         let draft = match part {
             Part::Parquet(draft, part) => {
-                part.finish(&draft, closing)?;
+                part.finish(&draft, &closing)?;
                 draft
             }
             Part::Mcap(draft, part) => {
-                part.finish(&draft, closing)?;
+                part.finish(&draft, &closing)?;
                 draft
             }
         };
         let replace = matches!(self.place, Place::File { replace: true, .. });
         self.written.bytes += draft.publish(replace)?;
         self.written.parts += 1;
+        self.next += 1;
+        self.frames_before = self.written.frames;
         Ok(())
     }
 
@@ -366,7 +409,7 @@ impl Recorder {
             let draft = match &self.place {
                 Place::File { path, replace } => Draft::begin(path, *replace, false)?,
                 Place::Folder(folder) => {
-                    let number = self.written.parts;
+                    let number = self.next;
                     let name = format!("{PART}{number:05}.{}", self.format.extension());
                     Draft::begin(&folder.join(name), false, true)?
                 }
@@ -401,8 +444,14 @@ pub fn parts(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
             parts.push(path);
         }
     }
-    parts.sort();
+    parts.sort_by_key(|part| (number_of(part), part.clone()));
     Ok(parts)
+}
+
+/// The number in a part's name.
+fn number_of(part: &Path) -> Option<u64> {
+    let stem = part.file_stem()?.to_str()?;
+    stem.strip_prefix(PART)?.parse().ok()
 }
 
 /// Removes what a crash left half-written in a folder, and says what that was.

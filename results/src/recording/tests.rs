@@ -302,6 +302,52 @@ fn a_crash_leaves_whole_parts_and_one_to_be_swept() {
 }
 
 #[test]
+fn a_recording_goes_on_behind_what_a_crash_left() {
+    let folder = tempfile::tempdir().unwrap();
+    let take = folder.path().join("take");
+    for format in [Format::Parquet, Format::Mcap] {
+        let mut recorder = Recorder::to_folder(&take, format, about()).unwrap();
+        for number in 1..4 {
+            recorder.frame(&frame(number, b"")).unwrap();
+            recorder.event(&moment(number), b"{}").unwrap();
+        }
+        recorder.end_part(&About::new()).unwrap();
+        recorder.frame(&frame(4, b"")).unwrap();
+        let mut whole = recorder.written();
+        whole.frames -= 1;
+        drop(recorder);
+        sweep(&take).unwrap();
+
+        let mut recorder = Recorder::go_on(&take, format, about()).unwrap();
+        assert_eq!(recorder.written(), whole);
+        assert_eq!((whole.frames, whole.parts), (3, 1));
+        recorder.frame(&frame(1, b"")).unwrap();
+        let written = recorder.finish(&About::new()).unwrap();
+        assert_eq!((written.frames, written.parts), (4, 2));
+        let parts = parts(&take).unwrap();
+        assert!(parts[1].ends_with(format!("part-00001.{}", format.extension())));
+        if format == Format::Mcap {
+            let last = |part: &Path| {
+                let bytes = fs::read(part).unwrap();
+                let messages = MessageStream::new(&bytes).unwrap();
+                messages.last().unwrap().unwrap().log_time
+            };
+            assert_eq!(last(&parts[0]) + 1, last(&parts[1]), "time never falls");
+        }
+
+        // A part that was taken away leaves its number, and one that is damaged is told of.
+        fs::remove_file(&parts[0]).unwrap();
+        fs::write(&parts[1], "damaged").unwrap();
+        let error = Recorder::go_on(&take, format, about()).err().unwrap();
+        assert!(
+            matches!(error, RecordingError::Unreadable { .. }),
+            "{error}"
+        );
+        fs::remove_dir_all(&take).unwrap();
+    }
+}
+
+#[test]
 fn a_clock_before_1970_is_as_good_as_1970() {
     let folder = tempfile::tempdir().unwrap();
     let mut recorder = Recorder::to_file(&folder.path().join("take.mcap"), false, about()).unwrap();

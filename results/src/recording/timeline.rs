@@ -19,6 +19,11 @@ pub struct Timeline {
 }
 
 impl Timeline {
+    /// Lays what is to come behind what ended there.
+    pub fn go_on(&mut self, last: u64) {
+        self.last = self.last.max(i128::from(last));
+    }
+
     /// When something comes, in nanoseconds.
     pub fn at(&mut self, moment: &Moment) -> u64 {
         #[expect(clippy::cast_possible_truncation, reason = "a float becomes what fits")]
@@ -29,6 +34,7 @@ impl Timeline {
             let offset = match before {
                 Some(offset) if own + offset > self.last => offset,
                 Some(_) => self.last + 1 - own,
+                None if own <= self.last && self.last > 0 => self.last + 1 - own,
                 None => 0,
             };
             self.epochs.push((moment.epoch, offset));

@@ -1,0 +1,92 @@
+//! What a whole part holds, as its end tells: nothing else of it is read.
+
+use std::fs::File;
+use std::io;
+use std::io::{Read as _, Seek as _};
+use std::path::Path;
+
+use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
+use parquet::file::reader::{FileReader as _, SerializedFileReader};
+
+use super::{Format, RecordingError, io_error, mcap as written};
+
+/// By what name a part says how many frames it has.
+pub const FRAMES: &str = "frames";
+
+/// What a whole part holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Extent {
+    /// How many frames.
+    pub frames: u64,
+    /// When the last message comes, in nanoseconds; 0 of Parquet, which has no such clock.
+    pub last: u64,
+    /// How long the file is.
+    pub bytes: u64,
+}
+
+impl Extent {
+    /// Reads the end of a part.
+    pub fn of(part: &Path) -> Result<Self, RecordingError> {
+        let file = File::open(part).map_err(|source| io_error(part, source))?;
+        let bytes = file.metadata().map_err(|source| io_error(part, source))?;
+        let bytes = bytes.len();
+        let (frames, last) = match Format::of(part)? {
+            Format::Parquet => (frames_of_parquet(part, file)?, 0),
+            Format::Mcap => of_mcap(part, file)?,
+        };
+        Ok(Extent {
+            frames,
+            last,
+            bytes,
+        })
+    }
+}
+
+fn frames_of_parquet(part: &Path, file: File) -> Result<u64, RecordingError> {
+    let reader =
+        SerializedFileReader::new(file).map_err(|error| unreadable(part, &error.to_string()))?;
+    let said = reader.metadata().file_metadata().key_value_metadata();
+    let frames = said
+        .into_iter()
+        .flatten()
+        .find(|pair| pair.key == FRAMES)
+        .and_then(|pair| pair.value.as_ref()?.parse().ok());
+    frames.ok_or_else(|| unreadable(part, "it does not say how many frames it has"))
+}
+
+fn of_mcap(part: &Path, mut file: File) -> Result<(u64, u64), RecordingError> {
+    let mut reader = SummaryReader::new();
+    while let Some(event) = reader.next_event() {
+        match event.map_err(|error| unreadable(part, &error.to_string()))? {
+            SummaryReadEvent::ReadRequest(bytes) => {
+                let read = file.read(reader.insert(bytes));
+                reader.notify_read(read.map_err(|source| io_error(part, source))?);
+            }
+            SummaryReadEvent::SeekRequest(to) => {
+                // Too short for what it should end in.
+                let at = file.seek(to).map_err(|source| match source.kind() {
+                    io::ErrorKind::InvalidInput => unreadable(part, "it is cut short"),
+                    _ => io_error(part, source),
+                })?;
+                reader.notify_seeked(at);
+            }
+        }
+    }
+    let statistics = reader.finish().and_then(|summary| {
+        let states = summary.channels.values();
+        let mut states = states.filter(|it| it.topic == written::CHANNELS[written::STATE].0);
+        Some((summary.stats?, states.next().map(|it| it.id)))
+    });
+    let Some((statistics, channel)) = statistics else {
+        return Err(unreadable(part, "it has no summary"));
+    };
+    let frames = channel.and_then(|id| statistics.channel_message_counts.get(&id));
+    Ok((frames.copied().unwrap_or(0), statistics.message_end_time))
+}
+
+fn unreadable(part: &Path, reason: &str) -> RecordingError {
+    RecordingError::Unreadable {
+        path: part.to_owned(),
+        reason: reason.to_owned(),
+    }
+}
