@@ -14,6 +14,8 @@
 //! How a recording is shown: [`replay`] opens it as a film, and its thread plays that as a swarm shows
 //! itself.
 //!
+//! How a swarm is recorded: [`recording`] taps what it shows and writes it to files.
+//!
 //! Each module may use those above it: `model`, `stepper`, `observables`, `swarm`, `host`,
 //! `command`, `server`. Only `publish` and `server` know zenoh, and the first three know no
 //! clock, thread, file or serialiser.
@@ -32,6 +34,8 @@ pub mod host;
 pub mod experiment;
 
 pub mod lab;
+
+pub mod recording;
 
 pub mod batch;
 pub mod command;

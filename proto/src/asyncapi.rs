@@ -192,7 +192,8 @@ fn answered(kind: ChannelKind) -> Vec<&'static str> {
         ChannelKind::Kept(reply) | ChannelKind::Get(reply) => vec![reply, "error"],
         // There is no swarm yet whose step could be waited for.
         ChannelKind::Command(
-            "create.args" | "fork.args" | "restore.args" | "experiment.args" | "advance.args",
+            "create.args" | "fork.args" | "restore.args" | "experiment.args" | "record.args"
+            | "advance.args",
             reply,
         ) => vec![reply, "error"],
         ChannelKind::Command(_, reply) => vec![reply, "scheduled.reply", "error"],

@@ -19,8 +19,8 @@ use crate::verbs::{
 use crate::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
     Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameter, ParameterKind,
-    Parameters, Progress, ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs,
-    Snapshot, Spec, State, Status, Swarms, Verified,
+    Parameters, Progress, RecordArgs, Recording, Recordings, ReplayArgs, ReplayResult, Reply,
+    Request, ResultsPage, Schemas, SeekArgs, Snapshot, Spec, State, Status, Swarms, Verified,
 };
 
 /// Something that stands on a key of the bus.
@@ -303,6 +303,16 @@ pub const CHANNELS: &[Channel] = &{
             "Takes in a recording, and shows it as if it were a swarm.",
         ),
         plain(
+            "@node/{node}/get/recordings",
+            Get("node.recordings.reply"),
+            "Every recording it has made or makes, and how each stands.",
+        ),
+        plain(
+            "@node/{node}/cmd/record",
+            Command("record.args", "record.reply"),
+            "Begins, stops or deletes a recording in the daemon's data directory.",
+        ),
+        plain(
             "@node/{node}/experiment/{experiment}/progress",
             Kept("experiment.progress"),
             "How far it is, at most twice a second while it changes.",
@@ -394,6 +404,9 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("node.schema.reply", told::<NodeReply<Schemas>>()),
         ("node.metrics.reply", told::<NodeReply<Metrics>>()),
         ("node.experiments.reply", told::<NodeReply<Experiments>>()),
+        ("node.recordings.reply", told::<NodeReply<Recordings>>()),
+        ("record.args", asked::<RecordArgs>()),
+        ("record.reply", told::<NodeReply<Recording>>()),
         ("experiment.args", asked::<ExperimentArgs>()),
         ("experiment.reply", told::<NodeReply<ExperimentResult>>()),
         ("experiment.progress", told::<Progress>()),

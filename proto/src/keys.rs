@@ -29,28 +29,31 @@ pub const SWARM_VERBS: [&str; 16] = [
 pub const OWN_VERBS: [&str; 3] = ["deadline", "lost", "control"];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
-pub const NODE_GETS: [&str; 6] = [
+pub const NODE_GETS: [&str; 7] = [
     "hello",
     "status",
     "swarms",
     "schema",
     "metrics",
     "experiments",
+    "recordings",
 ];
 
 /// The verbs that `{prefix}/@node/{node}/cmd/` executes.
-pub const NODE_VERBS: [&str; 4] = ["create", "restore", "experiment", "replay"];
+pub const NODE_VERBS: [&str; 5] = ["create", "restore", "experiment", "replay", "record"];
 
 /// The nouns that `{prefix}/@node/{node}/experiment/{experiment}/` answers.
 pub const EXPERIMENT_GETS: [&str; 3] = ["progress", "results", "order"];
 
-/// The longest name of a swarm, a node, an experiment or a controller, in bytes.
+/// The longest name of a swarm, a node, an experiment, a recording or a controller, in
+/// bytes.
 pub const MAX_NAME_LENGTH: usize = 64;
 
 /// What a name may look like, for messages.
 pub const NAME_RULE: &str = "^[a-z0-9][a-z0-9_-]{0,63}$";
 
-/// Tells whether `name` may name a swarm, a node, an experiment or a controller.
+/// Tells whether `name` may name a swarm, a node, an experiment, a recording or a
+/// controller.
 ///
 /// zenoh itself would take `*`, a NUL or 70,000 bytes, and a wildcard there would hit every swarm.
 pub fn is_name(name: &str) -> bool {

@@ -18,6 +18,7 @@ mod event;
 mod experiment;
 mod gets;
 mod metrics;
+mod recording;
 mod replay;
 pub mod snapshot;
 mod spec;
@@ -38,6 +39,10 @@ pub use gets::{
     Verified,
 };
 pub use metrics::{Metrics, StoreMetrics, SwarmMetrics};
+pub use recording::{
+    BeginRecordingArgs, RecordArgs, Recording, RecordingFormat, RecordingName, RecordingPhase,
+    Recordings,
+};
 pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArgs};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start, Stepping};

@@ -11,6 +11,7 @@ use crate::model::parameters::ParametersError;
 use crate::model::resize::ResizeError;
 use crate::model::selection::SelectionError;
 use crate::model::start::StartError;
+use crate::recording::RecordError;
 use crate::replay::{MOST_BYTES, ReplayError};
 use crate::swarm::order::OrderError;
 use crate::wire::WireError;
@@ -164,6 +165,9 @@ pub enum CommandError {
     /// The laboratory refuses what is to be done with an experiment.
     #[error(transparent)]
     Lab(#[from] LabError),
+    /// What is to be done with a recording is refused.
+    #[error(transparent)]
+    Record(#[from] RecordError),
 }
 
 impl CommandError {
@@ -283,6 +287,16 @@ impl CommandError {
                 LabError::Unkept(_) => ErrorCode::StorageFull,
                 LabError::Unreadable(_) => ErrorCode::Internal,
                 LabError::Stopping => ErrorCode::Busy,
+            },
+            CommandError::Record(error) => match error {
+                RecordError::Unknown(_) => ErrorCode::NotFound,
+                RecordError::Exists(_) => ErrorCode::AlreadyExists,
+                RecordError::Failed(_) => ErrorCode::IncorrectState,
+                RecordError::TooMany(_)
+                | RecordError::TooManyKept(_)
+                | RecordError::NoThread(_) => ErrorCode::ResourceExhausted,
+                RecordError::Unkept(_) => ErrorCode::StorageFull,
+                RecordError::Ending(_) | RecordError::Stopping => ErrorCode::Busy,
             },
             CommandError::Order(error) => match error {
                 OrderError::Phase(_)
@@ -416,6 +430,9 @@ impl CommandError {
             }
             CommandError::Replay(ReplayError::TooLong { length }) => {
                 json!({"bytes": length, "limit": MOST_BYTES})
+            }
+            CommandError::Record(RecordError::TooMany(limit) | RecordError::TooManyKept(limit)) => {
+                json!({"limit": limit})
             }
             CommandError::OtherRequest(id) => json!({"field": "request_id", "value": id}),
             CommandError::Order(OrderError::NoMemory { n, needed, free }) => {
@@ -573,9 +590,11 @@ pub fn range_of(field: &str) -> Option<&'static str> {
              \"remove\", \"args\": {…}}"
         }
         "phase" => "paused, running or faulted",
+        "format" if field == "begin.format" => "\"mcap\" or \"parquet\"",
         "format" => "json or cbor",
+        "every" => "a whole number from 1 to 9007199254740991",
         "request_id" | "client" => "at most 256 bytes of text, each character to be seen",
-        "name" | "controller" => keys::NAME_RULE,
+        "name" | "controller" | "recording" | "swarm" => keys::NAME_RULE,
         _ => return None,
     })
 }

@@ -18,6 +18,7 @@ use crate::health::Watch;
 use crate::host::Host;
 use crate::lab::Lab;
 use crate::publish::Press;
+use crate::recording::Recordings;
 use crate::replay::Uploads;
 use crate::server::answer::{Asked, Desk, Excuse, Keeper, Promise};
 use crate::server::experiments::Errands;
@@ -57,11 +58,15 @@ pub struct Clerk {
     /// The experiments.
     pub lab: Lab,
     /// Where what is to be done with them is handed in.
-    pub errands: Errands,
+    pub errands: Errands<Lab>,
     /// Recordings on their way in.
     pub uploads: Arc<Uploads>,
     /// Where the daemon's own recordings are.
     pub recordings: PathBuf,
+    /// What it records.
+    pub recorded: Recordings,
+    /// Where what is to be done with that is handed in.
+    pub to_record: Errands<Recordings>,
     /// The daemon in numbers, once it is watched.
     pub watch: Arc<OnceLock<Arc<Watch>>>,
     /// How many queries wait for the dispatching thread, or are at it.

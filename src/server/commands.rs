@@ -121,6 +121,8 @@ impl Clerk {
                 .and_then(|request| self.experiment(&promise, &request)),
             Some("replay") => request(query, self.most_bytes())
                 .and_then(|request| self.replay(&promise, &request)),
+            Some("record") => request(query, self.most_bytes())
+                .and_then(|request| self.record(&promise, &request)),
             verb => Err(CommandError::UnknownVerb {
                 verb: command::shortened(verb.unwrap_or_default()),
                 known: &keys::NODE_VERBS,

@@ -30,26 +30,31 @@ const MOST_BYTES_OF_ROWS: usize = 768 * 1024;
 /// How many entries of an order over time an answer holds, unless told otherwise and at most.
 const MOST_ENTRIES: usize = 40_000;
 
-/// Something to be done with the laboratory.
-type Errand = Box<dyn FnOnce(&Lab) + Send>;
+/// Something to be done with what is kept on the disk.
+type Errand<T> = Box<dyn FnOnce(&T) + Send>;
 
-/// Hands in what is to be done with the laboratory.
-#[derive(Clone)]
-pub struct Errands(Sender<Errand>);
+/// Hands in what is to be done with what is kept on the disk: experiments, or recordings.
+pub struct Errands<T>(Sender<Errand<T>>);
 
-impl Errands {
+impl<T> Clone for Errands<T> {
+    fn clone(&self) -> Self {
+        Errands(self.0.clone())
+    }
+}
+
+impl<T: Send + 'static> Errands<T> {
     /// Starts the thread that does it, until the last of these is dropped.
     ///
     /// # Errors
     ///
     /// When no thread can be started.
-    pub fn start(lab: Lab) -> std::io::Result<Self> {
-        let (errands, handed_in) = channel::<Errand>();
+    pub fn start(name: &str, kept: T) -> std::io::Result<Self> {
+        let (errands, handed_in) = channel::<Errand<T>>();
         thread::Builder::new()
-            .name("experiments".into())
+            .name(name.to_owned())
             .spawn(move || {
                 while let Ok(errand) = handed_in.recv() {
-                    errand(&lab);
+                    errand(&kept);
                 }
             })?;
         Ok(Errands(errands))
@@ -59,14 +64,19 @@ impl Errands {
     pub(super) fn hand_in(
         &self,
         promise: &Promise,
-        errand: impl FnOnce(&Lab, Keeper) + Send + 'static,
+        errand: impl FnOnce(&T, Keeper) + Send + 'static,
     ) {
         let keeper = Keeper::new(promise.clone());
+        self.run(move |kept| errand(kept, keeper));
+    }
+
+    /// Has something done in its turn that nobody waits for.
+    pub(super) fn run(&self, errand: impl FnOnce(&T) + Send + 'static) {
         // Once the thread has ended the daemon is going.
-        let _ = self.0.send(Box::new(move |lab| {
-            let work = std::panic::AssertUnwindSafe(|| errand(lab, keeper));
+        let _ = self.0.send(Box::new(move |kept| {
+            let work = std::panic::AssertUnwindSafe(|| errand(kept));
             if std::panic::catch_unwind(work).is_err() {
-                warn!("a defect: what was to be done with an experiment panicked");
+                warn!("a defect: what was to be done panicked");
             }
         }));
     }

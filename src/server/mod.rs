@@ -13,6 +13,7 @@ pub mod experiments;
 mod gets;
 pub mod ledger;
 pub mod query;
+mod recordings;
 pub mod recovery;
 mod replays;
 pub mod session;
@@ -33,6 +34,7 @@ use zenoh::pubsub::Subscriber;
 use zenoh::query::Queryable;
 use zenoh::{Session, Wait};
 
+use crate::command::error::refusal;
 use crate::command::{CommandError, check_name};
 use crate::config::Config;
 use crate::gateway::{self, Bus, Gateway, GatewayError, Token};
@@ -41,6 +43,7 @@ use crate::host::Host;
 use crate::lab::Lab;
 use crate::meter::Pulse;
 use crate::publish::Press;
+use crate::recording::Recordings;
 use crate::replay::Uploads;
 use crate::server::answer::Desk;
 use crate::server::clerk::Clerk;
@@ -61,6 +64,9 @@ const PATIENCE_WITH_SWARMS: Duration = Duration::from_millis(500);
 
 /// How long an experiment may take to finish the steps its runs are at, and its tables.
 const PATIENCE_WITH_EXPERIMENTS: Duration = Duration::from_secs(1);
+
+/// How long recordings may take to write what is left.
+const PATIENCE_WITH_RECORDINGS: Duration = Duration::from_secs(1);
 
 /// How long the store may take to write what is left.
 const PATIENCE_WITH_STORE: Duration = Duration::from_secs(1);
@@ -105,6 +111,14 @@ pub enum ServerError {
         /// What the system says.
         error: std::io::Error,
     },
+    /// The recordings cannot be read.
+    #[error("cannot read the recordings in {folder}: {error}")]
+    Recordings {
+        /// Where they are.
+        folder: String,
+        /// What the system says.
+        error: std::io::Error,
+    },
     /// No thread can be started.
     #[error("cannot start a thread: {0}")]
     Thread(#[from] std::io::Error),
@@ -126,6 +140,7 @@ pub struct Server {
     gateway: Option<Gateway>,
     page: Option<Token>,
     lab: Lab,
+    recordings: Recordings,
     doors: (LivelinessToken, [Queryable<()>; 4], [Subscriber<()>; 2]),
 }
 
@@ -154,7 +169,9 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let host = Arc::new(Host::new(config.limits, crier, archive::archive(&store)));
     let ledger = Ledger::new(store.clone());
     let lab = open_lab(config).await?;
-    let errands = Errands::start(lab.clone())?;
+    let errands = Errands::start("experiments", lab.clone())?;
+    let recordings = open_recordings(config)?;
+    let to_record = Errands::start("recordings", recordings.clone())?;
     let folder = config.data_dir.join("replays");
     let uploads = Uploads::open(&folder).map_err(|error| ServerError::Uploads {
         folder: folder.display().to_string(),
@@ -182,6 +199,8 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         errands,
         uploads: Arc::new(uploads),
         recordings: config.data_dir.join("recordings"),
+        recorded: recordings.clone(),
+        to_record: to_record.clone(),
         watch: watch.clone(),
         waiting: AtomicUsize::new(0),
     });
@@ -231,6 +250,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         recovery::recover(&recovering.0, &recovering.1, &ledger)
     });
     recovered.await.expect("recovery does not panic")?;
+    recordings::go_on(&recordings, &to_record, &host);
 
     let refused = |error: zenoh::Error| ServerError::Keys(error.to_string());
     let queryable = |key: String, topic| queryable(&session, &key, topic, &intake, &clerk);
@@ -263,6 +283,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         gateway,
         page,
         lab,
+        recordings,
         doors: (token, queryables, controls),
     })
 }
@@ -283,6 +304,15 @@ async fn open_lab(config: &Config) -> Result<Lab, ServerError> {
             folder: folder.display().to_string(),
             error,
         })
+}
+
+/// Opens the recordings, which lie there too.
+fn open_recordings(config: &Config) -> Result<Recordings, ServerError> {
+    let folder = config.data_dir.join("recordings");
+    Recordings::open(&folder, refusal).map_err(|error| ServerError::Recordings {
+        folder: folder.display().to_string(),
+        error,
+    })
 }
 
 /// Opens what outlives the daemon. When it can no longer be trusted the daemon ends at once: only
@@ -361,10 +391,20 @@ impl Server {
         if let Ok(running @ 1..) = experiments.await {
             warn!(running, "experiments were still in a step");
         }
+        // What swarms showed last is in them.
+        let recordings = self.recordings.clone();
+        let recordings =
+            tokio::task::spawn_blocking(move || recordings.close(PATIENCE_WITH_RECORDINGS));
         let store = self.store.clone();
         let stopped = tokio::task::spawn_blocking(move || store.stop(PATIENCE_WITH_STORE));
         if let Ok(false) = stopped.await {
             warn!("the store was still writing");
+        }
+        if let Ok(writing @ 1..) = recordings.await {
+            warn!(
+                writing,
+                "recordings were still being written: what they had in hand is lost"
+            );
         }
         self.press.stop();
         self.desk.stop();

@@ -1,11 +1,11 @@
 //! Where a swarm puts what is to be published: its newest frame, and its events in order.
 //!
 //! The swarm never waits here. Whoever publishes takes what is there when it gets round to it;
-//! of two frames it finds the newer.
+//! of two frames it finds the newer. Whoever has to have all of them taps the outlet.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use crate::meter::add;
 use crate::swarm::frame::{Event, Frame};
@@ -13,11 +13,24 @@ use crate::swarm::frame::{Event, Frame};
 /// Events kept for a publisher that lags; the oldest give way, and their numbers show it.
 const MOST_EVENTS: usize = 4096;
 
+/// Takes all that is put into an outlet, on the swarm's thread: it must not wait.
+pub type Tap = dyn Fn(Tapped<'_>) + Send + Sync;
+
+/// What a tap takes.
+#[derive(Clone, Copy)]
+pub enum Tapped<'a> {
+    /// A frame, and how many there were with it.
+    Frame(&'a Arc<Frame>, u64),
+    /// An event.
+    Event(&'a Event),
+}
+
 /// The place between one swarm and whoever publishes it.
 pub struct Outlet {
     /// The swarm's name.
     pub name: String,
     contents: Mutex<Contents>,
+    taps: Mutex<Vec<Weak<Tap>>>,
     frames: AtomicU64,
     dropped: AtomicU64,
     ring: Box<dyn Fn() + Send + Sync>,
@@ -41,6 +54,7 @@ impl Outlet {
         Outlet {
             name,
             contents: Mutex::default(),
+            taps: Mutex::default(),
             frames: AtomicU64::new(0),
             dropped: AtomicU64::new(0),
             ring: Box::new(ring),
@@ -50,12 +64,20 @@ impl Outlet {
 
     /// Whether a frame would be read; without readers none need be made.
     pub fn is_watched(&self) -> bool {
-        (self.is_watched)()
+        (self.is_watched)() || self.taps().iter().any(|tap| tap.strong_count() > 0)
+    }
+
+    /// Has all that is put here from now on go to `tap` too, until that is dropped.
+    pub fn tap(&self, tap: &Arc<Tap>) {
+        let mut taps = self.taps();
+        taps.retain(|tap| tap.strong_count() > 0);
+        taps.push(Arc::downgrade(tap));
     }
 
     /// Puts the newest frame; one that was not taken yet gives way. Only the swarm's thread may.
     pub fn show(&self, frame: Arc<Frame>) {
         add(&self.frames, 1);
+        self.pass(|number| Tapped::Frame(&frame, number));
         self.put(|contents| {
             if contents.frame.replace(frame).is_some() {
                 add(&self.dropped, 1);
@@ -71,6 +93,7 @@ impl Outlet {
 
     /// Puts an event behind those not taken yet.
     pub fn tell(&self, event: Event) {
+        self.pass(|_| Tapped::Event(&event));
         self.put(|contents| {
             if contents.events.len() == MOST_EVENTS {
                 contents.events.pop_front();
@@ -86,6 +109,14 @@ impl Outlet {
         (contents.frame.take(), std::mem::take(&mut contents.events))
     }
 
+    /// Passes to the taps what `of` makes of the number of frames so far.
+    fn pass<'a>(&self, of: impl Fn(u64) -> Tapped<'a>) {
+        let number = self.frames.load(Ordering::Relaxed);
+        for tap in self.taps().iter().filter_map(Weak::upgrade) {
+            tap(of(number));
+        }
+    }
+
     fn put(&self, put: impl FnOnce(&mut Contents)) {
         let ring = {
             let mut contents = self.lock();
@@ -97,8 +128,59 @@ impl Outlet {
         }
     }
 
+    fn taps(&self) -> MutexGuard<'_, Vec<Weak<Tap>>> {
+        // A tap that panics takes nothing from the list.
+        self.taps.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn lock(&self) -> MutexGuard<'_, Contents> {
         // Every change of the contents is a single assignment, so a panic leaves them whole.
         self.contents.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::swarm::frame::{EventKind, Place};
+    use crate::swarm::phase::Phase;
+
+    #[test]
+    fn a_tap_takes_all_that_is_told_until_it_is_dropped() {
+        let outlet = Outlet::new("demo".to_owned(), || {}, || false);
+        let tell = |number| {
+            let place = Place {
+                epoch: 0,
+                step: 0,
+                time: 0.0,
+                phase: Phase::Faulted("why".into()),
+                seq: 0,
+            };
+            let kind = EventKind::Deleted;
+            outlet.tell(Event {
+                number,
+                place,
+                kind,
+            });
+        };
+        tell(1);
+        let taken = Arc::new(AtomicU64::new(0));
+        let sum = taken.clone();
+        let tap: Arc<Tap> = Arc::new(move |tapped: Tapped<'_>| {
+            if let Tapped::Event(event) = tapped {
+                add(&sum, event.number);
+            }
+        });
+        assert!(!outlet.is_watched());
+        outlet.tap(&tap);
+        assert!(outlet.is_watched());
+        tell(2);
+        tell(3);
+        drop(tap);
+        assert!(!outlet.is_watched());
+        tell(4);
+        assert_eq!(taken.load(Ordering::Relaxed), 5);
+        let (_, events) = outlet.take();
+        assert_eq!(events.len(), 4, "whoever publishes has all of them, too");
     }
 }

@@ -5,6 +5,7 @@ mod experiments;
 mod figures;
 mod from_proto;
 mod recorded;
+mod recordings;
 pub mod sanity;
 mod to_proto;
 
@@ -15,7 +16,8 @@ pub use from_proto::{
     rate, recipe, region, relinearise, selection, stepping, weight, whole,
 };
 pub use recorded::{recorded, recorded_event, shot};
+pub use recordings::{recording, recording_format, recordings};
 pub use to_proto::{
-    Payload, controllers, created, event, events, hexadecimal, journal, limits, order_sample,
-    outcome, parameters, replay, reply, spec, state, status, summary,
+    Payload, WordRefusal, controllers, created, event, events, hexadecimal, journal, limits,
+    order_sample, outcome, parameters, replay, reply, spec, state, status, summary,
 };

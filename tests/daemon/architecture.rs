@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 22] = [
+const MAY_USE: [(&str, &[&str]); 23] = [
     ("model", &[]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
@@ -17,7 +17,7 @@ const MAY_USE: [(&str, &[&str]); 22] = [
     ("gateway", &["meter", "swarm", "health"]),
     (
         "command",
-        &["model", "swarm", "host", "lab", "replay", "wire"],
+        &["model", "swarm", "host", "lab", "recording", "replay", "wire"],
     ),
     (
         "wire",
@@ -28,6 +28,7 @@ const MAY_USE: [(&str, &[&str]); 22] = [
             "host",
             "experiment",
             "lab",
+            "recording",
             "health",
         ],
     ),
@@ -38,12 +39,13 @@ const MAY_USE: [(&str, &[&str]); 22] = [
     ),
     ("lab", &["experiment"]),
     ("replay", &["model", "swarm", "wire"]),
+    ("recording", &["swarm", "wire"]),
     ("batch", &["experiment"]),
     ("config", &["host"]),
     (
         "server",
         &[
-            "meter", "swarm", "host", "lab", "replay", "command", "config", "publish", "store",
+            "meter", "swarm", "host", "lab", "recording", "replay", "command", "config", "publish", "store",
             "wire", "health", "gateway",
         ],
     ),
@@ -68,6 +70,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "gateway",
             "lab",
             "publish",
+            "recording",
             "server",
             "wire",
         ],
@@ -82,11 +85,12 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "experiment/folder",
             "gateway",
             "lab",
+            "recording",
             "server",
             "wire",
         ],
     ),
-    ("jostle_results", &["experiment", "lab", "replay", "wire"]),
+    ("jostle_results", &["experiment", "lab", "recording", "replay", "wire"]),
     ("indicatif::", &["batch"]),
     ("axum::", &["gateway"]),
     ("rust_embed", &["gateway"]),
@@ -103,6 +107,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "lab",
             "model/threads",
             "publish",
+            "recording",
             "server",
             "store",
         ],
@@ -121,6 +126,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "main",
             "meter",
             "publish",
+            "recording",
             "replay/uploads",
             "server",
             "store",
@@ -136,6 +142,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "gateway/token",
             "health",
             "lab/shelf",
+            "recording/shelf",
             "replay",
             "store",
         ],
@@ -155,6 +162,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "meter",
             "model/threads",
             "publish",
+            "recording",
             "replay",
             "server",
             "store",

@@ -139,6 +139,21 @@ async fn prepare_replay(daemon: &Daemon, args: &Value, take: &[u8]) {
     }
 }
 
+/// Has a recording of the fixtures' name be there, unless `args` are to begin one.
+async fn prepare_recording(client: &Client, args: &Value) {
+    // Another verb may have deleted it.
+    client
+        .ask(&keys::cmd(PREFIX, "school", "delete"), None)
+        .await;
+    create(client, "school").await;
+    let send = async |args: Value| send_again(client, "", "record", &args).await;
+    let _ = send(json!({"delete": {"recording": "take"}})).await;
+    if args.get("begin").is_none() {
+        let begin = json!({"swarm": "school", "recording": "take"});
+        send(json!({"begin": begin})).await.unwrap();
+    }
+}
+
 /// Sends a command's arguments to a swarm of its own, or to the node.
 async fn send(client: &Client, swarm: &str, verb: &str, request: &Value) -> Answer {
     if !keys::NODE_VERBS.contains(&verb) {
@@ -220,6 +235,9 @@ async fn every_channel_of_the_document_is_served() {
             if verb == "experiment" {
                 prepare_experiment(client, &args).await;
             }
+            if verb == "record" {
+                prepare_recording(client, &args).await;
+            }
             let answer = match &*verb {
                 "replay" => {
                     prepare_replay(&daemon, &args, &take).await;
@@ -234,10 +252,11 @@ async fn every_channel_of_the_document_is_served() {
             let reply = answer.unwrap_or_else(|error| panic!("{fixture}: {error:?}"));
             check_reply(&format!("{verb}.reply"), &reply);
             let later = json!({"at_step": 1_000_000, "args": args});
-            if MAKING.contains(&&*verb) || ["experiment", "replay", "seek"].contains(&&*verb) {
+            let is_of_none = ["experiment", "record", "replay"].contains(&&*verb);
+            if MAKING.contains(&&*verb) || is_of_none || verb == "seek" {
                 let error = send_again(client, &swarm, &verb, &later).await.unwrap_err();
                 assert_eq!(error.details["field"], "at_step", "{verb}");
-                if ["experiment", "replay"].contains(&&*verb) {
+                if is_of_none {
                     continue;
                 }
                 // Others have the same name.

@@ -4,7 +4,7 @@
 mod clients;
 mod damage;
 mod dice;
-mod disk;
+pub mod disk;
 pub mod life;
 mod recovery;
 pub mod twin;

@@ -22,6 +22,7 @@ mod once;
 mod overload;
 mod page;
 mod process;
+mod recording;
 mod repeat;
 mod replay;
 mod schedule;

@@ -9,8 +9,8 @@ use jostle_proto::verbs::{
 use jostle_proto::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
     Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameters, Progress,
-    ReplayArgs, ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs, Snapshot, Spec,
-    State, Status, Swarms, Told, Verified,
+    RecordArgs, Recording, Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage,
+    Schemas, SeekArgs, Snapshot, Spec, State, Status, Swarms, Told, Verified,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -77,6 +77,9 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "node.schema.reply" => told::<NodeReply<Schemas>>(text),
         "node.metrics.reply" => told::<NodeReply<Metrics>>(text),
         "node.experiments.reply" => told::<NodeReply<Experiments>>(text),
+        "node.recordings.reply" => told::<NodeReply<Recordings>>(text),
+        "record.args" => asked::<RecordArgs>(text),
+        "record.reply" => told::<NodeReply<Recording>>(text),
         "experiment.args" => asked::<ExperimentArgs>(text),
         "experiment.reply" => told::<NodeReply<ExperimentResult>>(text),
         "experiment.progress" => told::<Progress>(text),

@@ -85,13 +85,13 @@ async fn after_a_failed_sync_it_ends_with_code_8_and_answers_nobody() {
 }
 
 /// A disk of its own, as small as this.
-struct Small(
+pub struct Small(
     PathBuf,
     #[expect(dead_code, reason = "held for its end")] tempfile::TempDir,
 );
 
 impl Small {
-    fn mount(megabytes: u64) -> Option<Self> {
+    pub fn mount(megabytes: u64) -> Option<Self> {
         let folder = tempfile::tempdir().unwrap();
         let size = format!("size={megabytes}m");
         let path = folder.path().to_owned();
@@ -104,14 +104,18 @@ impl Small {
             .then_some(Small(path, folder))
     }
 
-    fn fill(&self) {
+    pub fn path(&self) -> &Path {
+        &self.0
+    }
+
+    pub fn fill(&self) {
         let mut file = File::create(self.0.join("ballast")).unwrap();
         for size in [65536, 4096, 1] {
             while file.write_all(&vec![0; size]).is_ok() {}
         }
     }
 
-    fn make_room(&self) {
+    pub fn make_room(&self) {
         fs::remove_file(self.0.join("ballast")).unwrap();
     }
 }

@@ -1,0 +1,140 @@
+//! What the daemon keeps of its recordings on the disk: a folder for each, and how it stands.
+
+use std::fs::{self, File};
+use std::io::{self, Write as _};
+use std::path::{Path, PathBuf};
+
+use serde::{Deserialize, Serialize};
+
+use super::{Format, Phase};
+
+/// How it stands, in its folder.
+const STANDING: &str = "recording.json";
+
+/// What the folder of a deleted recording begins with until it is gone.
+const GONE: &str = ".gone-";
+
+/// How a recording stands, as far as it outlives the daemon. Of one that goes on its files tell
+/// how much there is.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Standing {
+    /// The swarm.
+    pub swarm: String,
+    /// How it is written.
+    pub format: Format,
+    /// How many steps its frames are apart, at least.
+    pub every: Option<u64>,
+    /// What it is doing.
+    pub phase: Phase,
+    /// Why it ended or failed.
+    pub reason: Option<String>,
+    /// How many frames there are.
+    pub frames: u64,
+    /// How many were missed.
+    pub missed: u64,
+    /// How many files are whole.
+    pub parts: u64,
+    /// Their bytes.
+    pub bytes: u64,
+    /// When it began.
+    pub began_unix_secs: u64,
+}
+
+/// The folder of all recordings.
+#[derive(Clone, Debug)]
+pub struct Shelf(PathBuf);
+
+impl Shelf {
+    /// The shelf in a folder, which is made.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be made or read.
+    pub fn open(folder: &Path) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        for entry in fs::read_dir(folder)? {
+            let path = entry?.path();
+            let name = path.file_name().unwrap_or_default().to_string_lossy();
+            // Whoever deleted it was ended in the midst of it.
+            if name.starts_with(GONE) {
+                fs::remove_dir_all(&path)?;
+            } else if path.is_dir() && !path.join(STANDING).exists() {
+                // Whoever began it was, and got no answer. Anything else in it is somebody's.
+                let _ = fs::remove_file(path.join(draft()));
+                let _ = fs::remove_dir(&path);
+            }
+        }
+        Ok(Shelf(folder.to_owned()))
+    }
+
+    /// The names of all that is there, each with how it stands, or why that is not known.
+    ///
+    /// # Errors
+    ///
+    /// When the folder cannot be read.
+    pub fn list(&self) -> io::Result<Vec<(String, io::Result<Standing>)>> {
+        let mut found = Vec::new();
+        for entry in fs::read_dir(&self.0)? {
+            let entry = entry?;
+            if let Ok(name) = entry.file_name().into_string()
+                && entry.path().is_dir()
+            {
+                let standing = fs::read(entry.path().join(STANDING));
+                let standing = standing.and_then(|bytes| Ok(serde_json::from_slice(&bytes)?));
+                found.push((name, standing));
+            }
+        }
+        Ok(found)
+    }
+
+    /// Whether there is something of that name.
+    pub fn has(&self, name: &str) -> bool {
+        fs::symlink_metadata(self.folder(name)).is_ok()
+    }
+
+    /// The folder of a recording.
+    pub fn folder(&self, name: &str) -> PathBuf {
+        self.0.join(name)
+    }
+
+    /// Writes down how a recording stands. It is on the disk on return.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be written; it stands as before then.
+    pub fn note(&self, name: &str, standing: &Standing) -> io::Result<()> {
+        let folder = self.folder(name);
+        let part = folder.join(draft());
+        let mut file = File::create(&part)?;
+        file.write_all(&serde_json::to_vec(standing)?)?;
+        file.sync_all()?;
+        fs::rename(&part, folder.join(STANDING))?;
+        sync(&folder)?;
+        sync(&self.0)
+    }
+
+    /// Removes a recording. Ended in the midst of it, it is gone as well.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be removed.
+    pub fn remove(&self, name: &str) -> io::Result<()> {
+        let gone = self.0.join(format!("{GONE}{name}"));
+        match fs::remove_dir_all(&gone) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        fs::rename(self.folder(name), &gone)?;
+        sync(&self.0)?;
+        fs::remove_dir_all(gone)
+    }
+}
+
+fn draft() -> String {
+    format!("{STANDING}.part")
+}
+
+/// Has the disk know the names in a folder.
+fn sync(folder: &Path) -> io::Result<()> {
+    File::open(folder)?.sync_all()
+}

@@ -1,0 +1,47 @@
+//! What clients are told of recordings.
+
+use jostle_proto as proto;
+
+use crate::recording::{Format, Phase, Standing};
+
+/// How a recording is to be written.
+pub fn recording_format(format: proto::RecordingFormat) -> Format {
+    match format {
+        proto::RecordingFormat::Mcap => Format::Mcap,
+        proto::RecordingFormat::Parquet => Format::Parquet,
+    }
+}
+
+/// How a recording stands.
+pub fn recording(name: String, standing: Standing) -> proto::Recording {
+    proto::Recording {
+        recording: name,
+        swarm: standing.swarm,
+        format: match standing.format {
+            Format::Mcap => proto::RecordingFormat::Mcap,
+            Format::Parquet => proto::RecordingFormat::Parquet,
+        },
+        every: standing.every,
+        phase: match standing.phase {
+            Phase::Recording => proto::RecordingPhase::Recording,
+            Phase::Ended => proto::RecordingPhase::Ended,
+            Phase::Failed => proto::RecordingPhase::Failed,
+        },
+        reason: standing.reason,
+        frames: standing.frames,
+        missed: standing.missed,
+        parts: standing.parts,
+        bytes: standing.bytes,
+        began_unix_secs: standing.began_unix_secs,
+    }
+}
+
+/// How all of them stand.
+pub fn recordings(all: Vec<(String, Standing)>) -> proto::Recordings {
+    let all = all.into_iter();
+    proto::Recordings {
+        recordings: all
+            .map(|(name, standing)| recording(name, standing))
+            .collect(),
+    }
+}

@@ -1,0 +1,347 @@
+//! Recordings that the daemon makes: whole files, whatever happens to it, its swarms and its disk.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use jostle_proto::{ErrorCode, keys};
+use jostle_results::recording::{About, Format, Recorder, Written, parts};
+use serde_json::{Value, json};
+
+use crate::crash::disk::Small;
+use crate::crash::life::{Life, daemon, log};
+use crate::support::{Answer, Client, Daemon, NODE, PREFIX, alone, beside_others, until};
+
+async fn send(client: &Client, request: &Value) -> Answer {
+    let key = keys::node_cmd(PREFIX, NODE, "record");
+    client.one(&key, Some(request.to_string().as_bytes())).await
+}
+
+async fn ok(client: &Client, request: Value) -> Value {
+    let answer = send(client, &request).await;
+    answer.unwrap_or_else(|error| panic!("{request}: {error:?}"))["result"].take()
+}
+
+async fn refused(client: &Client, request: Value) -> (ErrorCode, String) {
+    let error = send(client, &request).await.unwrap_err();
+    (error.code, error.message)
+}
+
+async fn begin(client: &Client, swarm: &str, recording: &str) -> Value {
+    let begin = json!({"swarm": swarm, "recording": recording});
+    ok(client, json!({"begin": begin})).await
+}
+
+async fn stop(client: &Client, recording: &str) -> Value {
+    ok(client, json!({"stop": {"recording": recording}})).await
+}
+
+/// How a recording stands, as the list has it.
+async fn standing(client: &Client, recording: &str) -> Value {
+    let mut list = client.node("recordings").await;
+    let list = list["recordings"].as_array_mut().unwrap();
+    let found = list.iter_mut().find(|it| it["recording"] == recording);
+    found.unwrap_or_else(|| panic!("no {recording}")).take()
+}
+
+/// Waits until so much is recorded: `frames` or `parts`.
+async fn has(client: &Client, recording: &str, what: &str, count: u64) -> Value {
+    let mut last = Value::Null;
+    until(&format!("{count} {what} of {recording}"), async || {
+        last = standing(client, recording).await;
+        last[what].as_u64() >= Some(count)
+    })
+    .await;
+    last
+}
+
+/// A swarm that shows every step, fifty of them a second.
+async fn run(client: &Client, swarm: &str, n: u64) {
+    let spec = json!({"n": n, "publish_every": 1, "rate": 1});
+    client.create(swarm, spec).await;
+    client.ok(swarm, "run", json!({})).await;
+}
+
+fn folder_of(data: &Path, recording: &str) -> PathBuf {
+    data.join("recordings").join(recording)
+}
+
+/// What the files of a recording hold, each of them read as a whole one.
+fn read(data: &Path, recording: &str, format: Format) -> Written {
+    let folder = folder_of(data, recording);
+    let recorder = Recorder::go_on(&folder, format, About::new()).unwrap();
+    recorder.written()
+}
+
+fn assert_holds(data: &Path, standing: &Value) {
+    let format = match &standing["format"] {
+        Value::String(word) if word == "mcap" => Format::Mcap,
+        _ => Format::Parquet,
+    };
+    let recording = standing["recording"].as_str().unwrap();
+    let written = read(data, recording, format);
+    assert_eq!(standing["frames"], written.frames, "{standing}");
+    assert_eq!(standing["parts"], written.parts, "{standing}");
+    assert_eq!(standing["bytes"], written.bytes, "{standing}");
+}
+
+/// The names and the bytes of the whole parts.
+fn files(data: &Path, recording: &str) -> BTreeMap<PathBuf, Vec<u8>> {
+    let parts = parts(&folder_of(data, recording)).unwrap().into_iter();
+    parts
+        .map(|part| (part.clone(), fs::read(part).unwrap()))
+        .collect()
+}
+
+async fn life(data: &Path, points: &str) -> (Life, Client) {
+    let life = Life::begin(daemon(data).env("FAILPOINTS", points)).unwrap();
+    let client = Client::open(&life.endpoint).await;
+    (life, client)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_swarm_is_recorded_twice_at_once_and_the_files_are_whole() {
+    let _machine = beside_others().await;
+    let data = tempfile::tempdir().unwrap();
+    let (_life, client) = life(data.path(), "").await;
+    run(&client, "school", 10).await;
+    let begun = ok(&client, json!({"begin": {"swarm": "school"}})).await;
+    assert_eq!(
+        (&begun["recording"], &begun["phase"], &begun["format"]),
+        (&json!("school-1"), &json!("recording"), &json!("mcap"))
+    );
+    let begin = json!({"swarm": "school", "format": "parquet", "every": 20});
+    let begun = ok(&client, json!({"begin": begin})).await;
+    assert_eq!(begun["recording"], "school-2");
+    has(&client, "school-1", "frames", 60).await;
+    let [all, some] = [
+        stop(&client, "school-1").await,
+        stop(&client, "school-2").await,
+    ];
+    for standing in [&all, &some] {
+        assert_eq!(standing["phase"], "ended", "{standing}");
+        assert_eq!(standing["reason"], "stopped", "{standing}");
+        assert_eq!(standing["missed"], 0, "{standing}");
+        assert_eq!(standing["parts"], 1, "{standing}");
+        assert_holds(data.path(), standing);
+    }
+    let [frames, few] = [&all, &some].map(|it| it["frames"].as_u64().unwrap());
+    assert!(few >= 3 && few <= frames / 20 + 2, "{few} of {frames}");
+    let names = fs::read_dir(folder_of(data.path(), "school-1")).unwrap();
+    assert_eq!(names.count(), 2, "the part, and how it stands");
+
+    // Stopped again it is as it was, and a deleted one is gone.
+    assert_eq!(stop(&client, "school-1").await, all);
+    let delete = json!({"delete": {"recording": "school-1"}});
+    assert_eq!(ok(&client, delete.clone()).await, all);
+    assert!(!folder_of(data.path(), "school-1").exists());
+    assert_eq!(refused(&client, delete).await.0, ErrorCode::NotFound);
+    let list = client.node("recordings").await;
+    assert_eq!(list["recordings"], json!([some]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_reset_goes_on_and_a_deletion_ends_a_recording() {
+    let _machine = beside_others().await;
+    let data = tempfile::tempdir().unwrap();
+    let (_life, client) = life(data.path(), "").await;
+    client.create("school", json!({"n": 5})).await;
+    // One that stands still is in it as it is.
+    begin(&client, "school", "take").await;
+    has(&client, "take", "frames", 1).await;
+    client.ok("school", "step", json!({"steps": 20})).await;
+    let before = has(&client, "take", "frames", 2).await["frames"].as_u64();
+    client.ok("school", "reset", json!({})).await;
+    has(&client, "take", "frames", before.unwrap() + 1).await;
+    assert_eq!(standing(&client, "take").await["phase"], "recording");
+    client.ok("school", "delete", json!({})).await;
+    until("the recording has ended", async || {
+        standing(&client, "take").await["phase"] == "ended"
+    })
+    .await;
+    let ended = standing(&client, "take").await;
+    assert_eq!(ended["reason"], "its swarm was deleted");
+    assert_holds(data.path(), &ended);
+    let bytes = fs::read(&parts(&folder_of(data.path(), "take")).unwrap()[0]).unwrap();
+    for event in ["\"verb\":\"reset\"", "\"kind\":\"deleted\""] {
+        let mut windows = bytes.windows(event.len());
+        assert!(windows.any(|it| it == event.as_bytes()), "{event}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn killed_in_the_midst_of_it_a_recording_goes_on_and_its_parts_are_whole() {
+    let _machine = beside_others().await;
+    let data = tempfile::tempdir().unwrap();
+    let points = "recording-part=return(200)";
+    let (mut alive, mut client) = life(data.path(), points).await;
+    run(&client, "school", 10).await;
+    run(&client, "gone", 10).await;
+    for format in ["mcap", "parquet"] {
+        let begin = json!({"swarm": "school", "recording": format, "format": format});
+        ok(&client, json!({"begin": begin})).await;
+    }
+    begin(&client, "gone", "other").await;
+    for kill in 1..=3 {
+        let mut before = Vec::new();
+        for name in ["mcap", "parquet"] {
+            let standing = standing(&client, name).await["parts"].as_u64().unwrap();
+            has(&client, name, "parts", standing + 2).await;
+        }
+        alive.kill();
+        for name in ["mcap", "parquet"] {
+            before.push(files(data.path(), name));
+        }
+        (alive, client) = life(data.path(), points).await;
+        for (name, before) in ["mcap", "parquet"].iter().zip(before) {
+            until("it goes on", async || {
+                log(data.path()).matches("goes on, with a new part").count() >= 2 * kill
+            })
+            .await;
+            let now = standing(&client, name).await;
+            assert_eq!(now["phase"], "recording", "{now}");
+            assert!(now["parts"].as_u64() >= Some(before.len() as u64), "{now}");
+            has(&client, name, "parts", before.len() as u64 + 1).await;
+            let after = files(data.path(), name);
+            for (part, bytes) in before {
+                assert_eq!(after[&part], bytes, "{}", part.display());
+            }
+        }
+    }
+    for name in ["mcap", "parquet"] {
+        let ended = stop(&client, name).await;
+        assert_holds(data.path(), &ended);
+    }
+
+    // What is deleted while the recording could not know is recorded no longer.
+    alive.kill();
+    let folder = folder_of(data.path(), "other");
+    let text = fs::read_to_string(folder.join("recording.json")).unwrap();
+    let text = text.replace("\"gone\"", "\"nobody\"");
+    fs::write(folder.join("recording.json"), text).unwrap();
+    let (_alive, client) = life(data.path(), points).await;
+    until("it is over", async || {
+        standing(&client, "other").await["phase"] == "ended"
+    })
+    .await;
+    let ended = standing(&client, "other").await;
+    assert!(ended["reason"].as_str().unwrap().contains("was gone"));
+    assert_holds(data.path(), &ended);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_daemon_that_stops_ends_the_parts_in_hand_and_goes_on_when_it_is_back() {
+    let _machine = beside_others().await;
+    let data = tempfile::tempdir().unwrap();
+    let (mut alive, client) = life(data.path(), "").await;
+    run(&client, "school", 10).await;
+    begin(&client, "school", "take").await;
+    has(&client, "take", "frames", 20).await;
+    let id = alive.child.id().to_string();
+    let signalled = Command::new("kill").args(["-TERM", &id]).status();
+    assert!(signalled.unwrap().success());
+    assert_eq!(alive.end(), Some(0));
+    let folder = folder_of(data.path(), "take");
+    let names = fs::read_dir(&folder).unwrap().count();
+    assert_eq!(names, 2, "one part and how it stands");
+    let whole = read(data.path(), "take", Format::Mcap);
+    assert!(whole.frames >= 20, "{whole:?}");
+
+    let (_alive, client) = life(data.path(), "").await;
+    has(&client, "take", "frames", whole.frames + 5).await;
+    let ended = stop(&client, "take").await;
+    assert_eq!(ended["parts"], 2);
+    assert_holds(data.path(), &ended);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_full_disk_ends_a_recording_and_harms_no_swarm() {
+    let _alone = alone().await;
+    let Some(disk) = Small::mount(16) else {
+        println!("skipped: mounting a small disk is not permitted here");
+        return;
+    };
+    let (mut alive, client) = life(disk.path(), "").await;
+    run(&client, "school", 200).await;
+    begin(&client, "school", "take").await;
+    let begin = json!({"swarm": "school", "recording": "table", "format": "parquet"});
+    ok(&client, json!({"begin": begin})).await;
+    has(&client, "take", "frames", 5).await;
+    disk.fill();
+    for name in ["take", "table"] {
+        until("the disk is full", async || {
+            standing(&client, name).await["phase"] == "failed"
+        })
+        .await;
+        let failed = standing(&client, name).await;
+        let reason = failed["reason"].as_str().unwrap();
+        assert!(reason.contains("the disk is full"), "{failed}");
+        assert!(failed["frames"].as_u64() >= Some(5), "{failed}");
+        assert_holds(disk.path(), &failed);
+        let step = client.get("school", "status").await["step"].as_u64();
+        client.reach("school", step.unwrap() + 10).await;
+        let (code, _) = refused(&client, json!({"stop": {"recording": name}})).await;
+        assert_eq!(code, ErrorCode::IncorrectState);
+    }
+    // The end of the last part has given back a little.
+    disk.fill();
+    let (code, message) = refused(&client, json!({"begin": {"swarm": "school"}})).await;
+    assert_eq!(code, ErrorCode::StorageFull, "{message}");
+    let before = client.node("recordings").await;
+    assert_eq!(before["recordings"].as_array().unwrap().len(), 2);
+    alive.kill();
+    disk.make_room();
+    let (_alive, client) = life(disk.path(), "").await;
+    assert_eq!(client.node("recordings").await, before);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_the_disk_does_not_keep_up_with_is_counted_and_no_swarm_waits() {
+    let _alone = alone().await;
+    let data = tempfile::tempdir().unwrap();
+    let (_life, client) = life(data.path(), "recording-frame=sleep(250)").await;
+    run(&client, "school", 10).await;
+    begin(&client, "school", "take").await;
+    has(&client, "take", "missed", 20).await;
+    let status = client.get("school", "status").await;
+    let factor = status["result"]["real_time_factor"].as_f64().unwrap();
+    assert!(factor > 0.95, "{factor}");
+    let taken = standing(&client, "take").await;
+    assert!(taken["frames"].as_u64() >= Some(4), "{taken}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_recorded_is_refused_and_leaves_nothing() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("school", json!({"n": 3})).await;
+    let (code, message) = refused(client, json!({"begin": {"swarm": "nobody"}})).await;
+    assert_eq!(code, ErrorCode::NotFound, "{message}");
+    for action in ["stop", "delete"] {
+        let (code, message) = refused(client, json!({action: {"recording": "take"}})).await;
+        assert_eq!(code, ErrorCode::NotFound, "{message}");
+        assert!(message.contains("get/recordings"), "{message}");
+    }
+    let args = json!({"begin": {"swarm": "school", "recording": "take"}});
+    let request = json!({"client": "me", "request_id": "one", "args": args});
+    let begun = send(client, &request).await.unwrap();
+    assert_eq!(send(client, &request).await.unwrap(), begun, "once");
+    let (code, message) = refused(client, args).await;
+    assert_eq!(code, ErrorCode::AlreadyExists);
+    assert!(message.contains("another name"), "{message}");
+
+    for number in 1..64 {
+        let begun = ok(client, json!({"begin": {"swarm": "school"}})).await;
+        assert_eq!(begun["recording"], format!("school-{number}"));
+    }
+    let (code, message) = refused(client, json!({"begin": {"swarm": "school"}})).await;
+    assert_eq!(code, ErrorCode::ResourceExhausted);
+    assert!(message.contains("stop one"), "{message}");
+    stop(client, "school-7").await;
+    let begun = ok(client, json!({"begin": {"swarm": "school"}})).await;
+    assert_eq!(begun["recording"], "school-64");
+    let list = client.node("recordings").await;
+    assert_eq!(list["recordings"].as_array().unwrap().len(), 65);
+    daemon.stop().await;
+}
