@@ -76,6 +76,14 @@ pub fn experiments(typed: &OsStr) -> Vec<CompletionCandidate> {
     )
 }
 
+/// The recordings of the daemon.
+pub fn recordings(typed: &OsStr) -> Vec<CompletionCandidate> {
+    beginning_with(
+        typed,
+        ask(async |bus| bus.recordings().await.unwrap_or_default()),
+    )
+}
+
 /// The figures that can be drawn.
 pub fn figures(typed: &OsStr) -> Vec<CompletionCandidate> {
     beginning_with(typed, values::figures())

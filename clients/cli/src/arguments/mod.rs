@@ -37,6 +37,7 @@ Examples:
   jostle set demo pi1=6 --make-room --at-step 9000
   jostle status demo --watch
   jostle record demo -o demo.mcap --for 20s
+  jostle record demo --at-daemon --every 50
   jostle replay demo.mcap --as tape
   jostle fork demo other --at-step 5000
   jostle diff demo other
@@ -125,7 +126,7 @@ pub enum Verb {
     Events(EventsArguments),
     /// Watches swarms live; on a terminal a view that steers them, too
     Watch(WatchArguments),
-    /// Records what a swarm publishes to a file
+    /// Records what a swarm publishes to a file, or has the daemon record it
     Record(RecordArguments),
     /// Shows a recording as if it were a swarm: to watch, pause, step and seek
     Replay(ReplayArguments),
@@ -284,6 +285,19 @@ mod tests {
             "record demo",
             "record demo -o a.mcap --every 0",
             "record demo -o a.mcap --steps 0",
+            "record demo -o a.mcap --at-daemon",
+            "record demo -o a.mcap --as take",
+            "record demo -o a.mcap --request-id one",
+            "record demo --at-daemon --for 3",
+            "record demo --at-daemon --format csv",
+            "record demo --at-daemon --list",
+            "record demo --list",
+            "record --at-daemon",
+            "record --list --every 5",
+            "record --list --stop take",
+            "record --stop take --delete take",
+            "record --stop a/b",
+            "record demo --delete take",
             "step demo -3",
             "status demo --timeout 0",
             "pause *",

@@ -10,7 +10,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
-use jostle_proto::{Error, Experiments, Hello, JSON, NodeReply, Request, SwarmSummary, Swarms};
+use jostle_proto::{
+    Error, Experiments, Hello, JSON, NodeReply, Recordings, Request, SwarmSummary, Swarms,
+};
 use serde::Serialize;
 use zenoh::Session;
 use zenoh::handlers::{RingChannel, RingChannelHandler};
@@ -270,6 +272,17 @@ impl Bus {
         let reply: NodeReply<Experiments> = self.get_node("experiments").await?.read()?;
         let experiments = reply.result.experiments.into_iter();
         Ok(experiments.map(|it| it.name).collect())
+    }
+
+    /// The names of the daemon's recordings.
+    ///
+    /// # Errors
+    ///
+    /// What the daemon says, or why it says nothing.
+    pub async fn recordings(&self) -> Result<Vec<String>, Failure> {
+        let reply: NodeReply<Recordings> = self.get_node("recordings").await?.read()?;
+        let recordings = reply.result.recordings.into_iter();
+        Ok(recordings.map(|it| it.recording).collect())
     }
 
     /// Sends the same request until it is answered, a repetition cannot help or the time is over.

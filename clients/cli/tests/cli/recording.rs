@@ -185,3 +185,54 @@ async fn what_was_recorded_is_replayed_under_a_name_and_sought_through() {
     assert!(refusal["message"].as_str().unwrap().contains("not there"));
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_daemon_records_lists_stops_and_deletes() {
+    let daemon = Daemon::start().await;
+    daemon
+        .jostle("create demo --n 10 --publish-every 1 --rate 1")
+        .await;
+    let ended = daemon.jostle("record --list").await;
+    assert!(
+        ended.stderr.contains("--at-daemon` begins one"),
+        "{ended:?}"
+    );
+    daemon.jostle("run demo").await;
+    let ended = daemon.jostle("record demo --at-daemon").await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(ended.stdout.contains("--stop demo-1"), "{ended:?}");
+    let line = "record demo --at-daemon --as table --format parquet --every 10";
+    let begun = daemon.reply(line).await;
+    let result = &begun["result"];
+    assert_eq!(
+        (&result["format"], &result["every"]),
+        (&json!("parquet"), &json!(10))
+    );
+    let refusal = daemon.refusal(line).await;
+    assert_eq!(refusal["code"], "already_exists");
+    let refusal = daemon.refusal("record nobody --at-daemon").await;
+    assert_eq!(refusal["code"], "not_found");
+
+    until("some frames are recorded", async || {
+        let list = daemon.reply("record --list").await;
+        let recordings = list["result"]["recordings"].as_array().unwrap();
+        let frames = recordings.iter().map(|it| it["frames"].as_u64().unwrap());
+        frames.min() >= Some(3)
+    })
+    .await;
+    let listed = daemon.jostle("record --list").await.stdout;
+    for word in ["recording", "demo-1", "table", "parquet", "missed"] {
+        assert!(listed.contains(word), "{listed}");
+    }
+    let ended = daemon.jostle("record --stop demo-1").await;
+    assert!(
+        ended.stdout.contains("demo-1 is ended (stopped): "),
+        "{ended:?}"
+    );
+    assert!(ended.stdout.contains("in 1 part"), "{ended:?}");
+    let deleted = daemon.jostle("record --delete table").await;
+    assert_eq!(deleted.stdout.trim(), "deleted table");
+    let refusal = daemon.refusal("record --stop table").await;
+    assert_eq!(refusal["code"], "not_found");
+    daemon.stop().await;
+}

@@ -1,5 +1,6 @@
-//! `record`: what a swarm publishes, to a file, until it is enough.
+//! `record`: what a swarm publishes, to a file, until it is enough; or by the daemon.
 
+mod daemon;
 mod intake;
 
 use std::path::Path;
@@ -26,13 +27,40 @@ use crate::verbs::lookout::{BACK, GONE, Lookout, News, reach};
 /// How many samples may wait to be written before the oldest are dropped: seconds of them.
 const BACKLOG: usize = 512;
 
-/// Records a swarm to a file.
+/// Records a swarm to a file, or does what is asked for with recordings of the daemon.
 ///
 /// # Errors
 ///
 /// Why there is no recording, or why it ended before it should: it is whole even then, unless the
 /// message says otherwise.
 pub async fn record(bus: &Bus, output: Output, arguments: &RecordArguments) -> Result<(), Failure> {
+    match (&arguments.name, &arguments.out) {
+        (Some(name), Some(out)) => {
+            let take = Take {
+                name,
+                out,
+                every: arguments.every,
+                for_secs: arguments.for_secs,
+                steps: arguments.steps,
+                force: arguments.force,
+            };
+            to_file(bus, output, &take).await
+        }
+        _ => interrupt::either(daemon::record(bus, output, arguments)).await,
+    }
+}
+
+/// What to record to which file, and for how long.
+struct Take<'a> {
+    name: &'a str,
+    out: &'a Path,
+    every: Option<u64>,
+    for_secs: Option<f64>,
+    steps: Option<u64>,
+    force: bool,
+}
+
+async fn to_file(bus: &Bus, output: Output, arguments: &Take<'_>) -> Result<(), Failure> {
     let mut recording = interrupt::either(Recording::begin(bus, output, arguments)).await?;
     let ended = recording.follow(bus).await;
     recording.finish(ended)
@@ -41,7 +69,7 @@ pub async fn record(bus: &Bus, output: Output, arguments: &RecordArguments) -> R
 /// A recording that is being made.
 struct Recording<'a> {
     output: Output,
-    arguments: &'a RecordArguments,
+    arguments: &'a Take<'a>,
     recorder: Recorder,
     intake: Intake,
     states: Samples,
@@ -62,12 +90,8 @@ enum Ended {
 
 impl<'a> Recording<'a> {
     /// Subscribes first and looks then, so that nothing falls in between.
-    async fn begin(
-        bus: &'a Bus,
-        output: Output,
-        arguments: &'a RecordArguments,
-    ) -> Result<Self, Failure> {
-        let RecordArguments { name, out, .. } = arguments;
+    async fn begin(bus: &'a Bus, output: Output, arguments: &'a Take<'a>) -> Result<Self, Failure> {
+        let Take { name, out, .. } = *arguments;
         let format = Format::of(out).map_err(|error| explain(out, error))?;
         let prefix = bus.prefix();
         let states = bus.subscribe(&keys::state(prefix, name), BACKLOG).await?;
@@ -126,7 +150,7 @@ impl<'a> Recording<'a> {
                         self.bar.suspend(|| self.output.note(said));
                         // One that stands still publishes nothing.
                         if news != News::Gone
-                            && let Ok(state) = bus.state(&self.arguments.name).await
+                            && let Ok(state) = bus.state(self.arguments.name).await
                         {
                             self.state(&state)?;
                         }
@@ -159,7 +183,7 @@ impl<'a> Recording<'a> {
             published: answer.bytes(),
         };
         let outcome = self.recorder.frame(&frame);
-        outcome.map_err(|error| explain(&self.arguments.out, error))?;
+        outcome.map_err(|error| explain(self.arguments.out, error))?;
         if let Some(steps) = self.arguments.steps {
             self.bar.set_position(self.intake.steps.min(steps));
         }
@@ -176,7 +200,7 @@ impl<'a> Recording<'a> {
         let order: OrderSample = answer.read()?;
         let moment = moment(order.epoch, order.frame, order.time);
         let outcome = self.recorder.order(&moment, answer.bytes());
-        outcome.map_err(|error| explain(&self.arguments.out, error))
+        outcome.map_err(|error| explain(self.arguments.out, error))
     }
 
     /// Writes an event; whether it is the last there will be.
@@ -184,13 +208,13 @@ impl<'a> Recording<'a> {
         let event: Event = answer.read()?;
         let moment = moment(event.epoch, event.number, event.time);
         let outcome = self.recorder.event(&moment, answer.bytes());
-        outcome.map_err(|error| explain(&self.arguments.out, error))?;
+        outcome.map_err(|error| explain(self.arguments.out, error))?;
         Ok(event.event == EventKind::Deleted {})
     }
 
     /// Ends the file, however the recording came to its end, and tells what is in it.
     fn finish(self, ended: Result<Ended, Failure>) -> Result<(), Failure> {
-        let RecordArguments { name, out, .. } = self.arguments;
+        let Take { name, out, .. } = *self.arguments;
         let missed = self.intake.missed;
         let frames = self.recorder.written().frames;
         let closing = About::from([
@@ -208,7 +232,7 @@ impl<'a> Recording<'a> {
         if let Ok(Ended::Deleted) = ended {
             self.output.note(
                 &Failure::Deleted {
-                    swarm: name.clone(),
+                    swarm: name.to_owned(),
                 }
                 .to_string(),
             );
@@ -219,8 +243,8 @@ impl<'a> Recording<'a> {
 }
 
 /// What the recording says of itself.
-async fn about(bus: &Bus, arguments: &RecordArguments) -> Result<About, Failure> {
-    let name = &arguments.name;
+async fn about(bus: &Bus, arguments: &Take<'_>) -> Result<About, Failure> {
+    let name = arguments.name;
     let status: Reply<Status> = bus.get(name, "status").await?.read()?;
     let spec = bus.get(name, "spec").await?;
     let spec: Reply<Box<RawValue>> = spec.read()?;
@@ -228,7 +252,7 @@ async fn about(bus: &Bus, arguments: &RecordArguments) -> Result<About, Failure>
     let parameters = serde_json::to_string(&parameters).map_err(Failure::defect)?;
     let began = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
     let mut about = About::from([
-        ("swarm".to_owned(), name.clone()),
+        ("swarm".to_owned(), name.to_owned()),
         ("spec".to_owned(), spec.result.get().to_owned()),
         ("parameters".to_owned(), parameters),
         ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
@@ -245,12 +269,12 @@ async fn about(bus: &Bus, arguments: &RecordArguments) -> Result<About, Failure>
 
 fn tell(
     output: Output,
-    arguments: &RecordArguments,
+    arguments: &Take<'_>,
     written: Written,
     missed: u64,
 ) -> Result<(), Failure> {
     let Written { frames, bytes, .. } = written;
-    let (swarm, file) = (&arguments.name, arguments.out.display().to_string());
+    let (swarm, file) = (arguments.name, arguments.out.display().to_string());
     if output.json {
         let said = json!({
             "swarm": swarm, "file": file, "frames": frames, "missed": missed, "bytes": bytes,
@@ -318,7 +342,7 @@ fn explain(out: &Path, error: RecordingError) -> Failure {
 }
 
 /// What goes on while it goes on; hidden unless stderr is a terminal.
-fn bar(output: Output, arguments: &RecordArguments) -> ProgressBar {
+fn bar(output: Output, arguments: &Take<'_>) -> ProgressBar {
     if output.json {
         return ProgressBar::hidden();
     }
@@ -328,7 +352,7 @@ fn bar(output: Output, arguments: &RecordArguments) -> ProgressBar {
     };
     let bar = ProgressBar::with_draw_target(arguments.steps, ProgressDrawTarget::stderr());
     bar.set_style(ProgressStyle::with_template(template).expect("a constant"));
-    bar.set_prefix(arguments.name.clone());
+    bar.set_prefix(arguments.name.to_owned());
     bar.enable_steady_tick(Duration::from_millis(200));
     bar
 }
