@@ -33,10 +33,11 @@ class Daemon:
     def __init__(
         self, folder: Path, listen: str = "tcp/127.0.0.1:0", failing: str | None = None
     ) -> None:
+        self.data = folder / "data"
         self.log = folder / "jostled.log"
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
-                [JOSTLED, "serve", "--listen", listen, "--http", "", "--data-dir", folder / "data"],
+                [JOSTLED, "serve", "--listen", listen, "--http", "", "--data-dir", self.data],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=log,

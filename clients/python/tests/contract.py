@@ -18,6 +18,7 @@ from jostle._exchange import Controllers, Joined
 from jostle._messages import CreateResult, Parameters, SpecReply
 from jostle._node import Swarms
 from jostle._replay import ReplayResult
+from jostle._recordings import RecordingResult, Recordings
 from jostle._results import ExperimentResult, Experiments, ResultsPage
 
 PROTO = Path(__file__).resolve().parents[3] / "proto"
@@ -43,12 +44,14 @@ READ: dict[str, type[Any]] = {
     "node.experiments.reply": Experiments,
     "node.hello.reply": jostle.Hello,
     "node.metrics.reply": jostle.Metrics,
+    "node.recordings.reply": Recordings,
     "node.schema.reply": jostle.Schemas,
     "node.status.reply": jostle.NodeStatus,
     "node.swarms.reply": Swarms,
     "order": jostle.OrderSample,
     "parameters.reply": Parameters,
     "pause.reply": jostle.Reply,
+    "record.reply": RecordingResult,
     "remove.reply": jostle.IdsResult,
     "replay.reply": ReplayResult,
     "reset.reply": jostle.ResetResult,

@@ -57,6 +57,8 @@ RENAMED = {
 OF_CLIENTS = {"create", "restore"}
 # One of several things to be done, each a method of its own.
 OF_EXPERIMENTS = {"experiment", "replay"}
+OF_RECORDINGS = {"begin": "record", "stop": "stop_recording", "delete": "delete_recording"}
+OF_SEVERAL = OF_EXPERIMENTS | {"record"}
 OPTIONS = {"expect_step", "expect_epoch", "request_id", "timeout", "at_step", "options"}
 
 
@@ -64,12 +66,14 @@ def test_every_message_of_the_contract_has_its_type() -> None:
     verbs = {name.removesuffix(".args") for name in SCHEMAS if name.endswith(".args")}
     asked = {f"{verb}.args" for verb in verbs} | {"request"}
     assert SCHEMAS.keys() == contract.READ.keys() | contract.OPAQUE | asked
-    of_others = OF_CLIENTS | OF_EXPERIMENTS | OF_CONTROLLERS.keys()
+    of_others = OF_CLIENTS | OF_SEVERAL | OF_CONTROLLERS.keys()
     assert all(callable(getattr(jostle.Swarm, verb)) for verb in verbs - of_others)
     assert all(callable(getattr(jostle.Controller, it)) for it in OF_CONTROLLERS.values())
     kinds = {next(iter(kind["properties"])) for kind in SCHEMAS["experiment.args"]["oneOf"]}
     assert all(callable(getattr(jostle.Experiment, kind)) for kind in kinds - {"submit"})
     assert callable(jostle.Client.submit)
+    kinds = {next(iter(kind["properties"])) for kind in SCHEMAS["record.args"]["oneOf"]}
+    assert kinds == OF_RECORDINGS.keys()
 
 
 @pytest.mark.parametrize(
@@ -77,7 +81,7 @@ def test_every_message_of_the_contract_has_its_type() -> None:
     sorted(
         name
         for name in SCHEMAS
-        if name.endswith(".args") and name.removesuffix(".args") not in OF_EXPERIMENTS
+        if name.endswith(".args") and name.removesuffix(".args") not in OF_SEVERAL
     ),
 )
 def test_every_command_takes_the_arguments_of_its_schema(name: str) -> None:
@@ -168,6 +172,12 @@ def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
                 open_replay(Recorder(), "main", args["open"]["name"], None, None)
             else:
                 send_replay(Recorder(), "main", dict(args), None, None)
+        return caught.value.message
+    if verb == "record":
+        ((what, of),) = args.items()
+        send = getattr(jostle.Client(Recorder(), "main"), OF_RECORDINGS[what])
+        with pytest.raises(Sent) as caught:
+            send(**of)
         return caught.value.message
     if verb in OF_EXPERIMENTS:
         ((what, of),) = args.items()

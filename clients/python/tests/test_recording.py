@@ -234,3 +234,21 @@ def test_a_recording_is_replayed_as_it_was_seen(take: Take, client: jostle.Clien
         client.replay()
     with pytest.raises(jostle.NotFound):
         client.replay(recording="nobodys")
+@pytest.mark.parametrize("format_", ["mcap", "parquet"])
+def test_a_folder_that_the_daemon_recorded_is_read(
+    client: jostle.Client, create: Create, daemon: Daemon, format_: jostle.RecordingFormat
+) -> None:
+    swarm = create(n=4, rate=None, publish_every=1)
+    begun = client.record(swarm.name, format=format_, every=3)
+    assert (begun.phase, begun.swarm, begun.every) == ("recording", swarm.name, 3)
+    for _ in range(9):
+        state = swarm.step(state=True)
+    ended = client.stop_recording(begun.recording)
+    assert ended.recording in [it.recording for it in client.recordings()]
+    assert (ended.phase, ended.frames, ended.missed, ended.parts) == ("ended", 4, 0, 1)
+    recording = jostle.read_recording(daemon.data / "recordings" / begun.recording)
+    assert [frame.step for frame in recording] == [0, 3, 6, 9]
+    np.testing.assert_array_equal(list(recording)[-1].x, state.x)
+    assert recording.about["swarm"] == swarm.name
+    assert client.delete_recording(begun.recording) == ended
+    assert not (daemon.data / "recordings" / begun.recording).exists()

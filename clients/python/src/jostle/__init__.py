@@ -89,6 +89,7 @@ from ._messages import (
 from ._metrics import Metrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
 from ._recording import RecordedFrame, Recording, read_recording
+from ._recordings import RecordingFormat, RecordingPhase, RecordingStatus
 from ._results import ExperimentPhase, OrderSeries, Progress, ResultRow, RunUnderWay
 from ._show import Listed
 from ._snapshot import Snapshot
@@ -154,6 +155,9 @@ __all__ = [
     "Puts",
     "RecordedFrame",
     "Recording",
+    "RecordingFormat",
+    "RecordingPhase",
+    "RecordingStatus",
     "Region",
     "Remove",
     "Replay",

@@ -8,9 +8,9 @@ from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, Self, SupportsIndex, TypeVar
 
-from ._arguments import check_label, check_name, check_seconds
+from ._arguments import check_label, check_name, check_seconds, whole
 from ._errors import InvalidArgument, JostleError, Unavailable
 from ._experiment import Experiment, Source, send, to_toml
 from ._link import GRACE_SECS, Link, open_session
@@ -19,6 +19,7 @@ from ._metrics import Metrics
 from ._node import WIRE_VERSION, Hello, NodeStatus, Schemas, Swarms, SwarmSummary
 from ._reading import read_reply
 from ._replay import open_replay, upload
+from ._recordings import RecordingFormat, Recordings, RecordingStatus, send_record
 from ._results import Experiments, Progress
 from ._show import Listed, trouble
 from ._snapshot import Snapshot
@@ -322,6 +323,71 @@ class Client:
     def experiments(self) -> Listed[Progress]:
         """Every experiment and how far it is, in the order in which they were submitted."""
         return Listed(self._get("experiments", Experiments).experiments)
+
+    def record(
+        self,
+        swarm: str,
+        recording: str | None = None,
+        *,
+        format: RecordingFormat | None = None,
+        every: SupportsIndex | None = None,
+        timeout: float | None = None,
+        request_id: str | None = None,
+    ) -> RecordingStatus:
+        """Has the daemon record a swarm into its data directory, whoever looks on.
+
+        It goes on until it is stopped or the swarm is deleted, also when the daemon starts anew;
+        `read_recording` reads the folder.
+
+        Args:
+            swarm: Whom.
+            recording: What to call it; None is the swarm's name and a number.
+            format: How to write it; None is as `mcap`.
+            every: Only states at least so many steps apart; None is all that are shown.
+            timeout: Seconds it may take; None is the client's.
+            request_id: What to call the request, see `Options`; None is a new one.
+
+        Raises:
+            AlreadyExists: The name is taken.
+            NotFound: There is no such swarm.
+            ResourceExhausted: Too many go on: stop one.
+            StorageFull: The daemon's disk is full.
+        """
+        args: dict[str, Any] = {"swarm": check_name("swarm", swarm)}
+        if recording is not None:
+            args["recording"] = check_name("recording", recording)
+        if format is not None:
+            args["format"] = format
+        if every is not None:
+            args["every"] = whole("every", every)
+        return send_record(self._link, self._node, {"begin": args}, timeout, request_id)
+
+    def stop_recording(
+        self, recording: str, *, timeout: float | None = None, request_id: str | None = None
+    ) -> RecordingStatus:
+        """Ends a recording of the daemon's; what was recorded is kept.
+
+        Raises:
+            IncorrectState: It has failed.
+            NotFound: There is none of that name.
+        """
+        args = {"stop": {"recording": check_name("recording", recording)}}
+        return send_record(self._link, self._node, args, timeout, request_id)
+
+    def delete_recording(
+        self, recording: str, *, timeout: float | None = None, request_id: str | None = None
+    ) -> RecordingStatus:
+        """Deletes a recording of the daemon's with its files, ending it; how it stood.
+
+        Raises:
+            NotFound: There is none of that name.
+        """
+        args = {"delete": {"recording": check_name("recording", recording)}}
+        return send_record(self._link, self._node, args, timeout, request_id)
+
+    def recordings(self) -> Listed[RecordingStatus]:
+        """Every recording of the daemon's and how it stands, ordered by name."""
+        return Listed(self._get("recordings", Recordings).recordings)
 
     def swarm(self, name: str) -> Swarm:
         """The swarm of that name; whether it is there shows when it is asked something."""
