@@ -12,14 +12,14 @@ mod source;
 use std::collections::BTreeMap;
 use std::io;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, SystemTime};
 
 use jostle_proto::keys;
 pub use jostle_results::recording::Format;
-use jostle_results::recording::{Recorder, RecordingError, Written, sweep};
+use jostle_results::recording::{Recorder, RecordingError, Written, parts, sweep};
 use serde::{Deserialize, Serialize};
 use tracing::{info, warn};
 
@@ -256,6 +256,11 @@ impl Recordings {
         if let Err((phase, reason)) = result {
             self.settle(name, counted, phase, reason);
         }
+    }
+
+    /// The whole parts of a recording, in order; none if there is no such recording.
+    pub fn parts(&self, name: &str) -> Vec<PathBuf> {
+        parts(&self.0.shelf.folder(name)).unwrap_or_default()
     }
 
     /// How all recordings stand, by name.

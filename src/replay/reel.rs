@@ -1,7 +1,7 @@
 //! A film that lies in files: where each frame is, and what happened between them.
 
 use std::fs::File;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 use jostle_results::recording::{self, About, Message};
@@ -69,25 +69,6 @@ impl Reel {
             Some(reel) if !reel.marks.is_empty() => Ok(reel),
             _ => Err(ReplayError::Unreadable("it has no frame".to_owned())),
         }
-    }
-
-    /// Opens what the daemon itself has recorded under a name.
-    ///
-    /// # Errors
-    ///
-    /// [`ReplayError::Unknown`], [`ReplayError::Unreadable`].
-    pub fn of_recording(
-        recordings: &Path,
-        name: &str,
-        read_order: ReadOrder<'_>,
-    ) -> Result<Self, ReplayError> {
-        let parts = recording::parts(&recordings.join(name)).unwrap_or_default();
-        let is_mcap = |path: &PathBuf| path.extension().is_some_and(|it| it == "mcap");
-        let parts: Vec<PathBuf> = parts.into_iter().filter(is_mcap).collect();
-        if parts.is_empty() {
-            return Err(ReplayError::Unknown(name.to_owned()));
-        }
-        Reel::open(&parts, read_order)
     }
 
     fn beginning(about: &About) -> Result<Self, String> {

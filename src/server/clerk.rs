@@ -1,7 +1,6 @@
 //! Answers queries: an order or a look handed to a swarm, and the promise of its answer.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::path::PathBuf;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
@@ -61,10 +60,8 @@ pub struct Clerk {
     pub errands: Errands<Lab>,
     /// Recordings on their way in.
     pub uploads: Arc<Uploads>,
-    /// Where the daemon's own recordings are.
-    pub recordings: PathBuf,
     /// What it records.
-    pub recorded: Recordings,
+    pub recordings: Recordings,
     /// Where what is to be done with that is handed in.
     pub to_record: Errands<Recordings>,
     /// The daemon in numbers, once it is watched.

@@ -169,7 +169,7 @@ impl Clerk {
                 }),
                 "status" => self.node_reply(self.node_status()),
                 "experiments" => self.experiments(),
-                "recordings" => self.node_reply(wire::recordings(self.recorded.list())),
+                "recordings" => self.node_reply(wire::recordings(self.recordings.list())),
                 "schema" => self.node_reply(&self.schemas),
                 "metrics" => match self.watch.get() {
                     Some(watch) => self.node_reply(wire::metrics(&watch.figures())),

@@ -1,5 +1,6 @@
 //! Recordings shown as swarms: taken in, opened, sought through.
 
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
@@ -10,7 +11,7 @@ use jostle_proto::{NodeReply, OpenArgs, ReplayArgs, ReplayResult, Request, SeekA
 
 use crate::command::{self, CommandError, check_name, seek};
 use crate::host::{Host, Showing};
-use crate::replay::Reel;
+use crate::replay::{Reel, ReplayError};
 use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::clerk::Clerk;
 use crate::server::copies::refuse_when;
@@ -92,7 +93,14 @@ impl Clerk {
         let (uploads, recordings) = (self.uploads.clone(), self.recordings.clone());
         let opened = thread::Builder::new().name("replay".into()).spawn(move || {
             let reel = match &args.recording {
-                Some(name) => Reel::of_recording(&recordings, name, &read_order),
+                Some(name) => {
+                    let parts = recordings.parts(name).into_iter();
+                    let is_mcap = |it: &PathBuf| it.extension().is_some_and(|it| it == "mcap");
+                    match parts.filter(is_mcap).collect::<Vec<_>>() {
+                        none if none.is_empty() => Err(ReplayError::Unknown(name.clone())),
+                        parts => Reel::open(&parts, &read_order),
+                    }
+                }
                 None => uploads.reel(&args.name, &read_order),
             };
             match reel {
