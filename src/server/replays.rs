@@ -104,7 +104,7 @@ impl Clerk {
                 None => uploads.reel(&args.name, &read_order),
             };
             match reel {
-                Ok(reel) => show(&host, node, args.name, reel, keeper),
+                Ok(reel) => show(&host, node, &args.name, reel, keeper),
                 Err(error) => keeper.leave().refuse(&error.into(), None),
             }
         });
@@ -147,7 +147,7 @@ impl Clerk {
 }
 
 /// Shows it, and answers when it can be seen.
-fn show(host: &Arc<Host>, node: String, name: String, reel: Reel, keeper: Keeper) {
+fn show(host: &Arc<Host>, node: String, name: &str, reel: Reel, keeper: Keeper) {
     let frames = reel.marks().len();
     let showing = Showing {
         recipe: reel.recipe().clone(),
@@ -174,7 +174,7 @@ fn show(host: &Arc<Host>, node: String, name: String, reel: Reel, keeper: Keeper
         })
     };
     tracing::debug!(name, frames, "opened a recording");
-    if let Err(error) = host.show(&name, showing, answer) {
+    if let Err(error) = host.show(name, showing, answer) {
         promise.refuse(&error.into(), None);
     }
 }

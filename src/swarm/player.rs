@@ -14,7 +14,9 @@ use crate::observables::{Order as Ordered, RunningMeans};
 use crate::swarm::frame::{Event, EventKind, Exactness, Frame, Place, Replay, Summary};
 use crate::swarm::handle::{Command, Handle, Ticket, receive};
 use crate::swarm::history::History;
-use crate::swarm::order::{Order, OrderError, Outcome, Rate, Recipe, Refusal, Seek, Until, When};
+use crate::swarm::order::{
+    Order, OrderError, Outcome, Rate, Recipe, Refusal, Seek, Sender, Until, When,
+};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
 use crate::swarm::shelf::Shelf;
@@ -325,7 +327,7 @@ impl Player {
                 answer(Ok((place, Outcome::Done)));
             })));
         }
-        let done = self.is_when(when).and_then(|()| self.carry_out(order));
+        let done = self.is_when(when).and_then(|()| self.carry_out(&order));
         match done {
             Ok(outcome) => {
                 self.applied(&sender);
@@ -337,12 +339,12 @@ impl Player {
         None
     }
 
-    fn carry_out(&mut self, order: Order) -> Result<Outcome, OrderError> {
+    fn carry_out(&mut self, order: &Order) -> Result<Outcome, OrderError> {
         match order {
             Order::Run { until, rate } => {
                 let marks = self.film.marks();
                 let here = marks[self.at];
-                let until = match until {
+                let until = match *until {
                     Some(Until::Step(step)) if step < here.step => {
                         return Err(OrderError::Past {
                             until: step,
@@ -363,7 +365,7 @@ impl Player {
                 let is_over = self.at + 1 == marks.len();
                 let phase = phase::next(&self.phase, Cue::Run(until))?;
                 if let Some(rate) = rate {
-                    self.rate = rate;
+                    self.rate = *rate;
                 }
                 // A film that is over begins anew.
                 if is_over && until.is_none() {
@@ -381,7 +383,7 @@ impl Player {
                 }
                 Ok(Outcome::Done)
             }
-            Order::Step(steps) => {
+            &Order::Step(steps) => {
                 let marks = self.film.marks();
                 let from = marks[self.at].step;
                 phase::next(&self.phase, Cue::Step(from.saturating_add(steps)))?;
@@ -493,7 +495,7 @@ impl Player {
     }
 
     /// Counts and tells of a command that was carried out.
-    fn applied(&mut self, sender: &Arc<crate::swarm::order::Sender>) {
+    fn applied(&mut self, sender: &Arc<Sender>) {
         self.seq += 1;
         self.tell(EventKind::Command(sender.clone()));
         self.renew_summary();

@@ -122,7 +122,7 @@ async fn prepare_replay(daemon: &Daemon, args: &Value, take: &[u8]) {
     let client = &daemon.client;
     client.ask(&keys::cmd(PREFIX, "tape", "delete"), None).await;
     if let Some(upload) = args.get("upload") {
-        let number = |name: &str| upload[name].as_u64().unwrap() as usize;
+        let number = |name: &str| usize::try_from(upload[name].as_u64().unwrap()).unwrap();
         let file = vec![0; number("length")];
         let mut from = 0;
         while from < number("offset") {

@@ -82,14 +82,16 @@ impl<E: FnMut(Message<'_>) -> Result<(), String>> Reading<E> {
         let length = file.metadata().map_err(|error| error.to_string())?.len();
         let mut file = BufReader::new(file);
         let mut magic = [0; MAGIC.len()];
-        file.read_exact(&mut magic).map_err(explain)?;
+        file.read_exact(&mut magic)
+            .map_err(|error| explain(&error))?;
         if magic != MAGIC {
             return Err("it is no MCAP file".to_owned());
         }
         let (mut at, mut body) = (MAGIC.len() as u64, Vec::new());
         loop {
             let mut head = [0; AROUND_RECORD];
-            file.read_exact(&mut head).map_err(explain)?;
+            file.read_exact(&mut head)
+                .map_err(|error| explain(&error))?;
             at += AROUND_RECORD as u64;
             let [code, bytes @ ..] = head;
             let bytes = u64::from_le_bytes(bytes);
@@ -99,13 +101,15 @@ impl<E: FnMut(Message<'_>) -> Result<(), String>> Reading<E> {
             match code {
                 op::FOOTER => return Ok(()),
                 op::CHUNK | op::MESSAGE | op::CHANNEL | op::METADATA => {
-                    body.resize(bytes as usize, 0);
-                    file.read_exact(&mut body).map_err(explain)?;
+                    body.resize(usize::try_from(bytes).map_err(|_| cut_short())?, 0);
+                    file.read_exact(&mut body)
+                        .map_err(|error| explain(&error))?;
                     self.record(code, at, &body)?;
                 }
                 _ => {
                     let skipped = i64::try_from(bytes).unwrap_or(i64::MAX);
-                    file.seek_relative(skipped).map_err(explain)?;
+                    file.seek_relative(skipped)
+                        .map_err(|error| explain(&error))?;
                 }
             }
             at += bytes;
@@ -173,7 +177,7 @@ impl<E: FnMut(Message<'_>) -> Result<(), String>> Reading<E> {
     }
 }
 
-fn explain(error: io::Error) -> String {
+fn explain(error: &io::Error) -> String {
     match error.kind() {
         io::ErrorKind::UnexpectedEof => cut_short(),
         _ => error.to_string(),

@@ -357,8 +357,11 @@ fn a_clock_before_1970_is_as_good_as_1970() {
     recorder.finish(&About::new()).unwrap();
 }
 
+/// A message: its topic, where it lies, its bytes.
+type Read = (String, u64, Vec<u8>);
+
 /// Every message of a file, as it is read.
-fn messages(path: &Path) -> Result<(About, Vec<(String, u64, Vec<u8>)>), RecordingError> {
+fn messages(path: &Path) -> Result<(About, Vec<Read>), RecordingError> {
     let mut messages = Vec::new();
     let about = read(path, |message| {
         messages.push((
@@ -376,9 +379,9 @@ fn recorded(folder: &Path) -> PathBuf {
     let path = folder.join("take.mcap");
     let mut recorder = Recorder::to_file(&path, false, about()).unwrap();
     recorder.event(&moment(1), b"{}").unwrap();
-    for number in 1..4 {
-        let published = [number as u8; 100];
-        recorder.frame(&frame(number, &published)).unwrap();
+    for number in 1..4_u8 {
+        let published = [number; 100];
+        recorder.frame(&frame(number.into(), &published)).unwrap();
     }
     let closing = About::from([("frames".to_owned(), "3".to_owned())]);
     recorder.finish(&closing).unwrap();
