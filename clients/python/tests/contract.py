@@ -17,8 +17,8 @@ from jostle._events import Events, Journal
 from jostle._exchange import Controllers, Joined
 from jostle._messages import CreateResult, Parameters, SpecReply
 from jostle._node import Swarms
-from jostle._replay import ReplayResult
 from jostle._recordings import RecordingResult, Recordings
+from jostle._replay import ReplayResult
 from jostle._results import ExperimentResult, Experiments, ResultsPage
 
 PROTO = Path(__file__).resolve().parents[3] / "proto"

@@ -16,7 +16,6 @@ import contract
 import jostle
 from contract import OF_CONTROLLERS
 from jostle._link import Link
-from jostle._replay import open_replay
 from jostle._replay import send as send_replay
 
 SCHEMAS = contract.schemas()
@@ -164,14 +163,14 @@ class Recorder(Link):
 def call(verb: str, args: Mapping[str, Any], **options: Any) -> dict[str, Any]:
     """What the method of a verb sends when it is given these arguments."""
     if verb == "replay":
-        with pytest.raises(Sent) as caught:
-            if recording := args.get("open", {}).get("recording"):
-                client = jostle.Client(Recorder(), "main")
-                client.replay(name=args["open"]["name"], recording=recording)
-            elif "open" in args:
-                open_replay(Recorder(), "main", args["open"]["name"], None, None)
-            else:
-                send_replay(Recorder(), "main", dict(args), None, None)
+        ((what, of),) = args.items()
+        client = jostle.Client(Recorder(), "main")
+        if what == "open" and "recording" in of:
+            with pytest.raises(Sent) as caught:
+                client.replay(name=of["name"], recording=of["recording"])
+        else:
+            with pytest.raises(Sent) as caught:
+                send_replay(Recorder(), "main", dict(args))
         return caught.value.message
     if verb == "record":
         ((what, of),) = args.items()

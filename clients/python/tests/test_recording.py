@@ -217,7 +217,7 @@ def test_a_recording_is_replayed_as_it_was_seen(take: Take, client: jostle.Clien
         for state in (states[-1], states[5], states[0]):
             assert tape.seek(step=state.step).step == state.step
             shown = tape.state()
-            assert np.array_equal(shown.positions, state.positions)
+            assert np.array_equal(shown.position, state.position)
             assert np.array_equal(shown.id, state.id)
         with pytest.raises(jostle.IncorrectState, match="replay"):
             tape.inform(jostle.ids([1]), direction=0.0)
@@ -234,6 +234,8 @@ def test_a_recording_is_replayed_as_it_was_seen(take: Take, client: jostle.Clien
         client.replay()
     with pytest.raises(jostle.NotFound):
         client.replay(recording="nobodys")
+
+
 @pytest.mark.parametrize("format_", ["mcap", "parquet"])
 def test_a_folder_that_the_daemon_recorded_is_read(
     client: jostle.Client, create: Create, daemon: Daemon, format_: jostle.RecordingFormat

@@ -18,8 +18,8 @@ from ._messages import CreateResult
 from ._metrics import Metrics
 from ._node import WIRE_VERSION, Hello, NodeStatus, Schemas, Swarms, SwarmSummary
 from ._reading import read_reply
-from ._replay import open_replay, upload
 from ._recordings import RecordingFormat, Recordings, RecordingStatus, send_record
+from ._replay import open_replay, upload
 from ._results import Experiments, Progress
 from ._show import Listed, trouble
 from ._snapshot import Snapshot
@@ -255,7 +255,7 @@ class Client:
         name: str | None = None,
         *,
         recording: str | None = None,
-        progress: bool | None = None,
+        show: bool | None = None,
         timeout: float | None = None,
     ) -> Swarm:
         """Has the daemon show a recording as if it were a swarm, paused at its first frame.
@@ -267,7 +267,7 @@ class Client:
             path: The recording, MCAP; it is sent to the daemon.
             name: What to show it as; None is what the file or the recording is called.
             recording: One that the daemon has recorded, instead of a file.
-            progress: Show how much is sent; None does if somebody looks on and it takes a while.
+            show: Show how much is sent; None does if somebody looks on and it takes a while.
             timeout: Seconds it may take to look through; None is 60.
 
         Raises:
@@ -282,7 +282,7 @@ class Client:
             name = recording if path is None else Path(path).stem.lower()
         swarm = Swarm(self._link, check_name("name", str(name)))
         if path is not None:
-            upload(self._link, self._node, path, swarm.name, progress)
+            upload(self._link, self._node, path, swarm.name, show)
         open_replay(self._link, self._node, swarm.name, recording, timeout)
         return swarm
 

@@ -74,8 +74,10 @@ class NodeStatus(Shown, frozen=True, kw_only=True):
 
 
 class SwarmSummary(Shown, frozen=True, kw_only=True):
-    """A swarm in a list; the fields mean what they mean in `Status`, `order` is that now,
-    `replay` whether it is the replay of a recording."""
+    """A swarm in a list.
+
+    The fields mean what they mean in `Status`, `order` is that now, `replay` whether it is one.
+    """
 
     swarm: str
     phase: Phase

@@ -56,7 +56,7 @@ def upload(
                 "length": length,
                 "bytes": base64.b64encode(piece).decode(),
             }
-            send(link, node, {"upload": args}, None, None)
+            send(link, node, {"upload": args})
             offset += len(piece)
             bar.show(offset / length if length else 1.0)
             if offset >= length or not piece:
@@ -71,17 +71,16 @@ def open_replay(
     if recording is not None:
         args["recording"] = check_name("recording", recording)
     timeout = _PATIENCE_SECS if timeout is None else timeout
-    send(link, node, {"open": args}, timeout, None)
+    send(link, node, {"open": args}, timeout)
 
 
 def send(
     link: Link,
     node: str,
     args: dict[str, Any],
-    timeout: float | None,
-    request_id: str | None,
+    timeout: float | None = None,
 ) -> ReplayResult:
     """Sends `replay` to the daemon."""
     key = link.node_key(node, "cmd/replay")
-    payload = link.command(key, args, swarm=None, timeout=timeout, request_id=request_id)
+    payload = link.command(key, args, swarm=None, timeout=timeout, request_id=None)
     return read_reply(payload, ReplayResult)
