@@ -78,6 +78,7 @@ export function animationPage(animation: Animation, session: Session): Page {
     },
     parameters: () => undefined,
     event: () => undefined,
+    another: () => undefined,
     catchUp: () => undefined,
     changed: () => undefined,
     directed: (direction) => {

@@ -25,6 +25,12 @@ export function swarmPage(name: string, session: Session): Page {
   const parameters = new Parameters(name);
   let events = new Events(name);
   const log = el("div", {}, events.element);
+  /** Another swarm of this name numbers its events anew. */
+  const renew = () => {
+    events.end();
+    events = new Events(name);
+    log.replaceChildren(events.element);
+  };
   const controls = new Controls(name, session);
   const tape = new Tape(name, session);
   let replay = false;
@@ -58,15 +64,16 @@ export function swarmPage(name: string, session: Session): Page {
     parameters: (all) => parameters.show(all, session.mayCommand && !replay),
     event: (event) => {
       if (event.event.kind === "created") {
-        // Another swarm of this name: its events are numbered anew.
-        events.end();
-        events = new Events(name);
-        log.replaceChildren(events.element);
+        renew();
       }
       events.take(event);
       if (event.event.kind !== "lapsed") {
         void tape.ask();
       }
+    },
+    another: () => {
+      renew();
+      void events.catchUp();
     },
     catchUp: () => void events.catchUp(),
     changed: () => steering?.show(),

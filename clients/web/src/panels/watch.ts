@@ -24,6 +24,8 @@ export interface WatchEvents {
   row(row: SwarmRow | undefined): void;
   parameters(parameters: Parameter[]): void;
   event(event: SwarmEvent): void;
+  /** It was gone, and there is one of its name: perhaps another one. */
+  another(): void;
   /** Events were lost, or the connection is new: there is something to catch up. */
   catchUp(): void;
   changed(): void;
@@ -159,7 +161,7 @@ export class Watch {
       // Somebody made one of this name: what is known of the last is of no use.
       this.gone = false;
       void this.readParameters();
-      this.events.catchUp();
+      this.events.another();
     }
     this.veil();
     this.describe(state);

@@ -39,7 +39,10 @@ export async function openTab(browser: Browser, options = WIDE): Promise<Tab> {
   const complaints: string[] = [];
   page.on("console", (message) => {
     const text = message.text();
-    const expected = /ERR_CONNECTION_REFUSED|WebSocket connection to|status of 4\d\d/.test(text);
+    const expected =
+      /ERR_CONNECTION_(REFUSED|RESET)|ERR_EMPTY_RESPONSE|WebSocket connection to|status of 4\d\d/.test(
+        text,
+      );
     if (message.type() === "error" && !expected) {
       complaints.push(text);
     }
