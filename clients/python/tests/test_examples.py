@@ -77,15 +77,18 @@ def test_the_readme_runs(
     exec(compile(first, "README.md", "exec"), {})
     swarm = client.swarm("school")
     # The others are about a swarm that there is.
-    assert len(more) == 9
+    assert len(more) == 11
     monkeypatch.chdir(tmp_path)
+    for name in ("school.parquet", "school.mcap"):
+        line = [str(JOSTLED.with_name("jostle")), "record", "school", "-o", name, "--for", "0.2"]
+        subprocess.run(line, check=True)
     project = (FOLDER.parents[1] / "README.md").read_text(encoding="utf-8")
     (experiment,) = re.findall(r"```toml\n(# order\.toml\n.*?)```", project, re.S)
     Path("order.toml").write_text(experiment, encoding="utf-8")
     for code in more:
         names = {"jostle": jostle, "client": client, "swarm": swarm}
         exec(compile(code, "README.md", "exec"), names)
-    for made in [swarm, client.swarm("other"), client.swarm("again")]:
+    for made in [swarm, client.swarm("other"), client.swarm("again"), client.swarm("tape")]:
         made.delete()
     client.experiment("order").delete()
 

@@ -42,12 +42,14 @@ def take(daemon: Daemon, create: Create, tmp_path: Path) -> Take:
     ]
     for name in NAMES:
         eventually("it records", (tmp_path / f"{name}.partial").exists)
-    states = [swarm.state()]
+    states, published = [swarm.state()], swarm.states()
     for step in range(STEPS):
         # One more from the middle on: columns of different lengths.
         if step == STEPS // 2:
             swarm.inject(1)
         states.append(swarm.step(state=True))
+        # Of two that were published at once only the newer would be.
+        next(state for state in published if state.step == states[-1].step)
     for recorder in begun:
         told = json.loads(recorder.communicate(timeout=PATIENCE_SECS)[0])
         assert recorder.returncode == 0
@@ -212,7 +214,8 @@ def test_a_recording_is_replayed_as_it_was_seen(take: Take, client: jostle.Clien
     with client.replay(folder / "take.mcap", "tape") as tape:
         status = tape.status()
         assert status.replay is not None
-        assert (status.phase, status.replay.frames) == ("paused", len(states))
+        assert status.phase == "paused"
+        assert status.replay.frames >= len(states)
         assert [it.replay for it in client.swarms() if it.swarm == "tape"] == [True]
         for state in (states[-1], states[5], states[0]):
             assert tape.seek(step=state.step).step == state.step

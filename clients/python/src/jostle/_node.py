@@ -89,7 +89,7 @@ class SwarmSummary(Shown, frozen=True, kw_only=True):
     order: float
     rate: float | None = None
     real_time_factor: float | None = None
-    replay: bool = False
+    replay: bool
 
 
 class Swarms(msgspec.Struct, frozen=True, kw_only=True):
