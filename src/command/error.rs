@@ -271,9 +271,8 @@ impl CommandError {
                 ReplayError::Unreadable(_) => ErrorCode::InvalidArgument,
                 ReplayError::Piece { .. } => ErrorCode::Conflict,
                 ReplayError::NotUploaded(_) | ReplayError::Unknown(_) => ErrorCode::NotFound,
-                ReplayError::TooLong { .. } | ReplayError::TooMany(_) => {
-                    ErrorCode::ResourceExhausted
-                }
+                ReplayError::TooLong { .. } => ErrorCode::ResourceExhausted,
+                ReplayError::TooMany(_) => ErrorCode::Busy,
                 ReplayError::Unkept(_) => ErrorCode::StorageFull,
             },
             CommandError::Lab(error) => match error {
@@ -570,6 +569,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "ids" => "a list of ids that are there",
         "count" => "a whole number of individuals",
         "fraction" => "a number from 0 to 1",
+        "time" => "a number from 0 to 1e12",
         "radius" => "a number above 0, at most 1e6",
         "x" | "y" | "alpha" | "along" | "direction" => "a number from -1e6 to 1e6",
         "turn" => "null, or a number from -1e6 to 1e6",

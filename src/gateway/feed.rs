@@ -15,6 +15,7 @@ use tracing::debug;
 use zenoh::pubsub::Subscriber;
 
 use crate::gateway::bus::Bus;
+use crate::gateway::past::Past;
 
 /// Events that a tab may be behind.
 const EVENTS: usize = 64;
@@ -22,6 +23,9 @@ const EVENTS: usize = 64;
 /// How often the list of swarms is looked at while a tab is open, and told though nothing changed.
 const LIST_PERIOD: Duration = Duration::from_millis(500);
 const LIST_TOLD: Duration = Duration::from_secs(1);
+
+/// How often the order of every swarm is kept, tab or none.
+const KEPT: Duration = Duration::from_secs(1);
 
 /// What is told of one swarm.
 pub struct Feed {
@@ -49,6 +53,8 @@ pub struct Feeds {
     watched: Mutex<HashMap<String, Weak<Feed>>>,
     /// The list of swarms, in JSON.
     pub list: watch::Sender<Bytes>,
+    /// The order of each over the last minutes.
+    pub past: Past,
 }
 
 impl Feeds {
@@ -58,6 +64,7 @@ impl Feeds {
             bus,
             watched: Mutex::default(),
             list: watch::Sender::new(Bytes::new()),
+            past: Past::default(),
         });
         tokio::spawn(list(Arc::downgrade(&feeds)));
         feeds
@@ -130,19 +137,25 @@ impl Feeds {
 async fn list(feeds: Weak<Feeds>) {
     let mut tick = interval(LIST_PERIOD);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut told = Instant::now();
+    let (mut told, mut kept) = (Instant::now(), Instant::now());
     loop {
         tick.tick().await;
         let Some(feeds) = feeds.upgrade() else {
             return;
         };
-        if feeds.list.receiver_count() == 0 {
+        let is_read = feeds.list.receiver_count() > 0;
+        let is_due = kept.elapsed() >= KEPT;
+        if !is_read && !is_due {
             continue;
         }
         let answer = feeds.bus.ask("@node/get/swarms", "", None).await;
         let Some(document) = answer.ok().and_then(|answer| answer.ok()) else {
             continue;
         };
+        if is_due {
+            feeds.past.keep(&document);
+            kept = Instant::now();
+        }
         let is_new = *feeds.list.borrow() != document;
         if is_new || told.elapsed() >= LIST_TOLD {
             feeds.list.send_replace(document);

@@ -8,6 +8,7 @@ mod admit;
 mod bus;
 mod feed;
 mod page;
+mod past;
 mod socket;
 mod text;
 mod token;

@@ -51,6 +51,9 @@ pub async fn serve(
     let mut lists = feeds.list.subscribe();
     lists.mark_changed();
     let mut watched = None;
+    if swarm.is_none() && tell(&mut socket, text(feeds.past.told())).await.is_none() {
+        return;
+    }
     if let Some(swarm) = swarm {
         let Some((feed, state)) = feeds.watch(&swarm).await else {
             return say_gone(&mut socket).await;

@@ -49,6 +49,7 @@ impl Source {
             ("swarm".to_owned(), self.swarm.clone()),
             ("spec".to_owned(), json(spec)),
             ("parameters".to_owned(), json(parameters)),
+            ("rate".to_owned(), json(Payload::json(&self.now.rate))),
             ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("began_unix_secs".to_owned(), began),
         ]);

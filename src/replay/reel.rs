@@ -76,7 +76,13 @@ impl Reel {
             let said = about.get(what);
             said.ok_or_else(|| format!("it does not say its {what}: jostle did not record it"))
         };
-        let (recipe, parameters) = wire::recorded(said("spec")?, said("parameters")?)?;
+        let (mut recipe, parameters) = wire::recorded(said("spec")?, said("parameters")?)?;
+        let rate = about.get("rate").and_then(|rate| rate.parse().ok());
+        // What ran as fast as it could would be over in a moment.
+        recipe.rate = wire::rate(rate.or(recipe.rate))
+            .ok()
+            .flatten()
+            .or(Some(1.0));
         Ok(Reel {
             swarm: said("swarm")?.as_str().into(),
             recipe,

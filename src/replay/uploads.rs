@@ -17,7 +17,7 @@ pub const MOST_BYTES: u64 = 1024 * 1024 * 1024;
 const MOST: usize = 8;
 
 /// An upload that stands still for so long gives way to others.
-const PATIENCE: Duration = Duration::from_secs(60);
+const PATIENCE: Duration = Duration::from_secs(10);
 
 /// The uploads of a daemon. Their files are gone when they are shown, or when it starts anew.
 pub struct Uploads {

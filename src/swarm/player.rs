@@ -353,12 +353,15 @@ impl Player {
                     }
                     Some(Until::Step(step)) => Some(step),
                     Some(Until::Time(time)) => {
-                        let later = marks[self.at..].iter();
-                        let later = later.take_while(|mark| mark.epoch == here.epoch);
-                        later
-                            .filter(|mark| mark.time >= time)
-                            .map(|mark| mark.step)
-                            .next()
+                        let mut run = self.present().iter();
+                        let reached = run.find(|mark| mark.time >= time);
+                        match reached.map(|mark| mark.step) {
+                            Some(until) if until < here.step => {
+                                let step = here.step;
+                                return Err(OrderError::Past { until, step });
+                            }
+                            until => until,
+                        }
                     }
                     None => None,
                 };
@@ -439,14 +442,7 @@ impl Player {
     /// present run of the recorded swarm.
     fn sought(&self, seek: Seek) -> usize {
         let marks = self.film.marks();
-        let epoch = marks[self.at].epoch;
-        let is_other = |mark: &Mark| mark.epoch != epoch;
-        let first = marks[..self.at]
-            .iter()
-            .rposition(is_other)
-            .map_or(0, |it| it + 1);
-        let end = marks[self.at..].iter().position(is_other);
-        let run = &marks[first..end.map_or(marks.len(), |end| self.at + end)];
+        let (first, run) = (self.present_from(), self.present());
         let within = |count: usize| first + count.saturating_sub(1);
         match seek {
             Seek::Step(step) => within(run.partition_point(|mark| mark.step <= step)),
@@ -457,6 +453,22 @@ impl Player {
                 count.saturating_sub(1)
             }
         }
+    }
+
+    /// The first frame of the present run of the recorded swarm.
+    fn present_from(&self) -> usize {
+        let marks = self.film.marks();
+        let is_other = |mark: &Mark| mark.epoch != marks[self.at].epoch;
+        let before = marks[..self.at].iter().rposition(is_other);
+        before.map_or(0, |before| before + 1)
+    }
+
+    /// The frames of the present run of the recorded swarm.
+    fn present(&self) -> &[Mark] {
+        let marks = self.film.marks();
+        let is_other = |mark: &Mark| mark.epoch != marks[self.at].epoch;
+        let end = marks[self.at..].iter().position(is_other);
+        &marks[self.present_from()..end.map_or(marks.len(), |end| self.at + end)]
     }
 
     /// Goes to a frame that does not follow the one before.

@@ -24,6 +24,7 @@ async fn record(client: &Client, path: &Path) -> Vec<State> {
     let about = About::from([
         ("swarm".to_owned(), "live".to_owned()),
         ("spec".to_owned(), spec["result"].to_string()),
+        ("rate".to_owned(), "20.0".to_owned()),
         (
             "parameters".to_owned(),
             status["result"]["parameters"].to_string(),
@@ -171,6 +172,8 @@ async fn a_recording_is_shown_to_the_bit_and_goes_wherever_it_is_sought() {
     let expected =
         json!({"of": "live", "frame": 1, "frames": 52, "position": 0.0, "duration": null});
     assert_eq!(told, expected);
+    let status = client.get("tape", "status").await;
+    assert_eq!(status["result"]["rate"], 20.0);
 
     assert_shows(&state(client, "tape").await, &recorded[0]);
     for (to, frame) in [
@@ -193,6 +196,13 @@ async fn a_recording_is_shown_to_the_bit_and_goes_wherever_it_is_sought() {
         let pi1 = if (20..41).contains(&frame) { 3.0 } else { 4.0 };
         assert_eq!(status["result"]["parameters"]["pi1"], pi1, "frame {frame}");
     }
+    client.ok("tape", "seek", json!({"step": 100})).await;
+    for past in [json!({"until_step": 99}), json!({"until_time": 1.0})] {
+        let (code, message) = client.err("tape", "run", past).await;
+        assert_eq!(code, ErrorCode::Conflict, "{message}");
+        assert!(message.contains("past"), "{message}");
+    }
+    client.ok("tape", "seek", json!({"fraction": 0})).await;
     let stepped = client.ok("tape", "step", json!({"steps": 5})).await;
     assert_eq!(stepped["result"]["steps"], 5);
     assert_shows(&state(client, "tape").await, &recorded[1]);

@@ -23,7 +23,11 @@ pub fn time(time: f64) -> String {
 
 /// A rate: `max` is as fast as possible.
 pub fn rate(rate: Option<f64>) -> String {
-    rate.map_or_else(|| "max".into(), |rate| rate.to_string())
+    let written = |rate: f64| match rate {
+        1e-4..1e7 => rate.to_string(),
+        _ => format!("{rate:e}"),
+    };
+    rate.map_or_else(|| "max".into(), written)
 }
 
 /// A speed or an order, to three decimals; never `-0.000`.

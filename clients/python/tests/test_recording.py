@@ -257,3 +257,16 @@ def test_a_folder_that_the_daemon_recorded_is_read(
     assert recording.about["swarm"] == swarm.name
     assert client.delete_recording(begun.recording) == ended
     assert not (daemon.data / "recordings" / begun.recording).exists()
+
+
+def test_a_damaged_recording_is_refused_and_never_read_wrong(take: Take) -> None:
+    folder, _ = take
+    whole = (folder / "take.mcap").read_bytes()
+    damaged = folder / "damaged.mcap"
+    # Between the names of the columns and the index at the end all are numbers.
+    for place in range(len(whole) // 3, 2 * len(whole) // 3, 97):
+        damaged.write_bytes(whole[:place] + bytes([whole[place] ^ 1]) + whole[place + 1 :])
+        with pytest.raises(jostle.InvalidArgument, match=r"damaged\.mcap"):
+            list(jostle.read_recording(damaged))
+    with pytest.raises(FileNotFoundError):
+        jostle.read_recording(folder / "nowhere.mcap")

@@ -103,6 +103,9 @@ function open(): void {
 /** Keys that belong to whatever has the focus. */
 function isTyped({ target, key }: KeyboardEvent): boolean {
   const element = target as Element;
+  if (element.closest("input[type=range]") && !/^(Arrow|Home|End|Page)/.test(key)) {
+    return false;
+  }
   if (element.closest("input, select, textarea, dialog")) {
     return true;
   }

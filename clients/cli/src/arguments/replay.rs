@@ -21,7 +21,8 @@ pub struct ReplayArguments {
     /// What to show it as [default: what the file or the recording is called]
     #[arg(long = "as", value_name = "NAME", value_parser = values::name)]
     pub name: Option<String>,
-    /// Time units per second of wall clock, or max [default: as it was recorded]
+    /// Time units per second of wall clock, or max [default: that of the swarm when the recording began, 1 if
+    /// it was max]
     #[arg(long, value_parser = values::rate, allow_negative_numbers = true)]
     pub rate: Option<Rate>,
     /// Stay at the first frame

@@ -7,7 +7,7 @@ use std::path::Path;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use jostle_proto::verbs::{EmptyResult, RunArgs, RunResult};
+use jostle_proto::verbs::{DeleteArgs, EmptyResult, RunArgs, RunResult};
 use jostle_proto::{
     NodeReply, OpenArgs, Replay, ReplayArgs, ReplayResult, Reply, SeekArgs, UploadArgs, keys,
 };
@@ -45,9 +45,15 @@ pub async fn replay(bus: &Bus, output: Output, arguments: &ReplayArguments) -> R
             rate: arguments.rate.map(|Rate(rate)| rate),
             ..RunArgs::default()
         };
-        let answer = bus
-            .command(&name, "run", &args, &SendingArguments::default())
-            .await?;
+        let sending = SendingArguments::default();
+        let answer = match bus.command(&name, "run", &args, &sending).await {
+            Ok(answer) => answer,
+            Err(failure) => {
+                // Nothing is left of what was not done.
+                let _ = bus.command(&name, "delete", &DeleteArgs {}, &sending).await;
+                return Err(failure);
+            }
+        };
         let reply: Reply<RunResult> = answer.read()?;
         rate = Some(reply.result.rate);
     }
@@ -121,8 +127,12 @@ async fn upload(
         ErrorKind::NotFound => wrong("is not there"),
         _ => wrong(&error.to_string()),
     };
+    let metadata = path.metadata().map_err(unreadable)?;
+    if !metadata.is_file() {
+        return Err(wrong("is no file"));
+    }
+    let length = metadata.len();
     let mut file = File::open(path).map_err(unreadable)?;
-    let length = file.metadata().map_err(unreadable)?.len();
     let bar = bar(output, length, name);
     let (mut piece, mut offset) = (vec![0; PIECE], 0);
     loop {

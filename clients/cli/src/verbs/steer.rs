@@ -58,7 +58,7 @@ pub async fn step(bus: &Bus, output: Output, arguments: &StepArguments) -> Resul
                 String::new()
             };
             let (swarm, place) = (&reply.swarm, place(reply));
-            format!("{swarm} is {place}{short}\nstate hash {state_hash}")
+            format!("{swarm} is {place}{short}{}", hash_line(state_hash))
         });
     }
     // The answer came as CBOR; either way it is printed as JSON.
@@ -87,13 +87,21 @@ pub async fn reset(bus: &Bus, output: Output, arguments: &ResetArguments) -> Res
     let answer = bus.command(name, "reset", &args, sending).await?;
     print_outcome(output, &answer, "reset", |reply: &Reply<ResetResult>| {
         format!(
-            "{} is {}, seed {}\nstate hash {}",
+            "{} is {}, seed {}{}",
             reply.swarm,
             place(reply),
             reply.result.seed,
-            reply.result.state_hash
+            hash_line(&reply.result.state_hash)
         )
     })
+}
+
+/// A line for a hash; none for the zeros of a replay, which has no state.
+fn hash_line(hash: &str) -> String {
+    match hash.bytes().all(|digit| digit == b'0') {
+        true => String::new(),
+        false => format!("\nstate hash {hash}"),
+    }
 }
 
 /// Changes the parameters named.

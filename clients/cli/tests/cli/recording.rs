@@ -236,3 +236,22 @@ async fn the_daemon_records_lists_stops_and_deletes() {
     assert_eq!(refusal["code"], "not_found");
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_is_asked_to_end_ends_the_file_whole() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10").await;
+    for signal in ["-TERM", "-HUP"] {
+        let (_folder, path) = file("take.parquet");
+        let recording = daemon.begin(&format!("record demo -o {path}"));
+        until("the recording has begun", async || {
+            fs::exists(format!("{path}.partial")).unwrap()
+        })
+        .await;
+        recording.signal(signal);
+        let ended = recording.end().await;
+        assert_eq!(ended.code, Some(0), "{signal}: {ended:?}");
+        assert!(is_whole(&path), "{signal}");
+    }
+    daemon.stop().await;
+}

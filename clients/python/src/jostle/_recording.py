@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import itertools
 import os
 from collections.abc import Iterator, Mapping
@@ -201,6 +202,8 @@ def _parts(path: Path) -> list[Path]:
         return parts
     if path.suffix == ".partial":
         raise _wrong(path, "this recording was never ended")
+    if not path.exists():
+        raise FileNotFoundError(errno.ENOENT, "there is no such recording", str(path))
     if path.suffix not in (".parquet", ".mcap"):
         raise _wrong(path, "its name ends in neither .parquet nor .mcap")
     return [path]
@@ -211,7 +214,11 @@ def _about(part: Path) -> dict[str, str]:
     if part.suffix == ".mcap":
         reader = need("mcap.reader", "recording")
         with part.open("rb") as file, _whole(part):
-            records = [it for it in reader.make_reader(file).iter_metadata() if it.name == "jostle"]
+            records = [
+                it
+                for it in reader.make_reader(file, validate_crcs=True).iter_metadata()
+                if it.name == "jostle"
+            ]
             if not records:
                 raise ValueError("it holds no swarm")
             return {key: value for record in records for key, value in record.metadata.items()}
@@ -243,7 +250,9 @@ def _tables_of_mcap(part: Path) -> Iterator[_Columns]:
     reader = need("mcap.reader", "recording")
     states: list[State] = []
     with part.open("rb") as file:
-        messages = reader.make_reader(file).iter_messages(topics=["state"], log_time_order=False)
+        messages = reader.make_reader(file, validate_crcs=True).iter_messages(
+            topics=["state"], log_time_order=False
+        )
         while True:
             with _whole(part):
                 _, _, message = next(messages, (None, None, None))

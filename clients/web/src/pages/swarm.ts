@@ -77,7 +77,11 @@ export function swarmPage(name: string, session: Session): Page {
     },
     catchUp: () => void events.catchUp(),
     changed: () => steering?.show(),
-    directed: (direction) => void steering.inform(direction),
+    directed: (direction) => {
+      if (!replay) {
+        void steering.inform(direction);
+      }
+    },
   });
   const steering: Steering = new Steering(name, session, watch.stage);
 

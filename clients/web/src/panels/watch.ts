@@ -37,6 +37,8 @@ export class Watch {
   readonly stage: Stage;
   readonly toolbar: Toolbar;
   parameters: Parameter[] = [];
+  /** Whether it is a recording, which nobody can change. */
+  replay = false;
 
   private readonly hint = el("p", { class: "hint", hidden: true });
   private readonly curtain = el("p", { class: "curtain", role: "status", hidden: true });
@@ -87,6 +89,7 @@ export class Watch {
       },
       swarms: (rows) => {
         const row = rows.find((it) => it.swarm === swarm);
+        this.replay = row?.replay ?? this.replay;
         // One list without it may be older than the swarm.
         this.absent = row ? 0 : this.absent + 1;
         if (row && this.gone) {
@@ -123,7 +126,10 @@ export class Watch {
     if (event.key === "l") {
       this.enter("lasso");
     } else if (event.key === "d") {
-      this.enter("direct");
+      // A lasso leads there by itself: whoever presses it then means the same.
+      if (this.stage.mode !== "direct") {
+        this.enter("direct");
+      }
     } else if (event.key === "Escape") {
       if (this.stage.mode !== "look") {
         this.enter("look");
@@ -208,11 +214,13 @@ export class Watch {
     const hints = {
       look: "",
       lasso: "Draw around those you mean. Esc leaves.",
-      direct: !this.session.mayCommand
-        ? "Selected. To give them a direction, open the link that jostled printed. Esc leaves."
-        : selected.size === 0
-          ? "Click those you mean, then drag the direction they are to prefer. Esc leaves."
-          : `Drag the direction that ${count} ${selected.size === 1 ? "is" : "are"} to prefer. Esc leaves.`,
+      direct: this.replay
+        ? "Selected. Nobody in a recording can be given a direction. Esc leaves."
+        : !this.session.mayCommand
+          ? "Selected. To give them a direction, open the link that jostled printed. Esc leaves."
+          : selected.size === 0
+            ? "Click those you mean, then drag the direction they are to prefer. Esc leaves."
+            : `Drag the direction that ${count} ${selected.size === 1 ? "is" : "are"} to prefer. Esc leaves.`,
     };
     say(this.hint, hints[mode]);
     this.hint.hidden = mode === "look";

@@ -17,6 +17,7 @@ export class Session {
   constructor() {
     this.live.listen({
       swarms: (rows) => this.remember(rows),
+      orders: (orders) => this.recall(orders),
       connection: (connection) => {
         if (connection === "here") {
           void this.ask();
@@ -57,6 +58,15 @@ export class Session {
     }
     for (const listener of [...this.listeners]) {
       listener();
+    }
+  }
+
+  /** What was before this page looked; what it has seen itself is finer. */
+  private recall(orders: Record<string, number[]>): void {
+    for (const [swarm, past] of Object.entries(orders)) {
+      if ((this.orders.get(swarm)?.length ?? 0) < past.length) {
+        this.orders.set(swarm, past);
+      }
     }
   }
 

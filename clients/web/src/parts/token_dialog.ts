@@ -10,6 +10,7 @@ export function openTokenDialog(session: Session): void {
     autocomplete: "off",
     spellcheck: "false",
     required: true,
+    autofocus: true,
     "aria-label": "token, or the link with it",
     placeholder: "token, or the whole link",
   });

@@ -13,6 +13,8 @@ import type { Camera } from "./camera.ts";
 export const MANY = 250;
 export const NARROW_PX = 16;
 const EDGE_PX = 1.3;
+/** However far off, a body is seen. */
+const LEAST_PX = 2;
 
 export interface Look {
   fill: string;
@@ -45,7 +47,7 @@ export function drawBodies(
   look: Look,
   of_all: number,
 ): void {
-  const width = 2 * body.radius * camera.scale;
+  const width = Math.max(2 * body.radius * camera.scale, LEAST_PX);
   if (of_all > MANY && width < NARROW_PX) {
     drawSimply(g, camera, bodies, body, which, look);
     return;

@@ -183,7 +183,7 @@ export function drawContacts(
 }
 
 /** A red line for each vector x, y, x, y, …, from the individual it belongs to; of a length of one
- * body it has so many pixels at least. */
+ * body it has so many pixels at least, but no more than three bodies'. */
 const LEAST_VECTOR_PX = 18;
 
 export function drawVectors(
@@ -194,7 +194,8 @@ export function drawVectors(
   vectors: Float64Array,
   colours: Colours,
 ): void {
-  const scale = Math.max(camera.scale, LEAST_VECTOR_PX);
+  // From far off they are not to hide the bodies.
+  const scale = Math.max(camera.scale, Math.min(LEAST_VECTOR_PX, 3 * camera.scale));
   const many = which.length > MANY;
   g.lineCap = many ? "butt" : "round";
   g.strokeStyle = colours.wish;

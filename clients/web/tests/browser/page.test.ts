@@ -362,3 +362,41 @@ test("a replay is shown like a swarm, says where it is, and goes where the slide
   await theirs.waitFor();
   assert.equal(await theirs.isDisabled(), true);
 });
+
+test("a line of the list begins before the page was opened", async () => {
+  const points = async (page: Page) => {
+    const line = page.locator('[data-swarm="school"] .sparkline polyline');
+    return ((await line.getAttribute("points")) ?? "").split(" ").length;
+  };
+  const before = await open("/");
+  await until("a few", async () => (await points(before)) > 5);
+  const page = await open("/");
+  await page.locator('[data-swarm="school"]').waitFor();
+  assert((await points(page)) > 4);
+});
+
+test("after a lasso the key for directions leaves what it has begun", async () => {
+  await daemon.command("school", "pause");
+  const page = await open("/swarm/school");
+  await page.locator("canvas.picture").waitFor();
+  await page.keyboard.press("l");
+  const { x, y, width, height } = (await page.locator("canvas.picture").boundingBox()) ?? {
+    x: 0,
+    y: 0,
+    width: 0,
+    height: 0,
+  };
+  const at = (share_x: number, share_y: number) =>
+    page.mouse.move(x + share_x * width, y + share_y * height, { steps: 4 });
+  await at(0.02, 0.02);
+  await page.mouse.down();
+  await at(0.8, 0.02);
+  await at(0.8, 0.98);
+  await at(0.02, 0.98);
+  await at(0.02, 0.02);
+  await page.mouse.up();
+  await page.locator(".hint", { hasText: "Drag the direction" }).waitFor();
+  await page.keyboard.press("d");
+  await page.locator(".hint", { hasText: "Drag the direction" }).waitFor();
+  await page.keyboard.press("Escape");
+});

@@ -125,7 +125,7 @@ impl<'a> Recording<'a> {
 
     /// Writes what comes until it is enough.
     async fn follow(&mut self, bus: &Bus) -> Result<Ended, Failure> {
-        let mut interrupted = pin!(interrupt::pressed());
+        let mut interrupted = pin!(interrupt::asked_to_end());
         while self
             .arguments
             .steps
@@ -250,11 +250,13 @@ async fn about(bus: &Bus, arguments: &Take<'_>) -> Result<About, Failure> {
     let spec: Reply<Box<RawValue>> = spec.read()?;
     let parameters = status.result.parameters;
     let parameters = serde_json::to_string(&parameters).map_err(Failure::defect)?;
+    let rate = serde_json::to_string(&status.result.rate).map_err(Failure::defect)?;
     let began = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
     let mut about = About::from([
         ("swarm".to_owned(), name.to_owned()),
         ("spec".to_owned(), spec.result.get().to_owned()),
         ("parameters".to_owned(), parameters),
+        ("rate".to_owned(), rate),
         ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
         (
             "began_unix_secs".to_owned(),
