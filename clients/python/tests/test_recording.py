@@ -201,6 +201,7 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
     pd.DataFrame({"x": [1.0]}).to_parquet(tmp_path / "take.parquet")
     with pytest.raises(jostle.InvalidArgument, match="no column 'epoch'"):
         jostle.read_recording(tmp_path / "take.parquet")
+    (tmp_path / "take.csv").write_text("x\n1\n", encoding="utf-8")
     with pytest.raises(jostle.InvalidArgument, match="neither"):
         jostle.read_recording(tmp_path / "take.csv")
     with pytest.raises(jostle.InvalidArgument, match="never ended"):

@@ -202,10 +202,10 @@ def _parts(path: Path) -> list[Path]:
         return parts
     if path.suffix == ".partial":
         raise _wrong(path, "this recording was never ended")
+    if path.suffix not in (".parquet", ".mcap") and path.exists():
+        raise _wrong(path, "its name ends in neither .parquet nor .mcap")
     if not path.exists():
         raise FileNotFoundError(errno.ENOENT, "there is no such recording", str(path))
-    if path.suffix not in (".parquet", ".mcap"):
-        raise _wrong(path, "its name ends in neither .parquet nor .mcap")
     return [path]
 
 

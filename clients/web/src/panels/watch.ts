@@ -84,7 +84,7 @@ export class Watch {
       event: (event) => this.takeEvent(event),
       missed: () => events.catchUp(),
       gone: () => {
-        this.miss(true);
+        this.miss();
         events.row(undefined);
       },
       swarms: (rows) => {
@@ -95,8 +95,11 @@ export class Watch {
         if (row && this.gone) {
           // Another one of this name, which may stand still: its state is asked for.
           live.look();
+          this.find();
         }
-        this.miss(this.absent > 1);
+        if (this.absent > 1) {
+          this.miss();
+        }
         events.row(row);
       },
       connection: (connection) => {
@@ -163,28 +166,32 @@ export class Watch {
   }
 
   private takeState(state: State): void {
-    if (this.gone) {
-      // Somebody made one of this name: what is known of the last is of no use.
-      this.gone = false;
-      void this.readParameters();
-      this.events.another();
-    }
+    this.find();
     this.veil();
     this.describe(state);
     this.events.state(state);
   }
 
-  private miss(gone: boolean): void {
-    if (gone !== this.gone) {
-      this.gone = gone;
+  private miss(): void {
+    this.gone = true;
+    this.veil();
+  }
+
+  /** It is there; if it was gone, somebody made one of this name: what is known of the last is of
+   * no use. */
+  private find(): void {
+    if (this.gone) {
+      this.gone = false;
       this.veil();
+      void this.readParameters();
+      this.events.another();
     }
   }
 
   private takeEvent(event: SwarmEvent): void {
     const { kind, verb } = event.event;
     if (kind === "deleted") {
-      this.miss(true);
+      this.miss();
       this.events.row(undefined);
     }
     if (kind !== "command" || CHANGES.includes(String(verb))) {
