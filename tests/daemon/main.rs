@@ -30,3 +30,4 @@ mod soak;
 mod streams;
 mod support;
 mod targets;
+mod version;

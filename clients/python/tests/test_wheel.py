@@ -6,6 +6,7 @@ import email
 import os
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -35,7 +36,8 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_wheel_has_the_package_its_types_and_nothing_else(wheel: Path) -> None:
-    assert wheel.name == "jostle-0.1.0-py3-none-any.whl"
+    project = tomllib.loads((FOLDER / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert wheel.name == f"jostle-{project['version']}-py3-none-any.whl"
     with zipfile.ZipFile(wheel) as archive:
         files = {it for it in archive.namelist() if ".dist-info/" not in it}
         (metadata,) = [it for it in archive.namelist() if it.endswith("/METADATA")]
