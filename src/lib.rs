@@ -47,4 +47,5 @@ pub mod publish;
 pub mod replay;
 pub mod server;
 pub mod store;
+pub mod supervisor;
 pub mod wire;

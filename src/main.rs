@@ -2,17 +2,18 @@
 
 use std::io::{IsTerminal as _, Write as _};
 use std::num::NonZero;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use clap::{Args, Parser, Subcommand};
+use clap::{Args, CommandFactory, Parser, Subcommand};
 use jostled::batch;
 use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
 use jostled::demo;
 use jostled::gateway::{self, GatewayError};
 use jostled::server::session::{self, SessionError};
 use jostled::server::{self, ServerError};
+use jostled::supervisor;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -62,6 +63,12 @@ enum Command {
     Config {
         #[command(subcommand)]
         command: Show,
+    },
+    /// Print the manual page, or write one for each command.
+    Man {
+        /// Write the pages into this folder.
+        #[arg(long, value_name = "FOLDER")]
+        out: Option<PathBuf>,
     },
 }
 
@@ -160,6 +167,9 @@ fn main() -> ExitCode {
     {
         return show(&explain::default_file());
     }
+    if let Command::Man { out } = command {
+        return manual(out.as_deref());
+    }
     if let Command::Run {
         file,
         output,
@@ -213,7 +223,7 @@ fn main() -> ExitCode {
         }
     };
     let demo = match command {
-        Command::Serve | Command::Run { .. } => None,
+        Command::Serve | Command::Run { .. } | Command::Man { .. } => None,
         Command::Demo { lasting } => Some(lasting),
         Command::Config { command } => {
             if let Err(error) = session::check(&config.listen) {
@@ -284,6 +294,8 @@ async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
     if let Some(link) = server.page() {
         let _ = writeln!(std::io::stdout(), "page on {link}");
     }
+    let informing = supervisor::keep_informed(server.watch().clone(), server.host().clone());
+    let informing = tokio::spawn(informing);
     let code = match demo {
         None => {
             told_to_stop().await;
@@ -305,6 +317,8 @@ async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
             () = told_to_stop() => 0,
         },
     };
+    informing.abort();
+    supervisor::tell_end();
     server.stop().await;
     code
 }
@@ -341,6 +355,25 @@ fn show(text: &str) -> ExitCode {
     ExitCode::SUCCESS
 }
 
+/// Prints the manual page, or writes a page for each command into `folder`.
+fn manual(folder: Option<&Path>) -> ExitCode {
+    let command = Arguments::command();
+    let written = match folder {
+        Some(folder) => {
+            std::fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(command, folder))
+        }
+        // Whoever asked may have closed the output.
+        None => {
+            let _ = clap_mangen::Man::new(command).render(&mut std::io::stdout());
+            Ok(())
+        }
+    };
+    match written {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => fail(1, &error),
+    }
+}
+
 fn fail(code: u8, error: &dyn std::fmt::Display) -> ExitCode {
     eprintln!("jostled: {error}");
     ExitCode::from(code)
@@ -374,7 +407,6 @@ fn duration(text: &str) -> Result<Duration, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use clap::CommandFactory;
 
     #[test]
     fn the_flags_are_consistent_and_there_is_one_for_every_setting() {

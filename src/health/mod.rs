@@ -95,6 +95,18 @@ impl Reason {
             Reason::WatchStuck { .. } => "watch_stuck",
         }
     }
+
+    /// Whether another start of the daemon mends it. What hangs goes on by no other means; a disk
+    /// is as full after a start as before.
+    pub fn asks_for_restart(&self) -> bool {
+        match self {
+            Reason::SwarmStuck { .. }
+            | Reason::ThreadStuck { .. }
+            | Reason::Deaf { .. }
+            | Reason::WatchStuck { .. } => true,
+            Reason::StoreFull | Reason::StoreFailing | Reason::StoreOverrun => false,
+        }
+    }
 }
 
 /// What is watched.
@@ -163,11 +175,6 @@ impl Watch {
                 .unwrap_or_else(PoisonError::into_inner)
                 .take(),
         );
-    }
-
-    /// Whether all is well: what a supervisor that restarts the daemon asks.
-    pub fn is_well(&self) -> bool {
-        self.reasons().is_empty()
     }
 
     /// Why not all is well; nothing if it is.

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 23] = [
+const MAY_USE: [(&str, &[&str]); 24] = [
     ("model", &[]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
@@ -68,14 +68,18 @@ const MAY_USE: [(&str, &[&str]); 23] = [
             "gateway",
         ],
     ),
+    ("supervisor", &["health", "host"]),
     ("demo", &["swarm", "host", "command", "server"]),
-    ("main", &["batch", "config", "demo", "gateway", "server"]),
+    (
+        "main",
+        &["batch", "config", "demo", "gateway", "server", "supervisor"],
+    ),
     ("lib", &[]),
     ("", &[]),
 ];
 
 /// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 19] = [
+const ONLY_IN: [(&str, &[&str]); 21] = [
     ("zenoh::", &["gateway", "publish", "server"]),
     ("zenoh_ext::", &["publish"]),
     (
@@ -117,8 +121,13 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
     ("axum::", &["gateway"]),
     ("rust_embed", &["gateway"]),
     ("prometheus_client::", &["gateway"]),
-    ("tokio::", &["demo", "gateway", "main", "server"]),
+    (
+        "tokio::",
+        &["demo", "gateway", "main", "server", "supervisor"],
+    ),
+    ("sd_notify::", &["supervisor"]),
     ("clap::", &["main"]),
+    ("clap_mangen::", &["main"]),
     (
         "std::thread",
         &[
@@ -152,6 +161,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "replay/uploads",
             "server",
             "store",
+            "supervisor",
             "swarm",
         ],
     ),
@@ -164,6 +174,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "gateway/token",
             "health",
             "lab/shelf",
+            "main",
             "recording/shelf",
             "replay",
             "store",
@@ -188,6 +199,7 @@ const ONLY_IN: [(&str, &[&str]); 19] = [
             "replay",
             "server",
             "store",
+            "supervisor",
             "swarm",
             "wire",
         ],

@@ -28,6 +28,7 @@ mod replay;
 mod schedule;
 mod soak;
 mod streams;
+mod supervisor;
 mod support;
 mod targets;
 mod version;
