@@ -12,12 +12,13 @@ use tracing::warn;
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::cores::Cores;
+use crate::swarm::film::Film;
 use crate::swarm::frame::{Frame, Place, Summary};
 use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::journal::{WriteFault, Writer, to_nowhere};
 use crate::swarm::order::{Admit, Answer, OrderError, Outcome, Recipe, Refusal};
 use crate::swarm::outlet::Outlet;
-use crate::swarm::player::{Film, Player};
+use crate::swarm::player::Player;
 use crate::swarm::simulation::Simulation;
 use crate::swarm::tally::Totals;
 use crate::swarm::worker::replay::Past;

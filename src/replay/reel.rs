@@ -8,8 +8,8 @@ use jostle_results::recording::{self, About, Message};
 
 use crate::model::parameters::Parameters;
 use crate::replay::ReplayError;
+use crate::swarm::film::{Film, Mark, Shot, Told};
 use crate::swarm::order::{Change, Order, Recipe};
-use crate::swarm::player::{Film, Mark, Shot, Told};
 use crate::wire;
 
 /// The most frames of a film, and the most that its events take, in bytes.

@@ -16,9 +16,9 @@ use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::clerk::Clerk;
 use crate::server::copies::refuse_when;
 use crate::server::query::request;
+use crate::swarm::film::Film as _;
 use crate::swarm::handle::Ticket;
 use crate::swarm::order::{Answer, Order, Outcome, Refusal};
-use crate::swarm::player::Film as _;
 use crate::wire::{self, Payload};
 
 /// How long a recording may take to be opened before its asker hears that it takes longer.

@@ -4,6 +4,7 @@ pub mod checkpoint;
 pub mod control;
 pub mod cores;
 mod crash;
+pub mod film;
 pub mod frame;
 pub mod handle;
 pub mod history;

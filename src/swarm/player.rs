@@ -7,11 +7,8 @@ use std::time::{Duration, Instant};
 
 use tracing::warn;
 
-use crate::model::body::Gaps;
-use crate::model::configuration::Configuration;
-use crate::model::parameters::Parameters;
-use crate::observables::{Order as Ordered, RunningMeans};
-use crate::swarm::frame::{Event, EventKind, Exactness, Frame, Place, Replay, Summary};
+use crate::swarm::film::{Film, Mark, Shot, Told};
+use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
 use crate::swarm::handle::{Command, Handle, Ticket, receive};
 use crate::swarm::history::History;
 use crate::swarm::order::{
@@ -27,65 +24,6 @@ use crate::swarm::worker::End;
 /// How often the summary of a moving film is renewed, and its rate measured.
 const SUMMARY_PERIOD: Duration = Duration::from_millis(100);
 const RATE_PERIOD: Duration = Duration::from_secs(1);
-
-/// A recording, as far as it is to be shown.
-pub trait Film: Send {
-    /// The swarm that was recorded.
-    fn swarm(&self) -> &Arc<str>;
-    /// Its frames, at least one; positions never fall.
-    fn marks(&self) -> &[Mark];
-    /// Its events, in order.
-    fn told(&self) -> &[Told];
-    /// A frame as a whole.
-    ///
-    /// # Errors
-    ///
-    /// Why it cannot be read.
-    fn shot(&mut self, frame: usize) -> Result<Shot, String>;
-}
-
-/// Where a frame belongs.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Mark {
-    /// The epoch of the recorded swarm.
-    pub epoch: u64,
-    /// Its step.
-    pub step: u64,
-    /// Its time.
-    pub time: f64,
-    /// Time units since the film's first frame, resets and gaps left out.
-    pub position: f64,
-}
-
-/// An event of a film.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Told {
-    /// How many frames come before it.
-    pub after: usize,
-    /// The step it happened at.
-    pub step: u64,
-    /// Its time.
-    pub time: f64,
-    /// What happened, as JSON.
-    pub what: Arc<str>,
-}
-
-/// A frame of a film.
-#[derive(Clone, Debug)]
-pub struct Shot {
-    /// The parameters then in force.
-    pub parameters: Parameters,
-    /// Everybody.
-    pub configuration: Configuration,
-    /// Order and drift.
-    pub order: Ordered,
-    /// Their means.
-    pub means: RunningMeans,
-    /// How exact the step was.
-    pub exactness: Exactness,
-    /// The gaps, as they were measured.
-    pub gaps: Gaps,
-}
 
 /// A film that is shown.
 pub struct Player {

@@ -7,9 +7,9 @@ use crate::model::body::Gaps;
 use crate::model::configuration::Configuration;
 use crate::model::parameters::Parameters;
 use crate::observables::{Order, RunningMeans};
+use crate::swarm::film::{Mark, Shot};
 use crate::swarm::frame::Exactness;
 use crate::swarm::order::Recipe;
-use crate::swarm::player::{Mark, Shot};
 use crate::wire::from_proto;
 
 /// A published state: where it belongs, and what it shows under these parameters.
