@@ -155,3 +155,30 @@ impl Uploads {
         self.by_name.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    #[test]
+    fn so_many_are_taken_in_at_once_and_those_that_stand_still_give_way() {
+        let folder = tempfile::tempdir().unwrap();
+        let uploads = Uploads::open(folder.path()).unwrap();
+        let begin = |name: &str| uploads.take_in(name, 0, 4, b"ab");
+        for number in 0..MOST {
+            assert_eq!(begin(&format!("a{number}")), Ok(2));
+        }
+        assert_eq!(begin("b"), Err(ReplayError::TooMany(MOST)));
+        // One that is there begins anew, and goes on.
+        assert_eq!(begin("a1"), Ok(2));
+        assert_eq!(uploads.take_in("a1", 2, 4, b"cd"), Ok(4));
+        let long_ago = Instant::now().checked_sub(PATIENCE).unwrap();
+        uploads.lock().get_mut("a0").unwrap().touched = long_ago;
+        assert_eq!(begin("b"), Ok(2));
+        assert!(!uploads.path("a0").exists());
+        let lost = uploads.take_in("a0", 2, 4, b"cd");
+        assert_eq!(lost, Err(ReplayError::Piece { received: 0 }));
+    }
+}

@@ -168,6 +168,9 @@ impl Clerk {
         let Some(handle) = self.host.find(swarm) else {
             return promise.refuse(&CommandError::UnknownSwarm(swarm.to_string()), None);
         };
+        if handle.summary().is_some_and(|it| it.is_replay) {
+            return promise.refuse(&OrderError::Recorded.into(), handle.step());
+        }
         promise.keep_within(PATIENCE_WITH_HISTORY, CommandError::deadline, || None);
         let (store, name, keeper) = (
             self.store.clone(),

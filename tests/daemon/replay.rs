@@ -342,10 +342,14 @@ async fn a_replay_refuses_what_would_change_it_and_a_swarm_to_be_sought_through(
         ErrorCode::AlreadyExists
     );
     client.ok("tape", "seek", json!({"step": 50})).await;
-    let refused = client
-        .one(&keys::get(PREFIX, "tape", "snapshot"), None)
-        .await;
-    assert_eq!(refused.unwrap_err().code, ErrorCode::IncorrectState);
+    for noun in ["snapshot", "verify"] {
+        let refused = client.one(&keys::get(PREFIX, "tape", noun), None).await;
+        assert_eq!(
+            refused.unwrap_err().code,
+            ErrorCode::IncorrectState,
+            "{noun}"
+        );
+    }
     daemon.stop().await;
 }
 

@@ -166,6 +166,14 @@ async fn what_was_recorded_is_replayed_under_a_name_and_sought_through() {
         .jostle(&format!("replay {path} --as tape --rate max"))
         .await;
     assert!(tape.stdout.contains("tape replays demo"), "{tape:?}");
+    // What cannot be done to its end leaves nothing behind.
+    let refused = daemon
+        .refusal(&format!("replay {path} --as never --rate 0"))
+        .await;
+    assert_eq!(refused["code"], "invalid_argument");
+    assert_eq!(daemon.refusal("status never").await["code"], "not_found");
+    let refused = daemon.refusal("replay /dev/null --as never").await;
+    assert!(refused["message"].as_str().unwrap().contains("is no file"));
     let live = daemon.refusal("seek demo --step 3").await;
     assert_eq!(live["code"], "incorrect_state");
     for line in [
