@@ -19,11 +19,12 @@ use crate::host::Limits;
 ///
 /// The name is the same in the file, as a flag (`--max-hz`) and in the environment
 /// (`JOSTLED_MAX_HZ`).
-pub const SETTINGS: [(&str, &str, &str); 13] = [
+pub const SETTINGS: [(&str, &str, &str); 14] = [
     (
         "listen",
         "tcp/127.0.0.1:7447",
-        "zenoh endpoints to listen on, separated by commas; only this machine can reach them",
+        "zenoh endpoints to listen on, separated by commas: tcp/127.0.0.1:PORT and \
+         unixsock-stream/PATH for this machine, tls/ADDRESS:PORT for others, with an auth_dir",
     ),
     (
         "http",
@@ -60,6 +61,12 @@ pub const SETTINGS: [(&str, &str, &str); 13] = [
         "",
         "the folder of everything that outlives the daemon; jostle/NODE below $STATE_DIRECTORY, \
          $XDG_STATE_HOME or ~/.local/state if left out",
+    ),
+    (
+        "auth_dir",
+        "",
+        "the folder that `jostled auth init` made: who may do what; without it whoever reaches \
+         the daemon may do everything",
     ),
     (
         "quota_mb",
@@ -151,6 +158,8 @@ pub struct Config {
     pub limits: Limits,
     /// The folder of everything that outlives the daemon.
     pub data_dir: PathBuf,
+    /// Who may do what; everybody everything if not given.
+    pub auth_dir: Option<PathBuf>,
     /// History kept of one swarm, in bytes.
     pub quota_bytes: u64,
     /// Runs of an experiment at once; as many as there are cores if not given.
@@ -235,6 +244,10 @@ impl Config {
         };
         Ok(Config {
             data_dir,
+            auth_dir: match text("auth_dir") {
+                folder if folder.is_empty() => None,
+                folder => Some(PathBuf::from(folder)),
+            },
             experiment_threads: match text("experiment_threads") {
                 text if text.is_empty() => None,
                 _ => NonZero::new(number(merged, "experiment_threads", 1024)? as usize),

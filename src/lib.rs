@@ -16,6 +16,9 @@
 //!
 //! How a swarm is recorded: [`recording`] taps what it shows and writes it to files.
 //!
+//! Who may do what: [`rights`] knows the people, [`server`] asks it of every command, and zenoh's access
+//! control, which [`server`] sets, stands before both.
+//!
 //! Each module may use those above it: `model`, `stepper`, `observables`, `swarm`, `host`,
 //! `command`, `server`. Only `publish` and `server` know zenoh, and the first three know no
 //! clock, thread, file or serialiser.
@@ -45,6 +48,7 @@ pub mod gateway;
 pub mod health;
 pub mod publish;
 pub mod replay;
+pub mod rights;
 pub mod server;
 pub mod store;
 pub mod supervisor;

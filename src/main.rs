@@ -7,13 +7,17 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::{Args, CommandFactory, Parser, Subcommand};
+use jostle_proto::Role;
 use jostled::batch;
 use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
 use jostled::demo;
-use jostled::gateway::{self, GatewayError};
+use jostled::gateway::{self, GatewayError, Token};
+use jostled::rights::folder::Folder;
+use jostled::rights::issue;
 use jostled::server::session::{self, SessionError};
 use jostled::server::{self, ServerError};
 use jostled::supervisor;
+use serde_json::json;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing_subscriber::EnvFilter;
 
@@ -64,6 +68,11 @@ enum Command {
         #[command(subcommand)]
         command: Show,
     },
+    /// Say who may do what: people, their roles and their secrets, in the folder `--auth-dir`.
+    Auth {
+        #[command(subcommand)]
+        command: Auth,
+    },
     /// Print the manual page, or write one for each command.
     Man {
         /// Write the pages into this folder.
@@ -82,6 +91,37 @@ enum Show {
     },
     /// A commented file of every setting at its default, to begin from: `jostled --config FILE`.
     Default,
+}
+
+#[derive(Subcommand)]
+enum Auth {
+    /// Make what is not there yet: a private certificate authority, the daemon's certificate, people.
+    Init {
+        /// A name or an address by which other machines reach the daemon; once for each.
+        #[arg(long = "host", value_name = "HOST")]
+        hosts: Vec<String>,
+        /// People, and what each is: viewer, controller or operator.
+        #[arg(value_name = "NAME=ROLE", value_parser = person)]
+        people: Vec<(String, Role)>,
+    },
+    /// Add people.
+    Add {
+        /// People, and what each is: viewer, controller or operator.
+        #[arg(value_name = "NAME=ROLE", value_parser = person, required = true)]
+        people: Vec<(String, Role)>,
+    },
+    /// Take people's rights away.
+    Remove {
+        /// Who.
+        #[arg(value_name = "NAME", required = true)]
+        names: Vec<String>,
+    },
+    /// Say who there is, and what they are.
+    List {
+        /// As JSON.
+        #[arg(long)]
+        json: bool,
+    },
 }
 
 /// What a file and the environment can say, flags say too, and they have the last word.
@@ -121,6 +161,9 @@ struct Settings {
     /// ~/.local/state; for a demo a temporary one].
     #[arg(long, global = true, value_name = "FOLDER")]
     data_dir: Option<String>,
+    /// The folder that `jostled auth init` made: who may do what [default: everybody everything].
+    #[arg(long, global = true, value_name = "FOLDER")]
+    auth_dir: Option<String>,
     /// History kept of one swarm, in MiB [default: 64].
     #[arg(long, global = true, value_name = "MIB")]
     quota_mb: Option<String>,
@@ -147,6 +190,7 @@ impl Settings {
             ("max_hz", self.max_hz),
             ("experiment_threads", self.experiment_threads),
             ("data_dir", self.data_dir),
+            ("auth_dir", self.auth_dir),
             ("quota_mb", self.quota_mb),
         ];
         // What is not UTF-8 is not passed over: it is refused as what it then reads.
@@ -198,6 +242,9 @@ fn main() -> ExitCode {
         // The demo's own lines are to be read; whoever sets `log` gets the rest.
         "warn,zenoh=error".clone_into(log);
     }
+    if let Command::Auth { command } = command {
+        return give_rights(merged["auth_dir"].0.trim(), &command);
+    }
     let mut temporary = None;
     if let (Command::Demo { .. }, Some((folder, Source::Default))) =
         (&command, merged.get_mut("data_dir"))
@@ -223,10 +270,10 @@ fn main() -> ExitCode {
         }
     };
     let demo = match command {
-        Command::Serve | Command::Run { .. } | Command::Man { .. } => None,
+        Command::Serve | Command::Run { .. } | Command::Auth { .. } | Command::Man { .. } => None,
         Command::Demo { lasting } => Some(lasting),
         Command::Config { command } => {
-            if let Err(error) = session::check(&config.listen) {
+            if let Err(error) = session::check(&config.listen, config.auth_dir.is_some()) {
                 return fail(2, &error);
             }
             if let Err(error) = gateway::check(&config.http) {
@@ -292,7 +339,16 @@ async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
         let _ = writeln!(std::io::stdout(), "http on http://{address}");
     }
     if let Some(link) = server.page() {
-        let _ = writeln!(std::io::stdout(), "page on {link}");
+        // What is no terminal may be a log, and the link opens the page to whoever reads it.
+        let told = match std::io::stdout().is_terminal() {
+            true => link,
+            false => {
+                let bare = link.split('#').next().unwrap_or_default();
+                let file = Token::file(&config.data_dir);
+                format!("{bare} with the token in {}", file.display())
+            }
+        };
+        let _ = writeln!(std::io::stdout(), "page on {told}");
     }
     let informing = supervisor::keep_informed(server.watch().clone(), server.host().clone());
     let informing = tokio::spawn(informing);
@@ -329,8 +385,13 @@ fn is_setting(error: &ServerError) -> bool {
         error,
         ServerError::Name(_)
             | ServerError::Store(_)
+            | ServerError::Rights(_)
             | ServerError::Gateway(GatewayError::NoAddress(_) | GatewayError::NotLoopback(_))
-            | ServerError::Session(SessionError::NoEndpoint(_) | SessionError::NotLoopback(_))
+            | ServerError::Session(
+                SessionError::NoEndpoint(_)
+                    | SessionError::NotLoopback(_)
+                    | SessionError::NobodyKnown(_)
+            )
     )
 }
 
@@ -353,6 +414,67 @@ async fn told_to_stop() {
 fn show(text: &str) -> ExitCode {
     let _ = std::io::stdout().write_all(text.as_bytes());
     ExitCode::SUCCESS
+}
+
+/// Makes, changes or tells who may do what, in `folder`.
+fn give_rights(folder: &str, command: &Auth) -> ExitCode {
+    if folder.is_empty() {
+        return fail(
+            2,
+            &"say where: --auth-dir FOLDER, or auth_dir in the settings",
+        );
+    }
+    let folder = Folder::at(PathBuf::from(folder));
+    let done = match command {
+        Auth::Init { hosts, people } => issue::init(&folder, hosts, people).map(|it| handed(&it)),
+        Auth::Add { people } => issue::add(&folder, people).map(|it| handed(&it)),
+        Auth::Remove { names } => issue::remove(&folder, names).map(|()| {
+            let who = names.join(", ");
+            format!("{who}: gone, from the daemon's next start on\n")
+        }),
+        Auth::List { json } => folder.people().map(|people| match json {
+            true => {
+                let people = people.iter();
+                let people: Vec<_> = people
+                    .map(|it| json!({"person": it.person, "role": it.role}))
+                    .collect();
+                format!("{}\n", json!({"people": people}))
+            }
+            false => people
+                .iter()
+                .map(|it| format!("{:12} {}\n", it.role.name(), it.person))
+                .collect(),
+        }),
+    };
+    match done {
+        Ok(told) => show(&told),
+        Err(error) => fail(1, &error),
+    }
+}
+
+/// What to do with the folders of new people.
+fn handed(folders: &[PathBuf]) -> String {
+    if folders.is_empty() {
+        return "made: now `jostled auth add NAME=ROLE`\n".into();
+    }
+    let mut told =
+        String::from("hand each folder to its person, over a safe way, and delete it here:\n");
+    for folder in folders {
+        told += &format!("  {}\n", folder.display());
+    }
+    told += "they name it: jostle --credentials FOLDER …; the daemon knows them from its next start on\n";
+    told
+}
+
+/// Reads `anna=operator`.
+fn person(text: &str) -> Result<(String, Role), String> {
+    let roles = Role::ALL.map(Role::name).join(", ");
+    let (name, role) = text
+        .split_once('=')
+        .ok_or_else(|| format!("give NAME=ROLE, a role being one of {roles}"))?;
+    let role = Role::ALL.into_iter().find(|known| known.name() == role);
+    let role = role.ok_or_else(|| format!("a role is one of {roles}"))?;
+    Ok((name.to_owned(), role))
 }
 
 /// Prints the manual page, or writes a page for each command into `folder`.

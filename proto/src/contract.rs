@@ -21,6 +21,7 @@ use crate::{
     Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameter, ParameterKind,
     Parameters, Progress, RecordArgs, Recording, Recordings, ReplayArgs, ReplayResult, Reply,
     Request, ResultsPage, Schemas, SeekArgs, Snapshot, Spec, State, Status, Swarms, Verified,
+    WhoAmI,
 };
 
 /// Something that stands on a key of the bus.
@@ -258,6 +259,11 @@ pub const CHANNELS: &[Channel] = &{
             "Who the daemon is, and its limits.",
         ),
         plain(
+            "@node/{node}/get/whoami",
+            Get("node.whoami.reply"),
+            "Who asks, and what they may.",
+        ),
+        plain(
             "@node/{node}/get/status",
             Get("node.status.reply"),
             "How the daemon fares.",
@@ -399,6 +405,7 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("replay.args", asked::<ReplayArgs>()),
         ("replay.reply", told::<NodeReply<ReplayResult>>()),
         ("node.hello.reply", told::<NodeReply<Hello>>()),
+        ("node.whoami.reply", told::<NodeReply<WhoAmI>>()),
         ("node.status.reply", told::<NodeReply<NodeStatus>>()),
         ("node.swarms.reply", told::<NodeReply<Swarms>>()),
         ("node.schema.reply", told::<NodeReply<Schemas>>()),

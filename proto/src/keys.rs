@@ -29,8 +29,9 @@ pub const SWARM_VERBS: [&str; 16] = [
 pub const OWN_VERBS: [&str; 3] = ["deadline", "lost", "control"];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
-pub const NODE_GETS: [&str; 7] = [
+pub const NODE_GETS: [&str; 8] = [
     "hello",
+    "whoami",
     "status",
     "swarms",
     "schema",

@@ -20,6 +20,7 @@ mod gets;
 mod metrics;
 mod recording;
 mod replay;
+pub mod role;
 pub mod snapshot;
 mod spec;
 mod state;
@@ -44,6 +45,7 @@ pub use recording::{
     Recordings,
 };
 pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArgs};
+pub use role::{Credentials, Role, WhoAmI};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start, Stepping};
 pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};

@@ -1,6 +1,6 @@
 //! Why a request was refused, and the code, words and details it is refused with.
 
-use jostle_proto::{Error, ErrorCode, RequestError, keys};
+use jostle_proto::{Error, ErrorCode, RequestError, Role, keys};
 use serde_json::{Map, Value, json};
 use thiserror::Error as ThisError;
 
@@ -13,6 +13,7 @@ use crate::model::selection::SelectionError;
 use crate::model::start::StartError;
 use crate::recording::RecordError;
 use crate::replay::{MOST_BYTES, ReplayError};
+use crate::rights::NotPermitted;
 use crate::swarm::order::OrderError;
 use crate::wire::WireError;
 
@@ -132,6 +133,9 @@ pub enum CommandError {
     /// A past that cannot be told.
     #[error("the swarm's past cannot be told: {0}")]
     History(String),
+    /// It takes other rights.
+    #[error(transparent)]
+    NotPermitted(#[from] NotPermitted),
     /// A defect of the daemon.
     #[error("a defect of the daemon: nothing was changed; please report what you sent")]
     Internal,
@@ -252,6 +256,7 @@ impl CommandError {
             CommandError::OtherRequest(_) => ErrorCode::Conflict,
             CommandError::Snapshot(_) => ErrorCode::InvalidArgument,
             CommandError::NotReached { .. } | CommandError::History(_) => ErrorCode::Conflict,
+            CommandError::NotPermitted(_) => ErrorCode::PermissionDenied,
             CommandError::Internal => ErrorCode::Internal,
             CommandError::TooLong { .. } | CommandError::SnapshotTooLong { .. } => {
                 ErrorCode::ResourceExhausted
@@ -389,6 +394,15 @@ impl CommandError {
             }
             CommandError::Deadline { after_secs } | CommandError::NotYet { after_secs } => {
                 json!({"after_secs": after_secs})
+            }
+            CommandError::NotPermitted(NotPermitted::Verb { person, verb }) => json!({
+                "person": person.as_ref().map(|person| &person.name),
+                "role": person.as_ref().map(|person| person.role),
+                "verb": verb,
+                "takes": Role::least(verb),
+            }),
+            CommandError::NotPermitted(NotPermitted::Controller { person, controller }) => {
+                json!({"person": person, "controller": controller})
             }
             CommandError::Host(HostError::TooManySwarms { limit }) => json!({"limit": limit}),
             CommandError::Host(HostError::TooMuchMemory {

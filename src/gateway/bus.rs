@@ -43,7 +43,8 @@ impl Bus {
         }
     }
 
-    /// Asks under one key, with the parameters behind its `?` and a request in JSON if there is one.
+    /// Asks under one key, with the parameters behind its `?`, a request in JSON if there is one,
+    /// and the token of whoever asks.
     ///
     /// # Errors
     ///
@@ -53,6 +54,7 @@ impl Bus {
         rest: &str,
         parameters: &str,
         request: Option<Bytes>,
+        token: Option<&str>,
     ) -> Result<Answer, Error> {
         let key = self.key(rest);
         let is_one_key = KeyExpr::new(key.as_str()).is_ok_and(|key| !key.is_wild());
@@ -69,6 +71,9 @@ impl Bus {
             query = query
                 .payload(request.to_vec())
                 .encoding(Encoding::APPLICATION_JSON);
+        }
+        if let Some(token) = token {
+            query = query.attachment(token);
         }
         let silence = || {
             let told = format!("nothing answers under {rest:?}: look at the list of swarms");
@@ -137,7 +142,7 @@ fn status(code: ErrorCode) -> StatusCode {
         ErrorCode::AlreadyExists | ErrorCode::Conflict | ErrorCode::IncorrectState => {
             StatusCode::CONFLICT
         }
-        ErrorCode::PermissionDenied => StatusCode::UNAUTHORIZED,
+        ErrorCode::PermissionDenied => StatusCode::FORBIDDEN,
         ErrorCode::ResourceExhausted | ErrorCode::Busy => StatusCode::TOO_MANY_REQUESTS,
         ErrorCode::StorageFull => StatusCode::INSUFFICIENT_STORAGE,
         ErrorCode::DeadlineExceeded => StatusCode::GATEWAY_TIMEOUT,

@@ -74,7 +74,10 @@ impl Feeds {
     pub async fn watch(&self, swarm: &str) -> Option<(Arc<Feed>, Bytes)> {
         let feed = self.feed(swarm).await?;
         // After the subscription, so that nothing falls between.
-        let state = self.bus.ask(&format!("{swarm}/state"), "", None).await;
+        let state = self
+            .bus
+            .ask(&format!("{swarm}/state"), "", None, None)
+            .await;
         Some((feed, state.ok()?.ok()?))
     }
 
@@ -148,7 +151,7 @@ async fn list(feeds: Weak<Feeds>) {
         if !is_read && !is_due {
             continue;
         }
-        let answer = feeds.bus.ask("@node/get/swarms", "", None).await;
+        let answer = feeds.bus.ask("@node/get/swarms", "", None, None).await;
         let Some(document) = answer.ok().and_then(|answer| answer.ok()) else {
             continue;
         };

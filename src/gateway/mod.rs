@@ -2,18 +2,21 @@
 //!
 //! Only this machine reaches it, and only its own page: a name that an attacker's page resolves to
 //! 127.0.0.1 is refused by its `Host`, another page by its `Origin`. Whoever changes something
-//! shows the token that the daemon prints when it starts.
+//! shows the token that the daemon prints when it starts; where people are known, everybody who
+//! sees more than the page itself and `/healthz` shows their own.
 
 mod admit;
 mod bus;
 mod feed;
 mod page;
+mod pass;
 mod past;
 mod socket;
 mod text;
 mod token;
 
 pub use bus::Bus;
+pub use pass::Pass;
 pub use token::Token;
 
 use std::net::SocketAddr;
@@ -28,7 +31,7 @@ use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{from_fn, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{any, get, post};
-use jostle_proto::{ErrorCode, keys};
+use jostle_proto::{ErrorCode, Role, keys};
 use serde::Deserialize;
 use serde_json::json;
 use thiserror::Error;
@@ -39,6 +42,7 @@ use tokio::task::JoinHandle;
 use crate::gateway::admit::{MOST_BODY_BYTES, admit, harden};
 use crate::gateway::bus::{refuse, told_of};
 use crate::gateway::feed::Feeds;
+use crate::gateway::pass::PROTOCOL;
 use crate::health::Watch;
 
 /// Tabs at once.
@@ -111,7 +115,7 @@ impl Gateway {
     pub fn serve(
         listener: TcpListener,
         bus: Bus,
-        token: Token,
+        pass: Pass,
         watch: Arc<Watch>,
     ) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
@@ -119,7 +123,7 @@ impl Gateway {
             feeds: Feeds::start(bus.clone()),
             bus,
             watch,
-            token,
+            pass,
             tabs: Arc::new(Semaphore::new(MOST_TABS)),
         };
         let router = Router::new()
@@ -157,11 +161,20 @@ struct Served {
     bus: Bus,
     feeds: Arc<Feeds>,
     watch: Arc<Watch>,
-    token: Token,
+    pass: Pass,
     tabs: Arc<Semaphore>,
 }
 
 type Seen = State<Arc<Served>>;
+
+impl Served {
+    /// What somebody is answered who shows nothing that opens.
+    fn unknown(&self) -> Response {
+        let mut refusal = refuse(&told_of(ErrorCode::PermissionDenied, self.pass.remedy()));
+        *refusal.status_mut() = StatusCode::UNAUTHORIZED;
+        refusal
+    }
+}
 
 async fn healthz(State(seen): Seen) -> Response {
     let (node, watch) = (&seen.bus.node, &seen.watch);
@@ -184,7 +197,10 @@ async fn healthz(State(seen): Seen) -> Response {
     (status, json, format!("{document}\n")).into_response()
 }
 
-async fn metrics(State(seen): Seen) -> Response {
+async fn metrics(State(seen): Seen, headers: HeaderMap) -> Response {
+    if !seen.pass.may_watch(&headers) {
+        return seen.unknown();
+    }
     match text::of(seen.watch.figures()) {
         Ok(text) => ([(CONTENT_TYPE, text::CONTENT_TYPE)], text).into_response(),
         Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
@@ -192,11 +208,16 @@ async fn metrics(State(seen): Seen) -> Response {
 }
 
 async fn hello(State(seen): Seen, headers: HeaderMap) -> Response {
+    let person = seen.pass.person(&headers);
+    let role = person.map(|person| person.role);
     let document = json!({
         "node": seen.bus.node,
         "prefix": seen.bus.prefix,
         "version": env!("CARGO_PKG_VERSION"),
-        "may_command": seen.token.is_in(&headers),
+        "may_watch": seen.pass.may_watch(&headers),
+        "may_command": seen.pass.may_command(&headers) && role.is_none_or(|it| it == Role::Operator),
+        "person": person.map(|person| &person.name),
+        "role": role,
     });
     let json = [(CONTENT_TYPE, jostle_proto::JSON)];
     (json, document.to_string()).into_response()
@@ -207,7 +228,11 @@ async fn look(
     State(seen): Seen,
     Path(rest): Path<String>,
     RawQuery(parameters): RawQuery,
+    headers: HeaderMap,
 ) -> Response {
+    if !seen.pass.may_watch(&headers) {
+        return seen.unknown();
+    }
     let chunks: Vec<&str> = rest.split('/').collect();
     let is_look = match chunks[..] {
         ["@node", "get", _] | [_, "get", _] | [_, "state"] => true,
@@ -219,7 +244,8 @@ async fn look(
         return refuse(&told_of(ErrorCode::NotFound, told));
     }
     let parameters = parameters.unwrap_or_default();
-    match seen.bus.ask(&rest, &parameters, None).await {
+    let token = seen.pass.token(&headers);
+    match seen.bus.ask(&rest, &parameters, None, token).await {
         Ok(answer) => answer.into_response(),
         Err(error) => refuse(&error),
     }
@@ -250,9 +276,8 @@ async fn order(
     headers: &HeaderMap,
     body: Result<Bytes, BytesRejection>,
 ) -> Response {
-    if !seen.token.is_in(headers) {
-        let told = "watching only: open the link with the token that jostled printed";
-        return refuse(&told_of(ErrorCode::PermissionDenied, told));
+    if !seen.pass.may_command(headers) {
+        return seen.unknown();
     }
     let body = match body {
         Ok(body) => body,
@@ -261,7 +286,8 @@ async fn order(
     // What is under way goes on, whether or not the tab waits for it.
     let asked = tokio::spawn({
         let (seen, rest) = (seen.clone(), rest.to_owned());
-        async move { seen.bus.ask(&rest, "", Some(body)).await }
+        let token = seen.pass.token(headers).map(str::to_owned);
+        async move { seen.bus.ask(&rest, "", Some(body), token.as_deref()).await }
     });
     match asked.await {
         Ok(Ok(answer)) => answer.into_response(),
@@ -276,7 +302,15 @@ struct Tab {
     swarm: Option<String>,
 }
 
-async fn tab(State(seen): Seen, Query(tab): Query<Tab>, upgrade: WebSocketUpgrade) -> Response {
+async fn tab(
+    State(seen): Seen,
+    Query(tab): Query<Tab>,
+    headers: HeaderMap,
+    upgrade: WebSocketUpgrade,
+) -> Response {
+    if !seen.pass.may_watch(&headers) {
+        return seen.unknown();
+    }
     if let Some(swarm) = &tab.swarm
         && !keys::is_name(swarm)
     {
@@ -288,6 +322,7 @@ async fn tab(State(seen): Seen, Query(tab): Query<Tab>, upgrade: WebSocketUpgrad
         return refuse(&told_of(ErrorCode::ResourceExhausted, told));
     };
     let feeds = seen.feeds.clone();
+    let upgrade = upgrade.protocols([PROTOCOL]);
     let upgrade = upgrade.max_message_size(4096).max_frame_size(4096);
     upgrade.on_upgrade(move |socket| socket::serve(socket, feeds, tab.swarm, place))
 }

@@ -1,12 +1,10 @@
 //! What whoever steers through the page shows: a secret that the daemon prints when it starts.
 
-use std::fs::{self, OpenOptions};
-use std::io::{self, Write};
-use std::os::unix::fs::OpenOptionsExt;
-use std::path::Path;
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
 
-use axum::http::HeaderMap;
-use axum::http::header::AUTHORIZATION;
+use crate::rights::secret;
 
 /// Its file in the data directory: a page that is open survives the daemon's restart.
 const FILE: &str = "page-token";
@@ -18,37 +16,26 @@ const BYTES: usize = 16;
 pub struct Token(String);
 
 impl Token {
+    /// Where the token of a data directory is.
+    pub fn file(data_dir: &Path) -> PathBuf {
+        data_dir.join(FILE)
+    }
+
     /// The token of a data directory; a new one if there is none, or none that is whole.
     ///
     /// # Errors
     ///
     /// When it can neither be read nor written.
     pub fn of(data_dir: &Path) -> io::Result<Self> {
-        let path = data_dir.join(FILE);
+        let path = Self::file(data_dir);
         match fs::read_to_string(&path) {
             Ok(text) if is_whole(text.trim()) => return Ok(Token(text.trim().to_owned())),
             Ok(_) => {}
             Err(error) if error.kind() == io::ErrorKind::NotFound => {}
             Err(error) => return Err(error),
         }
-        let mut secret = [0; BYTES];
-        fill(&mut secret)?;
-        let text: String = secret.iter().map(|byte| format!("{byte:02x}")).collect();
-        // Written aside, so that what is cut off is never taken for a token.
-        let aside = data_dir.join(format!("{FILE}.new"));
-        match fs::remove_file(&aside) {
-            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-            _ => {}
-        }
-        let options = OpenOptions::new()
-            .write(true)
-            .create_new(true)
-            .mode(0o600)
-            .open(&aside);
-        let mut file = options?;
-        writeln!(file, "{text}")?;
-        file.sync_all()?;
-        fs::rename(&aside, &path)?;
+        let text = secret::draw(BYTES)?;
+        secret::write(&path, &format!("{text}\n"))?;
         Ok(Token(text))
     }
 
@@ -57,17 +44,9 @@ impl Token {
         &self.0
     }
 
-    /// Whether a request brings it along, as `Authorization: Bearer`. It takes as long whatever is
-    /// wrong with it.
-    pub fn is_in(&self, headers: &HeaderMap) -> bool {
-        let mut given = headers.get_all(AUTHORIZATION).iter();
-        let (Some(given), None) = (given.next(), given.next()) else {
-            return false;
-        };
-        let Some(given) = given.as_bytes().strip_prefix(b"Bearer ") else {
-            return false;
-        };
-        let secret = self.0.as_bytes();
+    /// Whether it is this one. It takes as long whatever is wrong with it.
+    pub fn is(&self, given: &str) -> bool {
+        let (given, secret) = (given.as_bytes(), self.0.as_bytes());
         let differences = given.iter().zip(secret).map(|(a, b)| a ^ b);
         given.len() == secret.len() && differences.fold(0, |all, one| all | one) == 0
     }
@@ -77,18 +56,11 @@ fn is_whole(text: &str) -> bool {
     text.len() == 2 * BYTES && text.bytes().all(|byte| byte.is_ascii_hexdigit())
 }
 
-/// Fills `secret` with what nobody can guess.
-fn fill(secret: &mut [u8]) -> io::Result<()> {
-    io::Read::read_exact(&mut fs::File::open("/dev/urandom")?, secret)
-}
-
 #[cfg(test)]
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use std::os::unix::fs::PermissionsExt;
-
-    use axum::http::HeaderValue;
 
     use super::*;
 
@@ -108,25 +80,10 @@ mod tests {
     #[test]
     fn only_the_whole_token_is_taken() {
         let token = Token("0123456789abcdef0123456789abcdef".into());
-        let headers = |values: &[&str]| {
-            let mut headers = HeaderMap::new();
-            for value in values {
-                headers.append(AUTHORIZATION, HeaderValue::from_str(value).unwrap());
-            }
-            headers
-        };
-        let right = format!("Bearer {}", token.text());
-        assert!(token.is_in(&headers(&[&right])));
-        for wrong in [
-            &headers(&[]),
-            &headers(&["Bearer "]),
-            &headers(&[token.text()]),
-            &headers(&[&right[..right.len() - 1]]),
-            &headers(&[&format!("{right}0")]),
-            &headers(&[&right.replace('f', "e")]),
-            &headers(&[&right, &right]),
-        ] {
-            assert!(!token.is_in(wrong), "{wrong:?}");
+        assert!(token.is(token.text()));
+        let nearly = &token.text()[1..];
+        for wrong in ["", nearly, &format!("0{nearly}0"), &format!("1{nearly}")] {
+            assert!(!token.is(wrong), "{wrong:?}");
         }
     }
 }

@@ -6,23 +6,24 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use fail::fail_point;
-use jostle_proto::Schemas;
+use jostle_proto::{Request, Schemas};
 use tracing::error;
 use zenoh::Session;
 use zenoh::bytes::ZBytes;
 use zenoh::query::Query;
 
-use crate::command::{CommandError, DEFAULT_TIMEOUT};
+use crate::command::{self, CommandError, DEFAULT_TIMEOUT};
 use crate::health::Watch;
 use crate::host::Host;
 use crate::lab::Lab;
 use crate::publish::Press;
 use crate::recording::Recordings;
 use crate::replay::Uploads;
+use crate::rights::{NotPermitted, Person, Rights};
 use crate::server::answer::{Asked, Desk, Excuse, Keeper, Promise};
 use crate::server::experiments::Errands;
 use crate::server::ledger::Ledger;
-use crate::server::query::Topic;
+use crate::server::query::{self, Topic};
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::Ticket;
@@ -46,6 +47,8 @@ pub struct Clerk {
     pub desk: Desk,
     /// Where states go.
     pub press: Arc<Press>,
+    /// Who may do what.
+    pub rights: Arc<Rights>,
     /// When the daemon started.
     pub started: Instant,
     /// What outlives the daemon.
@@ -120,6 +123,12 @@ impl Clerk {
             let key = asked.query.key_expr().as_str().to_owned();
             return self.desk.promise(asked, key).refuse(&error, None);
         }
+        if matches!(topic, Topic::Command(_) | Topic::NodeCommand)
+            && let Err(refused) = self.permit(&asked.query)
+        {
+            let key = asked.query.key_expr().as_str().to_owned();
+            return self.desk.promise(asked, key).refuse(&refused.into(), None);
+        }
         match topic {
             Topic::State(swarm) => self.state(swarm, asked),
             Topic::Get(swarm) => self.get(swarm, asked),
@@ -131,6 +140,23 @@ impl Clerk {
             Topic::NodeCommand => self.node_command(asked),
             Topic::Experiment => self.experiment_get(asked),
         }
+    }
+
+    /// Whether whoever sends a command may; by its verb, which a wildcard is not.
+    pub(super) fn permit(&self, query: &Query) -> Result<Option<&Person>, NotPermitted> {
+        let key = query.key_expr().as_str();
+        let verb = key.split_once("/cmd/").map_or(key, |(_, verb)| verb);
+        let verb = command::shortened(verb);
+        self.rights.permit(&query::token(query), &verb)
+    }
+
+    /// Reads the request in a query, signed by whoever sends it if people are known.
+    pub(super) fn request(&self, query: &Query) -> Result<Request, CommandError> {
+        let mut request = query::request(query, self.most_bytes())?;
+        if let Some(person) = self.rights.owner(&query::token(query)) {
+            request.client = Some(person.signed(request.client.as_deref()));
+        }
+        Ok(request)
     }
 
     /// Looks at a swarm and answers with what `payload` makes of it.

@@ -12,7 +12,7 @@ use crate::server::archive::{self, MakePayload};
 use crate::server::clerk::Clerk;
 use crate::server::dispatch::Dispatcher;
 use crate::server::ledger::Entered;
-use crate::server::query::request;
+use crate::server::query::token;
 use crate::server::session::MAX_MESSAGE_BYTES;
 use crate::swarm::handle::{self, Ticket};
 use crate::swarm::order::{Answer, Outcome, Refusal};
@@ -45,8 +45,13 @@ impl Clerk {
             Err(CommandError::Wildcard)
         } else {
             let verb = verb.unwrap_or_default();
-            request(query, self.most_bytes()).and_then(|request| {
+            self.request(query).and_then(|request| {
                 let mut command = command::read(verb, &request)?;
+                if let Some(controller) = command.order.controller()
+                    && let Some(person) = self.rights.owner(&token(query))
+                {
+                    person.permit_controller(controller)?;
+                }
                 if let Some(named) = archive::named(key, &request)
                     && let Some(sender) = Arc::get_mut(&mut command.sender)
                 {
@@ -113,15 +118,20 @@ impl Clerk {
                 .as_str()
                 .strip_prefix(&keys::node_cmd(&self.prefix, &self.node, ""));
         let done = match verb {
-            Some("create") => request(query, self.most_bytes())
+            Some("create") => self
+                .request(query)
                 .and_then(|request| self.create(&promise, &request)),
-            Some("restore") => request(query, self.most_bytes())
+            Some("restore") => self
+                .request(query)
                 .and_then(|request| self.restore(&promise, &request)),
-            Some("experiment") => request(query, self.most_bytes())
+            Some("experiment") => self
+                .request(query)
                 .and_then(|request| self.experiment(&promise, &request)),
-            Some("replay") => request(query, self.most_bytes())
+            Some("replay") => self
+                .request(query)
                 .and_then(|request| self.replay(&promise, &request)),
-            Some("record") => request(query, self.most_bytes())
+            Some("record") => self
+                .request(query)
                 .and_then(|request| self.record(&promise, &request)),
             verb => Err(CommandError::UnknownVerb {
                 verb: command::shortened(verb.unwrap_or_default()),
@@ -227,7 +237,8 @@ impl Dispatcher {
         if query.key_expr().is_wild() || swarm.is_none_or(|swarm| self.doors.has(swarm)) {
             return;
         }
-        if let Ok(request) = request(query, self.clerk.most_bytes())
+        if self.clerk.permit(query).is_ok()
+            && let Ok(request) = self.clerk.request(query)
             && let Some(id) = &request.request_id
         {
             let promise = self.clerk.desk.promise(asked, key.to_owned());

@@ -15,7 +15,6 @@ use crate::host::{Host, Register};
 use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::archive::{self, MakePayload};
 use crate::server::clerk::Clerk;
-use crate::server::query::request;
 use crate::server::recovery;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::handle::Ticket;
@@ -36,7 +35,8 @@ impl Clerk {
         let query = &asked.query;
         let key = query.key_expr().as_str().to_owned();
         let promise = self.desk.promise(asked, key.clone());
-        let begun = request(query, self.most_bytes())
+        let begun = self
+            .request(query)
             .and_then(|request| self.begin_fork(swarm, &key, &promise, &request));
         if let Err(error) = begun {
             let step = self.host.find(swarm).and_then(|handle| handle.step());

@@ -3,15 +3,18 @@
 use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use jostle_proto::{HistoryFrom, NodeReply, NodeStatus, Phase, Schemas, Swarms, keys};
+use jostle_proto::{
+    HistoryFrom, NodeReply, NodeStatus, Phase, Role, Schemas, Swarms, WhoAmI, keys,
+};
 use zenoh::Wait;
 use zenoh::query::Query;
 
 use crate::command::error::refusal;
 use crate::command::{CommandError, page, shortened, wait};
+use crate::rights::Rights;
 use crate::server::answer::{Asked, Promise};
 use crate::server::clerk::Clerk;
-use crate::server::query::{format, names, no_parameters};
+use crate::server::query::{format, names, no_parameters, token};
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::Ticket;
@@ -167,6 +170,7 @@ impl Clerk {
                     unix_secs: unix_secs(),
                     limits: wire::limits(self.host.limits(), self.most_bytes() as u64),
                 }),
+                "whoami" => self.node_reply(self.who_asks(query)),
                 "status" => self.node_reply(self.node_status()),
                 "experiments" => self.experiments(),
                 "recordings" => self.node_reply(wire::recordings(self.recordings.list())),
@@ -189,6 +193,27 @@ impl Clerk {
         }
         if !is_known && !query.key_expr().is_wild() {
             self.unknown_noun(asked, &keys::NODE_GETS);
+        }
+    }
+
+    /// Who asks, by the token that came along, and what they may.
+    fn who_asks(&self, query: &Query) -> WhoAmI {
+        let (person, role) = match &*self.rights {
+            Rights::Everybody => (None, Some(Role::Operator)),
+            known => known.owner(&token(query)).map_or((None, None), |person| {
+                (Some(person.name.clone()), Some(person.role))
+            }),
+        };
+        let may = |verbs: &[&str]| {
+            let verbs = verbs.iter();
+            let permitted = verbs.filter(|verb| role.is_some_and(|role| role.may(verb)));
+            permitted.map(|verb| (*verb).to_owned()).collect()
+        };
+        WhoAmI {
+            person,
+            role,
+            verbs: may(&keys::SWARM_VERBS),
+            node_verbs: may(&keys::NODE_VERBS),
         }
     }
 

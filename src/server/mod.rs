@@ -1,5 +1,6 @@
 //! The daemon on the bus: query in, reply out; liveliness; shutdown.
 
+mod access;
 pub mod answer;
 pub mod archive;
 pub mod clerk;
@@ -37,7 +38,7 @@ use zenoh::{Session, Wait};
 use crate::command::error::refusal;
 use crate::command::{CommandError, check_name};
 use crate::config::Config;
-use crate::gateway::{self, Bus, Gateway, GatewayError, Token};
+use crate::gateway::{self, Bus, Gateway, GatewayError, Pass, Token};
 use crate::health::{Watch, Watched};
 use crate::host::Host;
 use crate::lab::Lab;
@@ -45,6 +46,8 @@ use crate::meter::Pulse;
 use crate::publish::Press;
 use crate::recording::Recordings;
 use crate::replay::Uploads;
+use crate::rights::folder::Folder;
+use crate::rights::{Rights, RightsError};
 use crate::server::answer::Desk;
 use crate::server::clerk::Clerk;
 use crate::server::dispatch::{Crier, Dispatcher, Intake, MOST_QUERIES};
@@ -86,6 +89,9 @@ pub enum ServerError {
     /// The daemon's name cannot be part of a key.
     #[error("{}", .0.to_wire(None).message)]
     Name(CommandError),
+    /// Who may do what cannot be told.
+    #[error("auth_dir: {0}")]
+    Rights(#[from] RightsError),
     /// HTTP cannot be served.
     #[error(transparent)]
     Gateway(#[from] GatewayError),
@@ -138,7 +144,7 @@ pub struct Server {
     endpoints: Vec<String>,
     watch: Arc<Watch>,
     gateway: Option<Gateway>,
-    page: Option<Token>,
+    pass: Pass,
     lab: Lab,
     recordings: Recordings,
     doors: (LivelinessToken, [Queryable<()>; 4], [Subscriber<()>; 2]),
@@ -158,7 +164,12 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         None => None,
     };
     let store = open_store(config)?;
-    let session = session::open(&config.listen, prefix).await?;
+    let rights = match &config.auth_dir {
+        Some(path) => Rights::read(Folder::at(path.clone()))?,
+        None => Rights::Everybody,
+    };
+    let rights = Arc::new(rights);
+    let session = session::open(&config.listen, prefix, &rights).await?;
     let locators = session.info().locators().await;
     let endpoints: Vec<String> = locators.iter().map(ToString::to_string).collect();
 
@@ -191,6 +202,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         host: host.clone(),
         desk: desk.clone(),
         press: press.clone(),
+        rights: rights.clone(),
         started: Instant::now(),
         store: store.clone(),
         ledger: ledger.clone(),
@@ -228,17 +240,23 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     })?;
     let watching = watch.get_or_init(|| watching).clone();
     // Whoever looks after the daemon reaches it while its swarms are brought back.
-    let mut page = None;
+    let pass = match &*rights {
+        Rights::Everybody => Pass::Page(Token::of(&config.data_dir).map_err(ServerError::Token)?),
+        Rights::People { .. } => Pass::People(rights.clone()),
+    };
     let gateway = match http {
         Some(listener) => {
-            let token = Token::of(&config.data_dir).map_err(ServerError::Token)?;
             let bus = Bus {
                 session: session.clone(),
                 prefix: prefix.clone(),
                 node: node.clone(),
             };
-            page = Some(token.clone());
-            Some(Gateway::serve(listener, bus, token, watching.clone())?)
+            Some(Gateway::serve(
+                listener,
+                bus,
+                pass.clone(),
+                watching.clone(),
+            )?)
         }
         None => None,
     };
@@ -280,7 +298,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         endpoints,
         watch: watching,
         gateway,
-        page,
+        pass,
         lab,
         recordings,
         doors: (token, queryables, controls),
@@ -339,10 +357,13 @@ impl Server {
         self.gateway.as_ref().map(Gateway::address)
     }
 
-    /// Where the page is, for whoever may steer: the link holds the token, and belongs in no log.
+    /// Where the page is, for whoever may steer, if there is one token for all: the link holds it,
+    /// and belongs in no log.
     pub fn page(&self) -> Option<String> {
-        let (address, token) = (self.http()?, self.page.as_ref()?);
-        Some(format!("http://{address}/#token={}", token.text()))
+        let Pass::Page(token) = &self.pass else {
+            return None;
+        };
+        Some(format!("http://{}/#token={}", self.http()?, token.text()))
     }
 
     /// What tells whether all is well.

@@ -1,5 +1,6 @@
 //! What a query says: its key, its parameters, the request in it. And how queries come in.
 
+use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
@@ -73,6 +74,13 @@ pub fn queryable(
             }
         })
         .wait()
+}
+
+/// The token that a query brings along; empty if it brings none.
+pub fn token(query: &Query) -> Cow<'_, [u8]> {
+    query
+        .attachment()
+        .map_or(Cow::Borrowed(&[][..]), ZBytes::to_bytes)
 }
 
 /// Reads the request in a query, of at most so many bytes.

@@ -15,7 +15,6 @@ use crate::replay::{Reel, ReplayError};
 use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::clerk::Clerk;
 use crate::server::copies::refuse_when;
-use crate::server::query::request;
 use crate::swarm::film::Film as _;
 use crate::swarm::handle::Ticket;
 use crate::swarm::order::{Answer, Order, Outcome, Refusal};
@@ -117,7 +116,7 @@ impl Clerk {
         let promise = self
             .desk
             .promise(asked, query.key_expr().as_str().to_owned());
-        let read = request(query, self.most_bytes()).and_then(|request| {
+        let read = self.request(query).and_then(|request| {
             refuse_when(&request)?;
             let to = seek::seek(request.args::<SeekArgs>()?)?;
             let sender = Arc::new(command::sender("seek", &request)?);

@@ -3,7 +3,6 @@
 use std::net::{IpAddr, SocketAddr};
 use std::thread;
 
-use jostle_proto::keys;
 use rustix::process::setpriority_process;
 use serde_json::{Value, json};
 use thiserror::Error;
@@ -11,6 +10,10 @@ use tokio::runtime::Handle;
 use tracing::debug;
 use zenoh::Session;
 use zenoh_runtime::ZRuntime;
+
+use crate::rights::Rights;
+use crate::rights::folder::Folder;
+use crate::server::access;
 
 /// How much higher than the rest of the daemon the threads rank that read from the bus.
 const READING_NICENESS: i32 = -10;
@@ -22,14 +25,24 @@ pub const MAX_MESSAGE_BYTES: usize = 1 << 20;
 #[derive(Debug, Error)]
 pub enum SessionError {
     /// It is no endpoint at all.
-    #[error("{0:?} is no endpoint: give tcp/127.0.0.1:PORT or unixsock-stream/PATH")]
-    NoEndpoint(String),
-    /// An address that others could reach is not offered without authentication.
     #[error(
-        "{0} can be reached from other machines, and anyone there could steer every swarm: \
-         listen on tcp/127.0.0.1:PORT or unixsock-stream/PATH and let others in through a tunnel"
+        "{0:?} is no endpoint: give tcp/127.0.0.1:PORT, unixsock-stream/PATH, or with an auth_dir \
+         tls/ADDRESS:PORT"
+    )]
+    NoEndpoint(String),
+    /// An address that others could reach is not offered in the clear.
+    #[error(
+        "{0} can be reached from other machines, and is not encrypted: listen on \
+         tls/ADDRESS:PORT, which takes an auth_dir (`jostled auth init` makes one), or on \
+         tcp/127.0.0.1:PORT or unixsock-stream/PATH and let others in through a tunnel"
     )]
     NotLoopback(String),
+    /// TLS without people.
+    #[error(
+        "{0} is for people who are known, and none are: name their folder as auth_dir \
+         (`jostled auth init` makes one)"
+    )]
+    NobodyKnown(String),
     /// Nothing can be listened on.
     #[error(
         "cannot listen on {endpoints}: {reason}\nanother daemon may hold it, or a zenoh router, \
@@ -46,33 +59,44 @@ pub enum SessionError {
     Setting(String),
 }
 
-/// Checks that only this machine can reach each endpoint.
+/// Checks that only this machine can reach each endpoint, or only people who are known.
 ///
 /// # Errors
 ///
-/// [`SessionError::NoEndpoint`] and [`SessionError::NotLoopback`].
-pub fn check(listen: &[String]) -> Result<(), SessionError> {
+/// [`SessionError::NoEndpoint`], [`SessionError::NotLoopback`] and [`SessionError::NobodyKnown`].
+pub fn check(listen: &[String], are_people_known: bool) -> Result<(), SessionError> {
     for endpoint in listen {
-        if !endpoint.contains('/') {
-            return Err(SessionError::NoEndpoint(endpoint.clone()));
-        }
-        if !is_local(endpoint) {
-            return Err(SessionError::NotLoopback(endpoint.clone()));
-        }
+        let refused: fn(String) -> SessionError = match endpoint.split_once('/') {
+            None => SessionError::NoEndpoint,
+            Some(("tls", _)) if are_people_known => continue,
+            Some(("tls", _)) => SessionError::NobodyKnown,
+            Some(_) if is_local(endpoint) => continue,
+            Some(_) => SessionError::NotLoopback,
+        };
+        return Err(refused(endpoint.clone()));
     }
     Ok(())
 }
 
-/// Opens the session on `listen`, for keys below `prefix`.
+/// Opens the session on `listen`, for keys below `prefix` and whoever has rights there.
 ///
 /// # Errors
 ///
 /// [`SessionError`].
-pub async fn open(listen: &[String], prefix: &str) -> Result<Session, SessionError> {
-    check(listen)?;
+pub async fn open(
+    listen: &[String],
+    prefix: &str,
+    rights: &Rights,
+) -> Result<Session, SessionError> {
+    check(listen, rights.people().is_some())?;
     read_first();
     let mut config = zenoh::Config::default();
-    for (key, value) in settings(listen, prefix) {
+    let mut settings = settings(listen);
+    settings.push(("access_control", access::control(prefix, rights)));
+    if let Rights::People { folder, .. } = rights {
+        settings.extend(proofs(folder));
+    }
+    for (key, value) in settings {
         config
             .insert_json5(key, &value.to_string())
             .map_err(|error| SessionError::Setting(format!("{key}: {error}")))?;
@@ -110,7 +134,7 @@ fn reason(text: &str) -> String {
 }
 
 /// Every setting that differs from zenoh's own default, each measured to matter.
-fn settings(listen: &[String], prefix: &str) -> Vec<(&'static str, Value)> {
+fn settings(listen: &[String]) -> Vec<(&'static str, Value)> {
     vec![
         ("mode", json!("peer")),
         ("listen/endpoints", json!(listen)),
@@ -132,57 +156,29 @@ fn settings(listen: &[String], prefix: &str) -> Vec<(&'static str, Value)> {
             "transport/link/rx/max_message_size",
             json!(MAX_MESSAGE_BYTES),
         ),
-        ("access_control", access_control(prefix)),
     ]
 }
 
-/// Clients query and subscribe, and controllers put set-points and hold a token, each on its own
-/// keys. Whatever else they send is dropped, or anyone could forge the states and answers of a
-/// swarm; what goes beyond these keys by a wildcard is dropped too.
-fn access_control(prefix: &str) -> Value {
-    // A verbatim chunk is matched only by itself.
-    let everything = ["**", "**/@node/**", "**/@adv/**"];
-    let asking = [
-        "query",
-        "declare_subscriber",
-        "liveliness_query",
-        "declare_liveliness_subscriber",
-    ];
-    let telling = [
-        "put",
-        "delete",
-        "reply",
-        "declare_queryable",
-        "liveliness_token",
-    ];
-    let allow = |id: &str, flow: &str, messages: &[&str], keys: &[&str]| {
-        json!({
-            "id": id,
-            "permission": "allow",
-            "flows": [flow],
-            "messages": messages,
-            "key_exprs": keys,
-        })
-    };
-    let (control, alive) = (
-        keys::ctl(prefix, "*", "*"),
-        keys::ctl_alive(prefix, "*", "*"),
-    );
-    json!({
-        "enabled": true,
-        "default_permission": "deny",
-        "rules": [
-            allow("clients_ask", "ingress", &asking, &everything),
-            allow("controllers_put", "ingress", &["put"], &[&control]),
-            allow("controllers_live", "ingress", &["liveliness_token"], &[&alive]),
-            allow("the_daemon_tells", "egress", &[&asking[..], &telling].concat(), &everything),
-        ],
-        "subjects": [{"id": "everyone"}],
-        "policies": [{
-            "rules": ["clients_ask", "controllers_put", "controllers_live", "the_daemon_tells"],
-            "subjects": ["everyone"],
-        }],
-    })
+/// How whoever opens a session proves who they are: by their password, and over TLS by their
+/// certificate too.
+fn proofs(folder: &Folder) -> [(&'static str, Value); 2] {
+    let ([authority, _], [certificate, key]) = (folder.authority(), folder.daemon());
+    [
+        (
+            "transport/auth/usrpwd/dictionary_file",
+            json!(folder.passwords_file()),
+        ),
+        (
+            "transport/link/tls",
+            json!({
+                "root_ca_certificate": authority,
+                "listen_certificate": certificate,
+                "listen_private_key": key,
+                "enable_mtls": true,
+                "close_link_on_expiration": true,
+            }),
+        ),
+    ]
 }
 
 /// Whether only this machine can reach `endpoint`.
@@ -233,5 +229,30 @@ mod tests {
         ] {
             assert!(!is_local(open), "{open}");
         }
+    }
+
+    #[test]
+    fn others_are_let_in_by_tls_alone_and_only_if_people_are_known() {
+        let check = |endpoint: &str, are_known| check(&[endpoint.to_owned()], are_known);
+        assert!(check("tls/0.0.0.0:7447", true).is_ok());
+        assert!(check("tcp/127.0.0.1:7447", true).is_ok());
+        for endpoint in ["tls/0.0.0.0:7447", "tls/127.0.0.1:7447"] {
+            let refused = check(endpoint, false);
+            assert!(
+                matches!(refused, Err(SessionError::NobodyKnown(_))),
+                "{endpoint}"
+            );
+        }
+        for endpoint in ["tcp/0.0.0.0:7447", "quic/0.0.0.0:7447", "ws/10.0.0.1:1"] {
+            let refused = check(endpoint, true);
+            assert!(
+                matches!(refused, Err(SessionError::NotLoopback(_))),
+                "{endpoint}"
+            );
+        }
+        assert!(matches!(
+            check("7447", true),
+            Err(SessionError::NoEndpoint(_))
+        ));
     }
 }

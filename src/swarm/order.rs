@@ -101,6 +101,18 @@ pub enum Order {
     Delete,
 }
 
+impl Order {
+    /// The controller that it is from.
+    pub fn controller(&self) -> Option<&str> {
+        match self {
+            Order::Join(Terms { controller, .. })
+            | Order::Advance { controller, .. }
+            | Order::Leave(controller) => Some(controller),
+            _ => None,
+        }
+    }
+}
+
 /// An end of a run.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Until {

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 24] = [
+const MAY_USE: [(&str, &[&str]); 25] = [
     ("model", &[]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
@@ -14,7 +14,8 @@ const MAY_USE: [(&str, &[&str]); 24] = [
     ("host", &["model", "swarm"]),
     ("store", &["meter"]),
     ("health", &["meter", "swarm", "host", "store"]),
-    ("gateway", &["meter", "swarm", "health"]),
+    ("rights", &[]),
+    ("gateway", &["meter", "swarm", "health", "rights"]),
     (
         "command",
         &[
@@ -24,6 +25,7 @@ const MAY_USE: [(&str, &[&str]); 24] = [
             "lab",
             "recording",
             "replay",
+            "rights",
             "wire",
         ],
     ),
@@ -59,6 +61,7 @@ const MAY_USE: [(&str, &[&str]); 24] = [
             "lab",
             "recording",
             "replay",
+            "rights",
             "command",
             "config",
             "publish",
@@ -72,14 +75,22 @@ const MAY_USE: [(&str, &[&str]); 24] = [
     ("demo", &["swarm", "host", "command", "server"]),
     (
         "main",
-        &["batch", "config", "demo", "gateway", "server", "supervisor"],
+        &[
+            "batch",
+            "config",
+            "demo",
+            "gateway",
+            "rights",
+            "server",
+            "supervisor",
+        ],
     ),
     ("lib", &[]),
     ("", &[]),
 ];
 
 /// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 21] = [
+const ONLY_IN: [(&str, &[&str]); 22] = [
     ("zenoh::", &["gateway", "publish", "server"]),
     ("zenoh_ext::", &["publish"]),
     (
@@ -92,8 +103,10 @@ const ONLY_IN: [(&str, &[&str]); 21] = [
             "experiment/plan",
             "gateway",
             "lab",
+            "main",
             "publish",
             "recording",
+            "rights",
             "server",
             "wire",
         ],
@@ -108,7 +121,9 @@ const ONLY_IN: [(&str, &[&str]); 21] = [
             "experiment/folder",
             "gateway",
             "lab",
+            "main",
             "recording",
+            "rights",
             "server",
             "wire",
         ],
@@ -177,6 +192,7 @@ const ONLY_IN: [(&str, &[&str]); 21] = [
             "main",
             "recording/shelf",
             "replay",
+            "rights",
             "store",
         ],
     ),
@@ -204,6 +220,7 @@ const ONLY_IN: [(&str, &[&str]); 21] = [
             "wire",
         ],
     ),
+    ("rcgen::", &["rights"]),
     ("rusqlite::", &["store"]),
     ("tempfile::", &["main"]),
     ("rayon::", &["model/threads"]),

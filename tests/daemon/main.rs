@@ -25,6 +25,7 @@ mod process;
 mod recording;
 mod repeat;
 mod replay;
+mod rights;
 mod schedule;
 mod soak;
 mod streams;

@@ -424,8 +424,10 @@ async fn the_token_is_printed_once_and_in_no_log() {
         lines.find_map(|line| Some(line.unwrap().strip_prefix("page on http://")?.to_owned()));
     let (address, token) = {
         let link = link.unwrap();
-        let (address, token) = link.split_once("/#token=").unwrap();
-        (address.to_owned(), token.to_owned())
+        // It is told to no terminal, and so only where the token is.
+        let (address, file) = link.split_once("/ with the token in ").unwrap();
+        let token = std::fs::read_to_string(file).unwrap();
+        (address.to_owned(), token.trim().to_owned())
     };
     let steering = Browser {
         address: address.clone(),

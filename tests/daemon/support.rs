@@ -231,7 +231,7 @@ impl Client {
     }
 }
 
-fn read(encoding: &Encoding, bytes: &[u8]) -> Value {
+pub fn read(encoding: &Encoding, bytes: &[u8]) -> Value {
     if *encoding == Encoding::APPLICATION_JSON {
         return serde_json::from_slice(bytes).unwrap();
     }

@@ -153,6 +153,7 @@ fn beginning_with(typed: &OsStr, names: Vec<String>) -> Vec<CompletionCandidate>
 fn ask(question: impl AsyncFnOnce(&Bus) -> Vec<String>) -> Vec<String> {
     let words: Vec<String> = std::env::args().collect();
     let global = GlobalArguments {
+        credentials: std::env::var_os("JOSTLE_CREDENTIALS").map(Into::into),
         endpoint: option(&words, &["-e", "--endpoint"])
             .or_else(|| std::env::var("JOSTLE_ENDPOINT").ok())
             .unwrap_or_else(|| DEFAULT_ENDPOINT.into()),

@@ -10,7 +10,7 @@ use jostle_proto::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
     Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameters, Progress,
     RecordArgs, Recording, Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage,
-    Schemas, SeekArgs, Snapshot, Spec, State, Status, Swarms, Told, Verified,
+    Schemas, SeekArgs, Snapshot, Spec, State, Status, Swarms, Told, Verified, WhoAmI,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -72,6 +72,7 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "batch.args" => asked::<BatchArgs>(text),
         "batch.reply" => told::<Reply<BatchResult>>(text),
         "node.hello.reply" => told::<NodeReply<Hello>>(text),
+        "node.whoami.reply" => told::<NodeReply<WhoAmI>>(text),
         "node.status.reply" => told::<NodeReply<NodeStatus>>(text),
         "node.swarms.reply" => told::<NodeReply<Swarms>>(text),
         "node.schema.reply" => told::<NodeReply<Schemas>>(text),

@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use jostle_proto::{ErrorCode, keys};
+use jostled::rights::Rights;
 use serde_json::json;
 use tokio::sync::Semaphore;
 use zenoh::Wait;
@@ -119,7 +120,7 @@ async fn a_bare_process() {
         return;
     }
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let session = jostled::server::session::open(&listen, "jostle")
+    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody)
         .await
         .unwrap();
     let busy = r#"{"code":"busy","message":"too many requests wait already: try again"}"#;

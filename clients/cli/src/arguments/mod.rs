@@ -1,5 +1,6 @@
 //! What may be typed.
 
+mod auth;
 mod claims;
 mod copies;
 mod experiment;
@@ -9,10 +10,13 @@ mod replay;
 mod sending;
 mod verbs;
 
+use std::path::PathBuf;
+
 use clap::{Args, Parser, Subcommand};
 use clap_complete::engine::ArgValueCompleter;
 use jostle_proto::keys::DEFAULT_PREFIX;
 
+pub use self::auth::*;
 pub use self::claims::*;
 pub use self::copies::*;
 pub use self::experiment::*;
@@ -100,6 +104,16 @@ pub struct GlobalArguments {
         default_value = DEFAULT_ENDPOINT
     )]
     pub endpoint: String,
+    /// The folder that says who you are, as `jostled auth` makes it
+    #[arg(
+        long,
+        global = true,
+        env = "JOSTLE_CREDENTIALS",
+        hide_env_values = true,
+        value_name = "FOLDER",
+        value_hint = clap::ValueHint::DirPath
+    )]
+    pub credentials: Option<PathBuf>,
     /// Which daemon, if several are reached there
     #[arg(long, global = true, value_name = "NAME", value_parser = values::name, add = ArgValueCompleter::new(completion::nodes))]
     pub node: Option<String>,
@@ -166,6 +180,8 @@ pub enum Verb {
     Restore(RestoreArguments),
     /// Tells a swarm's kept history again and says whether it comes out the same
     Verify(VerifyArguments),
+    /// Says who you are to the daemon, and what you may
+    Auth(AuthArguments),
     /// Carries out experiments: grids of runs, on the daemon, whether anybody looks on or not
     Experiment(ExperimentArguments),
     /// Draws a figure of the paper from results, or swarms as they are

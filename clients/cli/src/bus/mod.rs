@@ -22,6 +22,7 @@ use zenoh::sample::{Sample, SampleKind};
 use crate::arguments::{GlobalArguments, SenderArguments, SendingArguments};
 use crate::bus::again::Again;
 pub use crate::bus::answer::Answer;
+use crate::bus::opening::Identity;
 pub use crate::bus::presence::node_of;
 use crate::failure::Failure;
 
@@ -43,6 +44,7 @@ pub struct Bus {
     endpoint: String,
     prefix: String,
     node: Option<String>,
+    token: Option<String>,
     user_and_host: String,
     timeout_secs: f64,
     asked: AtomicU64,
@@ -68,18 +70,29 @@ impl Bus {
     pub async fn open(global: GlobalArguments) -> Result<Self, Failure> {
         let GlobalArguments {
             endpoint,
+            credentials,
             node,
             prefix,
             timeout,
             json: _,
         } = global;
-        let config = opening::config(&endpoint, timeout)?;
-        let session = zenoh::open(config)
-            .await
-            .map_err(|error| Failure::NoDaemon {
-                endpoint: endpoint.clone(),
-                cause: opening::words(&error),
-            })?;
+        let identity = credentials.as_deref().map(Identity::read).transpose()?;
+        let config = opening::config(&endpoint, timeout, identity.as_ref())?;
+        let session = match zenoh::open(config).await {
+            Ok(session) => session,
+            Err(_) if opening::is_taken(&endpoint) => {
+                return Err(Failure::NotLetIn {
+                    endpoint,
+                    person: identity.map(|it| it.credentials.person),
+                });
+            }
+            Err(error) => {
+                return Err(Failure::NoDaemon {
+                    endpoint,
+                    cause: opening::words(&error),
+                });
+            }
+        };
         let lost = Arc::new(AtomicU64::new(0));
         let counting = lost.clone();
         session
@@ -98,6 +111,7 @@ impl Bus {
             endpoint,
             prefix,
             node,
+            token: identity.map(|it| it.credentials.token),
             user_and_host: opening::user_and_host(),
             timeout_secs: timeout,
             asked: AtomicU64::new(0),
@@ -122,6 +136,11 @@ impl Bus {
             .with(RingChannel::new(backlog))
             .await
             .map_err(Failure::unreadable)
+    }
+
+    /// What the daemon's page takes for this person's, if it is one.
+    pub fn token(&self) -> Option<&str> {
+        self.token.as_deref()
     }
 
     /// Where the daemon is reached.
@@ -328,9 +347,12 @@ impl Bus {
         if let Some(payload) = payload {
             query = query.payload(payload).encoding(JSON);
         }
+        if let Some(token) = &self.token {
+            query = query.attachment(token);
+        }
         let replies = query.await.map_err(Failure::unreadable)?;
         let Ok(reply) = replies.recv_async().await else {
-            return Err(self.explain_silence(whom).await);
+            return Err(self.explain_silence(whom, selector).await);
         };
         match reply.into_result() {
             Ok(sample) => Ok(Answer::from(&sample)),

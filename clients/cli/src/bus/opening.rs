@@ -1,7 +1,10 @@
 //! How a client opens its session, and who it says it is.
 
+use std::net::ToSocketAddrs;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
+use jostle_proto::Credentials;
 use zenoh::config::EndPoint;
 
 use crate::failure::Failure;
@@ -9,12 +12,85 @@ use crate::failure::Failure;
 /// What a session can be opened over.
 const PROTOCOLS: [&str; 3] = ["tcp", "tls", "unixsock-stream"];
 
+/// How long whoever listens may take to say so.
+const KNOCKING: Duration = Duration::from_secs(1);
+
+/// Who somebody is, and the folder that says so.
+pub struct Identity {
+    folder: PathBuf,
+    /// What it says.
+    pub credentials: Credentials,
+}
+
+impl Identity {
+    /// Reads a folder that `jostled auth` made.
+    ///
+    /// # Errors
+    ///
+    /// [`Failure::Argument`] when it is none.
+    pub fn read(folder: &Path) -> Result<Self, Failure> {
+        let path = folder.join(Credentials::FILE);
+        let wrong = |problem: String| Failure::Argument {
+            argument: "--credentials".into(),
+            problem: format!("{}: {problem}", path.display()),
+        };
+        let text = std::fs::read(&path).map_err(|error| wrong(error.to_string()))?;
+        let credentials =
+            serde_json::from_slice(&text).map_err(|error| wrong(error.to_string()))?;
+        Ok(Identity {
+            folder: folder.to_owned(),
+            credentials,
+        })
+    }
+
+    /// What zenoh needs to prove it.
+    fn settings(&self) -> [(&'static str, serde_json::Value); 2] {
+        let [ca, certificate, key] = Credentials::CERTIFICATES.map(|file| self.folder.join(file));
+        let Credentials {
+            person, password, ..
+        } = &self.credentials;
+        [
+            (
+                "transport/auth/usrpwd",
+                serde_json::json!({"user": person, "password": password}),
+            ),
+            (
+                "transport/link/tls",
+                serde_json::json!({
+                    "root_ca_certificate": ca,
+                    "connect_certificate": certificate,
+                    "connect_private_key": key,
+                    "enable_mtls": true,
+                    "verify_name_on_connect": true,
+                    "close_link_on_expiration": true,
+                }),
+            ),
+        ]
+    }
+}
+
+/// Whether anybody at all takes a connection at `endpoint`.
+pub fn is_taken(endpoint: &str) -> bool {
+    let Some(("tcp" | "tls", address)) = endpoint.split_once('/') else {
+        return false;
+    };
+    let address = address.split(['?', '#']).next().unwrap_or(address);
+    let addresses = address.to_socket_addrs().into_iter().flatten();
+    addresses
+        .into_iter()
+        .any(|address| std::net::TcpStream::connect_timeout(&address, KNOCKING).is_ok())
+}
+
 /// A client of one endpoint and of nothing else.
 ///
 /// # Errors
 ///
 /// [`Failure::Argument`] when the endpoint cannot be used.
-pub fn config(endpoint: &str, timeout_secs: f64) -> Result<zenoh::Config, Failure> {
+pub fn config(
+    endpoint: &str,
+    timeout_secs: f64,
+    identity: Option<&Identity>,
+) -> Result<zenoh::Config, Failure> {
     let wrong = |problem: String| Failure::Argument {
         argument: "--endpoint".into(),
         problem,
@@ -54,6 +130,11 @@ pub fn config(endpoint: &str, timeout_secs: f64) -> Result<zenoh::Config, Failur
             .insert_json5(key, value)
             .map_err(|error| wrong(words(&error)))?;
     }
+    for (key, value) in identity.map(Identity::settings).into_iter().flatten() {
+        config
+            .insert_json5(key, &value.to_string())
+            .map_err(|error| wrong(words(&error)))?;
+    }
     Ok(config)
 }
 
@@ -90,11 +171,11 @@ mod tests {
             "tls/host:1",
             "unixsock-stream//tmp/s",
         ] {
-            assert!(config(endpoint, 5.0).is_ok(), "{endpoint}");
+            assert!(config(endpoint, 5.0, None).is_ok(), "{endpoint}");
         }
         for endpoint in ["", "127.0.0.1:7447", "tcp", "udp/127.0.0.1:1", "http://a"] {
             assert_eq!(
-                config(endpoint, 5.0).unwrap_err().exit_code(),
+                config(endpoint, 5.0, None).unwrap_err().exit_code(),
                 2,
                 "{endpoint}"
             );

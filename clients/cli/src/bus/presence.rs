@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use jostle_proto::keys;
+use jostle_proto::role::refusal;
+use jostle_proto::{Error, ErrorCode, NodeReply, WhoAmI, keys};
 use zenoh::handlers::RingChannel;
 
 use crate::bus::{Bus, Samples, Whom};
@@ -127,8 +128,9 @@ impl Bus {
             .map_err(Failure::unreadable)
     }
 
-    /// A query that nobody takes ends at once without a word; the tokens tell why.
-    pub(super) async fn explain_silence(&self, whom: Whom<'_>) -> Failure {
+    /// A query that nobody takes ends at once without a word; the tokens tell why, and the daemon
+    /// whether what was asked for under `key` is permitted.
+    pub(super) async fn explain_silence(&self, whom: Whom<'_>, key: &str) -> Failure {
         let hosts = match whom {
             Whom::Swarm(swarm) => self.hosts_of(swarm).await,
             Whom::Node(_) => Ok(Vec::new()),
@@ -139,22 +141,52 @@ impl Bus {
             (Err(failure), _) | (_, Err(failure)) => return failure,
         };
         match whom {
-            Whom::Swarm(_) if !hosts.is_empty() => Failure::Silent {
-                whom: whom.to_string(),
-            },
+            Whom::Swarm(_) if !hosts.is_empty() => self.explain_refusal(whom, &hosts[0], key).await,
             _ if there.is_empty() => self.nobody().await,
             Whom::Swarm(swarm) => Failure::NoSwarm {
                 swarm: swarm.into(),
                 there: self.swarms().await.unwrap_or_default(),
             },
-            Whom::Node(node) if there.iter().any(|name| name == node) => Failure::Silent {
-                whom: whom.to_string(),
-            },
+            Whom::Node(node) if there.iter().any(|name| name == node) => {
+                self.explain_refusal(whom, node, key).await
+            }
             Whom::Node(node) => Failure::UnknownNode {
                 node: node.into(),
                 there,
             },
         }
+    }
+
+    /// What is not permitted never reaches the daemon, which says so when it is asked.
+    async fn explain_refusal(&self, whom: Whom<'_>, node: &str, key: &str) -> Failure {
+        let verb = key.split_once("/cmd/").map(|(_, verb)| verb);
+        match (verb, self.whoami(node).await) {
+            (Some(verb), Some(who)) if who.role.is_none_or(|role| !role.may(verb)) => {
+                let person = who.person.as_deref().zip(who.role);
+                Failure::refused(Error {
+                    code: ErrorCode::PermissionDenied,
+                    message: refusal(person, verb),
+                    details: serde_json::Map::new(),
+                    step: None,
+                })
+            }
+            _ => Failure::Silent {
+                whom: whom.to_string(),
+            },
+        }
+    }
+
+    /// Who a daemon takes this client for; nothing if it does not say.
+    async fn whoami(&self, node: &str) -> Option<WhoAmI> {
+        let key = keys::node_get(&self.prefix, node, "whoami");
+        let mut query = self.session.get(key).timeout(LOOKING);
+        if let Some(token) = &self.token {
+            query = query.attachment(token);
+        }
+        let reply = query.await.ok()?.recv_async().await.ok()?;
+        let reply = reply.into_result().ok()?;
+        let reply: NodeReply<WhoAmI> = serde_json::from_slice(&reply.payload().to_bytes()).ok()?;
+        Some(reply.result)
     }
 
     /// No node is there: is there anything at all?

@@ -50,6 +50,21 @@ pub enum Failure {
         /// What zenoh says, for those who look into it.
         cause: String,
     },
+    /// Somebody listens there and lets nobody in, or not this client.
+    #[error(
+        "something listens at {endpoint} but does not let {} in: {}",
+        person.as_deref().unwrap_or("this client"),
+        match person {
+            Some(_) => "these credentials may be out of date, or another daemon's",
+            None => "if it is a daemon that knows its people, say who you are: --credentials FOLDER",
+        }
+    )]
+    NotLetIn {
+        /// Where.
+        endpoint: String,
+        /// Who wanted in, if they said so.
+        person: Option<String>,
+    },
     /// zenoh answers, but no daemon of jostle is behind it.
     #[error(
         "zenoh answers at {endpoint}, but no daemon is there under the prefix `{prefix}`: start one with `jostled serve`, or name another with -e, or its prefix with --prefix"
@@ -283,7 +298,7 @@ impl Failure {
             | Failure::NoMessage { .. }
             | Failure::Deleted { .. }
             | Failure::LeftBehind { .. } => "not_found",
-            Failure::Silent { .. } => "permission_denied",
+            Failure::Silent { .. } | Failure::NotLetIn { .. } => "permission_denied",
             Failure::TimedOut { .. } => "timeout",
             Failure::Stopped { .. } => "incorrect_state",
             Failure::StartedAnew { .. } => "conflict",

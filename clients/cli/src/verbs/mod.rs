@@ -1,5 +1,6 @@
 //! What each verb does: arguments to a request, the answer to words or JSON.
 
+mod auth;
 mod batch;
 mod claims;
 mod copies;
@@ -101,6 +102,7 @@ async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
         Verb::Restore(arguments) => copies::restore(bus, output, &arguments).await,
         Verb::Replay(arguments) => replay::replay(bus, output, &arguments).await,
         Verb::Seek(arguments) => replay::seek(bus, output, &arguments).await,
+        Verb::Auth(arguments) => auth::auth(bus, output, &arguments.what).await,
         Verb::Diff(arguments) => diff::diff(bus, output, &arguments).await,
         Verb::Verify(arguments) => verify::verify(bus, output, &arguments).await,
         Verb::Figure(arguments) => figure::snapshot(bus, output, &arguments).await,

@@ -1,0 +1,29 @@
+//! What may be typed about who one is.
+
+use clap::{Args, Subcommand};
+
+/// Who one is.
+#[derive(Debug, Args)]
+pub struct AuthArguments {
+    /// What to do.
+    #[command(subcommand)]
+    pub what: AuthVerb,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum AuthVerb {
+    /// Says who the daemon takes you for, and what you may
+    Whoami,
+    /// Says whether you may have a verb executed; if not, ends with code 5
+    Can {
+        /// The verb, such as `pause`
+        verb: String,
+    },
+    /// Prints the link that opens the daemon's page as you
+    Link {
+        /// Where the daemon serves HTTP
+        #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8080")]
+        page: String,
+    },
+}

@@ -1,0 +1,80 @@
+//! Who one is to the daemon.
+
+use jostle_proto::role::refusal;
+use jostle_proto::{Error, ErrorCode, NodeReply, WhoAmI, keys};
+
+use crate::arguments::AuthVerb;
+use crate::bus::Bus;
+use crate::failure::Failure;
+use crate::nearest::did_you_mean;
+use crate::output::Output;
+
+/// Says who one is and what one may.
+///
+/// # Errors
+///
+/// What the daemon says, or that something is not permitted.
+pub async fn auth(bus: &Bus, output: Output, what: &AuthVerb) -> Result<(), Failure> {
+    if let AuthVerb::Link { page } = what {
+        return link(bus, output, page);
+    }
+    let answer = bus.get_node("whoami").await?;
+    let NodeReply { node, result: who } = answer.read::<NodeReply<WhoAmI>>()?;
+    match what {
+        AuthVerb::Can { verb } => {
+            let known = keys::SWARM_VERBS.iter().chain(&keys::NODE_VERBS);
+            let known = known.copied();
+            if !known.clone().any(|it| it == verb) {
+                let hint = did_you_mean(verb, known).unwrap_or_default();
+                return Err(Failure::Argument {
+                    argument: "VERB".into(),
+                    problem: format!("a daemon has no verb {verb} {hint}"),
+                });
+            }
+            if !who.verbs.contains(verb) && !who.node_verbs.contains(verb) {
+                return Err(Failure::refused(Error {
+                    code: ErrorCode::PermissionDenied,
+                    message: refusal(who.person.as_deref().zip(who.role), verb),
+                    details: serde_json::Map::new(),
+                    step: None,
+                }));
+            }
+            match output.json {
+                true => output.data(answer.json()?),
+                false => output.data(&format!("you may {verb}")),
+            }
+        }
+        _ if output.json => output.data(answer.json()?),
+        _ => output.data(&told(&node, &who)),
+    }
+}
+
+/// Who one is, in words.
+fn told(node: &str, who: &WhoAmI) -> String {
+    let may = |verbs: &[String]| match verbs {
+        [] => "nothing".to_owned(),
+        verbs => verbs.join(", "),
+    };
+    let first = match (&who.person, who.role) {
+        (Some(person), Some(role)) => format!("{person}, {role} on {node}"),
+        (None, Some(_)) => format!("{node} knows no people: whoever reaches it may do everything"),
+        _ => format!("nobody that {node} knows: --credentials FOLDER says who you are"),
+    };
+    format!(
+        "{first}\nof swarms: watch{}{}\nof the daemon: {}",
+        if who.verbs.is_empty() { "" } else { ", " },
+        who.verbs.join(", "),
+        may(&who.node_verbs)
+    )
+}
+
+/// The link to the page, which the token opens. It is what was asked for, and goes nowhere else.
+fn link(bus: &Bus, output: Output, page: &str) -> Result<(), Failure> {
+    let Some(token) = bus.token() else {
+        return Err(Failure::Argument {
+            argument: "--credentials".into(),
+            problem: "is not given, and the token in the link is theirs".into(),
+        });
+    };
+    output.data(&format!("{}/#token={token}", page.trim_end_matches('/')))
+}

@@ -1,0 +1,151 @@
+//! Who may do what, where a daemon knows its people.
+
+use std::fmt;
+
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
+
+use crate::keys;
+
+/// What a person may do. Each may do what the one before may.
+#[derive(
+    Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum Role {
+    /// Watch: every `get`, states, orders, events.
+    Viewer,
+    /// Steer individuals: join swarms as a controller of one's own name, advance, put set-points.
+    Controller,
+    /// Everything.
+    Operator,
+}
+
+/// The verbs of controllers.
+const CONTROLLER_VERBS: [&str; 3] = ["join", "advance", "leave"];
+
+impl Role {
+    /// Every role, the least first.
+    pub const ALL: [Role; 3] = [Role::Viewer, Role::Controller, Role::Operator];
+
+    /// Whether it may have a swarm or a daemon execute `verb`.
+    pub fn may(self, verb: &str) -> bool {
+        self >= Self::least(verb)
+    }
+
+    /// The least role that may have `verb` executed.
+    pub fn least(verb: &str) -> Role {
+        match CONTROLLER_VERBS.contains(&verb) {
+            true => Role::Controller,
+            false => Role::Operator,
+        }
+    }
+
+    fn with_article(self) -> String {
+        match self {
+            Role::Operator => format!("an {self}"),
+            _ => format!("a {self}"),
+        }
+    }
+
+    /// The word for it.
+    pub fn name(self) -> &'static str {
+        match self {
+            Role::Viewer => "viewer",
+            Role::Controller => "controller",
+            Role::Operator => "operator",
+        }
+    }
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str(self.name())
+    }
+}
+
+/// The words for a request that takes another role; of a person who is known, or of nobody.
+pub fn refusal(person: Option<(&str, Role)>, verb: &str) -> String {
+    let who = match person {
+        Some((name, role)) => format!("you are {name}, {}", role.with_article()),
+        None => "no token of a person came along".into(),
+    };
+    let least = Role::least(verb).with_article();
+    format!("{who}, and {verb} takes {least}: ask whoever runs the daemon")
+}
+
+/// Whether `name` may name a person: a name without hyphens, since a controller of theirs is named
+/// after them and one.
+pub fn is_person(name: &str) -> bool {
+    keys::is_name(name) && !name.contains('-')
+}
+
+/// Whether a controller's name is a person's to take: their own, or theirs, a hyphen and more.
+pub fn is_controller_of(person: &str, controller: &str) -> bool {
+    let rest = controller.strip_prefix(person);
+    rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('-'))
+}
+
+/// A daemon's answer to `get/whoami`, which goes by the token that the query brings along.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct WhoAmI {
+    /// Who it is; `null` where the daemon knows no people, and for a token that is nobody's.
+    pub person: Option<String>,
+    /// What they are; `null` for a token that is nobody's.
+    pub role: Option<Role>,
+    /// What they may have swarms execute.
+    pub verbs: Vec<String>,
+    /// What they may have the daemon execute.
+    pub node_verbs: Vec<String>,
+}
+
+/// What a person's folder of credentials says, in `credentials.json`. It crosses no wire as it is:
+/// the password proves who opens a session, the token who sends a request.
+#[derive(Clone, PartialEq, Serialize, Deserialize)]
+pub struct Credentials {
+    /// Who it is.
+    pub person: String,
+    /// What they are.
+    pub role: Role,
+    /// What comes along with each request, as its attachment.
+    pub token: String,
+    /// With the person's name what a session is opened with.
+    pub password: String,
+}
+
+impl Credentials {
+    /// The name of the file.
+    pub const FILE: &str = "credentials.json";
+
+    /// The files beside it: whom to trust, who one is, and the proof.
+    pub const CERTIFICATES: [&str; 3] = ["ca.pem", "certificate.pem", "key.pem"];
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_role_may_what_the_one_before_may_and_more() {
+        for verb in keys::SWARM_VERBS.iter().chain(&keys::NODE_VERBS) {
+            assert!(!Role::Viewer.may(verb), "{verb}");
+            assert!(Role::Operator.may(verb), "{verb}");
+        }
+        for verb in CONTROLLER_VERBS {
+            assert!(keys::SWARM_VERBS.contains(&verb), "{verb}");
+            assert!(Role::Controller.may(verb), "{verb}");
+        }
+        assert!(!Role::Controller.may("delete"));
+    }
+
+    #[test]
+    fn a_controller_is_named_after_its_person() {
+        for own in ["anna", "anna-1", "anna-left-arm"] {
+            assert!(is_controller_of("anna", own), "{own}");
+        }
+        for other in ["ann", "anna2", "anna_2", "ben", "ben-anna", ""] {
+            assert!(!is_controller_of("anna", other), "{other}");
+        }
+        assert!(is_person("anna_2") && !is_person("anna-2") && !is_person(""));
+    }
+}

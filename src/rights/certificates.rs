@@ -1,0 +1,114 @@
+//! Certificates of a private authority: the daemon's, and one for each person.
+
+use rcgen::{
+    BasicConstraints, CertificateParams, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
+    KeyUsagePurpose,
+};
+use time::{Duration, OffsetDateTime};
+
+/// How long the authority's own certificate holds.
+const AUTHORITY_DAYS: i64 = 3650;
+
+/// How long the daemon's certificate holds, and people's: whoever has left is also gone from
+/// `people.json`.
+pub const DAYS: i64 = 825;
+
+/// By how much the clocks of two machines may differ.
+const SKEW: Duration = Duration::hours(24);
+
+/// What the authority is called.
+const AUTHORITY: &str = "jostle";
+
+/// A certificate and its key, both as PEM.
+pub struct Pair {
+    /// The certificate.
+    pub certificate: String,
+    /// Its key.
+    pub key: String,
+}
+
+/// A private authority, which signs.
+pub struct Authority(Issuer<'static, KeyPair>);
+
+impl Authority {
+    /// A new one.
+    ///
+    /// # Errors
+    ///
+    /// When no key can be made.
+    pub fn make() -> Result<(Self, Pair), rcgen::Error> {
+        let key = KeyPair::generate()?;
+        let params = authority()?;
+        let pair = Pair {
+            certificate: params.self_signed(&key)?.pem(),
+            key: key.serialize_pem(),
+        };
+        Ok((Authority(Issuer::new(params, key)), pair))
+    }
+
+    /// The one that has this key.
+    ///
+    /// # Errors
+    ///
+    /// When it is no key.
+    pub fn of_key(key: &str) -> Result<Self, rcgen::Error> {
+        let key = KeyPair::from_pem(key)?;
+        Ok(Authority(Issuer::new(authority()?, key)))
+    }
+
+    /// A certificate for the daemon, which is reached by these names and addresses.
+    ///
+    /// # Errors
+    ///
+    /// For a name that cannot be one.
+    pub fn certify_daemon(&self, hosts: &[String]) -> Result<Pair, rcgen::Error> {
+        let params = CertificateParams::new(hosts)?;
+        self.certify(params, "jostled", ExtendedKeyUsagePurpose::ServerAuth)
+    }
+
+    /// A certificate for a person, whose name is its common name.
+    ///
+    /// # Errors
+    ///
+    /// When no key can be made.
+    pub fn certify_person(&self, name: &str) -> Result<Pair, rcgen::Error> {
+        let params = CertificateParams::default();
+        self.certify(params, name, ExtendedKeyUsagePurpose::ClientAuth)
+    }
+
+    fn certify(
+        &self,
+        mut params: CertificateParams,
+        name: &str,
+        purpose: ExtendedKeyUsagePurpose,
+    ) -> Result<Pair, rcgen::Error> {
+        params.distinguished_name.push(DnType::CommonName, name);
+        params.extended_key_usages = vec![purpose];
+        params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
+        params.use_authority_key_identifier_extension = true;
+        hold(&mut params, DAYS);
+        let key = KeyPair::generate()?;
+        Ok(Pair {
+            certificate: params.signed_by(&key, &self.0)?.pem(),
+            key: key.serialize_pem(),
+        })
+    }
+}
+
+/// What the authority says of itself; the same each time, but for the dates.
+fn authority() -> Result<CertificateParams, rcgen::Error> {
+    let mut params = CertificateParams::new(Vec::new())?;
+    params
+        .distinguished_name
+        .push(DnType::CommonName, AUTHORITY);
+    params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
+    params.key_usages = vec![KeyUsagePurpose::KeyCertSign];
+    hold(&mut params, AUTHORITY_DAYS);
+    Ok(params)
+}
+
+fn hold(params: &mut CertificateParams, days: i64) {
+    let now = OffsetDateTime::now_utc();
+    params.not_before = now - SKEW;
+    params.not_after = now + Duration::days(days);
+}

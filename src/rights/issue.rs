@@ -1,0 +1,233 @@
+//! What `jostled auth` does: an authority, and for each person a name, a role and secrets.
+
+use std::fs;
+use std::path::PathBuf;
+
+use jostle_proto::role::is_person;
+use jostle_proto::{Credentials, Role};
+
+use crate::rights::certificates::{Authority, Pair};
+use crate::rights::folder::{Entry, Folder, at, read, write, write_json};
+use crate::rights::{RightsError, secret};
+
+/// By what this machine always reaches itself.
+const OWN_NAMES: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
+
+/// Bytes of a token, and of a password.
+const SECRET_BYTES: usize = 32;
+
+/// Makes what is not there yet: the authority, the daemon's certificate for `hosts`, and people.
+/// The daemon's certificate is made anew when hosts are named. Returns the folders for people.
+///
+/// # Errors
+///
+/// [`RightsError`]; nobody is added then.
+pub fn init(
+    folder: &Folder,
+    hosts: &[String],
+    people: &[(String, Role)],
+) -> Result<Vec<PathBuf>, RightsError> {
+    check(people)?;
+    make_folder(folder.path().to_owned())?;
+    let [certificate, key] = folder.authority();
+    let authority = match key.exists() || certificate.exists() {
+        true => Authority::of_key(&read(&key)?)?,
+        false => {
+            let (authority, pair) = Authority::make()?;
+            keep(&pair, [certificate, key])?;
+            authority
+        }
+    };
+    let [_, daemon_key] = folder.daemon();
+    if !hosts.is_empty() || !daemon_key.exists() {
+        let own = OWN_NAMES.map(str::to_owned).into_iter();
+        let mut hosts: Vec<String> = own.chain(hosts.iter().cloned()).collect();
+        hosts.dedup();
+        keep(&authority.certify_daemon(&hosts)?, folder.daemon())?;
+    }
+    if !folder.people_file().exists() {
+        folder.write_people(&[], &[])?;
+    }
+    add_by(&authority, folder, people)
+}
+
+/// Adds people, and returns the folders to hand to them.
+///
+/// # Errors
+///
+/// [`RightsError`]; nobody is added then.
+pub fn add(folder: &Folder, people: &[(String, Role)]) -> Result<Vec<PathBuf>, RightsError> {
+    check(people)?;
+    folder.people()?;
+    let [_, key] = folder.authority();
+    add_by(&Authority::of_key(&read(&key)?)?, folder, people)
+}
+
+/// Takes people's rights away, from the daemon's next start on.
+///
+/// # Errors
+///
+/// [`RightsError`]; nobody is removed then.
+pub fn remove(folder: &Folder, names: &[String]) -> Result<(), RightsError> {
+    let (mut people, mut passwords) = (folder.people()?, folder.passwords()?);
+    for name in names {
+        if !people.iter().any(|entry| entry.person == *name) {
+            return Err(RightsError::Nobody(name.clone()));
+        }
+    }
+    people.retain(|entry| !names.contains(&entry.person));
+    passwords.retain(|(person, _)| !names.contains(person));
+    folder.write_people(&people, &passwords)?;
+    for name in names {
+        let path = folder.of(name);
+        if path.exists() {
+            fs::remove_dir_all(&path).map_err(|error| at(&path, error))?;
+        }
+    }
+    Ok(())
+}
+
+fn check(people: &[(String, Role)]) -> Result<(), RightsError> {
+    match people.iter().find(|(name, _)| !is_person(name)) {
+        Some((name, _)) => Err(RightsError::Name(name.clone())),
+        None => Ok(()),
+    }
+}
+
+fn add_by(
+    authority: &Authority,
+    folder: &Folder,
+    people: &[(String, Role)],
+) -> Result<Vec<PathBuf>, RightsError> {
+    let (mut known, mut passwords) = (folder.people()?, folder.passwords()?);
+    let mut made = Vec::new();
+    for (name, role) in people {
+        if known.iter().any(|entry| entry.person == *name) {
+            return Err(RightsError::There(name.clone()));
+        }
+        let draw = || secret::draw(SECRET_BYTES).map_err(|error| at(folder.path(), error));
+        let credentials = Credentials {
+            person: name.clone(),
+            role: *role,
+            token: draw()?,
+            password: draw()?,
+        };
+        known.push(Entry {
+            person: name.clone(),
+            role: *role,
+            token_hash: blake3::hash(credentials.token.as_bytes()).to_string(),
+        });
+        passwords.push((name.clone(), credentials.password.clone()));
+        made.push(credentials);
+    }
+    let [certificate, _] = folder.authority();
+    let trusted = read(&certificate)?;
+    let mut folders = Vec::new();
+    for credentials in &made {
+        let path = folder.of(&credentials.person);
+        make_folder(path.clone())?;
+        let [ca, certificate, key] = Credentials::CERTIFICATES.map(|file| path.join(file));
+        write(&ca, &trusted)?;
+        let pair = authority.certify_person(&credentials.person)?;
+        keep(&pair, [certificate, key])?;
+        write_json(&path.join(Credentials::FILE), credentials)?;
+        folders.push(path);
+    }
+    // What lets them in comes last.
+    known.sort_by(|a, b| a.person.cmp(&b.person));
+    passwords.sort();
+    folder.write_people(&known, &passwords)?;
+    Ok(folders)
+}
+
+fn make_folder(path: PathBuf) -> Result<(), RightsError> {
+    secret::make_folder(&path).map_err(|error| at(&path, error))
+}
+
+fn keep(pair: &Pair, [certificate, key]: [PathBuf; 2]) -> Result<(), RightsError> {
+    write(&key, &pair.key)?;
+    write(&certificate, &pair.certificate)
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+    use crate::rights::Rights;
+
+    fn person(name: &str) -> (String, Role) {
+        (name.to_owned(), Role::Viewer)
+    }
+
+    #[test]
+    fn what_is_there_stays_and_what_is_not_is_made_for_nobody_else_to_read() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = Folder::at(base.path().join("deep/auth"));
+        assert!(matches!(
+            Rights::read(folder.clone()),
+            Err(RightsError::Nothing(_))
+        ));
+        init(&folder, &[], &[person("anna")]).unwrap();
+        let [ca, key] = folder.authority();
+        let before = (read(&ca).unwrap(), folder.credentials("anna").unwrap());
+        init(&folder, &["lab.example".into()], &[person("ben")]).unwrap();
+        add(&folder, &[person("cleo")]).unwrap();
+        assert!(before == (read(&ca).unwrap(), folder.credentials("anna").unwrap()));
+        let names: Vec<_> = folder
+            .people()
+            .unwrap()
+            .into_iter()
+            .map(|it| it.person)
+            .collect();
+        assert_eq!(names, ["anna", "ben", "cleo"]);
+        assert_eq!(folder.passwords().unwrap().len(), 3);
+
+        let mut folders = vec![folder.path().to_owned()];
+        while let Some(path) = folders.pop() {
+            let mode = fs::metadata(&path).unwrap().permissions().mode();
+            assert_eq!(mode & 0o077, 0, "{}", path.display());
+            if path.is_dir() {
+                let entries = fs::read_dir(&path).unwrap();
+                folders.extend(entries.map(|entry| entry.unwrap().path()));
+            }
+        }
+        fs::set_permissions(&key, fs::Permissions::from_mode(0o644)).unwrap();
+        Rights::read(folder.clone()).unwrap();
+        let open = folder.passwords_file();
+        fs::set_permissions(&open, fs::Permissions::from_mode(0o640)).unwrap();
+        assert!(matches!(Rights::read(folder), Err(RightsError::Open(_))));
+    }
+
+    #[test]
+    fn a_refusal_changes_nothing() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = Folder::at(base.path().join("auth"));
+        assert!(matches!(
+            add(&folder, &[person("anna")]),
+            Err(RightsError::Nothing(_))
+        ));
+        init(&folder, &[], &[person("anna")]).unwrap();
+        let people = folder.people().unwrap();
+        for refused in [
+            add(&folder, &[person("ben"), person("anna")]),
+            add(&folder, &[person("ben"), person("ben")]),
+            add(&folder, &[person("ben"), person("ben-1")]),
+            remove(&folder, &["anna".into(), "ben".into()]).map(|()| Vec::new()),
+        ] {
+            let refused = refused.unwrap_err().to_string();
+            assert!(
+                refused.contains("anna") || refused.contains("ben"),
+                "{refused}"
+            );
+            assert_eq!(folder.people().unwrap(), people);
+            assert!(!folder.of("ben").exists() && folder.of("anna").exists());
+        }
+        remove(&folder, &["anna".into()]).unwrap();
+        assert!(folder.people().unwrap().is_empty() && folder.passwords().unwrap().is_empty());
+        assert!(!folder.of("anna").exists());
+        assert!(init(&folder, &["no such host".into()], &[]).is_err());
+    }
+}

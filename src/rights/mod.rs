@@ -1,0 +1,269 @@
+//! Who may do what: the people of a daemon, their roles and their tokens.
+//!
+//! A query does not tell whose session it came over, so each request brings a token along; zenoh's
+//! own access control, which knows the session's name and certificate, stands before that.
+
+pub mod certificates;
+pub mod folder;
+pub mod issue;
+pub mod secret;
+
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+use blake3::Hash;
+use jostle_proto::Role;
+use jostle_proto::role::{is_controller_of, is_person, refusal};
+use thiserror::Error;
+
+use crate::rights::folder::Folder;
+
+/// Between a person's name and what their client calls itself: no name has it.
+const BEFORE_CLAIM: char = ':';
+
+/// Why people's rights cannot be read or given.
+#[derive(Debug, Error)]
+pub enum RightsError {
+    /// A file cannot be read or written.
+    #[error("{path}: {error}")]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What the system says.
+        error: std::io::Error,
+    },
+    /// There is nothing of the kind.
+    #[error("{0} has no people.json: `jostled auth init --auth-dir {0}` makes it")]
+    Nothing(PathBuf),
+    /// A file says what it cannot say.
+    #[error("{path}: {problem}")]
+    Content {
+        /// Which.
+        path: PathBuf,
+        /// What is wrong.
+        problem: String,
+    },
+    /// Others can read a secret.
+    #[error("{0} can be read by others: `chmod go= {0}`, and give new secrets if anybody did")]
+    Open(PathBuf),
+    /// A person's name.
+    #[error("{0:?} is no person's name: 1 to 64 of a-z, 0-9 and _, the first a letter or digit")]
+    Name(String),
+    /// The person is there already.
+    #[error(
+        "{0} is there already: `jostled auth remove {0}` first, to give new secrets or another role"
+    )]
+    There(String),
+    /// There is no such person.
+    #[error("there is nobody called {0:?}: `jostled auth list` shows who there is")]
+    Nobody(String),
+    /// A name or an address that no certificate can be made for.
+    #[error("no certificate can be made: {0}")]
+    Certificate(#[from] rcgen::Error),
+}
+
+/// Somebody the daemon knows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Person {
+    /// Their name.
+    pub name: String,
+    /// What they are.
+    pub role: Role,
+}
+
+/// Who may do what.
+#[derive(Default)]
+pub enum Rights {
+    /// Whoever reaches the daemon may do everything.
+    #[default]
+    Everybody,
+    /// These people, by the hashes of their tokens.
+    People {
+        /// Where their secrets are.
+        folder: Folder,
+        /// Who they are.
+        people: BTreeMap<[u8; 32], Person>,
+    },
+}
+
+/// Why a request is not permitted.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+pub enum NotPermitted {
+    /// It takes another role.
+    #[error("{}", refusal(person.as_ref().map(|it| (it.name.as_str(), it.role)), verb))]
+    Verb {
+        /// Whose request it is; nobody's, if its token is no one's.
+        person: Option<Person>,
+        /// What was asked for.
+        verb: String,
+    },
+    /// It speaks for somebody else's controller.
+    #[error(
+        "you are {person}: a controller of yours is called {person}, or {person}- and more, and \
+         not {controller}"
+    )]
+    Controller {
+        /// Whose request it is.
+        person: String,
+        /// Whom it speaks for.
+        controller: String,
+    },
+}
+
+impl Rights {
+    /// Reads the folder that `jostled auth init` made.
+    ///
+    /// # Errors
+    ///
+    /// [`RightsError`] when it is not there, not whole, or open to others.
+    pub fn read(folder: Folder) -> Result<Self, RightsError> {
+        folder.check_secrecy()?;
+        let mut people = BTreeMap::new();
+        for entry in folder.people()? {
+            let wrong = |problem: &str| RightsError::Content {
+                path: folder.people_file(),
+                problem: format!("{}: {problem}", entry.person),
+            };
+            if !is_person(&entry.person) {
+                return Err(RightsError::Name(entry.person));
+            }
+            let hash = Hash::from_hex(&entry.token_hash)
+                .map_err(|_| wrong("token_hash is no BLAKE3 hash in hexadecimal"))?;
+            let person = Person {
+                name: entry.person.clone(),
+                role: entry.role,
+            };
+            if people.insert(*hash.as_bytes(), person).is_some() {
+                return Err(wrong("has the token of somebody else"));
+            }
+        }
+        if people.is_empty() {
+            // With no password to ask for, zenoh would ask for none.
+            return Err(RightsError::Content {
+                path: folder.people_file(),
+                problem: "there is nobody: `jostled auth add NAME=ROLE`".into(),
+            });
+        }
+        Ok(Rights::People { folder, people })
+    }
+
+    /// Everybody the daemon knows; none where whoever reaches it may do everything.
+    pub fn people(&self) -> Option<impl Iterator<Item = &Person>> {
+        match self {
+            Rights::Everybody => None,
+            Rights::People { people, .. } => Some(people.values()),
+        }
+    }
+
+    /// Whose token this is. By its hash, so that how long it takes tells nothing of another.
+    pub fn owner(&self, token: &[u8]) -> Option<&Person> {
+        match self {
+            Rights::Everybody => None,
+            Rights::People { people, .. } => people.get(blake3::hash(token).as_bytes()),
+        }
+    }
+
+    /// Who asks for `verb`, if they may: nobody in particular where everybody may.
+    ///
+    /// # Errors
+    ///
+    /// [`NotPermitted`].
+    pub fn permit(&self, token: &[u8], verb: &str) -> Result<Option<&Person>, NotPermitted> {
+        let Rights::People { .. } = self else {
+            return Ok(None);
+        };
+        let owner = self.owner(token);
+        match owner {
+            Some(person) if person.role.may(verb) => Ok(owner),
+            _ => Err(NotPermitted::Verb {
+                person: owner.cloned(),
+                verb: verb.to_owned(),
+            }),
+        }
+    }
+}
+
+impl Person {
+    /// Who a request is from: its person, and what their client calls itself.
+    pub fn signed(&self, claim: Option<&str>) -> String {
+        match claim {
+            Some(claim) => format!("{}{BEFORE_CLAIM}{claim}", self.name),
+            None => self.name.clone(),
+        }
+    }
+
+    /// Lets them speak for a controller of this name.
+    ///
+    /// # Errors
+    ///
+    /// [`NotPermitted::Controller`] for one that is not theirs.
+    pub fn permit_controller(&self, controller: &str) -> Result<(), NotPermitted> {
+        match self.role == Role::Operator || is_controller_of(&self.name, controller) {
+            true => Ok(()),
+            false => Err(NotPermitted::Controller {
+                person: self.name.clone(),
+                controller: controller.to_owned(),
+            }),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+    use crate::rights::issue;
+
+    #[test]
+    fn each_may_what_their_role_may_by_their_token_alone() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = Folder::at(base.path().join("auth"));
+        let people = Role::ALL.map(|role| (format!("a_{role}"), role));
+        issue::init(&folder, &[], &people).unwrap();
+        let rights = Rights::read(folder.clone()).unwrap();
+        assert_eq!(rights.people().unwrap().count(), 3);
+        for (name, role) in &people {
+            let token = folder.credentials(name).unwrap().token;
+            let person = Person {
+                name: name.clone(),
+                role: *role,
+            };
+            assert_eq!(rights.owner(token.as_bytes()), Some(&person));
+            for verb in ["join", "pause", "*", ""] {
+                let permitted = rights.permit(token.as_bytes(), verb);
+                match role.may(verb) {
+                    true => assert_eq!(permitted, Ok(Some(&person)), "{name} {verb}"),
+                    false => {
+                        let told = permitted.unwrap_err().to_string();
+                        assert!(
+                            told.contains(&format!("you are {name}, a {role}")),
+                            "{told}"
+                        );
+                    }
+                }
+            }
+            let nearly = &token.as_bytes()[..token.len() - 1];
+            assert_eq!(rights.owner(nearly), None);
+        }
+        for nobodys in [&b""[..], b"a_operator"] {
+            let refused = rights.permit(nobodys, "pause").unwrap_err().to_string();
+            assert!(refused.contains("pause takes an operator"), "{refused}");
+        }
+        assert_eq!(Rights::Everybody.permit(b"", "delete"), Ok(None));
+    }
+
+    #[test]
+    fn a_claim_stands_behind_the_name_and_a_controller_bears_it() {
+        let mut person = Person {
+            name: "anna".into(),
+            role: Role::Controller,
+        };
+        assert_eq!(person.signed(None), "anna");
+        assert_eq!(person.signed(Some("ben")), "anna:ben");
+        assert_eq!(person.permit_controller("anna-2"), Ok(()));
+        assert!(person.permit_controller("ben").is_err());
+        person.role = Role::Operator;
+        assert_eq!(person.permit_controller("ben"), Ok(()));
+    }
+}

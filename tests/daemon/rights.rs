@@ -1,0 +1,195 @@
+//! Many people, each with their rights: what each may, over TLS and within the machine.
+
+mod forgery;
+mod matrix;
+mod secrets;
+mod start;
+
+use std::path::PathBuf;
+
+use jostle_proto::{Credentials, Role, keys};
+use jostled::config::{self, Config};
+use jostled::rights::folder::Folder;
+use jostled::rights::issue;
+use jostled::server::{self, Server};
+use serde_json::{Value, json};
+use tempfile::TempDir;
+use tokio::sync::RwLockReadGuard;
+use zenoh::Session;
+use zenoh::bytes::Encoding;
+
+use crate::support::{Answer, NODE, PATIENCE, PREFIX, beside_others, read};
+
+/// Two viewers, two controllers, an operator.
+const PEOPLE: [(&str, Role); 5] = [
+    ("vera", Role::Viewer),
+    ("victor", Role::Viewer),
+    ("cleo", Role::Controller),
+    ("carl", Role::Controller),
+    ("olga", Role::Operator),
+];
+
+/// A daemon that knows its people.
+struct Lab {
+    server: Server,
+    folder: Folder,
+    base: TempDir,
+    _machine: RwLockReadGuard<'static, ()>,
+}
+
+impl Lab {
+    async fn open() -> Self {
+        let machine = beside_others().await;
+        let base = tempfile::tempdir().unwrap();
+        let folder = Folder::at(base.path().join("auth"));
+        let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
+        issue::init(&folder, &[], &people).unwrap();
+        let text = |path: PathBuf| Some(path.to_str().unwrap().to_owned());
+        let listen = "tls/127.0.0.1:0,tcp/127.0.0.1:0".to_owned();
+        let flags = [
+            ("listen", Some(listen)),
+            ("node", Some(NODE.to_owned())),
+            ("http", Some("127.0.0.1:0".to_owned())),
+            ("data_dir", text(base.path().join("data"))),
+            ("auth_dir", text(folder.path().to_owned())),
+        ];
+        let merged = config::merge(None, std::iter::empty(), &flags).unwrap();
+        let server = server::start(&Config::new(&merged).unwrap()).await.unwrap();
+        Lab {
+            server,
+            folder,
+            base,
+            _machine: machine,
+        }
+    }
+
+    fn endpoint(&self, protocol: &str) -> &str {
+        let endpoints = self.server.endpoints().iter();
+        let mut endpoints = endpoints.filter(|it| it.starts_with(protocol));
+        endpoints.next().unwrap()
+    }
+
+    fn credentials(&self, name: &str) -> Credentials {
+        self.folder.credentials(name).unwrap()
+    }
+
+    /// A session of `name`'s over TLS, which sends their token.
+    async fn enter(&self, name: &str) -> Visitor {
+        self.enter_with(name, Some(&self.credentials(name).token))
+            .await
+    }
+
+    /// A session of `name`'s over TLS, which sends `token`.
+    async fn enter_with(&self, name: &str, token: Option<&str>) -> Visitor {
+        let proof = Proof::of(&self.folder, name);
+        Visitor {
+            session: proof.open(self.endpoint("tls")).await.unwrap(),
+            token: token.map(str::to_owned),
+        }
+    }
+
+    async fn close(self, visitors: Vec<Visitor>) {
+        for visitor in visitors {
+            visitor.session.close().await.unwrap();
+        }
+        self.server.stop().await;
+    }
+}
+
+/// What a session is opened with.
+struct Proof {
+    user: Option<(String, String)>,
+    authority: PathBuf,
+    certificate: Option<[PathBuf; 2]>,
+}
+
+impl Proof {
+    fn of(folder: &Folder, name: &str) -> Self {
+        let password = folder.credentials(name).unwrap().password;
+        let [authority, certificate, key] =
+            Credentials::CERTIFICATES.map(|file| folder.of(name).join(file));
+        Proof {
+            user: Some((name.to_owned(), password)),
+            authority,
+            certificate: Some([certificate, key]),
+        }
+    }
+
+    async fn open(&self, endpoint: &str) -> zenoh::Result<Session> {
+        let mut tls = json!({"root_ca_certificate": self.authority});
+        if let Some([certificate, key]) = &self.certificate {
+            tls["enable_mtls"] = json!(true);
+            tls["connect_certificate"] = json!(certificate);
+            tls["connect_private_key"] = json!(key);
+        }
+        let mut settings = vec![
+            ("mode", json!("client")),
+            ("connect/endpoints", json!([endpoint])),
+            ("scouting/multicast/enabled", json!(false)),
+            ("scouting/gossip/enabled", json!(false)),
+            ("adminspace/enabled", json!(false)),
+            ("transport/link/tls", tls),
+        ];
+        if let Some((user, password)) = &self.user {
+            let proof = json!({"user": user, "password": password});
+            settings.push(("transport/auth/usrpwd", proof));
+        }
+        let mut config = zenoh::Config::default();
+        for (key, value) in settings {
+            config.insert_json5(key, &value.to_string()).unwrap();
+        }
+        zenoh::open(config).await
+    }
+}
+
+/// Somebody with a session, and a token to send or none.
+struct Visitor {
+    session: Session,
+    token: Option<String>,
+}
+
+impl Visitor {
+    /// Every answer; none if the request never arrives.
+    async fn ask(&self, selector: &str, payload: Option<&Value>) -> Vec<Answer> {
+        let mut query = self.session.get(selector).timeout(2 * PATIENCE);
+        if let Some(payload) = payload {
+            let payload = payload.to_string();
+            query = query.payload(payload).encoding(Encoding::APPLICATION_JSON);
+        }
+        if let Some(token) = &self.token {
+            query = query.attachment(token);
+        }
+        let replies = query.await.unwrap();
+        let mut answers = Vec::new();
+        while let Ok(reply) = replies.recv_async().await {
+            answers.push(match reply.into_result() {
+                Ok(sample) => Ok(read(sample.encoding(), &sample.payload().to_bytes())),
+                Err(error) => Err(serde_json::from_slice(&error.payload().to_bytes()).unwrap()),
+            });
+        }
+        answers
+    }
+
+    /// The answer of something that succeeds.
+    async fn ok(&self, key: &str, payload: Option<&Value>) -> Value {
+        let mut answers = self.ask(key, payload).await;
+        assert_eq!(answers.len(), 1, "{key} {payload:?}: {answers:?}");
+        let answer = answers.remove(0);
+        answer.unwrap_or_else(|error| panic!("{key} {payload:?}: {error:?}"))
+    }
+
+    async fn cmd(&self, swarm: &str, verb: &str, args: Value) -> Value {
+        self.ok(&keys::cmd(PREFIX, swarm, verb), Some(&args)).await
+    }
+
+    async fn node_cmd(&self, verb: &str, args: Value) -> Value {
+        self.ok(&keys::node_cmd(PREFIX, NODE, verb), Some(&args))
+            .await
+    }
+
+    async fn create(&self, swarm: &str) {
+        let spec = json!({"n": 5, "seed": 1, "publish_every": 1, "rate": null});
+        self.node_cmd("create", json!({"name": swarm, "spec": spec}))
+            .await;
+    }
+}

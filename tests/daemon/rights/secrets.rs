@@ -1,0 +1,228 @@
+//! No secret stands in any log, however much is logged; and whom HTTP lets do what.
+
+use std::fs::{self, File};
+use std::net::TcpListener;
+
+use futures_util::StreamExt;
+use jostle_proto::{Credentials, keys};
+use jostled::rights::folder::Folder;
+use jostled::rights::issue;
+use serde_json::{Value, json};
+use tokio::net::TcpStream;
+use tokio_tungstenite::client_async;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+
+use super::{Lab, PEOPLE, Proof, Visitor};
+use crate::apart::{Process, jostled};
+use crate::health::send;
+use crate::support::{NODE, PREFIX, until};
+
+/// Asks over HTTP with a token, or without.
+fn http(address: &str, request: &str, token: Option<&str>, body: &str) -> (u16, Value) {
+    let token = token.map(|token| format!("Authorization: Bearer {token}\r\n"));
+    let (status, _, body) = send(
+        address,
+        &format!(
+            "{request} HTTP/1.1\r\nHost: {address}\r\nOrigin: http://{address}\r\n\
+             Connection: close\r\n{}Content-Length: {}\r\n\r\n{body}",
+            token.unwrap_or_default(),
+            body.len()
+        ),
+    );
+    (status, serde_json::from_str(&body).unwrap_or_default())
+}
+
+/// Opens a tab's socket with a token; says whether it is let in.
+async fn tab(address: &str, token: Option<&str>) -> bool {
+    let mut request = format!("ws://{address}/api/ws")
+        .into_client_request()
+        .unwrap();
+    let headers = request.headers_mut();
+    headers.insert("origin", format!("http://{address}").parse().unwrap());
+    if let Some(token) = token {
+        let protocols = format!("jostle, token.{token}").parse().unwrap();
+        headers.insert("sec-websocket-protocol", protocols);
+    }
+    let stream = TcpStream::connect(address).await.unwrap();
+    match client_async(request, stream).await {
+        Ok((mut tab, _)) => tab.next().await.unwrap().is_ok(),
+        Err(_) => false,
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn over_http_everybody_shows_their_own_token() {
+    let lab = Lab::open().await;
+    let address = lab.server.http().unwrap().to_string();
+    assert_eq!(lab.server.page(), None);
+    let tokens = ["vera", "cleo", "olga"].map(|name| lab.credentials(name).token);
+    let [vera, cleo, olga] = tokens.each_ref().map(|token| Some(token.as_str()));
+    let nobody = [None, Some("0123456789abcdef0123456789abcdef"), Some("")];
+    let spec = r#"{"name": "s", "spec": {"n": 3}}"#;
+    let steps = r#"{"steps": 2}"#;
+
+    for (token, status) in [(vera, 403), (cleo, 403), (olga, 200)] {
+        let (told, answer) = http(&address, "POST /api/node/create", token, spec);
+        assert_eq!(told, status, "{answer}");
+    }
+    for (token, status) in [(vera, 403), (cleo, 403), (olga, 200)] {
+        let (told, answer) = http(&address, "POST /api/cmd/s/step", token, steps);
+        assert_eq!(told, status, "{answer}");
+    }
+    for token in nobody {
+        for request in [
+            "POST /api/node/create",
+            "POST /api/cmd/s/delete",
+            "GET /api/get/s/get/status",
+            "GET /api/get/s/state",
+            "GET /metrics",
+        ] {
+            let body = if request.starts_with("POST") {
+                "{}"
+            } else {
+                ""
+            };
+            let (status, answer) = http(&address, request, token, body);
+            assert_eq!(
+                (status, &answer["code"]),
+                (401, &json!("permission_denied")),
+                "{request}"
+            );
+        }
+        assert!(!tab(&address, token).await);
+        let (_, hello) = http(&address, "GET /api/hello", token, "");
+        assert_eq!(
+            (&hello["may_watch"], &hello["role"]),
+            (&json!(false), &json!(null))
+        );
+        assert_eq!(http(&address, "GET /healthz", token, "").0, 200);
+    }
+    for (token, name, may) in [
+        (vera, "vera", false),
+        (cleo, "cleo", false),
+        (olga, "olga", true),
+    ] {
+        assert_eq!(
+            http(&address, "GET /api/get/s/get/status", token, "").0,
+            200
+        );
+        assert_eq!(http(&address, "GET /metrics", token, "").0, 200);
+        assert!(tab(&address, token).await);
+        let (_, hello) = http(&address, "GET /api/hello", token, "");
+        let told = (&hello["person"], &hello["may_watch"], &hello["may_command"]);
+        assert_eq!(told, (&json!(name), &json!(true), &json!(may)));
+    }
+    // What was done over HTTP says whose token it was.
+    let (_, journal) = http(&address, "GET /api/get/s/get/journal", olga, "");
+    let entries = journal["result"]["entries"].as_array().unwrap();
+    assert!(
+        entries.iter().all(|entry| entry["client"] == "olga"),
+        "{journal}"
+    );
+    lab.close(Vec::new()).await;
+}
+
+/// What nobody but its owner may read anywhere.
+fn secrets(folder: &Folder) -> Vec<String> {
+    let mut secrets = Vec::new();
+    for (name, _) in PEOPLE {
+        let Credentials {
+            token, password, ..
+        } = folder.credentials(name).unwrap();
+        secrets.extend([token, password]);
+        let key = folder.of(name).join(Credentials::CERTIFICATES[2]);
+        secrets.push(second_line(&fs::read_to_string(key).unwrap()));
+    }
+    for [_, key] in [folder.authority(), folder.daemon()] {
+        secrets.push(second_line(&fs::read_to_string(key).unwrap()));
+    }
+    secrets
+}
+
+fn second_line(text: &str) -> String {
+    text.lines().nth(1).unwrap().to_owned()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn no_secret_is_in_any_log_nor_among_what_is_kept() {
+    let base = tempfile::tempdir().unwrap();
+    let folder = Folder::at(base.path().join("auth"));
+    let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
+    issue::init(&folder, &[], &people).unwrap();
+    let port = || {
+        let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+        taken.local_addr().unwrap().to_string()
+    };
+    let (zenoh, address) = (port(), port());
+    let [out, log] = ["out", "log"].map(|name| base.path().join(name));
+    let data = tempfile::tempdir().unwrap();
+    let mut command = jostled(&["serve", "--node", NODE, "--log", "trace"]);
+    command
+        .args(["--listen", &format!("tls/{zenoh}"), "--http", &address])
+        .arg("--auth-dir")
+        .arg(folder.path())
+        .arg("--data-dir")
+        .arg(data.path())
+        .env("RUST_BACKTRACE", "1")
+        .stdout(File::create(&out).unwrap())
+        .stderr(File::create(&log).unwrap());
+    let mut process = Process::of(&mut command);
+    let endpoint = format!("tls/{zenoh}");
+    until("it serves", async || {
+        fs::read_to_string(&out).unwrap().contains("http on")
+    })
+    .await;
+    for (name, _) in PEOPLE {
+        let visitor = Visitor {
+            session: Proof::of(&folder, name).open(&endpoint).await.unwrap(),
+            token: Some(folder.credentials(name).unwrap().token),
+        };
+        let create = json!({"name": "s", "spec": {"n": 3}, "exist_ok": true});
+        visitor
+            .ask(&keys::node_cmd(PREFIX, NODE, "create"), Some(&create))
+            .await;
+        visitor
+            .ask(&keys::cmd(PREFIX, "s", "set"), Some(&json!({"pi3": 1.1})))
+            .await;
+        visitor
+            .ok(&keys::node_get(PREFIX, NODE, "whoami"), None)
+            .await;
+        let token = visitor.token.as_deref();
+        http(&address, "POST /api/cmd/s/pause", token, "{}");
+        http(&address, "GET /api/get/s/get/status", token, "");
+        assert!(tab(&address, token).await);
+        visitor.session.close().await.unwrap();
+    }
+    // Whoever is not let in has a secret too.
+    let mut wrong = Proof::of(&folder, "vera");
+    let password = folder.credentials("olga").unwrap().password;
+    wrong.user = Some(("vera".into(), password));
+    assert!(wrong.open(&endpoint).await.is_err());
+    process.signal("-TERM");
+    assert_eq!(process.end().0, Some(0));
+
+    let logged = fs::read(&log).unwrap();
+    assert!(
+        logged.len() > 10_000,
+        "so little was logged that nothing is shown"
+    );
+    let mut read = vec![(log, logged), (out.clone(), fs::read(&out).unwrap())];
+    let mut folders = vec![data.path().to_owned()];
+    while let Some(folder) = folders.pop() {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            match path.is_dir() {
+                true => folders.push(path),
+                false => read.push((path.clone(), fs::read(&path).unwrap())),
+            }
+        }
+    }
+    for secret in secrets(&folder) {
+        for (path, bytes) in &read {
+            let is_in = bytes
+                .windows(secret.len())
+                .any(|it| it == secret.as_bytes());
+            assert!(!is_in, "a secret is in {}", path.display());
+        }
+    }
+}

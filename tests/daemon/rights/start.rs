@@ -1,0 +1,142 @@
+//! Who gets a session at all, and what does not start.
+
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use jostle_proto::keys;
+use jostled::rights::folder::Folder;
+use jostled::rights::issue;
+
+use super::{Lab, PEOPLE, Proof};
+use crate::apart::jostled;
+use crate::support::{NODE, PREFIX};
+
+/// How soon whoever is not let in knows it.
+const SOON: Duration = Duration::from_secs(3);
+
+#[tokio::test(flavor = "multi_thread")]
+async fn only_people_with_their_own_proof_get_a_session() {
+    let lab = Lab::open().await;
+    let stranger = Folder::at(lab.base.path().join("elsewhere"));
+    let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
+    issue::init(&stranger, &[], &people).unwrap();
+    let own = |name| Proof::of(&lab.folder, name);
+    let password = |user: &str, password: &str| Proof {
+        user: Some((user.to_owned(), password.to_owned())),
+        ..own("olga")
+    };
+    let foreign = Proof {
+        user: own("olga").user,
+        authority: own("olga").authority,
+        certificate: Proof::of(&stranger, "olga").certificate,
+    };
+    let trusting = Proof {
+        authority: Proof::of(&stranger, "olga").authority,
+        ..own("olga")
+    };
+    let refused = [
+        (
+            "no name",
+            Proof {
+                user: None,
+                ..own("olga")
+            },
+        ),
+        ("a wrong password", password("olga", "guess")),
+        ("nobody's name", password("nobody", "guess")),
+        (
+            "another's password",
+            password("vera", &lab.credentials("olga").password),
+        ),
+    ];
+    let refused_by_tls = [
+        (
+            "no certificate",
+            Proof {
+                certificate: None,
+                ..own("olga")
+            },
+        ),
+        ("another authority's certificate", foreign),
+        ("trust in another authority", trusting),
+    ];
+    for protocol in ["tls", "tcp"] {
+        let endpoint = lab.endpoint(protocol);
+        let by_tls = refused_by_tls.iter().filter(|_| protocol == "tls");
+        for (what, proof) in refused.iter().chain(by_tls) {
+            let began = Instant::now();
+            assert!(proof.open(endpoint).await.is_err(), "{what} by {protocol}");
+            assert!(
+                began.elapsed() < SOON,
+                "{what} by {protocol}: {:?}",
+                began.elapsed()
+            );
+        }
+        let session = own("vera").open(endpoint).await.unwrap();
+        let hello = session
+            .get(keys::node_get(PREFIX, NODE, "hello"))
+            .await
+            .unwrap();
+        assert!(
+            hello.recv_async().await.unwrap().result().is_ok(),
+            "{protocol}"
+        );
+        session.close().await.unwrap();
+    }
+    // A session with one person's name and another's certificate may nothing.
+    let mixed = Proof {
+        certificate: own("olga").certificate,
+        ..own("vera")
+    };
+    let session = mixed.open(lab.endpoint("tls")).await.unwrap();
+    let hello = session
+        .get(keys::node_get(PREFIX, NODE, "hello"))
+        .await
+        .unwrap();
+    assert!(hello.recv_async().await.is_err());
+    session.close().await.unwrap();
+    lab.close(Vec::new()).await;
+}
+
+#[test]
+fn what_others_could_reach_unasked_does_not_start() {
+    let base = tempfile::tempdir().unwrap();
+    let auth = base.path().join("auth");
+    let folder = Folder::at(auth.clone());
+    issue::init(&folder, &[], &[("anna".into(), PEOPLE[0].1)]).unwrap();
+    let (auth, data) = (auth.to_str().unwrap(), base.path().join("data"));
+    let data = data.to_str().unwrap();
+    let nowhere = base.path().join("nowhere");
+    for (flags, told) in [
+        (&["--listen", "tcp/0.0.0.0:0"][..], "is not encrypted"),
+        (
+            &["--listen", "tcp/0.0.0.0:0", "--auth-dir", auth],
+            "is not encrypted",
+        ),
+        (
+            &["--listen", "tls/0.0.0.0:0"],
+            "name their folder as auth_dir",
+        ),
+        (
+            &["--listen", "tls/127.0.0.1:0"],
+            "name their folder as auth_dir",
+        ),
+        (
+            &["--auth-dir", nowhere.to_str().unwrap()],
+            "jostled auth init",
+        ),
+        (
+            &["--http", "0.0.0.0:0", "--auth-dir", auth],
+            "can be reached from other machines",
+        ),
+    ] {
+        let mut command = jostled(&["--data-dir", data]);
+        if !flags.contains(&"--listen") {
+            command.args(["--listen", "tcp/127.0.0.1:0"]);
+        }
+        let ended = command.args(flags).stderr(Stdio::piped()).output().unwrap();
+        let said = String::from_utf8(ended.stderr).unwrap();
+        assert_eq!(ended.status.code(), Some(2), "{flags:?}: {said}");
+        assert!(said.contains(told), "{flags:?}: {said}");
+    }
+}
