@@ -48,6 +48,7 @@ READ: dict[str, type[Any]] = {
     "node.schema.reply": jostle.Schemas,
     "node.status.reply": jostle.NodeStatus,
     "node.swarms.reply": Swarms,
+    "node.whoami.reply": jostle.WhoAmI,
     "order": jostle.OrderSample,
     "parameters.reply": Parameters,
     "pause.reply": jostle.Reply,

@@ -52,6 +52,10 @@ async fn deeds(olga: &Visitor, cleo: &Visitor) -> Vec<Deed> {
             "seek" => record_and_open(olga, &swarm).await,
             _ => olga.create(&swarm).await,
         }
+        if verb == "uninform" {
+            let all = json!({"select": {"fraction": 1.0}, "direction": 0.5});
+            olga.cmd(&swarm, "inform", all).await;
+        }
         if ["advance", "leave"].contains(&verb) {
             let join = json!({"controller": "cleo", "select": {"count": 1}});
             cleo.cmd(&swarm, "join", join).await;

@@ -32,6 +32,7 @@ from ._changes import Change, Inform, Inject, Remove, Set, Uninform
 from ._client import Client, connect, experiment
 from ._commands import Options
 from ._controller import Controller
+from ._credentials import Role, WhoAmI
 from ._errors import (
     AlreadyExists,
     Busy,
@@ -165,6 +166,7 @@ __all__ = [
     "ResetResult",
     "ResourceExhausted",
     "ResultRow",
+    "Role",
     "RunResult",
     "RunUnderWay",
     "Scheduled",
@@ -187,6 +189,7 @@ __all__ = [
     "Uninform",
     "Verified",
     "View",
+    "WhoAmI",
     "connect",
     "count",
     "disc",

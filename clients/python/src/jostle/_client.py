@@ -11,6 +11,7 @@ from types import TracebackType
 from typing import Any, Self, SupportsIndex, TypeVar
 
 from ._arguments import check_label, check_name, check_seconds, whole
+from ._credentials import Credentials, WhoAmI, read_credentials
 from ._errors import InvalidArgument, JostleError, Unavailable
 from ._experiment import Experiment, Source, send, to_toml
 from ._link import GRACE_SECS, Link, open_session
@@ -38,6 +39,7 @@ def connect(
     prefix: str = "jostle",
     client: str | None = None,
     timeout: float = 5.0,
+    credentials: str | os.PathLike[str] | None = None,
 ) -> Client:
     """Connects with the daemon at `endpoint`.
 
@@ -50,14 +52,22 @@ def connect(
             each client's `request_id`s apart. None is made up from the process's id.
         timeout: Seconds that connecting, and every command after it, may take unless it says
             otherwise.
+        credentials: The folder that says who this is, as `jostled auth` makes it; None is the
+            environment's `JOSTLE_CREDENTIALS`, or else nobody in particular.
 
     Raises:
+        PermissionDenied: The daemon does not let this client in.
         Unavailable: No daemon answers there.
         InvalidArgument: An argument is wrong, or several daemons answer and `node` is None.
     """
     if endpoint is None:
         endpoint = os.environ.get("JOSTLE_ENDPOINT") or DEFAULT_ENDPOINT
-    return Client(*open_link(endpoint, node=node, prefix=prefix, client=client, timeout=timeout))
+    identity = read_credentials(credentials)
+    return Client(
+        *open_link(
+            endpoint, node=node, prefix=prefix, client=client, timeout=timeout, identity=identity
+        )
+    )
 
 
 def open_link(
@@ -67,6 +77,7 @@ def open_link(
     prefix: str = "jostle",
     client: str | None = None,
     timeout: float = 5.0,
+    identity: tuple[Credentials, Path] | None = None,
 ) -> tuple[Link, str]:
     """A link with the daemon at `endpoint` and that daemon's name, as `connect` says."""
     if node is not None:
@@ -78,8 +89,9 @@ def open_link(
         )
     client = check_label("client", f"python-{os.getpid()}" if client is None else client)
     seconds = check_seconds("timeout", timeout)
-    session = open_session(endpoint, seconds)
-    link = Link(session, endpoint, prefix, client, seconds)
+    session = open_session(endpoint, seconds, identity)
+    token = None if identity is None else identity[0].token
+    link = Link(session, endpoint, prefix, client, seconds, token)
     try:
         hello = _greet(link, node)
     except BaseException:
@@ -400,6 +412,10 @@ class Client:
     def hello(self) -> Hello:
         """Who the daemon is and what it takes."""
         return self._get("hello", Hello)
+
+    def whoami(self) -> WhoAmI:
+        """Who the daemon takes this client for, and what it permits."""
+        return self._get("whoami", WhoAmI)
 
     def status(self) -> NodeStatus:
         """How the daemon fares."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import os
+import socket
 import time
 import uuid
 import weakref
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, SupportsIndex
 
 import msgspec
@@ -15,6 +17,7 @@ import zenoh
 
 from . import _cancel
 from ._arguments import check_label, check_seconds, to_json
+from ._credentials import Credentials, WhoAmI, proofs, refusal
 from ._ends import forked, open_links, use_zenoh
 from ._errors import (
     Busy,
@@ -27,6 +30,7 @@ from ._errors import (
     read_error,
 )
 from ._patience import Patience
+from ._reading import read_reply
 
 if TYPE_CHECKING:
     from ._controller import Controller
@@ -45,11 +49,14 @@ _LOOK_AGAIN_SECS = 0.02
 _LIVELINESS_SECS = 2.0
 
 
-def open_session(endpoint: str, timeout: float) -> zenoh.Session:
+def open_session(
+    endpoint: str, timeout: float, identity: tuple[Credentials, Path] | None = None
+) -> zenoh.Session:
     """Opens a session with the daemon at `endpoint`, and with nobody else.
 
     Raises:
         InvalidArgument: It is no endpoint.
+        PermissionDenied: Whoever listens there does not let this client in.
         Unavailable: No daemon answers there, or zenoh cannot be used in this process.
     """
     use_zenoh()
@@ -68,6 +75,7 @@ def open_session(endpoint: str, timeout: float) -> zenoh.Session:
             "period_max_ms": 1000,
             "period_increase_factor": 2,
         },
+        **({} if identity is None else proofs(*identity)),
     }.items():
         config.insert_json5(key, json.dumps(value))
     try:
@@ -81,23 +89,55 @@ def open_session(endpoint: str, timeout: float) -> zenoh.Session:
         return zenoh.open(config)
     except zenoh.ZError:
         # zenoh's own error says no more than that, in more words.
+        if _is_taken(endpoint):
+            raise _not_let_in(endpoint, identity) from None
         raise Unavailable(
             f"no daemon answers at {endpoint}: start one with `jostled serve`, "
             "or name another endpoint (argument `endpoint`, or JOSTLE_ENDPOINT)"
         ) from None
 
 
+def _is_taken(endpoint: str) -> bool:
+    """Whether anybody at all takes a connection at `endpoint`."""
+    protocol, _, address = endpoint.partition("/")
+    host, _, port = address.split("#")[0].split("?")[0].rpartition(":")
+    if protocol not in ("tcp", "tls") or not port.isdecimal():
+        return False
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), timeout=1.0).close()
+    except OSError:
+        return False
+    return True
+
+
+def _not_let_in(endpoint: str, identity: tuple[Credentials, Path] | None) -> PermissionDenied:
+    if identity is None:
+        who = "this client"
+        remedy = "if it is a daemon that knows its people, say who you are (argument `credentials`)"
+    else:
+        who = identity[0].person
+        remedy = "these credentials may be out of date, or another daemon's"
+    return PermissionDenied(f"something listens at {endpoint} but does not let {who} in: {remedy}")
+
+
 class Link:
     """One session with the daemons behind one endpoint, and what every request needs."""
 
     def __init__(
-        self, session: zenoh.Session, endpoint: str, prefix: str, client: str, timeout: float
+        self,
+        session: zenoh.Session,
+        endpoint: str,
+        prefix: str,
+        client: str,
+        timeout: float,
+        token: str | None = None,
     ) -> None:
         self.session = session
         self.endpoint = endpoint
         self.prefix = prefix
         self.client = client
         self.timeout = timeout
+        self._token = token
         self.max_message_bytes: int | None = None
         # What lives as long as this does, such as a daemon of its own.
         self.held: object = None
@@ -284,14 +324,14 @@ class Link:
         """
         for answer in self.ask_all(selector, listen_secs, payload):
             return answer
-        error = self.explain_silence(swarm, before)
+        error = self.explain_silence(swarm, before, selector)
         if not isinstance(error, PermissionDenied):
             raise error
         # A connection just made again does not know the daemon's keys yet, and then sends
         # nothing. By now it does; what was refused is refused again.
         for answer in self.ask_all(selector, listen_secs, payload):
             return answer
-        raise self.explain_silence(swarm, before)
+        raise self.explain_silence(swarm, before, selector)
 
     def ask_all(
         self, selector: str, listen_secs: float, payload: bytes | None = None
@@ -309,6 +349,7 @@ class Link:
                 payload=payload,
                 encoding=None if payload is None else zenoh.Encoding.APPLICATION_JSON,
                 timeout=listen_secs,
+                attachment=self._token,
                 consolidation=zenoh.ConsolidationMode.NONE,
                 cancellation_token=_cancel.token(),
             )
@@ -387,19 +428,23 @@ class Link:
         )
 
     def explain_silence(
-        self, swarm: str | None, before: frozenset[str] | None = None
+        self, swarm: str | None, before: frozenset[str] | None = None, selector: str = ""
     ) -> JostleError:
         """The error that no answer at all amounts to.
 
         A query that nobody may answer returns at once and empty, whether there is nobody or the
         daemon's access control swallowed it. Liveliness tokens tell which, if who was connected
         `before` the query still is: otherwise they are those of a daemon that it never reached.
+        The daemon tells whether the verb in `selector` is permitted, which it then never heard of.
         """
         nodes = self.nodes()
         if not nodes or (before is not None and before != self.connected()):
             return self.gone()
         if swarm is None or self.alive(self.swarm_key(swarm, "alive/*")):
             who = f"node {nodes[0]!r}" if swarm is None else f"swarm {swarm!r}"
+            _, is_command, verb = selector.partition("/cmd/")
+            if is_command and (told := self._refusal(verb)) is not None:
+                return PermissionDenied(told, details={"is_silence": True})
             return PermissionDenied(
                 f"{who} is there but does not answer: this client is not permitted to ask that, "
                 "or the daemon is just closing",
@@ -410,6 +455,15 @@ class Link:
             f"no swarm is named {swarm!r} on {where}: create it, or look at `client.swarms()`",
             details={"swarm": swarm, "is_silence": True},
         )
+
+    def _refusal(self, verb: str) -> str | None:
+        """Why the daemons there do not permit `verb`; None if they do, or do not say."""
+        key = self.node_key("*", "get/whoami")
+        for answer in self.ask_all(key, _LIVELINESS_SECS):
+            who = read_reply(answer, WhoAmI)
+            if not who.may(verb):
+                return refusal(who, verb)
+        return None
 
     def connected(self) -> frozenset[str]:
         """The zenoh nodes at the other end; a daemon that was started again is another one."""

@@ -342,6 +342,7 @@ class Client:
     recordings = _awaited(jostle.Client.recordings)
     swarms = _awaited(jostle.Client.swarms)
     hello = _awaited(jostle.Client.hello)
+    whoami = _awaited(jostle.Client.whoami)
     status = _awaited(jostle.Client.status)
     schema = _awaited(jostle.Client.schema)
     metrics = _awaited(jostle.Client.metrics)

@@ -1,0 +1,131 @@
+"""A daemon that knows its people, over TLS and within the machine."""
+
+from __future__ import annotations
+
+import asyncio
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import jostle
+from conftest import JOSTLED, Daemon
+from jostle import aio
+
+PEOPLE = {"vera": "viewer", "cleo": "controller", "olga": "operator"}
+
+
+@pytest.fixture(scope="module")
+def auth(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("rights") / "auth"
+    people = [f"{name}={role}" for name, role in PEOPLE.items()]
+    subprocess.run([JOSTLED, "--auth-dir", folder, "auth", "init", *people], check=True)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def lab(auth: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Daemon]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JOSTLED_AUTH_DIR", str(auth))
+        daemon = Daemon(tmp_path_factory.mktemp("lab"), "tls/127.0.0.1:0")
+    yield daemon
+    daemon.stop()
+
+
+def enter(lab: Daemon, auth: Path, name: str) -> jostle.Client:
+    return jostle.connect(lab.endpoint, credentials=auth / "people" / name)
+
+
+def test_each_person_may_what_their_role_may_and_hears_what_it_may_not(
+    lab: Daemon, auth: Path
+) -> None:
+    clients = {name: enter(lab, auth, name) for name in PEOPLE}
+    swarm = clients["olga"].create("s", {"n": 3, "seed": 1})
+    for name, role in PEOPLE.items():
+        who = clients[name].whoami()
+        assert (who.person, who.role) == (name, role)
+        assert clients[name].swarm("s").status().n == 3
+    assert clients["olga"].whoami().may("delete")
+    assert not clients["vera"].whoami().may("join")
+
+    for name, role in (("vera", "a viewer"), ("cleo", "a controller")):
+        began = time.monotonic()
+        with pytest.raises(jostle.PermissionDenied) as caught:
+            clients[name].swarm("s").pause()
+        assert f"you are {name}, {role}, and pause takes an operator" in str(caught.value)
+        assert time.monotonic() - began < 5.0
+        with pytest.raises(jostle.PermissionDenied, match="create takes an operator"):
+            clients[name].create("another", {"n": 3})
+    with pytest.raises(jostle.PermissionDenied, match="join takes a controller"):
+        clients["vera"].swarm("s").join("vera")
+    with (
+        pytest.raises(jostle.PermissionDenied, match="a controller of yours is called cleo"),
+        clients["cleo"].swarm("s").join("arm", select=jostle.count(1)),
+    ):
+        pass
+    with clients["cleo"].swarm("s").join("cleo-arm", select=jostle.count(1)) as controller:
+        assert controller.advance(2).step == 2
+    assert [entry.client for entry in swarm.journal() if entry.verb == "join"] == [
+        f"cleo:{clients['cleo']._link.client}"
+    ]
+    for client in clients.values():
+        client.close()
+
+
+def test_states_and_events_reach_a_viewer(lab: Daemon, auth: Path) -> None:
+    with enter(lab, auth, "vera") as vera, enter(lab, auth, "olga") as olga:
+        swarm = olga.create("seen", {"n": 3, "publish_every": 1, "rate": None})
+        with vera.swarm("seen").states() as states:
+            swarm.step(3)
+            assert next(state.step for state in states if state.step > 0) > 0
+        swarm.set(pi3=1.1)
+        with vera.swarm("seen").events(after=0) as events:
+            assert any(event.verb == "set" for event in events_until_set(events))
+
+
+def events_until_set(events: Iterator[jostle.Event]) -> Iterator[jostle.Event]:
+    for event in events:
+        yield event
+        if event.verb == "set":
+            return
+
+
+def test_whoever_is_not_let_in_hears_so_soon(lab: Daemon, auth: Path, tmp_path: Path) -> None:
+    elsewhere = tmp_path / "auth"
+    subprocess.run([JOSTLED, "--auth-dir", elsewhere, "auth", "init", "olga=operator"], check=True)
+    began = time.monotonic()
+    with pytest.raises(jostle.PermissionDenied, match="say who you are"):
+        jostle.connect(lab.endpoint)
+    with pytest.raises(jostle.PermissionDenied, match="does not let olga in"):
+        jostle.connect(lab.endpoint, credentials=elsewhere / "people" / "olga")
+    assert time.monotonic() - began < 6.0
+    with pytest.raises(jostle.InvalidArgument, match="credentials"):
+        jostle.connect(lab.endpoint, credentials=tmp_path)
+
+
+def test_the_environment_says_who_it_is_and_asyncio_too(
+    lab: Daemon, auth: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("JOSTLE_CREDENTIALS", str(auth / "people" / "cleo"))
+    with jostle.connect(lab.endpoint) as client:
+        assert client.whoami().person == "cleo"
+
+    async def ask() -> str | None:
+        async with aio.connect(lab.endpoint) as client:
+            return (await client.whoami()).person
+
+    assert asyncio.run(ask()) == "cleo"
+
+
+def test_no_secret_is_in_what_is_shown(lab: Daemon, auth: Path) -> None:
+    from jostle._credentials import read_credentials
+
+    identity = read_credentials(auth / "people" / "olga")
+    assert identity is not None
+    with enter(lab, auth, "olga") as client:
+        shown = f"{identity!r} {client!r} {client._link!r} {client._repr_html_()}"
+    assert identity[0].token not in shown
+    assert identity[0].password not in shown
+    assert identity[0].token not in lab.log.read_text()
