@@ -68,17 +68,36 @@ function showTheme(): void {
 }
 
 session.onChange(() => {
-  const [sign, words] = session.mayCommand ? ["●", "may command"] : ["○", "watching only"];
+  const sign = session.mayCommand ? "●" : "○";
+  const may = session.mayCommand ? "may command" : "watching only";
+  const words = session.person === null ? may : `${session.person}, ${session.hello?.role}`;
   rights.replaceChildren(sign, el("span", {}, words));
   rights.setAttribute("aria-label", words);
-  rights.title = session.mayCommand ? "this tab has the daemon's token" : "how to command";
+  const title = session.knowsPeople ? "who this tab is" : "how to command";
+  rights.title = session.mayCommand ? "this tab has a token that may command" : title;
+  tellAway();
 });
-session.live.listen({
-  connection: (connection) => {
-    away.hidden = connection !== "away";
-    say(away, connection === "away" ? "The daemon is away, trying again …" : "");
-  },
-});
+session.live.listen({ connection: tellAway });
+
+function tellAway(): void {
+  const isAway = session.live.connection === "away";
+  away.hidden = !isAway;
+  if (!isAway) {
+    say(away, "");
+  } else if (session.mayWatch) {
+    say(away, "The daemon is away, trying again …");
+  } else {
+    const open = el("button", { type: "button", class: "link" }, "paste your token");
+    open.addEventListener("click", () => openTokenDialog(session));
+    away.replaceChildren(
+      "This daemon shows itself to people it knows: open the link of ",
+      el("code", {}, "jostle auth link"),
+      ", or ",
+      open,
+      ".",
+    );
+  }
+}
 
 let page: Page | null = null;
 

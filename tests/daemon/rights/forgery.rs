@@ -89,9 +89,10 @@ async fn forged_states_answers_and_tokens_never_arrive() {
             );
             cells += 1;
         }
-        // What is sent in order over one session has come to its end when it is answered.
+        // What is sent in order over one session has come to its end when this is answered, which
+        // the forger itself would not.
         forger
-            .ok(&keys::node_get(PREFIX, NODE, "hello"), None)
+            .ok(&keys::node_get(PREFIX, NODE, "status"), None)
             .await;
         for key in &answered[..4] {
             let answers = victor

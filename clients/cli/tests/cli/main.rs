@@ -9,6 +9,7 @@ mod live;
 mod looking;
 mod lost;
 mod recording;
+mod rights;
 mod sending;
 mod shell;
 mod support;

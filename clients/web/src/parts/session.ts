@@ -19,7 +19,8 @@ export class Session {
       swarms: (rows) => this.remember(rows),
       orders: (orders) => this.recall(orders),
       connection: (connection) => {
-        if (connection === "here") {
+        // Who is not known is not let in, which looks like a daemon that is away.
+        if (connection !== "connecting") {
           void this.ask();
         }
       },
@@ -28,6 +29,21 @@ export class Session {
 
   get mayCommand(): boolean {
     return this.hello?.may_command ?? false;
+  }
+
+  /** Whether the daemon shows itself to this tab; yes, until it says no. */
+  get mayWatch(): boolean {
+    return this.hello?.may_watch ?? true;
+  }
+
+  /** Who this tab is, where the daemon knows people. */
+  get person(): string | null {
+    return this.hello?.person ?? null;
+  }
+
+  /** Whether the daemon knows people, and goes by whose token it is. */
+  get knowsPeople(): boolean {
+    return this.person !== null || !this.mayWatch;
   }
 
   get hasToken(): boolean {
@@ -44,7 +60,8 @@ export class Session {
   async useToken(pasted: string): Promise<boolean> {
     keepToken(pasted);
     await this.ask();
-    return this.mayCommand;
+    this.live.look();
+    return this.mayCommand || this.person !== null;
   }
 
   async ask(): Promise<void> {

@@ -32,38 +32,61 @@ export function openTokenDialog(session: Session): void {
     void session.useToken("");
     dialog.close();
   });
+  const people = el(
+    "p",
+    {},
+    "This daemon knows its people: what this tab may do goes by whose token it has. Open the link " +
+      "that your command line prints, ",
+    el("code", {}, "jostle auth link"),
+    ", or paste your token here. It is kept in this tab only.",
+  );
   const dialog = openDialog(
-    "Commanding",
-    el(
-      "p",
-      {},
-      "Everybody on this machine may watch. To run, steer, create or delete swarms the page needs " +
-        "the token of the daemon: open the link that jostled printed when it started, ",
-      el("code", {}, "page on http://…/#token=…"),
-      ", or paste the token here. It is kept in this tab only.",
-    ),
-    entry,
-    told,
-    session.hasToken
-      ? el(
+    session.knowsPeople ? "Who you are" : "Commanding",
+    session.knowsPeople
+      ? people
+      : el(
           "p",
           {},
-          session.mayCommand ? "This tab may command. " : "This tab has a token, but a wrong one. ",
-          forget,
-        )
-      : "",
+          "Everybody on this machine may watch. To run, steer, create or delete swarms the page needs " +
+            "the token of the daemon: open the link that jostled printed when it started, ",
+          el("code", {}, "page on http://…/#token=…"),
+          ", or paste the token here. It is kept in this tab only.",
+        ),
+    entry,
+    told,
+    session.hasToken ? el("p", {}, words(session), forget) : "",
   );
 }
 
-/** The words in place of controls, where there is no token. */
+/** What the token of this tab comes to. */
+function words(session: Session): string {
+  if (session.person !== null) {
+    return `This tab is ${session.person}, ${session.hello?.role}. `;
+  }
+  return session.mayCommand ? "This tab may command. " : "This tab has a token, but a wrong one. ";
+}
+
+/** The words in place of controls, for whoever may not use them. */
 export function tokenNote(session: Session): HTMLElement {
+  const note = el("p", { class: "note token-note" });
+  // Pages come and go, the session stays: it is not to keep their notes.
+  const held = new WeakRef(note);
+  const end = session.onChange(() => {
+    const it = held.deref();
+    if (it) {
+      it.replaceChildren(...remedy(session));
+    } else {
+      end();
+    }
+  });
+  return note;
+}
+
+function remedy(session: Session): (string | HTMLElement)[] {
+  if (session.person !== null) {
+    return [`You are ${session.person}, ${session.hello?.role}: commanding takes an operator.`];
+  }
   const open = el("button", { type: "button", class: "link" }, "paste its token");
   open.addEventListener("click", () => openTokenDialog(session));
-  return el(
-    "p",
-    { class: "note token-note" },
-    "You are watching. To command, open the link that jostled printed, or ",
-    open,
-    ".",
-  );
+  return ["You are watching. To command, open the link that jostled printed, or ", open, "."];
 }

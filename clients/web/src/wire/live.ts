@@ -5,6 +5,7 @@
  * that ends is made again, with a pause that grows; so is one without a sign of life.
  */
 import type { LiveText, OrderMessage, SwarmEvent, SwarmRow } from "./messages.ts";
+import { currentToken } from "./token.ts";
 
 const FIRST_PAUSE_MS = 500;
 const LONGEST_PAUSE_MS = 4000;
@@ -77,7 +78,10 @@ export class Live {
     this.drop();
     const about = this.watched === null ? "" : `?swarm=${encodeURIComponent(this.watched)}`;
     const scheme = location.protocol === "https:" ? "wss" : "ws";
-    const socket = new WebSocket(`${scheme}://${location.host}/api/ws${about}`);
+    // A socket takes no header, and a token in its address would be written down on the way.
+    const token = currentToken();
+    const protocols = token ? ["jostle", `token.${token}`] : ["jostle"];
+    const socket = new WebSocket(`${scheme}://${location.host}/api/ws${about}`, protocols);
     socket.binaryType = "arraybuffer";
     socket.onmessage = ({ data }) => this.hear(data as string | ArrayBuffer);
     socket.onclose = () => this.lose();

@@ -24,7 +24,11 @@ export interface Hello {
   node: string;
   prefix: string;
   version: string;
+  may_watch: boolean;
   may_command: boolean;
+  /** Who the token is of, where the daemon knows people. */
+  person: string | null;
+  role: string | null;
 }
 
 /** A row of `@node/get/swarms`. */

@@ -1,7 +1,7 @@
 /** A daemon of its own for each test: the binary that JOSTLED names, on ports of its own. */
 import assert from "node:assert/strict";
 import { type ChildProcess, execFile, spawn } from "node:child_process";
-import { mkdtempSync, rmSync } from "node:fs";
+import { mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import { promisify } from "node:util";
@@ -15,10 +15,13 @@ export interface Told {
 export class Daemon {
   told: Told = { zenoh: "", http: "", token: "" };
   private process: ChildProcess | null = null;
+  private auth: string | null = null;
   private readonly folder = mkdtempSync(join(tmpdir(), "jostle-page-"));
 
-  static async start(): Promise<Daemon> {
+  /** A daemon; with `auth`, the folder of its people, one that knows them. */
+  static async start(auth: string | null = null): Promise<Daemon> {
     const daemon = new Daemon();
+    daemon.auth = auth;
     await daemon.begin("tcp/127.0.0.1:0", "127.0.0.1:0");
     return daemon;
   }
@@ -81,7 +84,8 @@ export class Daemon {
   private begin(listen: string, http: string): Promise<void> {
     const binary = process.env.JOSTLED;
     assert(binary, "JOSTLED names the daemon's binary");
-    const args = ["--listen", listen, "--http", http, "--data-dir", this.folder];
+    const people = this.auth === null ? [] : ["--auth-dir", this.auth];
+    const args = ["--listen", listen, "--http", http, "--data-dir", this.folder, ...people];
     const child = spawn(binary, args, { stdio: ["ignore", "pipe", "pipe"] });
     this.process = child;
     let said = "";
@@ -89,9 +93,12 @@ export class Daemon {
       const hear = (chunk: Buffer) => {
         said += chunk;
         const zenoh = /listening on (\S+)/.exec(said)?.[1];
-        const page = /page on (http:\/\/[^/\s]+)\/#token=(\w+)/.exec(said);
-        if (zenoh && page) {
-          this.told = { zenoh, http: page[1] ?? "", token: page[2] ?? "" };
+        const http = /http on (http:\/\/[^/\s]+)/.exec(said)?.[1];
+        // Told to no terminal, the token is only where it is kept; with people there is none.
+        const page = /with the token in (\S+)\n/.exec(said)?.[1];
+        if (zenoh && http && (page || this.auth)) {
+          const token = page ? readFileSync(page, "utf8").trim() : "";
+          this.told = { zenoh, http, token };
           resolve();
         }
       };

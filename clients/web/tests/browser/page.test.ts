@@ -1,5 +1,9 @@
 /** The page in Chromium, against a daemon. */
 import assert from "node:assert/strict";
+import { execFileSync } from "node:child_process";
+import { mkdtempSync, readFileSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { after, afterEach, before, test } from "node:test";
 import type { Browser, Page } from "playwright-core";
 import { launch, openTab, type Tab, until } from "./browser.ts";
@@ -154,6 +158,52 @@ test("a token can be pasted, with the link around it", async () => {
   await until("rights", async () => !(await page.locator("button.wide").isDisabled()));
   await page.reload();
   await until("rights after all", async () => !(await page.locator("button.wide").isDisabled()));
+});
+
+test("where people are known each sees and may what their role says", async () => {
+  const folder = mkdtempSync(join(tmpdir(), "jostle-people-"));
+  const auth = join(folder, "auth");
+  const jostled = process.env.JOSTLED ?? "";
+  const people = ["vera=viewer", "olga=operator"];
+  execFileSync(jostled, ["--auth-dir", auth, "auth", "init", ...people]);
+  const lab = await Daemon.start(auth);
+  const token = (person: string): string => {
+    const file = join(auth, "people", person, "credentials.json");
+    return (JSON.parse(readFileSync(file, "utf8")) as { token: string }).token;
+  };
+  try {
+    const spec = { name: "school", spec: { n: 10, seed: 1 } };
+    const created = await lab.post("/api/node/create", spec, token("olga"));
+    assert.equal(created.status, 200);
+
+    const stranger = await openTab(browser);
+    await stranger.page.goto(lab.told.http);
+    await stranger.page.getByText("shows itself to people it knows").waitFor();
+    assert.equal(await stranger.page.getByText("school").count(), 0);
+    // Whoever is not let in is told so in the console, too.
+    await stranger.close();
+
+    const enter = async (person: string): Promise<Page> => {
+      const tab = await openTab(browser);
+      tabs.push(tab);
+      await tab.page.goto(`${lab.told.http}/#token=${token(person)}&/swarm/school`);
+      await tab.page.getByText(`${person}, `).first().waitFor();
+      return tab.page;
+    };
+    const vera = await enter("vera");
+    await vera.getByText("You are vera, viewer: commanding takes an operator.").first().waitFor();
+    await until("vera sees the swarm", async () => (await step(vera)) === 0);
+    const olga = await enter("olga");
+    await olga.keyboard.press("s");
+    await until("vera sees what olga does", async () => (await step(vera)) === 1);
+    await vera.keyboard.press("s");
+    await olga.keyboard.press("s");
+    await until("and vera does nothing", async () => (await step(vera)) === 2);
+    assert.equal((await lab.post("/api/cmd/school/pause", {}, token("vera"))).status, 403);
+  } finally {
+    await lab.end();
+    rmSync(folder, { recursive: true, force: true });
+  }
 });
 
 test("a lasso informs exactly the individuals it encloses", async () => {
