@@ -14,6 +14,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
+use jostled::rights::Rights;
 use serde_json::{Value, json};
 use tokio::sync::Barrier;
 use tokio::task::JoinHandle;
@@ -110,7 +111,7 @@ async fn main() {
 /// A queryable that answers at once, on a session like the daemon's.
 async fn bare() {
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let session = jostled::server::session::open(&listen, "jostle")
+    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody)
         .await
         .unwrap();
     let queryable = session

@@ -18,6 +18,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
+use jostled::rights::Rights;
 use serde_json::{Value, json};
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
@@ -153,7 +154,7 @@ impl Followers {
 async fn bare() {
     let bytes: usize = std::env::var(BARE).unwrap().parse().unwrap();
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let session = jostled::server::session::open(&listen, "jostle")
+    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody)
         .await
         .unwrap();
     let runs = Arc::new(std::sync::atomic::AtomicBool::new(false));

@@ -103,6 +103,13 @@ impl Request {
         if text.is_empty() {
             return Ok(Request::default());
         }
+        // What is right is read in one go; what is wrong is read again, to say where.
+        if text.starts_with('{')
+            && let Ok(request) = serde_json::from_str::<Request>(text)
+            && request.says_anything()
+        {
+            return Ok(request);
+        }
         let fields: FieldNames = serde_json::from_str(text)
             .map_err(|error| whole(&format!("the payload is not a JSON object: {error}")))?;
         if let Some(twice) = fields.twice {
@@ -133,6 +140,22 @@ impl Request {
         }
     }
 
+    /// Whether any of its fields is there.
+    fn says_anything(&self) -> bool {
+        let Request {
+            request_id,
+            client,
+            at_step,
+            expect_epoch,
+            expect_step,
+            timeout_secs,
+            args,
+        } = self;
+        let labels = request_id.is_some() || client.is_some();
+        let steps = at_step.is_some() || expect_epoch.is_some() || expect_step.is_some();
+        labels || steps || timeout_secs.is_some() || args.is_some()
+    }
+
     /// Reads the verb's arguments.
     ///
     /// # Errors
@@ -146,12 +169,19 @@ impl Request {
                 problem: "is not an object with named fields".into(),
             });
         }
-        let understood: T = read(args).map_err(|mut error| {
-            if error.field.is_empty() {
-                error.field = "args".into();
-            }
-            error
-        })?;
+        let read_again = |_| {
+            read(args).map_err(|mut error: RequestError| {
+                if error.field.is_empty() {
+                    error.field = "args".into();
+                }
+                error
+            })
+        };
+        let understood: T = serde_json::from_str(args).or_else(read_again)?;
+        // Without a list or an object in it there is none in a wrong place.
+        if !args[1..].contains(['{', '[']) {
+            return Ok(understood);
+        }
         let (Ok(given), Ok(meant)) = (
             serde_json::from_str(args),
             serde_json::to_value(&understood),

@@ -5,7 +5,9 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::keys;
+use serde_json::{Map, Value, json};
+
+use crate::{Error, ErrorCode, keys};
 
 /// What a person may do. Each may do what the one before may.
 #[derive(
@@ -72,6 +74,26 @@ pub fn refusal(person: Option<(&str, Role)>, verb: &str) -> String {
     };
     let least = Role::least(verb).with_article();
     format!("{who}, and {verb} takes {least}: ask whoever runs the daemon")
+}
+
+/// The error for such a request.
+pub fn refused(person: Option<(&str, Role)>, verb: &str) -> Error {
+    let details = json!({
+        "person": person.map(|(name, _)| name),
+        "role": person.map(|(_, role)| role),
+        "verb": verb,
+        "takes": Role::least(verb),
+    });
+    let details = match details {
+        Value::Object(details) => details,
+        _ => Map::new(),
+    };
+    Error {
+        code: ErrorCode::PermissionDenied,
+        message: refusal(person, verb),
+        details,
+        step: None,
+    }
 }
 
 /// Whether `name` may name a person: a name without hyphens, since a controller of theirs is named

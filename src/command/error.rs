@@ -1,6 +1,7 @@
 //! Why a request was refused, and the code, words and details it is refused with.
 
-use jostle_proto::{Error, ErrorCode, RequestError, Role, keys};
+use jostle_proto::role::refused;
+use jostle_proto::{Error, ErrorCode, RequestError, keys};
 use serde_json::{Map, Value, json};
 use thiserror::Error as ThisError;
 
@@ -395,12 +396,11 @@ impl CommandError {
             CommandError::Deadline { after_secs } | CommandError::NotYet { after_secs } => {
                 json!({"after_secs": after_secs})
             }
-            CommandError::NotPermitted(NotPermitted::Verb { person, verb }) => json!({
-                "person": person.as_ref().map(|person| &person.name),
-                "role": person.as_ref().map(|person| person.role),
-                "verb": verb,
-                "takes": Role::least(verb),
-            }),
+            CommandError::NotPermitted(NotPermitted::Verb { person, verb }) => {
+                let person = person.as_ref();
+                let person = person.map(|person| (person.name.as_str(), person.role));
+                Value::Object(refused(person, verb).details)
+            }
             CommandError::NotPermitted(NotPermitted::Controller { person, controller }) => {
                 json!({"person": person, "controller": controller})
             }

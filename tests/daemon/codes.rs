@@ -37,7 +37,7 @@ async fn provoke(client: &Client, code: ErrorCode) -> Option<Answer> {
         ErrorCode::DeadlineExceeded => ("step", long),
         ErrorCode::Faulted => ("step", json!({"timeout_secs": 30, "args": {"steps": 1000}})),
         ErrorCode::Internal => ("set", json!({"pi3": 2})),
-        // They join with storage and with roles.
+        // These take a full disk and people: `crash::disk` and `rights` have them.
         ErrorCode::StorageFull | ErrorCode::PermissionDenied => return None,
     };
     Some(client.cmd("a", verb, request).await)

@@ -69,7 +69,8 @@ function showTheme(): void {
 
 session.onChange(() => {
   const sign = session.mayCommand ? "●" : "○";
-  const may = session.mayCommand ? "may command" : "watching only";
+  const mayLook = session.mayWatch ? "watching only" : "not known";
+  const may = session.mayCommand ? "may command" : mayLook;
   const words = session.person === null ? may : `${session.person}, ${session.hello?.role}`;
   rights.replaceChildren(sign, el("span", {}, words));
   rights.setAttribute("aria-label", words);

@@ -2,8 +2,8 @@
 
 use std::time::Duration;
 
-use jostle_proto::role::refusal;
-use jostle_proto::{Error, ErrorCode, NodeReply, WhoAmI, keys};
+use jostle_proto::role::refused;
+use jostle_proto::{NodeReply, WhoAmI, keys};
 use zenoh::handlers::RingChannel;
 
 use crate::bus::{Bus, Samples, Whom};
@@ -162,13 +162,7 @@ impl Bus {
         let verb = key.split_once("/cmd/").map(|(_, verb)| verb);
         match (verb, self.whoami(node).await) {
             (Some(verb), Some(who)) if who.role.is_none_or(|role| !role.may(verb)) => {
-                let person = who.person.as_deref().zip(who.role);
-                Failure::refused(Error {
-                    code: ErrorCode::PermissionDenied,
-                    message: refusal(person, verb),
-                    details: serde_json::Map::new(),
-                    step: None,
-                })
+                Failure::refused(refused(who.person.as_deref().zip(who.role), verb))
             }
             _ => Failure::Silent {
                 whom: whom.to_string(),

@@ -1,7 +1,7 @@
 //! Who one is to the daemon.
 
-use jostle_proto::role::refusal;
-use jostle_proto::{Error, ErrorCode, NodeReply, WhoAmI, keys};
+use jostle_proto::role::refused;
+use jostle_proto::{NodeReply, WhoAmI, keys};
 
 use crate::arguments::AuthVerb;
 use crate::bus::Bus;
@@ -32,12 +32,8 @@ pub async fn auth(bus: &Bus, output: Output, what: &AuthVerb) -> Result<(), Fail
                 });
             }
             if !who.verbs.contains(verb) && !who.node_verbs.contains(verb) {
-                return Err(Failure::refused(Error {
-                    code: ErrorCode::PermissionDenied,
-                    message: refusal(who.person.as_deref().zip(who.role), verb),
-                    details: serde_json::Map::new(),
-                    step: None,
-                }));
+                let person = who.person.as_deref().zip(who.role);
+                return Err(Failure::refused(refused(person, verb)));
             }
             match output.json {
                 true => output.data(answer.json()?),

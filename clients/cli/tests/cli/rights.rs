@@ -60,6 +60,11 @@ async fn each_may_what_their_role_may_and_hears_what_it_may_not() {
     let ended = daemon.jostle(&by("vera", "auth can fly")).await;
     assert_eq!(ended.code, Some(2), "{ended:?}");
     daemon.said(&by("olga", "step s 2")).await;
+    let examined = daemon.said(&by("vera", "doctor")).await;
+    assert!(
+        examined.contains("you are vera, viewer, and give none"),
+        "{examined}"
+    );
     daemon.stop().await;
 }
 

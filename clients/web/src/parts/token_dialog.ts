@@ -86,7 +86,11 @@ function remedy(session: Session): (string | HTMLElement)[] {
   if (session.person !== null) {
     return [`You are ${session.person}, ${session.hello?.role}: commanding takes an operator.`];
   }
-  const open = el("button", { type: "button", class: "link" }, "paste its token");
+  const which = session.knowsPeople ? "paste your token" : "paste its token";
+  const open = el("button", { type: "button", class: "link" }, which);
   open.addEventListener("click", () => openTokenDialog(session));
+  if (session.knowsPeople) {
+    return ["This daemon does not know this tab: ", open, "."];
+  }
   return ["You are watching. To command, open the link that jostled printed, or ", open, "."];
 }

@@ -257,6 +257,18 @@ fn commands(name: &'static str, whom: &str, answer: Result<Answer, Failure>) -> 
         Err(Failure::Refused { error, .. }) if error.code == ErrorCode::NotFound => {
             Check::well(name, format!("{whom} takes commands from this client"))
         }
+        // What a role does not give is no trouble; a token that is nobody's is.
+        Err(Failure::Refused { error, .. })
+            if error.details.get("role").is_some_and(|it| !it.is_null()) =>
+        {
+            let told = |field: &str| error.details[field].as_str().unwrap_or_default().to_owned();
+            let said = format!(
+                "you are {}, {}, and give none",
+                told("person"),
+                told("role")
+            );
+            Check::untried(name, &said)
+        }
         Err(Failure::Silent { whom }) => Check::wrong(
             name,
             "permission_denied",
