@@ -432,15 +432,16 @@ fn give_rights(folder: &str, command: &Auth) -> ExitCode {
             let who = names.join(", ");
             format!("{who}: gone, from the daemon's next start on\n")
         }),
-        Auth::List { json } => folder.people().map(|people| match json {
+        Auth::List { json } => folder.people().map(|known| match json {
             true => {
-                let people = people.iter();
+                let people = known.people.iter();
                 let people: Vec<_> = people
                     .map(|it| json!({"person": it.person, "role": it.role}))
                     .collect();
                 format!("{}\n", json!({"people": people}))
             }
-            false => people
+            false => known
+                .people
                 .iter()
                 .map(|it| format!("{:12} {}\n", it.role.name(), it.person))
                 .collect(),

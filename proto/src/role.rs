@@ -129,6 +129,8 @@ pub struct Credentials {
     pub person: String,
     /// What they are.
     pub role: Role,
+    /// Where the daemon is reached, such as `tls/lab.example:7447`.
+    pub endpoint: String,
     /// What comes along with each request, as its attachment.
     pub token: String,
     /// With the person's name what a session is opened with.

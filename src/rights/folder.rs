@@ -3,8 +3,9 @@
 //! ```text
 //! ca.pem  ca-key.pem          the private certificate authority
 //! daemon.pem  daemon-key.pem  the daemon's own certificate
-//! people.json                 who there is: name, role, hash of the token
+//! people.json                 who there is: name, role, hash of the token; where the daemon is reached
 //! passwords                   what sessions are opened with, as zenoh reads it
+//! jostled.toml                settings to begin from: `jostled --config`
 //! people/NAME/                what is handed to a person
 //! ```
 
@@ -27,6 +28,16 @@ pub struct Entry {
     pub role: Role,
     /// BLAKE3 of their token, in hexadecimal.
     pub token_hash: String,
+}
+
+/// What `people.json` says.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct People {
+    /// Where people are to look for the daemon.
+    pub endpoint: String,
+    /// Everybody, by name.
+    pub people: Vec<Entry>,
 }
 
 /// Where people's rights and secrets are.
@@ -64,17 +75,22 @@ impl Folder {
         self.0.join("people.json")
     }
 
+    /// Settings to begin from.
+    pub fn settings_file(&self) -> PathBuf {
+        self.0.join("jostled.toml")
+    }
+
     /// What is handed to a person.
     pub fn of(&self, person: &str) -> PathBuf {
         self.0.join("people").join(person)
     }
 
-    /// Everybody, by name.
+    /// Who there is.
     ///
     /// # Errors
     ///
     /// [`RightsError`] when the file is not there or is none.
-    pub fn people(&self) -> Result<Vec<Entry>, RightsError> {
+    pub fn people(&self) -> Result<People, RightsError> {
         let path = self.people_file();
         if !path.exists() {
             return Err(RightsError::Nothing(self.0.clone()));
@@ -131,7 +147,7 @@ impl Folder {
     /// [`RightsError::File`].
     pub fn write_people(
         &self,
-        people: &[Entry],
+        people: &People,
         passwords: &[(String, String)],
     ) -> Result<(), RightsError> {
         let lines = passwords.iter();

@@ -1,17 +1,27 @@
 //! What `jostled auth` does: an authority, and for each person a name, a role and secrets.
 
 use std::fs;
+use std::net::IpAddr;
 use std::path::PathBuf;
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use jostle_proto::role::is_person;
 use jostle_proto::{Credentials, Role};
+use serde_json::{Value, json};
 
 use crate::rights::certificates::{Authority, Pair};
-use crate::rights::folder::{Entry, Folder, at, read, write, write_json};
+use crate::rights::folder::{Entry, Folder, People, at, read, write, write_json};
 use crate::rights::{RightsError, secret};
 
 /// By what this machine always reaches itself.
 const OWN_NAMES: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
+
+/// Where a daemon listens unless told otherwise.
+const PORT: u16 = 7447;
+
+/// The settings for clients that speak nothing but zenoh, in a person's folder.
+const ZENOH: &str = "zenoh.json5";
 
 /// Bytes of a token, and of a password.
 const SECRET_BYTES: usize = 32;
@@ -28,6 +38,9 @@ pub fn init(
     people: &[(String, Role)],
 ) -> Result<Vec<PathBuf>, RightsError> {
     check(people)?;
+    if let Some(host) = hosts.iter().find(|host| !is_host(host)) {
+        return Err(RightsError::Host(host.clone()));
+    }
     make_folder(folder.path().to_owned())?;
     let [certificate, key] = folder.authority();
     let authority = match key.exists() || certificate.exists() {
@@ -45,8 +58,32 @@ pub fn init(
         hosts.dedup();
         keep(&authority.certify_daemon(&hosts)?, folder.daemon())?;
     }
-    if !folder.people_file().exists() {
-        folder.write_people(&[], &[])?;
+    let endpoint = |host: &String| match host.contains(':') {
+        true => format!("tls/[{host}]:{PORT}"),
+        false => format!("tls/{host}:{PORT}"),
+    };
+    let (mut known, passwords) = match folder.people_file().exists() {
+        true => (folder.people()?, folder.passwords()?),
+        false => {
+            let [_, own, _] = OWN_NAMES;
+            let endpoint = endpoint(&own.to_owned());
+            let people = Vec::new();
+            (People { endpoint, people }, Vec::new())
+        }
+    };
+    if let Some(host) = hosts.first() {
+        known.endpoint = endpoint(host);
+    }
+    folder.write_people(&known, &passwords)?;
+    if !folder.settings_file().exists() {
+        let listen = match hosts {
+            [] => known.endpoint,
+            _ => format!("tls/0.0.0.0:{PORT}"),
+        };
+        let path = folder.path().canonicalize();
+        let path = path.map_err(|error| at(folder.path(), error))?;
+        let settings = format!("listen = {listen:?}\nauth_dir = {path:?}\n");
+        write(&folder.settings_file(), &settings)?;
     }
     add_by(&authority, folder, people)
 }
@@ -69,7 +106,8 @@ pub fn add(folder: &Folder, people: &[(String, Role)]) -> Result<Vec<PathBuf>, R
 ///
 /// [`RightsError`]; nobody is removed then.
 pub fn remove(folder: &Folder, names: &[String]) -> Result<(), RightsError> {
-    let (mut people, mut passwords) = (folder.people()?, folder.passwords()?);
+    let (mut known, mut passwords) = (folder.people()?, folder.passwords()?);
+    let people = &mut known.people;
     for name in names {
         if !people.iter().any(|entry| entry.person == *name) {
             return Err(RightsError::Nobody(name.clone()));
@@ -77,7 +115,7 @@ pub fn remove(folder: &Folder, names: &[String]) -> Result<(), RightsError> {
     }
     people.retain(|entry| !names.contains(&entry.person));
     passwords.retain(|(person, _)| !names.contains(person));
-    folder.write_people(&people, &passwords)?;
+    folder.write_people(&known, &passwords)?;
     for name in names {
         let path = folder.of(name);
         if path.exists() {
@@ -85,6 +123,16 @@ pub fn remove(folder: &Folder, names: &[String]) -> Result<(), RightsError> {
         }
     }
     Ok(())
+}
+
+/// Whether a machine can be reached by this: an address, or a name of letters, digits and hyphens
+/// between dots.
+fn is_host(host: &str) -> bool {
+    let is_label = |label: &str| {
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-';
+        !label.is_empty() && label.len() <= 63 && label.chars().all(plain)
+    };
+    host.parse::<IpAddr>().is_ok() || (host.len() <= 253 && host.split('.').all(is_label))
 }
 
 fn check(people: &[(String, Role)]) -> Result<(), RightsError> {
@@ -102,17 +150,18 @@ fn add_by(
     let (mut known, mut passwords) = (folder.people()?, folder.passwords()?);
     let mut made = Vec::new();
     for (name, role) in people {
-        if known.iter().any(|entry| entry.person == *name) {
+        if known.people.iter().any(|entry| entry.person == *name) {
             return Err(RightsError::There(name.clone()));
         }
         let draw = || secret::draw(SECRET_BYTES).map_err(|error| at(folder.path(), error));
         let credentials = Credentials {
             person: name.clone(),
             role: *role,
+            endpoint: known.endpoint.clone(),
             token: draw()?,
             password: draw()?,
         };
-        known.push(Entry {
+        known.people.push(Entry {
             person: name.clone(),
             role: *role,
             token_hash: blake3::hash(credentials.token.as_bytes()).to_string(),
@@ -131,13 +180,41 @@ fn add_by(
         let pair = authority.certify_person(&credentials.person)?;
         keep(&pair, [certificate, key])?;
         write_json(&path.join(Credentials::FILE), credentials)?;
+        write_json(
+            &path.join(ZENOH),
+            &zenoh_settings(credentials, &trusted, &pair),
+        )?;
         folders.push(path);
     }
     // What lets them in comes last.
-    known.sort_by(|a, b| a.person.cmp(&b.person));
+    known.people.sort_by(|a, b| a.person.cmp(&b.person));
     passwords.sort();
     folder.write_people(&known, &passwords)?;
     Ok(folders)
+}
+
+/// What a client that is no jostle's opens zenoh with, all in one file.
+fn zenoh_settings(credentials: &Credentials, trusted: &str, pair: &Pair) -> Value {
+    let Credentials {
+        person,
+        endpoint,
+        password,
+        ..
+    } = credentials;
+    json!({
+        "mode": "client",
+        "connect": {"endpoints": [endpoint]},
+        "scouting": {"multicast": {"enabled": false}, "gossip": {"enabled": false}},
+        "transport": {
+            "auth": {"usrpwd": {"user": person, "password": password}},
+            "link": {"tls": {
+                "enable_mtls": true,
+                "root_ca_certificate_base64": STANDARD.encode(trusted),
+                "connect_certificate_base64": STANDARD.encode(&pair.certificate),
+                "connect_private_key_base64": STANDARD.encode(&pair.key),
+            }},
+        },
+    })
 }
 
 fn make_folder(path: PathBuf) -> Result<(), RightsError> {
@@ -179,6 +256,7 @@ mod tests {
         let names: Vec<_> = folder
             .people()
             .unwrap()
+            .people
             .into_iter()
             .map(|it| it.person)
             .collect();
@@ -226,8 +304,19 @@ mod tests {
             assert!(!folder.of("ben").exists() && folder.of("anna").exists());
         }
         remove(&folder, &["anna".into()]).unwrap();
-        assert!(folder.people().unwrap().is_empty() && folder.passwords().unwrap().is_empty());
+        assert!(
+            folder.people().unwrap().people.is_empty() && folder.passwords().unwrap().is_empty()
+        );
         assert!(!folder.of("anna").exists());
-        assert!(init(&folder, &["no such host".into()], &[]).is_err());
+        for strange in ["no such host", "", "lab..example", "tls/lab:7447", "[::1]"] {
+            let refused = init(&folder, &[strange.into()], &[]);
+            assert!(matches!(refused, Err(RightsError::Host(_))), "{strange}");
+        }
+        init(
+            &folder,
+            &["10.0.0.1".into(), "fe80::1".into(), "lab-1.example".into()],
+            &[],
+        )
+        .unwrap();
     }
 }

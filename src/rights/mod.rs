@@ -49,6 +49,9 @@ pub enum RightsError {
     /// A person's name.
     #[error("{0:?} is no person's name: 1 to 64 of a-z, 0-9 and _, the first a letter or digit")]
     Name(String),
+    /// A machine's name or address.
+    #[error("{0:?} is neither a name nor an address of a machine, such as lab.example or 10.0.0.1")]
+    Host(String),
     /// The person is there already.
     #[error(
         "{0} is there already: `jostled auth remove {0}` first, to give new secrets or another role"
@@ -119,7 +122,7 @@ impl Rights {
     pub fn read(folder: Folder) -> Result<Self, RightsError> {
         folder.check_secrecy()?;
         let mut people = BTreeMap::new();
-        for entry in folder.people()? {
+        for entry in folder.people()?.people {
             let wrong = |problem: &str| RightsError::Content {
                 path: folder.people_file(),
                 problem: format!("{}: {problem}", entry.person),

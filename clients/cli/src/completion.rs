@@ -10,7 +10,7 @@ use clap_complete::engine::CompletionCandidate;
 use jostle_proto::contract;
 use jostle_proto::keys::DEFAULT_PREFIX;
 
-use crate::arguments::{Arguments, DEFAULT_ENDPOINT, GlobalArguments};
+use crate::arguments::{Arguments, GlobalArguments};
 use crate::bus::Bus;
 use crate::values::{self, LAWS};
 
@@ -153,10 +153,11 @@ fn beginning_with(typed: &OsStr, names: Vec<String>) -> Vec<CompletionCandidate>
 fn ask(question: impl AsyncFnOnce(&Bus) -> Vec<String>) -> Vec<String> {
     let words: Vec<String> = std::env::args().collect();
     let global = GlobalArguments {
-        credentials: std::env::var_os("JOSTLE_CREDENTIALS").map(Into::into),
+        credentials: option(&words, &["--credentials"])
+            .or_else(|| std::env::var("JOSTLE_CREDENTIALS").ok())
+            .map(Into::into),
         endpoint: option(&words, &["-e", "--endpoint"])
-            .or_else(|| std::env::var("JOSTLE_ENDPOINT").ok())
-            .unwrap_or_else(|| DEFAULT_ENDPOINT.into()),
+            .or_else(|| std::env::var("JOSTLE_ENDPOINT").ok()),
         node: None,
         prefix: option(&words, &["--prefix"]).unwrap_or_else(|| DEFAULT_PREFIX.into()),
         timeout: PATIENCE.as_secs_f64(),

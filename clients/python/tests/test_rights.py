@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import subprocess
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+import zenoh
 
 import jostle
 from conftest import JOSTLED, Daemon
@@ -129,3 +131,28 @@ def test_no_secret_is_in_what_is_shown(lab: Daemon, auth: Path) -> None:
     assert identity[0].token not in shown
     assert identity[0].password not in shown
     assert identity[0].token not in lab.log.read_text()
+
+
+def test_whatever_speaks_zenoh_gets_in_with_what_is_in_the_folder(lab: Daemon, auth: Path) -> None:
+    folder = auth / "people" / "olga"
+    config = zenoh.Config.from_file(str(folder / "zenoh.json5"))
+    config.insert_json5("connect/endpoints", json.dumps([lab.endpoint]))
+    token = json.loads((folder / "credentials.json").read_text())["token"]
+    with zenoh.open(config) as session:
+        hellos = [reply.ok for reply in session.get("jostle/@node/*/get/hello")]
+        (hello,) = [json.loads(reply.payload.to_bytes()) for reply in hellos if reply is not None]
+        key = f"jostle/@node/{hello['node']}/cmd/create"
+        request = json.dumps({"name": "bare", "spec": {"n": 3}})
+        (refused,) = session.get(key, payload=request)
+        assert refused.err is not None
+        assert json.loads(refused.err.payload.to_bytes())["code"] == "permission_denied"
+        (created,) = session.get(key, payload=request, attachment=token)
+        assert created.ok is not None
+
+
+def test_the_settings_that_were_made_are_settings(auth: Path) -> None:
+    settings = auth / "jostled.toml"
+    line = [JOSTLED, "--config", settings, "config", "explain", "--json"]
+    explained = subprocess.run(line, check=True, capture_output=True, text=True).stdout
+    assert str(auth) in explained
+    assert "tls/127.0.0.1:7447" in explained

@@ -94,16 +94,15 @@ pub struct Arguments {
 #[derive(Debug, Args)]
 #[command(next_help_heading = "Options of every verb")]
 pub struct GlobalArguments {
-    /// Where the daemon listens
+    /// Where the daemon listens [default: where the credentials say, or tcp/127.0.0.1:7447]
     #[arg(
         short,
         long,
         global = true,
         env = "JOSTLE_ENDPOINT",
-        hide_env_values = true,
-        default_value = DEFAULT_ENDPOINT
+        hide_env_values = true
     )]
-    pub endpoint: String,
+    pub endpoint: Option<String>,
     /// The folder that says who you are, as `jostled auth` makes it
     #[arg(
         long,
@@ -279,7 +278,7 @@ mod tests {
         let before = read("-e tcp/h:1 --json --timeout 2 status demo").unwrap();
         let after = read("status demo -e tcp/h:1 --json --timeout 2").unwrap();
         for arguments in [before, after] {
-            assert_eq!(arguments.global.endpoint, "tcp/h:1");
+            assert_eq!(arguments.global.endpoint.as_deref(), Some("tcp/h:1"));
             assert!(arguments.global.json);
             assert_eq!(arguments.global.timeout.to_bits(), 2.0_f64.to_bits());
         }

@@ -77,6 +77,7 @@ impl Bus {
             json: _,
         } = global;
         let identity = credentials.as_deref().map(Identity::read).transpose()?;
+        let endpoint = opening::endpoint(endpoint, identity.as_ref());
         let config = opening::config(&endpoint, timeout, identity.as_ref())?;
         let session = match zenoh::open(config).await {
             Ok(session) => session,
@@ -117,6 +118,20 @@ impl Bus {
             asked: AtomicU64::new(0),
             lost,
         })
+    }
+
+    /// Where a daemon would be looked for.
+    ///
+    /// # Errors
+    ///
+    /// [`Failure::Argument`] when the credentials cannot be read.
+    pub fn endpoint_for(global: &GlobalArguments) -> Result<String, Failure> {
+        let identity = global.credentials.as_deref().map(Identity::read);
+        let identity = identity.transpose()?;
+        Ok(opening::endpoint(
+            global.endpoint.clone(),
+            identity.as_ref(),
+        ))
     }
 
     /// Says goodbye.

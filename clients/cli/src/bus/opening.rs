@@ -7,6 +7,7 @@ use std::time::Duration;
 use jostle_proto::Credentials;
 use zenoh::config::EndPoint;
 
+use crate::arguments::DEFAULT_ENDPOINT;
 use crate::failure::Failure;
 
 /// What a session can be opened over.
@@ -67,6 +68,13 @@ impl Identity {
             ),
         ]
     }
+}
+
+/// Where to look for a daemon: where one was told to, or else where one's credentials say.
+pub fn endpoint(told: Option<String>, identity: Option<&Identity>) -> String {
+    let theirs = || Some(identity?.credentials.endpoint.clone());
+    let default = || DEFAULT_ENDPOINT.to_owned();
+    told.or_else(theirs).unwrap_or_else(default)
 }
 
 /// Whether anybody at all takes a connection at `endpoint`.

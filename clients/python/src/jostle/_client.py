@@ -45,7 +45,7 @@ def connect(
 
     Args:
         endpoint: Such as `tcp/127.0.0.1:7447`; None is the environment's `JOSTLE_ENDPOINT`, or
-            else that.
+            else where the credentials say, or else that.
         node: The daemon's name; None is the one that answers, if it is only one.
         prefix: The first part of every key, as the daemon is configured.
         client: Who commands say they are from; others see it in events, and a daemon remembers
@@ -60,9 +60,10 @@ def connect(
         Unavailable: No daemon answers there.
         InvalidArgument: An argument is wrong, or several daemons answer and `node` is None.
     """
-    if endpoint is None:
-        endpoint = os.environ.get("JOSTLE_ENDPOINT") or DEFAULT_ENDPOINT
     identity = read_credentials(credentials)
+    if endpoint is None:
+        theirs = DEFAULT_ENDPOINT if identity is None else identity[0].endpoint
+        endpoint = os.environ.get("JOSTLE_ENDPOINT") or theirs
     return Client(
         *open_link(
             endpoint, node=node, prefix=prefix, client=client, timeout=timeout, identity=identity

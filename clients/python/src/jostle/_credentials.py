@@ -44,6 +44,7 @@ class Credentials(msgspec.Struct, frozen=True):
 
     person: str
     role: Role
+    endpoint: str
     token: str
     password: str
 

@@ -20,7 +20,7 @@ use crate::output::Output;
 ///
 /// [`Failure::Unwell`] when something is wrong.
 pub async fn doctor(output: Output, global: GlobalArguments) -> Result<(), Failure> {
-    let endpoint = global.endpoint.clone();
+    let endpoint = Bus::endpoint_for(&global)?;
     let began = Instant::now();
     let mut report = Report::new(endpoint.clone());
     match Bus::open(global).await {
