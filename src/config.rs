@@ -29,8 +29,8 @@ pub const SETTINGS: [(&str, &str, &str); 14] = [
     (
         "http",
         "127.0.0.1:8080",
-        "where to serve HTTP, /healthz and /metrics; only this machine can reach it; nowhere if \
-         empty",
+        "where to serve HTTP, /healthz and /metrics: 127.0.0.1:PORT for this machine, \
+         https://ADDRESS:PORT for others, with an auth_dir; nowhere if empty",
     ),
     (
         "node",

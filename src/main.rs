@@ -276,7 +276,7 @@ fn main() -> ExitCode {
             if let Err(error) = session::check(&config.listen, config.auth_dir.is_some()) {
                 return fail(2, &error);
             }
-            if let Err(error) = gateway::check(&config.http) {
+            if let Err(error) = gateway::check(&config.http, config.auth_dir.is_some()) {
                 return fail(2, &error);
             }
             return show(&match command {
@@ -335,8 +335,8 @@ async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
         // Whoever started it may have closed its output.
         let _ = writeln!(std::io::stdout(), "listening on {endpoint}");
     }
-    if let Some(address) = server.http() {
-        let _ = writeln!(std::io::stdout(), "http on http://{address}");
+    if let Some(url) = server.url() {
+        let _ = writeln!(std::io::stdout(), "http on {url}");
     }
     if let Some(link) = server.page() {
         // What is no terminal may be a log, and the link opens the page to whoever reads it.
@@ -386,7 +386,12 @@ fn is_setting(error: &ServerError) -> bool {
         ServerError::Name(_)
             | ServerError::Store(_)
             | ServerError::Rights(_)
-            | ServerError::Gateway(GatewayError::NoAddress(_) | GatewayError::NotLoopback(_))
+            | ServerError::Gateway(
+                GatewayError::NoAddress(_)
+                    | GatewayError::NotLoopback(_)
+                    | GatewayError::NobodyKnown(_)
+                    | GatewayError::Certificate(_)
+            )
             | ServerError::Session(
                 SessionError::NoEndpoint(_)
                     | SessionError::NotLoopback(_)

@@ -2,7 +2,7 @@
 
 use std::net::IpAddr;
 
-use axum::extract::Request;
+use axum::extract::{Request, State};
 use axum::http::header::{
     CACHE_CONTROL, CONTENT_LENGTH, HOST, ORIGIN, TRANSFER_ENCODING, X_CONTENT_TYPE_OPTIONS,
 };
@@ -13,14 +13,22 @@ use axum::response::{IntoResponse, Response};
 /// The longest body that is read: what the bus lets through.
 pub const MOST_BODY_BYTES: usize = (1 << 20) - 4096;
 
+/// Who may ask at all.
+#[derive(Clone, Copy)]
+pub struct Guests {
+    /// Whether it is served over TLS: then by whatever name, since everybody shows a token of their
+    /// own, which the page of a name that was bent to this machine does not have.
+    pub is_secure: bool,
+}
+
 /// Lets in who asks this machine by one of its own names, from its own page if from any, and
 /// brings a body along only where one is read.
-pub async fn admit(request: Request, next: Next) -> Response {
+pub async fn admit(State(guests): State<Guests>, request: Request, next: Next) -> Response {
     let headers = request.headers();
     let mut hosts = headers.get_all(HOST).iter();
     let is_ours = matches!((hosts.next(), hosts.next()), (Some(host), None) if is_own(host))
         && request.uri().host().is_none_or(is_own_name);
-    if !is_ours {
+    if !is_ours && !guests.is_secure {
         let told = "ask 127.0.0.1 or localhost by that name: the Host of this request is another\n";
         return (StatusCode::MISDIRECTED_REQUEST, told).into_response();
     }

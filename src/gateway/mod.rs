@@ -1,7 +1,8 @@
 //! HTTP: the page, what it watches and orders, and `/healthz` and `/metrics` for machines.
 //!
-//! Only this machine reaches it, and only its own page: a name that an attacker's page resolves to
-//! 127.0.0.1 is refused by its `Host`, another page by its `Origin`. Whoever changes something
+//! Only this machine reaches it, unless people are known and it is served over TLS; and only its own
+//! page: a name that an attacker's page resolves to 127.0.0.1 is refused by its `Host`, another page by
+//! its `Origin`. Whoever changes something
 //! shows the token that the daemon prints when it starts; where people are known, everybody who
 //! sees more than the page itself and `/healthz` shows their own.
 
@@ -11,12 +12,14 @@ mod feed;
 mod page;
 mod pass;
 mod past;
+mod secure;
 mod socket;
 mod text;
 mod token;
 
 pub use bus::Bus;
 pub use pass::Pass;
+pub use secure::acceptor;
 pub use token::Token;
 
 use std::net::SocketAddr;
@@ -28,7 +31,7 @@ use axum::extract::rejection::BytesRejection;
 use axum::extract::{DefaultBodyLimit, Path, Query, RawQuery, State, WebSocketUpgrade};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
-use axum::middleware::{from_fn, map_response};
+use axum::middleware::{from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{any, get, post};
 use jostle_proto::{ErrorCode, Role, keys};
@@ -38,11 +41,13 @@ use thiserror::Error;
 use tokio::net::TcpListener;
 use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
+use tokio_rustls::TlsAcceptor;
 
-use crate::gateway::admit::{MOST_BODY_BYTES, admit, harden};
+use crate::gateway::admit::{Guests, MOST_BODY_BYTES, admit, harden};
 use crate::gateway::bus::{refuse, told_of};
 use crate::gateway::feed::Feeds;
 use crate::gateway::pass::PROTOCOL;
+use crate::gateway::secure::Secure;
 use crate::health::Watch;
 
 /// Tabs at once.
@@ -52,14 +57,27 @@ const MOST_TABS: usize = 256;
 #[derive(Debug, Error)]
 pub enum GatewayError {
     /// It is no address.
-    #[error("--http {0:?} is no address: give 127.0.0.1:PORT, or nothing to serve no HTTP")]
-    NoAddress(String),
-    /// An address that others could reach is not offered without authentication.
     #[error(
-        "--http {0} can be reached from other machines: serve on 127.0.0.1:PORT and let others in \
-         through a tunnel"
+        "--http {0:?} is no address: give 127.0.0.1:PORT, with an auth_dir https://ADDRESS:PORT, or \
+         nothing to serve no HTTP"
+    )]
+    NoAddress(String),
+    /// An address that others could reach is not offered in the clear.
+    #[error(
+        "--http {0} can be reached from other machines, and is not encrypted: serve on \
+         https://ADDRESS:PORT, which takes an auth_dir (`jostled auth init` makes one), or on \
+         127.0.0.1:PORT and let others in through a tunnel"
     )]
     NotLoopback(String),
+    /// TLS without people.
+    #[error(
+        "--http {0} is for people who are known, and none are: name their folder as auth_dir \
+         (`jostled auth init` makes one)"
+    )]
+    NobodyKnown(String),
+    /// The daemon's certificate cannot be shown.
+    #[error("cannot serve HTTP over TLS: {0}")]
+    Certificate(std::io::Error),
     /// Nothing can be listened on.
     #[error(
         "cannot serve HTTP on {address}: {source}; `--http 127.0.0.1:0` takes a free port, \
@@ -73,26 +91,45 @@ pub enum GatewayError {
     },
 }
 
+/// Where HTTP is served, and how.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Place {
+    /// The address.
+    pub address: SocketAddr,
+    /// Whether over TLS.
+    pub is_secure: bool,
+}
+
 /// A server that answers.
 pub struct Gateway {
     address: SocketAddr,
+    is_secure: bool,
     serving: JoinHandle<()>,
 }
 
-/// Reads where to serve, and checks that only this machine can reach it; nowhere if empty.
+/// Reads where to serve, and checks that only this machine can reach it, or only people who are
+/// known, over TLS; nowhere if empty.
 ///
 /// # Errors
 ///
-/// [`GatewayError::NoAddress`] and [`GatewayError::NotLoopback`].
-pub fn check(http: &str) -> Result<Option<SocketAddr>, GatewayError> {
+/// [`GatewayError::NoAddress`], [`GatewayError::NotLoopback`] and [`GatewayError::NobodyKnown`].
+pub fn check(http: &str, are_people_known: bool) -> Result<Option<Place>, GatewayError> {
     if http.is_empty() {
         return Ok(None);
     }
-    let named = http.replacen("localhost:", "127.0.0.1:", 1);
-    match named.parse::<SocketAddr>() {
-        Ok(address) if address.ip().is_loopback() => Ok(Some(address)),
-        Ok(_) => Err(GatewayError::NotLoopback(http.to_owned())),
-        Err(_) => Err(GatewayError::NoAddress(http.to_owned())),
+    let (bare, is_secure) = match http.strip_prefix("https://") {
+        Some(bare) => (bare, true),
+        None => (http.strip_prefix("http://").unwrap_or(http), false),
+    };
+    let named = bare.replacen("localhost:", "127.0.0.1:", 1);
+    let address = named.parse::<SocketAddr>();
+    let address = address.map_err(|_| GatewayError::NoAddress(http.to_owned()))?;
+    match (is_secure, are_people_known) {
+        (true, false) => Err(GatewayError::NobodyKnown(http.to_owned())),
+        (false, _) if !address.ip().is_loopback() => {
+            Err(GatewayError::NotLoopback(http.to_owned()))
+        }
+        _ => Ok(Some(Place { address, is_secure })),
     }
 }
 
@@ -107,18 +144,20 @@ impl Gateway {
         listener.map_err(|source| GatewayError::Listen { address, source })
     }
 
-    /// Serves the page, and what `watch` sees of the daemon.
+    /// Serves the page, and what `watch` sees of the daemon; over TLS by an `acceptor`.
     ///
     /// # Errors
     ///
     /// When the listener does not know its address.
     pub fn serve(
         listener: TcpListener,
+        acceptor: Option<TlsAcceptor>,
         bus: Bus,
         pass: Pass,
         watch: Arc<Watch>,
     ) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
+        let is_secure = acceptor.is_some();
         let served = Served {
             feeds: Feeds::start(bus.clone()),
             bus,
@@ -137,18 +176,32 @@ impl Gateway {
             .fallback(get(page::file))
             .layer(DefaultBodyLimit::max(MOST_BODY_BYTES))
             .with_state(Arc::new(served))
-            .layer(from_fn(admit))
+            .layer(from_fn_with_state(Guests { is_secure }, admit))
             .layer(map_response(harden));
-        let serving = tokio::spawn(async move {
-            // It ends only when it is stopped.
-            let _ = axum::serve(listener, router).await;
-        });
-        Ok(Gateway { address, serving })
+        // It ends only when it is stopped.
+        let serving = match acceptor {
+            None => tokio::spawn(async move { drop(axum::serve(listener, router).await) }),
+            Some(acceptor) => {
+                let listener = Secure::on(listener, acceptor)?;
+                tokio::spawn(async move { drop(axum::serve(listener, router).await) })
+            }
+        };
+        Ok(Gateway {
+            address,
+            is_secure,
+            serving,
+        })
     }
 
     /// Where it serves.
     pub fn address(&self) -> SocketAddr {
         self.address
+    }
+
+    /// Where it serves, as a browser takes it.
+    pub fn url(&self) -> String {
+        let scheme = if self.is_secure { "https" } else { "http" };
+        format!("{scheme}://{}", self.address)
     }
 
     /// Answers no more.
@@ -333,19 +386,45 @@ mod tests {
 
     #[test]
     fn only_addresses_of_this_machine_are_served_on() {
-        assert!(matches!(check(""), Ok(None)));
-        for local in ["127.0.0.1:8080", "localhost:0", "[::1]:1"] {
-            assert!(matches!(check(local), Ok(Some(_))), "{local}");
+        assert!(matches!(check("", false), Ok(None)));
+        for local in ["127.0.0.1:8080", "localhost:0", "[::1]:1", "http://[::1]:1"] {
+            assert!(
+                matches!(check(local, false), Ok(Some(place)) if !place.is_secure),
+                "{local}"
+            );
         }
-        for open in ["0.0.0.0:8080", "[::]:1", "10.0.0.1:8080"] {
-            let refused = check(open);
+        for secure in ["https://0.0.0.0:8443", "https://localhost:0"] {
+            assert!(
+                matches!(check(secure, true), Ok(Some(place)) if place.is_secure),
+                "{secure}"
+            );
+            let refused = check(secure, false);
+            assert!(
+                matches!(refused, Err(GatewayError::NobodyKnown(_))),
+                "{secure}"
+            );
+        }
+        for open in [
+            "0.0.0.0:8080",
+            "[::]:1",
+            "10.0.0.1:8080",
+            "http://10.0.0.1:8080",
+        ] {
+            let refused = check(open, true);
             assert!(
                 matches!(refused, Err(GatewayError::NotLoopback(_))),
                 "{open}"
             );
         }
-        for nothing in ["8080", ":8080", "example.org:80", "127.0.0.1"] {
-            let refused = check(nothing);
+        for nothing in [
+            "8080",
+            ":8080",
+            "example.org:80",
+            "127.0.0.1",
+            "https://",
+            "ftp://127.0.0.1:1",
+        ] {
+            let refused = check(nothing, true);
             assert!(
                 matches!(refused, Err(GatewayError::NoAddress(_))),
                 "{nothing}"

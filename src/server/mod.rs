@@ -159,16 +159,24 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let (prefix, node) = (&config.prefix, &config.node);
     check_name("node", node).map_err(ServerError::Name)?;
     check_name("prefix", prefix).map_err(ServerError::Name)?;
-    let http = match gateway::check(&config.http)? {
-        Some(address) => Some(Gateway::bind(address).await?),
-        None => None,
-    };
-    let store = open_store(config)?;
     let rights = match &config.auth_dir {
         Some(path) => Rights::read(Folder::at(path.clone()))?,
         None => Rights::Everybody,
     };
     let rights = Arc::new(rights);
+    let http = match gateway::check(&config.http, config.auth_dir.is_some())? {
+        Some(place) => {
+            let acceptor = match &*rights {
+                Rights::People { folder, .. } if place.is_secure => {
+                    Some(gateway::acceptor(&folder.daemon()).map_err(GatewayError::Certificate)?)
+                }
+                _ => None,
+            };
+            Some((Gateway::bind(place.address).await?, acceptor))
+        }
+        None => None,
+    };
+    let store = open_store(config)?;
     let session = session::open(&config.listen, prefix, &rights).await?;
     let locators = session.info().locators().await;
     let endpoints: Vec<String> = locators.iter().map(ToString::to_string).collect();
@@ -245,7 +253,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         Rights::People { .. } => Pass::People(rights.clone()),
     };
     let gateway = match http {
-        Some(listener) => {
+        Some((listener, acceptor)) => {
             let bus = Bus {
                 session: session.clone(),
                 prefix: prefix.clone(),
@@ -253,6 +261,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
             };
             Some(Gateway::serve(
                 listener,
+                acceptor,
                 bus,
                 pass.clone(),
                 watching.clone(),
@@ -355,6 +364,11 @@ impl Server {
     /// Where it serves HTTP, if it does.
     pub fn http(&self) -> Option<SocketAddr> {
         self.gateway.as_ref().map(Gateway::address)
+    }
+
+    /// Where it serves HTTP, as a browser takes it.
+    pub fn url(&self) -> Option<String> {
+        self.gateway.as_ref().map(Gateway::url)
     }
 
     /// Where the page is, for whoever may steer, if there is one token for all: the link holds it,

@@ -90,7 +90,7 @@ const MAY_USE: [(&str, &[&str]); 25] = [
 ];
 
 /// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 22] = [
+const ONLY_IN: [(&str, &[&str]); 23] = [
     ("zenoh::", &["gateway", "publish", "server"]),
     ("zenoh_ext::", &["publish"]),
     (
@@ -221,6 +221,7 @@ const ONLY_IN: [(&str, &[&str]); 22] = [
         ],
     ),
     ("rcgen::", &["rights"]),
+    ("tokio_rustls::", &["gateway"]),
     ("rusqlite::", &["store"]),
     ("tempfile::", &["main"]),
     ("rayon::", &["model/threads"]),

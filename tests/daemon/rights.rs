@@ -39,6 +39,11 @@ struct Lab {
 
 impl Lab {
     async fn open() -> Self {
+        Self::serving("127.0.0.1:0").await
+    }
+
+    /// A daemon that serves HTTP there.
+    async fn serving(http: &str) -> Self {
         let machine = beside_others().await;
         let base = tempfile::tempdir().unwrap();
         let folder = Folder::at(base.path().join("auth"));
@@ -49,7 +54,7 @@ impl Lab {
         let flags = [
             ("listen", Some(listen)),
             ("node", Some(NODE.to_owned())),
-            ("http", Some("127.0.0.1:0".to_owned())),
+            ("http", Some(http.to_owned())),
             ("data_dir", text(base.path().join("data"))),
             ("auth_dir", text(folder.path().to_owned())),
         ];

@@ -152,7 +152,7 @@ def test_whatever_speaks_zenoh_gets_in_with_what_is_in_the_folder(lab: Daemon, a
 
 def test_the_settings_that_were_made_are_settings(auth: Path) -> None:
     settings = auth / "jostled.toml"
-    line = [JOSTLED, "--config", settings, "config", "explain", "--json"]
+    line = [str(JOSTLED), "--config", str(settings), "config", "explain", "--json"]
     explained = subprocess.run(line, check=True, capture_output=True, text=True).stdout
     assert str(auth) in explained
     assert "tls/127.0.0.1:7447" in explained

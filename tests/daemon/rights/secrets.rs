@@ -7,8 +7,13 @@ use futures_util::StreamExt;
 use jostle_proto::{Credentials, keys};
 use jostled::rights::folder::Folder;
 use jostled::rights::issue;
+use rustls_pki_types::pem::PemObject;
+use rustls_pki_types::{CertificateDer, ServerName};
 use serde_json::{Value, json};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
+use tokio_rustls::TlsConnector;
+use tokio_rustls::rustls::{self, RootCertStore};
 use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 
@@ -119,6 +124,81 @@ async fn over_http_everybody_shows_their_own_token() {
         entries.iter().all(|entry| entry["client"] == "olga"),
         "{journal}"
     );
+    lab.close(Vec::new()).await;
+}
+
+/// Asks over TLS, by the name `lab.example`; nothing if the other side is not trusted.
+async fn https(lab: &Lab, trusted: &Folder, request: &str) -> Option<String> {
+    let mut roots = RootCertStore::empty();
+    let [authority, _] = trusted.authority();
+    roots
+        .add(CertificateDer::from_pem_file(authority).unwrap())
+        .unwrap();
+    let provider = std::sync::Arc::new(rustls::crypto::ring::default_provider());
+    let config = rustls::ClientConfig::builder_with_provider(provider)
+        .with_safe_default_protocol_versions()
+        .unwrap()
+        .with_root_certificates(roots)
+        .with_no_client_auth();
+    let connector = TlsConnector::from(std::sync::Arc::new(config));
+    let stream = TcpStream::connect(lab.server.http().unwrap())
+        .await
+        .unwrap();
+    let name = ServerName::try_from("localhost").unwrap();
+    let mut stream = connector.connect(name, stream).await.ok()?;
+    stream.write_all(request.as_bytes()).await.unwrap();
+    let mut answer = String::new();
+    // Whether it says goodbye is of no interest.
+    let _ = stream.read_to_string(&mut answer).await;
+    Some(answer)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn over_tls_http_is_for_other_machines_too() {
+    let lab = Lab::serving("https://127.0.0.1:0").await;
+    assert!(lab.server.url().unwrap().starts_with("https://127.0.0.1:"));
+    let token = lab.credentials("vera").token;
+    let head = |path: &str, origin: &str, token: &str| {
+        format!(
+            "GET {path} HTTP/1.1\r\nHost: lab.example:8443\r\nOrigin: {origin}\r\n\
+             Authorization: Bearer {token}\r\nConnection: close\r\n\r\n"
+        )
+    };
+    let own = "https://lab.example:8443";
+    let swarms = "/api/get/@node/get/swarms";
+    for (request, status) in [
+        (head(swarms, own, &token), "200"),
+        (head("/", own, "nobody's"), "200"),
+        (head(swarms, own, "nobody's"), "401"),
+        (head(swarms, "https://evil.example", &token), "403"),
+    ] {
+        let answer = https(&lab, &lab.folder, &request).await.unwrap();
+        assert!(
+            answer.starts_with(&format!("HTTP/1.1 {status} ")),
+            "{answer}"
+        );
+    }
+    // Connections that stay silent hold up nobody.
+    let address = lab.server.http().unwrap();
+    let mut silent = Vec::new();
+    for _ in 0..50 {
+        silent.push(TcpStream::connect(address).await.unwrap());
+    }
+    let answer = https(&lab, &lab.folder, &head("/healthz", own, "")).await;
+    assert!(answer.unwrap().starts_with("HTTP/1.1 200 "));
+    // Nobody takes another daemon for this one, and nobody speaks in the clear.
+    let stranger = Folder::at(lab.base.path().join("stranger"));
+    issue::init(&stranger, &[], &[]).unwrap();
+    assert_eq!(https(&lab, &stranger, &head("/", own, &token)).await, None);
+    let mut clear = TcpStream::connect(address).await.unwrap();
+    clear
+        .write_all(head("/", own, &token).as_bytes())
+        .await
+        .unwrap();
+    let mut answer = Vec::new();
+    let _ = clear.read_to_end(&mut answer).await;
+    assert!(!answer.starts_with(b"HTTP"));
+    drop(silent);
     lab.close(Vec::new()).await;
 }
 

@@ -127,7 +127,11 @@ fn what_others_could_reach_unasked_does_not_start() {
         ),
         (
             &["--http", "0.0.0.0:0", "--auth-dir", auth],
-            "can be reached from other machines",
+            "and is not encrypted",
+        ),
+        (
+            &["--http", "https://0.0.0.0:0"],
+            "name their folder as auth_dir",
         ),
     ] {
         let mut command = jostled(&["--data-dir", data]);
