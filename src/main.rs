@@ -97,7 +97,8 @@ enum Show {
 enum Auth {
     /// Make what is not there yet: a private certificate authority, the daemon's certificate, people.
     Init {
-        /// A name or an address by which other machines reach the daemon; once for each.
+        /// A name or an address by which other machines reach the daemon; once for each, and all of
+        /// them each time: the daemon's certificate is made anew for these.
         #[arg(long = "host", value_name = "HOST")]
         hosts: Vec<String>,
         /// People, and what each is: viewer, controller or operator.
@@ -434,7 +435,10 @@ fn give_rights(folder: &str, command: &Auth) -> ExitCode {
         Auth::Init { hosts, people } => issue::init(&folder, hosts, people).map(|it| handed(&it)),
         Auth::Add { people } => issue::add(&folder, people).map(|it| handed(&it)),
         Auth::Remove { names } => issue::remove(&folder, names).map(|()| {
-            let who = names.join(", ");
+            let mut who = names.clone();
+            who.sort();
+            who.dedup();
+            let who = who.join(", ");
             format!("{who}: gone, from the daemon's next start on\n")
         }),
         Auth::List { json } => folder.people().map(|known| match json {
@@ -461,7 +465,7 @@ fn give_rights(folder: &str, command: &Auth) -> ExitCode {
 /// What to do with the folders of new people.
 fn handed(folders: &[PathBuf]) -> String {
     if folders.is_empty() {
-        return "made: now `jostled auth add NAME=ROLE`\n".into();
+        return "made; `jostled auth add NAME=ROLE` adds people\n".into();
     }
     let mut told =
         String::from("hand each folder to its person, over a safe way, and delete it here:\n");

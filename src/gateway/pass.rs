@@ -70,7 +70,10 @@ impl Pass {
 fn given(headers: &HeaderMap) -> Option<&str> {
     let mut bearers = headers.get_all(AUTHORIZATION).iter();
     match (bearers.next(), bearers.next()) {
-        (Some(bearer), None) => return bearer.to_str().ok()?.strip_prefix("Bearer "),
+        (Some(bearer), None) => {
+            let (scheme, token) = bearer.to_str().ok()?.split_once(' ')?;
+            return scheme.eq_ignore_ascii_case("bearer").then_some(token);
+        }
         (None, _) => {}
         _ => return None,
     }
@@ -102,6 +105,7 @@ mod tests {
         let secret = Some("abc".to_owned());
         let protocol = SEC_WEBSOCKET_PROTOCOL;
         assert_eq!(shown(&[(AUTHORIZATION, "Bearer abc")]), secret);
+        assert_eq!(shown(&[(AUTHORIZATION, "bearer abc")]), secret);
         assert_eq!(shown(&[(protocol.clone(), "jostle, token.abc")]), secret);
         for nothing in [
             &[][..],

@@ -66,7 +66,8 @@ impl Probe {
         let (protocol, rest) = endpoint.split_once('/')?;
         let address = rest.split(['?', '#']).next().unwrap_or(rest).to_owned();
         let way = match protocol {
-            "tcp" => Way::Tcp(address),
+            // Over TLS this is no greeting, and the answer is that it is none.
+            "tcp" | "tls" => Way::Tcp(address),
             "unixsock-stream" => Way::Unix(address),
             _ => return None,
         };
@@ -159,6 +160,7 @@ mod tests {
         for endpoint in [
             "tcp/127.0.0.1:7447",
             "tcp/[::1]:0#iface=lo",
+            "tls/0.0.0.0:7447",
             "unixsock-stream//tmp/x",
         ] {
             assert!(Probe::of(endpoint).is_some(), "{endpoint}");

@@ -31,19 +31,13 @@ pub struct Pair {
 pub struct Authority(Issuer<'static, KeyPair>);
 
 impl Authority {
-    /// A new one.
+    /// The key of a new one, as PEM.
     ///
     /// # Errors
     ///
     /// When no key can be made.
-    pub fn make() -> Result<(Self, Pair), rcgen::Error> {
-        let key = KeyPair::generate()?;
-        let params = authority()?;
-        let pair = Pair {
-            certificate: params.self_signed(&key)?.pem(),
-            key: key.serialize_pem(),
-        };
-        Ok((Authority(Issuer::new(params, key)), pair))
+    pub fn draw() -> Result<String, rcgen::Error> {
+        Ok(KeyPair::generate()?.serialize_pem())
     }
 
     /// The one that has this key.
@@ -54,6 +48,15 @@ impl Authority {
     pub fn of_key(key: &str) -> Result<Self, rcgen::Error> {
         let key = KeyPair::from_pem(key)?;
         Ok(Authority(Issuer::new(authority()?, key)))
+    }
+
+    /// Its own certificate, as PEM.
+    ///
+    /// # Errors
+    ///
+    /// When it cannot be signed.
+    pub fn certificate(&self) -> Result<String, rcgen::Error> {
+        Ok(authority()?.self_signed(self.0.key())?.pem())
     }
 
     /// A certificate for the daemon, which is reached by these names and addresses.

@@ -9,11 +9,12 @@
 //! people/NAME/                what is handed to a person
 //! ```
 
-use std::fs;
-use std::os::unix::fs::PermissionsExt;
+use std::fs::{self, File};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 use jostle_proto::{Credentials, Role};
+use rustix::process::geteuid;
 use serde::{Deserialize, Serialize};
 
 use crate::rights::{RightsError, secret};
@@ -85,17 +86,37 @@ impl Folder {
         self.0.join("people").join(person)
     }
 
+    /// Keeps others from changing it meanwhile; waits for those who do.
+    ///
+    /// # Errors
+    ///
+    /// [`RightsError::File`] when it is not there.
+    pub fn hold(&self) -> Result<File, RightsError> {
+        let folder = File::open(&self.0).map_err(|error| at(&self.0, error))?;
+        folder.lock().map_err(|error| at(&self.0, error))?;
+        Ok(folder)
+    }
+
+    /// Whether it has people, or is to have some.
+    ///
+    /// # Errors
+    ///
+    /// [`RightsError::File`] when one may not look.
+    pub fn is_made(&self) -> Result<bool, RightsError> {
+        let path = self.people_file();
+        path.try_exists().map_err(|error| at(&path, error))
+    }
+
     /// Who there is.
     ///
     /// # Errors
     ///
     /// [`RightsError`] when the file is not there or is none.
     pub fn people(&self) -> Result<People, RightsError> {
-        let path = self.people_file();
-        if !path.exists() {
-            return Err(RightsError::Nothing(self.0.clone()));
+        match self.is_made()? {
+            true => read_json(&self.people_file()),
+            false => Err(RightsError::Nothing(self.0.clone())),
         }
-        read_json(&path)
     }
 
     /// A person's own secrets, while they lie here.
@@ -111,52 +132,92 @@ impl Folder {
     ///
     /// # Errors
     ///
-    /// [`RightsError::File`].
+    /// [`RightsError`] when the file is not there or is none.
     pub fn passwords(&self) -> Result<Vec<(String, String)>, RightsError> {
-        let text = read(&self.passwords_file())?;
-        let pairs = text.lines().filter_map(|line| line.split_once(':'));
-        Ok(pairs
-            .map(|(person, password)| (person.to_owned(), password.to_owned()))
-            .collect())
+        let path = self.passwords_file();
+        let text = read(&path)?;
+        let wrong = || RightsError::Content {
+            path: path.clone(),
+            problem: "has a line that is no NAME:PASSWORD".into(),
+        };
+        let pairs = text.lines().map(|line| match line.split_once(':') {
+            Some((person, password)) if !person.is_empty() && !password.is_empty() => {
+                Ok((person.to_owned(), password.to_owned()))
+            }
+            _ => Err(wrong()),
+        });
+        pairs.collect()
     }
 
-    /// Refuses secrets of the daemon that others can read.
+    /// Refuses what others can change, and secrets that others can read.
     ///
     /// # Errors
     ///
-    /// [`RightsError::Open`], or [`RightsError::File`] for one that is not there.
-    pub fn check_secrecy(&self) -> Result<(), RightsError> {
-        if !self.people_file().exists() {
+    /// [`RightsError`], with the remedy.
+    pub fn check(&self) -> Result<(), RightsError> {
+        if !self.is_made()? {
             return Err(RightsError::Nothing(self.0.clone()));
         }
-        let [_, key] = self.daemon();
-        for path in [key, self.passwords_file()] {
-            let metadata = fs::metadata(&path);
-            let metadata = metadata.map_err(|error| at(&path, error))?;
-            if metadata.permissions().mode() & 0o077 != 0 {
+        let ([authority, authority_key], [certificate, key]) = (self.authority(), self.daemon());
+        for path in [&self.0, &self.people_file(), &authority, &certificate] {
+            check_owner(path)?;
+        }
+        let is_here = authority_key.try_exists().unwrap_or(true);
+        let authority_key = is_here.then_some(authority_key);
+        for path in [key, self.passwords_file()]
+            .into_iter()
+            .chain(authority_key)
+        {
+            if check_owner(&path)? & 0o044 != 0 {
                 return Err(RightsError::Open(path));
             }
         }
         Ok(())
     }
 
-    /// Writes who there is, and their passwords.
+    /// Refuses a folder that others can change.
+    ///
+    /// # Errors
+    ///
+    /// [`RightsError`], with the remedy.
+    pub fn check_own(&self) -> Result<(), RightsError> {
+        check_owner(&self.0).map(drop)
+    }
+
+    /// Writes who there is.
     ///
     /// # Errors
     ///
     /// [`RightsError::File`].
-    pub fn write_people(
-        &self,
-        people: &People,
-        passwords: &[(String, String)],
-    ) -> Result<(), RightsError> {
+    pub fn write_people(&self, people: &People) -> Result<(), RightsError> {
+        write_json(&self.people_file(), people)
+    }
+
+    /// Writes the passwords.
+    ///
+    /// # Errors
+    ///
+    /// [`RightsError::File`].
+    pub fn write_passwords(&self, passwords: &[(String, String)]) -> Result<(), RightsError> {
         let lines = passwords.iter();
         let lines: String = lines
             .map(|(person, password)| format!("{person}:{password}\n"))
             .collect();
-        write(&self.passwords_file(), &lines)?;
-        write_json(&self.people_file(), people)
+        write(&self.passwords_file(), &lines)
     }
+}
+
+/// The mode of what only its owner can change, and that is whoever reads it, or root.
+fn check_owner(path: &Path) -> Result<u32, RightsError> {
+    let metadata = fs::metadata(path).map_err(|error| at(path, error))?;
+    let own = [0, geteuid().as_raw()];
+    if !own.contains(&metadata.uid()) {
+        return Err(RightsError::Foreign(path.to_owned()));
+    }
+    if metadata.mode() & 0o022 != 0 {
+        return Err(RightsError::Changeable(path.to_owned()));
+    }
+    Ok(metadata.mode())
 }
 
 /// Reads a file.

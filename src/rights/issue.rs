@@ -42,17 +42,11 @@ pub fn init(
         return Err(RightsError::Host(host.clone()));
     }
     make_folder(folder.path().to_owned())?;
-    let [certificate, key] = folder.authority();
-    let authority = match key.exists() || certificate.exists() {
-        true => Authority::of_key(&read(&key)?)?,
-        false => {
-            let (authority, pair) = Authority::make()?;
-            keep(&pair, [certificate, key])?;
-            authority
-        }
-    };
-    let [_, daemon_key] = folder.daemon();
-    if !hosts.is_empty() || !daemon_key.exists() {
+    folder.check_own()?;
+    let _held = folder.hold()?;
+    let authority = authority(folder)?;
+    let is_whole = folder.daemon().iter().all(|path| path.exists());
+    if !hosts.is_empty() || !is_whole {
         let own = OWN_NAMES.map(str::to_owned).into_iter();
         let mut hosts: Vec<String> = own.chain(hosts.iter().cloned()).collect();
         hosts.dedup();
@@ -62,19 +56,21 @@ pub fn init(
         true => format!("tls/[{host}]:{PORT}"),
         false => format!("tls/{host}:{PORT}"),
     };
-    let (mut known, passwords) = match folder.people_file().exists() {
-        true => (folder.people()?, folder.passwords()?),
+    let mut known = match folder.is_made()? {
+        true => folder.people()?,
         false => {
             let [_, own, _] = OWN_NAMES;
-            let endpoint = endpoint(&own.to_owned());
-            let people = Vec::new();
-            (People { endpoint, people }, Vec::new())
+            folder.write_passwords(&[])?;
+            People {
+                endpoint: endpoint(&own.to_owned()),
+                people: Vec::new(),
+            }
         }
     };
     if let Some(host) = hosts.first() {
         known.endpoint = endpoint(host);
     }
-    folder.write_people(&known, &passwords)?;
+    folder.write_people(&known)?;
     if !folder.settings_file().exists() {
         let listen = match hosts {
             [] => known.endpoint,
@@ -96,8 +92,30 @@ pub fn init(
 pub fn add(folder: &Folder, people: &[(String, Role)]) -> Result<Vec<PathBuf>, RightsError> {
     check(people)?;
     folder.people()?;
+    folder.check_own()?;
+    let _held = folder.hold()?;
     let [_, key] = folder.authority();
-    add_by(&Authority::of_key(&read(&key)?)?, folder, people)
+    match key.exists() {
+        true => add_by(&authority(folder)?, folder, people),
+        false => Err(RightsError::NoAuthority(key)),
+    }
+}
+
+/// The folder's authority. Of one whose making was cut off the key is there, and the certificate
+/// is made again.
+fn authority(folder: &Folder) -> Result<Authority, RightsError> {
+    let [certificate, key] = folder.authority();
+    if !key.exists() && certificate.exists() {
+        return Err(RightsError::NoAuthority(key));
+    }
+    if !key.exists() {
+        write(&key, &Authority::draw()?)?;
+    }
+    let authority = Authority::of_key(&read(&key)?)?;
+    if !certificate.exists() {
+        write(&certificate, &authority.certificate()?)?;
+    }
+    Ok(authority)
 }
 
 /// Takes people's rights away, from the daemon's next start on.
@@ -106,16 +124,22 @@ pub fn add(folder: &Folder, people: &[(String, Role)]) -> Result<Vec<PathBuf>, R
 ///
 /// [`RightsError`]; nobody is removed then.
 pub fn remove(folder: &Folder, names: &[String]) -> Result<(), RightsError> {
+    folder.people()?;
+    folder.check_own()?;
+    let _held = folder.hold()?;
     let (mut known, mut passwords) = (folder.people()?, folder.passwords()?);
-    let people = &mut known.people;
     for name in names {
-        if !people.iter().any(|entry| entry.person == *name) {
+        let is_known = known.people.iter().any(|entry| entry.person == *name);
+        // What is left of somebody whose removal was cut off is taken away, too.
+        if !is_known && !(is_person(name) && folder.of(name).exists()) {
             return Err(RightsError::Nobody(name.clone()));
         }
     }
-    people.retain(|entry| !names.contains(&entry.person));
+    known.people.retain(|entry| !names.contains(&entry.person));
     passwords.retain(|(person, _)| !names.contains(person));
-    folder.write_people(&known, &passwords)?;
+    // Their rights go first: a password alone opens nothing.
+    folder.write_people(&known)?;
+    folder.write_passwords(&passwords)?;
     for name in names {
         let path = folder.of(name);
         if path.exists() {
@@ -132,7 +156,11 @@ fn is_host(host: &str) -> bool {
         let plain = |c: char| c.is_ascii_alphanumeric() || c == '-';
         !label.is_empty() && label.len() <= 63 && label.chars().all(plain)
     };
-    host.parse::<IpAddr>().is_ok() || (host.len() <= 253 && host.split('.').all(is_label))
+    let mut labels = host.split('.');
+    // What ends in a number is an address, or was meant to be one.
+    let is_number = |label: &str| label.bytes().all(|c| c.is_ascii_digit());
+    let is_name = labels.clone().all(is_label) && !labels.next_back().is_some_and(is_number);
+    host.parse::<IpAddr>().is_ok() || (host.len() <= 253 && is_name)
 }
 
 fn check(people: &[(String, Role)]) -> Result<(), RightsError> {
@@ -166,6 +194,7 @@ fn add_by(
             role: *role,
             token_hash: blake3::hash(credentials.token.as_bytes()).to_string(),
         });
+        passwords.retain(|(person, _)| person != name);
         passwords.push((name.clone(), credentials.password.clone()));
         made.push(credentials);
     }
@@ -189,7 +218,8 @@ fn add_by(
     // What lets them in comes last.
     known.people.sort_by(|a, b| a.person.cmp(&b.person));
     passwords.sort();
-    folder.write_people(&known, &passwords)?;
+    folder.write_passwords(&passwords)?;
+    folder.write_people(&known)?;
     Ok(folders)
 }
 
@@ -231,6 +261,7 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use std::os::unix::fs::PermissionsExt;
+    use std::path::Path;
 
     use super::*;
     use crate::rights::Rights;
@@ -272,11 +303,60 @@ mod tests {
                 folders.extend(entries.map(|entry| entry.unwrap().path()));
             }
         }
-        fs::set_permissions(&key, fs::Permissions::from_mode(0o644)).unwrap();
+        let set = |path: &Path, mode| {
+            fs::set_permissions(path, fs::Permissions::from_mode(mode)).unwrap();
+        };
         Rights::read(folder.clone()).unwrap();
-        let open = folder.passwords_file();
-        fs::set_permissions(&open, fs::Permissions::from_mode(0o640)).unwrap();
-        assert!(matches!(Rights::read(folder), Err(RightsError::Open(_))));
+        for path in [key, folder.passwords_file()] {
+            set(&path, 0o640);
+            let refused = Rights::read(folder.clone());
+            assert!(matches!(refused, Err(RightsError::Open(_))));
+            set(&path, 0o600);
+        }
+        for (path, mode) in [(folder.path(), 0o700), (&folder.people_file(), 0o600)] {
+            set(path, 0o777);
+            let refused = Rights::read(folder.clone());
+            assert!(matches!(refused, Err(RightsError::Changeable(_))));
+            set(path, mode);
+        }
+        Rights::read(folder).unwrap();
+    }
+
+    #[test]
+    fn what_was_cut_off_is_made_whole() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = Folder::at(base.path().join("auth"));
+        init(&folder, &[], &[person("anna")]).unwrap();
+        let [[ca, _], [daemon, daemon_key]] = [folder.authority(), folder.daemon()];
+        for lost in [&ca, &daemon, &daemon_key] {
+            fs::remove_file(lost).unwrap();
+            init(&folder, &[], &[]).unwrap();
+            assert!(lost.exists());
+        }
+        fs::remove_file(&folder.authority()[1]).unwrap();
+        let refused = add(&folder, &[person("ben")]);
+        assert!(matches!(refused, Err(RightsError::NoAuthority(_))));
+        assert_eq!(folder.people().unwrap().people.len(), 1);
+    }
+
+    #[test]
+    fn who_is_added_and_removed_at_once_is_there_and_is_not() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = Folder::at(base.path().join("auth"));
+        init(&folder, &[], &[person("evil")]).unwrap();
+        std::thread::scope(|scope| {
+            scope.spawn(|| remove(&folder, &["evil".into()]).unwrap());
+            for name in ["a", "b", "c", "d"] {
+                let folder = &folder;
+                scope.spawn(move || add(folder, &[person(name)]).unwrap());
+            }
+        });
+        let known = folder.people().unwrap().people;
+        let names: Vec<_> = known.iter().map(|it| it.person.as_str()).collect();
+        assert_eq!(names, ["a", "b", "c", "d"]);
+        let passwords = folder.passwords().unwrap();
+        let names: Vec<_> = passwords.iter().map(|(name, _)| name.as_str()).collect();
+        assert_eq!(names, ["a", "b", "c", "d"]);
     }
 
     #[test]
@@ -308,7 +388,14 @@ mod tests {
             folder.people().unwrap().people.is_empty() && folder.passwords().unwrap().is_empty()
         );
         assert!(!folder.of("anna").exists());
-        for strange in ["no such host", "", "lab..example", "tls/lab:7447", "[::1]"] {
+        for strange in [
+            "no such host",
+            "",
+            "lab..example",
+            "tls/lab:7447",
+            "[::1]",
+            "10.0.0.300",
+        ] {
             let refused = init(&folder, &[strange.into()], &[]);
             assert!(matches!(refused, Err(RightsError::Host(_))), "{strange}");
         }

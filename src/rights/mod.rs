@@ -46,6 +46,15 @@ pub enum RightsError {
     /// Others can read a secret.
     #[error("{0} can be read by others: `chmod go= {0}`, and give new secrets if anybody did")]
     Open(PathBuf),
+    /// Others can change what decides who may what.
+    #[error("{0} can be changed by others: `chmod go-w {0}`, once you know that nobody did")]
+    Changeable(PathBuf),
+    /// What decides that is somebody else's.
+    #[error("{0} belongs to somebody else: `chown` it to whom the daemon runs as")]
+    Foreign(PathBuf),
+    /// The authority is elsewhere.
+    #[error("{0} is not here, and nobody can be added without: put it back for as long")]
+    NoAuthority(PathBuf),
     /// A person's name.
     #[error("{0:?} is no person's name: 1 to 64 of a-z, 0-9 and _, the first a letter or digit")]
     Name(String),
@@ -120,7 +129,10 @@ impl Rights {
     ///
     /// [`RightsError`] when it is not there, not whole, or open to others.
     pub fn read(folder: Folder) -> Result<Self, RightsError> {
-        folder.check_secrecy()?;
+        folder.check()?;
+        let _held = folder.hold()?;
+        // zenoh reads them, and would say less of what is wrong.
+        folder.passwords()?;
         let mut people = BTreeMap::new();
         for entry in folder.people()?.people {
             let wrong = |problem: &str| RightsError::Content {

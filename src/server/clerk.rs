@@ -71,6 +71,8 @@ pub struct Clerk {
     pub watch: Arc<OnceLock<Arc<Watch>>>,
     /// How many queries wait for the dispatching thread, or are at it.
     pub waiting: AtomicUsize,
+    /// How many histories are being told again.
+    pub telling: Arc<AtomicUsize>,
 }
 
 impl Clerk {

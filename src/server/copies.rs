@@ -1,6 +1,7 @@
 //! Swarms made as others were, and a swarm's past told again: fork, restore, verify.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::thread;
 use std::time::Duration;
 
@@ -28,6 +29,25 @@ const BYTES_AROUND_SNAPSHOT: usize = 4096;
 
 /// How long a history may be told again before its asker hears that it takes longer.
 const PATIENCE_WITH_HISTORY: Duration = Duration::from_secs(3600);
+
+/// Histories that are told again at once; they take what cores there are.
+const MOST_TOLD: usize = 4;
+
+/// One of so many at once.
+struct Turn(Arc<AtomicUsize>);
+
+impl Turn {
+    fn take(turns: &Arc<AtomicUsize>) -> Option<Self> {
+        let turn = Turn(turns.clone());
+        (turns.fetch_add(1, Ordering::AcqRel) < MOST_TOLD).then_some(turn)
+    }
+}
+
+impl Drop for Turn {
+    fn drop(&mut self) {
+        self.0.fetch_sub(1, Ordering::AcqRel);
+    }
+}
 
 impl Clerk {
     /// Makes a swarm as another one is, or as it was on arriving at a step.
@@ -171,37 +191,38 @@ impl Clerk {
         if handle.summary().is_some_and(|it| it.is_replay) {
             return promise.refuse(&OrderError::Recorded.into(), handle.step());
         }
+        let Some(turn) = Turn::take(&self.telling) else {
+            return promise.refuse(&CommandError::Busy, handle.step());
+        };
         promise.keep_within(PATIENCE_WITH_HISTORY, CommandError::deadline, || None);
         let (store, name, keeper) = (
             self.store.clone(),
             swarm.clone(),
             Keeper::new(promise.clone()),
         );
-        let spawned =
-            thread::Builder::new()
-                .name("verify".into())
-                .spawn(
-                    move || match recovery::told_again(&store, &name, To::LastHash) {
-                        Ok(told) => {
-                            let verified = Verified {
-                                from_step: told.from,
-                                to_step: told.checkpoint.state.step,
-                                hashes: told.same + u64::from(told.differs_at.is_some()),
-                                differs_at: told.differs_at.map(|(_, step)| step),
-                                differs_in_epoch: told.differs_at.map(|(epoch, _)| epoch),
-                            };
-                            handle.send(Ticket::Look(Box::new(move |answered| match answered {
-                                Ok((place, _)) => keeper.0.keep(move || {
-                                    Ok(Payload::json(&wire::reply(&name, &place, verified)))
-                                }),
-                                Err(Refusal { step, error }) => {
-                                    keeper.0.refuse(&error.into(), step);
-                                }
-                            })));
+        let spawned = thread::Builder::new().name("verify".into()).spawn(move || {
+            let _turn = turn;
+            match recovery::told_again(&store, &name, To::LastHash) {
+                Ok(told) => {
+                    let verified = Verified {
+                        from_step: told.from,
+                        to_step: told.checkpoint.state.step,
+                        hashes: told.same + u64::from(told.differs_at.is_some()),
+                        differs_at: told.differs_at.map(|(_, step)| step),
+                        differs_in_epoch: told.differs_at.map(|(epoch, _)| epoch),
+                    };
+                    handle.send(Ticket::Look(Box::new(move |answered| match answered {
+                        Ok((place, _)) => keeper
+                            .0
+                            .keep(move || Ok(Payload::json(&wire::reply(&name, &place, verified)))),
+                        Err(Refusal { step, error }) => {
+                            keeper.0.refuse(&error.into(), step);
                         }
-                        Err(error) => keeper.0.refuse(&error, handle.step()),
-                    },
-                );
+                    })));
+                }
+                Err(error) => keeper.0.refuse(&error, handle.step()),
+            }
+        });
         if spawned.is_err() {
             promise.refuse(&CommandError::Busy, None);
         }

@@ -222,6 +222,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         to_record: to_record.clone(),
         watch: watch.clone(),
         waiting: AtomicUsize::new(0),
+        telling: Arc::default(),
     });
     let dispatcher = Dispatcher {
         clerk: clerk.clone(),

@@ -105,6 +105,8 @@ def test_whoever_is_not_let_in_hears_so_soon(lab: Daemon, auth: Path, tmp_path: 
     assert time.monotonic() - began < 6.0
     with pytest.raises(jostle.InvalidArgument, match="credentials"):
         jostle.connect(lab.endpoint, credentials=tmp_path)
+    with pytest.raises(jostle.InvalidArgument, match="in the clear"):
+        jostle.connect("tcp/192.0.2.1:7447", credentials=auth / "people" / "olga")
 
 
 def test_the_environment_says_who_it_is_and_asyncio_too(

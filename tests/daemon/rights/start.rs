@@ -4,6 +4,7 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
+use jostled::health::probe::Probe;
 use jostled::rights::folder::Folder;
 use jostled::rights::issue;
 
@@ -82,6 +83,11 @@ async fn only_people_with_their_own_proof_get_a_session() {
             "{protocol}"
         );
         session.close().await.unwrap();
+    }
+    // The daemon tries its own doors, and hears an answer at each.
+    for endpoint in lab.server.endpoints() {
+        let probe = Probe::of(endpoint).unwrap();
+        probe.try_once().unwrap_or_else(|deaf| panic!("{deaf}"));
     }
     // A session with one person's name and another's certificate may nothing.
     let mixed = Proof {

@@ -1,6 +1,13 @@
 //! What may be typed about who one is.
 
+use clap::builder::PossibleValuesParser;
 use clap::{Args, Subcommand};
+use jostle_proto::keys;
+
+/// What may be permitted: all that changes something.
+fn verbs() -> impl Iterator<Item = &'static str> {
+    keys::SWARM_VERBS.into_iter().chain(keys::NODE_VERBS)
+}
 
 /// Who one is.
 #[derive(Debug, Args)]
@@ -18,6 +25,7 @@ pub enum AuthVerb {
     /// Says whether you may have a verb executed; if not, ends with code 5
     Can {
         /// The verb, such as `pause`
+        #[arg(value_parser = PossibleValuesParser::new(verbs()), hide_possible_values = true)]
         verb: String,
     },
     /// Prints the link that opens the daemon's page as you

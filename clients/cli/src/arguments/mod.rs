@@ -12,6 +12,7 @@ mod verbs;
 
 use std::path::PathBuf;
 
+use clap::builder::TypedValueParser as _;
 use clap::{Args, Parser, Subcommand};
 use clap_complete::engine::ArgValueCompleter;
 use jostle_proto::keys::DEFAULT_PREFIX;
@@ -110,6 +111,7 @@ pub struct GlobalArguments {
         env = "JOSTLE_CREDENTIALS",
         hide_env_values = true,
         value_name = "FOLDER",
+        value_parser = clap::builder::OsStringValueParser::new().map(PathBuf::from),
         value_hint = clap::ValueHint::DirPath
     )]
     pub credentials: Option<PathBuf>,

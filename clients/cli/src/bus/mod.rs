@@ -76,7 +76,7 @@ impl Bus {
             timeout,
             json: _,
         } = global;
-        let identity = credentials.as_deref().map(Identity::read).transpose()?;
+        let identity = Identity::given(credentials.as_deref())?;
         let endpoint = opening::endpoint(endpoint, identity.as_ref());
         let config = opening::config(&endpoint, timeout, identity.as_ref())?;
         let session = match zenoh::open(config).await {
@@ -126,8 +126,7 @@ impl Bus {
     ///
     /// [`Failure::Argument`] when the credentials cannot be read.
     pub fn endpoint_for(global: &GlobalArguments) -> Result<String, Failure> {
-        let identity = global.credentials.as_deref().map(Identity::read);
-        let identity = identity.transpose()?;
+        let identity = Identity::given(global.credentials.as_deref())?;
         Ok(opening::endpoint(
             global.endpoint.clone(),
             identity.as_ref(),

@@ -1,6 +1,6 @@
 //! How a client opens its session, and who it says it is.
 
-use std::net::ToSocketAddrs;
+use std::net::{IpAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -24,12 +24,22 @@ pub struct Identity {
 }
 
 impl Identity {
+    /// Reads the folder that is given, if one is; an empty name is none.
+    ///
+    /// # Errors
+    ///
+    /// [`Failure::Argument`] when it is none of `jostled auth`.
+    pub fn given(folder: Option<&Path>) -> Result<Option<Self>, Failure> {
+        let folder = folder.filter(|folder| !folder.as_os_str().is_empty());
+        folder.map(Self::read).transpose()
+    }
+
     /// Reads a folder that `jostled auth` made.
     ///
     /// # Errors
     ///
     /// [`Failure::Argument`] when it is none.
-    pub fn read(folder: &Path) -> Result<Self, Failure> {
+    fn read(folder: &Path) -> Result<Self, Failure> {
         let path = folder.join(Credentials::FILE);
         let wrong = |problem: String| Failure::Argument {
             argument: "--credentials".into(),
@@ -68,6 +78,17 @@ impl Identity {
             ),
         ]
     }
+}
+
+/// Whether only this machine is at `endpoint`.
+fn is_here(endpoint: &EndPoint) -> bool {
+    let address = endpoint.address();
+    let address = address.as_str();
+    let host = address.rsplit_once(':').map_or(address, |(host, _)| host);
+    let bare = host.trim_start_matches('[').trim_end_matches(']');
+    endpoint.protocol().as_str() == "unixsock-stream"
+        || bare == "localhost"
+        || bare.parse::<IpAddr>().is_ok_and(|it| it.is_loopback())
 }
 
 /// Where to look for a daemon: where one was told to, or else where one's credentials say.
@@ -113,6 +134,12 @@ pub fn config(
         let known = PROTOCOLS.join(", ");
         return Err(wrong(format!(
             "`{protocol}` is not among the protocols it speaks: {known}"
+        )));
+    }
+    if identity.is_some() && protocol.as_str() != "tls" && !is_here(&parsed) {
+        return Err(wrong(format!(
+            "`{endpoint}` is another machine's, and whatever is sent there in the clear can be \
+             read on the way: with credentials give tls/HOST:PORT"
         )));
     }
     // Opening blocks its thread, so that only zenoh itself can give up.

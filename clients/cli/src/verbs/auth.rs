@@ -1,12 +1,11 @@
 //! Who one is to the daemon.
 
 use jostle_proto::role::refused;
-use jostle_proto::{NodeReply, WhoAmI, keys};
+use jostle_proto::{NodeReply, WhoAmI};
 
 use crate::arguments::AuthVerb;
 use crate::bus::Bus;
 use crate::failure::Failure;
-use crate::nearest::did_you_mean;
 use crate::output::Output;
 
 /// Says who one is and what one may.
@@ -22,15 +21,6 @@ pub async fn auth(bus: &Bus, output: Output, what: &AuthVerb) -> Result<(), Fail
     let NodeReply { node, result: who } = answer.read::<NodeReply<WhoAmI>>()?;
     match what {
         AuthVerb::Can { verb } => {
-            let known = keys::SWARM_VERBS.iter().chain(&keys::NODE_VERBS);
-            let known = known.copied();
-            if !known.clone().any(|it| it == verb) {
-                let hint = did_you_mean(verb, known).unwrap_or_default();
-                return Err(Failure::Argument {
-                    argument: "VERB".into(),
-                    problem: format!("a daemon has no verb {verb} {hint}"),
-                });
-            }
             if !who.verbs.contains(verb) && !who.node_verbs.contains(verb) {
                 let person = who.person.as_deref().zip(who.role);
                 return Err(Failure::refused(refused(person, verb)));
@@ -41,12 +31,12 @@ pub async fn auth(bus: &Bus, output: Output, what: &AuthVerb) -> Result<(), Fail
             }
         }
         _ if output.json => output.data(answer.json()?),
-        _ => output.data(&told(&node, &who)),
+        _ => output.data(&told(&node, &who, bus.token().is_some())),
     }
 }
 
 /// Who one is, in words.
-fn told(node: &str, who: &WhoAmI) -> String {
+fn told(node: &str, who: &WhoAmI, has_token: bool) -> String {
     let may = |verbs: &[String]| match verbs {
         [] => "nothing".to_owned(),
         verbs => verbs.join(", "),
@@ -54,6 +44,7 @@ fn told(node: &str, who: &WhoAmI) -> String {
     let first = match (&who.person, who.role) {
         (Some(person), Some(role)) => format!("{person}, {role} on {node}"),
         (None, Some(_)) => format!("{node} knows no people: whoever reaches it may do everything"),
+        _ if has_token => format!("nobody that {node} knows: these credentials are out of date"),
         _ => format!("nobody that {node} knows: --credentials FOLDER says who you are"),
     };
     format!(

@@ -95,6 +95,10 @@ async fn whoever_is_not_let_in_hears_so_soon() {
     let ended = daemon.jostle(&line).await;
     assert_eq!(ended.code, Some(2), "{ended:?}");
     assert!(ended.stderr.contains("credentials.json"), "{ended:?}");
+    let line = by("olga", "-e tcp/192.0.2.1:7447 list");
+    let ended = daemon.jostle(&line).await;
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    assert!(ended.stderr.contains("in the clear"), "{ended:?}");
     let link = daemon.said(&by("olga", "auth link")).await;
     assert!(link.starts_with("http://127.0.0.1:8080/#token="), "{link}");
     daemon.stop().await;

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ipaddress
 import json
 import os
 import socket
@@ -60,6 +61,28 @@ def open_session(
         Unavailable: No daemon answers there, or zenoh cannot be used in this process.
     """
     use_zenoh()
+    if identity is not None and not _may_be_told_secrets(endpoint):
+        raise InvalidArgument(
+            f"{endpoint!r} is another machine's, and whatever is sent there in the clear can be "
+            "read on the way: with credentials give tls/HOST:PORT",
+            details={"field": "endpoint"},
+        )
+    try:
+        # What says a password is nowhere that a traceback with its variables would show.
+        return zenoh.open(_config(endpoint, timeout, identity))
+    except zenoh.ZError:
+        # zenoh's own error says no more than that, in more words.
+        if _is_taken(endpoint):
+            raise _not_let_in(endpoint, identity) from None
+        raise Unavailable(
+            f"no daemon answers at {endpoint}: start one with `jostled serve`, "
+            "or name another endpoint (argument `endpoint`, or JOSTLE_ENDPOINT)"
+        ) from None
+
+
+def _config(
+    endpoint: str, timeout: float, identity: tuple[Credentials, Path] | None
+) -> zenoh.Config:
     milliseconds = max(1, round(timeout * 1000))
     config = zenoh.Config()
     for key, value in {
@@ -85,16 +108,18 @@ def open_session(
             f"{endpoint!r} is no endpoint: one looks like tcp/127.0.0.1:7447",
             details={"field": "endpoint"},
         ) from None
+    return config
+
+
+def _may_be_told_secrets(endpoint: str) -> bool:
+    """Whether what is sent to `endpoint` is encrypted, or stays within this machine."""
+    protocol, _, address = endpoint.partition("/")
+    host = address.rpartition(":")[0].strip("[]")
     try:
-        return zenoh.open(config)
-    except zenoh.ZError:
-        # zenoh's own error says no more than that, in more words.
-        if _is_taken(endpoint):
-            raise _not_let_in(endpoint, identity) from None
-        raise Unavailable(
-            f"no daemon answers at {endpoint}: start one with `jostled serve`, "
-            "or name another endpoint (argument `endpoint`, or JOSTLE_ENDPOINT)"
-        ) from None
+        is_here = host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        is_here = False
+    return protocol != "tcp" or is_here
 
 
 def _is_taken(endpoint: str) -> bool:
@@ -116,7 +141,10 @@ def _not_let_in(endpoint: str, identity: tuple[Credentials, Path] | None) -> Per
         remedy = "if it is a daemon that knows its people, say who you are (argument `credentials`)"
     else:
         who = identity[0].person
-        remedy = "these credentials may be out of date, or another daemon's"
+        remedy = (
+            "these credentials may be out of date, or another daemon's, or it knows no people and "
+            "takes none"
+        )
     return PermissionDenied(f"something listens at {endpoint} but does not let {who} in: {remedy}")
 
 
