@@ -120,7 +120,7 @@ async fn a_bare_process() {
         return;
     }
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody)
+    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody, 64)
         .await
         .unwrap();
     let busy = r#"{"code":"busy","message":"too many requests wait already: try again"}"#;
