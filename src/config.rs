@@ -19,7 +19,7 @@ use crate::host::Limits;
 ///
 /// The name is the same in the file, as a flag (`--max-hz`) and in the environment
 /// (`JOSTLED_MAX_HZ`).
-pub const SETTINGS: [(&str, &str, &str); 14] = [
+pub const SETTINGS: [(&str, &str, &str); 15] = [
     (
         "listen",
         "tcp/127.0.0.1:7447",
@@ -54,6 +54,11 @@ pub const SETTINGS: [(&str, &str, &str); 14] = [
         "max_memory_mb",
         "2048",
         "memory of all swarms together, in MiB",
+    ),
+    (
+        "max_clients",
+        "4000",
+        "clients at once; to one more `hello` is refused",
     ),
     ("max_hz", "50", "states published per second and swarm"),
     (
@@ -156,6 +161,8 @@ pub struct Config {
     pub logs_json: bool,
     /// What the daemon refuses to go beyond.
     pub limits: Limits,
+    /// Clients at once.
+    pub max_clients: usize,
     /// The folder of everything that outlives the daemon.
     pub data_dir: PathBuf,
     /// Who may do what; everybody everything if not given.
@@ -259,6 +266,7 @@ impl Config {
             prefix,
             log: text("log"),
             logs_json,
+            max_clients: number(merged, "max_clients", 100_000)? as usize,
             limits: Limits {
                 max_individuals: number(merged, "max_individuals", 1_000_000)? as usize,
                 max_swarms: number(merged, "max_swarms", 100_000)? as usize,

@@ -19,6 +19,7 @@ use crate::swarm::journal::{WriteFault, Writer, to_nowhere};
 use crate::swarm::order::{Admit, Answer, OrderError, Outcome, Recipe, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::player::Player;
+use crate::swarm::rank::rank;
 use crate::swarm::simulation::Simulation;
 use crate::swarm::tally::Totals;
 use crate::swarm::worker::replay::Past;
@@ -28,7 +29,7 @@ use crate::swarm::worker::{End, Worker};
 const MOST_TICKETS: usize = 1024;
 
 /// How much lower than the rest of the daemon a swarm's thread ranks (its niceness), so that
-/// stepping never keeps a command or a reader waiting.
+/// stepping never keeps a command or a reader waiting. It still begins its steps soon: see [`rank`].
 const SWARM_NICENESS: i32 = 5;
 
 /// The same of a thread that tells a past again: it ranks below the swarms that are there.
@@ -466,8 +467,8 @@ impl Host {
         built: Answer,
     ) {
         let name = &handle.outlet.name;
-        // Zero names the calling thread. Where it is not permitted the swarm ranks like the rest.
-        let _ = rustix::process::setpriority_process(None, SWARM_NICENESS);
+        // Where it is not permitted the swarm ranks like the rest.
+        let _ = rank(SWARM_NICENESS);
         let guest = match self.build(handle, beginning) {
             Ok(Ok(guest)) => guest,
             // It had ended, though its end was not safe.

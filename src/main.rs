@@ -17,9 +17,14 @@ use jostled::rights::issue;
 use jostled::server::session::{self, SessionError};
 use jostled::server::{self, ServerError};
 use jostled::supervisor;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use serde_json::json;
 use tokio::signal::unix::{SignalKind, signal};
+use tracing::warn;
 use tracing_subscriber::EnvFilter;
+
+/// Files that are open beside one for each client: the store's, recordings, pages, swarms' wakers.
+const FILES_OF_ITS_OWN: u64 = 500;
 
 /// Hosts swarms of bodies that only push each other, steps them exactly and serves them on zenoh.
 #[derive(Parser)]
@@ -158,6 +163,9 @@ struct Settings {
     /// Memory of all swarms together, in MiB [default: 2048].
     #[arg(long, global = true, value_name = "MIB")]
     max_memory_mb: Option<String>,
+    /// Clients at once [default: 4000].
+    #[arg(long, global = true, value_name = "N")]
+    max_clients: Option<String>,
     /// Keep everything that outlives the daemon in this folder [default: jostle/NODE below
     /// ~/.local/state; for a demo a temporary one].
     #[arg(long, global = true, value_name = "FOLDER")]
@@ -188,6 +196,7 @@ impl Settings {
             ("max_individuals", self.max_individuals),
             ("max_swarms", self.max_swarms),
             ("max_memory_mb", self.max_memory_mb),
+            ("max_clients", self.max_clients),
             ("max_hz", self.max_hz),
             ("experiment_threads", self.experiment_threads),
             ("data_dir", self.data_dir),
@@ -296,9 +305,10 @@ fn main() -> ExitCode {
     } else {
         logs.init();
     }
+    open_many(config.max_clients);
     // Tests make the daemon fail at named points; elsewhere the variable is not set.
     let _failing = std::env::var_os("FAILPOINTS").map(|points| {
-        tracing::warn!(?points, "set to fail");
+        warn!(?points, "set to fail");
         fail::FailScenario::setup()
     });
     // zenoh needs a runtime of several threads.
@@ -320,6 +330,27 @@ fn main() -> ExitCode {
         let _ = temporary.close();
     }
     signal_hook::low_level::exit(code)
+}
+
+/// Has as many files open as the system lets it, since each client takes one, and a shell often
+/// begins with a thousand.
+fn open_many(max_clients: usize) {
+    let allowed = getrlimit(Resource::Nofile);
+    let most = Rlimit {
+        current: allowed.maximum,
+        ..allowed
+    };
+    if let Err(error) = setrlimit(Resource::Nofile, most) {
+        warn!(%error, "failed to raise the number of open files");
+    }
+    let allowed = getrlimit(Resource::Nofile).current;
+    if allowed.is_some_and(|files| files < max_clients as u64 + FILES_OF_ITS_OWN) {
+        warn!(
+            allowed,
+            max_clients,
+            "fewer files may be open than it takes: raise `ulimit -n`, or lower max_clients"
+        );
+    }
 }
 
 /// Serves, a demo or whatever comes, until told to stop; returns the process's exit code.

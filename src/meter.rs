@@ -7,8 +7,9 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 /// Upper bounds of a histogram's buckets, in nanoseconds: from the smallest step to what is an
-/// accident. A last bucket holds what is longer.
-pub const BOUNDS_NANOS: [u64; 18] = [
+/// accident, and closest to each other about a millisecond, by which steps may be late. A last bucket
+/// holds what is longer.
+pub const BOUNDS_NANOS: [u64; 24] = [
     5_000,
     10_000,
     25_000,
@@ -16,9 +17,15 @@ pub const BOUNDS_NANOS: [u64; 18] = [
     100_000,
     250_000,
     500_000,
+    750_000,
     1_000_000,
+    1_250_000,
+    1_500_000,
+    2_000_000,
     2_500_000,
+    3_500_000,
     5_000_000,
+    7_500_000,
     10_000_000,
     25_000_000,
     50_000_000,
@@ -141,7 +148,7 @@ mod tests {
             [
                 (5e-6, 2),
                 (1e-5, 1),
-                (2.5e-3, 1),
+                (2e-3, 1),
                 (10.0, 1),
                 (f64::INFINITY, 1)
             ]

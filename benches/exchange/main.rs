@@ -111,7 +111,7 @@ async fn main() {
 /// A queryable that answers at once, on a session like the daemon's.
 async fn bare() {
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody)
+    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody, 100)
         .await
         .unwrap();
     let queryable = session

@@ -154,7 +154,7 @@ impl Followers {
 async fn bare() {
     let bytes: usize = std::env::var(BARE).unwrap().parse().unwrap();
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody)
+    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody, 100)
         .await
         .unwrap();
     let runs = Arc::new(std::sync::atomic::AtomicBool::new(false));

@@ -253,6 +253,8 @@ pub struct Limits {
     /// The longest request, in bytes; a longer one is refused, and beyond 1 MiB zenoh drops it
     /// without a word.
     pub max_message_bytes: u64,
+    /// Clients at once; while there are more `get/hello` is refused.
+    pub max_clients: u64,
     /// States published per second and swarm.
     pub max_hz: u64,
 }

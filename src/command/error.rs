@@ -140,6 +140,15 @@ pub enum CommandError {
     /// A defect of the daemon.
     #[error("a defect of the daemon: nothing was changed; please report what you sent")]
     Internal,
+    /// More clients are connected than there may be.
+    #[error(
+        "more than the daemon's {limit} clients are connected: close one, or raise max_clients \
+         and start it again"
+    )]
+    TooManyClients {
+        /// The limit.
+        limit: usize,
+    },
     /// Too much at once for the daemon.
     #[error("too much at once for this daemon: try again in a moment")]
     Busy,
@@ -259,9 +268,9 @@ impl CommandError {
             CommandError::NotReached { .. } | CommandError::History(_) => ErrorCode::Conflict,
             CommandError::NotPermitted(_) => ErrorCode::PermissionDenied,
             CommandError::Internal => ErrorCode::Internal,
-            CommandError::TooLong { .. } | CommandError::SnapshotTooLong { .. } => {
-                ErrorCode::ResourceExhausted
-            }
+            CommandError::TooLong { .. }
+            | CommandError::SnapshotTooLong { .. }
+            | CommandError::TooManyClients { .. } => ErrorCode::ResourceExhausted,
             CommandError::Busy => ErrorCode::Busy,
             CommandError::Deadline { .. } | CommandError::NotYet { .. } => {
                 ErrorCode::DeadlineExceeded
@@ -404,7 +413,8 @@ impl CommandError {
             CommandError::NotPermitted(NotPermitted::Controller { person, controller }) => {
                 json!({"person": person, "controller": controller})
             }
-            CommandError::Host(HostError::TooManySwarms { limit }) => json!({"limit": limit}),
+            CommandError::TooManyClients { limit }
+            | CommandError::Host(HostError::TooManySwarms { limit }) => json!({"limit": limit}),
             CommandError::Host(HostError::TooMuchMemory {
                 needed,
                 free,

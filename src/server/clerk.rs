@@ -37,6 +37,8 @@ const MOST_BYTES_AT_THE_DOOR: usize = 16 * 1024;
 pub struct Clerk {
     /// The daemon's session.
     pub session: Session,
+    /// Clients at once.
+    pub max_clients: usize,
     /// The first chunk of every key.
     pub prefix: String,
     /// The daemon's name.

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use jostle_proto::{
-    HistoryFrom, NodeReply, NodeStatus, Phase, Role, Schemas, Swarms, WhoAmI, keys,
+    Hello, HistoryFrom, NodeReply, NodeStatus, Phase, Role, Schemas, Swarms, WhoAmI, keys,
 };
 use zenoh::Wait;
 use zenoh::query::Query;
@@ -164,12 +164,13 @@ impl Clerk {
                 continue;
             }
             let payload = match noun {
-                "hello" => self.node_reply(jostle_proto::Hello {
-                    version: env!("CARGO_PKG_VERSION").to_owned(),
-                    wire_version: jostle_proto::WIRE_VERSION,
-                    unix_secs: unix_secs(),
-                    limits: wire::limits(self.host.limits(), self.most_bytes() as u64),
-                }),
+                "hello" => match self.hello() {
+                    Ok(hello) => self.node_reply(hello),
+                    Err(error) => {
+                        promise.refuse(&error, None);
+                        continue;
+                    }
+                },
                 "whoami" => self.node_reply(self.who_asks(query)),
                 "status" => self.node_reply(self.node_status()),
                 "experiments" => self.experiments(),
@@ -217,6 +218,27 @@ impl Clerk {
         }
     }
 
+    /// Who the daemon is, to as many as it has room for.
+    fn hello(&self) -> Result<Hello, CommandError> {
+        if self.clients() > self.max_clients {
+            return Err(CommandError::TooManyClients {
+                limit: self.max_clients,
+            });
+        }
+        let (limits, most_bytes) = (self.host.limits(), self.most_bytes() as u64);
+        Ok(Hello {
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            wire_version: jostle_proto::WIRE_VERSION,
+            unix_secs: unix_secs(),
+            limits: wire::limits(limits, self.max_clients, most_bytes),
+        })
+    }
+
+    /// How many clients are connected.
+    fn clients(&self) -> usize {
+        self.session.info().transports().wait().count()
+    }
+
     fn node_status(&self) -> NodeStatus {
         let swarms: Vec<_> = self
             .host
@@ -232,7 +254,7 @@ impl Clerk {
             faulted: count(Phase::Faulted),
             individuals: swarms.iter().map(|swarm| swarm.n).sum(),
             memory_bytes: self.host.memory_bytes(),
-            clients: self.session.info().transports().wait().count() as u64,
+            clients: self.clients() as u64,
         }
     }
 

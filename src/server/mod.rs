@@ -177,7 +177,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         None => None,
     };
     let store = open_store(config)?;
-    let session = session::open(&config.listen, prefix, &rights).await?;
+    let session = session::open(&config.listen, prefix, &rights, config.max_clients).await?;
     let locators = session.info().locators().await;
     let endpoints: Vec<String> = locators.iter().map(ToString::to_string).collect();
 
@@ -205,6 +205,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     ];
     let clerk = Arc::new(Clerk {
         session: session.clone(),
+        max_clients: config.max_clients,
         prefix: prefix.clone(),
         node: node.clone(),
         host: host.clone(),

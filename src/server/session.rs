@@ -21,6 +21,10 @@ const READING_NICENESS: i32 = -10;
 /// The largest message accepted from the bus, in bytes. Larger ones vanish.
 pub const MAX_MESSAGE_BYTES: usize = 1 << 20;
 
+/// Sessions that are let in beyond the clients there may be, so that they are told: one more is cut
+/// off by zenoh without a word.
+const SESSIONS_TO_REFUSE: usize = 96;
+
 /// Why there is no session.
 #[derive(Debug, Error)]
 pub enum SessionError {
@@ -78,7 +82,8 @@ pub fn check(listen: &[String], are_people_known: bool) -> Result<(), SessionErr
     Ok(())
 }
 
-/// Opens the session on `listen`, for keys below `prefix` and whoever has rights there.
+/// Opens the session on `listen`, for keys below `prefix`, whoever has rights there and so many
+/// clients.
 ///
 /// # Errors
 ///
@@ -87,11 +92,12 @@ pub async fn open(
     listen: &[String],
     prefix: &str,
     rights: &Rights,
+    max_clients: usize,
 ) -> Result<Session, SessionError> {
     check(listen, rights.people().is_some())?;
     read_first();
     let mut config = zenoh::Config::default();
-    let mut settings = settings(listen);
+    let mut settings = settings(listen, max_clients);
     settings.push(("access_control", access::control(prefix, rights)));
     if let Rights::People { folder, .. } = rights {
         settings.extend(proofs(folder));
@@ -134,7 +140,7 @@ fn reason(text: &str) -> String {
 }
 
 /// Every setting that differs from zenoh's own default, each measured to matter.
-fn settings(listen: &[String]) -> Vec<(&'static str, Value)> {
+fn settings(listen: &[String], max_clients: usize) -> Vec<(&'static str, Value)> {
     vec![
         ("mode", json!("peer")),
         ("listen/endpoints", json!(listen)),
@@ -149,7 +155,10 @@ fn settings(listen: &[String]) -> Vec<(&'static str, Value)> {
         // Silent connections must not lock out new clients.
         ("transport/unicast/accept_timeout", json!(2000)),
         ("transport/unicast/accept_pending", json!(1000)),
-        ("transport/unicast/max_sessions", json!(4096)),
+        (
+            "transport/unicast/max_sessions",
+            json!(max_clients + SESSIONS_TO_REFUSE),
+        ),
         // A client that is gone is noticed within three seconds.
         ("transport/link/tx/lease", json!(3000)),
         (

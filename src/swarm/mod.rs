@@ -14,6 +14,7 @@ pub mod outlet;
 pub mod pace;
 pub mod phase;
 pub mod player;
+pub mod rank;
 pub mod schedule;
 mod shelf;
 pub mod simulation;

@@ -541,12 +541,13 @@ pub fn summary(swarm: &str, summary: &Summary) -> proto::SwarmSummary {
 }
 
 /// What a daemon refuses to go beyond.
-pub fn limits(limits: Limits, max_message_bytes: u64) -> proto::Limits {
+pub fn limits(limits: Limits, max_clients: usize, max_message_bytes: u64) -> proto::Limits {
     proto::Limits {
         max_individuals: limits.max_individuals as u64,
         max_swarms: limits.max_swarms as u64,
         max_memory_bytes: limits.max_memory_bytes,
         max_message_bytes,
+        max_clients: max_clients as u64,
         max_hz: u64::from(limits.max_hz),
     }
 }

@@ -90,7 +90,7 @@ const MAY_USE: [(&str, &[&str]); 25] = [
 ];
 
 /// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 23] = [
+const ONLY_IN: [(&str, &[&str]); 24] = [
     ("zenoh::", &["gateway", "publish", "server"]),
     ("zenoh_ext::", &["publish"]),
     (
@@ -223,6 +223,7 @@ const ONLY_IN: [(&str, &[&str]); 23] = [
     ("rcgen::", &["rights"]),
     ("tokio_rustls::", &["gateway"]),
     ("rusqlite::", &["store"]),
+    ("libc::", &["swarm/rank"]),
     ("tempfile::", &["main"]),
     ("rayon::", &["model/threads"]),
     ("use clarabel::", &["stepper/solve/clarabel"]),

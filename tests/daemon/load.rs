@@ -1,7 +1,11 @@
 //! Many swarms, many orders, slow clients: nobody holds up anybody.
 
+mod clients;
 mod flood;
+mod followers;
 
+use std::io::{BufRead, BufReader, Lines};
+use std::process::{ChildStdout, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use jostle_proto::{ErrorCode, keys};
@@ -216,6 +220,31 @@ async fn too_many_at_once_are_turned_away_at_once_and_the_rest_are_served() {
     }
     assert_eq!((served, busy), (1024, 76));
     daemon.stop().await;
+}
+
+/// Runs one of the tests of this folder, which are none by themselves, as a process of its own, until
+/// it prints a line with `word`; returns what follows that.
+fn helper(nice: &str, test: &str, asked: &str, word: &str) -> (Process, String, Output) {
+    let mut command = Command::new("nice");
+    command
+        .args(["-n", nice])
+        .arg(std::env::current_exe().unwrap())
+        .args(["--exact", &format!("load::{test}"), "--nocapture"])
+        .env("JOSTLE_TEST_HELPER", asked)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped());
+    let mut process = Process::of(&mut command);
+    let mut output = BufReader::new(process.0.stdout.take().unwrap()).lines();
+    let told = find(&mut output, word);
+    (process, told, output)
+}
+
+type Output = Lines<BufReader<ChildStdout>>;
+
+/// What follows `word` in the next line that has it.
+fn find(output: &mut Output, word: &str) -> String {
+    let mut found = output.filter_map(|line| line.unwrap().split_once(word).map(|it| it.1.into()));
+    found.next().unwrap()
 }
 
 /// Sends `count` commands without waiting for answers in between; counts what came back.

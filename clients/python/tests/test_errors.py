@@ -354,3 +354,19 @@ def test_one_client_serves_many_threads(client: jostle.Client, create: Create) -
     assert [swarm.status().seq for swarm in swarms] == [40] * 4
     assert client.node
     assert os.getpid()
+
+
+def test_one_client_too_many_is_told_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("JOSTLED_MAX_CLIENTS", "1")
+    daemon = Daemon(tmp_path)
+    try:
+        with jostle.connect(daemon.endpoint) as first:
+            assert first.hello().limits.max_clients == 1
+            with pytest.raises(jostle.ResourceExhausted, match="raise max_clients") as caught:
+                jostle.connect(daemon.endpoint)
+            assert caught.value.details["limit"] == 1
+            # Who was refused is gone again.
+            eventually("there is room", lambda: first.status().clients == 1)
+            assert first.hello().limits.max_clients == 1
+    finally:
+        daemon.stop()

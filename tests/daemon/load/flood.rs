@@ -1,8 +1,7 @@
 //! A flood from many clients, of the daemon and, beside it, of a zenoh queryable that only makes
 //! safe what it takes: what the bus, the disk and the machine take is not the daemon's.
 
-use std::io::{BufRead, BufReader, Lines, Write};
-use std::process::{ChildStdout, Command, Stdio};
+use std::io::Write;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::channel;
 use std::sync::{Arc, Mutex};
@@ -16,6 +15,7 @@ use zenoh::Wait;
 use zenoh::bytes::{Encoding, ZBytes};
 
 use crate::apart::Process;
+use crate::load::{find, helper};
 use crate::support::{Client, PATIENCE, PREFIX, alone, until};
 
 /// How many clients flood, and for how long.
@@ -25,8 +25,15 @@ const FLOODING: Duration = Duration::from_secs(3);
 /// How long meanwhile the others are watched.
 const WATCHING: Duration = Duration::from_secs(2);
 
-/// How soon others are answered meanwhile, at the median.
+/// How soon others are answered meanwhile, at the median, and who is turned away, at the 99th
+/// percentile.
 const SOON: Duration = Duration::from_millis(10);
+
+/// Commands a second that are made safe and answered meanwhile, at least.
+const DURABLE: f64 = 1500.0;
+
+/// What a flood may add to the daemon's memory.
+const GROWN_MB: u64 = 20;
 
 /// How many times a bare queryable's median and 99th percentile the daemon's may be. Both are
 /// measured in one run, as times alone say more of the machine than of the daemon.
@@ -36,30 +43,6 @@ const TIMES: (u32, u32) = (3, 4);
 const LINE_BYTES: usize = 300;
 const ACCEPTED: &str =
     r#"{"swarm":"flooded","epoch":1,"step":100,"time":2.0,"seq":1000,"result":{}}"#;
-
-/// Runs one of the tests below, which are none by themselves, as a process of its own, until it
-/// prints a line with `word`; returns what follows that.
-fn helper(nice: &str, test: &str, asked: &str, word: &str) -> (Process, String, Output) {
-    let mut command = Command::new("nice");
-    command
-        .args(["-n", nice])
-        .arg(std::env::current_exe().unwrap())
-        .args(["--exact", &format!("load::flood::{test}"), "--nocapture"])
-        .env("JOSTLE_TEST_HELPER", asked)
-        .stdout(Stdio::piped());
-    let mut process = Process::of(&mut command);
-    let mut output = BufReader::new(process.0.stdout.take().unwrap()).lines();
-    let told = find(&mut output, word);
-    (process, told, output)
-}
-
-type Output = Lines<BufReader<ChildStdout>>;
-
-/// What follows `word` in the next line that has it.
-fn find(output: &mut Output, word: &str) -> String {
-    let mut found = output.filter_map(|line| line.unwrap().split_once(word).map(|it| it.1.into()));
-    found.next().unwrap()
-}
 
 /// The clients that flood `asked`: an endpoint, and how many requests of each may be unanswered.
 #[tokio::test(flavor = "multi_thread")]
@@ -74,7 +57,7 @@ async fn a_flooding_process() {
         clients.push(Client::open(endpoint).await);
     }
     println!("flooding");
-    let (told, heard) = channel();
+    let (flooding, (told, heard)) = (Instant::now(), channel());
     let tasks = clients.into_iter().map(|client| {
         let told = told.clone();
         tokio::spawn(async move {
@@ -104,8 +87,9 @@ async fn a_flooding_process() {
     let busy = answers.iter().filter(|(is_busy, _)| *is_busy);
     let busy: Vec<Duration> = busy.map(|(_, took)| *took).collect();
     println!(
-        "flooders: {} answered, busy {}",
+        "flooders: {} answered in {:.3} s, busy {}",
         answers.len(),
+        flooding.elapsed().as_secs_f64(),
         spread(busy)
     );
 }
@@ -120,7 +104,7 @@ async fn a_bare_process() {
         return;
     }
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody)
+    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody, 64)
         .await
         .unwrap();
     let busy = r#"{"code":"busy","message":"too many requests wait already: try again"}"#;
@@ -180,13 +164,17 @@ struct Flood {
     commands: [Duration; 3],
     commands_failed: usize,
     turned_away: usize,
+    /// How long those waited, of the former, that were turned away.
+    busy: [Duration; 3],
+    /// Commands of the flooders a second that were not.
+    durable: f64,
 }
 
 /// Floods who listens at `endpoint`.
 async fn flood(endpoint: &str, unanswered: usize) -> Flood {
     // What floods from elsewhere takes no time from the daemon's cores; from here it ranks last.
     let asked = format!("{endpoint} {unanswered}");
-    let (_flooders, _, mut output) = helper("19", "a_flooding_process", &asked, "flooding");
+    let (_flooders, _, mut output) = helper("19", "flood::a_flooding_process", &asked, "flooding");
     // One whose own requests do not wait for each other sees how long an answer takes.
     let probe = Client::open(endpoint).await;
     let probing = tokio::spawn(async move {
@@ -212,21 +200,39 @@ async fn flood(endpoint: &str, unanswered: usize) -> Flood {
     let (all, busy) = probing.await.unwrap();
     let flooders = find(&mut output, "flooders: ");
     println!("  one by one: {}", spread(all.clone()));
-    println!("  of these busy: {}", spread(busy));
+    println!("  of these busy: {}", spread(busy.clone()));
     println!("  another's commands: {}", spread(commands.clone()));
     println!("  flooders: {flooders}");
-    let (_, turned_away) = flooders.split_once("busy ").unwrap();
+    let words: Vec<&str> = flooders.split(' ').collect();
+    let [
+        answered,
+        "answered",
+        "in",
+        secs,
+        "s,",
+        "busy",
+        turned_away,
+        ..,
+    ] = words[..]
+    else {
+        panic!("{flooders}");
+    };
+    let (answered, turned_away): (usize, usize) =
+        (answered.parse().unwrap(), turned_away.parse().unwrap());
     Flood {
         probe: percentiles(all),
         commands: percentiles(commands),
         commands_failed,
-        turned_away: turned_away.split(' ').next().unwrap().parse().unwrap(),
+        turned_away,
+        busy: percentiles(busy),
+        durable: (answered - turned_away) as f64 / secs.parse::<f64>().unwrap(),
     }
 }
 
-/// Floods a daemon of nine swarms; tells the slowest rate of the other swarms too, of 1.
-async fn flood_daemon(unanswered: usize) -> (Flood, f64) {
-    let (_daemon, endpoint) = Process::serve();
+/// Floods a daemon of nine swarms; tells the slowest rate of the other swarms too, of 1, and by how
+/// many megabytes its memory grew.
+async fn flood_daemon(unanswered: usize) -> (Flood, f64, u64) {
+    let (daemon, endpoint) = Process::serve();
     let client = Client::open(&endpoint).await;
     let swarms: Vec<String> = (0..8).map(|k| format!("other{k}")).collect();
     for name in swarms.iter().map(String::as_str).chain(["flooded"]) {
@@ -250,7 +256,7 @@ async fn flood_daemon(unanswered: usize) -> (Flood, f64) {
         times
     };
     println!("{unanswered} each, the daemon:");
-    let before = times().await;
+    let (before, resident) = (times().await, daemon.resident_bytes());
     let flood = flood(&endpoint, unanswered).await;
     let after = times().await;
     let rates = before
@@ -258,13 +264,18 @@ async fn flood_daemon(unanswered: usize) -> (Flood, f64) {
         .zip(&after)
         .map(|((then, from), (now, to))| (to - from) / now.duration_since(*then).as_secs_f64());
     let slowest = rates.fold(f64::INFINITY, f64::min);
-    println!("  slowest of the other swarms: {slowest:.3} of 1");
+    let grown_mb = daemon.resident_bytes().saturating_sub(resident) >> 20;
+    println!(
+        "  slowest of the other swarms: {slowest:.3} of 1; {:.0} durable commands a second, \
+         {grown_mb} MB more",
+        flood.durable
+    );
     assert_eq!(flood.commands_failed, 0, "others have room of their own");
-    (flood, slowest)
+    (flood, slowest, grown_mb)
 }
 
 async fn flood_bare(unanswered: usize) -> Flood {
-    let (_bare, endpoint, _output) = helper("0", "a_bare_process", "", "listening on ");
+    let (_bare, endpoint, _output) = helper("0", "flood::a_bare_process", "", "listening on ");
     println!("{unanswered} each, a bare queryable:");
     flood(&endpoint, unanswered).await
 }
@@ -282,21 +293,28 @@ async fn a_flood_from_32_clients_is_turned_away_and_hurts_nobody() {
     for unanswered in [64, 8, 1] {
         let mut problems = Vec::new();
         for _ in 0..ROUNDS {
-            let (flood, slowest) = flood_daemon(unanswered).await;
+            let (flood, slowest, grown_mb) = flood_daemon(unanswered).await;
+            assert!(grown_mb < GROWN_MB, "{grown_mb} MB");
             let bare = flood_bare(unanswered).await;
             let [half, most, _] = flood.probe;
             let [bare_half, bare_most, _] = bare.probe;
             // Below this many nothing needs to be turned away.
             let is_turned_away = unanswered < 64 || flood.turned_away > 0;
-            let is_soon = half < SOON && flood.commands[0] < SOON;
+            let is_soon = half < SOON && flood.commands[0] < SOON && flood.busy[1] < SOON;
+            let is_durable = flood.durable > DURABLE;
             let adds_little = half < TIMES.0 * bare_half && most < TIMES.1 * bare_most;
-            if slowest > 0.95 && is_turned_away && is_soon && adds_little {
+            if slowest > 0.95 && is_turned_away && is_soon && is_durable && adds_little {
                 problems.clear();
                 break;
             }
             problems.push(format!(
-                "{:?} beside {:?}, {:?}, {} turned away, rate {slowest:.3}",
-                flood.probe, bare.probe, flood.commands, flood.turned_away
+                "{:?} beside {:?}, {:?}, {} turned away, {:?}, {:.0} durable a second, rate {slowest:.3}",
+                flood.probe,
+                bare.probe,
+                flood.commands,
+                flood.turned_away,
+                flood.busy,
+                flood.durable
             ));
         }
         assert!(problems.is_empty(), "{unanswered} each: {problems:#?}");

@@ -60,7 +60,7 @@ async fn what_this_client_may_not_do_is_found_out() {
     let node = |result: Value| vec![Ok(json!({"node": "a", "result": result}))];
     let limits = json!({
         "max_individuals": 1, "max_swarms": 1, "max_memory_bytes": 1, "max_message_bytes": 1,
-        "max_hz": 1,
+        "max_clients": 1, "max_hz": 1,
     });
     let hello = json!({"version": "9.9.9", "wire_version": 999, "unix_secs": 0, "limits": limits});
     let status = json!({
@@ -95,4 +95,20 @@ async fn what_this_client_may_not_do_is_found_out() {
         assert_eq!(check["remedy"].is_string(), ok == json!(false), "{check}");
     }
     impostor.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_client_too_many_is_told_so() {
+    let daemon = Daemon::with(&[("max_clients", "1")]).await;
+    daemon.said("create demo --n 3").await;
+    let mut watching = daemon.begin("watch demo");
+    watching.lines(1);
+    let ended = daemon.jostle("doctor").await;
+    assert_ne!(ended.code, Some(0), "{ended:?}");
+    assert!(ended.stdout.contains("raise max_clients"), "{ended:?}");
+    let ended = daemon.jostle("nodes").await;
+    assert!(ended.stderr.contains("raise max_clients"), "{ended:?}");
+    watching.interrupt();
+    watching.end().await;
+    daemon.stop().await;
 }

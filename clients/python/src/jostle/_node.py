@@ -21,6 +21,7 @@ class Limits(Shown, frozen=True, kw_only=True):
         max_swarms: At once.
         max_memory_bytes: Of all swarms together.
         max_message_bytes: Of a request; a longer one is refused before it is sent.
+        max_clients: At once; while there are more `connect` raises `ResourceExhausted`.
         max_hz: States published per second and swarm.
     """
 
@@ -28,6 +29,7 @@ class Limits(Shown, frozen=True, kw_only=True):
     max_swarms: int
     max_memory_bytes: int
     max_message_bytes: int
+    max_clients: int
     max_hz: int
 
 

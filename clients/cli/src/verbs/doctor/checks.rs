@@ -391,7 +391,7 @@ mod tests {
             "version": "9.9.9", "wire_version": wire_version, "unix_secs": unix_secs,
             "limits": {
                 "max_individuals": 1, "max_swarms": 1, "max_memory_bytes": 1,
-                "max_message_bytes": 1, "max_hz": 1,
+                "max_message_bytes": 1, "max_clients": 1, "max_hz": 1,
             },
         }))
         .unwrap()

@@ -1,0 +1,212 @@
+//! Many sessions in one process that follow one swarm, what came to each and when, and what the
+//! daemon counted of itself meanwhile.
+
+use std::collections::BTreeSet;
+use std::io::{Read, Write};
+use std::net::TcpStream;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+
+use jostle_proto::{State, keys};
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use tokio::sync::Semaphore;
+use zenoh::Session;
+use zenoh::pubsub::Subscriber;
+use zenoh::sample::Sample;
+
+/// Sessions that are being opened at once.
+const AT_ONCE: usize = 32;
+
+/// States at either end of what is counted that came to some before and to others after it.
+const UNDER_WAY: usize = 3;
+
+/// What came to all of a crowd.
+#[derive(Debug, Deserialize, Serialize)]
+pub struct Report {
+    /// How many there are.
+    pub sessions: usize,
+    /// Milliseconds from when the daemon handed a state to zenoh, whose time stamp it bears, to
+    /// when a session had it: the median, the 99th and the 99.9th percentile.
+    pub delivery_ms: [f64; 3],
+    /// States that each should have had, of the swarm's steps: whoever left them out, they are lost.
+    pub states: u64,
+    /// The largest share of them that one session did not have.
+    pub most_lost: f64,
+    /// The share of all sessions together.
+    pub lost: f64,
+}
+
+struct Follower {
+    _session: Session,
+    _subscriber: Subscriber<()>,
+    /// The step of each state, and how long it was under way.
+    came: Arc<Mutex<Vec<(u64, Duration)>>>,
+}
+
+/// Follows a swarm's states with so many sessions, prints `connected` and the seconds that took;
+/// then, for each line of its input, counts for so many seconds and prints `report` and a
+/// [`Report`].
+pub async fn follow(endpoint: &str, swarm: &str, sessions: usize) {
+    let allowed = getrlimit(Resource::Nofile);
+    let most = Rlimit {
+        current: allowed.maximum,
+        ..allowed
+    };
+    setrlimit(Resource::Nofile, most).unwrap();
+    let (room, began) = (Arc::new(Semaphore::new(AT_ONCE)), Instant::now());
+    let opening = (0..sessions).map(|_| {
+        let (room, endpoint) = (room.clone(), endpoint.to_owned());
+        let key = keys::state("jostle", swarm);
+        tokio::spawn(async move {
+            let _room = room.acquire().await;
+            Follower::open(&endpoint, key).await
+        })
+    });
+    let mut crowd = Vec::new();
+    for opening in opening.collect::<Vec<_>>() {
+        crowd.push(opening.await.unwrap());
+    }
+    println!("connected {}", began.elapsed().as_secs_f64());
+    for line in std::io::stdin().lines() {
+        let counted = Duration::from_secs_f64(line.unwrap().parse().unwrap());
+        crowd.iter().for_each(|it| drop(it.taken()));
+        tokio::time::sleep(counted).await;
+        let came: Vec<_> = crowd.iter().map(Follower::taken).collect();
+        println!("report {}", serde_json::to_string(&report(&came)).unwrap());
+    }
+}
+
+impl Follower {
+    async fn open(endpoint: &str, key: String) -> Self {
+        let mut config = zenoh::Config::default();
+        for (setting, value) in [
+            ("mode", json!("client")),
+            ("connect/endpoints", json!([endpoint])),
+            ("connect/timeout_ms", json!(20_000)),
+            ("scouting/multicast/enabled", json!(false)),
+            ("scouting/gossip/enabled", json!(false)),
+        ] {
+            config.insert_json5(setting, &value.to_string()).unwrap();
+        }
+        let session = zenoh::open(config).await.unwrap();
+        let came = Arc::new(Mutex::new(Vec::new()));
+        let coming = came.clone();
+        let subscriber = session.declare_subscriber(key).callback(move |sample| {
+            let took = under_way(&sample);
+            let state = State::from_cbor(&sample.payload().to_bytes()).unwrap();
+            lock(&coming).push((state.step, took));
+        });
+        Follower {
+            _subscriber: subscriber.await.unwrap(),
+            _session: session,
+            came,
+        }
+    }
+
+    fn taken(&self) -> Vec<(u64, Duration)> {
+        std::mem::take(&mut *lock(&self.came))
+    }
+}
+
+fn lock<T>(of: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
+    of.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// How long since the daemon handed it to zenoh. Both ends read the clock of one machine.
+fn under_way(sample: &Sample) -> Duration {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
+    let sent = sample.timestamp().unwrap().get_time().to_duration();
+    now.saturating_sub(sent)
+}
+
+fn report(came: &[Vec<(u64, Duration)>]) -> Report {
+    let seen: BTreeSet<u64> = came.iter().flatten().map(|(step, _)| *step).collect();
+    let seen: Vec<u64> = seen.into_iter().collect();
+    assert!(
+        seen.len() > 4 * UNDER_WAY,
+        "the swarm stands still: {seen:?}"
+    );
+    // What came to nobody is a gap between steps that are as far apart as any two.
+    let every = seen.windows(2).map(|pair| pair[1] - pair[0]).min().unwrap();
+    let counted = seen[UNDER_WAY]..=seen[seen.len() - 1 - UNDER_WAY];
+    let states = (counted.end() - counted.start()) / every + 1;
+    let lost = came.iter().map(|of_one| {
+        let there = of_one.iter().filter(|(step, _)| counted.contains(step));
+        1.0 - there.count() as f64 / states as f64
+    });
+    let lost: Vec<f64> = lost.collect();
+    let mut took: Vec<Duration> = came.iter().flatten().map(|(_, took)| *took).collect();
+    took.sort_unstable();
+    Report {
+        sessions: came.len(),
+        delivery_ms: [500, 990, 999].map(|of_1000| {
+            let at = took.len() * of_1000 / 1000;
+            1e3 * took[at].as_secs_f64()
+        }),
+        states,
+        most_lost: lost.iter().copied().fold(0.0, f64::max),
+        lost: lost.iter().sum::<f64>() / lost.len() as f64,
+    }
+}
+
+/// What a daemon counted of itself, as it tells at `/metrics`.
+#[derive(Debug)]
+pub struct Counted {
+    at: Instant,
+    cpu_secs: f64,
+    pub resident_mb: f64,
+    /// Steps that were late by no more than so many milliseconds.
+    late: Vec<(f64, f64)>,
+}
+
+impl Counted {
+    /// Asks who serves HTTP at this address.
+    pub fn by(http: &str) -> Self {
+        let mut stream = TcpStream::connect(http).unwrap();
+        write!(
+            stream,
+            "GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
+        )
+        .unwrap();
+        let mut text = String::new();
+        stream.read_to_string(&mut text).unwrap();
+        let values = |name: &str| -> Vec<(String, f64)> {
+            let lines = text.lines().filter_map(|line| line.strip_prefix(name));
+            let words = lines.filter_map(|rest| rest.rsplit_once(' '));
+            words
+                .map(|(label, value)| (label.to_owned(), value.parse().unwrap()))
+                .collect()
+        };
+        let late = values("jostle_step_lateness_seconds_bucket").into_iter();
+        let late = late.map(|(label, count)| {
+            let bound = label.trim_start_matches("{le=\"").trim_end_matches("\"}");
+            (1e3 * bound.parse::<f64>().unwrap(), count)
+        });
+        Counted {
+            at: Instant::now(),
+            cpu_secs: values("jostle_cpu_seconds_total")[0].1,
+            resident_mb: values("jostle_resident_memory_bytes")[0].1 / 1e6,
+            late: late.collect(),
+        }
+    }
+
+    /// The share of a core since.
+    pub fn cores_since(&self, before: &Counted) -> f64 {
+        (self.cpu_secs - before.cpu_secs) / (self.at - before.at).as_secs_f64()
+    }
+
+    /// By how many milliseconds at most 99.9 % of the steps since were late, as the bounds of the
+    /// daemon's histogram allow to say: less or equal the second, more than the first.
+    pub fn lateness_since(&self, before: &Counted) -> [f64; 2] {
+        let since = self.late.iter().zip(&before.late);
+        let since: Vec<(f64, f64)> = since.map(|(now, then)| (now.0, now.1 - then.1)).collect();
+        let all = since.last().unwrap().1;
+        assert!(all > 0.0, "no step was due");
+        let at = since.iter().position(|(_, count)| *count >= 0.999 * all);
+        let at = at.unwrap();
+        let below = at.checked_sub(1).map_or(0.0, |below| since[below].0);
+        [below, since[at].0]
+    }
+}

@@ -1,0 +1,189 @@
+//! What a thousand clients cost that follow one swarm: the daemon, and the steps of the swarm.
+//!
+//! ```sh
+//! cargo bench --bench load                                  # a table
+//! cargo bench --bench load -- --json                        # an object
+//! cargo bench --bench load -- --sessions 4000 --seconds 60
+//! ```
+//!
+//! The daemon is a process of its own and all the clients another, each with a session of its own.
+//! A swarm of 50 steps 100 times a second and is published 20 times, first with nobody there, then
+//! with all of them.
+
+#![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
+
+mod crowd;
+
+use std::io::{BufRead, BufReader, Lines, Write};
+use std::process::{Child, ChildStdout, Command, Stdio};
+use std::time::Duration;
+
+use jostle_proto::keys;
+use serde_json::{Value, json};
+use zenoh::Session;
+
+use crowd::{Counted, Report};
+
+const SWARM: &str = "bench";
+const NODE: &str = "bench";
+
+/// Steps of 0.02 at two time units a second, one in five published.
+const RATE: f64 = 2.0;
+const EVERY: u64 = 5;
+
+/// Tells a copy of this program that it is to be the clients: where, and how many.
+const FOLLOW: &str = "JOSTLE_BENCH_FOLLOW";
+
+#[tokio::main(flavor = "multi_thread", worker_threads = 2)]
+async fn main() {
+    if let Ok(asked) = std::env::var(FOLLOW) {
+        let (endpoint, sessions) = asked.split_once(' ').unwrap();
+        return crowd::follow(endpoint, SWARM, sessions.parse().unwrap()).await;
+    }
+    let arguments: Vec<String> = std::env::args().collect();
+    if arguments.iter().any(|argument| argument == "--test") {
+        return;
+    }
+    let number = |name: &str, default: usize| {
+        let at = arguments.iter().position(|argument| argument == name);
+        at.map_or(default, |at| arguments[at + 1].parse().unwrap())
+    };
+    let (sessions, seconds) = (number("--sessions", 1000), number("--seconds", 20));
+    let as_json = arguments.iter().any(|argument| argument == "--json");
+
+    let folder = format!("/dev/shm/jostle-load-{}", std::process::id());
+    let mut daemon = Command::new(env!("CARGO_BIN_EXE_jostled"));
+    daemon.args(["--listen", "tcp/127.0.0.1:0", "--http", "127.0.0.1:0"]);
+    daemon.args(["--node", NODE, "--data-dir", &folder]);
+    let (mut daemon, mut said) = started(daemon);
+    let endpoint = find(&mut said, "listening on ");
+    let http = find(&mut said, "http on http://");
+    let session = open(&endpoint).await;
+    let spec = json!({"n": 50, "seed": 1, "publish_every": EVERY});
+    let key = keys::node_cmd("jostle", NODE, "create");
+    ask(&session, key, json!({"name": SWARM, "spec": spec})).await;
+    command(
+        &session,
+        "step",
+        json!({"timeout_secs": 60, "args": {"steps": 5000}}),
+    )
+    .await;
+    command(&session, "run", json!({"rate": RATE})).await;
+
+    let began = Counted::by(&http);
+    tokio::time::sleep(Duration::from_secs(seconds as u64)).await;
+    let alone = Counted::by(&http);
+
+    let mut clients = Command::new(std::env::current_exe().unwrap());
+    clients.env(FOLLOW, format!("{endpoint} {sessions}"));
+    let (mut clients, mut said) = started(clients);
+    let connected: f64 = find(&mut said, "connected ").parse().unwrap();
+    let connecting = Counted::by(&http);
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    let before = Counted::by(&http);
+    writeln!(clients.stdin.as_ref().unwrap(), "{seconds}").unwrap();
+    let report: Report = serde_json::from_str(&find(&mut said, "report ")).unwrap();
+    let after = Counted::by(&http);
+
+    let late = [
+        alone.lateness_since(&began),
+        connecting.lateness_since(&alone),
+        after.lateness_since(&before),
+    ];
+    let cores = [alone.cores_since(&began), after.cores_since(&before)];
+    if as_json {
+        let told = json!({"seconds": seconds, "connected_secs": connected,
+            "cores_alone": cores[0], "cores": cores[1], "resident_mb_alone": alone.resident_mb,
+            "resident_mb": after.resident_mb, "late_ms_alone": late[0],
+            "late_ms_connecting": late[1], "late_ms": late[2], "clients": report});
+        println!("{told}");
+    } else {
+        print(&report, connected, cores, [&alone, &after], late);
+    }
+    for process in [&mut clients, &mut daemon] {
+        process.kill().unwrap();
+        process.wait().unwrap();
+    }
+    std::fs::remove_dir_all(folder).unwrap();
+}
+
+fn print(
+    report: &Report,
+    connected: f64,
+    cores: [f64; 2],
+    counted: [&Counted; 2],
+    late: [[f64; 2]; 3],
+) {
+    let [half, most, nearly_all] = report.delivery_ms;
+    let between = |[from, to]: [f64; 2]| format!("{from} to {to} ms");
+    println!(
+        "                                  alone   followed by {}",
+        report.sessions
+    );
+    println!(
+        "the daemon, of a core       {:9.1} % {:9.1} %",
+        100.0 * cores[0],
+        100.0 * cores[1]
+    );
+    println!(
+        "its memory                  {:8.0} MB {:8.0} MB",
+        counted[0].resident_mb, counted[1].resident_mb
+    );
+    println!(
+        "99.9 % of steps late by       {}, {}",
+        between(late[0]),
+        between(late[2])
+    );
+    println!("  while they connect          {}", between(late[1]));
+    println!("they connect in             {connected:9.1} s");
+    println!("delivery, p50 p99 p99.9     {half:9.1} ms {most:9.1} ms {nearly_all:9.1} ms");
+    println!(
+        "lost of {} states each    {:9.3} %, of one session at most {:.3} %",
+        report.states,
+        100.0 * report.lost,
+        100.0 * report.most_lost
+    );
+}
+
+type Output = Lines<BufReader<ChildStdout>>;
+
+fn started(mut command: Command) -> (Child, Output) {
+    command.stdin(Stdio::piped()).stdout(Stdio::piped());
+    let mut process = command.stderr(Stdio::null()).spawn().unwrap();
+    let said = BufReader::new(process.stdout.take().unwrap()).lines();
+    (process, said)
+}
+
+/// What follows `word` in the next line that begins with it.
+fn find(said: &mut Output, word: &str) -> String {
+    let mut found = said.filter_map(|line| line.unwrap().strip_prefix(word).map(str::to_owned));
+    found.next().unwrap()
+}
+
+async fn open(endpoint: &str) -> Session {
+    let mut config = zenoh::Config::default();
+    for (setting, value) in [
+        ("mode", json!("client")),
+        ("connect/endpoints", json!([endpoint])),
+        ("scouting/multicast/enabled", json!(false)),
+        ("scouting/gossip/enabled", json!(false)),
+    ] {
+        config.insert_json5(setting, &value.to_string()).unwrap();
+    }
+    zenoh::open(config).await.unwrap()
+}
+
+async fn command(session: &Session, verb: &str, request: Value) {
+    ask(session, keys::cmd("jostle", SWARM, verb), request).await;
+}
+
+async fn ask(session: &Session, key: String, request: Value) {
+    let query = session.get(key).payload(request.to_string());
+    let answers = query
+        .encoding("application/json")
+        .timeout(Duration::from_secs(60));
+    let answer = answers.await.unwrap().recv_async().await.unwrap();
+    if let Err(error) = answer.into_result() {
+        panic!("{}", String::from_utf8_lossy(&error.payload().to_bytes()));
+    }
+}
