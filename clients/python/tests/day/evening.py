@@ -1,0 +1,168 @@
+"""The end of the day: everybody goes, and everything is asked once more."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import jostle
+
+from . import elsewhere
+from .lab import Lab, eventually
+from .ledger import Asker
+from .node import Node
+from .plan import CONTROLLERS
+
+_PATIENCE_SECS = 600.0
+# Those that nobody steers but by commands: carried out again they come to the same.
+_NOT_RETOLD = ("loop-", "brood-", "still", "vault")
+_MUST_NOT_BE = re.compile(r"panick|thread '.*' has overflowed|corrupt|damaged|ERROR")
+
+
+def go_home(lab: Lab) -> None:
+    """Has everybody finish what they are at, and go."""
+    for person in lab.people.all():
+        person.over.set()
+    for person in lab.people.all():
+        person.join(_PATIENCE_SECS)
+    for controller in lab.controllers.values():
+        controller.finish()
+    lab.seen = lab.crowd.finish()
+    lab.say("everybody has gone home")
+
+
+def ask_once_more(lab: Lab) -> None:
+    """Brings everything to its end, and asks what it has come to."""
+    client = jostle.connect(lab.node.endpoint, client="evening", timeout=20.0)
+    asker = Asker(client, "evening", lab.ledger)
+    with client:
+        for name in ("twin-1", "twin-2"):
+            asker.ask(name, "run", {"until_step": lab.plan.twin_end, "rate": None})
+            client.swarm(name).wait(step=lab.plan.twin_end, timeout=_PATIENCE_SECS)
+        for experiment in client.experiments():
+            one = client.experiment(experiment.name)
+            if experiment.phase == "failed":
+                lab.say(f"{experiment.name} has failed and is resumed: {experiment.message}")
+                one.resume()
+            one.wait(_PATIENCE_SECS, show=False)
+            lab.say(f"{experiment.name} is finished")
+        swarms = [it.swarm for it in client.swarms() if not it.replay]
+        for name in swarms:
+            asker.ask(name, "pause", {})
+        lab.chronicle.finish()
+        durable = [asked for asked in lab.ledger.all() if asked.is_durable]
+        for asked in durable:
+            asker.ask_again(asked)
+        lab.say(f"{len(durable)} commands were sent once more")
+        with ThreadPoolExecutor(2) as pool:
+            for name, verified in zip(swarms, pool.map(lambda it: _verify(client, it), swarms)):
+                lab.notes.verified[name] = verified
+        lab.say(f"{len(swarms)} pasts were told again by the daemon")
+        lab.notes.recordings = {it.recording: it for it in client.recordings()}
+        there = {name: client.swarm(name).status() for name in swarms}
+        for number in (1, 2):
+            name = f"grid-{number}"
+            cli = lab.node.jostled.with_name("jostle")
+            here = elsewhere.results(cli, lab.node.endpoint, lab.work, name)
+            lab.notes.experiments[name] = here, b""
+        eventually("nobody is connected any more", 20.0, lambda: client.status().clients <= 1)
+        time.sleep(1.0)
+    lab.meter.look()
+    lab.meter.finish()
+    lab.notes.ended = lab.node.stop()
+    lab.say(f"the daemon has ended with code {lab.notes.ended}")
+    _read(lab)
+    _go_elsewhere(lab, there)
+
+
+def _verify(client: jostle.Client, name: str) -> jostle.Verified | str:
+    try:
+        return client.swarm(name).verify(_PATIENCE_SECS)
+    except jostle.JostleError as error:
+        return f"{error.code}: {error}"
+
+
+def _read(lab: Lab) -> None:
+    """Reads what is left on the disk."""
+    for name in lab.notes.recordings:
+        try:
+            lab.notes.read[name] = _frames(lab.node.data / "recordings" / name)
+        except (jostle.JostleError, OSError) as error:
+            lab.notes.read[name] = str(error)
+    lines = lab.node.log.read_text(errors="replace").splitlines()
+    lab.notes.log = [line for line in lines if _MUST_NOT_BE.search(line)]
+
+
+def _frames(folder: Path) -> dict[str, Any]:
+    """What a recording holds: its frames by epoch, how many are missing, and those told twice."""
+    recording = jostle.read_recording(folder)
+    frames = [(it.epoch, it.step, it.frame, it.position) for it in recording]
+    missing = back = 0
+    for before, after in zip(frames, frames[1:], strict=False):
+        back += after[:2] < before[:2]
+        if after[0] == before[0]:
+            missing += after[2] - before[2] - 1
+    steps: dict[int, Any] = {}
+    twice = differing = 0
+    for _, step, _, position in frames:
+        if step in steps and len(steps[step]) == len(position):
+            twice += 1
+            differing += not np.array_equal(steps[step], position)
+        steps[step] = position
+    epochs: dict[int, list[int]] = {}
+    for epoch, step, _, _ in frames:
+        epochs.setdefault(epoch, [step, step])[1] = step
+    return {
+        "frames": len(frames),
+        "missing": missing,
+        "missed": int(recording.about.get("missed", 0)),
+        "back": back,
+        "epochs": epochs,
+        "twice": twice,
+        "differing": differing,
+    }
+
+
+def _go_elsewhere(lab: Lab, there: dict[str, jostle.Status]) -> None:
+    """Has another daemon carry out the same commands, and the experiments without any."""
+    data = lab.work / "elsewhere"
+    data.mkdir()
+    other = Node(lab.node.jostled, data / "data", data)
+    other.start()
+    try:
+        with jostle.connect(other.endpoint, client="elsewhere", timeout=60.0) as client:
+            for name, status in there.items():
+                if name.startswith(_NOT_RETOLD):
+                    continue
+                journal = lab.chronicle.pasts[name].journal.values()
+                spec = lab.plan.specs[name]
+                here = f"not carried out: {name}"
+                try:
+                    here = elsewhere.retell(client, name, spec, journal)
+                except (jostle.JostleError, AssertionError) as error:
+                    here = f"{type(error).__name__}: {error}"
+                lab.notes.again[name] = status.state_hash, here
+        other.stop()
+    finally:
+        other.end()
+    lab.say(f"{len(lab.notes.again)} swarms were carried out again elsewhere")
+    for number in (1, 2):
+        name = f"grid-{number}"
+        text = lab.plan.experiment(number)
+        peace = elsewhere.run_experiment(lab.node.jostled, text, lab.work, name)
+        lab.notes.experiments[name] = lab.notes.experiments[name][0], peace
+    lab.say("both experiments were carried out again elsewhere")
+
+
+def end_all(lab: Lab) -> None:
+    """Has nothing left that the day has started."""
+    for who in CONTROLLERS:
+        with contextlib.suppress(Exception):
+            lab.controllers[who.name].finish()
+    lab.node.end()

@@ -1,0 +1,95 @@
+"""Judges recordings and the replay of one."""
+
+from __future__ import annotations
+
+import hashlib
+
+from .lab import Lab
+from .plan import STEPS_PER_SECOND
+
+# What a crash may cost of a recording, and how much longer the machine may take over it.
+_MINUTE_SECS = 60.0
+_SLACK_SECS = 5.0
+
+
+def crashes(lab: Lab) -> tuple[bool, str]:
+    """Each that went on over a kill has frames before and after, and lost a minute at most."""
+    lost = []
+    for name, read in lab.notes.read.items():
+        if not isinstance(read, dict):
+            return False, f"{name} cannot be read: {read}"
+        epochs = sorted(read["epochs"].items())
+        for (_, (_, end)), (_, (begin, _)) in zip(epochs, epochs[1:], strict=False):
+            # What was shown again after the crash began where it took the swarm back to.
+            lost.append((name, (begin - end) / STEPS_PER_SECOND))
+    longest = max((it for _, it in lost), default=0.0)
+    seen = f"{len(lost)} returns, at most {longest:.1f} s of a recording lost"
+    return bool(lost) and longest < _MINUTE_SECS + _SLACK_SECS, seen
+
+
+def parts(lab: Lab) -> tuple[bool, str]:
+    """The files that were whole at a kill are the same at the end."""
+    folder = lab.node.data / "recordings"
+    wrong = []
+    count = 0
+    for before in lab.notes.parts:
+        for name, sum_ in before.items():
+            count += 1
+            part = folder / name
+            if not part.exists() or hashlib.sha256(part.read_bytes()).hexdigest() != sum_:
+                wrong.append(name)
+    return not wrong, f"{count} parts whole at a kill, {len(wrong)} changed {wrong[:3]}"
+
+
+def gaps(lab: Lab) -> tuple[bool, str]:
+    """Within an epoch frames are numbered without a gap, but for what is told as missed."""
+    wrong = []
+    frames = missed = 0
+    for name, read in lab.notes.read.items():
+        if not isinstance(read, dict):
+            return False, f"{name} cannot be read: {read}"
+        frames += read["frames"]
+        missed += read["missed"]
+        if read["missing"] > read["missed"] or read["back"] or read["differing"]:
+            wrong.append(f"{name}: {read}")
+    seen = f"{frames} frames in {len(lab.notes.read)} recordings, {missed} missed as told"
+    return frames > 0 and not wrong, f"{seen}, {len(wrong)} otherwise {wrong[:2]}"
+
+
+def full(lab: Lab) -> tuple[bool, str]:
+    """What was being recorded when the disk was full has failed, or lost nothing."""
+    said = {
+        name: (it.phase, it.frames, it.reason)
+        for name, it in lab.notes.recordings.items()
+        if name in ("film-2", "table-1")
+    }
+    failed = [name for name, (phase, _, _) in said.items() if phase == "failed"]
+    read = [name for name in failed if isinstance(lab.notes.read[name], dict)]
+    return bool(failed) and read == failed, f"{said}; {len(read)} of {len(failed)} can be read"
+
+
+def stopped(lab: Lab) -> tuple[bool, str]:
+    """The last state that was shown before an orderly end is the last one recorded."""
+    read = lab.notes.read.get("film-3")
+    if not isinstance(read, dict):
+        return False, f"film-3: {read}"
+    _, (_, recorded) = max(read["epochs"].items())
+    last = max(lab.chronicle.pasts["film"].journal.values(), key=lambda entry: entry.seq)
+    seen = f"film stood at {last.step}, recorded up to {recorded}"
+    return recorded == last.step, seen
+
+
+def replay(lab: Lab) -> tuple[bool, str]:
+    """States that were shown, held against those in the file."""
+    seen = lab.notes.replay
+    holds = seen.get("compared", 0) > 0 and seen["different"] == 0
+    return holds and seen["frames"][0] == seen["frames"][1], str(seen)
+
+
+def replay_refuses(lab: Lab) -> tuple[bool, str]:
+    """What would change it is refused, and it is gone with the daemon; the recording is not."""
+    said = lab.notes.replay.get("inform")
+    is_gone = "tape" not in lab.notes.verified
+    is_kept = "film-1" in lab.notes.recordings
+    seen = f"inform: {said}, gone after the kill: {is_gone}, its recording kept: {is_kept}"
+    return said == "incorrect_state" and is_gone and is_kept, seen
