@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 import threading
 import time
 from dataclasses import dataclass, field
-from typing import Any
 
 import jostle
 
@@ -22,16 +20,20 @@ class Past:
 
     Attributes:
         journal: The commands it applied, by number, as they were last told.
-        changed: Commands that were told otherwise later, of those that no crash takes back.
-        events: In which life of the daemon which event was told.
-        returns: The status at the first look in each life.
+        forgotten: Numbers that were told before a restart, and after it only those around them.
+        events: In which life of the daemon which event was first told.
+        told: What each event was, by number.
+        twice: Numbers under which two different events were told.
+        epochs: The epoch at the first look in each life.
         owners: Whoever was told to steer somebody whom another one steered.
     """
 
     journal: dict[int, jostle.JournalEntry] = field(default_factory=dict)
-    changed: list[int] = field(default_factory=list)
+    forgotten: list[int] = field(default_factory=list)
     events: list[tuple[int, int]] = field(default_factory=list)
-    returns: dict[int, dict[str, Any]] = field(default_factory=dict)
+    told: dict[int, tuple[object, ...]] = field(default_factory=dict)
+    twice: list[int] = field(default_factory=list)
+    epochs: dict[int, int] = field(default_factory=dict)
     owners: list[str] = field(default_factory=list)
 
     @property
@@ -77,23 +79,21 @@ class Chronicle(threading.Thread):
             return
         life = self._node.lives[-1].number
         try:
-            began = time.monotonic()
-            answers = list(self._client._link.ask_all("jostle/*/get/status", 5.0))
-            self.get_secs.append(time.monotonic() - began)
+            names = [it.swarm for it in self._client.swarms() if not it.replay]
         except jostle.JostleError:
             return
-        for status in map(json.loads, answers):
-            if status["result"].get("replay") is not None:
-                continue
-            name = status["swarm"]
-            past = self.pasts.setdefault(name, Past())
-            past.returns.setdefault(life, status)
-            if status["phase"] == "faulted":
-                self.faulted.add(name)
+        for name in names:
             try:
-                self._read(name, past, life, status["result"]["controllers"] > 1)
+                began = time.monotonic()
+                status = self._client.swarm(name).status()
+                self.get_secs.append(time.monotonic() - began)
+                past = self.pasts.setdefault(name, Past())
+                past.epochs.setdefault(life, status.epoch)
+                if status.phase == "faulted":
+                    self.faulted.add(name)
+                self._read(name, past, life, status.controllers > 1)
             except jostle.JostleError:
-                # It was deleted, or the daemon killed.
+                # It was deleted, or the daemon killed; it is asked again.
                 continue
 
     def _read(self, name: str, past: Past, life: int, has_several: bool) -> None:
@@ -106,8 +106,13 @@ class Chronicle(threading.Thread):
         for entry in entries:
             past.journal[entry.seq] = entry
         self._asked_in[name] = life
-        last = past.events[-1][1] if past.events else 0
-        past.events += [(life, event.number) for event in swarm.history(last)]
+        last = past.events[-1][1] if past.events and not anew else 0
+        for event in swarm.history(last):
+            said = (event.kind, event.seq, event.epoch, event.step)
+            if past.told.setdefault(event.number, said) != said:
+                past.twice.append(event.number)
+            if not past.events or event.number > past.events[-1][1]:
+                past.events.append((life, event.number))
         if has_several:
             owned: set[int] = set()
             for one in swarm.controllers():
@@ -117,17 +122,18 @@ class Chronicle(threading.Thread):
 
     @staticmethod
     def _compare(past: Past, entries: list[jostle.JournalEntry]) -> None:
+        """Holds what is told after a restart against what was told before it."""
         told = {entry.seq: entry for entry in entries}
-        oldest = min(told, default=1)
         for seq, before in list(past.journal.items()):
             after = told.get(seq)
-            if seq < oldest:
-                continue
-            if after is None or (after.verb, after.request_id, after.step) != (
-                before.verb,
-                before.request_id,
-                before.step,
-            ):
-                # Some were told that were on no disk yet; whether one was answered shows later.
-                past.changed.append(seq)
+            if seq > max(told, default=0):
+                # It was on no disk yet. Whether somebody was answered that it is, shows later.
                 del past.journal[seq]
+            elif after is None and seq > min(told):
+                past.forgotten.append(seq)
+            elif after is not None and _name(after) != _name(before):
+                past.journal[seq] = after
+
+
+def _name(entry: jostle.JournalEntry) -> tuple[object, ...]:
+    return entry.verb, entry.client, entry.request_id, entry.epoch, entry.step

@@ -121,10 +121,13 @@ def health(lab: Lab) -> tuple[bool, str]:
     """When it was red, and for how long after each trouble."""
     full = lab.notes.full
     said = [it for it in lab.chronicle.health if it[1] is not None]
-    while_full = {code for at, codes in said if full.refused < at < full.freed for code in codes or ()}
+    while_full = {
+        code for at, codes in said if full.refused < at < full.freed for code in codes or ()
+    }
     troubles = [life.listening for life in lab.node.lives] + [full.freed]
     green = [
-        min((at for at, codes in said if at > trouble and not codes), default=float("inf")) - trouble
+        min((at for at, codes in said if at > trouble and not codes), default=float("inf"))
+        - trouble
         for trouble in troubles
     ]
     last = said[-1][1] if said else None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import jostle
 
 from .lab import Lab
@@ -49,10 +51,10 @@ def epochs(lab: Lab) -> tuple[bool, str]:
     wrong = []
     count = 0
     for name, past in lab.chronicle.pasts.items():
-        lives = sorted(past.returns)
-        for before, after in zip(lives, lives[1:], strict=False):
+        lives = sorted(past.epochs)
+        for before, after in itertools.pairwise(lives):
             count += 1
-            if past.returns[after]["epoch"] <= past.returns[before]["epoch"]:
+            if past.epochs[after] <= past.epochs[before]:
                 wrong.append(name)
     return count > 0 and not wrong, f"{count} returns, {len(wrong)} in no later epoch {wrong[:3]}"
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import time
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import jostle
 
 # What is carried out while it runs waits for its step; a swarm takes no more than this.
 _MOST_WAITING = 1000
-_PATIENCE_SECS = 600.0
+_PATIENCE_SECS = 120.0
 
 
 def retell(
@@ -38,11 +39,17 @@ def retell(
             assert entry.step > run.step, f"{name}: {entry} is of the step at which it began"
             _tell(client, name, entry, at_step=entry.step)
         entries = rest[until:]
-        # What was run before a reset leaves no trace but the number of its commands.
         _tell(client, name, run)
-        swarm.wait(step=rest[until - 1].step if until else run.step, timeout=_PATIENCE_SECS)
-    swarm.wait(phase="paused", timeout=_PATIENCE_SECS)
+        _reach(swarm, rest[until - 1].seq if until else run.seq)
     return swarm.status().state_hash
+
+
+def _reach(swarm: jostle.Swarm, seq: int) -> None:
+    """Waits until it has applied so many commands."""
+    deadline = time.monotonic() + _PATIENCE_SECS
+    while (status := swarm.status()).seq < seq:
+        assert time.monotonic() < deadline, f"it stands at {status.step}, {status.seq} of {seq}"
+        time.sleep(0.005)
 
 
 def _tell(
@@ -57,7 +64,7 @@ def run_experiment(jostled: Path, text: str, work: Path, name: str) -> bytes:
     """Carries out an experiment without a daemon, and tells its table."""
     file, folder = work / f"{name}.toml", work / f"{name}-elsewhere"
     file.write_text(text)
-    command = [jostled, "run", file, "-o", folder]
+    command: list[str | Path] = [jostled, "run", file, "-o", folder]
     subprocess.run(command, check=True, capture_output=True, timeout=_PATIENCE_SECS)
     return (folder / "results.csv").read_bytes()
 
@@ -65,6 +72,15 @@ def run_experiment(jostled: Path, text: str, work: Path, name: str) -> bytes:
 def results(jostle_: Path, endpoint: str, work: Path, name: str) -> bytes:
     """An experiment's table, as the command line has it of the daemon."""
     folder = work / f"{name}-here"
-    command = [jostle_, "-e", endpoint, "experiment", "results", name, "-o", folder]
+    command: list[str | Path] = [
+        jostle_,
+        "-e",
+        endpoint,
+        "experiment",
+        "results",
+        name,
+        "-o",
+        folder,
+    ]
     subprocess.run(command, check=True, capture_output=True, timeout=60.0)
     return (folder / "results.csv").read_bytes()

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
+import os
 import re
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -34,6 +36,11 @@ def go_home(lab: Lab) -> None:
     for controller in lab.controllers.values():
         controller.finish()
     lab.seen = lab.crowd.finish()
+    times = os.times()
+    # Of the daemons those that were killed are among the children that have ended.
+    killed = {sample.life: sample.cpu_secs for sample in lab.meter.samples}
+    del killed[lab.node.lives[-1].number]
+    lab.others_cpu_secs = sum(times[:4]) - sum(killed.values())
     lab.say("everybody has gone home")
 
 
@@ -43,7 +50,6 @@ def ask_once_more(lab: Lab) -> None:
     asker = Asker(client, "evening", lab.ledger)
     with client:
         for name in ("twin-1", "twin-2"):
-            asker.ask(name, "run", {"until_step": lab.plan.twin_end, "rate": None})
             client.swarm(name).wait(step=lab.plan.twin_end, timeout=_PATIENCE_SECS)
         for experiment in client.experiments():
             one = client.experiment(experiment.name)
@@ -61,8 +67,8 @@ def ask_once_more(lab: Lab) -> None:
             asker.ask_again(asked)
         lab.say(f"{len(durable)} commands were sent once more")
         with ThreadPoolExecutor(2) as pool:
-            for name, verified in zip(swarms, pool.map(lambda it: _verify(client, it), swarms)):
-                lab.notes.verified[name] = verified
+            verified = pool.map(lambda name: _verify(client, name), swarms)
+            lab.notes.verified = dict(zip(swarms, verified, strict=True))
         lab.say(f"{len(swarms)} pasts were told again by the daemon")
         lab.notes.recordings = {it.recording: it for it in client.recordings()}
         there = {name: client.swarm(name).status() for name in swarms}
@@ -104,7 +110,7 @@ def _frames(folder: Path) -> dict[str, Any]:
     recording = jostle.read_recording(folder)
     frames = [(it.epoch, it.step, it.frame, it.position) for it in recording]
     missing = back = 0
-    for before, after in zip(frames, frames[1:], strict=False):
+    for before, after in itertools.pairwise(frames):
         back += after[:2] < before[:2]
         if after[0] == before[0]:
             missing += after[2] - before[2] - 1

@@ -49,11 +49,23 @@ class Full:
 
 
 @dataclass
+class Recorded:
+    """What was asked of a recording: whose, from which step on, and until when."""
+
+    swarm: str
+    began: float
+    step: int
+    ended: float = float("inf")
+
+
+@dataclass
 class Notes:
     """What was noted in the course of the day, and in its evening.
 
     Attributes:
         kills: When the daemon was killed.
+        steps: Of each kill, the epoch and step of the swarms that are recorded, just before.
+        recorded: Of each recording its swarm, and from when until when it was to go on.
         parts: Of each kill, the files of recordings that were whole, with the hash of each.
         controller_killed: When the controller was.
         frozen: From when until when another one stood still.
@@ -69,6 +81,8 @@ class Notes:
     """
 
     kills: list[float] = field(default_factory=list)
+    steps: list[dict[str, tuple[int, int]]] = field(default_factory=list)
+    recorded: dict[str, Recorded] = field(default_factory=dict)
     parts: list[dict[str, str]] = field(default_factory=list)
     controller_killed: float = 0.0
     frozen: tuple[float, float] = (0.0, 0.0)
@@ -100,6 +114,8 @@ class Lab:
     began: float = field(default_factory=time.monotonic)
     notes: Notes = field(default_factory=Notes)
     seen: list[Seen] = field(default_factory=list)
+    # What all but the daemon computed in the course of the day.
+    others_cpu_secs: float = 0.0
 
     def say(self, what: str) -> None:
         """Shows a line of progress."""

@@ -124,7 +124,11 @@ class Asker:
         return asked
 
     def ask_again(self, asked: Asked) -> None:
-        """Sends what was answered once more, and notes whether the answer is the same."""
+        """Sends what was answered once more, and notes whether the answer is the same.
+
+        It goes under the name of whoever sent it first.
+        """
+        self.client._link.client = asked.client
         give_up = time.monotonic() + _PATIENCE_SECS
         while time.monotonic() < give_up:
             try:
@@ -150,6 +154,6 @@ class Asker:
 
 def is_silence(error: jostle.JostleError) -> bool:
     """Whether it means that the daemon is away or slow, and not that it refused."""
-    return isinstance(
-        error, jostle.Unavailable | jostle.Busy | jostle.DeadlineExceeded
-    ) or bool(error.details.get("is_silence"))
+    return isinstance(error, jostle.Unavailable | jostle.Busy | jostle.DeadlineExceeded) or bool(
+        error.details.get("is_silence")
+    )

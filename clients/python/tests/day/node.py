@@ -52,7 +52,14 @@ class Node:
 
     def start(self) -> Life:
         """Starts it and waits until it listens."""
-        command = [self.jostled, "serve", "--node", "lab", "--listen", self.endpoint]
+        command: list[str | Path] = [
+            self.jostled,
+            "serve",
+            "--node",
+            "lab",
+            "--listen",
+            self.endpoint,
+        ]
         command += ["--http", self._http, "--data-dir", self.data, "--experiment-threads", "1"]
         began = time.monotonic()
         with self.log.open("ab") as log, self._said.open("wb") as said:

@@ -61,7 +61,7 @@ class Plan:
         return f"""\
 name = "grid-{number}"
 seed = {self.seed + number}
-replicates = 6
+replicates = 150
 duration = 150
 
 [[grid]]
@@ -77,7 +77,7 @@ def draw(seed: int, seconds: float, swarms: int, viewers: int) -> Plan:
     """Draws a day."""
     dice = random.Random(seed)
     names = [*SPECIAL, *(f"school-{k:02}" for k in range(1, swarms - len(SPECIAL) + 1))]
-    specs = {
+    specs: dict[str, dict[str, Any]] = {
         name: {
             "n": dice.randint(20, 50),
             "seed": dice.randrange(2**40),
@@ -89,7 +89,7 @@ def draw(seed: int, seconds: float, swarms: int, viewers: int) -> Plan:
     specs["twin-2"] = specs["twin-1"]
     specs["still"]["rate"] = None
     specs["film"]["publish_every"] = 5
-    twin_end = int(0.8 * seconds * STEPS_PER_SECOND)
+    twin_end = int(0.7 * seconds * STEPS_PER_SECOND)
     at = sorted(dice.sample(range(STEPS_PER_SECOND, twin_end), max(20, int(seconds / 10))))
     fill = dice.uniform(0.48, 0.52) * seconds
     return Plan(

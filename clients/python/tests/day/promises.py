@@ -28,6 +28,14 @@ class Verdict:
     holds: bool | None
 
 
+_HOLDS = {True: "holds", False: "DOES NOT HOLD", None: "not seen here"}
+
+
+def told(verdict: Verdict) -> str:
+    """Whether it holds, in words."""
+    return _HOLDS[verdict.holds]
+
+
 # What cannot be seen from outside is shown by the test that is named.
 _PROMISES: list[tuple[str, str, Judge | str]] = [
     ("answers", "an answered command is taken back by no crash", answers.durable),
@@ -39,10 +47,16 @@ _PROMISES: list[tuple[str, str, Judge | str]] = [
     ("answers", "`storage_full` has changed nothing, and ends with it", answers.full),
     ("answers", "after silence: asked again, it is answered", answers.silence),
     ("exactly once", "asked again, the same answer to the byte", answers.again),
-    ("exactly once", "a step cut short is taken to its end", "crash::recovery::a_step_that_a_crash"),
+    (
+        "exactly once",
+        "a step cut short is taken to its end",
+        "crash::recovery::a_step_that_a_crash",
+    ),
     ("exactly once", "refused, it may be tried again under its name", answers.tried_again),
     ("at most once", "without `request_id`: at most once", answers.nameless),
     ("at most once", "numbers of events tell what was missed", answers.events),
+    ("at most once", "no number of an event is given twice", answers.numbers),
+    ("a crash", "`get/journal` does not begin anew", answers.journal),
     ("a crash", "the past told again has the same hashes", crashes.verified),
     ("a crash", "the same commands elsewhere come to the same hash", crashes.elsewhere),
     ("a crash", "steps taken anew are the same, and two of one kind", crashes.twins),
@@ -63,7 +77,11 @@ _PROMISES: list[tuple[str, str, Judge | str]] = [
     ("a replay", "it shows what was published, to the bit", films.replay),
     ("a replay", "nothing else changes it", films.replay_refuses),
     ("a replay", "a damaged file is refused whole", "replay::pieces_that_do_not_fit"),
-    ("controllers", "it steps when all have advanced, and not else", "controllers::it_steps_when_all"),
+    (
+        "controllers",
+        "it steps when all have advanced, and not else",
+        "controllers::it_steps_when_all",
+    ),
     ("controllers", "two never own one individual", company.owners),
     ("controllers", "nobody waits longer than a deadline", company.waits),
     ("controllers", "late and lost ones are in the journal", company.journalled),

@@ -16,6 +16,7 @@ from .plan import SPECIAL, Plan, change
 
 # How many share the swarms that are nobody's else.
 _SCIENTISTS = 3
+_MOMENT_SECS = 0.005
 
 
 @dataclass
@@ -41,6 +42,8 @@ class Person(threading.Thread):
         self.dice = random.Random(f"{plan.seed} {name}")
         self.plan = plan
         self.over = threading.Event()
+        # Whether it rests no longer than this moment, so that something is under way at a kill.
+        self.is_hasty = False
         self.trouble: BaseException | None = None
         self._client = jostle.connect(endpoint, client=name)
         self.asker = Asker(self._client, name, ledger)
@@ -51,8 +54,12 @@ class Person(threading.Thread):
         """Lives the day."""
         try:
             self.begin()
-            while not self.over.wait(self.dice.uniform(0.4, 1.6) * self._rest_secs):
-                self.act()
+            rested, due = 0.0, 0.0
+            while not self.over.wait(_MOMENT_SECS):
+                rested += _MOMENT_SECS
+                if self.is_hasty or rested > due:
+                    self.act()
+                    rested, due = 0.0, self.dice.uniform(0.4, 1.6) * self._rest_secs
         except BaseException as error:
             self.trouble = error
             raise

@@ -12,11 +12,13 @@ import numpy as np
 
 import jostle
 
-from .lab import Lab, eventually
-from .ledger import Asker, is_silence
+from .lab import Lab, Recorded, eventually
+from .ledger import Asker
 
 # So long before a kill an experiment begins.
 _AHEAD_SECS = 8.0
+# For how long before a kill everybody asks without a rest.
+_HASTE_SECS = 0.3
 _PAUSED = "vault"
 
 
@@ -72,16 +74,17 @@ class Troubles:
     def _begin(self) -> None:
         self._asker.ask(None, "create", {"name": _PAUSED, "spec": {"n": 20}})
         self._asker.ask(_PAUSED, "step", {"steps": 100})
-        for swarm in ("film", "table"):
-            eventually("its swarm is there", 20.0, lambda swarm=swarm: self._is_there(swarm))
+        eventually("their swarms are there", 20.0, lambda: self._are_there({"film", "table"}))
         self._record("film-1", "film", "mcap")
         self._record("table-1", "table", "parquet")
 
-    def _is_there(self, swarm: str) -> bool:
-        return swarm in {it.swarm for it in self._client.swarms()}
+    def _are_there(self, swarms: set[str]) -> bool:
+        return swarms <= {it.swarm for it in self._client.swarms()}
 
     def _record(self, recording: str, swarm: str, format_: str) -> None:
         begin = {"swarm": swarm, "recording": recording, "format": format_}
+        step = self._client.swarm(swarm).status().step
+        self._lab.notes.recorded[recording] = Recorded(swarm, time.monotonic(), step)
         asked = self._asker.ask(None, "record", {"begin": begin})
         self._lab.say(f"{swarm} is recorded as {recording} {asked.refusals or ''}")
 
@@ -124,7 +127,14 @@ class Troubles:
         with contextlib.suppress(jostle.JostleError):
             for it in self._client.experiments():
                 lab.say(f"{it.name} is {it.phase}, {it.finished} of {it.runs} runs finished")
+        for person in lab.people.all():
+            person.is_hasty = True
+        time.sleep(_HASTE_SECS)
+        statuses = {name: self._client.swarm(name).status() for name in ("film", "table")}
+        lab.notes.steps.append({name: (it.epoch, it.step) for name, it in statuses.items()})
         lab.node.kill()
+        for person in lab.people.all():
+            person.is_hasty = False
         lab.notes.kills.append(time.monotonic())
         lab.notes.parts.append(self._whole_parts())
         lab.say("the daemon is killed")
@@ -142,6 +152,7 @@ class Troubles:
     def _replay(self) -> None:
         lab = self._lab
         self._asker.ask(None, "record", {"stop": {"recording": "film-1"}})
+        lab.notes.recorded["film-1"].ended = time.monotonic()
         self._record("film-2", "film", "mcap")
         seen = lab.notes.replay
         try:
@@ -153,7 +164,7 @@ class Troubles:
                 for k in range(0, len(frames), max(1, len(frames) // 40)):
                     tape.seek(fraction=k / max(1, len(frames) - 1))
                     shown = tape.state()
-                    same = [it for it in frames if (it.frame, it.step) == (shown.frame, shown.step)]
+                    same = [it for it in frames if it.step == shown.step]
                     seen["compared"] += 1
                     if not any(np.array_equal(shown.position, it.position) for it in same):
                         seen["different"] += 1
@@ -199,11 +210,8 @@ class Troubles:
         self._asker.ask(_PAUSED, "inform", inform, patient=True)
         full.taken = time.monotonic()
         lab.say(f"commands are carried out again after {full.taken - full.freed:.2f} s")
-        try:
-            for it in self._client.recordings():
-                lab.say(f"recording {it.recording} is {it.phase} {it.reason or ''}")
-        except jostle.JostleError as error:
-            assert is_silence(error), error
+        for it in self._client.recordings():
+            lab.say(f"recording {it.recording} is {it.phase} {it.reason or ''}")
 
     def _state(self) -> tuple[int, int, int, str]:
         status = self._client.swarm(_PAUSED).status()

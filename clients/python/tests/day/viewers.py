@@ -85,9 +85,7 @@ class Visit:
                 seen.apart.append(step)
 
 
-def look_on(
-    endpoint: str, swarms: list[str], count: int, seed: str, over: threading.Event
-) -> Seen:
+def look_on(endpoint: str, swarms: list[str], count: int, seed: str, over: threading.Event) -> Seen:
     """Has so many viewers come and go until told to end."""
     dice = random.Random(seed)
     seen = Seen()
