@@ -60,10 +60,23 @@ def test_what_was_refused_must_not_be_there() -> None:
     assert answers.errors(lab([refused], Past()))[0]
     assert not answers.errors(lab([refused], Past(journal={1: entry(1, 1)})))[0]
     it = lab([asked("set", 2, None, refusals=["storage_full"])], Past())
-    fine: dict[str, Any] = {"filled": 1.0, "refused": 2.0, "freed": 3.0, "taken": 3.1, "ran": 5}
+    fine: dict[str, Any] = {
+        "filled": 1.0,
+        "refused": 2.0,
+        "freed": 3.0,
+        "taken": 3.1,
+        "ran": 5,
+        "refusals": 2,
+    }
     it.notes.full = Full(**fine, stepped=(3, 3, 0))
     assert answers.full(it)[0]
-    for wrong in ({"after": (2,)}, {"ran": 0}, {"taken": 9.0}, {"others": ["carried out"]}):
+    for wrong in (
+        {"changed": 1},
+        {"ran": 0},
+        {"taken": 9.0},
+        {"others": ["busy"]},
+        {"refusals": 0},
+    ):
         it.notes.full = Full(**{**fine, **wrong}, stepped=(3, 3, 0))
         assert not answers.full(it)[0], wrong
     silent = asked("set", 3, None, silences=2)

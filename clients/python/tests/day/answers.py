@@ -131,15 +131,14 @@ def full(lab: Lab) -> tuple[bool, str]:
     """None refused for want of room is in the journal; the rest went on."""
     count, wrong = _refused(lab, is_full=True)
     it = lab.notes.full
-    same = it.before == it.after and not it.others
     room = it.taken - it.freed
     seen = (
-        f"{count} refused, {len(wrong)} carried out, the paused one {'as' if same else 'NOT as'} "
-        f"it was, film ran {it.ran} steps, step said {it.stepped}, normal after {room:.2f} s "
-        f"{wrong[:3]} {it.others[:3] or ''}"
+        f"{count} refused, {len(wrong)} carried out {wrong[:3]}; of {it.refusals} to a paused one "
+        f"{it.changed} changed it; another ran {it.ran} steps, a `step` came to {it.stepped[1:]}; "
+        f"normal after {room:.2f} s {it.others[:3] or ''}"
     )
-    holds = count > 0 and not wrong and same and it.ran > 0 and room < _ROOM_SECS
-    return holds and bool(it.stepped) and it.refused > 0.0, seen.strip()
+    holds = it.refusals > 0 and not (wrong or it.changed or it.others) and it.ran > 0
+    return holds and room < _ROOM_SECS and bool(it.stepped), seen.strip()
 
 
 def silence(lab: Lab) -> tuple[bool, str]:

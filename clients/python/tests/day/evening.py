@@ -22,6 +22,7 @@ from .node import Node
 from .plan import CONTROLLERS
 
 _PATIENCE_SECS = 600.0
+_IDLE_SECS = 12.0
 # Those that nobody steers but by commands: carried out again they come to the same.
 _NOT_RETOLD = ("loop-", "brood-", "still", "vault")
 _MUST_NOT_BE = re.compile(r"panick|thread '.*' has overflowed|corrupt|damaged|ERROR")
@@ -78,9 +79,10 @@ def ask_once_more(lab: Lab) -> None:
             here = elsewhere.results(cli, lab.node.endpoint, lab.work, name)
             lab.notes.experiments[name] = here, b""
         eventually("nobody is connected any more", 20.0, lambda: client.status().clients <= 1)
-        time.sleep(1.0)
-    lab.meter.look()
+        # What connecting took zenoh gives back after ten seconds.
+        time.sleep(_IDLE_SECS)
     lab.meter.finish()
+    lab.meter.look()
     lab.notes.ended = lab.node.stop()
     lab.say(f"the daemon has ended with code {lab.notes.ended}")
     _read(lab)

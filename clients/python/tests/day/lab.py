@@ -29,9 +29,8 @@ class Full:
         freed: When there was room again.
         taken: When the first command was carried out again.
         refusals: How many commands to one paused swarm were refused in between.
-        others: What else those commands came to.
-        before: That swarm before them: epoch, step, `seq` and hash.
-        after: The same after them.
+        changed: How many of these changed its epoch, step, `seq` or hash.
+        others: What else such commands were refused with.
         ran: How many steps a running swarm took meanwhile.
         stepped: What a `step` was answered: steps, step and `durable_step`.
     """
@@ -41,9 +40,8 @@ class Full:
     freed: float = 0.0
     taken: float = 0.0
     refusals: int = 0
+    changed: int = 0
     others: list[str] = field(default_factory=list)
-    before: tuple[Any, ...] = ()
-    after: tuple[Any, ...] = ()
     ran: int = 0
     stepped: tuple[int, ...] = ()
 

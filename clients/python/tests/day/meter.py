@@ -119,6 +119,7 @@ class Meter(threading.Thread):
         later = mine[len(mine) // 3 :]
         slope = least_squares([it.at for it in later], [it.memory_kb for it in later])
         span = later[-1].at - later[0].at
+        report["later"] = (later[0].at, later[-1].at)
         report["memory_mb"] = extent([sample.memory_kb / 1024 for sample in mine])
         report["slope_mb_per_hour"] = round(slope * 3600 / 1024, 2)
         report["grown_mb"] = round(slope * span / 1024, 2)

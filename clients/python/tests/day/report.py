@@ -63,5 +63,8 @@ def measure(lab: Lab) -> dict[str, Any]:
             "max": round(gets[-1], 4),
         },
         "others_cores": round(lab.others_cpu_secs / lab.plan.seconds, 2),
-        "lives": [lab.meter.life(life) for life in lab.node.lives],
+        "lives": [
+            {name: it for name, it in lab.meter.life(life).items() if name != "later"}
+            for life in lab.node.lives
+        ],
     }
