@@ -34,6 +34,10 @@ def go_home(lab: Lab) -> None:
         person.over.set()
     for person in lab.people.all():
         person.join(_PATIENCE_SECS)
+        if person.trouble is not None:
+            raise person.trouble
+    assert lab.chronicle.is_alive(), "nobody looked on"
+    assert lab.meter.is_alive(), "nobody measured"
     for controller in lab.controllers.values():
         controller.finish()
     lab.seen = lab.crowd.finish()

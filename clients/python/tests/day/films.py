@@ -64,16 +64,15 @@ def gaps(lab: Lab) -> tuple[bool, str]:
     return frames > 0 and not wrong, f"{seen}, {len(wrong)} otherwise {wrong[:2]}"
 
 
-def full(lab: Lab) -> tuple[bool, str]:
-    """What was being recorded when the disk was full has failed, or lost nothing."""
-    said = {
-        name: (it.phase, it.frames, it.reason)
-        for name, it in lab.notes.recordings.items()
-        if name in ("film-2", "table-1")
-    }
-    failed = [name for name, (phase, _, _) in said.items() if phase == "failed"]
-    read = [name for name in failed if isinstance(lab.notes.read[name], dict)]
-    return bool(failed) and read == failed, f"{said}; {len(read)} of {len(failed)} can be read"
+def full(lab: Lab) -> tuple[bool | None, str]:
+    """What could not be written when the disk was full has failed, and what it had can be read."""
+    failed = [it for it in lab.notes.recordings.values() if it.phase == "failed"]
+    if not failed:
+        return None, "none came to write just then"
+    unread = [it.recording for it in failed if not isinstance(lab.notes.read[it.recording], dict)]
+    said = ", ".join(f"{it.recording} after {it.frames} frames" for it in failed)
+    fits = all("the disk is full" in (it.reason or "") for it in failed)
+    return fits and not unread, f"{said} has failed, {len(unread)} cannot be read {unread}"
 
 
 def stopped(lab: Lab) -> tuple[bool, str]:
@@ -90,8 +89,11 @@ def stopped(lab: Lab) -> tuple[bool, str]:
 def replay(lab: Lab) -> tuple[bool, str]:
     """States that were shown, held against those in the file."""
     seen = lab.notes.replay
-    holds = seen.get("compared", 0) > 0 and seen["different"] == 0
-    return holds and seen["frames"][0] == seen["frames"][1], str(seen)
+    if "trouble" in seen:
+        return False, str(seen["trouble"])
+    shown, there = seen["frames"]
+    said = f"{shown} frames of {there}, {seen['compared']} compared, {seen['different']} different"
+    return shown == there and seen["compared"] > 0 and seen["different"] == 0, said
 
 
 def replay_refuses(lab: Lab) -> tuple[bool, str]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from . import answers, bounds, company, crashes, films
 from .lab import Lab
 
-Judge = Callable[[Lab], tuple[bool, str]]
+Judge = Callable[[Lab], tuple[bool | None, str]]
 
 
 @dataclass(frozen=True)
@@ -108,5 +108,6 @@ def judge(lab: Lab) -> list[Verdict]:
             verdicts.append(Verdict(about, promise, f"shown by {judge}", None))
             continue
         holds, seen = judge(lab)
-        verdicts.append(Verdict(about, promise, seen, holds))
+        # Nothing wrong is nothing to name.
+        verdicts.append(Verdict(about, promise, seen.replace(" []", ""), holds))
     return verdicts

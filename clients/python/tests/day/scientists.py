@@ -215,6 +215,8 @@ class Careless(Person):
 
     def __init__(self, name: str, endpoint: str, plan: Plan, ledger: Ledger) -> None:
         super().__init__(name, endpoint, plan, ledger)
+        # All of its commands are for one swarm.
+        self._rest_secs *= 3.0
         self.nameless = Nameless()
 
     def begin(self) -> None:

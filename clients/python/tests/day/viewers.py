@@ -148,7 +148,9 @@ class Crowd:
 
 
 def _read(told: Path) -> Seen:
-    fields = json.loads(told.read_text())
+    text = told.read_text()
+    assert text, told.with_suffix(".err").read_text()
+    fields = json.loads(text)
     fields["twins"] = {int(step): bodies for step, bodies in fields["twins"].items()}
     return Seen(**fields)
 
