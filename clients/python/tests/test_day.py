@@ -68,7 +68,7 @@ def test_what_was_refused_must_not_be_there() -> None:
         "ran": 5,
         "refusals": 2,
     }
-    it.notes.full = Full(**fine, stepped=(3, 3, 0))
+    it.notes.full = Full(**fine, stepped=(3, 0))
     assert answers.full(it)[0]
     for wrong in (
         {"changed": 1},
@@ -77,7 +77,7 @@ def test_what_was_refused_must_not_be_there() -> None:
         {"others": ["busy"]},
         {"refusals": 0},
     ):
-        it.notes.full = Full(**{**fine, **wrong}, stepped=(3, 3, 0))
+        it.notes.full = Full(**{**fine, **wrong}, stepped=(3, 0))
         assert not answers.full(it)[0], wrong
     silent = asked("set", 3, None, silences=2)
     assert not answers.silence(lab([silent], Past()))[0]

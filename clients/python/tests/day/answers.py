@@ -134,8 +134,8 @@ def full(lab: Lab) -> tuple[bool, str]:
     room = it.taken - it.freed
     seen = (
         f"{count} refused, {len(wrong)} carried out {wrong[:3]}; of {it.refusals} to a paused one "
-        f"{it.changed} changed it; another ran {it.ran} steps, a `step` came to {it.stepped[1:]}; "
-        f"normal after {room:.2f} s {it.others[:3] or ''}"
+        f"{it.changed} changed it; another ran {it.ran} steps; a `step` reached, and safe: "
+        f"{it.stepped}; normal after {room:.2f} s {it.others[:3] or ''}"
     )
     holds = it.refusals > 0 and not (wrong or it.changed or it.others) and it.ran > 0
     return holds and room < _ROOM_SECS and bool(it.stepped), seen.strip()

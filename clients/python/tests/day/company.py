@@ -113,7 +113,8 @@ def answered(lab: Lab) -> tuple[bool, str]:
     wrong = [name for name, secs in late.items() if secs > _RETURN_SECS]
     errors = Counter(it.error for all_ in _exchanges(lab).values() for it in all_ if it.error)
     said = "".join(one.errors() for one in lab.controllers.values())[:200]
-    seen = f"{len(late) - len(wrong)} of {len(late)} advanced up to the end, on the way {errors}"
+    met = ", ".join(f"{code} {count}" for code, count in sorted(errors.items())) or "nothing"
+    seen = f"{len(late) - len(wrong)} of {len(late)} advanced up to the end and met with {met}"
     return not wrong and not said, f"{seen} {wrong or ''} {said}".strip()
 
 

@@ -69,6 +69,7 @@ class Running:
                 stdin=subprocess.PIPE,
                 stdout=log,
                 stderr=errors,
+                start_new_session=True,
             )
 
     def signal(self, number: signal.Signals) -> None:
@@ -87,6 +88,11 @@ class Running:
         try:
             self._process.wait(20.0)
         except subprocess.TimeoutExpired:
+            self.end()
+
+    def end(self) -> None:
+        """Has it gone, whatever state it is in."""
+        if self._process is not None and self._process.poll() is None:
             self._process.kill()
             self._process.wait()
 

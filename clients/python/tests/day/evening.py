@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import itertools
 import os
 import re
@@ -19,7 +18,6 @@ from . import elsewhere
 from .lab import Lab, eventually
 from .ledger import Asker
 from .node import Node
-from .plan import CONTROLLERS
 
 _PATIENCE_SECS = 600.0
 _IDLE_SECS = 12.0
@@ -174,7 +172,7 @@ def _go_elsewhere(lab: Lab, there: dict[str, jostle.Status]) -> None:
 
 def end_all(lab: Lab) -> None:
     """Has nothing left that the day has started."""
-    for who in CONTROLLERS:
-        with contextlib.suppress(Exception):
-            lab.controllers[who.name].finish()
+    for controller in lab.controllers.values():
+        controller.end()
+    lab.crowd.end()
     lab.node.end()

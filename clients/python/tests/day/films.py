@@ -72,7 +72,7 @@ def full(lab: Lab) -> tuple[bool | None, str]:
     unread = [it.recording for it in failed if not isinstance(lab.notes.read[it.recording], dict)]
     said = ", ".join(f"{it.recording} after {it.frames} frames" for it in failed)
     fits = all("the disk is full" in (it.reason or "") for it in failed)
-    return fits and not unread, f"{said} has failed, {len(unread)} cannot be read {unread}"
+    return fits and not unread, f"failed: {said}; {len(unread)} cannot be read {unread}"
 
 
 def stopped(lab: Lab) -> tuple[bool, str]:

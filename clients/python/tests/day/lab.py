@@ -32,7 +32,7 @@ class Full:
         changed: How many of these changed its epoch, step, `seq` or hash.
         others: What else such commands were refused with.
         ran: How many steps a running swarm took meanwhile.
-        stepped: What a `step` was answered: steps, step and `durable_step`.
+        stepped: What a `step` was answered: step and `durable_step`.
     """
 
     filled: float = 0.0

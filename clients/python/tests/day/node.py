@@ -63,7 +63,14 @@ class Node:
         command += ["--http", self._http, "--data-dir", self.data, "--experiment-threads", "1"]
         began = time.monotonic()
         with self.log.open("ab") as log, self._said.open("wb") as said:
-            process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=said, stderr=log)
+            # Ctrl-C is for the day, which ends it.
+            process = subprocess.Popen(
+                command,
+                stdin=subprocess.DEVNULL,
+                stdout=said,
+                stderr=log,
+                start_new_session=True,
+            )
         self._process = process
         while not re.search(rb"listening on \S+\n", self._said.read_bytes()):
             if process.poll() is not None or time.monotonic() - began > _PATIENCE_SECS:

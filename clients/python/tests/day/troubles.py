@@ -206,7 +206,7 @@ class Troubles:
         full.ran = film.status().step - first
         reply = self._asker.ask(_PAUSED, "step", {"steps": 3}).reply
         if reply:
-            full.stepped = (3, reply["step"], reply["result"]["durable_step"])
+            full.stepped = (reply["step"], reply["result"]["durable_step"])
         lab.disk.free()
         full.freed = time.monotonic()
         lab.say(f"there is room again, after {full.refusals} refusals to {_PAUSED} alone")

@@ -134,6 +134,7 @@ class Crowd:
                         stdin=subprocess.PIPE,
                         stdout=output,
                         stderr=errors,
+                        start_new_session=True,
                     )
                 )
 
@@ -145,6 +146,13 @@ class Crowd:
         for process in self._processes:
             process.wait(60.0)
         return [_read(told) for told in self._told]
+
+    def end(self) -> None:
+        """Has all of them gone at once."""
+        for process in self._processes:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
 
 
 def _read(told: Path) -> Seen:
