@@ -10,8 +10,6 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 import jostle
 
 from . import elsewhere
@@ -110,23 +108,16 @@ def _read(lab: Lab) -> None:
 
 
 def _frames(folder: Path) -> dict[str, Any]:
-    """What a recording holds: its frames by epoch, how many are missing, and those told twice."""
+    """What a recording holds: from where to where in each epoch, and what is missing."""
     recording = jostle.read_recording(folder)
-    frames = [(it.epoch, it.step, it.frame, it.position) for it in recording]
+    frames = [(it.epoch, it.step, it.frame) for it in recording]
     missing = back = 0
     for before, after in itertools.pairwise(frames):
         back += after[:2] < before[:2]
         if after[0] == before[0]:
             missing += after[2] - before[2] - 1
-    steps: dict[int, Any] = {}
-    twice = differing = 0
-    for _, step, _, position in frames:
-        if step in steps and len(steps[step]) == len(position):
-            twice += 1
-            differing += not np.array_equal(steps[step], position)
-        steps[step] = position
     epochs: dict[int, list[int]] = {}
-    for epoch, step, _, _ in frames:
+    for epoch, step, _ in frames:
         epochs.setdefault(epoch, [step, step])[1] = step
     return {
         "frames": len(frames),
@@ -134,8 +125,6 @@ def _frames(folder: Path) -> dict[str, Any]:
         "missed": int(recording.about.get("missed", 0)),
         "back": back,
         "epochs": epochs,
-        "twice": twice,
-        "differing": differing,
     }
 
 
