@@ -4,6 +4,7 @@
 //! since the same commands at the same steps lead to the same state. Only the `step` command is
 //! carried out before it is safe: whoever sends thousands a second need not wait for the disk.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
@@ -111,6 +112,10 @@ pub struct Journal {
     /// Commands that were carried out and are not safe yet.
     ahead: Arc<AtomicUsize>,
     is_replaying: bool,
+    /// Commands of which is written what became of them, while it is told again.
+    told: BTreeSet<u64>,
+    /// What became of the others, and where: a crash came before it was written.
+    untold: Vec<((u64, u64), Record)>,
 }
 
 impl Journal {
@@ -122,6 +127,8 @@ impl Journal {
             safe_step: Arc::new(AtomicU64::new(step)),
             ahead: Arc::default(),
             is_replaying: false,
+            told: BTreeSet::new(),
+            untold: Vec::new(),
         }
     }
 
@@ -140,11 +147,21 @@ impl Journal {
         self.is_replaying = true;
     }
 
-    /// Has been told again up to this line and step, and is written from here on.
+    /// Is told of these commands what became of them.
+    pub fn learn(&mut self, told: BTreeSet<u64>) {
+        self.told = told;
+    }
+
+    /// Has been told again up to this line and step, and is written from here on: first what
+    /// became of commands that nobody had written down.
     pub fn resume(&mut self, lines: u64, step: u64) {
         self.is_replaying = false;
         self.lines = lines;
         self.safe_step.store(step, Ordering::Release);
+        self.told.clear();
+        for (at, record) in std::mem::take(&mut self.untold) {
+            self.note(at, record, None);
+        }
     }
 
     /// The last step that a crash would not take back, of a swarm that now is at `step` and has
@@ -192,6 +209,9 @@ impl Journal {
     /// Has a record written when it suits; once it is, a crash takes back no step up to `reached`.
     pub fn note(&mut self, (epoch, step): (u64, u64), record: Record, reached: Option<u64>) -> u64 {
         if self.is_replaying {
+            if matches!(&record, Record::Became { input, .. } if !self.told.contains(input)) {
+                self.untold.push(((epoch, step), record));
+            }
             return self.lines;
         }
         let line = Written::Line(self.line(epoch, step, record));

@@ -153,9 +153,14 @@ impl Worker {
         worker.controllers = Controllers::recall(joined, &recall);
         let end = worker.retell(lines, damage, &recall, to);
         if !is_last {
-            worker.events = (worker.events / EVENTS_LOST + 1) * EVENTS_LOST;
+            worker.lose_events();
         }
         (worker, end)
+    }
+
+    /// Numbers events on from where none was numbered before.
+    fn lose_events(&mut self) {
+        self.events = (self.events / EVENTS_LOST + 1) * EVENTS_LOST;
     }
 
     /// A worker around a swarm as it was at a checkpoint.
@@ -203,8 +208,8 @@ impl Worker {
             // What follows is written in this epoch: it comes before that, whenever it can.
             self.journal.note(before, Record::Resumed(epoch), None);
         }
-        self.keep();
         self.tell(EventKind::Phase);
+        self.keep();
         self.renew_summary();
         self.go_on();
         kept.map(drop)
@@ -227,6 +232,11 @@ impl Worker {
         to: To,
     ) -> Option<End> {
         self.replay.learn(&lines);
+        let told = lines.iter().filter_map(|(line, _)| match line.record {
+            Record::Became { input, .. } => Some(input),
+            _ => None,
+        });
+        self.journal.learn(told.collect());
         let last_hash = lines.iter().rev().find_map(|(line, _)| match line.record {
             Record::Hash(_) => Some((line.epoch, line.step)),
             _ => None,
@@ -267,6 +277,9 @@ impl Worker {
                 (Record::Resumed(epoch), _) => {
                     end = self.advance(line.epoch, line.step);
                     self.simulation.epoch = epoch;
+                    // As it was told when the daemon came back then.
+                    self.lose_events();
+                    self.tell(EventKind::Phase);
                 }
                 (Record::Fault(reason), _) if !matches!(self.phase, Phase::Faulted(_)) => {
                     end = self.advance(line.epoch, line.step);

@@ -1,5 +1,6 @@
 //! How long coming back takes, and that the order of what was done is kept.
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use serde_json::{Value, json};
@@ -211,5 +212,42 @@ async fn creating_forking_and_deleting_are_done_once_across_a_crash() {
             [json!(["a"]), json!(["a", "b"]), json!(["b"])][k]
         );
         life.kill();
+    }
+}
+
+/// What an answer said stays told, and a number of an event means one thing, however often the
+/// daemon is killed before what it had in hand is on the disk.
+#[tokio::test(flavor = "multi_thread")]
+async fn killed_again_and_again_nothing_is_left_out_and_no_number_is_given_twice() {
+    let _machine = beside_others().await;
+    let folder = tempfile::tempdir().unwrap();
+    let (mut answered, mut told) = (Vec::new(), BTreeMap::new());
+    for life in 0..5_u64 {
+        let mut daemon = Life::begin(&mut life::daemon(folder.path())).unwrap();
+        let client = Client::open(&daemon.endpoint).await;
+        if life == 0 {
+            client
+                .create("a", json!({"n": 20, "seed": 3, "rate": 1}))
+                .await;
+            client.ok("a", "run", json!({})).await;
+            answered.push(1);
+        }
+        for k in 0..3 {
+            let reply = client.ok("a", "set", json!({"pi3": 1 + k + life})).await;
+            answered.push(reply["seq"].as_u64().unwrap());
+        }
+        let journal = client.get("a", "journal").await;
+        let events = client.get("a", "events?limit=1000").await;
+        daemon.kill();
+
+        let entries = journal["result"]["entries"].as_array().unwrap().iter();
+        let entries: Vec<_> = entries.map(|it| it["seq"].as_u64().unwrap()).collect();
+        assert_eq!(entries, answered, "life {life}");
+        for event in events["result"]["events"].as_array().unwrap() {
+            let number = event["number"].as_u64().unwrap();
+            let about = json!([event["event"]["kind"], event["event"]["verb"], event["seq"]]);
+            let first = told.entry(number).or_insert_with(|| about.clone());
+            assert_eq!(*first, about, "event {number} in life {life}");
+        }
     }
 }

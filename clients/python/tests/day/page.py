@@ -21,7 +21,7 @@ PYTHONPATH=clients/python/tests target/venv/bin/python -m day \\
   --minutes {minutes:g} --seed {seed} --write-docs
 ```
 
-`./check` lives five minutes of it and `./check --long` an hour, each from a seed of its own, which
+`./check` lives these five minutes and `./check --long` an hour, from a seed of its own, which
 is printed; `--report FILE` writes every sample as JSON.
 
 ## What the daemon took
@@ -40,8 +40,8 @@ it comes to in that time. Bounds:
 - Descriptors: one for each session that there may be at once, and 64 of its own, which is also
   all that may be left when everybody has gone.
 - Threads: one for each swarm that there may be at once, and 28 of its own, which is also all that
-  may be left when everybody has gone; and the 50 that zenoh may take for handshakes when all
-  connect at once, as they do after a kill.
+  may be left when everybody has gone; and the two pools of 50 that zenoh may fill when all connect
+  at once, as they do after a kill.
 
 ## How late it stepped
 
