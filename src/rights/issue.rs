@@ -2,7 +2,7 @@
 
 use std::fs;
 use std::net::IpAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -41,7 +41,7 @@ pub fn init(
     if let Some(host) = hosts.iter().find(|host| !is_host(host)) {
         return Err(RightsError::Host(host.clone()));
     }
-    make_folder(folder.path().to_owned())?;
+    make_folder(folder.path())?;
     folder.check_own()?;
     let _held = folder.hold()?;
     let authority = authority(folder)?;
@@ -131,7 +131,8 @@ pub fn remove(folder: &Folder, names: &[String]) -> Result<(), RightsError> {
     for name in names {
         let is_known = known.people.iter().any(|entry| entry.person == *name);
         // What is left of somebody whose removal was cut off is taken away, too.
-        if !is_known && !(is_person(name) && folder.of(name).exists()) {
+        let is_left = is_person(name) && folder.of(name).exists();
+        if !is_known && !is_left {
             return Err(RightsError::Nobody(name.clone()));
         }
     }
@@ -203,7 +204,7 @@ fn add_by(
     let mut folders = Vec::new();
     for credentials in &made {
         let path = folder.of(&credentials.person);
-        make_folder(path.clone())?;
+        make_folder(&path)?;
         let [ca, certificate, key] = Credentials::CERTIFICATES.map(|file| path.join(file));
         write(&ca, &trusted)?;
         let pair = authority.certify_person(&credentials.person)?;
@@ -247,8 +248,8 @@ fn zenoh_settings(credentials: &Credentials, trusted: &str, pair: &Pair) -> Valu
     })
 }
 
-fn make_folder(path: PathBuf) -> Result<(), RightsError> {
-    secret::make_folder(&path).map_err(|error| at(&path, error))
+fn make_folder(path: &Path) -> Result<(), RightsError> {
+    secret::make_folder(path).map_err(|error| at(path, error))
 }
 
 fn keep(pair: &Pair, [certificate, key]: [PathBuf; 2]) -> Result<(), RightsError> {
@@ -261,7 +262,6 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use std::os::unix::fs::PermissionsExt;
-    use std::path::Path;
 
     use super::*;
     use crate::rights::Rights;

@@ -81,7 +81,7 @@ impl Bus {
         let config = opening::config(&endpoint, timeout, identity.as_ref())?;
         let session = match zenoh::open(config).await {
             Ok(session) => session,
-            Err(_) if opening::is_taken(&endpoint) => {
+            Err(_) if opening::speaks_zenoh(&endpoint) => {
                 return Err(Failure::NotLetIn {
                     endpoint,
                     person: identity.map(|it| it.credentials.person),

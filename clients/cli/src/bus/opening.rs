@@ -1,6 +1,7 @@
 //! How a client opens its session, and who it says it is.
 
-use std::net::{IpAddr, ToSocketAddrs};
+use std::io::{self, Read, Write};
+use std::net::{IpAddr, SocketAddr, TcpStream, ToSocketAddrs};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -12,6 +13,9 @@ use crate::failure::Failure;
 
 /// What a session can be opened over.
 const PROTOCOLS: [&str; 3] = ["tcp", "tls", "unixsock-stream"];
+
+/// What a client of zenoh says first (`InitSyn`), behind its length.
+const GREETING: [u8; 21] = *b"\x13\x00\x01\x09\xf2jostle-probe-own";
 
 /// How long whoever listens may take to say so.
 const KNOCKING: Duration = Duration::from_secs(1);
@@ -98,16 +102,34 @@ pub fn endpoint(told: Option<String>, identity: Option<&Identity>) -> String {
     told.or_else(theirs).unwrap_or_else(default)
 }
 
-/// Whether anybody at all takes a connection at `endpoint`.
-pub fn is_taken(endpoint: &str) -> bool {
-    let Some(("tcp" | "tls", address)) = endpoint.split_once('/') else {
+/// Whether what listens at `endpoint` is a zenoh, or TLS, that did not let this client in.
+pub fn speaks_zenoh(endpoint: &str) -> bool {
+    let Some((protocol @ ("tcp" | "tls"), address)) = endpoint.split_once('/') else {
         return false;
     };
     let address = address.split(['?', '#']).next().unwrap_or(address);
-    let addresses = address.to_socket_addrs().into_iter().flatten();
-    addresses
-        .into_iter()
-        .any(|address| std::net::TcpStream::connect_timeout(&address, KNOCKING).is_ok())
+    let mut addresses = address.to_socket_addrs().into_iter().flatten();
+    let answer = addresses.find_map(|address| knock(address).ok());
+    match (protocol, answer.as_deref()) {
+        // It says that this is no handshake of its own.
+        ("tls", Some([0x15 | 0x16, ..])) => true,
+        // It says so behind the length of its answer.
+        ("tcp", Some([low, high, rest @ ..])) => {
+            !rest.is_empty() && usize::from(u16::from_le_bytes([*low, *high])) == rest.len()
+        }
+        _ => false,
+    }
+}
+
+/// Greets whoever listens there, and returns the first of what it says.
+fn knock(address: SocketAddr) -> io::Result<Vec<u8>> {
+    let mut stream = TcpStream::connect_timeout(&address, KNOCKING)?;
+    stream.set_read_timeout(Some(KNOCKING))?;
+    stream.set_write_timeout(Some(KNOCKING))?;
+    stream.write_all(&GREETING)?;
+    let mut answer = [0; 64];
+    let length = stream.read(&mut answer)?;
+    Ok(answer[..length].to_vec())
 }
 
 /// A client of one endpoint and of nothing else.

@@ -50,6 +50,10 @@ _LOOK_AGAIN_SECS = 0.02
 _LIVELINESS_SECS = 2.0
 
 
+# What a client of zenoh says first (InitSyn), behind its length.
+_GREETING = b"\x13\x00\x01\x09\xf2jostle-probe-own"
+
+
 def open_session(
     endpoint: str, timeout: float, identity: tuple[Credentials, Path] | None = None
 ) -> zenoh.Session:
@@ -72,7 +76,7 @@ def open_session(
         return zenoh.open(_config(endpoint, timeout, identity))
     except zenoh.ZError:
         # zenoh's own error says no more than that, in more words.
-        if _is_taken(endpoint):
+        if _speaks_zenoh(endpoint):
             raise _not_let_in(endpoint, identity) from None
         raise Unavailable(
             f"no daemon answers at {endpoint}: start one with `jostled serve`, "
@@ -122,17 +126,22 @@ def _may_be_told_secrets(endpoint: str) -> bool:
     return protocol != "tcp" or is_here
 
 
-def _is_taken(endpoint: str) -> bool:
-    """Whether anybody at all takes a connection at `endpoint`."""
+def _speaks_zenoh(endpoint: str) -> bool:
+    """Whether what listens at `endpoint` is a zenoh, or TLS, that did not let this client in."""
     protocol, _, address = endpoint.partition("/")
     host, _, port = address.split("#")[0].split("?")[0].rpartition(":")
     if protocol not in ("tcp", "tls") or not port.isdecimal():
         return False
     try:
-        socket.create_connection((host.strip("[]"), int(port)), timeout=1.0).close()
+        with socket.create_connection((host.strip("[]"), int(port)), timeout=1.0) as stream:
+            stream.sendall(_GREETING)
+            answer = stream.recv(64)
     except OSError:
         return False
-    return True
+    # TLS says that this is no handshake of its own; zenoh says so behind the length of its answer.
+    if protocol == "tls":
+        return answer[:1] in (b"\x15", b"\x16")
+    return len(answer) > 2 and int.from_bytes(answer[:2], "little") == len(answer) - 2
 
 
 def _not_let_in(endpoint: str, identity: tuple[Credentials, Path] | None) -> PermissionDenied:
