@@ -1,5 +1,7 @@
 //! `jostled`: hosts swarms and serves them on zenoh.
 
+mod people;
+
 use std::io::{IsTerminal as _, Write as _};
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -7,21 +9,19 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::{Args, CommandFactory, Parser, Subcommand};
-use jostle_proto::Role;
 use jostled::batch;
 use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
 use jostled::demo;
 use jostled::gateway::{self, GatewayError, Token};
-use jostled::rights::folder::Folder;
-use jostled::rights::issue;
 use jostled::server::session::{self, SessionError};
 use jostled::server::{self, ServerError};
 use jostled::supervisor;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
-use serde_json::json;
 use tokio::signal::unix::{SignalKind, signal};
 use tracing::warn;
 use tracing_subscriber::EnvFilter;
+
+use crate::people::Auth;
 
 /// Files that are open beside one for each client: the store's, recordings, pages, swarms' wakers.
 const FILES_OF_ITS_OWN: u64 = 500;
@@ -96,38 +96,6 @@ enum Show {
     },
     /// A commented file of every setting at its default, to begin from: `jostled --config FILE`.
     Default,
-}
-
-#[derive(Subcommand)]
-enum Auth {
-    /// Make what is not there yet: a private certificate authority, the daemon's certificate, people.
-    Init {
-        /// A name or an address by which other machines reach the daemon; once for each, and all of
-        /// them each time: the daemon's certificate is made anew for these.
-        #[arg(long = "host", value_name = "HOST")]
-        hosts: Vec<String>,
-        /// People, and what each is: viewer, controller or operator.
-        #[arg(value_name = "NAME=ROLE", value_parser = person)]
-        people: Vec<(String, Role)>,
-    },
-    /// Add people.
-    Add {
-        /// People, and what each is: viewer, controller or operator.
-        #[arg(value_name = "NAME=ROLE", value_parser = person, required = true)]
-        people: Vec<(String, Role)>,
-    },
-    /// Take people's rights away.
-    Remove {
-        /// Who.
-        #[arg(value_name = "NAME", required = true)]
-        names: Vec<String>,
-    },
-    /// Say who there is, and what they are.
-    List {
-        /// As JSON.
-        #[arg(long)]
-        json: bool,
-    },
 }
 
 /// What a file and the environment can say, flags say too, and they have the last word.
@@ -253,7 +221,10 @@ fn main() -> ExitCode {
         "warn,zenoh=error".clone_into(log);
     }
     if let Command::Auth { command } = command {
-        return give_rights(merged["auth_dir"].0.trim(), &command);
+        return match people::give_rights(merged["auth_dir"].0.trim(), &command) {
+            Ok(told) => show(&told),
+            Err((code, problem)) => fail(code, &problem),
+        };
     }
     let mut temporary = None;
     if let (Command::Demo { .. }, Some((folder, Source::Default))) =
@@ -451,71 +422,6 @@ async fn told_to_stop() {
 fn show(text: &str) -> ExitCode {
     let _ = std::io::stdout().write_all(text.as_bytes());
     ExitCode::SUCCESS
-}
-
-/// Makes, changes or tells who may do what, in `folder`.
-fn give_rights(folder: &str, command: &Auth) -> ExitCode {
-    if folder.is_empty() {
-        return fail(
-            2,
-            &"say where: --auth-dir FOLDER, or auth_dir in the settings",
-        );
-    }
-    let folder = Folder::at(PathBuf::from(folder));
-    let done = match command {
-        Auth::Init { hosts, people } => issue::init(&folder, hosts, people).map(|it| handed(&it)),
-        Auth::Add { people } => issue::add(&folder, people).map(|it| handed(&it)),
-        Auth::Remove { names } => issue::remove(&folder, names).map(|()| {
-            let mut who = names.clone();
-            who.sort();
-            who.dedup();
-            let who = who.join(", ");
-            format!("{who}: gone, from the daemon's next start on\n")
-        }),
-        Auth::List { json } => folder.people().map(|known| match json {
-            true => {
-                let people = known.people.iter();
-                let people: Vec<_> = people
-                    .map(|it| json!({"person": it.person, "role": it.role}))
-                    .collect();
-                format!("{}\n", json!({"people": people}))
-            }
-            false => known
-                .people
-                .iter()
-                .map(|it| format!("{:12} {}\n", it.role.name(), it.person))
-                .collect(),
-        }),
-    };
-    match done {
-        Ok(told) => show(&told),
-        Err(error) => fail(1, &error),
-    }
-}
-
-/// What to do with the folders of new people.
-fn handed(folders: &[PathBuf]) -> String {
-    if folders.is_empty() {
-        return "made; `jostled auth add NAME=ROLE` adds people\n".into();
-    }
-    let mut told =
-        String::from("hand each folder to its person, over a safe way, and delete it here:\n");
-    for folder in folders {
-        told += &format!("  {}\n", folder.display());
-    }
-    told += "they name it: jostle --credentials FOLDER …; the daemon knows them from its next start on\n";
-    told
-}
-
-/// Reads `anna=operator`.
-fn person(text: &str) -> Result<(String, Role), String> {
-    let roles = Role::ALL.map(Role::name).join(", ");
-    let (name, role) = text
-        .split_once('=')
-        .ok_or_else(|| format!("give NAME=ROLE, a role being one of {roles}"))?;
-    let role = Role::ALL.into_iter().find(|known| known.name() == role);
-    let role = role.ok_or_else(|| format!("a role is one of {roles}"))?;
-    Ok((name.to_owned(), role))
 }
 
 /// Prints the manual page, or writes a page for each command into `folder`.

@@ -5,7 +5,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 25] = [
+const MAY_USE: [(&str, &[&str]); 26] = [
     ("model", &[]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
@@ -80,11 +80,12 @@ const MAY_USE: [(&str, &[&str]); 25] = [
             "config",
             "demo",
             "gateway",
-            "rights",
+            "people",
             "server",
             "supervisor",
         ],
     ),
+    ("people", &["rights"]),
     ("lib", &[]),
     ("", &[]),
 ];
@@ -103,7 +104,7 @@ const ONLY_IN: [(&str, &[&str]); 24] = [
             "experiment/plan",
             "gateway",
             "lab",
-            "main",
+            "people",
             "publish",
             "recording",
             "rights",
@@ -121,7 +122,7 @@ const ONLY_IN: [(&str, &[&str]); 24] = [
             "experiment/folder",
             "gateway",
             "lab",
-            "main",
+            "people",
             "recording",
             "rights",
             "server",
@@ -141,7 +142,7 @@ const ONLY_IN: [(&str, &[&str]); 24] = [
         &["demo", "gateway", "main", "server", "supervisor"],
     ),
     ("sd_notify::", &["supervisor"]),
-    ("clap::", &["main"]),
+    ("clap::", &["main", "people"]),
     ("clap_mangen::", &["main"]),
     (
         "std::thread",
