@@ -25,8 +25,8 @@ const FLOODING: Duration = Duration::from_secs(3);
 /// How long meanwhile the others are watched.
 const WATCHING: Duration = Duration::from_secs(2);
 
-/// How soon others are answered meanwhile, at the median, and who is turned away, at the 99th
-/// percentile.
+/// How soon others are answered meanwhile and who is turned away, at the median; in the long run who
+/// is turned away at the 99th percentile.
 const SOON: Duration = Duration::from_millis(10);
 
 /// Commands a second that are made safe and answered meanwhile, at least.
@@ -294,25 +294,26 @@ async fn a_flood_from_32_clients_is_turned_away_and_hurts_nobody() {
         let mut problems = Vec::new();
         for _ in 0..ROUNDS {
             let (flood, slowest, grown_mb) = flood_daemon(unanswered).await;
-            assert!(grown_mb < GROWN_MB, "{grown_mb} MB");
+            let is_bounded = grown_mb < GROWN_MB;
             let bare = flood_bare(unanswered).await;
             let [half, most, _] = flood.probe;
             let [bare_half, bare_most, _] = bare.probe;
             // Below this many nothing needs to be turned away.
             let is_turned_away = unanswered < 64 || flood.turned_away > 0;
-            // The flooders compute on the same cores: of a thousand who hear `busy` ten wait for
-            // them as long as for the daemon.
+            // The flooders compute on the same cores: who waits longest for `busy` waits for them.
             let is_long = std::env::var_os("JOSTLE_LONG").is_some();
             let busy = flood.busy[usize::from(is_long)];
             let is_soon = half < SOON && flood.commands[0] < SOON && busy < SOON;
             let is_durable = flood.durable > DURABLE;
             let adds_little = half < TIMES.0 * bare_half && most < TIMES.1 * bare_most;
-            if slowest > 0.95 && is_turned_away && is_soon && is_durable && adds_little {
+            let is_as_asked = is_turned_away && is_soon && is_durable && is_bounded;
+            if slowest > 0.95 && is_as_asked && adds_little {
                 problems.clear();
                 break;
             }
             problems.push(format!(
-                "{:?} beside {:?}, {:?}, {} turned away, {:?}, {:.0} durable a second, rate {slowest:.3}",
+                "{:?} beside {:?}, {:?}, {} turned away, {:?}, {:.0} durable a second, rate \
+                 {slowest:.3}, {grown_mb} MB",
                 flood.probe,
                 bare.probe,
                 flood.commands,
