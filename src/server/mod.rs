@@ -179,7 +179,11 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let store = open_store(config)?;
     let session = session::open(&config.listen, prefix, &rights, config.max_clients).await?;
     let locators = session.info().locators().await;
-    let endpoints: Vec<String> = locators.iter().map(ToString::to_string).collect();
+    let mut endpoints: Vec<String> = locators.iter().map(ToString::to_string).collect();
+    if endpoints.is_empty() {
+        // For every address of a machine zenoh names those that others can reach, and here none is.
+        endpoints.clone_from(&config.listen);
+    }
 
     let desk = Desk::start()?;
     let (press, _) = Press::start(prefix)?;

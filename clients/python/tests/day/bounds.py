@@ -18,9 +18,8 @@ _OWN_DESCRIPTORS = 64
 _OTHER_SESSIONS = 20
 # One for each part of the daemon, as it has them before there is a swarm, and some of its runtimes.
 _OWN_THREADS = 28
-# zenoh's pools for what blocks, of 50 each, the one of handshakes and one more: they fill when all
-# connect at once, as they do after a kill, and go when idle.
-_HANDSHAKES = 2 * 50
+# zenoh's pool for handshakes when all connect at once, as they do after a kill; it goes when idle.
+_HANDSHAKES = 50
 # Swarms that come and go, a replay, and one more.
 _OTHER_SWARMS = 6
 

@@ -40,8 +40,8 @@ it comes to in that time. Bounds:
 - Descriptors: one for each session that there may be at once, and 64 of its own, which is also
   all that may be left when everybody has gone.
 - Threads: one for each swarm that there may be at once, and 28 of its own, which is also all that
-  may be left when everybody has gone; and the two pools of 50 that zenoh may fill when all connect
-  at once, as they do after a kill.
+  may be left when everybody has gone; and the 50 that zenoh may take for handshakes when all
+  connect at once, as they do after a kill.
 
 ## How late it stepped
 
