@@ -24,9 +24,12 @@ const SWARM: &str = "bench";
 const N: u64 = 50;
 
 /// Exchanges of each controller in one round, and rounds in turn with bare queries: the machine is
-/// shared, and what is compared is to meet the same noise.
-const EXCHANGES: usize = 1000;
-const ROUNDS: usize = 5;
+/// shared, and what is compared is to meet the same noise. Ratios are medians of the rounds'.
+const EXCHANGES: usize = 500;
+const ROUNDS: usize = 15;
+
+/// Steps of the swarm that are timed in one round.
+const STEPS: u32 = 1000;
 
 /// Tells a copy of this program that it is to be the bare queryable.
 const BARE: &str = "JOSTLE_BENCH_BARE";
@@ -57,46 +60,46 @@ async fn main() {
         askers.push(open(&bare_at).await);
         controllers.push(open(&daemon_at).await);
     }
-    let step = settle(&controllers[0]).await;
-    let mut took: [Vec<Duration>; 4] = Default::default();
+    settle(&controllers[0]).await;
+    let mut rounds: [Vec<f64>; 8] = Default::default();
     for _ in 0..ROUNDS {
-        took[0].extend(bare_round(&askers[..1]).await);
-        took[1].extend(round(&controllers[..1]).await);
-        took[2].extend(bare_round(&askers).await);
-        took[3].extend(round(&controllers).await);
+        let step = micros(steps(&controllers[0]).await);
+        let alone = median_micros(bare_round(&askers[..1]).await);
+        let one = median_micros(round(&controllers[..1]).await);
+        let bare_eight = median_micros(bare_round(&askers).await);
+        let eight = median_micros(round(&controllers).await);
+        let ratios = [one / (alone + step), bare_eight / alone, eight / one];
+        let of_round = [step, alone, one, bare_eight, eight].into_iter();
+        for (column, value) in rounds.iter_mut().zip(of_round.chain(ratios)) {
+            column.push(value);
+        }
     }
-    let [alone, one, bare_eight, eight] = took.map(median);
-    let micros = |time: Duration| time.as_secs_f64() * 1e6;
-    let bare_of_eight = micros(bare_eight) / micros(alone);
-    let (of_one, of_eight) = (
-        micros(one) / micros(alone + step),
-        micros(eight) / micros(one),
-    );
+    let [
+        step,
+        alone,
+        one,
+        bare_eight,
+        eight,
+        of_one,
+        bare_of_eight,
+        of_eight,
+    ] = rounds.map(median);
     if as_json {
         println!(
             "{}",
-            json!({"n": N, "step_us": micros(step), "bare_query_us": micros(alone),
-                "exchange_us": micros(one), "exchange_of_eight_us": micros(eight),
-                "bare_queries_of_eight_us": micros(bare_eight),
+            json!({"n": N, "step_us": step, "bare_query_us": alone,
+                "exchange_us": one, "exchange_of_eight_us": eight,
+                "bare_queries_of_eight_us": bare_eight,
                 "bare_eight_over_one": bare_of_eight,
                 "exchange_over_bare_and_step": of_one, "eight_over_one": of_eight})
         );
     } else {
-        println!("n = {N}, medians of {} exchanges", ROUNDS * EXCHANGES);
-        println!("a step                      {:8.1} µs", micros(step));
-        println!("a bare zenoh query          {:8.1} µs", micros(alone));
-        println!(
-            "an exchange, 1 controller   {:8.1} µs   {of_one:.2} of query and step",
-            micros(one)
-        );
-        println!(
-            "8 bare queries at once      {:8.1} µs   {bare_of_eight:.2} of one",
-            micros(bare_eight)
-        );
-        println!(
-            "an exchange, 8 controllers  {:8.1} µs   {of_eight:.2} of 1 controller",
-            micros(eight)
-        );
+        println!("n = {N}, medians of {ROUNDS} rounds of {EXCHANGES} exchanges");
+        println!("a step                      {step:8.1} µs");
+        println!("a bare zenoh query          {alone:8.1} µs");
+        println!("an exchange, 1 controller   {one:8.1} µs   {of_one:.2} of query and step");
+        println!("8 bare queries at once      {bare_eight:8.1} µs   {bare_of_eight:.2} of one");
+        println!("an exchange, 8 controllers  {eight:8.1} µs   {of_eight:.2} of 1 controller");
     }
     for session in controllers.into_iter().chain(askers) {
         session.close().await.unwrap();
@@ -174,8 +177,8 @@ async fn command(session: &Session, verb: &str, request: Value) -> Value {
     ask(session, keys::cmd("jostle", SWARM, verb), &request).await
 }
 
-/// Makes the swarm and lets it come together. Returns what a step of it takes.
-async fn settle(session: &Session) -> Duration {
+/// Makes the swarm and lets it come together.
+async fn settle(session: &Session) {
     let key = keys::node_cmd("jostle", "*", "create");
     let nodes = session
         .liveliness()
@@ -192,11 +195,17 @@ async fn settle(session: &Session) -> Duration {
         .to_owned();
     let create = json!({"name": SWARM, "spec": {"n": N, "seed": 1}});
     ask(session, key.replace('*', &node), &create).await;
-    let steps = |count: u64| json!({"timeout_secs": 60, "args": {"steps": count}});
-    command(session, "step", steps(5000)).await;
+    for _ in 0..5 {
+        steps(session).await;
+    }
+}
+
+/// What a step takes of many at once.
+async fn steps(session: &Session) -> Duration {
     let began = Instant::now();
-    command(session, "step", steps(5000)).await;
-    began.elapsed() / 5000
+    let request = json!({"timeout_secs": 60, "args": {"steps": STEPS}});
+    command(session, "step", request).await;
+    began.elapsed() / STEPS
 }
 
 /// What bare queries take; of several at once, until the last of them is answered.
@@ -263,7 +272,15 @@ fn advance(controller: usize, step: u64) -> Value {
     }})
 }
 
-fn median(mut took: Vec<Duration>) -> Duration {
-    took.sort();
-    took[took.len() / 2]
+fn micros(time: Duration) -> f64 {
+    time.as_secs_f64() * 1e6
+}
+
+fn median_micros(took: Vec<Duration>) -> f64 {
+    median(took.into_iter().map(micros).collect())
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
 }

@@ -182,15 +182,30 @@ impl Request {
         if !args[1..].contains(['{', '[']) {
             return Ok(understood);
         }
-        let (Ok(given), Ok(meant)) = (
-            serde_json::from_str(args),
-            serde_json::to_value(&understood),
-        ) else {
+        let written = serde_json::to_string(&understood)
+            .map_err(|error| whole(&format!("cannot be read back: {error}")))?;
+        // Those that begin and end in the order in which they were understood are in their places.
+        if brackets(args).eq(brackets(&written)) {
+            return Ok(understood);
+        }
+        let (Ok(given), Ok(meant)) = (serde_json::from_str(args), serde_json::from_str(&written))
+        else {
             return Err(whole("cannot be read back"));
         };
         check_objects("", &given, &meant)?;
         Ok(understood)
     }
+}
+
+/// The brackets of the lists and objects in JSON, in their order.
+fn brackets(json: &str) -> impl Iterator<Item = u8> {
+    let (mut is_text, mut is_escaped) = (false, false);
+    json.bytes().filter(move |&byte| {
+        let is_quote = byte == b'"' && !is_escaped;
+        is_escaped = byte == b'\\' && !is_escaped;
+        is_text ^= is_quote;
+        !is_text && matches!(byte, b'{' | b'}' | b'[' | b']')
+    })
 }
 
 /// Refuses a list where an object was meant: it would be read as the fields in their order, which

@@ -84,9 +84,12 @@ impl State {
     }
 }
 
+/// What begins with this much room seldom has to move: CBOR is written a word at a time.
+const USUAL_BYTES: usize = 256;
+
 /// Writes any message as CBOR.
 pub fn to_cbor<T: Serialize>(message: &T) -> Vec<u8> {
-    let mut bytes = Vec::new();
+    let mut bytes = Vec::with_capacity(USUAL_BYTES);
     ciborium::into_writer(message, &mut bytes).expect("writing to memory cannot fail");
     bytes
 }

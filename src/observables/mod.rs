@@ -5,7 +5,8 @@ pub mod clusters;
 pub mod intervals;
 pub mod nematic;
 
-use crate::model::Configuration;
+use crate::model::{Configuration, lanes};
+use crate::stepper::heading::unit_vectors;
 
 /// The sum of the informed individuals' weighted unit vectors counts as cancelled below this
 /// share of the weights: its direction would be rounding.
@@ -32,11 +33,9 @@ pub struct Order {
 ///   direction is that of the sum of unit vectors, each times its individual's weight.
 #[must_use]
 pub fn order(configuration: &Configuration) -> Order {
-    let headings = configuration.alpha.iter().map(|&alpha| {
-        let (sin, cos) = libm::sincos(alpha);
-        [cos, sin]
-    });
-    order_of(headings, wish(configuration))
+    let mut headings = Vec::new();
+    unit_vectors(lanes::level(), &configuration.alpha, &mut headings);
+    order_of(headings.into_iter(), wish(configuration))
 }
 
 /// What the informed individuals want together: the sum of their unit vectors, each times its

@@ -33,14 +33,13 @@ impl Clerk {
     pub(super) fn command(&self, swarm: &Arc<str>, asked: &Asked) {
         let query = &asked.query;
         let key = query.key_expr().as_str();
-        if key == keys::cmd(&self.prefix, swarm, "fork") {
-            return self.fork(swarm, asked);
-        }
-        if key == keys::cmd(&self.prefix, swarm, "seek") {
-            return self.seek(swarm, asked);
+        let verb = key.strip_prefix(&keys::cmd(&self.prefix, swarm, ""));
+        match verb {
+            Some("fork") => return self.fork(swarm, asked),
+            Some("seek") => return self.seek(swarm, asked),
+            _ => {}
         }
         let promise = self.desk.promise(asked, key.to_owned());
-        let verb = key.strip_prefix(&keys::cmd(&self.prefix, swarm, ""));
         let read = if query.key_expr().is_wild() {
             Err(CommandError::Wildcard)
         } else {

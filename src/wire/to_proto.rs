@@ -16,6 +16,9 @@ use crate::swarm::order::{ChangeKind, OrderError, Outcome, Recipe, Sender, Start
 use crate::swarm::phase::Phase;
 use crate::wire::durable::snapshot;
 
+/// Most messages are no longer.
+const USUAL_BYTES: usize = 512;
+
 /// The reply of `swarm` at `place`.
 pub fn reply<T>(swarm: &str, place: &Place, result: T) -> proto::Reply<T> {
     proto::Reply {
@@ -41,9 +44,11 @@ pub struct Payload {
 impl Payload {
     /// A message as JSON.
     pub fn json<T: Serialize>(message: &T) -> Self {
+        let mut bytes = Vec::with_capacity(USUAL_BYTES);
+        // All numbers are finite and all keys strings, so nothing can fail.
+        serde_json::to_writer(&mut bytes, message).expect("messages are JSON");
         Payload {
-            // All numbers are finite and all keys strings, so nothing can fail.
-            bytes: serde_json::to_vec(message).expect("messages are JSON"),
+            bytes,
             encoding: proto::JSON,
         }
     }
@@ -613,10 +618,5 @@ fn hash(seen: &Frame) -> String {
 
 /// A hash in hexadecimal.
 pub fn hexadecimal(hash: &[u8; 32]) -> String {
-    use std::fmt::Write as _;
-    let mut text = String::with_capacity(64);
-    for byte in hash {
-        let _ = write!(text, "{byte:02x}");
-    }
-    text
+    blake3::Hash::from(*hash).to_hex().to_string()
 }
