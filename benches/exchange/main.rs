@@ -8,8 +8,10 @@
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 
-use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Stdio};
+#[path = "../apart/mod.rs"]
+mod apart;
+
+use std::process::Command;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -20,7 +22,10 @@ use tokio::sync::Barrier;
 use tokio::task::JoinHandle;
 use zenoh::{Session, Wait};
 
+use apart::{Process, ask, open, settle};
+
 const SWARM: &str = "bench";
+const NODE: &str = "bench";
 const N: u64 = 50;
 
 /// Exchanges of each controller in one round, and rounds in turn with bare queries: the machine is
@@ -48,19 +53,22 @@ async fn main() {
     let as_json = std::env::args().any(|argument| argument == "--json");
     let folder = std::env::temp_dir().join(format!("jostle-exchange-{}", std::process::id()));
     let mut daemon = Command::new(env!("CARGO_BIN_EXE_jostled"));
-    daemon.args(["--listen", "tcp/127.0.0.1:0", "--http", "", "--data-dir"]);
-    daemon.arg(&folder);
-    let (mut daemon, daemon_at) = started(daemon, "listening on ");
+    daemon.args(["--listen", "tcp/127.0.0.1:0", "--http", "", "--node", NODE]);
+    daemon.arg("--data-dir").arg(&folder);
+    let mut daemon = Process::start(daemon);
+    let daemon_at = daemon.find("listening on ");
     let mut bare = Command::new(std::env::current_exe().unwrap());
     bare.env(BARE, "1");
-    let (mut bare, bare_at) = started(bare, "listening on ");
+    let mut bare = Process::start(bare);
+    let bare_at = bare.find("listening on ");
 
     let (mut askers, mut controllers) = (Vec::new(), Vec::new());
     for _ in 0..8 {
         askers.push(open(&bare_at).await);
         controllers.push(open(&daemon_at).await);
     }
-    settle(&controllers[0]).await;
+    let spec = json!({"n": N, "seed": 1});
+    settle(&controllers[0], (NODE, SWARM), spec, 5000).await;
     let mut rounds: [Vec<f64>; 8] = Default::default();
     for _ in 0..ROUNDS {
         let step = micros(steps(&controllers[0]).await);
@@ -104,10 +112,7 @@ async fn main() {
     for session in controllers.into_iter().chain(askers) {
         session.close().await.unwrap();
     }
-    for process in [&mut daemon, &mut bare] {
-        process.kill().unwrap();
-        process.wait().unwrap();
-    }
+    drop((daemon, bare));
     std::fs::remove_dir_all(folder).unwrap();
 }
 
@@ -128,76 +133,8 @@ async fn bare() {
     std::future::pending::<()>().await;
 }
 
-/// Starts a process and reads where it listens.
-fn started(mut command: Command, word: &str) -> (Child, String) {
-    let mut process = command
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
-    let endpoint = loop {
-        let line = lines.next().unwrap().unwrap();
-        if let Some((_, rest)) = line.split_once(word) {
-            break rest.split([' ', ',']).next().unwrap().to_owned();
-        }
-    };
-    std::thread::spawn(move || lines.for_each(drop));
-    (process, endpoint)
-}
-
-async fn open(endpoint: &str) -> Session {
-    let mut config = zenoh::Config::default();
-    for (setting, value) in [
-        ("mode", json!("client")),
-        ("connect/endpoints", json!([endpoint])),
-        ("scouting/multicast/enabled", json!(false)),
-        ("scouting/gossip/enabled", json!(false)),
-    ] {
-        config.insert_json5(setting, &value.to_string()).unwrap();
-    }
-    zenoh::open(config).await.unwrap()
-}
-
-async fn ask(session: &Session, key: String, request: &Value) -> Value {
-    let query = session
-        .get(key)
-        .payload(serde_json::to_vec(request).unwrap());
-    let answers = query
-        .encoding("application/json")
-        .timeout(Duration::from_secs(60));
-    let answer = answers.await.unwrap().recv_async().await.unwrap();
-    match answer.into_result() {
-        Ok(sample) => serde_json::from_slice(&sample.payload().to_bytes()).unwrap(),
-        Err(error) => panic!("{}", String::from_utf8_lossy(&error.payload().to_bytes())),
-    }
-}
-
 async fn command(session: &Session, verb: &str, request: Value) -> Value {
     ask(session, keys::cmd("jostle", SWARM, verb), &request).await
-}
-
-/// Makes the swarm and lets it come together.
-async fn settle(session: &Session) {
-    let key = keys::node_cmd("jostle", "*", "create");
-    let nodes = session
-        .liveliness()
-        .get("jostle/@node/*/alive")
-        .await
-        .unwrap();
-    let token = nodes.recv_async().await.unwrap().into_result().unwrap();
-    let node = token
-        .key_expr()
-        .as_str()
-        .split('/')
-        .nth(2)
-        .unwrap()
-        .to_owned();
-    let create = json!({"name": SWARM, "spec": {"n": N, "seed": 1}});
-    ask(session, key.replace('*', &node), &create).await;
-    for _ in 0..5 {
-        steps(session).await;
-    }
 }
 
 /// What a step takes of many at once.

@@ -8,21 +8,24 @@
 //!
 //! The daemon is a process of its own and all the clients another, each with a session of its own.
 //! A swarm of 50 steps 100 times a second and is published 20 times, first with nobody there, then
-//! with all of them.
+//! with all of them. A thread of the bench's own wakes as often and does nothing.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 
+#[path = "../apart/mod.rs"]
+mod apart;
 mod crowd;
+mod sleeper;
 
-use std::io::{BufRead, BufReader, Lines, Write};
-use std::process::{Child, ChildStdout, Command, Stdio};
+use std::process::Command;
 use std::time::Duration;
 
 use jostle_proto::keys;
-use serde_json::{Value, json};
-use zenoh::Session;
+use serde_json::json;
 
+use apart::{Process, ask, open, settle};
 use crowd::{Counted, Report};
+use sleeper::Sleeper;
 
 const SWARM: &str = "bench";
 const NODE: &str = "bench";
@@ -55,35 +58,33 @@ async fn main() {
     let mut daemon = Command::new(env!("CARGO_BIN_EXE_jostled"));
     daemon.args(["--listen", "tcp/127.0.0.1:0", "--http", "127.0.0.1:0"]);
     daemon.args(["--node", NODE, "--data-dir", &folder]);
-    let (mut daemon, mut said) = started(daemon);
-    let endpoint = find(&mut said, "listening on ");
-    let http = find(&mut said, "http on http://");
+    let mut daemon = Process::start(daemon);
+    let endpoint = daemon.find("listening on ");
+    let http = daemon.find("http on http://");
     let session = open(&endpoint).await;
     let spec = json!({"n": 50, "seed": 1, "publish_every": EVERY});
-    let key = keys::node_cmd("jostle", NODE, "create");
-    ask(&session, key, json!({"name": SWARM, "spec": spec})).await;
-    command(
-        &session,
-        "step",
-        json!({"timeout_secs": 60, "args": {"steps": 5000}}),
-    )
-    .await;
-    command(&session, "run", json!({"rate": RATE})).await;
+    settle(&session, (NODE, SWARM), spec, 5000).await;
+    let run = keys::cmd("jostle", SWARM, "run");
+    ask(&session, run, &json!({"rate": RATE})).await;
 
+    let sleeper = Sleeper::start(Duration::from_millis(10));
     let began = Counted::by(&http);
     tokio::time::sleep(Duration::from_secs(seconds as u64)).await;
     let alone = Counted::by(&http);
+    let sleeper_alone = sleeper.late_ms();
 
     let mut clients = Command::new(std::env::current_exe().unwrap());
     clients.env(FOLLOW, format!("{endpoint} {sessions}"));
-    let (mut clients, mut said) = started(clients);
-    let connected: f64 = find(&mut said, "connected ").parse().unwrap();
+    let mut clients = Process::start(clients);
+    let connected: f64 = clients.find("connected ").parse().unwrap();
     let connecting = Counted::by(&http);
     tokio::time::sleep(Duration::from_secs(1)).await;
     let before = Counted::by(&http);
-    writeln!(clients.stdin.as_ref().unwrap(), "{seconds}").unwrap();
-    let report: Report = serde_json::from_str(&find(&mut said, "report ")).unwrap();
+    sleeper.late_ms();
+    clients.tell(&seconds.to_string());
+    let report: Report = serde_json::from_str(&clients.find("report ")).unwrap();
     let after = Counted::by(&http);
+    let sleeper = [sleeper_alone, sleeper.late_ms()];
 
     let late = [
         alone.lateness_since(&began),
@@ -95,15 +96,14 @@ async fn main() {
         let told = json!({"seconds": seconds, "connected_secs": connected,
             "cores_alone": cores[0], "cores": cores[1], "resident_mb_alone": alone.resident_mb,
             "resident_mb": after.resident_mb, "late_ms_alone": late[0],
-            "late_ms_connecting": late[1], "late_ms": late[2], "clients": report});
+            "late_ms_connecting": late[1], "late_ms": late[2],
+            "sleeper_late_ms_alone": sleeper[0], "sleeper_late_ms": sleeper[1],
+            "clients": report});
         println!("{told}");
     } else {
-        print(&report, connected, cores, [&alone, &after], late);
+        print(&report, connected, cores, [&alone, &after], (late, sleeper));
     }
-    for process in [&mut clients, &mut daemon] {
-        process.kill().unwrap();
-        process.wait().unwrap();
-    }
+    drop((clients, daemon));
     std::fs::remove_dir_all(folder).unwrap();
 }
 
@@ -112,7 +112,7 @@ fn print(
     connected: f64,
     cores: [f64; 2],
     counted: [&Counted; 2],
-    late: [[f64; 2]; 3],
+    (late, sleeper): ([[f64; 2]; 3], [f64; 2]),
 ) {
     let [half, most, nearly_all] = report.delivery_ms;
     let between = |[from, to]: [f64; 2]| format!("{from} to {to} ms");
@@ -135,6 +135,10 @@ fn print(
         between(late[2])
     );
     println!("  while they connect          {}", between(late[1]));
+    println!(
+        "  of a thread that only sleeps {:8.2} ms {:8.2} ms",
+        sleeper[0], sleeper[1]
+    );
     println!("they connect in             {connected:9.1} s");
     println!("delivery, p50 p99 p99.9     {half:9.1} ms {most:9.1} ms {nearly_all:9.1} ms");
     println!(
@@ -143,47 +147,4 @@ fn print(
         100.0 * report.lost,
         100.0 * report.most_lost
     );
-}
-
-type Output = Lines<BufReader<ChildStdout>>;
-
-fn started(mut command: Command) -> (Child, Output) {
-    command.stdin(Stdio::piped()).stdout(Stdio::piped());
-    let mut process = command.stderr(Stdio::null()).spawn().unwrap();
-    let said = BufReader::new(process.stdout.take().unwrap()).lines();
-    (process, said)
-}
-
-/// What follows `word` in the next line that begins with it.
-fn find(said: &mut Output, word: &str) -> String {
-    let mut found = said.filter_map(|line| line.unwrap().strip_prefix(word).map(str::to_owned));
-    found.next().unwrap()
-}
-
-async fn open(endpoint: &str) -> Session {
-    let mut config = zenoh::Config::default();
-    for (setting, value) in [
-        ("mode", json!("client")),
-        ("connect/endpoints", json!([endpoint])),
-        ("scouting/multicast/enabled", json!(false)),
-        ("scouting/gossip/enabled", json!(false)),
-    ] {
-        config.insert_json5(setting, &value.to_string()).unwrap();
-    }
-    zenoh::open(config).await.unwrap()
-}
-
-async fn command(session: &Session, verb: &str, request: Value) {
-    ask(session, keys::cmd("jostle", SWARM, verb), request).await;
-}
-
-async fn ask(session: &Session, key: String, request: Value) {
-    let query = session.get(key).payload(request.to_string());
-    let answers = query
-        .encoding("application/json")
-        .timeout(Duration::from_secs(60));
-    let answer = answers.await.unwrap().recv_async().await.unwrap();
-    if let Err(error) = answer.into_result() {
-        panic!("{}", String::from_utf8_lossy(&error.payload().to_bytes()));
-    }
 }

@@ -1,18 +1,22 @@
 //! What the daemon's streams and commands come to, beside what bare zenoh does: a publisher of the
-//! same payload at the same pace, and a queryable that answers at once. In one run, for 1, 8 and 64
-//! subscribers, the daemon and the bare process each followed by as many sessions.
+//! same payload at the same pace, a queryable that answers at once, and one that puts a state to
+//! all who follow before it answers, as a command does. In one run, for 1, 8 and 64 subscribers, the
+//! daemon and the bare process each followed by as many sessions.
 //!
 //! ```sh
-//! cargo bench --bench service            # a table
-//! cargo bench --bench service -- --json  # an object a line
+//! cargo bench --bench service               # a table
+//! cargo bench --bench service -- --hz 2000  # another pace
+//! cargo bench --bench service -- --json     # an object a line
 //! ```
 //!
 //! The daemon keeps its data in memory (`/dev/shm`), so that no command waits for a disk.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 
-use std::io::{BufRead, BufReader};
-use std::process::{Child, Command, Stdio};
+#[path = "../apart/mod.rs"]
+mod apart;
+
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -24,13 +28,19 @@ use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
 use zenoh::{Session, Wait};
 
+use apart::{Process, ask, open, settle};
+
 const SWARM: &str = "bench";
+const NODE: &str = "bench";
 const N: u64 = 50;
+
+/// The default time step.
+const DT: f64 = 0.02;
 
 /// How many follow.
 const FOLLOWERS: [usize; 3] = [1, 8, 64];
 
-/// States a second, of both: as many as a daemon may be told to publish.
+/// States a second, of both, unless told otherwise: as many as a daemon may be told to publish.
 const HZ: u32 = 10_000;
 
 /// How long is counted, and how often in turn: the machine is shared, and what is compared is to
@@ -41,7 +51,8 @@ const ROUNDS: usize = 5;
 /// Queries of a round.
 const QUERIES: usize = 500;
 
-/// Tells a copy of this program that it is to be the bare process.
+/// Tells a copy of this program that it is to be the bare process: how long states are, how many a
+/// second.
 const BARE: &str = "JOSTLE_BENCH_BARE";
 
 /// As long as the answer to `set`.
@@ -56,58 +67,78 @@ async fn main() {
         return;
     }
     let as_json = std::env::args().any(|argument| argument == "--json");
+    let hz: u32 = std::env::args()
+        .skip_while(|argument| argument != "--hz")
+        .nth(1)
+        .map_or(HZ, |hz| hz.parse().unwrap());
     let folder = format!("/dev/shm/jostle-service-{}", std::process::id());
     let mut daemon = Command::new(env!("CARGO_BIN_EXE_jostled"));
-    daemon.args(["--listen", "tcp/127.0.0.1:0", "--http", "", "--max-hz"]);
-    daemon.args([&HZ.to_string(), "--data-dir", &folder]);
-    let (mut daemon, daemon_at) = started(daemon);
+    daemon.args(["--listen", "tcp/127.0.0.1:0", "--http", "", "--node", NODE]);
+    daemon.args(["--max-hz", &hz.to_string(), "--data-dir", &folder]);
+    let mut daemon = Process::start(daemon);
+    let daemon_at = daemon.find("listening on ");
     let client = open(&daemon_at).await;
-    let state = create(&client).await;
+    let spec = json!({"n": N, "seed": 1, "publish_every": 1});
+    settle(&client, (NODE, SWARM), spec, 5000).await;
+    let state = length_of_a_state(&client).await;
     let mut bare = Command::new(std::env::current_exe().unwrap());
-    bare.env(BARE, state.to_string());
-    let (mut bare, bare_at) = started(bare);
+    bare.env(BARE, format!("{state} {hz}"));
+    let mut bare = Process::start(bare);
+    let bare_at = bare.find("listening on ");
     let asker = open(&bare_at).await;
     if !as_json {
-        println!("n = {N}, states of {state} bytes, {HZ} a second asked for");
+        println!("n = {N}, states of {state} bytes, {hz} a second asked for; queries in µs");
         println!(
-            "followers   states/s each: bare   jostled   ratio   a query: bare   a command   ratio"
+            "followers   states/s: bare  jostled  ratio   query: bare   shown   step  of bare  of \
+             shown    set  of bare  of shown"
         );
     }
     for followers in FOLLOWERS {
         let bare_followers = Followers::new(&bare_at, followers).await;
         let daemon_followers = Followers::new(&daemon_at, followers).await;
         let mut rates: [Vec<f64>; 2] = Default::default();
-        let mut took: [Vec<Duration>; 2] = Default::default();
+        let mut took: [Vec<f64>; 4] = Default::default();
+        let mut ratios: [Vec<f64>; 4] = Default::default();
         for _ in 0..ROUNDS {
             // One of them publishes at a time.
-            ask(&asker, "run", &json!({})).await;
+            command(&asker, "run", &json!({})).await;
             rates[0].push(bare_followers.rate().await);
-            ask(&asker, "pause", &json!({})).await;
-            ask(&client, "run", &json!({"rate": f64::from(HZ) / 50.0})).await;
+            command(&asker, "pause", &json!({})).await;
+            command(&client, "run", &json!({"rate": f64::from(hz) * DT})).await;
             rates[1].push(daemon_followers.rate().await);
-            ask(&client, "pause", &json!({})).await;
-            took[0].extend(queries(&asker).await);
-            took[1].extend(queries(&client).await);
+            command(&client, "pause", &json!({})).await;
+            let query = queries(&asker, "set", setting).await;
+            let shown = queries(&asker, "step", setting).await;
+            let step = queries(&client, "step", |_| json!({"steps": 1})).await;
+            let set = queries(&client, "set", setting).await;
+            for (all, micros) in took.iter_mut().zip([query, shown, step, set]) {
+                all.push(micros);
+            }
+            let of_both = [step / query, step / shown, set / query, set / shown];
+            for (all, ratio) in ratios.iter_mut().zip(of_both) {
+                all.push(ratio);
+            }
         }
         let [bare_rate, rate] = rates.map(median);
-        let [query, command] = took.map(|took| median(took).as_secs_f64() * 1e6);
-        let (of_rate, of_query) = (rate / bare_rate, command / query);
+        let [query, shown, step, set] = took.map(median);
+        let [step_of_bare, step_of_shown, set_of_bare, set_of_shown] = ratios.map(median);
+        let of_rate = rate / bare_rate;
         if as_json {
-            let told = json!({"followers": followers, "n": N, "state_bytes": state,
+            let told = json!({"followers": followers, "n": N, "state_bytes": state, "hz": hz,
                 "bare_states_per_s": bare_rate, "states_per_s": rate, "of_bare_rate": of_rate,
-                "bare_query_us": query, "command_us": command, "of_bare_query": of_query});
+                "bare_query_us": query, "shown_query_us": shown,
+                "step_us": step, "step_of_bare": step_of_bare, "step_of_shown": step_of_shown,
+                "set_us": set, "set_of_bare": set_of_bare, "set_of_shown": set_of_shown});
             println!("{told}");
         } else {
             println!(
-                "{followers:9} {bare_rate:22.0} {rate:9.0} {of_rate:7.2} {query:12.0} µs {command:8.0} \
-                 µs {of_query:7.2}"
+                "{followers:9} {bare_rate:16.0} {rate:8.0} {of_rate:6.2} {query:13.0} {shown:7.0} \
+                 {step:6.0} {step_of_bare:8.2} {step_of_shown:9.2} {set:6.0} {set_of_bare:8.2} \
+                 {set_of_shown:9.2}"
             );
         }
     }
-    for process in [&mut daemon, &mut bare] {
-        process.kill().unwrap();
-        process.wait().unwrap();
-    }
+    drop((daemon, bare));
     std::fs::remove_dir_all(folder).unwrap();
 }
 
@@ -150,34 +181,37 @@ impl Followers {
 }
 
 /// A session like the daemon's that publishes so many bytes at the pace while it is told to, and
-/// answers at once.
+/// answers at once, a `step` after it has put a state.
 async fn bare() {
-    let bytes: usize = std::env::var(BARE).unwrap().parse().unwrap();
+    let told = std::env::var(BARE).unwrap();
+    let (bytes, hz) = told.split_once(' ').unwrap();
+    let (bytes, hz): (usize, u32) = (bytes.parse().unwrap(), hz.parse().unwrap());
     let listen = ["tcp/127.0.0.1:0".to_owned()];
     let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody, 100)
         .await
         .unwrap();
+    let publisher = session
+        .declare_publisher(keys::state("jostle", SWARM))
+        .congestion_control(CongestionControl::Drop)
+        .encoding("application/cbor");
+    let publisher = Arc::new(publisher.await.unwrap());
     let runs = Arc::new(std::sync::atomic::AtomicBool::new(false));
-    let told = runs.clone();
+    let (told, shown) = (runs.clone(), publisher.clone());
     let queryable = session
         .declare_queryable("jostle/*/cmd/**")
         .callback(move |query| {
             match query.key_expr().as_str() {
                 key if key.ends_with("/run") => told.store(true, Ordering::Relaxed),
                 key if key.ends_with("/pause") => told.store(false, Ordering::Relaxed),
+                key if key.ends_with("/step") => shown.put(vec![0; bytes]).wait().unwrap(),
                 _ => {}
             }
             let reply = query.reply(query.key_expr().clone(), ANSWER);
             reply.encoding("application/json").wait().unwrap();
         });
     let _queryable = queryable.await.unwrap();
-    let publisher = session
-        .declare_publisher(keys::state("jostle", SWARM))
-        .congestion_control(CongestionControl::Drop)
-        .encoding("application/cbor");
-    let publisher = publisher.await.unwrap();
     println!("listening on {}", session.info().locators().await[0]);
-    let period = Duration::from_secs(1) / HZ;
+    let period = Duration::from_secs(1) / hz;
     let mut next = Instant::now();
     loop {
         if !runs.load(Ordering::Relaxed) {
@@ -196,81 +230,32 @@ async fn bare() {
     }
 }
 
-/// Starts a process and reads where it listens.
-fn started(mut command: Command) -> (Child, String) {
-    let mut process = command
-        .stdout(Stdio::piped())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
-    let mut lines = BufReader::new(process.stdout.take().unwrap()).lines();
-    let endpoint = loop {
-        let line = lines.next().unwrap().unwrap();
-        if let Some((_, rest)) = line.split_once("listening on ") {
-            break rest.split([' ', ',']).next().unwrap().to_owned();
-        }
-    };
-    std::thread::spawn(move || lines.for_each(drop));
-    (process, endpoint)
+async fn command(session: &Session, verb: &str, request: &Value) {
+    ask(session, keys::cmd("jostle", SWARM, verb), request).await;
 }
 
-async fn open(endpoint: &str) -> Session {
-    let mut config = zenoh::Config::default();
-    for (setting, value) in [
-        ("mode", json!("client")),
-        ("connect/endpoints", json!([endpoint])),
-        ("scouting/multicast/enabled", json!(false)),
-        ("scouting/gossip/enabled", json!(false)),
-    ] {
-        config.insert_json5(setting, &value.to_string()).unwrap();
-    }
-    zenoh::open(config).await.unwrap()
-}
-
-async fn ask(session: &Session, verb: &str, request: &Value) -> Value {
-    ask_at(session, keys::cmd("jostle", SWARM, verb), request).await
-}
-
-async fn ask_at(session: &Session, key: String, request: &Value) -> Value {
-    let query = session
-        .get(key)
-        .payload(serde_json::to_vec(request).unwrap());
-    let answers = query
-        .encoding("application/json")
-        .timeout(Duration::from_secs(60));
-    let answer = answers.await.unwrap().recv_async().await.unwrap();
-    match answer.into_result() {
-        Ok(sample) => serde_json::from_slice(&sample.payload().to_bytes()).unwrap(),
-        Err(error) => panic!("{}", String::from_utf8_lossy(&error.payload().to_bytes())),
-    }
-}
-
-/// Makes the swarm and lets it come together. Returns how long its states are.
-async fn create(session: &Session) -> usize {
-    let nodes = session.liveliness().get("jostle/@node/*/alive");
-    let token = nodes.await.unwrap().recv_async().await.unwrap();
-    let token = token.into_result().unwrap();
-    let node = token.key_expr().as_str().split('/').nth(2).unwrap();
-    let spec = json!({"n": N, "seed": 1, "publish_every": 1});
-    let key = keys::node_cmd("jostle", node, "create");
-    ask_at(session, key, &json!({"name": SWARM, "spec": spec})).await;
-    let settle = json!({"timeout_secs": 60, "args": {"steps": 5000}});
-    ask(session, "step", &settle).await;
+/// How many bytes a published state has.
+async fn length_of_a_state(session: &Session) -> usize {
     let states = session.get(keys::state("jostle", SWARM)).await.unwrap();
     let state = states.recv_async().await.unwrap().into_result().unwrap();
     state.payload().len()
 }
 
-/// What commands take, one after the other.
-async fn queries(session: &Session) -> Vec<Duration> {
+/// A command that is safe on the disk before it is answered.
+fn setting(k: usize) -> Value {
+    json!({"pi2": 0.5 + (k % 2) as f64})
+}
+
+/// What commands take, one after the other: the median, in microseconds.
+async fn queries(session: &Session, verb: &str, request: impl Fn(usize) -> Value) -> f64 {
     let mut took = Vec::new();
     for k in 0..QUERIES {
-        let request = json!({"pi2": 0.5 + (k % 2) as f64});
+        let request = request(k);
         let began = Instant::now();
-        ask(session, "set", &request).await;
-        took.push(began.elapsed());
+        command(session, verb, &request).await;
+        took.push(began.elapsed().as_secs_f64() * 1e6);
     }
-    took
+    median(took)
 }
 
 fn median<T: PartialOrd + Copy>(mut values: Vec<T>) -> T {

@@ -7,6 +7,7 @@
 pub mod attraction;
 pub mod body;
 pub mod configuration;
+pub mod heading;
 pub mod injection;
 pub mod lanes;
 pub mod pairs;

@@ -5,8 +5,8 @@ pub mod clusters;
 pub mod intervals;
 pub mod nematic;
 
+use crate::model::heading::unit_vectors;
 use crate::model::{Configuration, lanes};
-use crate::stepper::heading::unit_vectors;
 
 /// The sum of the informed individuals' weighted unit vectors counts as cancelled below this
 /// share of the weights: its direction would be rounding.

@@ -78,19 +78,23 @@ pub struct Clerk {
 }
 
 impl Clerk {
-    /// Answers a query where it came in, if that is done in a moment and nothing came before it:
-    /// an exchange in lock-step is worth one thread less to wake. Otherwise false.
-    pub fn answers_at_the_door(&self, topic: &Topic, query: &Query, asked: &Asked) -> bool {
+    /// Reads a command where it came in and hands it to its swarm, if that is done in a moment and
+    /// nothing came before it: it is worth one thread less to wake. Otherwise false.
+    pub fn reads_at_the_door(&self, topic: &Topic, query: &Query, asked: &Asked) -> bool {
         let is_short = query.payload().map_or(0, ZBytes::len) <= MOST_BYTES_AT_THE_DOOR;
-        let is_advance = query.key_expr().as_str().ends_with("/cmd/advance");
+        let takes_long = |verb: &str| matches!(verb, "fork" | "seek" | "delete");
+        let verb = query.key_expr().as_str().rsplit('/').next();
         let is_first = self.waiting.load(Ordering::Acquire) == 0;
-        let answers = is_short && is_advance && is_first && matches!(topic, Topic::Command(_));
-        if answers {
+        let is_read = matches!(topic, Topic::Command(_))
+            && is_short
+            && is_first
+            && !verb.is_none_or(takes_long);
+        if is_read {
             let door = Arc::default();
             self.survive(topic, &asked.at(&door));
             door.shut();
         }
-        answers
+        is_read
     }
 
     /// Dispatches a query.

@@ -57,7 +57,7 @@ pub fn queryable(
         .callback(move |query| {
             let asked = clerk.desk.take_in(&query, &turns);
             let is_taken = asked.is_some_and(|asked| {
-                if clerk.answers_at_the_door(&topic, &query, &asked) {
+                if clerk.reads_at_the_door(&topic, &query, &asked) {
                     return true;
                 }
                 clerk.waiting.fetch_add(1, Ordering::AcqRel);

@@ -1,7 +1,7 @@
 //! What every individual would do alone in one step.
 
-use super::heading::unit_vectors;
 use crate::model::attraction::Social;
+use crate::model::heading::unit_vectors;
 use crate::model::lanes::Level;
 use crate::model::random::{Purpose, Stream};
 use crate::model::{Configuration, Drive, Parameters, State};

@@ -8,7 +8,6 @@
 pub mod contact;
 mod ends;
 pub mod free;
-pub mod heading;
 mod memory;
 mod neighbours;
 pub mod qp;
@@ -17,11 +16,11 @@ pub mod solve;
 use thiserror::Error;
 
 use crate::model::attraction::Social;
+use crate::model::heading::unit_vector;
 use crate::model::lanes::Level;
 use crate::model::threads::Pool;
 use crate::model::{CELL, Configuration, ContactRule, Parameters, SolverMemory, State, Stepping};
 use contact::Contact;
-use heading::unit_vector;
 use neighbours::Neighbours;
 use qp::Qp;
 

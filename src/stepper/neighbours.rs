@@ -151,10 +151,10 @@ mod tests {
 
     use super::*;
     use crate::model::body::near_pairs;
+    use crate::model::heading::unit_vectors;
     use crate::model::lanes::Level;
     use crate::model::random::{Purpose, Stream};
     use crate::model::start;
-    use crate::stepper::heading::unit_vectors;
 
     /// Asks as a step does, and tells whether the list was made anew.
     fn ask(neighbours: &mut Neighbours, parameters: &Parameters, now: &Configuration) -> bool {

@@ -1,5 +1,5 @@
-//! Where a swarm lies while its thread sleeps and waits for its controllers. Whoever brings what
-//! it waits for may carry that out there and then: waking the thread takes longer than a step.
+//! Where a paused swarm lies while its thread sleeps. Whoever brings a command that has it step may
+//! carry that out there and then: waking the thread takes longer than a step.
 //!
 //! The swarm has one owner at a time, its thread or whoever holds the shelf.
 
@@ -50,7 +50,11 @@ impl Shelf {
             return Err(Box::new(command));
         };
         match shelf.as_mut() {
-            Some(worker) if self.queued.load(Ordering::Acquire) == 0 && worker.has_a_moment() => {
+            Some(worker)
+                if command.order.is_carried_out_first()
+                    && self.queued.load(Ordering::Acquire) == 0
+                    && worker.has_a_moment() =>
+            {
                 Ok(worker.carry_out_here(command))
             }
             _ => Err(Box::new(command)),

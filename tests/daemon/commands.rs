@@ -3,7 +3,7 @@
 use jostle_proto::ErrorCode;
 use serde_json::{Value, json};
 
-use crate::support::{Client, Daemon, NODE, until};
+use crate::support::{Client, Daemon, NODE, PREFIX, read, until};
 
 /// A swarm that faults within a few steps: bodies that turn at a touch, in the longest step that
 /// is allowed, are turned so far that two of them cross.
@@ -567,5 +567,35 @@ async fn wait_answers_when_it_has_come_about_or_cannot() {
     if let Err(error) = waiting.await.unwrap() {
         assert_eq!(error.code, ErrorCode::NotFound);
     }
+    daemon.stop().await;
+}
+
+/// Long ones are read by a thread of its own, short ones where they come in.
+#[tokio::test(flavor = "multi_thread")]
+async fn commands_of_one_client_are_carried_out_in_the_order_they_were_sent_in() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 10})).await;
+    let long = " ".repeat(40_000);
+    let mut answers = Vec::new();
+    for k in 0..99 {
+        let (verb, request) = match k % 3 {
+            0 => ("set", format!("{{\"pi2\": {k}}}{long}")),
+            1 => (
+                "inform",
+                json!({"ids": [k % 10], "direction": 0.1}).to_string(),
+            ),
+            _ => ("set", json!({"pi2": k}).to_string()),
+        };
+        let get = client.session.get(format!("{PREFIX}/a/cmd/{verb}"));
+        answers.push(get.payload(request).await.unwrap());
+    }
+    let mut seqs = Vec::new();
+    for answer in answers {
+        let answer = answer.recv_async().await.unwrap().into_result().unwrap();
+        let reply = read(answer.encoding(), &answer.payload().to_bytes());
+        seqs.push(reply["seq"].as_u64().unwrap());
+    }
+    assert_eq!(seqs, (1..=99).collect::<Vec<_>>());
     daemon.stop().await;
 }

@@ -645,3 +645,28 @@ async fn an_exchange_wakes_no_thread_of_the_swarm() {
         .await;
     assert_eq!(status["step"], 1011);
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_short_step_of_a_paused_swarm_wakes_no_thread_of_it_either() {
+    let daemon = Daemon::start().await;
+    let (client, swarm) = (&daemon.client, "stepped");
+    client.create(swarm, json!({"n": 12})).await;
+    let steps = async |count: u64| {
+        for _ in 0..count {
+            client.ok(swarm, "step", json!({"steps": 1})).await;
+        }
+    };
+    steps(10).await;
+    let mut woken = Vec::new();
+    for _ in 0..10 {
+        let before = wakings(swarm);
+        steps(100).await;
+        woken.push(wakings(swarm) - before);
+    }
+    let least = woken.iter().min().unwrap();
+    assert!(*least < 50, "woken {woken:?} times in 100 steps each");
+    // Many at once are left to the thread, whatever one of them takes.
+    let many = client.ok(swarm, "step", json!({"steps": 20_000})).await;
+    assert_eq!(many["step"], 21_010);
+    daemon.stop().await;
+}

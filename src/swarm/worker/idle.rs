@@ -1,5 +1,5 @@
-//! What a swarm does while its thread sleeps: it waits for its controllers, and whoever brings
-//! what it waits for has it go on at once.
+//! What a swarm does while it is paused and its thread sleeps: whoever brings a command that has it
+//! step has it go on at once.
 
 use std::time::{Duration, Instant};
 
@@ -12,9 +12,9 @@ use crate::swarm::worker::Worker;
 const MOMENT: Duration = Duration::from_micros(100);
 
 impl Worker {
-    /// Whether only its controllers have it go on.
+    /// Whether it goes on only when it is told to.
     pub(super) fn lies_idle(&self) -> bool {
-        self.controllers.is_lockstep() && matches!(self.phase, Phase::Paused(_))
+        matches!(self.phase, Phase::Paused(_))
     }
 
     /// Whether it can take a command at once, neither waiting for the disk nor with anything else
@@ -26,7 +26,8 @@ impl Worker {
             && !self.controllers.due().is_some_and(is_due)
     }
 
-    /// Carries out a controller's command, and takes the steps it leads to if they are short.
+    /// Carries out a command that need not be safe before, and takes the steps it leads to if they
+    /// are short.
     /// Returns whether its thread is to be woken, to go on or to wake earlier than it would.
     pub fn carry_out_here(&mut self, command: Command) -> bool {
         self.tally.pulse.beat();

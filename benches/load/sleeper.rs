@@ -1,0 +1,52 @@
+//! A thread that only sleeps, beside the daemon's: how late it wakes is what this machine makes of
+//! any thread that is to run when a swarm's steps are due.
+
+use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use jostled::swarm::rank::rank;
+
+/// That of a swarm's thread.
+const NICENESS: i32 = 5;
+
+/// Sleeps until it is dropped.
+pub struct Sleeper {
+    late_ms: Arc<Mutex<Vec<f64>>>,
+    _stop: Sender<()>,
+}
+
+impl Sleeper {
+    /// Wakes so often from here on.
+    pub fn start(period: Duration) -> Self {
+        let (stop, stopped) = channel::<()>();
+        let late_ms = Arc::<Mutex<Vec<f64>>>::default();
+        let woken = late_ms.clone();
+        thread::spawn(move || {
+            rank(NICENESS).unwrap();
+            let mut next = Instant::now() + period;
+            let until = |next: Instant| next.saturating_duration_since(Instant::now());
+            while let Err(RecvTimeoutError::Timeout) = stopped.recv_timeout(until(next)) {
+                let late = next.elapsed();
+                let mut woken = woken.lock().unwrap_or_else(PoisonError::into_inner);
+                woken.push(late.as_secs_f64() * 1e3);
+                next += period;
+            }
+        });
+        Sleeper {
+            late_ms,
+            _stop: stop,
+        }
+    }
+
+    /// By how many milliseconds 99.9 % were late at most, since it was last asked.
+    pub fn late_ms(&self) -> f64 {
+        let mut late = self.late_ms.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut late = std::mem::take(&mut *late);
+        late.sort_by(f64::total_cmp);
+        late.get(late.len() * 999 / 1000)
+            .copied()
+            .unwrap_or_default()
+    }
+}
