@@ -579,13 +579,14 @@ async fn commands_of_one_client_are_carried_out_in_the_order_they_were_sent_in()
     let long = " ".repeat(40_000);
     let mut answers = Vec::new();
     for k in 0..99 {
+        let setting = json!({"pi2": 0.001 * f64::from(k)}).to_string();
         let (verb, request) = match k % 3 {
-            0 => ("set", format!("{{\"pi2\": {k}}}{long}")),
+            0 => ("set", setting + &long),
             1 => (
                 "inform",
-                json!({"ids": [k % 10], "direction": 0.1}).to_string(),
+                json!({"select": {"ids": [k % 10]}, "direction": 0.1}).to_string(),
             ),
-            _ => ("set", json!({"pi2": k}).to_string()),
+            _ => ("set", setting),
         };
         let get = client.session.get(format!("{PREFIX}/a/cmd/{verb}"));
         answers.push(get.payload(request).await.unwrap());
