@@ -33,7 +33,7 @@ pub enum Auth {
         #[arg(value_name = "NAME", required = true)]
         names: Vec<String>,
     },
-    /// Say who there is, and what they are.
+    /// Say who there is, what they are, and until when their certificates hold.
     List {
         /// As JSON.
         #[arg(long)]
@@ -72,13 +72,23 @@ fn listed(known: &People, as_json: bool) -> String {
     let people = known.people.iter();
     if as_json {
         let people: Vec<_> = people
-            .map(|it| json!({"person": it.person, "role": it.role}))
+            .map(|it| json!({"person": it.person, "role": it.role, "until": it.until}))
             .collect();
-        return format!("{}\n", json!({"people": people}));
+        let told = json!({"people": people, "daemon_until": known.until});
+        return format!("{told}\n");
     }
-    people
-        .map(|it| format!("{:12} {}\n", it.role.name(), it.person))
-        .collect()
+    let until = |day: &Option<String>| {
+        let told = day.as_ref().map(|day| format!("until {day}"));
+        told.unwrap_or_default()
+    };
+    let line = |what: &str, who: &str, day| {
+        let line = format!("{what:12} {who:20} {}", until(day));
+        format!("{}\n", line.trim_end())
+    };
+    let all: String = people
+        .map(|it| line(it.role.name(), &it.person, &it.until))
+        .collect();
+    all + &line("(daemon)", "", &known.until)
 }
 
 /// What to do with the folders of new people.

@@ -110,6 +110,17 @@ fn authority() -> Result<CertificateParams, rcgen::Error> {
     Ok(params)
 }
 
+/// The last day of a certificate that is made today, as `2029-02-24`.
+pub fn last_day() -> String {
+    in_days(DAYS)
+}
+
+/// The day that is so many days from today; in this form later ones come after earlier ones.
+pub fn in_days(days: i64) -> String {
+    let day = OffsetDateTime::now_utc() + Duration::days(days);
+    day.date().to_string()
+}
+
 fn hold(params: &mut CertificateParams, days: i64) {
     let now = OffsetDateTime::now_utc();
     params.not_before = now - SKEW;

@@ -29,6 +29,9 @@ pub struct Entry {
     pub role: Role,
     /// BLAKE3 of their token, in hexadecimal.
     pub token_hash: String,
+    /// The last day of their certificate, as `2029-02-24`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until: Option<String>,
 }
 
 /// What `people.json` says.
@@ -37,6 +40,9 @@ pub struct Entry {
 pub struct People {
     /// Where people are to look for the daemon.
     pub endpoint: String,
+    /// The last day of the daemon's certificate.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub until: Option<String>,
     /// Everybody, by name.
     pub people: Vec<Entry>,
 }

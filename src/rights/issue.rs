@@ -10,7 +10,7 @@ use jostle_proto::role::is_person;
 use jostle_proto::{Credentials, Role};
 use serde_json::{Value, json};
 
-use crate::rights::certificates::{Authority, Pair};
+use crate::rights::certificates::{Authority, Pair, last_day};
 use crate::rights::folder::{Entry, Folder, People, at, read, write, write_json};
 use crate::rights::{RightsError, secret};
 
@@ -46,7 +46,8 @@ pub fn init(
     let _held = folder.hold()?;
     let authority = authority(folder)?;
     let is_whole = folder.daemon().iter().all(|path| path.exists());
-    if !hosts.is_empty() || !is_whole {
+    let is_renewed = !hosts.is_empty() || !is_whole;
+    if is_renewed {
         let own = OWN_NAMES.map(str::to_owned).into_iter();
         let mut hosts: Vec<String> = own.chain(hosts.iter().cloned()).collect();
         hosts.dedup();
@@ -63,12 +64,16 @@ pub fn init(
             folder.write_passwords(&[])?;
             People {
                 endpoint: endpoint(&own.to_owned()),
+                until: None,
                 people: Vec::new(),
             }
         }
     };
     if let Some(host) = hosts.first() {
         known.endpoint = endpoint(host);
+    }
+    if is_renewed {
+        known.until = Some(last_day());
     }
     folder.write_people(&known)?;
     if !folder.settings_file().exists() {
@@ -194,6 +199,7 @@ fn add_by(
             person: name.clone(),
             role: *role,
             token_hash: blake3::hash(credentials.token.as_bytes()).to_string(),
+            until: Some(last_day()),
         });
         passwords.retain(|(person, _)| person != name);
         passwords.push((name.clone(), credentials.password.clone()));

@@ -16,7 +16,8 @@ use jostle_proto::Role;
 use jostle_proto::role::{is_controller_of, is_person, refusal};
 use thiserror::Error;
 
-use crate::rights::folder::Folder;
+use crate::rights::certificates::in_days;
+use crate::rights::folder::{Entry, Folder};
 
 /// Between a person's name and what their client calls itself: no name has it.
 const BEFORE_CLAIM: char = ':';
@@ -162,6 +163,36 @@ impl Rights {
         Ok(Rights::People { folder, people })
     }
 
+    /// Whose certificates end within so many days, and how to give them new ones: a line each.
+    ///
+    /// # Errors
+    ///
+    /// [`RightsError`] when who there is cannot be read.
+    pub fn ending(&self, days: i64) -> Result<Vec<String>, RightsError> {
+        let Rights::People { folder, .. } = self else {
+            return Ok(Vec::new());
+        };
+        let known = folder.people()?;
+        let soon = in_days(days);
+        let is_soon = |until: &Option<String>| until.as_ref().is_some_and(|it| *it <= soon);
+        let mut lines = Vec::new();
+        if let Some(until) = known.until.filter(|it| *it <= soon) {
+            lines.push(format!(
+                "the daemon's certificate holds until {until}: `jostled auth init --host NAME` with \
+                 each of its names makes a new one"
+            ));
+        }
+        for entry in known.people.iter().filter(|it| is_soon(&it.until)) {
+            let Entry { person, role, .. } = entry;
+            lines.push(format!(
+                "the certificate of {person} holds until {}: `jostled auth remove {person}` and \
+                 `jostled auth add {person}={role}` make a new folder",
+                entry.until.as_deref().unwrap_or_default()
+            ));
+        }
+        Ok(lines)
+    }
+
     /// Everybody the daemon knows; none where whoever reaches it may do everything.
     pub fn people(&self) -> Option<impl Iterator<Item = &Person>> {
         match self {
@@ -228,7 +259,35 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use super::*;
+    use crate::rights::certificates::DAYS;
     use crate::rights::issue;
+
+    #[test]
+    fn certificates_that_end_soon_are_told_of_with_the_remedy() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = Folder::at(base.path().join("auth"));
+        issue::init(&folder, &[], &[("vera".into(), Role::Viewer)]).unwrap();
+        let rights = Rights::read(folder.clone()).unwrap();
+        assert_eq!(rights.ending(60).unwrap(), [""; 0]);
+        let told = rights.ending(DAYS).unwrap().join("\n");
+        let day = in_days(DAYS);
+        assert!(
+            told.contains(&format!("the daemon's certificate holds until {day}")),
+            "{told}"
+        );
+        assert!(
+            told.contains(&format!("of vera holds until {day}")),
+            "{told}"
+        );
+        assert!(told.contains("`jostled auth add vera=viewer`"), "{told}");
+        // What was made by an older program says of no day.
+        let mut known = folder.people().unwrap();
+        known.until = None;
+        known.people[0].until = None;
+        folder.write_people(&known).unwrap();
+        assert_eq!(rights.ending(DAYS).unwrap(), [""; 0]);
+        assert!(matches!(Rights::Everybody.ending(DAYS), Ok(none) if none.is_empty()));
+    }
 
     #[test]
     fn each_may_what_their_role_may_by_their_token_alone() {

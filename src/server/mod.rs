@@ -77,6 +77,9 @@ const PATIENCE_WITH_STORE: Duration = Duration::from_secs(1);
 /// How long closing the session may take; with a frozen client it would be ten seconds.
 const PATIENCE_WITH_SESSION: Duration = Duration::from_secs(1);
 
+/// How many days before its end a certificate is told of.
+const DAYS_OF_NOTICE: i64 = 60;
+
 /// Why the daemon does not serve.
 #[derive(Debug, Error)]
 pub enum ServerError {
@@ -150,6 +153,18 @@ pub struct Server {
     doors: (LivelinessToken, [Queryable<()>; 4], [Subscriber<()>; 2]),
 }
 
+/// Tells of certificates that end soon: at once, and once a day for as long as the daemon runs.
+async fn warn_of_certificates(rights: Arc<Rights>) {
+    let mut days = tokio::time::interval(Duration::from_secs(24 * 60 * 60));
+    loop {
+        days.tick().await;
+        match rights.ending(DAYS_OF_NOTICE) {
+            Ok(ending) => ending.iter().for_each(|line| warn!("{line}")),
+            Err(error) => warn!(%error, "failed to see which certificates end soon"),
+        }
+    }
+}
+
 /// Opens the session and serves.
 ///
 /// # Errors
@@ -164,6 +179,9 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         None => Rights::Everybody,
     };
     let rights = Arc::new(rights);
+    if let Rights::People { .. } = &*rights {
+        tokio::spawn(warn_of_certificates(rights.clone()));
+    }
     let http = match gateway::check(&config.http, config.auth_dir.is_some())? {
         Some(place) => {
             let acceptor = match &*rights {
