@@ -15,7 +15,8 @@ use crate::host::{Created, HostError};
 use crate::server::{Server, archive};
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::{self, Handle, Ticket};
-use crate::swarm::order::{Answer, Answered, Awaited, Order, OrderError, Outcome, Sender, When};
+use crate::swarm::order::{Awaited, Order, Sender, When};
+use crate::swarm::outcome::{Answer, Answered, OrderError, Outcome};
 use crate::swarm::simulation::steps_in;
 use crate::swarm::waiters::Waiter;
 

@@ -5,7 +5,8 @@ use jostle_proto::verbs::CreateArgs;
 
 use crate::command::{CommandError, check_name};
 use crate::host::Limits;
-use crate::swarm::order::{OrderError, Recipe};
+use crate::swarm::order::Recipe;
+use crate::swarm::outcome::OrderError;
 use crate::wire;
 
 /// Checks the name and the spec of a new swarm.

@@ -15,7 +15,7 @@ use crate::model::start::StartError;
 use crate::recording::RecordError;
 use crate::replay::{MOST_BYTES, ReplayError};
 use crate::rights::NotPermitted;
-use crate::swarm::order::OrderError;
+use crate::swarm::outcome::OrderError;
 use crate::wire::WireError;
 
 /// Why a request was refused.

@@ -7,7 +7,8 @@ use thiserror::Error;
 
 use super::file::Source;
 use super::grid::{self, AXES, Choice, Grid};
-use crate::swarm::order::{OrderError, Recipe, Start};
+use crate::swarm::order::{Recipe, Start};
+use crate::swarm::outcome::OrderError;
 use crate::swarm::simulation::{begin, steps_in};
 use crate::wire::{count, recipe};
 

@@ -11,7 +11,7 @@ use crate::model::{ContactRule, State, body};
 use crate::observables::intervals::Intervals;
 use crate::observables::{self, Order, RunningMeans, Wish};
 use crate::stepper::{StepReport, Stepper};
-use crate::swarm::order::OrderError;
+use crate::swarm::outcome::OrderError;
 use crate::swarm::simulation;
 use crate::wire::hexadecimal;
 

@@ -19,7 +19,7 @@ use crate::command::CommandError;
 use crate::meter::Pulse;
 use crate::server::deadlines::{Deadlines, Due};
 use crate::server::ledger::Page;
-use crate::swarm::order::OrderError;
+use crate::swarm::outcome::OrderError;
 use crate::wire::Payload;
 
 /// Queries by one door that may be unanswered; beyond that new ones are turned away. So many are

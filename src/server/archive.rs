@@ -10,7 +10,8 @@ use crate::store::{self, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::journal::{Wanted, WriteFault, Written};
-use crate::swarm::order::{Outcome, Recipe};
+use crate::swarm::order::Recipe;
+use crate::swarm::outcome::Outcome;
 use crate::wire::{self, Payload, durable};
 
 /// What is stored of a swarm beside its journal.

@@ -27,7 +27,7 @@ use crate::server::query::{self, Topic};
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::Ticket;
-use crate::swarm::order::{Answered, OrderError, Outcome, Refusal};
+use crate::swarm::outcome::{Answered, OrderError, Outcome, Refusal};
 use crate::wire::{self, Payload};
 
 /// The longest request that is read where it came in, in bytes.

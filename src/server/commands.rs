@@ -15,7 +15,7 @@ use crate::server::ledger::Entered;
 use crate::server::query::token;
 use crate::server::session::MAX_MESSAGE_BYTES;
 use crate::swarm::handle::{self, Ticket};
-use crate::swarm::order::{Answer, Outcome, Refusal};
+use crate::swarm::outcome::{Answer, Outcome, Refusal};
 use crate::wire;
 
 /// The longest request that says nothing of every individual, in bytes.

@@ -19,7 +19,7 @@ use crate::server::clerk::Clerk;
 use crate::server::recovery;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::handle::Ticket;
-use crate::swarm::order::{Answer, OrderError, Outcome, Refusal};
+use crate::swarm::outcome::{Answer, OrderError, Outcome, Refusal};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::worker::replay::To;
 use crate::wire::{self, Payload, sanity};

@@ -18,7 +18,7 @@ use crate::server::query::{format, names, no_parameters, token};
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::Ticket;
-use crate::swarm::order::Outcome;
+use crate::swarm::outcome::Outcome;
 use crate::swarm::waiters::Waiter;
 use crate::wire::{self, Payload};
 

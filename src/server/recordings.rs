@@ -13,7 +13,7 @@ use crate::server::clerk::Clerk;
 use crate::server::copies::refuse_when;
 use crate::server::experiments::Errands;
 use crate::swarm::handle::Ticket;
-use crate::swarm::order::{OrderError, Outcome, Refusal};
+use crate::swarm::outcome::{OrderError, Outcome, Refusal};
 use crate::wire::{self, Payload, WireError};
 
 impl Clerk {

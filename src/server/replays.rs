@@ -17,7 +17,8 @@ use crate::server::clerk::Clerk;
 use crate::server::copies::refuse_when;
 use crate::swarm::film::Film as _;
 use crate::swarm::handle::Ticket;
-use crate::swarm::order::{Answer, Order, Outcome, Refusal};
+use crate::swarm::order::Order;
+use crate::swarm::outcome::{Answer, Outcome, Refusal};
 use crate::wire::{self, Payload};
 
 /// How long a recording may take to be opened before its asker hears that it takes longer.

@@ -8,7 +8,8 @@ use std::time::{Duration, Instant};
 
 use crate::model::Drive;
 use crate::model::selection::Selection;
-use crate::swarm::order::{Answer, OrderError, Sender};
+use crate::swarm::order::Sender;
+use crate::swarm::outcome::{Answer, OrderError};
 
 /// Controllers that may join one swarm.
 const MOST: usize = 256;

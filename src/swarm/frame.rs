@@ -7,7 +7,8 @@ use crate::model::configuration::Configuration;
 use crate::model::parameters::Parameters;
 use crate::observables::{Order, RunningMeans};
 use crate::swarm::control::Seen;
-use crate::swarm::order::{OrderError, Rate, Sender};
+use crate::swarm::order::{Rate, Sender};
+use crate::swarm::outcome::OrderError;
 use crate::swarm::phase::Phase;
 
 /// Where a swarm is: the head of every answer.

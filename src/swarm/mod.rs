@@ -10,6 +10,7 @@ pub mod handle;
 pub mod history;
 pub mod journal;
 pub mod order;
+pub mod outcome;
 pub mod outlet;
 pub mod pace;
 pub mod phase;

@@ -1,19 +1,10 @@
-//! What a swarm can be told, and what it answers.
+//! What a swarm can be told.
 
-use std::sync::Arc;
-
-use thiserror::Error;
-
-use crate::model::injection::{InjectionError, Pose, Region};
-use crate::model::parameters::{Attraction, ContactRule, Parameters, ParametersError, Stepping};
-use crate::model::resize::ResizeError;
-use crate::model::selection::{Selection, SelectionError};
-use crate::model::start::StartError;
-use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::control::{Departure, MOST_MISSES, News, SetPoints, Terms};
-use crate::swarm::frame::{Frame, Place};
-use crate::swarm::journal::WriteFault;
-use crate::swarm::phase::PhaseError;
+use crate::model::injection::{Pose, Region};
+use crate::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
+use crate::model::selection::Selection;
+use crate::swarm::control::{SetPoints, Terms};
+use crate::swarm::outcome::OrderError;
 
 /// Time units per second of wall clock; `None` is as fast as possible.
 pub type Rate = Option<f64>;
@@ -110,6 +101,24 @@ impl Order {
             | Order::Leave(controller) => Some(controller),
             _ => None,
         }
+    }
+
+    /// Whether it is written down and safe before it is carried out. Steps are carried out first,
+    /// and an end is written when it comes.
+    pub fn is_written_first(&self) -> bool {
+        !self.is_carried_out_first() && !matches!(self, Order::Delete)
+    }
+
+    /// Whether it is carried out before it is safe: what is exchanged thousands of times a second.
+    pub fn is_carried_out_first(&self) -> bool {
+        matches!(
+            self,
+            Order::Step(_)
+                | Order::Advance { .. }
+                | Order::Deadline(_)
+                | Order::Lost(_)
+                | Order::Control { .. }
+        )
     }
 }
 
@@ -288,328 +297,5 @@ pub enum Awaited {
     Faulted,
 }
 
-/// What an order came to.
-#[derive(Clone, Debug)]
-pub enum Outcome {
-    /// Nothing more to say.
-    Done,
-    /// It runs to this step at this rate.
-    Runs(Option<u64>, Rate),
-    /// It took this many steps, fewer than asked for if another command came between.
-    Stepped {
-        /// How many.
-        steps: u64,
-        /// The last step that a crash would not take back.
-        safe_step: u64,
-        /// Where it arrived.
-        seen: Arc<Frame>,
-    },
-    /// The controller steers these, and this is news to it.
-    Joined {
-        /// Whom.
-        ids: Vec<u32>,
-        /// What came about since it was last there.
-        news: News,
-    },
-    /// It took this many steps since the controller advanced, fewer than it wanted if another
-    /// command came between.
-    Advanced {
-        /// How many.
-        steps: u64,
-        /// The last step that a crash would not take back.
-        safe_step: u64,
-        /// Where it arrived.
-        seen: Arc<Frame>,
-        /// What came about since the controller was last told.
-        news: News,
-    },
-    /// It is this, as a whole.
-    Whole(Box<Checkpoint>),
-    /// It is back at its start.
-    Reset(Arc<Frame>),
-    /// Parameters before and now, `publish_every` before and now, scale.
-    Set {
-        /// The parameters before.
-        before: (Parameters, u64),
-        /// The parameters now.
-        now: (Parameters, u64),
-        /// By how much positions were scaled to make room.
-        scaled_by: f64,
-    },
-    /// These individuals, and the size of the group now.
-    Ids(Vec<u32>, usize),
-    /// What each change came to.
-    Batch(Vec<(ChangeKind, Outcome)>),
-    /// It will be carried out at this step.
-    Scheduled(u64),
-    /// A look at it.
-    Seen(Arc<Frame>),
-}
-
-/// Why an order was not carried out; nothing has changed then.
-#[derive(Clone, Debug, Error)]
-pub enum OrderError {
-    /// The phase does not allow it.
-    #[error(transparent)]
-    Phase(#[from] PhaseError),
-    /// The swarm is elsewhere than the sender takes it to be.
-    #[error("the swarm is at {what} {actual}, not {expected}: look at its status and send again")]
-    Conflict {
-        /// `step` or `epoch`.
-        what: &'static str,
-        /// Where the sender takes it to be.
-        expected: u64,
-        /// Where it is.
-        actual: u64,
-    },
-    /// The step it was to be carried out at lies behind.
-    #[error("at_step {at_step} is in the past, the swarm is at step {step}: name a later one")]
-    Late {
-        /// The step asked for.
-        at_step: u64,
-        /// Where it is.
-        step: u64,
-    },
-    /// Too many commands wait for their step.
-    #[error("{limit} commands wait for their step already: send this one later, or reset")]
-    TooManyScheduled {
-        /// The limit.
-        limit: usize,
-    },
-    /// The swarm was reset before the command's step came.
-    #[error(
-        "the swarm was reset before step {at_step} came: send it anew, under another request_id"
-    )]
-    Overtaken {
-        /// The step it was to be carried out at.
-        at_step: u64,
-    },
-    /// One of several changes is not possible, so none was made.
-    #[error("commands[{index}]: {error}; none was applied")]
-    InBatch {
-        /// Which.
-        index: usize,
-        /// Why.
-        error: Box<OrderError>,
-    },
-    /// The order uncovered a defect.
-    #[error("a defect of the daemon: nothing was changed; please report what you sent")]
-    Panicked,
-    /// The end of a run lies behind.
-    #[error("until_step {until} is in the past, the swarm is at step {step}: name a later one")]
-    Past {
-        /// The end asked for.
-        until: u64,
-        /// Where it is.
-        step: u64,
-    },
-    /// A parameter is outside its range.
-    #[error(transparent)]
-    Parameters(#[from] ParametersError),
-    /// The start cannot be built.
-    #[error(transparent)]
-    Start(#[from] StartError),
-    /// The selection cannot be made.
-    #[error(transparent)]
-    Selection(#[from] SelectionError),
-    /// The new individuals find no place.
-    #[error(transparent)]
-    Injection(#[from] InjectionError),
-    /// No controller of this name has joined.
-    #[error("{}", not_joined(.controller, *.left))]
-    NotJoined {
-        /// The name.
-        controller: String,
-        /// Why it is no longer there, and at which step it left.
-        left: Option<(Departure, u64)>,
-    },
-    /// A controller of this name has joined.
-    #[error(
-        "a controller {0} has joined: take another name, or say `again` if it is the same one that \
-         comes back"
-    )]
-    HasJoined(String),
-    /// No more controllers can join.
-    #[error("{limit} controllers have joined already: have one leave")]
-    TooManyControllers {
-        /// The limit.
-        limit: usize,
-    },
-    /// Another controller steers an individual.
-    #[error(
-        "individual {id} is steered by controller {controller}: choose others, or have it leave"
-    )]
-    Claimed {
-        /// Which.
-        id: u32,
-        /// Whose it is.
-        controller: String,
-    },
-    /// A controller wants to steer an individual that is not its own.
-    #[error("{}", not_claimed(*.id, .owner.as_deref()))]
-    NotClaimed {
-        /// Which.
-        id: u32,
-        /// Whose it is.
-        owner: Option<String>,
-    },
-    /// A controller wants to drive individuals directly that did not join for it.
-    #[error("controller {0} did not join to drive individuals directly: join with `driving`")]
-    NotDriving(String),
-    /// The swarm moves when its controllers advance.
-    #[error(
-        "controllers have joined, and the swarm steps when all of them `advance`: have them leave \
-         first"
-    )]
-    Lockstep,
-    /// A controller that steers while the swarm runs does not advance it.
-    #[error("controller {0} joined a swarm that runs freely: join in mode lockstep to advance it")]
-    RunsFreely(String),
-    /// A controller's last advance is under way.
-    #[error("controller {controller} is advancing to step {target} already: wait for that answer")]
-    Advancing {
-        /// Which.
-        controller: String,
-        /// Whither.
-        target: u64,
-    },
-    /// The same controller asked again, and the newer request takes the place of this one.
-    #[error("a later request of the same controller took the place of this one")]
-    Superseded,
-    /// Axes cross that the rule asked for never lets cross.
-    #[error(
-        "the axes of {pairs} pairs cross, which only `closest` allows: run it until none do, or \
-         reset"
-    )]
-    StillCrossed {
-        /// How many pairs.
-        pairs: usize,
-    },
-    /// The new shape finds no room.
-    #[error(transparent)]
-    Resize(#[from] ResizeError),
-    /// Nobody would be left.
-    #[error("this would remove all {0} individuals: leave one, or delete the swarm")]
-    NobodyLeft(usize),
-    /// It was refused before the daemon restarted, and is not tried again.
-    #[error("it was refused before the daemon restarted: send it anew")]
-    RefusedBefore,
-    /// The group would outgrow the daemon's limit.
-    #[error(
-        "{n} individuals are more than one swarm may have, {limit}: add fewer, or raise max_individuals"
-    )]
-    TooMany {
-        /// The size asked for.
-        n: usize,
-        /// The limit.
-        limit: usize,
-    },
-    /// The group would take more memory than is free.
-    #[error(
-        "{n} individuals need up to {needed} bytes, {free} are free: add fewer, delete another \
-         swarm, or raise max_memory_mb"
-    )]
-    NoMemory {
-        /// The size asked for.
-        n: usize,
-        /// What it needs.
-        needed: u64,
-        /// What is free.
-        free: u64,
-    },
-    /// The order could not be made safe, so it was not carried out.
-    #[error("{0}: nothing was changed; make room on the disk of data_dir and send it again")]
-    Unsafe(WriteFault),
-    /// A recording has no future that could be changed.
-    #[error(
-        "this is a replay of a recording: it takes run, pause, step, seek, reset and delete; create \
-         or restore a swarm to change what happens"
-    )]
-    Recorded,
-    /// Only a recording can be sought through.
-    #[error("this swarm is no replay: fork it at a step it has passed, or replay a recording")]
-    NotRecorded,
-    /// A recording cannot be shown.
-    #[error("the recording cannot be shown: {0}")]
-    Film(String),
-    /// Too many orders or waiters at once.
-    #[error("too much at once for this swarm: try again in a moment")]
-    Busy,
-    /// A step failed while the order ran.
-    #[error("the swarm faulted while this ran ({0}): reset or delete it")]
-    Faulted(String),
-    /// The swarm ended before the order's turn.
-    #[error("the swarm was deleted")]
-    Gone,
-}
-
-/// What an order came to and where the swarm then was; or why it came to nothing.
-pub type Answered = Result<(Place, Outcome), Refusal>;
-
-/// An order that was not carried out.
-#[derive(Debug)]
-pub struct Refusal {
-    /// The step the swarm was at, if it was reached.
-    pub step: Option<u64>,
-    /// Why.
-    pub error: OrderError,
-}
-
-impl Order {
-    /// Whether it is written down and safe before it is carried out. Steps are carried out first,
-    /// and an end is written when it comes.
-    pub fn is_written_first(&self) -> bool {
-        !self.is_carried_out_first() && !matches!(self, Order::Delete)
-    }
-
-    /// Whether it is carried out before it is safe: what is exchanged thousands of times a second.
-    pub fn is_carried_out_first(&self) -> bool {
-        matches!(
-            self,
-            Order::Step(_)
-                | Order::Advance { .. }
-                | Order::Deadline(_)
-                | Order::Lost(_)
-                | Order::Control { .. }
-        )
-    }
-}
-
-fn not_joined(controller: &str, left: Option<(Departure, u64)>) -> String {
-    let why = match left {
-        None => return format!("no controller {controller} has joined: join first"),
-        Some((Departure::Left, step)) => format!("left at step {step}"),
-        Some((Departure::Lost, step)) => format!("was lost at step {step}, its token went"),
-        Some((Departure::Late, step)) => {
-            format!("missed {MOST_MISSES} deadlines up to step {step} and was let go")
-        }
-    };
-    format!("controller {controller} {why}: join again")
-}
-
-fn not_claimed(id: u32, owner: Option<&str>) -> String {
-    match owner {
-        Some(owner) => format!("individual {id} is steered by controller {owner}"),
-        None => format!("individual {id} is not among those that the controller joined for"),
-    }
-}
-
-impl OrderError {
-    /// Whether it may come out otherwise when the same is ordered again of the same state.
-    pub fn is_by_chance(&self) -> bool {
-        match self {
-            OrderError::TooMany { .. }
-            | OrderError::NoMemory { .. }
-            | OrderError::Panicked
-            | OrderError::Unsafe(_) => true,
-            OrderError::InBatch { error, .. } => error.is_by_chance(),
-            _ => false,
-        }
-    }
-}
-
 /// Sets memory aside for a group of this size, or says why not.
 pub type Admit = Box<dyn Fn(usize) -> Result<(), OrderError> + Send>;
-
-/// Takes an answer, once.
-pub type Answer = Box<dyn FnOnce(Answered) + Send>;

@@ -11,9 +11,8 @@ use crate::swarm::film::{Film, Mark, Shot, Told};
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
 use crate::swarm::handle::{Command, Handle, Ticket, receive};
 use crate::swarm::history::History;
-use crate::swarm::order::{
-    Order, OrderError, Outcome, Rate, Recipe, Refusal, Seek, Sender, Until, When,
-};
+use crate::swarm::order::{Order, Rate, Recipe, Seek, Sender, Until, When};
+use crate::swarm::outcome::{OrderError, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
 use crate::swarm::shelf::Shelf;

@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::swarm::order::{Order, OrderError, Sender};
+use crate::swarm::order::{Order, Sender};
+use crate::swarm::outcome::OrderError;
 
 /// Commands that may wait at once, and the bytes of text they may have.
 const MOST: (usize, usize) = (1024, 256 * 1024);

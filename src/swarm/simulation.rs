@@ -15,9 +15,8 @@ use crate::stepper::{StepError, StepReport, Stepper};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::control::SetPoints;
 use crate::swarm::frame::Exactness;
-use crate::swarm::order::{
-    Admit, Change, ChangeKind, OrderError, Outcome, Placement, Recipe, Settings, Start,
-};
+use crate::swarm::order::{Admit, Change, ChangeKind, Placement, Recipe, Settings, Start};
+use crate::swarm::outcome::{OrderError, Outcome};
 
 /// A swarm's state, its stepper and the means kept over its steps.
 pub struct Simulation {

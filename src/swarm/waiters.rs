@@ -1,6 +1,7 @@
 //! Answers that wait for a swarm to get somewhere.
 
-use crate::swarm::order::{Answer, Answered, Awaited};
+use crate::swarm::order::Awaited;
+use crate::swarm::outcome::{Answer, Answered};
 use crate::swarm::phase::Phase;
 
 /// Answers that may wait at once.

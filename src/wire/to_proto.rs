@@ -12,7 +12,8 @@ use crate::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use crate::swarm::control::{Departure, Mode, News, OnTimeout};
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
 use crate::swarm::history::{Entry, Page};
-use crate::swarm::order::{ChangeKind, OrderError, Outcome, Recipe, Sender, Start};
+use crate::swarm::order::{ChangeKind, Recipe, Sender, Start};
+use crate::swarm::outcome::{OrderError, Outcome};
 use crate::swarm::phase::Phase;
 use crate::wire::durable::snapshot;
 

@@ -11,9 +11,8 @@ use crate::swarm::crash;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::Command;
 use crate::swarm::journal::{Record, Written};
-use crate::swarm::order::{
-    Answer, Answered, Change, ChangeKind, Order, OrderError, Outcome, Refusal, Sender, Until, When,
-};
+use crate::swarm::order::{Change, ChangeKind, Order, Sender, Until, When};
+use crate::swarm::outcome::{Answer, Answered, OrderError, Outcome, Refusal};
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;

@@ -12,7 +12,8 @@ use crate::swarm::control::{Departure, MOST_MISSES, Mode, News, OnTimeout, Put, 
 use crate::swarm::frame::EventKind;
 use crate::swarm::history::Entry;
 use crate::swarm::journal::Record;
-use crate::swarm::order::{Answer, Order, OrderError, Outcome, Sender};
+use crate::swarm::order::{Order, Sender};
+use crate::swarm::outcome::{Answer, OrderError, Outcome};
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
 use crate::swarm::worker::{End, Worker};

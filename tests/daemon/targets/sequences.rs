@@ -19,9 +19,9 @@ use jostled::swarm::frame::{EventKind, Frame, Place};
 use jostled::swarm::handle::{Command, Handle, Ticket};
 use jostled::swarm::journal::to_nowhere;
 use jostled::swarm::order::{
-    Answer, Answered, Awaited, Change, Order, OrderError, Outcome, Placement, Recipe, Sender,
-    Settings, Start, Until, When,
+    Awaited, Change, Order, Placement, Recipe, Sender, Settings, Start, Until, When,
 };
+use jostled::swarm::outcome::{Answer, Answered, OrderError, Outcome};
 use jostled::swarm::phase::Phase;
 use jostled::swarm::waiters::Waiter;
 
