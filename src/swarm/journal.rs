@@ -6,8 +6,9 @@
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use thiserror::Error;
 
@@ -108,7 +109,9 @@ pub fn to_nowhere() -> Writer {
 pub struct Journal {
     writer: Writer,
     lines: u64,
-    safe_step: Arc<AtomicU64>,
+    safe: Arc<Mutex<Safe>>,
+    /// The step that will be safe once everything noted so far is.
+    noted_step: u64,
     /// Commands that were carried out and are not safe yet.
     ahead: Arc<AtomicUsize>,
     is_replaying: bool,
@@ -118,13 +121,21 @@ pub struct Journal {
     untold: Vec<((u64, u64), Record)>,
 }
 
+/// How far a crash takes nothing back.
+struct Safe {
+    step: u64,
+    /// How often what was to be done was cut short: what was noted before counts no more.
+    cuts: u64,
+}
+
 impl Journal {
     /// A journal of so many lines, written by `writer`, that reaches `step`.
     pub fn new(writer: Writer, lines: u64, step: u64) -> Self {
         Journal {
             writer,
             lines,
-            safe_step: Arc::new(AtomicU64::new(step)),
+            safe: Arc::new(Mutex::new(Safe { step, cuts: 0 })),
+            noted_step: step,
             ahead: Arc::default(),
             is_replaying: false,
             told: BTreeSet::new(),
@@ -157,7 +168,8 @@ impl Journal {
     pub fn resume(&mut self, lines: u64, step: u64) {
         self.is_replaying = false;
         self.lines = lines;
-        self.safe_step.store(step, Ordering::Release);
+        self.safe().step = step;
+        self.noted_step = step;
         self.told.clear();
         for (at, record) in std::mem::take(&mut self.untold) {
             self.note(at, record, None);
@@ -166,12 +178,21 @@ impl Journal {
 
     /// The last step that a crash would not take back, of a swarm that now is at `step` and has
     /// ended what it was to do.
-    pub fn safe_step_of(&self, step: u64) -> u64 {
+    pub fn safe_step_of(&mut self, step: u64) -> u64 {
         if self.is_replaying {
             return step;
         }
-        // What was to be done and is cut short here is safe only as far as it came.
-        self.safe_step.fetch_min(step, Ordering::AcqRel).min(step)
+        self.cut(step);
+        self.safe().step
+    }
+
+    /// What was to be done and is cut short at this step is safe only as far as it came.
+    pub fn cut(&mut self, step: u64) {
+        let is_cut = self.noted_step > step;
+        self.noted_step = self.noted_step.min(step);
+        let mut safe = self.safe();
+        safe.step = safe.step.min(step);
+        safe.cuts += u64::from(is_cut);
     }
 
     /// Writes records of a swarm at `place` and waits until they are safe. Returns the first
@@ -196,7 +217,9 @@ impl Journal {
             .collect();
         match self.wait(lines) {
             Ok(()) => {
-                self.safe_step.fetch_max(step, Ordering::AcqRel);
+                let mut safe = self.safe();
+                safe.step = safe.step.max(step);
+                drop(safe);
                 Ok(first)
             }
             Err(fault) => {
@@ -215,16 +238,36 @@ impl Journal {
             return self.lines;
         }
         let line = Written::Line(self.line(epoch, step, record));
-        let told = reached.map(|reached| -> Box<dyn FnOnce() + Send> {
-            let (safe, ahead) = (self.safe_step.clone(), self.ahead.clone());
-            ahead.fetch_add(1, Ordering::Relaxed);
-            Box::new(move || {
-                safe.fetch_max(reached, Ordering::AcqRel);
-                ahead.fetch_sub(1, Ordering::Relaxed);
-            })
-        });
+        let told = reached.map(|reached| self.safe_to(reached));
         (self.writer)(vec![line], Wanted::Soon(told));
         self.lines
+    }
+
+    /// Once all that has been noted is written, a crash takes back no step up to this one.
+    pub fn reach(&mut self, step: u64) {
+        if !self.is_replaying && step > self.noted_step {
+            let told = self.safe_to(step);
+            (self.writer)(Vec::new(), Wanted::Soon(Some(told)));
+        }
+    }
+
+    /// Makes steps up to this one safe when it is called.
+    fn safe_to(&mut self, step: u64) -> Box<dyn FnOnce() + Send> {
+        self.noted_step = self.noted_step.max(step);
+        let (safe, ahead) = (self.safe.clone(), self.ahead.clone());
+        let cuts = self.safe().cuts;
+        ahead.fetch_add(1, Ordering::Relaxed);
+        Box::new(move || {
+            let mut safe = safe.lock().unwrap_or_else(PoisonError::into_inner);
+            if safe.cuts == cuts {
+                safe.step = safe.step.max(step);
+            }
+            ahead.fetch_sub(1, Ordering::Relaxed);
+        })
+    }
+
+    fn safe(&self) -> MutexGuard<'_, Safe> {
+        self.safe.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Whether so much was carried out before it is safe that the next command waits until it is.
@@ -260,8 +303,8 @@ impl Journal {
     }
 
     /// Is at step 0 again. What was written before is safe by now, and told.
-    pub fn start_over(&self) {
-        self.safe_step.store(0, Ordering::Release);
+    pub fn start_over(&mut self) {
+        self.cut(0);
     }
 
     fn line(&mut self, epoch: u64, step: u64, record: Record) -> Line {

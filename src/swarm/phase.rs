@@ -98,6 +98,9 @@ pub enum PhaseError {
     /// `step` while it runs.
     #[error("the swarm is running: pause it first")]
     Running,
+    /// `step` while steps are being taken.
+    #[error("the swarm is stepping already: wait for that answer, or pause it first")]
+    Stepping,
     /// Anything but `reset`, `delete` and the gets after a fault.
     #[error("the swarm has faulted and keeps its last good state: reset or delete it")]
     Faulted,
@@ -119,7 +122,8 @@ pub fn next(phase: &Phase, cue: Cue) -> Result<Phase, PhaseError> {
         (Paused(_) | Running { .. } | Stepping { .. }, Cue::Run(until)) => Ok(Running { until }),
         (Running { .. } | Stepping { .. }, Cue::Pause) => Ok(Paused(PauseReason::Requested)),
         (Paused(_), Cue::Step(until)) => Ok(Stepping { until }),
-        (Running { .. } | Stepping { .. }, Cue::Step(_)) => Err(PhaseError::Running),
+        (Running { .. }, Cue::Step(_)) => Err(PhaseError::Running),
+        (Stepping { .. }, Cue::Step(_)) => Err(PhaseError::Stepping),
         (Running { until: Some(until) } | Stepping { until }, Cue::Reached(step))
             if step >= *until =>
         {
@@ -193,7 +197,7 @@ mod tests {
             (&running, fault(), Ok(&broken)),
             (&stepping, Cue::Run(None), Ok(&on)),
             (&stepping, Cue::Pause, Ok(&requested)),
-            (&stepping, Cue::Step(20), Err(PhaseError::Running)),
+            (&stepping, Cue::Step(20), Err(PhaseError::Stepping)),
             (&stepping, Cue::Change, Ok(&stepping)),
             (&stepping, Cue::Reset, Ok(&reset)),
             (&stepping, Cue::Reached(8), Ok(&stepping)),

@@ -646,6 +646,55 @@ async fn an_exchange_wakes_no_thread_of_the_swarm() {
     assert_eq!(status["step"], 1011);
 }
 
+/// Nobody is there any more who wants what the one who has left had asked for.
+#[tokio::test(flavor = "multi_thread")]
+async fn what_only_they_wanted_who_have_left_is_not_gone_on_with() {
+    let daemon = Daemon::start().await;
+    let (client, swarm) = (&daemon.client, "left");
+    client.create(swarm, json!({"n": 12})).await;
+    client.ok(swarm, "join", json!({"controller": "ada"})).await;
+    let far = json!({"timeout_secs": 0.1, "args": {"controller": "ada", "steps": 1_000_000_000}});
+    let error = client.err(swarm, "advance", far).await;
+    assert_eq!(error.0, ErrorCode::DeadlineExceeded);
+    assert_eq!(client.get(swarm, "status").await["phase"], "running");
+    let left = json!({"controller": "ada"});
+    let left = client.ok(swarm, "leave", left).await;
+    assert_eq!(left["phase"], "paused");
+    let on = client.ok(swarm, "step", json!({"steps": 3})).await;
+    assert_eq!(on["step"], left["step"].as_u64().unwrap() + 3);
+    let hash = client.hash(swarm).await;
+    let daemon = daemon.restart().await;
+    let client = &daemon.client;
+    assert_eq!(
+        client.reach(swarm, on["step"].as_u64().unwrap()).await["phase"],
+        "paused"
+    );
+    assert_eq!(client.hash(swarm).await, hash);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn steps_are_told_to_be_durable_also_where_deadlines_let_them_be_taken() {
+    let daemon = Daemon::start().await;
+    let (client, swarm) = (&daemon.client, "late");
+    client.create(swarm, json!({"n": 12})).await;
+    for controller in ["ada", "bob"] {
+        let terms = json!({"controller": controller, "deadline_secs": 0.05});
+        client.ok(swarm, "join", terms).await;
+    }
+    let mut durable = Vec::new();
+    for step in 1..=2_u64 {
+        let reply = client
+            .ok(swarm, "advance", json!({"controller": "ada"}))
+            .await;
+        assert_eq!(reply["step"], step);
+        durable.push(reply["result"]["durable_step"].as_u64().unwrap());
+        tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+    }
+    assert!(durable[1] >= 1, "{durable:?}");
+    daemon.stop().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_short_step_of_a_paused_swarm_wakes_no_thread_of_it_either() {
     let daemon = Daemon::start().await;

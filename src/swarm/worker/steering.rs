@@ -96,6 +96,12 @@ impl Worker {
         if member.kept.on_timeout != OnTimeout::Hold {
             self.simulation.release(&member.kept.steered);
         }
+        // What only those wanted who have left is not gone on with.
+        let is_last = member.kept.mode == Mode::Lockstep && !self.controllers.is_lockstep();
+        if is_last && let Phase::Stepping { .. } = self.phase {
+            self.phase = Phase::Paused(PauseReason::Lockstep);
+            self.journal.cut(step);
+        }
         if let Some(answer) = member.take_answer() {
             let left = Some((why, step));
             let controller = controller.to_owned();
@@ -286,6 +292,7 @@ impl Worker {
             // The phases of an exchange are known to all who take part in it: no event tells them.
             match self.controllers.together(step) {
                 Some(until) => {
+                    self.journal.reach(until);
                     if !self.phase.is_moving() {
                         let dt = self.simulation.state.parameters.dt;
                         self.pace = Pace::new(None, dt, Instant::now());
