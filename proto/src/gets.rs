@@ -124,7 +124,8 @@ pub struct Verified {
     pub from_step: u64,
     /// The step it was told to.
     pub to_step: u64,
-    /// How many hashes that were written down on the way were compared.
+    /// How many hashes were compared: those that were written down on the way, and its present one
+    /// of a swarm that stands still.
     pub hashes: u64,
     /// The first step that has another hash than it had; `null` if there is none.
     pub differs_at: Option<u64>,

@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::sync_channel;
 use std::thread;
 use std::time::Duration;
 
@@ -16,9 +17,10 @@ use crate::host::{Host, Register};
 use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::archive::{self, MakePayload};
 use crate::server::clerk::Clerk;
-use crate::server::recovery;
+use crate::server::recovery::{self, Told};
 use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::handle::Ticket;
+use crate::swarm::frame::Place;
+use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::outcome::{Answer, OrderError, Outcome, Refusal};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::worker::replay::To;
@@ -202,14 +204,24 @@ impl Clerk {
         );
         let spawned = thread::Builder::new().name("verify".into()).spawn(move || {
             let _turn = turn;
-            match recovery::told_again(&store, &name, To::LastHash) {
+            let seen = present(&handle);
+            let to = match &seen {
+                Some((place, _)) if !place.phase.is_moving() => To::Place(place.epoch, place.step),
+                _ => To::LastHash,
+            };
+            match recovery::told_again(&store, &name, to) {
                 Ok(told) => {
+                    let now = seen.and_then(|(place, hash)| is_as_now(&told, &place, hash));
+                    let here = (told.checkpoint.epoch, told.checkpoint.state.step);
+                    let differs_at = told.differs_at.or((now == Some(false)).then_some(here));
                     let verified = Verified {
                         from_step: told.from,
-                        to_step: told.checkpoint.state.step,
-                        hashes: told.same + u64::from(told.differs_at.is_some()),
-                        differs_at: told.differs_at.map(|(_, step)| step),
-                        differs_in_epoch: told.differs_at.map(|(epoch, _)| epoch),
+                        to_step: here.1,
+                        hashes: told.same
+                            + u64::from(told.differs_at.is_some())
+                            + u64::from(now.is_some()),
+                        differs_at: differs_at.map(|(_, step)| step),
+                        differs_in_epoch: differs_at.map(|(epoch, _)| epoch),
                     };
                     handle.send(Ticket::Look(Box::new(move |answered| match answered {
                         Ok((place, _)) => keeper
@@ -250,6 +262,24 @@ impl Clerk {
     }
 }
 
+/// Where a swarm is now, and its hash.
+fn present(handle: &Handle) -> Option<(Place, [u8; 32])> {
+    let (answer, answered) = sync_channel(1);
+    handle.send(Ticket::Look(Box::new(move |seen| drop(answer.send(seen)))));
+    match answered.recv() {
+        Ok(Ok((place, Outcome::Seen(frame)))) => Some((place, frame.hash?)),
+        _ => None,
+    }
+}
+
+/// Whether what was told again has the hash that its swarm has; none if it is not where that is.
+fn is_as_now(told: &Told, place: &Place, hash: [u8; 32]) -> Option<bool> {
+    let checkpoint = &told.checkpoint;
+    let told_to = (checkpoint.epoch, checkpoint.state.step, checkpoint.seq);
+    let is_there = told_to == (place.epoch, place.step, place.seq);
+    is_there.then(|| checkpoint.state.hash() == hash)
+}
+
 /// A copy that is to be made.
 struct Copy<R> {
     host: Arc<Host>,
@@ -261,7 +291,7 @@ struct Copy<R> {
 
 impl<R: FnOnce(&Checkpoint) -> Register> Copy<R> {
     /// Makes it as what was told again.
-    fn of(self, told: Result<recovery::Told, CommandError>) {
+    fn of(self, told: Result<Told, CommandError>) {
         match told {
             Ok(told) => self.make(told.checkpoint),
             Err(error) => self.keeper.0.refuse(&error, None),

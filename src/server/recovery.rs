@@ -162,7 +162,7 @@ pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Told, CommandErr
         .map_err(|it| history(it.to_string()))?;
     match to {
         To::Step(step) => marks.retain(|mark| mark.step <= step),
-        To::LastInput | To::LastHash => marks.reverse(),
+        To::LastInput | To::LastHash | To::Place(..) => marks.reverse(),
     }
     let mut problem = "so old a history is not kept: get/status says from where on".to_owned();
     for mark in marks {

@@ -689,7 +689,7 @@ async fn steps_are_told_to_be_durable_also_where_deadlines_let_them_be_taken() {
             .await;
         assert_eq!(reply["step"], step);
         durable.push(reply["result"]["durable_step"].as_u64().unwrap());
-        tokio::time::sleep(std::time::Duration::from_millis(100)).await;
+        sleep(Duration::from_millis(100)).await;
     }
     assert!(durable[1] >= 1, "{durable:?}");
     daemon.stop().await;

@@ -179,9 +179,23 @@ async fn a_past_comes_out_the_same_when_it_is_told_again() {
     let verified = client.get("a", "verify").await["result"].take();
     assert_eq!(verified["differs_at"], Value::Null, "{verified}");
     assert_eq!(verified["from_step"], 0);
-    assert_eq!(verified["to_step"], 2500);
-    // Every 500 steps: five before the reset, four and one after it.
-    assert_eq!(verified["hashes"], 10);
+    assert_eq!(verified["to_step"], 2600);
+    // Every 500 steps: five before the reset, four and one after it; and the present one.
+    assert_eq!(verified["hashes"], 11);
+    // A past that is too short for any to be written down has that alone.
+    client.create("short", json!({"n": 10})).await;
+    client.ok("short", "step", json!({"steps": 7})).await;
+    let informed = json!({"select": {"count": 2}, "direction": 1});
+    client.ok("short", "inform", informed).await;
+    let verified = client.get("short", "verify").await["result"].take();
+    assert_eq!(
+        (
+            &verified["hashes"],
+            &verified["to_step"],
+            &verified["differs_at"]
+        ),
+        (&json!(1), &json!(7), &Value::Null)
+    );
     daemon.stop().await;
 }
 

@@ -60,6 +60,8 @@ pub enum To {
     LastInput,
     /// Where the last hash was written down.
     LastHash,
+    /// At this epoch and step, after the commands that were given there.
+    Place(u64, u64),
     /// On arriving at this step of the present run, before the commands that were given there.
     Step(u64),
 }
@@ -244,7 +246,7 @@ impl Worker {
         });
         let lines = match to {
             To::Step(step) => until(lines, step),
-            To::LastInput | To::LastHash => lines,
+            To::LastInput | To::LastHash | To::Place(..) => lines,
         };
         let mut last = self.journal.lines();
         let mut end = None;
@@ -296,7 +298,9 @@ impl Worker {
         }
         match (to, last_hash) {
             (To::Step(step), _) if end.is_none() => end = self.advance(self.at().0, step),
-            (To::LastHash, Some((epoch, step))) if end.is_none() && self.at() < (epoch, step) => {
+            (To::LastHash, Some((epoch, step))) | (To::Place(epoch, step), _)
+                if end.is_none() && self.at() < (epoch, step) =>
+            {
                 end = self.advance(epoch, step);
             }
             _ => {}

@@ -58,7 +58,8 @@ fn words(reply: &Reply<Verified>) -> String {
             )
         }
         (0, None) => format!(
-            "{swarm} has written down no hash yet after step {from_step}: there is nothing to compare"
+            "{swarm} runs and has written down no hash yet after step {from_step}: pause it, and what \
+             it is now can be compared"
         ),
         (_, None) => format!("{swarm} is the same: {told}, {compared} compared"),
     }

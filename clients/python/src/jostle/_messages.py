@@ -312,7 +312,8 @@ class Verified(Reply, frozen=True, kw_only=True):
     Attributes:
         from_step: The step of the checkpoint it was told from.
         to_step: The step it was told to.
-        hashes: How many hashes that were written down on the way were compared.
+        hashes: How many hashes were compared: those that were written down on the way, and its
+            present one of a swarm that stands still.
         differs_at: The first step that has another hash than it had; None if there is none.
         differs_in_epoch: The epoch that step is of: after a reset steps are counted anew.
     """
