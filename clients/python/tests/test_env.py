@@ -338,6 +338,11 @@ def test_a_daemon_that_dies_is_an_error_and_no_waiting() -> None:
     with pytest.raises(jostle.IncorrectState, match="reset"):
         env.step(act(env, 0.0))
     assert time.monotonic() - began < PATIENCE_SECS
+    env.reset(seed=1)
+    another = env._world._client
+    assert isinstance(another, jostle.Local)
+    assert another.pid != client.pid
+    env.step(act(env, 0.0))
     env.close()
 
 
@@ -349,6 +354,10 @@ def test_what_somebody_else_does_to_the_swarm_is_told(
     (swarm,) = [client.swarm(it.swarm) for it in client.swarms() if it.swarm.startswith("env-")]
     swarm.reset()
     with pytest.raises(jostle.Conflict):
+        env.step(act(env, 0.0))
+    assert hashes(env, 5, 1) == first
+    swarm.delete()
+    with pytest.raises(jostle.NotFound):
         env.step(act(env, 0.0))
     assert hashes(env, 5, 1) == first
 

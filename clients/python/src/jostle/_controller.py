@@ -180,7 +180,9 @@ class Controller:
                 itself.
             speed: The same with factors of the free speed, 0 to 1.
             state: Have the state reached in the answer, as its `state`.
-            timeout: Seconds it may take; None is an hour, since the others have deadlines.
+            timeout: Seconds it may take; None is an hour, since the others have deadlines. A
+                daemon that does not answer at all has two more, and the client's `timeout` to come
+                back.
 
         Returns:
             Where it arrived: that many steps on, unless another command came between.

@@ -17,7 +17,14 @@ from numpy.typing import NDArray
 from .._arguments import ids as ids_of
 from .._client import Client, connect
 from .._controller import Controller
-from .._errors import Conflict, IncorrectState, InvalidArgument, JostleError
+from .._errors import (
+    Conflict,
+    IncorrectState,
+    InvalidArgument,
+    JostleError,
+    NotFound,
+    Unavailable,
+)
 from .._local import local
 from .._spec import Spec
 from .._state import State
@@ -121,7 +128,7 @@ class World:
             raise IncorrectState("the episode is over: call `reset`")
 
     def reset(self, seed: int) -> None:
-        """Begins an episode.
+        """Begins an episode; makes anew what is gone, a private daemon or the swarm.
 
         Raises:
             IncorrectState: The environment is closed.
@@ -131,6 +138,18 @@ class World:
         if self._is_closed:
             raise IncorrectState(_CLOSED)
         self._state = None
+        try:
+            self._begin(seed)
+        except NotFound:
+            self._swarm = self._controller = None
+            self._begin(seed)
+        except Unavailable:
+            if self._endpoint is not None or self._client is None:
+                raise
+            self._release()
+            self._begin(seed)
+
+    def _begin(self, seed: int) -> None:
         if self._swarm is None:
             self._swarm = self._create()
         if self._controller is None:
@@ -180,6 +199,9 @@ class World:
     def close(self) -> None:
         """Deletes the swarm and ends the private daemon; harmless when done already."""
         self._is_closed = True
+        self._release()
+
+    def _release(self) -> None:
         self._state = None
         client, self._client = self._client, None
         swarm, self._swarm = self._swarm, None
