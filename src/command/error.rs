@@ -598,6 +598,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "x" | "y" | "alpha" | "along" | "direction" => "a number from -1e6 to 1e6",
         "turn" => "null, or a number from -1e6 to 1e6",
         "speed" => "null, or a number from 0 to 1",
+        "weight" if field.starts_with("set.") => "a number from 0 to 1e6",
         "weight" => "a number above 0, at most 1e6",
         "for_time" => "a number above 0, at most 1e9",
         "mode" => "\"lockstep\" or \"free_running\"",
