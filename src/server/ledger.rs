@@ -20,8 +20,8 @@ const MOST: (usize, usize) = (100_000, 64 * 1024 * 1024);
 /// Below this every whole number is a double.
 const EXACT: f64 = 9_007_199_254_740_992.0;
 
-/// What an answer takes beside its bytes.
-const ANSWER_BYTES: usize = 256;
+/// What an answer takes beside its bytes: its name, its digest, and its share of the tables.
+const ANSWER_BYTES: usize = 384;
 
 /// A request's name: who says to have sent it, and what they called it.
 pub type Name = (Option<String>, String);
@@ -36,11 +36,23 @@ pub struct Ledger {
     store: Store,
 }
 
-#[derive(Default)]
 struct Requests {
-    by_name: HashMap<Name, (Digest, Progress)>,
-    done: VecDeque<Name>,
+    by_name: HashMap<Arc<Name>, (Digest, Progress)>,
+    done: VecDeque<Arc<Name>>,
     bytes: usize,
+}
+
+impl Default for Requests {
+    /// With room for as many as there may be: a table that moves when it is full holds up whoever
+    /// asks, and takes megabytes more at once. Pages that nobody has written to cost nothing.
+    fn default() -> Self {
+        let (most, _) = MOST;
+        Requests {
+            by_name: HashMap::with_capacity(most + 1),
+            done: VecDeque::with_capacity(most + 1),
+            bytes: 0,
+        }
+    }
 }
 
 enum Progress {
@@ -63,7 +75,7 @@ pub enum Entered {
 /// Where the answer to one request is to be written. Dropped unwritten, the request is forgotten.
 pub struct Page {
     ledger: Ledger,
-    name: Name,
+    name: Arc<Name>,
     is_written: bool,
 }
 
@@ -87,7 +99,7 @@ impl Ledger {
                     _ => JSON,
                 },
             };
-            let name = (answer.client, answer.request_id);
+            let name = Arc::new((answer.client, answer.request_id));
             let answer_ = if answer.is_ok {
                 Ok(payload)
             } else {
@@ -105,6 +117,7 @@ impl Ledger {
             return None;
         }
         let progress = Progress::Underway(Vec::new());
+        let name = Arc::new(name);
         requests.by_name.insert(name.clone(), (digest, progress));
         Some(Page {
             ledger: self.clone(),
@@ -167,6 +180,7 @@ impl Ledger {
             }
             None => {
                 let progress = Progress::Underway(Vec::new());
+                let name = Arc::new(name);
                 requests.by_name.insert(name.clone(), (digest, progress));
                 Entered::New(Page {
                     ledger: self.clone(),
@@ -232,7 +246,7 @@ impl Drop for Page {
 }
 
 impl Requests {
-    fn done(&mut self, name: Name, digest: Digest, answer: Result<Payload, Payload>) {
+    fn done(&mut self, name: Arc<Name>, digest: Digest, answer: Result<Payload, Payload>) {
         self.bytes += bytes(&answer);
         let before = self
             .by_name
