@@ -6,7 +6,6 @@ import argparse
 import os
 import random
 import sys
-import time
 from pathlib import Path
 
 from . import apart, controllers, evening, plan, promises, report, scientists
@@ -77,7 +76,6 @@ def live(told: argparse.Namespace, work: Path) -> bool:
         lab.chronicle.start()
         Troubles(lab).live()
         lab.say("the day is over")
-        lab.meter.day_over = time.monotonic()
         evening.go_home(lab)
         evening.ask_once_more(lab)
         verdicts = promises.judge(lab)

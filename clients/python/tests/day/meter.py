@@ -51,8 +51,6 @@ class Meter(threading.Thread):
         self._node = node
         self._over = threading.Event()
         self.samples: list[Sample] = []
-        # When everybody went home: what is told again then takes memory of its own.
-        self.day_over: float | None = None
         # By life: how many steps were at most so late.
         self.lateness: dict[int, dict[float, int]] = {}
 
@@ -118,9 +116,7 @@ class Meter(threading.Thread):
         report["until_listening_secs"] = round(life.listening - life.began, 3)
         if len(mine) < 3:
             return report
-        end = math.inf if self.day_over is None else self.day_over
-        by_day = [sample for sample in mine if sample.at <= end]
-        later = by_day[len(by_day) // 3 :]
+        later = mine[len(mine) // 3 :]
         slope = least_squares([it.at for it in later], [it.memory_kb for it in later])
         span = later[-1].at - later[0].at
         report["later"] = (later[0].at, later[-1].at)

@@ -31,8 +31,8 @@ is printed; `--report FILE` writes every sample as JSON.
 {lives}
 
 Of memory, descriptors and threads: the first, the last, the least and the most, looked at each
-second. The slope is that of least squares over the last two thirds of a life, of the last one until
-everybody has gone home, and *grown* is what it comes to in that time. Bounds:
+second. The slope is that of least squares over the last two thirds of a life, and *grown* is what
+it comes to in that time. Bounds:
 
 - Memory grows by less than 8 MB, half a megabyte a swarm and 671 bytes an answer: what buffers and
   pools may come to need, as in `tests/daemon/soak.rs`; the 256 KiB each of journal and of events
