@@ -23,7 +23,7 @@ use crate::swarm::player::Player;
 use crate::swarm::rank::rank;
 use crate::swarm::simulation::Simulation;
 use crate::swarm::tally::Totals;
-use crate::swarm::worker::replay::Past;
+use crate::swarm::worker::replay::{Past, Replay};
 use crate::swarm::worker::{End, Worker};
 
 /// Orders that may wait for one swarm; what comes on top is refused at once.
@@ -563,9 +563,9 @@ impl Host {
     }
 }
 
-/// Tells a swarm's past again, apart from every swarm there is. Returns it as it then is, how many
-/// of its hashes came out the same, and the first epoch and step whose hash did not.
-pub fn tell_again(past: Past) -> (Checkpoint, u64, Option<(u64, u64)>) {
+/// Tells a swarm's past again, apart from every swarm there is. Returns it as it then is, and how
+/// the telling went.
+pub fn tell_again(past: Past) -> (Checkpoint, Replay) {
     let _ = rustix::process::setpriority_process(None, RETELLING_NICENESS);
     let (tickets, _) = sync_channel(1);
     let handle = Handle {
@@ -580,8 +580,7 @@ pub fn tell_again(past: Past) -> (Checkpoint, u64, Option<(u64, u64)>) {
     };
     let always: Admit = Box::new(|_| Ok(()));
     let (worker, _) = Worker::from_past(past, &handle, Duration::ZERO, (to_nowhere(), always));
-    let replay = worker.replay();
-    (worker.checkpoint(), replay.same, replay.differs_at)
+    (worker.checkpoint(), worker.into_replay())
 }
 
 fn register_new(worker: &Worker, register: Register) -> Result<(), OrderError> {

@@ -40,6 +40,7 @@ pub mod lab;
 
 pub mod recording;
 
+pub mod arenas;
 pub mod batch;
 pub mod command;
 pub mod config;

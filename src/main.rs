@@ -9,6 +9,7 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::{Args, CommandFactory, Parser, Subcommand};
+use jostled::arenas;
 use jostled::batch;
 use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
 use jostled::demo;
@@ -181,6 +182,8 @@ impl Settings {
 }
 
 fn main() -> ExitCode {
+    // Without it all is well, but for memory.
+    let _ = arenas::keep_few();
     let Arguments { command, settings } = Arguments::parse();
     let command = command.unwrap_or(Command::Serve);
     if let Command::Config {

@@ -17,7 +17,7 @@ use crate::host::{Host, Register};
 use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::archive::{self, MakePayload};
 use crate::server::clerk::Clerk;
-use crate::server::recovery::{self, Told};
+use crate::server::recovery::{self, Retold};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::frame::Place;
 use crate::swarm::handle::{Handle, Ticket};
@@ -273,7 +273,7 @@ fn present(handle: &Handle) -> Option<(Place, [u8; 32])> {
 }
 
 /// Whether what was told again has the hash that its swarm has; none if it is not where that is.
-fn is_as_now(told: &Told, place: &Place, hash: [u8; 32]) -> Option<bool> {
+fn is_as_now(told: &Retold, place: &Place, hash: [u8; 32]) -> Option<bool> {
     let checkpoint = &told.checkpoint;
     let told_to = (checkpoint.epoch, checkpoint.state.step, checkpoint.seq);
     let is_there = told_to == (place.epoch, place.step, place.seq);
@@ -291,7 +291,7 @@ struct Copy<R> {
 
 impl<R: FnOnce(&Checkpoint) -> Register> Copy<R> {
     /// Makes it as what was told again.
-    fn of(self, told: Result<Told, CommandError>) {
+    fn of(self, told: Result<Retold, CommandError>) {
         match told {
             Ok(told) => self.make(told.checkpoint),
             Err(error) => self.keeper.0.refuse(&error, None),

@@ -37,14 +37,14 @@ pub struct Ledger {
 }
 
 struct Requests {
-    by_name: HashMap<Arc<Name>, (Digest, Progress)>,
+    by_name: HashMap<Arc<Name>, Box<Entry>>,
     done: VecDeque<Arc<Name>>,
     bytes: usize,
 }
 
 impl Default for Requests {
     /// With room for as many as there may be: a table that moves when it is full holds up whoever
-    /// asks, and takes megabytes more at once. Pages that nobody has written to cost nothing.
+    /// asks, and takes megabytes more at once.
     fn default() -> Self {
         let (most, _) = MOST;
         Requests {
@@ -53,6 +53,11 @@ impl Default for Requests {
             bytes: 0,
         }
     }
+}
+
+struct Entry {
+    digest: Digest,
+    progress: Progress,
 }
 
 enum Progress {
@@ -116,9 +121,8 @@ impl Ledger {
         if requests.by_name.contains_key(&name) {
             return None;
         }
-        let progress = Progress::Underway(Vec::new());
         let name = Arc::new(name);
-        requests.by_name.insert(name.clone(), (digest, progress));
+        requests.begin(&name, digest);
         Some(Page {
             ledger: self.clone(),
             name,
@@ -130,8 +134,9 @@ impl Ledger {
     pub fn tell(&self, key: &str, request: &Request, id: &str, promise: &Promise) {
         let name = (request.client.clone(), id.to_owned());
         let digest = digest(key, request);
-        if let Some((known, Progress::Done(answer))) = self.lock().by_name.get(&name)
-            && *known == digest
+        if let Some(entry) = self.lock().by_name.get(&name)
+            && entry.digest == digest
+            && let Progress::Done(answer) = &entry.progress
         {
             let answer = answer.clone();
             promise.keep(move || answer);
@@ -167,28 +172,26 @@ impl Ledger {
         let name = (request.client.clone(), id.to_owned());
         let digest = digest(key, request);
         let mut requests = self.lock();
-        match requests.by_name.get_mut(&name) {
-            Some((known, _)) if *known != digest => Entered::Other,
-            Some((_, Progress::Underway(promises))) => {
-                promises.push(promise.clone());
-                Entered::Known
-            }
-            Some((_, Progress::Done(answer))) => {
+        let Some(entry) = requests.by_name.get_mut(&name) else {
+            let name = Arc::new(name);
+            requests.begin(&name, digest);
+            return Entered::New(Page {
+                ledger: self.clone(),
+                name,
+                is_written: false,
+            });
+        };
+        if entry.digest != digest {
+            return Entered::Other;
+        }
+        match &mut entry.progress {
+            Progress::Underway(promises) => promises.push(promise.clone()),
+            Progress::Done(answer) => {
                 let answer = answer.clone();
                 promise.keep(move || answer);
-                Entered::Known
-            }
-            None => {
-                let progress = Progress::Underway(Vec::new());
-                let name = Arc::new(name);
-                requests.by_name.insert(name.clone(), (digest, progress));
-                Entered::New(Page {
-                    ledger: self.clone(),
-                    name,
-                    is_written: false,
-                })
             }
         }
+        Entered::Known
     }
 
     fn lock(&self) -> MutexGuard<'_, Requests> {
@@ -202,11 +205,11 @@ impl Page {
     pub fn write(mut self, answer: &Result<Payload, Payload>) {
         self.is_written = true;
         let mut requests = self.ledger.lock();
-        let Some((digest, progress)) = requests.by_name.get_mut(&self.name) else {
+        let Some(entry) = requests.by_name.get_mut(&self.name) else {
             return;
         };
-        let digest = *digest;
-        let before = std::mem::replace(progress, Progress::Done(answer.clone()));
+        let digest = entry.digest;
+        let before = std::mem::replace(&mut entry.progress, Progress::Done(answer.clone()));
         requests.done.push_back(self.name.clone());
         requests.bytes += bytes(answer);
         requests.forget_oldest();
@@ -230,9 +233,10 @@ impl Page {
 
     fn remove(&mut self) -> Vec<Promise> {
         self.is_written = true;
-        match self.ledger.lock().by_name.remove(&self.name) {
-            Some((_, Progress::Underway(promises))) => promises,
-            _ => Vec::new(),
+        let entry = self.ledger.lock().by_name.remove(&self.name);
+        match entry.map(|it| it.progress) {
+            Some(Progress::Underway(promises)) => promises,
+            Some(Progress::Done(_)) | None => Vec::new(),
         }
     }
 }
@@ -246,14 +250,20 @@ impl Drop for Page {
 }
 
 impl Requests {
+    fn begin(&mut self, name: &Arc<Name>, digest: Digest) {
+        let progress = Progress::Underway(Vec::new());
+        let entry = Box::new(Entry { digest, progress });
+        self.by_name.insert(name.clone(), entry);
+    }
+
     fn done(&mut self, name: Arc<Name>, digest: Digest, answer: Result<Payload, Payload>) {
         self.bytes += bytes(&answer);
-        let before = self
-            .by_name
-            .insert(name.clone(), (digest, Progress::Done(answer)));
-        match before {
-            Some((_, Progress::Done(before))) => self.bytes -= bytes(&before),
-            _ => self.done.push_back(name),
+        let progress = Progress::Done(answer);
+        let entry = Box::new(Entry { digest, progress });
+        let before = self.by_name.insert(name.clone(), entry);
+        match before.map(|it| it.progress) {
+            Some(Progress::Done(before)) => self.bytes -= bytes(&before),
+            Some(Progress::Underway(_)) | None => self.done.push_back(name),
         }
         self.forget_oldest();
     }
@@ -264,7 +274,7 @@ impl Requests {
             let Some(name) = self.done.pop_front() else {
                 return;
             };
-            if let Some((_, Progress::Done(answer))) = self.by_name.remove(&name) {
+            if let Some(Progress::Done(answer)) = self.by_name.remove(&name).map(|it| it.progress) {
                 self.bytes -= bytes(&answer);
             }
         }

@@ -13,6 +13,7 @@ pub mod doors;
 pub mod experiments;
 mod gets;
 pub mod ledger;
+mod lines;
 pub mod query;
 mod recordings;
 pub mod recovery;

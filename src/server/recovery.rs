@@ -5,29 +5,25 @@ use std::sync::Arc;
 use std::sync::mpsc::channel;
 
 use jostle_proto as proto;
-use jostle_proto::Request;
-use serde_json::value::RawValue;
 use thiserror::Error;
 use tracing::{error, info, warn};
 
-use crate::command::{self, Command, CommandError};
+use crate::command::CommandError;
 use crate::host::{self, Host, HostError};
 use crate::server::archive::{About, writes};
 use crate::server::ledger::Ledger;
-use crate::store::{self, Store, StoreError, Write};
+use crate::server::lines::{self, LineError, Lines, PAGE};
+use crate::store::{Store, StoreError, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::journal::{Line, Record, Written};
-use crate::swarm::order::{Order, Recipe, Sender};
+use crate::swarm::order::{Recipe, Sender};
 use crate::swarm::outcome::{Answer, OrderError, Refusal};
 use crate::swarm::phase::Phase;
-use crate::swarm::worker::replay::{Applied, Past, To};
+use crate::swarm::worker::replay::{Applied, Outlook, Past, To, Told};
 use crate::wire::{self, Payload, durable};
 
 /// Lines looked through for the commands that were applied before a checkpoint.
 const LINES_FOR_ENTRIES: u64 = 10_000;
-
-/// Lines read at once.
-const PAGE: usize = 1000;
 
 /// Why swarms cannot be brought back.
 #[derive(Debug, Error)]
@@ -137,7 +133,7 @@ fn recall(
 }
 
 /// A swarm's past, told again.
-pub struct Told {
+pub struct Retold {
     /// The step it was told from.
     pub from: u64,
     /// The swarm at the end of it.
@@ -153,7 +149,7 @@ pub struct Told {
 /// # Errors
 ///
 /// [`CommandError::History`] when what is needed is no longer kept, or damaged.
-pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Told, CommandError> {
+pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Retold, CommandError> {
     // Nothing, which is written after everything before it; if it cannot be, the rest tells.
     let _ = store.commit(Vec::new());
     let history = |problem: String| CommandError::History(problem);
@@ -177,21 +173,29 @@ pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Told, CommandErr
                 continue;
             }
         };
-        let story = lines_after(store, swarm, checkpoint).map_err(|it| history(it.to_string()))?;
-        if let Some(damage) = story.damage {
-            return Err(history(damage));
+        let after = checkpoint.lines;
+        let mut outlook = Outlook::default();
+        for line in Lines::new(store, swarm, after, None) {
+            outlook.learn(&line.map_err(|it| history(it.to_string()))?);
         }
+        // Lines that are written from now on are not told.
+        let until = outlook.last().unwrap_or(after);
+        let lines = Lines::new(store, swarm, after, Some(until));
         let past = Past {
-            checkpoint: story.checkpoint,
-            lines: story.lines,
+            checkpoint,
+            lines: Box::new(lines.map(|line| line.map_err(|it| it.to_string()))),
+            outlook,
             damage: None,
             entries: Vec::new(),
             recall: Box::new(|_| Box::new(|_| {})),
             to,
         };
-        let (checkpoint, same, differs_at) = host::tell_again(past);
+        let (checkpoint, replay) = host::tell_again(past);
+        if let Some(problem) = replay.broken_off {
+            return Err(history(problem));
+        }
         match (to, &checkpoint.phase) {
-            (To::Step(_), Phase::Faulted(reason)) if differs_at.is_some() => {
+            (To::Step(_), Phase::Faulted(reason)) if replay.differs_at.is_some() => {
                 return Err(history(reason.clone()));
             }
             (To::Step(step), _) if checkpoint.state.step != step => {
@@ -199,11 +203,11 @@ pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Told, CommandErr
             }
             _ => {}
         }
-        return Ok(Told {
+        return Ok(Retold {
             from: mark.step,
             checkpoint,
-            same,
-            differs_at,
+            same: replay.same,
+            differs_at: replay.differs_at,
         });
     }
     Err(history(problem))
@@ -216,19 +220,19 @@ pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Told, CommandErr
 /// What is wrong with it.
 pub fn read_snapshot(file: &[u8]) -> Result<Checkpoint, String> {
     let snapshot = proto::Snapshot::from_file(file)?;
-    durable::checkpoint(&snapshot, &read_order).map_err(|error| error.to_string())
+    durable::checkpoint(&snapshot, &lines::read_order).map_err(|error| error.to_string())
 }
 
 /// Reads a checkpoint that was kept; the store has seen to it that it is whole.
 fn read_checkpoint(body: &[u8]) -> Result<Checkpoint, String> {
     let snapshot = proto::Snapshot::from_cbor(body)?;
-    durable::checkpoint(&snapshot, &read_order).map_err(|error| error.to_string())
+    durable::checkpoint(&snapshot, &lines::read_order).map_err(|error| error.to_string())
 }
 
 /// What the journal says after a checkpoint.
 struct Story {
     checkpoint: Checkpoint,
-    lines: Vec<(Line, Option<Order>)>,
+    lines: Vec<Told>,
     damage: Option<String>,
 }
 
@@ -238,64 +242,17 @@ fn lines_after(store: &Store, swarm: &str, checkpoint: Checkpoint) -> Result<Sto
         damage: None,
         checkpoint,
     };
-    let mut after = story.checkpoint.lines;
-    loop {
-        let page = store.rows(swarm, after, PAGE)?;
-        let is_last = page.rows.len() < PAGE;
-        for row in page.rows {
-            after = row.number;
-            match read_line(&row) {
-                Ok(line) => story.lines.push(line),
-                Err(error) => {
-                    story.damage = Some(damaged(after, &error));
-                    return Ok(story);
-                }
+    for line in Lines::new(store, swarm, story.checkpoint.lines, None) {
+        match line {
+            Ok(line) => story.lines.push(line),
+            Err(LineError::Store(error)) => return Err(error.into()),
+            Err(error @ (LineError::Damaged { .. } | LineError::Gone(_))) => {
+                warn!(swarm, %error, "the journal is damaged");
+                story.damage = Some(error.to_string());
             }
         }
-        if let Some(number) = page.damaged_at {
-            warn!(swarm, line = number, "the journal is damaged");
-            story.damage = Some(damaged(number, "it is not as it was written"));
-        }
-        if is_last || story.damage.is_some() {
-            return Ok(story);
-        }
     }
-}
-
-fn damaged(line: u64, problem: &str) -> String {
-    format!(
-        "line {line} of its journal is damaged ({problem}): this is the last state that is sure; \
-         reset it, or delete it and restore a snapshot"
-    )
-}
-
-fn read_line(row: &store::Row) -> Result<(Line, Option<Order>), String> {
-    let record = durable::read_record(&row.body).map_err(|error| error.to_string())?;
-    let order = match &record {
-        Record::Input { sender, .. } => Some(read_order(sender)?),
-        _ => None,
-    };
-    let line = Line {
-        number: row.number,
-        epoch: row.epoch,
-        step: row.step,
-        record,
-    };
-    Ok((line, order))
-}
-
-/// What a command ordered; it was read before, so it can be read again.
-fn read_order(sender: &Sender) -> Result<Order, String> {
-    read_command(sender).map(|command| command.order)
-}
-
-fn read_command(sender: &Sender) -> Result<Command, String> {
-    let args = RawValue::from_string(sender.args.clone()).map_err(|error| error.to_string())?;
-    let request = Request {
-        args: Some(args),
-        ..Request::default()
-    };
-    command::read_again(sender.verb, &request).map_err(|error| error.to_string())
+    Ok(story)
 }
 
 impl Story {
@@ -360,7 +317,7 @@ impl Story {
         let mut unanswered = Vec::new();
         for row in rows.rows.into_iter().filter(|row| row.number <= number) {
             let number = row.number;
-            match read_line(&row) {
+            match lines::read(&row) {
                 Ok((
                     Line {
                         record: Record::Input { sender, .. },
@@ -398,7 +355,8 @@ impl Story {
         Past {
             entries,
             checkpoint: self.checkpoint,
-            lines: self.lines,
+            outlook: self.lines.iter().collect(),
+            lines: Box::new(self.lines.into_iter().map(Ok)),
             damage: self.damage,
             recall: Box::new(move |sender| remember(&ledger, &swarm, sender)),
             to: To::LastInput,
@@ -447,7 +405,7 @@ fn remember(ledger: &Ledger, swarm: &str, sender: &Arc<Sender>) -> Answer {
     let Some(page) = ledger.enter_again((sender.client.clone(), id), digest) else {
         return Box::new(|_| {});
     };
-    let returns_state = read_command(sender).is_ok_and(|command| command.returns_state);
+    let returns_state = lines::read_command(sender).is_ok_and(|command| command.returns_state);
     let swarm = swarm.to_owned();
     let worded = |step, error| Payload::json(&CommandError::from(error).to_wire(step));
     Box::new(move |answered| match answered {

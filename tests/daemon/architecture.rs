@@ -5,10 +5,11 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 26] = [
+const MAY_USE: [(&str, &[&str]); 27] = [
     ("model", &[]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
+    ("arenas", &[]),
     ("meter", &[]),
     ("swarm", &["meter", "model", "stepper", "observables"]),
     ("host", &["model", "swarm"]),
@@ -76,6 +77,7 @@ const MAY_USE: [(&str, &[&str]); 26] = [
     (
         "main",
         &[
+            "arenas",
             "batch",
             "config",
             "demo",
@@ -147,6 +149,7 @@ const ONLY_IN: [(&str, &[&str]); 24] = [
     (
         "std::thread",
         &[
+            "arenas",
             "batch",
             "experiment/execute",
             "health",
@@ -224,7 +227,7 @@ const ONLY_IN: [(&str, &[&str]); 24] = [
     ("rcgen::", &["rights"]),
     ("tokio_rustls::", &["gateway"]),
     ("rusqlite::", &["store"]),
-    ("libc::", &["swarm/rank"]),
+    ("libc::", &["arenas", "swarm/rank"]),
     ("tempfile::", &["main"]),
     ("rayon::", &["model/threads"]),
     ("use clarabel::", &["stepper/solve/clarabel"]),

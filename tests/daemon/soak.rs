@@ -16,6 +16,9 @@ const WARMING: usize = 150;
 /// By how much memory may grow.
 const GROWTH: u64 = 8 << 20;
 
+/// By how much it may grow when all that is told again was told again before.
+const RETELLING_GROWTH: u64 = 3 << 20;
+
 impl Process {
     /// What is open, and how many threads there are.
     fn handles(&self) -> [usize; 2] {
@@ -79,4 +82,35 @@ async fn what_has_come_and_gone_leaves_nothing_behind() {
         now[0] <= before.1[0] + 2 && now[1] <= before.1[1] + 2
     })
     .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn pasts_that_are_told_again_leave_nothing_behind() {
+    let _alone = alone().await;
+    let (daemon, endpoint) = Process::serve();
+    let client = Client::open(&endpoint).await;
+    let names = ["a", "b", "c", "d"];
+    for name in names {
+        client.create(name, json!({"n": 30})).await;
+        for number in 0..1500 {
+            let noise = json!({"noise": f64::from(number % 50) / 50.0});
+            client.ok(name, "set", noise).await;
+            if number % 10 == 0 {
+                client.ok(name, "step", json!({"steps": 5})).await;
+            }
+        }
+    }
+    let verify = async || {
+        for pair in names.chunks(2) {
+            tokio::join!(client.get(pair[0], "verify"), client.get(pair[1], "verify"));
+        }
+    };
+    verify().await;
+    let before = daemon.resident_bytes();
+    for _ in 0..15 {
+        verify().await;
+    }
+    let after = daemon.resident_bytes();
+    println!("memory {} kB, then {} kB", before / 1024, after / 1024);
+    assert!(after < before + RETELLING_GROWTH, "{before} {after}");
 }

@@ -181,8 +181,8 @@ impl Worker {
     }
 
     /// What telling its past again has shown.
-    pub fn replay(&self) -> &Replay {
-        &self.replay
+    pub fn into_replay(self) -> Replay {
+        self.replay
     }
 
     /// All of the swarm as it is now.

@@ -25,12 +25,17 @@ const EVENTS_LOST: u64 = 1 << 20;
 /// Makes the place that the answer to a command goes to.
 pub type Recall = Box<dyn Fn(&Arc<Sender>) -> Answer + Send>;
 
+/// A line of the journal; commands with what they order.
+pub type Told = (Line, Option<Order>);
+
 /// What is to be told again of a swarm.
 pub struct Past {
     /// Where to begin.
     pub checkpoint: Checkpoint,
-    /// The lines since, in order; commands with what they order.
-    pub lines: Vec<(Line, Option<Order>)>,
+    /// The lines since, in order, read as they are told; or why they end.
+    pub lines: Box<dyn Iterator<Item = Result<Told, String>> + Send>,
+    /// What must be known of all those lines before the first is told.
+    pub outlook: Outlook,
     /// Why the lines after these cannot be told, if there are such.
     pub damage: Option<String>,
     /// The commands that were applied before the checkpoint, as far back as they are shown.
@@ -66,17 +71,71 @@ pub enum To {
     Step(u64),
 }
 
+/// What must be known of lines before the first of them is told.
+#[derive(Default)]
+pub struct Outlook {
+    /// Lines whose commands were refused when they were first carried out.
+    refused: BTreeSet<u64>,
+    /// Lines of commands of which a later line says what became of them.
+    settled: BTreeSet<u64>,
+    /// The hashes that steps had when they were first taken.
+    hashes: BTreeMap<(u64, u64), [u8; 32]>,
+    /// Where the last of them was written.
+    last_hash: Option<(u64, u64)>,
+    /// The line of the last reset.
+    last_reset: u64,
+    /// The last line.
+    last: Option<u64>,
+}
+
+impl Outlook {
+    /// Takes in the next line.
+    pub fn learn(&mut self, (line, order): &Told) {
+        self.last = Some(line.number);
+        if matches!(order, Some(Order::Reset(_))) {
+            self.last_reset = line.number;
+        }
+        match line.record {
+            Record::Became { input, seq } => {
+                self.settled.insert(input);
+                if seq.is_none() {
+                    self.refused.insert(input);
+                }
+            }
+            Record::Hash(hash) => {
+                let at = (line.epoch, line.step);
+                self.hashes.insert(at, hash);
+                self.last_hash = Some(at);
+            }
+            _ => {}
+        }
+    }
+
+    /// The last line, if there is any.
+    pub fn last(&self) -> Option<u64> {
+        self.last
+    }
+}
+
+impl<'a> FromIterator<&'a Told> for Outlook {
+    fn from_iter<I: IntoIterator<Item = &'a Told>>(lines: I) -> Self {
+        let mut outlook = Outlook::default();
+        lines.into_iter().for_each(|line| outlook.learn(line));
+        outlook
+    }
+}
+
 /// What is known of the past while it is told again.
 #[derive(Default)]
 pub struct Replay {
-    /// Lines whose commands were refused when they were first carried out.
     refused: BTreeSet<u64>,
-    /// The hashes that steps had when they were first taken.
     hashes: BTreeMap<(u64, u64), [u8; 32]>,
-    /// How many of them were found to be the same.
+    /// How many hashes were found to be the same.
     pub same: u64,
     /// The first epoch and step whose hash was found to be another.
     pub differs_at: Option<(u64, u64)>,
+    /// Why it could not be told to its end.
+    pub broken_off: Option<String>,
 }
 
 impl Replay {
@@ -93,16 +152,6 @@ impl Replay {
             self.differs_at.get_or_insert(at);
         }
         Some(is_same)
-    }
-
-    fn learn(&mut self, lines: &[(Line, Option<Order>)]) {
-        for (line, _) in lines {
-            match &line.record {
-                Record::Became { input, seq: None } => drop(self.refused.insert(*input)),
-                Record::Hash(hash) => drop(self.hashes.insert((line.epoch, line.step), *hash)),
-                _ => {}
-            }
-        }
     }
 
     fn forget(&mut self) {
@@ -125,6 +174,7 @@ impl Worker {
         let Past {
             checkpoint,
             lines,
+            outlook,
             damage,
             entries,
             recall,
@@ -142,7 +192,7 @@ impl Worker {
                 sender: entry.sender,
             });
         }
-        let is_last = checkpoint.is_last && lines.is_empty();
+        let is_last = checkpoint.is_last && outlook.last.is_none();
         let pending = checkpoint.pending.clone();
         let joined = checkpoint.controllers.clone();
         let mut worker =
@@ -154,7 +204,7 @@ impl Worker {
             sender,
         });
         worker.controllers = Controllers::recall(joined, &recall);
-        let end = worker.retell(lines, damage, &recall, to);
+        let end = worker.retell(lines, outlook, damage, &recall, to);
         if !is_last {
             worker.lose_events();
         }
@@ -229,28 +279,30 @@ impl Worker {
 
     fn retell(
         &mut self,
-        lines: Vec<(Line, Option<Order>)>,
+        lines: impl Iterator<Item = Result<Told, String>>,
+        outlook: Outlook,
         damage: Option<String>,
         recall: &dyn Fn(&Arc<Sender>) -> Answer,
         to: To,
     ) -> Option<End> {
-        self.replay.learn(&lines);
-        let told = lines.iter().filter_map(|(line, _)| match line.record {
-            Record::Became { input, .. } => Some(input),
-            _ => None,
-        });
-        self.journal.learn(told.collect());
-        let last_hash = lines.iter().rev().find_map(|(line, _)| match line.record {
-            Record::Hash(_) => Some((line.epoch, line.step)),
-            _ => None,
-        });
-        let lines = match to {
-            To::Step(step) => until(lines, step),
-            To::LastInput | To::LastHash | To::Place(..) => lines,
-        };
+        self.journal.learn(outlook.settled);
+        self.replay.refused = outlook.refused;
+        self.replay.hashes = outlook.hashes;
         let mut last = self.journal.lines();
         let mut end = None;
-        for (line, order) in lines {
+        for line in lines {
+            let (line, order) = match line {
+                Ok(line) => line,
+                Err(problem) => {
+                    self.fault(problem.clone());
+                    self.replay.broken_off = Some(problem);
+                    break;
+                }
+            };
+            let is_of_the_last_run = line.number > outlook.last_reset;
+            if matches!(to, To::Step(step) if is_of_the_last_run && line.step >= step) {
+                break;
+            }
             crash::point("swarm-retold");
             last = line.number;
             match (line.record, order) {
@@ -296,7 +348,7 @@ impl Worker {
                 break;
             }
         }
-        match (to, last_hash) {
+        match (to, outlook.last_hash) {
             (To::Step(step), _) if end.is_none() => end = self.advance(self.at().0, step),
             (To::LastHash, Some((epoch, step))) | (To::Place(epoch, step), _)
                 if end.is_none() && self.at() < (epoch, step) =>
@@ -333,18 +385,6 @@ impl Worker {
         }
         None
     }
-}
-
-/// The lines that were written before the swarm arrived at `step` for the last time.
-fn until(lines: Vec<(Line, Option<Order>)>, step: u64) -> Vec<(Line, Option<Order>)> {
-    let last_start = lines
-        .iter()
-        .rposition(|(_, order)| matches!(order, Some(Order::Reset(_))))
-        .map_or(0, |at| at + 1);
-    let mut lines = lines;
-    let run = lines.split_off(last_start);
-    lines.extend(run.into_iter().take_while(|(line, _)| line.step < step));
-    lines
 }
 
 /// Whether an order may follow a fault.
