@@ -85,8 +85,10 @@ impl Backlog {
 
     fn retain(&mut self, is_kept: impl Fn(&Write) -> bool) {
         for mut submit in std::mem::take(&mut self.submits) {
+            // Who writes nothing waits for all that is before.
+            let only_waits = submit.writes.is_empty();
             submit.writes.retain(&is_kept);
-            if !submit.writes.is_empty() {
+            if only_waits || !submit.writes.is_empty() {
                 self.submits.push_back(submit);
             }
         }

@@ -120,7 +120,7 @@ def test_invalid_arguments_name_the_field(client: jostle.Client, create: Create)
             call()
         error = caught.value
         assert field in f"{error.message} {error.details}", error
-    with pytest.raises(TypeError):
+    with pytest.raises(TypeError, match=r"^pause\(\) got an unexpected .*'expect_stop'"):
         swarm.pause(expect_stop=3)  # type: ignore[call-arg]
     assert swarm.status().seq == 0
 

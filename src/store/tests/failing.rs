@@ -254,6 +254,35 @@ fn beyond_the_bound_checkpoints_go_then_answers_and_rows_never() {
 }
 
 #[test]
+fn whoever_only_waits_is_told_whatever_is_given_up() {
+    let told = Arc::new(AtomicUsize::new(0));
+    let counted = Arc::clone(&told);
+    let mut backlog = Backlog::with_limits(2, usize::MAX);
+    let waits = Submit {
+        writes: Vec::new(),
+        wanted: Wanted::Soon(Some(Box::new(move || {
+            counted.fetch_add(1, Ordering::Relaxed);
+        }))),
+    };
+    let keeps = |number| Submit {
+        writes: vec![keep("a", number, 10)],
+        wanted: Wanted::Soon(None),
+    };
+    for submit in [keeps(1), waits, keeps(2)] {
+        backlog.push(submit);
+    }
+    backlog.forget("a");
+    let left = backlog.pop(1);
+    assert!(backlog.is_empty());
+    for submit in left {
+        if let Wanted::Soon(Some(tell)) = submit.wanted {
+            tell();
+        }
+    }
+    assert_eq!(told.load(Ordering::Relaxed), 1);
+}
+
+#[test]
 fn after_a_failed_sync_nothing_is_promised_any_more() {
     let folder = folder();
     let calls = Arc::new(AtomicUsize::new(0));

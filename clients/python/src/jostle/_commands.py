@@ -524,6 +524,9 @@ class Commands(Questions):
     def _send(
         self, verb: str, args: dict[str, Any], at_step: SupportsIndex | None, options: Options
     ) -> bytes:
+        for name in options:
+            if name not in Options.__annotations__:
+                raise TypeError(f"{verb}() got an unexpected keyword argument {name!r}")
         key = self._link.swarm_key(self._name, f"cmd/{verb}")
         return self._link.command(key, args, swarm=self._name, at_step=at_step, **options)
 
