@@ -20,7 +20,7 @@ use crate::swarm::order::{Admit, Recipe};
 use crate::swarm::outcome::{Answer, OrderError, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::player::Player;
-use crate::swarm::rank::rank;
+use crate::swarm::rank;
 use crate::swarm::simulation::Simulation;
 use crate::swarm::tally::Totals;
 use crate::swarm::worker::replay::{Past, Replay};
@@ -29,11 +29,8 @@ use crate::swarm::worker::{End, Worker};
 /// Orders that may wait for one swarm; what comes on top is refused at once.
 const MOST_TICKETS: usize = 1024;
 
-/// How much lower than the rest of the daemon a swarm's thread ranks (its niceness), so that
-/// stepping never keeps a command or a reader waiting. It still begins its steps soon: see [`rank`].
-const SWARM_NICENESS: i32 = 5;
-
-/// The same of a thread that tells a past again: it ranks below the swarms that are there.
+/// How much lower than the rest of the daemon (its niceness) a thread ranks that tells a past again:
+/// below the swarms that are there.
 const RETELLING_NICENESS: i32 = 15;
 
 /// Memory per individual: its columns, contacts and share of the factor, with the copies that
@@ -469,7 +466,7 @@ impl Host {
     ) {
         let name = &handle.outlet.name;
         // Where it is not permitted the swarm ranks like the rest.
-        let _ = rank(SWARM_NICENESS);
+        let _ = rank::soon();
         let guest = match self.build(handle, beginning) {
             Ok(Ok(guest)) => guest,
             // It had ended, though its end was not safe.

@@ -94,7 +94,7 @@ fn listed(known: &People, as_json: bool) -> String {
 /// What to do with the folders of new people.
 fn handed(folders: &[PathBuf]) -> String {
     if folders.is_empty() {
-        return "made; `jostled auth add NAME=ROLE` adds people\n".into();
+        return "all is there; `jostled auth add NAME=ROLE` adds people\n".into();
     }
     let mut told =
         String::from("hand each folder to its person, over a safe way, and delete it here:\n");

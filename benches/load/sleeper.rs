@@ -1,15 +1,12 @@
-//! A thread that only sleeps, beside the daemon's: how late it wakes is what this machine makes of
-//! any thread that is to run when a swarm's steps are due.
+//! A thread that only sleeps, beside the daemon's, ranked as a swarm's where the daemon may not give
+//! it a share of a core: how late it wakes is what this machine makes of any such thread.
 
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use jostled::swarm::rank::rank;
-
-/// That of a swarm's thread.
-const NICENESS: i32 = 5;
+use jostled::swarm::rank;
 
 /// Sleeps until it is dropped.
 pub struct Sleeper {
@@ -24,7 +21,7 @@ impl Sleeper {
         let late_ms = Arc::<Mutex<Vec<f64>>>::default();
         let woken = late_ms.clone();
         thread::spawn(move || {
-            rank(NICENESS).unwrap();
+            rank::soon().unwrap();
             let mut next = Instant::now() + period;
             let until = |next: Instant| next.saturating_duration_since(Instant::now());
             while let Err(RecvTimeoutError::Timeout) = stopped.recv_timeout(until(next)) {

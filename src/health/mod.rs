@@ -74,6 +74,15 @@ pub enum Reason {
         /// How.
         problem: String,
     },
+    /// Nobody gets in any more.
+    #[error(
+        "the daemon's certificate held until {day}: `jostled auth init --host NAME` with each of its \
+         names makes a new one, for the daemon's next start"
+    )]
+    CertificateEnded {
+        /// The last day of it.
+        day: String,
+    },
     /// Nobody has looked for long.
     #[error("the watch itself has not looked for {secs:.0} s")]
     WatchStuck {
@@ -92,6 +101,7 @@ impl Reason {
             Reason::StoreFailing => "store_failing",
             Reason::StoreOverrun => "store_overrun",
             Reason::Deaf { .. } => "listener_deaf",
+            Reason::CertificateEnded { .. } => "certificate_ended",
             Reason::WatchStuck { .. } => "watch_stuck",
         }
     }
@@ -104,7 +114,10 @@ impl Reason {
             | Reason::ThreadStuck { .. }
             | Reason::Deaf { .. }
             | Reason::WatchStuck { .. } => true,
-            Reason::StoreFull | Reason::StoreFailing | Reason::StoreOverrun => false,
+            Reason::StoreFull
+            | Reason::StoreFailing
+            | Reason::StoreOverrun
+            | Reason::CertificateEnded { .. } => false,
         }
     }
 }
@@ -121,6 +134,8 @@ pub struct Watched {
     pub endpoints: Vec<String>,
     /// Counts the clients connected. It may take its time.
     pub sessions: Box<dyn Fn() -> usize + Send + Sync>,
+    /// The last day of the daemon's certificate, if that is over.
+    pub certificate_ended: Box<dyn Fn() -> Option<String> + Send + Sync>,
 }
 
 /// Watches a daemon.
@@ -190,6 +205,8 @@ impl Watch {
         for hearing in seen.hearing.iter().filter(|it| it.failures >= FAILURES) {
             reasons.extend(hearing.problem.clone());
         }
+        let ended = (self.watched.certificate_ended)();
+        reasons.extend(ended.map(|day| Reason::CertificateEnded { day }));
         let troubles = [
             (store.is_full, Reason::StoreFull),
             (store.is_failing, Reason::StoreFailing),

@@ -19,6 +19,9 @@ const SKEW: Duration = Duration::hours(24);
 /// What the authority is called.
 const AUTHORITY: &str = "jostle";
 
+/// What the daemon is called, and therefore nobody else.
+pub const DAEMON: &str = "jostled";
+
 /// A certificate and its key, both as PEM.
 pub struct Pair {
     /// The certificate.
@@ -66,7 +69,7 @@ impl Authority {
     /// For a name that cannot be one.
     pub fn certify_daemon(&self, hosts: &[String]) -> Result<Pair, rcgen::Error> {
         let params = CertificateParams::new(hosts)?;
-        self.certify(params, "jostled", ExtendedKeyUsagePurpose::ServerAuth)
+        self.certify(params, DAEMON, ExtendedKeyUsagePurpose::ServerAuth)
     }
 
     /// A certificate for a person, whose name is its common name.

@@ -92,6 +92,23 @@ impl Folder {
         self.0.join("people").join(person)
     }
 
+    /// Whose folders are here.
+    ///
+    /// # Errors
+    ///
+    /// [`RightsError::File`] when one may not look.
+    pub fn handed(&self) -> Result<Vec<String>, RightsError> {
+        let path = self.0.join("people");
+        if matches!(path.try_exists(), Ok(false)) {
+            return Ok(Vec::new());
+        }
+        let entries = fs::read_dir(&path).map_err(|error| at(&path, error))?;
+        let names = entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
+        names
+            .collect::<std::io::Result<_>>()
+            .map_err(|error| at(&path, error))
+    }
+
     /// Keeps others from changing it meanwhile; waits for those who do.
     ///
     /// # Errors
@@ -165,6 +182,13 @@ impl Folder {
             return Err(RightsError::Nothing(self.0.clone()));
         }
         let ([authority, authority_key], [certificate, key]) = (self.authority(), self.daemon());
+        let needed = [&authority, &certificate, &key];
+        if let Some(missing) = needed
+            .into_iter()
+            .find(|it| matches!(it.try_exists(), Ok(false)))
+        {
+            return Err(RightsError::Missing(missing.clone()));
+        }
         for path in [&self.0, &self.people_file(), &authority, &certificate] {
             check_owner(path)?;
         }

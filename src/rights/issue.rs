@@ -10,7 +10,7 @@ use jostle_proto::role::is_person;
 use jostle_proto::{Credentials, Role};
 use serde_json::{Value, json};
 
-use crate::rights::certificates::{Authority, Pair, last_day};
+use crate::rights::certificates::{Authority, DAEMON, Pair, last_day};
 use crate::rights::folder::{Entry, Folder, People, at, read, write, write_json};
 use crate::rights::{RightsError, secret};
 
@@ -45,7 +45,9 @@ pub fn init(
     folder.check_own()?;
     let _held = folder.hold()?;
     let authority = authority(folder)?;
-    let is_whole = folder.daemon().iter().all(|path| path.exists());
+    // Of a certificate whose making was cut off nobody has noted until when it holds.
+    let is_noted = folder.is_made()? && folder.people()?.until.is_some();
+    let is_whole = is_noted && folder.daemon().iter().all(|path| path.exists());
     let is_renewed = !hosts.is_empty() || !is_whole;
     if is_renewed {
         let own = OWN_NAMES.map(str::to_owned).into_iter();
@@ -78,7 +80,7 @@ pub fn init(
     folder.write_people(&known)?;
     if !folder.settings_file().exists() {
         let listen = match hosts {
-            [] => known.endpoint,
+            [] => known.endpoint.clone(),
             _ => format!("tls/0.0.0.0:{PORT}"),
         };
         let path = folder.path().canonicalize();
@@ -86,7 +88,13 @@ pub fn init(
         let settings = format!("listen = {listen:?}\nauth_dir = {path:?}\n");
         write(&folder.settings_file(), &settings)?;
     }
-    add_by(&authority, folder, people)
+    // Who is there already stays as they are.
+    let is_there = |(name, role): &(String, Role)| {
+        let mut entries = known.people.iter();
+        entries.any(|it| it.person == *name && it.role == *role)
+    };
+    let new: Vec<_> = people.iter().filter(|it| !is_there(it)).cloned().collect();
+    add_by(&authority, folder, &new)
 }
 
 /// Adds people, and returns the folders to hand to them.
@@ -136,19 +144,32 @@ pub fn remove(folder: &Folder, names: &[String]) -> Result<(), RightsError> {
     for name in names {
         let is_known = known.people.iter().any(|entry| entry.person == *name);
         // What is left of somebody whose removal was cut off is taken away, too.
-        let is_left = is_person(name) && folder.of(name).exists();
+        let has_password = passwords.iter().any(|(person, _)| person == name);
+        let is_left = is_person(name) && (has_password || folder.of(name).exists());
         if !is_known && !is_left {
             return Err(RightsError::Nobody(name.clone()));
         }
     }
     known.people.retain(|entry| !names.contains(&entry.person));
-    passwords.retain(|(person, _)| !names.contains(person));
+    sweep(folder, &known, &mut passwords)?;
     // Their rights go first: a password alone opens nothing.
     folder.write_people(&known)?;
     folder.write_passwords(&passwords)?;
-    for name in names {
-        let path = folder.of(name);
-        if path.exists() {
+    Ok(())
+}
+
+/// Takes away what is left of people who are nobody, since adding or removing them was cut off:
+/// their folders at once, their passwords from `passwords`.
+fn sweep(
+    folder: &Folder,
+    known: &People,
+    passwords: &mut Vec<(String, String)>,
+) -> Result<(), RightsError> {
+    let is_known = |name: &str| known.people.iter().any(|entry| entry.person == name);
+    passwords.retain(|(person, _)| is_known(person));
+    for name in folder.handed()? {
+        if is_person(&name) && !is_known(&name) {
+            let path = folder.of(&name);
             fs::remove_dir_all(&path).map_err(|error| at(&path, error))?;
         }
     }
@@ -170,7 +191,8 @@ fn is_host(host: &str) -> bool {
 }
 
 fn check(people: &[(String, Role)]) -> Result<(), RightsError> {
-    match people.iter().find(|(name, _)| !is_person(name)) {
+    let is_taken = |name: &str| !is_person(name) || name == DAEMON;
+    match people.iter().find(|(name, _)| is_taken(name)) {
         Some((name, _)) => Err(RightsError::Name(name.clone())),
         None => Ok(()),
     }
@@ -182,6 +204,7 @@ fn add_by(
     people: &[(String, Role)],
 ) -> Result<Vec<PathBuf>, RightsError> {
     let (mut known, mut passwords) = (folder.people()?, folder.passwords()?);
+    sweep(folder, &known, &mut passwords)?;
     let mut made = Vec::new();
     for (name, role) in people {
         if known.people.iter().any(|entry| entry.person == *name) {
@@ -201,7 +224,6 @@ fn add_by(
             token_hash: blake3::hash(credentials.token.as_bytes()).to_string(),
             until: Some(last_day()),
         });
-        passwords.retain(|(person, _)| person != name);
         passwords.push((name.clone(), credentials.password.clone()));
         made.push(credentials);
     }
@@ -363,6 +385,49 @@ mod tests {
         let passwords = folder.passwords().unwrap();
         let names: Vec<_> = passwords.iter().map(|(name, _)| name.as_str()).collect();
         assert_eq!(names, ["a", "b", "c", "d"]);
+    }
+
+    #[test]
+    fn what_is_left_of_people_who_are_nobody_goes_with_the_next_change() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = Folder::at(base.path().join("auth"));
+        init(&folder, &[], &[person("anna")]).unwrap();
+        type Change = fn(&Folder);
+        let changes: [Change; 3] = [
+            |folder| drop(init(folder, &[], &[person("anna")]).unwrap()),
+            |folder| drop(add(folder, &[person("ben")]).unwrap()),
+            |folder| remove(folder, &["ben".into()]).unwrap(),
+        ];
+        for change in changes {
+            let known = folder.people().unwrap();
+            add(&folder, &[person("ghost")]).unwrap();
+            // As a removal leaves it that is cut off at once.
+            folder.write_people(&known).unwrap();
+            let notices = Rights::read(folder.clone()).unwrap().notices(60).unwrap();
+            assert!(
+                notices[0].contains("`jostled auth remove ghost`"),
+                "{notices:?}"
+            );
+            change(&folder);
+            assert!(!folder.of("ghost").exists() && folder.of("anna").exists());
+            let passwords = folder.passwords().unwrap();
+            assert!(passwords.iter().all(|(name, _)| name != "ghost"));
+        }
+        // One whose making was cut off before it was noted until when it holds.
+        let mut known = folder.people().unwrap();
+        known.until = None;
+        folder.write_people(&known).unwrap();
+        init(&folder, &[], &[]).unwrap();
+        assert_eq!(folder.people().unwrap().until, Some(last_day()));
+        let other = (String::from("anna"), Role::Operator);
+        assert!(matches!(
+            init(&folder, &[], &[other]),
+            Err(RightsError::There(_))
+        ));
+        assert!(matches!(
+            add(&folder, &[person(DAEMON)]),
+            Err(RightsError::Name(_))
+        ));
     }
 
     #[test]

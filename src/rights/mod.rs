@@ -53,11 +53,17 @@ pub enum RightsError {
     /// What decides that is somebody else's.
     #[error("{0} belongs to somebody else: `chown` it to whom the daemon runs as")]
     Foreign(PathBuf),
+    /// Something is missing that can be made again.
+    #[error("{0} is missing: `jostled auth init` with the daemon's names makes it again")]
+    Missing(PathBuf),
     /// The authority is elsewhere.
     #[error("{0} is not here, and nobody can be added without: put it back for as long")]
     NoAuthority(PathBuf),
     /// A person's name.
-    #[error("{0:?} is no person's name: 1 to 64 of a-z, 0-9 and _, the first a letter or digit")]
+    #[error(
+        "{0:?} is no person's name: 1 to 64 of a-z, 0-9 and _, the first a letter or digit; and \
+         jostled is the daemon's own"
+    )]
     Name(String),
     /// A machine's name or address.
     #[error("{0:?} is neither a name nor an address of a machine, such as lab.example or 10.0.0.1")]
@@ -96,6 +102,8 @@ pub enum Rights {
         folder: Folder,
         /// Who they are.
         people: BTreeMap<[u8; 32], Person>,
+        /// The last day of the daemon's certificate, if that is known.
+        until: Option<String>,
     },
 }
 
@@ -135,7 +143,8 @@ impl Rights {
         // zenoh reads them, and would say less of what is wrong.
         folder.passwords()?;
         let mut people = BTreeMap::new();
-        for entry in folder.people()?.people {
+        let known = folder.people()?;
+        for entry in known.people {
             let wrong = |problem: &str| RightsError::Content {
                 path: folder.people_file(),
                 problem: format!("{}: {problem}", entry.person),
@@ -160,15 +169,29 @@ impl Rights {
                 problem: "there is nobody: `jostled auth add NAME=ROLE`".into(),
             });
         }
-        Ok(Rights::People { folder, people })
+        let until = known.until;
+        Ok(Rights::People {
+            folder,
+            people,
+            until,
+        })
     }
 
-    /// Whose certificates end within so many days, and how to give them new ones: a line each.
+    /// The last day of the daemon's certificate, if that is over.
+    pub fn ended(&self) -> Option<String> {
+        match self {
+            Rights::People { until, .. } => until.clone().filter(|it| *it < in_days(0)),
+            Rights::Everybody => None,
+        }
+    }
+
+    /// What is to be put in order, and how, a line each: certificates that end within so many days,
+    /// and passwords of nobody, which let in and nothing more.
     ///
     /// # Errors
     ///
     /// [`RightsError`] when who there is cannot be read.
-    pub fn ending(&self, days: i64) -> Result<Vec<String>, RightsError> {
+    pub fn notices(&self, days: i64) -> Result<Vec<String>, RightsError> {
         let Rights::People { folder, .. } = self else {
             return Ok(Vec::new());
         };
@@ -189,6 +212,14 @@ impl Rights {
                  `jostled auth add {person}={role}` make a new folder",
                 entry.until.as_deref().unwrap_or_default()
             ));
+        }
+        for (person, _) in folder.passwords()? {
+            if !known.people.iter().any(|entry| entry.person == person) {
+                lines.push(format!(
+                    "{person} is nobody and has a password still: `jostled auth remove {person}` \
+                     takes it away"
+                ));
+            }
         }
         Ok(lines)
     }
@@ -268,8 +299,8 @@ mod tests {
         let folder = Folder::at(base.path().join("auth"));
         issue::init(&folder, &[], &[("vera".into(), Role::Viewer)]).unwrap();
         let rights = Rights::read(folder.clone()).unwrap();
-        assert_eq!(rights.ending(60).unwrap(), [""; 0]);
-        let told = rights.ending(DAYS).unwrap().join("\n");
+        assert_eq!(rights.notices(60).unwrap(), [""; 0]);
+        let told = rights.notices(DAYS).unwrap().join("\n");
         let day = in_days(DAYS);
         assert!(
             told.contains(&format!("the daemon's certificate holds until {day}")),
@@ -285,8 +316,8 @@ mod tests {
         known.until = None;
         known.people[0].until = None;
         folder.write_people(&known).unwrap();
-        assert_eq!(rights.ending(DAYS).unwrap(), [""; 0]);
-        assert!(matches!(Rights::Everybody.ending(DAYS), Ok(none) if none.is_empty()));
+        assert_eq!(rights.notices(DAYS).unwrap(), [""; 0]);
+        assert!(matches!(Rights::Everybody.notices(DAYS), Ok(none) if none.is_empty()));
     }
 
     #[test]

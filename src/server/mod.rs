@@ -154,14 +154,17 @@ pub struct Server {
     doors: (LivelinessToken, [Queryable<()>; 4], [Subscriber<()>; 2]),
 }
 
-/// Tells of certificates that end soon: at once, and once a day for as long as the daemon runs.
-async fn warn_of_certificates(rights: Arc<Rights>) {
+/// Tells of certificates that end soon and passwords of nobody: at once, and once a day for as long
+/// as the daemon runs.
+async fn warn_of_people(rights: Arc<Rights>) {
     let mut days = tokio::time::interval(Duration::from_secs(24 * 60 * 60));
     loop {
         days.tick().await;
-        match rights.ending(DAYS_OF_NOTICE) {
+        match rights.notices(DAYS_OF_NOTICE) {
             Ok(ending) => ending.iter().for_each(|line| warn!("{line}")),
-            Err(error) => warn!(%error, "failed to see which certificates end soon"),
+            Err(error) => {
+                warn!(%error, "failed to see which certificates end soon, and who is nobody");
+            }
         }
     }
 }
@@ -181,7 +184,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     };
     let rights = Arc::new(rights);
     if let Rights::People { .. } = &*rights {
-        tokio::spawn(warn_of_certificates(rights.clone()));
+        tokio::spawn(warn_of_people(rights.clone()));
     }
     let http = match gateway::check(&config.http, config.auth_dir.is_some())? {
         Some(place) => {
@@ -270,6 +273,10 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         threads,
         endpoints: endpoints.clone(),
         sessions: Box::new(move || clients.info().transports().wait().count()),
+        certificate_ended: {
+            let rights = rights.clone();
+            Box::new(move || rights.ended())
+        },
     })?;
     let watching = watch.get_or_init(|| watching).clone();
     // Whoever looks after the daemon reaches it while its swarms are brought back.

@@ -198,8 +198,14 @@ pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Retold, CommandE
             (To::Step(_), Phase::Faulted(reason)) if replay.differs_at.is_some() => {
                 return Err(history(reason.clone()));
             }
-            (To::Step(step), _) if checkpoint.state.step != step => {
-                return Err(history(format!("step {step} was never reached")));
+            (To::Step(step) | To::Place(_, step), _)
+                if replay.differs_at.is_none() && !is_there(&checkpoint, to) =>
+            {
+                return Err(history(format!(
+                    "step {step} is not on the disk yet, which the journal there reaches up to {}: \
+                     ask again once `durable_step` of get/status has come to it",
+                    checkpoint.state.step
+                )));
             }
             _ => {}
         }
@@ -211,6 +217,15 @@ pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Retold, CommandE
         });
     }
     Err(history(problem))
+}
+
+fn is_there(checkpoint: &Checkpoint, to: To) -> bool {
+    let here = (checkpoint.epoch, checkpoint.state.step);
+    match to {
+        To::Step(step) => here.1 == step,
+        To::Place(epoch, step) => here == (epoch, step),
+        To::LastInput | To::LastHash => true,
+    }
 }
 
 /// Reads a snapshot that was sent.

@@ -10,13 +10,16 @@ use tracing::error;
 
 use super::error::StoreFault;
 use super::queue::End;
-use super::retain;
 use super::writer::Writer;
 use super::{OnFatal, Shared};
+use super::{reserve, retain};
 
 /// WAL bytes after which it is moved into the file when nobody waits; at four times this it is
 /// moved in any case.
 const WAL_BYTES: usize = 4 * 1024 * 1024;
+
+/// Pieces of what was deleted that are taken away at once on a full disk.
+const PIECES_ON_A_FULL_DISK: usize = 64;
 
 /// Free pages always left in the file, and given back to the disk at a time.
 const FREE_PAGES: (i64, usize) = (1024, 256);
@@ -71,7 +74,24 @@ impl Writer {
         if is_idle && !has_more {
             has_more = unless_fatal(self.give_back(), false)?;
         }
+        if !self.has_reserve && !self.shared.meter.is_full.load(Ordering::Relaxed) {
+            // On a disk that is full for others it is tried again.
+            self.has_reserve = reserve::keep(&self.folder).is_ok();
+        }
         Ok(has_more)
+    }
+
+    /// Frees the pages of a swarm that was deleted on a full disk, before others take the room that
+    /// this takes; up to a bound, and later the rest.
+    pub(super) fn use_what_is_gone(&mut self) -> Result<(), StoreFault> {
+        for _ in 0..PIECES_ON_A_FULL_DISK {
+            let has_more = unless_fatal(self.tidy(), false)?;
+            unless_fatal(self.move_wal("PASSIVE"), false)?;
+            if !has_more {
+                break;
+            }
+        }
+        Ok(())
     }
 
     /// Takes away a piece of what is kept no longer; whether there is more.

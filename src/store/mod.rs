@@ -23,6 +23,7 @@ mod draft;
 
 mod mend;
 mod read;
+mod reserve;
 mod retain;
 
 mod aside;

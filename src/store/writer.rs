@@ -18,6 +18,7 @@ use super::crash;
 use super::draft::{Changes, Draft};
 use super::error::StoreFault;
 use super::queue::{GROUP, Submit};
+use super::reserve;
 use super::{Shared, Wanted, Write};
 
 /// How long what could not be written waits for the next attempt.
@@ -43,6 +44,8 @@ pub(super) struct Writer {
     pub(super) tidied: Instant,
     /// Whether a copy of the file as it was opened is kept aside.
     is_aside: bool,
+    /// Whether room is kept for deletions.
+    pub(super) has_reserve: bool,
     /// What may have been written or not when the store failed.
     pub(super) unknown: Vec<Submit>,
     /// Held until the last byte is written.
@@ -71,6 +74,7 @@ impl Writer {
             wal_bytes: 0,
             tidied,
             is_aside: false,
+            has_reserve: false,
             unknown: Vec::new(),
             _lock: lock,
         })
@@ -155,13 +159,21 @@ impl Writer {
     }
 
     fn delete(&mut self, submit: Submit) -> Result<(), StoreFault> {
-        match self.commit(std::slice::from_ref(&submit)) {
+        let alone = std::slice::from_ref(&submit);
+        let outcome = match self.commit(alone) {
+            Err(StoreFault::Full) if reserve::give_up(&self.folder) => {
+                self.has_reserve = false;
+                self.commit_or_make_room(alone)
+            }
+            outcome => outcome,
+        };
+        match outcome {
             Ok(mut outcomes) => {
                 for swarm in submit.writes.iter().filter_map(Write::swarm) {
                     self.backlog.forget(swarm);
                 }
                 self.tell(submit.wanted, outcomes.pop().unwrap_or(Ok(())));
-                Ok(())
+                self.use_what_is_gone()
             }
             Err(fault @ StoreFault::Fatal(_)) => {
                 self.unknown.push(submit);

@@ -46,6 +46,11 @@ impl Pace {
         }
     }
 
+    /// How long from one step to the next; nothing if they come as fast as they can.
+    pub fn period(&self) -> Option<Duration> {
+        self.period
+    }
+
     /// How long until the next step is due; nothing if it is.
     pub fn until_due(&self, now: Instant) -> Option<Duration> {
         self.period?;

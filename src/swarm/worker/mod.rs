@@ -30,6 +30,7 @@ use crate::swarm::outcome::{Answer, OrderError, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{Cue, PauseReason, Phase};
+use crate::swarm::rank::Rank;
 use crate::swarm::schedule::Schedule;
 use crate::swarm::shelf::Shelf;
 use crate::swarm::simulation::Simulation;
@@ -63,6 +64,7 @@ pub struct Worker {
     rate: Option<f64>,
     pace: Pace,
     seat: Seat,
+    rank: Rank,
     outlet: Arc<Outlet>,
     history: Arc<History>,
     tally: Arc<Tally>,
@@ -152,6 +154,7 @@ impl Worker {
         Worker {
             pace: Pace::new(rate, simulation.recipe.parameters.dt, now),
             seat: handle.seat(),
+            rank: Rank::default(),
             journal,
             since: Since::new(),
             step_took: Duration::MAX,
@@ -241,6 +244,7 @@ impl Worker {
             {
                 return end;
             }
+            worker.settle_rank();
             if worker.phase.is_moving() {
                 worker.tally.pulse.beat();
                 if let Some(end) = worker.take_with_others(others(), shelf) {
@@ -288,6 +292,15 @@ impl Worker {
         }
     }
 
+    /// Ranks its thread by whether its steps are short and due at times of their own.
+    fn settle_rank(&mut self) {
+        let period = match self.phase {
+            Phase::Running { .. } => self.pace.period(),
+            _ => None,
+        };
+        self.rank.settle(period);
+    }
+
     /// Whether it may step now.
     fn has_core(&mut self) -> bool {
         let now = Instant::now();
@@ -324,6 +337,8 @@ impl Worker {
         while let Some(ticket) = tickets.pop_front() {
             match ticket {
                 Ticket::Command(command) => {
+                    // It may take long.
+                    self.rank.yield_to_others();
                     let order = &command.order;
                     let is_last = matches!(order, Order::Reset(_)) || order.is_carried_out_first();
                     together.push(command);
@@ -408,6 +423,7 @@ impl Worker {
                 self.since.steps += 1;
                 self.since.work += took;
                 self.step_took = took;
+                self.rank.stepped(took);
                 // What is told again was counted when it was first taken.
                 if !self.journal.is_replaying() {
                     self.tally.stepped(took, late, &report);
@@ -510,7 +526,10 @@ impl Worker {
 
     /// Keeps the last good state and says why.
     fn fault(&mut self, reason: String) {
-        warn!(swarm = self.outlet.name, reason, "faulted");
+        // A past that is only told again is nobody's.
+        if !self.outlet.name.is_empty() {
+            warn!(swarm = self.outlet.name, reason, "faulted");
+        }
         self.tally.faulted();
         self.phase = Phase::Faulted(reason.clone());
         let at = self.at();

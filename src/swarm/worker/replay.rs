@@ -349,10 +349,10 @@ impl Worker {
             }
         }
         match (to, outlook.last_hash) {
-            (To::Step(step), _) if end.is_none() => end = self.advance(self.at().0, step),
-            (To::LastHash, Some((epoch, step))) | (To::Place(epoch, step), _)
-                if end.is_none() && self.at() < (epoch, step) =>
-            {
+            // What was done then may not be written down yet: whoever asked sees how far it came.
+            (To::Step(step), _) if end.is_none() => end = self.step_on(self.at().0, step),
+            (To::Place(epoch, step), _) if end.is_none() => end = self.step_on(epoch, step),
+            (To::LastHash, Some((epoch, step))) if end.is_none() && self.at() < (epoch, step) => {
                 end = self.advance(epoch, step);
             }
             _ => {}
@@ -369,12 +369,20 @@ impl Worker {
         end
     }
 
-    /// Takes the steps that were taken until `step` of `epoch`.
-    fn advance(&mut self, epoch: u64, step: u64) -> Option<End> {
+    /// Takes the steps that were taken until `step` of `epoch`, as far as the swarm moves.
+    fn step_on(&mut self, epoch: u64, step: u64) -> Option<End> {
         while self.phase.is_moving() && self.at() < (epoch, step) {
             if let Some(end) = self.step() {
                 return Some(end);
             }
+        }
+        None
+    }
+
+    /// Takes the steps that were taken until `step` of `epoch`, which the journal says were.
+    fn advance(&mut self, epoch: u64, step: u64) -> Option<End> {
+        if let Some(end) = self.step_on(epoch, step) {
+            return Some(end);
         }
         if self.at() != (epoch, step) && !matches!(self.phase, Phase::Faulted(_)) {
             let (epoch_now, step_now) = self.at();

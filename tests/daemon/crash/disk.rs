@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::time::{Duration, Instant};
 
-use jostle_proto::ErrorCode;
+use jostle_proto::{ErrorCode, keys};
 use serde_json::json;
 
 use crate::apart::jostled;
 use crate::crash::life::{self, Left, Life};
 use crate::crash::twin::{Answers, Twin};
 use crate::crash::{Tally, World};
-use crate::support::{Client, alone, beside_others, until};
+use crate::support::{Client, PREFIX, alone, beside_others, until};
 
 /// libfiu's libraries, of the Debian package fiu-utils.
 const FIU: &str = "/usr/lib/fiu";
@@ -68,7 +68,7 @@ async fn after_a_failed_sync_it_ends_with_code_8_and_answers_nobody() {
     let mut life = Life::begin(&mut command).unwrap();
     let client = Client::open(&life.endpoint).await;
     client.create("a", json!({"n": 5})).await;
-    let key = jostle_proto::keys::cmd("jostle", "a", "set");
+    let key = keys::cmd("jostle", "a", "set");
     for k in 0.. {
         let request = json!({"client": "me", "request_id": k.to_string(), "args": {"pi3": 1.1}});
         let answers = client.ask(&key, Some(request.to_string().as_bytes())).await;
@@ -262,4 +262,65 @@ async fn on_a_full_disk_swarms_step_on_and_commands_hear_of_it_at_once() {
     for (twin, name) in twins.iter_mut().zip(["moving", "still"]) {
         twin.compare(&client.get(name, "status").await);
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn on_a_full_disk_swarms_can_be_deleted_and_what_cannot_be_told_yet_is_said() {
+    let _alone = alone().await;
+    let Some(disk) = Small::mount(8) else {
+        println!("skipped: mounting a small disk is not permitted here");
+        return;
+    };
+    let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
+    command.arg("--data-dir").arg(&disk.0);
+    let mut life = Life::begin(&mut command).unwrap();
+    let client = Client::open(&life.endpoint).await;
+    let names = ["a", "b", "c", "d"];
+    for name in names {
+        client.create(name, json!({"n": 20, "rate": 5})).await;
+        for number in 0..100 {
+            let noise = json!({"noise": f64::from(number % 5)});
+            client.ok(name, "set", noise).await;
+        }
+    }
+    client.ok("b", "run", json!({})).await;
+    until("room is kept", async || {
+        disk.path().join("reserve").exists()
+    })
+    .await;
+    disk.fill();
+    until("the disk is full", async || {
+        let answer = client.cmd("d", "set", json!({"noise": 1})).await;
+        answer.is_err_and(|error| error.code == ErrorCode::StorageFull)
+    })
+    .await;
+    // What is not on the disk yet cannot be told again, and nothing else is made of that.
+    client.ok("d", "step", json!({"steps": 7})).await;
+    let fork = json!({"name": "e", "step": 7});
+    for told in [
+        client.one(&keys::get(PREFIX, "d", "verify"), None).await,
+        client.cmd("d", "fork", fork).await,
+    ] {
+        let error = told.unwrap_err();
+        assert_eq!(error.code, ErrorCode::Conflict);
+        assert!(error.message.contains("not on the disk yet"), "{error:?}");
+    }
+    for name in ["a", "b", "c"] {
+        client.ok(name, "delete", json!({})).await;
+    }
+    life.kill();
+    let mut life = Life::begin(&mut command).unwrap();
+    let client = Client::open(&life.endpoint).await;
+    for name in ["a", "b", "c"] {
+        let answers = client.ask(&keys::get(PREFIX, name, "status"), None).await;
+        assert!(answers.is_empty(), "{name}: {answers:?}");
+    }
+    client.get("d", "status").await;
+    disk.make_room();
+    until("room is kept again", async || {
+        let path = disk.path().join("reserve");
+        fs::metadata(path).is_ok_and(|it| it.len() > 0)
+    })
+    .await;
+    life.kill();
 }

@@ -1,6 +1,6 @@
 //! Who is there: liveliness tokens, and what silence means.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use jostle_proto::role::refused;
 use jostle_proto::{NodeReply, WhoAmI, keys};
@@ -11,6 +11,11 @@ use crate::failure::Failure;
 
 /// How long zenoh may take to say who is there.
 const LOOKING: Duration = Duration::from_secs(2);
+
+/// A daemon that starts listens before it says that it is there: how long that may take, and how
+/// often is looked meanwhile.
+const STARTING: Duration = Duration::from_secs(1);
+const LOOKING_AGAIN: Duration = Duration::from_millis(50);
 
 impl Bus {
     /// The nodes that say they host a swarm.
@@ -59,7 +64,7 @@ impl Bus {
         if let Some(node) = &self.node {
             return Ok(node.clone());
         }
-        let mut there = self.nodes().await?;
+        let mut there = self.nodes_soon().await?;
         match there.len() {
             0 => Err(self.nobody().await),
             1 => Ok(there.remove(0)),
@@ -76,11 +81,23 @@ impl Bus {
         if let Some(node) = &self.node {
             return Ok(vec![node.clone()]);
         }
-        let there = self.nodes().await?;
+        let there = self.nodes_soon().await?;
         if there.is_empty() {
             return Err(self.nobody().await);
         }
         Ok(there)
+    }
+
+    /// The nodes that are there, or are in a moment.
+    async fn nodes_soon(&self) -> Result<Vec<String>, Failure> {
+        let began = Instant::now();
+        loop {
+            let there = self.nodes().await?;
+            if !there.is_empty() || began.elapsed() > STARTING {
+                return Ok(there);
+            }
+            tokio::time::sleep(LOOKING_AGAIN).await;
+        }
     }
 
     /// The nodes in the keys of liveliness tokens, ordered.
@@ -131,11 +148,11 @@ impl Bus {
     /// A query that nobody takes ends at once without a word; the tokens tell why, and the daemon
     /// whether what was asked for under `key` is permitted.
     pub(super) async fn explain_silence(&self, whom: Whom<'_>, key: &str) -> Failure {
+        let there = self.nodes_soon().await;
         let hosts = match whom {
             Whom::Swarm(swarm) => self.hosts_of(swarm).await,
             Whom::Node(_) => Ok(Vec::new()),
         };
-        let there = self.nodes().await;
         let (hosts, there) = match (hosts, there) {
             (Ok(hosts), Ok(there)) => (hosts, there),
             (Err(failure), _) | (_, Err(failure)) => return failure,

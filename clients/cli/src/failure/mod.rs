@@ -55,7 +55,7 @@ pub enum Failure {
         "something listens at {endpoint} but does not let {} in: {}",
         person.as_deref().unwrap_or("this client"),
         match person {
-            Some(_) => "these credentials may be out of date, or another daemon's, or it knows no people and takes none",
+            Some(_) => "these credentials may be newer than the daemon's last start, out of date, or another daemon's, or it knows no people and takes none",
             None => "if it is a daemon that knows its people, say who you are: --credentials FOLDER",
         }
     )]

@@ -151,8 +151,8 @@ def _not_let_in(endpoint: str, identity: tuple[Credentials, Path] | None) -> Per
     else:
         who = identity[0].person
         remedy = (
-            "these credentials may be out of date, or another daemon's, or it knows no people and "
-            "takes none"
+            "these credentials may be newer than the daemon's last start, out of date, or another "
+            "daemon's, or it knows no people and takes none"
         )
     return PermissionDenied(f"something listens at {endpoint} but does not let {who} in: {remedy}")
 

@@ -21,8 +21,8 @@ PYTHONPATH=clients/python/tests target/venv/bin/python -m day \\
   --minutes {minutes:g} --seed {seed} --write-docs
 ```
 
-`./check` lives these five minutes and `./check --long` an hour, from a seed of its own, which
-is printed; `--report FILE` writes every sample as JSON.
+`./check` lives five minutes of it and `./check --long` an hour, from a seed of its own, which is
+printed; `--report FILE` writes every sample as JSON.
 
 ## What the daemon took
 
