@@ -6,7 +6,6 @@
 //! ```sh
 //! cargo bench --bench service               # a table
 //! cargo bench --bench service -- --hz 2000  # another pace
-//! cargo bench --bench service -- --pause 5  # milliseconds after each answer, before the next query
 //! cargo bench --bench service -- --json     # an object a line
 //! ```
 //!
@@ -68,10 +67,10 @@ async fn main() {
         return;
     }
     let as_json = std::env::args().any(|argument| argument == "--json");
-    let told = |flag: &str| std::env::args().skip_while(|it| it != flag).nth(1);
-    let hz: u32 = told("--hz").map_or(HZ, |hz| hz.parse().unwrap());
-    let pause: u64 = told("--pause").map_or(0, |pause| pause.parse().unwrap());
-    let pause = Duration::from_millis(pause);
+    let hz: u32 = std::env::args()
+        .skip_while(|argument| argument != "--hz")
+        .nth(1)
+        .map_or(HZ, |hz| hz.parse().unwrap());
     let folder = format!("/dev/shm/jostle-service-{}", std::process::id());
     let mut daemon = Command::new(env!("CARGO_BIN_EXE_jostled"));
     daemon.args(["--listen", "tcp/127.0.0.1:0", "--http", "", "--node", NODE]);
@@ -108,10 +107,10 @@ async fn main() {
             command(&client, "run", &json!({"rate": f64::from(hz) * DT})).await;
             rates[1].push(daemon_followers.rate().await);
             command(&client, "pause", &json!({})).await;
-            let query = queries(&asker, "set", setting, pause).await;
-            let shown = queries(&asker, "step", setting, pause).await;
-            let step = queries(&client, "step", |_| json!({"steps": 1}), pause).await;
-            let set = queries(&client, "set", setting, pause).await;
+            let query = queries(&asker, "set", setting).await;
+            let shown = queries(&asker, "step", setting).await;
+            let step = queries(&client, "step", |_| json!({"steps": 1})).await;
+            let set = queries(&client, "set", setting).await;
             for (all, micros) in took.iter_mut().zip([query, shown, step, set]) {
                 all.push(micros);
             }
@@ -247,18 +246,10 @@ fn setting(k: usize) -> Value {
     json!({"pi2": 0.5 + (k % 2) as f64})
 }
 
-/// What commands take, one after the other, with a pause before each: the median, in microseconds.
-async fn queries(
-    session: &Session,
-    verb: &str,
-    request: impl Fn(usize) -> Value,
-    pause: Duration,
-) -> f64 {
+/// What commands take, one after the other: the median, in microseconds.
+async fn queries(session: &Session, verb: &str, request: impl Fn(usize) -> Value) -> f64 {
     let mut took = Vec::new();
     for k in 0..QUERIES {
-        if !pause.is_zero() {
-            tokio::time::sleep(pause).await;
-        }
         let request = request(k);
         let began = Instant::now();
         command(session, verb, &request).await;
