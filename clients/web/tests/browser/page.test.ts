@@ -392,7 +392,7 @@ test("a replay is shown like a swarm, says where it is, and goes where the slide
   const page = await open("/swarm/film");
   const slider = page.getByRole("slider", { name: "place in the recording" });
   await slider.waitFor();
-  assert.match((await page.locator(".tape").textContent()) ?? "", /replay of filmed/);
+  await page.locator(".tape", { hasText: "replay of filmed" }).waitFor();
   assert.equal(await page.getByRole("button", { name: "Inject" }).isVisible(), false);
   const first = (await row("film"))?.step ?? 0;
   await slider.focus();
