@@ -9,7 +9,9 @@
 //! cargo bench --bench service -- --json     # an object a line
 //! ```
 //!
-//! The daemon keeps its data in memory (`/dev/shm`), so that no command waits for a disk.
+//! The daemon keeps its data in memory (`/dev/shm`), so that no command waits for a disk. What `set`
+//! waits for even so, until a line of its journal is written and synced, is measured beside, by a
+//! store of the bench's own there, and taken apart.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 
@@ -23,6 +25,7 @@ use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
 use jostled::rights::Rights;
+use jostled::store::{Checkpoint, Row, Settings, Store, Write};
 use serde_json::{Value, json};
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::CongestionControl;
@@ -50,6 +53,9 @@ const ROUNDS: usize = 5;
 
 /// Queries of a round.
 const QUERIES: usize = 500;
+
+/// As long as the line of a `set`.
+const LINE_BYTES: usize = 100;
 
 /// Tells a copy of this program that it is to be the bare process: how long states are, how many a
 /// second.
@@ -90,14 +96,15 @@ async fn main() {
         println!("n = {N}, states of {state} bytes, {hz} a second asked for; queries in µs");
         println!(
             "followers   states/s: bare  jostled  ratio   query: bare   shown   step  of bare  of \
-             shown    set  of bare  of shown"
+             shown    set   sync  the rest: of bare  of shown"
         );
     }
+    let mut journal = Journal::new();
     for followers in FOLLOWERS {
         let bare_followers = Followers::new(&bare_at, followers).await;
         let daemon_followers = Followers::new(&daemon_at, followers).await;
         let mut rates: [Vec<f64>; 2] = Default::default();
-        let mut took: [Vec<f64>; 4] = Default::default();
+        let mut took: [Vec<f64>; 5] = Default::default();
         let mut ratios: [Vec<f64>; 4] = Default::default();
         for _ in 0..ROUNDS {
             // One of them publishes at a time.
@@ -111,35 +118,96 @@ async fn main() {
             let shown = queries(&asker, "step", setting).await;
             let step = queries(&client, "step", |_| json!({"steps": 1})).await;
             let set = queries(&client, "set", setting).await;
-            for (all, micros) in took.iter_mut().zip([query, shown, step, set]) {
+            let sync = journal.sync();
+            for (all, micros) in took.iter_mut().zip([query, shown, step, set, sync]) {
                 all.push(micros);
             }
-            let of_both = [step / query, step / shown, set / query, set / shown];
+            let rest = set - sync;
+            let of_both = [step / query, step / shown, rest / query, rest / shown];
             for (all, ratio) in ratios.iter_mut().zip(of_both) {
                 all.push(ratio);
             }
         }
         let [bare_rate, rate] = rates.map(median);
-        let [query, shown, step, set] = took.map(median);
-        let [step_of_bare, step_of_shown, set_of_bare, set_of_shown] = ratios.map(median);
+        let [query, shown, step, set, sync] = took.map(median);
+        let [step_of_bare, step_of_shown, rest_of_bare, rest_of_shown] = ratios.map(median);
         let of_rate = rate / bare_rate;
         if as_json {
             let told = json!({"followers": followers, "n": N, "state_bytes": state, "hz": hz,
                 "bare_states_per_s": bare_rate, "states_per_s": rate, "of_bare_rate": of_rate,
                 "bare_query_us": query, "shown_query_us": shown,
                 "step_us": step, "step_of_bare": step_of_bare, "step_of_shown": step_of_shown,
-                "set_us": set, "set_of_bare": set_of_bare, "set_of_shown": set_of_shown});
+                "set_us": set, "sync_us": sync, "set_but_sync_of_bare": rest_of_bare,
+                "set_but_sync_of_shown": rest_of_shown});
             println!("{told}");
         } else {
             println!(
                 "{followers:9} {bare_rate:16.0} {rate:8.0} {of_rate:6.2} {query:13.0} {shown:7.0} \
-                 {step:6.0} {step_of_bare:8.2} {step_of_shown:9.2} {set:6.0} {set_of_bare:8.2} \
-                 {set_of_shown:9.2}"
+                 {step:6.0} {step_of_bare:8.2} {step_of_shown:9.2} {set:6.0} {sync:6.0} \
+                 {rest_of_bare:18.2} {rest_of_shown:9.2}"
             );
         }
     }
-    drop((daemon, bare));
+    drop((daemon, bare, journal));
     std::fs::remove_dir_all(folder).unwrap();
+}
+
+/// A journal of the bench's own, in memory like the daemon's.
+struct Journal {
+    store: Store,
+    lines: u64,
+    _folder: tempfile::TempDir,
+}
+
+impl Journal {
+    fn new() -> Self {
+        let folder = tempfile::tempdir_in("/dev/shm").unwrap();
+        let settings = Settings {
+            quota_bytes: u64::MAX,
+        };
+        let store = Store::open(folder.path(), settings, Box::new(|fault| panic!("{fault}")));
+        let store = store.unwrap();
+        let first = Checkpoint {
+            number: 0,
+            epoch: 1,
+            step: 0,
+            body: Vec::new(),
+        };
+        let (swarm, about) = (SWARM.to_owned(), Vec::new());
+        let create = Write::Create {
+            swarm,
+            about,
+            first,
+        };
+        store.commit(vec![create]).unwrap();
+        Journal {
+            store,
+            lines: 0,
+            _folder: folder,
+        }
+    }
+
+    /// How long a line takes until it is synced: the median, in microseconds.
+    fn sync(&mut self) -> f64 {
+        let mut took = Vec::new();
+        for _ in 0..QUERIES {
+            self.lines += 1;
+            let row = Row {
+                number: self.lines,
+                epoch: 1,
+                step: 0,
+                kind: 0,
+                body: vec![0; LINE_BYTES],
+            };
+            let swarm = SWARM.to_owned();
+            let began = Instant::now();
+            self.store
+                .commit(vec![Write::Append { swarm, row }])
+                .unwrap();
+            took.push(began.elapsed().as_secs_f64() * 1e6);
+        }
+        median(took)
+    }
 }
 
 /// Sessions that follow the states of one process.
