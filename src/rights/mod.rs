@@ -321,6 +321,26 @@ mod tests {
     }
 
     #[test]
+    fn a_certificate_that_has_ended_or_is_missing_is_told() {
+        let base = tempfile::tempdir().unwrap();
+        let folder = Folder::at(base.path().join("auth"));
+        issue::init(&folder, &[], &[("vera".into(), Role::Viewer)]).unwrap();
+        assert_eq!(Rights::read(folder.clone()).unwrap().ended(), None);
+        let mut known = folder.people().unwrap();
+        for (until, is_over) in [(in_days(-1), true), (in_days(0), false)] {
+            known.until = Some(until.clone());
+            folder.write_people(&known).unwrap();
+            let ended = Rights::read(folder.clone()).unwrap().ended();
+            assert_eq!(ended, is_over.then_some(until));
+        }
+        assert_eq!(Rights::Everybody.ended(), None);
+        let [certificate, _] = folder.daemon();
+        std::fs::remove_file(&certificate).unwrap();
+        let refused = Rights::read(folder).err().unwrap().to_string();
+        assert!(refused.contains("`jostled auth init`"), "{refused}");
+    }
+
+    #[test]
     fn each_may_what_their_role_may_by_their_token_alone() {
         let base = tempfile::tempdir().unwrap();
         let folder = Folder::at(base.path().join("auth"));
