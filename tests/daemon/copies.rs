@@ -94,6 +94,9 @@ async fn what_if_they_had_not_been_informed() {
         assert_eq!(forked["result"]["state_hash"], arrived.as_str());
         assert_eq!(forked["step"], 1500);
     }
+    // In the middle of what one command had it do, too.
+    let midway = json!({"name": "midway", "step": 700});
+    assert_eq!(client.ok("a", "fork", midway).await["step"], 700);
     // Told the same it does the same, the draw included; told nothing it does not.
     let again = client.ok("b", "inform", informed).await;
     assert_eq!(again["result"]["ids"], ids["result"]["ids"]);
