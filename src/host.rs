@@ -132,8 +132,9 @@ pub struct Showing {
 pub trait Herald: Send + Sync + 'static {
     /// Something was put in the swarm's outlet after it had been emptied.
     fn ring(&self, name: &str);
-    /// Whether anyone reads the swarm's frames.
-    fn is_watched(&self, name: &str) -> bool;
+    /// Whether anyone reads the frames of a swarm that moves or does not: see
+    /// [`Outlet::is_watched`].
+    fn is_watched(&self, name: &str, is_moving: bool) -> bool;
     /// The swarm is built: `built` is to be called once it can be reached.
     fn begun(&self, name: &str, built: Box<dyn FnOnce() + Send>);
     /// The swarm has ended: `ended` is to be called once it can no longer be reached. Only then
@@ -313,7 +314,7 @@ impl Host {
         let outlet = Outlet::new(
             name.to_owned(),
             move || bell.0.ring(&bell.1),
-            move || watch.0.is_watched(&watch.1),
+            move |is_moving| watch.0.is_watched(&watch.1, is_moving),
         );
         let handle = Handle {
             recipe: Arc::new(recipe),
@@ -567,7 +568,7 @@ pub fn tell_again(past: Past) -> (Checkpoint, Replay) {
     let (tickets, _) = sync_channel(1);
     let handle = Handle {
         recipe: Arc::new(past.checkpoint.recipe.clone()),
-        outlet: Arc::new(Outlet::new(String::new(), || {}, || false)),
+        outlet: Arc::new(Outlet::new(String::new(), || {}, |_| false)),
         history: Arc::default(),
         tally: Arc::default(),
         tickets: Arc::new(tickets),

@@ -40,13 +40,13 @@ pub mod lab;
 
 pub mod recording;
 
-pub mod arenas;
 pub mod batch;
 pub mod command;
 pub mod config;
 pub mod demo;
 pub mod gateway;
 pub mod health;
+pub mod process;
 pub mod publish;
 pub mod replay;
 pub mod rights;

@@ -9,11 +9,11 @@ use std::process::ExitCode;
 use std::time::Duration;
 
 use clap::{Args, CommandFactory, Parser, Subcommand};
-use jostled::arenas;
 use jostled::batch;
 use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
 use jostled::demo;
 use jostled::gateway::{self, GatewayError, Token};
+use jostled::process;
 use jostled::server::session::{self, SessionError};
 use jostled::server::{self, ServerError};
 use jostled::supervisor;
@@ -182,8 +182,7 @@ impl Settings {
 }
 
 fn main() -> ExitCode {
-    // Without it all is well, but for memory.
-    let _ = arenas::keep_few();
+    process::settle();
     let Arguments { command, settings } = Arguments::parse();
     let command = command.unwrap_or(Command::Serve);
     if let Command::Config {

@@ -8,7 +8,7 @@ use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use jostle_proto::{CBOR, JSON, keys};
 use tracing::warn;
@@ -28,6 +28,10 @@ const EVENTS_CACHED: usize = 64;
 
 /// How often the number of the last event is told, so that a reader notices that it missed it.
 const HEARTBEAT: Duration = Duration::from_secs(2);
+
+/// How long the frames of one swarm are published one after the other while others wait; of those
+/// left then, the newest.
+const MOST_AT_ONCE: Duration = Duration::from_millis(2);
 
 /// The publishers of one swarm.
 pub struct Publication {
@@ -160,10 +164,11 @@ impl Press {
         self.lock().get(swarm).cloned()
     }
 
-    /// Whether anyone reads a swarm's states or order.
-    pub fn is_watched(&self, swarm: &str) -> bool {
+    /// Whether anyone reads a swarm's states or order; of a swarm that does not move, who came this
+    /// moment too.
+    pub fn is_watched(&self, swarm: &str, is_moving: bool) -> bool {
         self.find(swarm)
-            .is_some_and(|publication| publication.is_watched())
+            .is_some_and(|publication| publication.is_watched(is_moving))
     }
 
     fn run(&self, rung: &Receiver<Bell>) {
@@ -196,30 +201,44 @@ impl Press {
 }
 
 impl Publication {
-    fn is_watched(&self) -> bool {
-        self.publishers.state.is_read() || self.publishers.order.is_read()
+    fn is_watched(&self, is_moving: bool) -> bool {
+        let Publishers { state, order, .. } = &self.publishers;
+        state.is_known_to_be_read()
+            || order.is_known_to_be_read()
+            || (!is_moving && (state.is_read() || order.is_read()))
     }
 
     fn publish(&self, swarm: &str) {
         let publishers = &self.publishers;
-        let (frame, events) = self.outlet.take();
+        let (mut frames, events) = self.outlet.take();
         for event in events {
             let Payload { bytes, .. } = Payload::json(&wire::event(swarm, event, refusal));
             report(swarm, publishers.event.put(bytes).wait());
         }
-        if let Some(frame) = frame {
+        let began = Instant::now();
+        while let Some(frame) = frames.pop_front() {
             self.publish_frame(swarm, publishers, &frame);
+            if frames.len() > 1 && began.elapsed() > MOST_AT_ONCE {
+                let newest = frames.split_off(frames.len() - 1);
+                self.outlet.passed_over(frames.len() as u64);
+                frames = newest;
+            }
         }
     }
 
     /// Publishes a state and its order, each only if someone listens.
     fn publish_frame(&self, swarm: &str, publishers: &Publishers, frame: &Frame) {
         let number = self.frames.fetch_add(1, Ordering::Relaxed) + 1;
-        if publishers.state.is_read() {
+        let is_moving = frame.place.phase.is_moving();
+        let is_read = |publisher: &Watched| match is_moving {
+            true => publisher.is_known_to_be_read(),
+            false => publisher.is_read(),
+        };
+        if is_read(&publishers.state) {
             let bytes = wire::state(swarm, frame, number).to_cbor();
             report(swarm, publishers.state.publisher.put(bytes).wait());
         }
-        if publishers.order.is_read() {
+        if is_read(&publishers.order) {
             let Payload { bytes, .. } = Payload::json(&wire::order_sample(swarm, frame, number));
             report(swarm, publishers.order.publisher.put(bytes).wait());
         }
@@ -237,8 +256,19 @@ impl Watched {
         Ok(Watched { publisher, is_read })
     }
 
-    fn is_read(&self) -> bool {
+    /// Whether zenoh has told that anyone reads, which it does a moment after they came.
+    fn is_known_to_be_read(&self) -> bool {
         self.is_read.load(Ordering::Relaxed)
+    }
+
+    /// Whether anyone reads who came before whatever was asked for last.
+    fn is_read(&self) -> bool {
+        self.is_known_to_be_read()
+            || self
+                .publisher
+                .matching_status()
+                .wait()
+                .is_ok_and(|status| status.matching())
     }
 }
 

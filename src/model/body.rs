@@ -8,6 +8,7 @@ use parry2d_f64::query::PointQuery;
 use parry2d_f64::shape::Segment;
 use parry2d_f64::utils::segments_intersection2d;
 
+use super::heading::unit_vector;
 use super::pairs::pairs_within;
 use super::{Configuration, Parameters};
 
@@ -53,6 +54,13 @@ pub struct Gaps {
 /// Gaps beyond a body size need no measuring: no rule depends on them.
 pub const HORIZON: f64 = 1.0;
 
+/// Axes whose centres are apart by two half-lengths do not cross: the square of that, and a little
+/// for rounding.
+const CROSSING: f64 = 4.0 * (1.0 + 1e-9);
+
+/// Where any gap is smaller than this, as in every group, the smallest is among those.
+const CLOSE: f64 = 0.01;
+
 impl Body {
     /// The body that `parameters` give every individual.
     #[must_use]
@@ -76,7 +84,12 @@ impl Body {
     /// half-lengths meanwhile, so that parry's tolerances are relative.
     #[must_use]
     pub fn nearness(&self, first: Pose, second: Pose) -> Nearness {
-        let (dx, dy) = (second.x - first.x, second.y - first.y);
+        let apart = [second.x - first.x, second.y - first.y];
+        self.nearness_of(apart, [first.alpha, second.alpha].map(unit_vector))
+    }
+
+    /// The same of two bodies that are so far apart, with these unit vectors.
+    fn nearness_of(&self, [dx, dy]: [f64; 2], units: [[f64; 2]; 2]) -> Nearness {
         let apart = |distance: f64| distance - 2.0 * self.radius;
         if self.half_length == 0.0 {
             let distance = (dx * dx + dy * dy).sqrt();
@@ -85,9 +98,10 @@ impl Body {
                 crossed: distance == 0.0,
             };
         }
-        let one = axis(0.0, 0.0, first.alpha);
-        let two = axis(dx / self.half_length, dy / self.half_length, second.alpha);
-        if segments_intersection2d(one.a, one.b, two.a, two.b, 0.0).is_some() {
+        let one = axis(0.0, 0.0, units[0]);
+        let two = axis(dx / self.half_length, dy / self.half_length, units[1]);
+        let is_within_reach = dx * dx + dy * dy <= CROSSING * self.half_length * self.half_length;
+        if is_within_reach && segments_intersection2d(one.a, one.b, two.a, two.b, 0.0).is_some() {
             return Nearness {
                 gap: apart(0.0),
                 crossed: true,
@@ -105,8 +119,7 @@ impl Body {
     }
 }
 
-fn axis(x: f64, y: f64, alpha: f64) -> Segment {
-    let (sin, cos) = libm::sincos(alpha);
+fn axis(x: f64, y: f64, [cos, sin]: [f64; 2]) -> Segment {
     Segment::new(Vector::new(x - cos, y - sin), Vector::new(x + cos, y + sin))
 }
 
@@ -128,24 +141,28 @@ pub fn near_pairs(
     configuration: &Configuration,
     gap: f64,
 ) -> Vec<(u32, u32, Nearness)> {
-    pairs_within(
-        &configuration.x,
-        &configuration.y,
-        body.centre_distance(gap),
-    )
-    .into_iter()
-    .map(|(i, j)| {
-        let poses = [i, j].map(|index| pose(configuration, index as usize));
-        (i, j, body.nearness(poses[0], poses[1]))
-    })
-    .filter(|(_, _, nearness)| nearness.gap < gap)
-    .collect()
+    let Configuration { x, y, alpha, .. } = configuration;
+    let units: Vec<[f64; 2]> = alpha.iter().map(|&alpha| unit_vector(alpha)).collect();
+    pairs_within(x, y, body.centre_distance(gap))
+        .into_iter()
+        .map(|(i, j)| {
+            let [first, second] = [i as usize, j as usize];
+            let apart = [x[second] - x[first], y[second] - y[first]];
+            let nearness = body.nearness_of(apart, [units[first], units[second]]);
+            (i, j, nearness)
+        })
+        .filter(|(_, _, nearness)| nearness.gap < gap)
+        .collect()
 }
 
 /// Measures the worst gap and counts the crossed pairs.
 #[must_use]
 pub fn gaps(parameters: &Parameters, configuration: &Configuration) -> Gaps {
-    let near = near_pairs(Body::new(parameters), configuration, HORIZON);
+    let body = Body::new(parameters);
+    let mut near = near_pairs(body, configuration, CLOSE);
+    if near.is_empty() {
+        near = near_pairs(body, configuration, HORIZON);
+    }
     Gaps {
         worst_gap: near
             .iter()

@@ -47,8 +47,8 @@ impl Herald for Crier {
         self.press.ring(name);
     }
 
-    fn is_watched(&self, name: &str) -> bool {
-        self.press.is_watched(name)
+    fn is_watched(&self, name: &str, is_moving: bool) -> bool {
+        self.press.is_watched(name, is_moving)
     }
 
     fn begun(&self, name: &str, built: Box<dyn FnOnce() + Send>) {

@@ -119,7 +119,9 @@ pub async fn open(
 /// permitted: in a flood they turn away most of what they read, and whoever is behind it is read
 /// soon, while each thread that only answers the flood would have as much of a core as they.
 fn read_first() {
-    // What a thread starts ranks like it.
+    // What a thread starts ranks like it. Whoever sends is not to come before whoever has more to
+    // send: several messages that leave together cost little more than one.
+    let _: &Handle = &ZRuntime::TX;
     let started = thread::spawn(|| {
         if let Err(error) = setpriority_process(None, READING_NICENESS) {
             debug!(%error, "not permitted to rank the reading of queries above all else");

@@ -1,7 +1,8 @@
-//! Where a swarm puts what is to be published: its newest frame, and its events in order.
+//! Where a swarm puts what is to be published: its newest frames and its events, in order.
 //!
-//! The swarm never waits here. Whoever publishes takes what is there when it gets round to it;
-//! of two frames it finds the newer. Whoever has to have all of them taps the outlet.
+//! The swarm never waits here. Whoever publishes takes what is there when it gets round to it; of
+//! more frames than there is room for it finds the newest. Whoever has to have all of them taps the
+//! outlet.
 
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -9,6 +10,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use crate::meter::add;
 use crate::swarm::frame::{Event, Frame};
+
+/// Individuals in the frames kept for a publisher that lags: a megabyte of them. The oldest frames
+/// give way, and the newest stays whatever its size.
+const MOST_INDIVIDUALS: usize = 16 * 1024;
 
 /// Events kept for a publisher that lags; the oldest give way, and their numbers show it.
 const MOST_EVENTS: usize = 4096;
@@ -34,12 +39,13 @@ pub struct Outlet {
     frames: AtomicU64,
     dropped: AtomicU64,
     ring: Box<dyn Fn() + Send + Sync>,
-    is_watched: Box<dyn Fn() -> bool + Send + Sync>,
+    is_watched: Box<dyn Fn(bool) -> bool + Send + Sync>,
 }
 
 #[derive(Default)]
 struct Contents {
-    frame: Option<Arc<Frame>>,
+    frames: VecDeque<Arc<Frame>>,
+    individuals: usize,
     events: VecDeque<Event>,
     rung: bool,
 }
@@ -49,7 +55,7 @@ impl Outlet {
     pub fn new(
         name: String,
         ring: impl Fn() + Send + Sync + 'static,
-        is_watched: impl Fn() -> bool + Send + Sync + 'static,
+        is_watched: impl Fn(bool) -> bool + Send + Sync + 'static,
     ) -> Self {
         Outlet {
             name,
@@ -62,9 +68,10 @@ impl Outlet {
         }
     }
 
-    /// Whether a frame would be read; without readers none need be made.
-    pub fn is_watched(&self) -> bool {
-        (self.is_watched)() || self.taps().iter().any(|tap| tap.strong_count() > 0)
+    /// Whether a frame would be read; without readers none need be made. Of a moving swarm the next
+    /// ones tell whoever has come this moment.
+    pub fn is_watched(&self, is_moving: bool) -> bool {
+        (self.is_watched)(is_moving) || self.taps().iter().any(|tap| tap.strong_count() > 0)
     }
 
     /// Has all that is put here from now on go to `tap` too, until that is dropped.
@@ -74,15 +81,25 @@ impl Outlet {
         taps.push(Arc::downgrade(tap));
     }
 
-    /// Puts the newest frame; one that was not taken yet gives way. Only the swarm's thread may.
+    /// Puts the newest frame behind those not taken yet. Only the swarm's thread may.
     pub fn show(&self, frame: Arc<Frame>) {
         add(&self.frames, 1);
         self.pass(|number| Tapped::Frame(&frame, number));
         self.put(|contents| {
-            if contents.frame.replace(frame).is_some() {
-                add(&self.dropped, 1);
+            contents.individuals += frame.configuration.n();
+            contents.frames.push_back(frame);
+            while contents.individuals > MOST_INDIVIDUALS && contents.frames.len() > 1 {
+                if let Some(oldest) = contents.frames.pop_front() {
+                    contents.individuals -= oldest.configuration.n();
+                    self.dropped.fetch_add(1, Ordering::Relaxed);
+                }
             }
         });
+    }
+
+    /// Counts frames that were taken and gave way to a newer one all the same.
+    pub fn passed_over(&self, count: u64) {
+        self.dropped.fetch_add(count, Ordering::Relaxed);
     }
 
     /// How many frames were put, and how many of them gave way to a newer one.
@@ -103,10 +120,9 @@ impl Outlet {
     }
 
     /// Takes what is there.
-    pub fn take(&self) -> (Option<Arc<Frame>>, VecDeque<Event>) {
-        let mut contents = self.lock();
-        contents.rung = false;
-        (contents.frame.take(), std::mem::take(&mut contents.events))
+    pub fn take(&self) -> (VecDeque<Arc<Frame>>, VecDeque<Event>) {
+        let Contents { frames, events, .. } = std::mem::take(&mut *self.lock());
+        (frames, events)
     }
 
     /// Passes to the taps what `of` makes of the number of frames so far.
@@ -134,7 +150,7 @@ impl Outlet {
     }
 
     fn lock(&self) -> MutexGuard<'_, Contents> {
-        // Every change of the contents is a single assignment, so a panic leaves them whole.
+        // Nothing that changes the contents can panic in between.
         self.contents.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -147,7 +163,7 @@ mod tests {
 
     #[test]
     fn a_tap_takes_all_that_is_told_until_it_is_dropped() {
-        let outlet = Outlet::new("demo".to_owned(), || {}, || false);
+        let outlet = Outlet::new("demo".to_owned(), || {}, |_| false);
         let tell = |number| {
             let place = Place {
                 epoch: 0,
@@ -171,13 +187,13 @@ mod tests {
                 add(&sum, event.number);
             }
         });
-        assert!(!outlet.is_watched());
+        assert!(!outlet.is_watched(false));
         outlet.tap(&tap);
-        assert!(outlet.is_watched());
+        assert!(outlet.is_watched(false));
         tell(2);
         tell(3);
         drop(tap);
-        assert!(!outlet.is_watched());
+        assert!(!outlet.is_watched(false));
         tell(4);
         assert_eq!(taken.load(Ordering::Relaxed), 5);
         let (_, events) = outlet.take();

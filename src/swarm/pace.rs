@@ -6,7 +6,7 @@ use crate::swarm::order::Rate;
 
 /// How far behind its rate a swarm may be and still catch up. It absorbs the jitter of waking
 /// up; what is more than that is given up, so that no long burst follows a stall.
-const MOST_BACKLOG: Duration = Duration::from_millis(50);
+pub(super) const MOST_BACKLOG: Duration = Duration::from_millis(50);
 
 /// How much wall clock the measured rate looks back on.
 const WINDOW: Duration = Duration::from_secs(1);

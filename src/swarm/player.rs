@@ -518,7 +518,7 @@ impl Player {
 
     fn show(&mut self) {
         self.shown = Instant::now();
-        if self.outlet.is_watched() {
+        if self.outlet.is_watched(self.phase.is_moving()) {
             self.outlet.show(self.frame());
         }
     }

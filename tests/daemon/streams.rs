@@ -72,6 +72,27 @@ async fn a_running_swarm_is_published_every_so_many_steps_and_frames_count_up() 
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn who_comes_just_before_a_command_is_shown_what_it_does() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    for k in 0..100 {
+        let name = format!("a{k}");
+        client.create(&name, json!({"n": 5})).await;
+        // zenoh tells a publisher of its readers a moment after they came.
+        let states = subscribe(client, keys::state(PREFIX, &name)).await;
+        let orders = subscribe(client, keys::order(PREFIX, &name)).await;
+        client.ok(&name, "step", json!({})).await;
+        assert_eq!(next_state(&states).await.step, 1, "{name}");
+        let order = tokio::time::timeout(PATIENCE, orders.recv_async()).await;
+        let order = order.unwrap().unwrap();
+        let order: OrderSample = serde_json::from_slice(&order.payload().to_bytes()).unwrap();
+        assert_eq!(order.step, 1, "{name}");
+        client.ok(&name, "delete", json!({})).await;
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn as_many_states_a_second_are_published_as_asked_for_but_no_more_than_max_hz() {
     let _alone = alone().await;
     let daemon = Daemon::for_measuring().await;

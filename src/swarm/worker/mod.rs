@@ -28,7 +28,7 @@ use crate::swarm::journal::{Journal, Record, Writer};
 use crate::swarm::order::{Order, Sender};
 use crate::swarm::outcome::{Answer, OrderError, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
-use crate::swarm::pace::Pace;
+use crate::swarm::pace::{MOST_BACKLOG, Pace};
 use crate::swarm::phase::{Cue, PauseReason, Phase};
 use crate::swarm::rank::Rank;
 use crate::swarm::schedule::Schedule;
@@ -463,8 +463,9 @@ impl Worker {
             self.answer_arrived();
         } else {
             if step.is_multiple_of(self.simulation.publish_every) && now >= self.frame_due {
-                // Counted from when it was due, so that a frame a little late costs no other.
-                let grace = now.checked_sub(self.shortest_between_frames).unwrap_or(now);
+                // Counted from when it was due, so that what a swarm makes good is shown too.
+                let grace = self.shortest_between_frames.max(MOST_BACKLOG);
+                let grace = now.checked_sub(grace).unwrap_or(now);
                 self.frame_due = self.frame_due.max(grace) + self.shortest_between_frames;
                 self.show();
             }
@@ -604,7 +605,7 @@ impl Worker {
 
     /// Shows the state to whoever reads.
     pub(super) fn show(&self) {
-        if self.outlet.is_watched() {
+        if self.outlet.is_watched(self.phase.is_moving()) {
             self.outlet.show(self.frame(false));
         }
     }

@@ -69,7 +69,7 @@ struct Silence(OnceLock<Weak<Host>>);
 impl Herald for Silence {
     fn ring(&self, _: &str) {}
 
-    fn is_watched(&self, _: &str) -> bool {
+    fn is_watched(&self, _: &str, _: bool) -> bool {
         false
     }
 
