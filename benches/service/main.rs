@@ -118,7 +118,7 @@ async fn main() {
             let shown = queries(&asker, "step", setting).await;
             let step = queries(&client, "step", |_| json!({"steps": 1})).await;
             let set = queries(&client, "set", setting).await;
-            let sync = journal.sync();
+            let sync = journal.sync(&asker).await;
             for (all, micros) in took.iter_mut().zip([query, shown, step, set, sync]) {
                 all.push(micros);
             }
@@ -187,10 +187,12 @@ impl Journal {
         }
     }
 
-    /// How long a line takes until it is synced: the median, in microseconds.
-    fn sync(&mut self) -> f64 {
+    /// How long a line takes until it is synced, when as much time lies between two of them as
+    /// between two commands: the median, in microseconds.
+    async fn sync(&mut self, asker: &Session) -> f64 {
         let mut took = Vec::new();
-        for _ in 0..QUERIES {
+        for k in 0..QUERIES {
+            command(asker, "set", &setting(k)).await;
             self.lines += 1;
             let row = Row {
                 number: self.lines,

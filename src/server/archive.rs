@@ -1,5 +1,7 @@
 //! What swarms write down, on its way into the store.
 
+use std::sync::Arc;
+
 use jostle_proto as proto;
 use jostle_proto::Request;
 use serde::{Deserialize, Serialize};
@@ -9,7 +11,7 @@ use crate::server::ledger::{self, Digest};
 use crate::store::{self, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::frame::{Frame, Place};
-use crate::swarm::journal::{Wanted, WriteFault, Written};
+use crate::swarm::journal::{Done, Wanted, WriteFault, Written};
 use crate::swarm::order::Recipe;
 use crate::swarm::outcome::Outcome;
 use crate::wire::{self, Payload, durable};
@@ -36,23 +38,24 @@ pub fn archive(store: &Store) -> Archive {
     let store = store.clone();
     Box::new(move |swarm| {
         let (store, swarm) = (store.clone(), swarm.to_owned());
-        Box::new(move |written, wanted| {
+        Arc::new(move |written, wanted| {
             let writes = written
                 .into_iter()
                 .flat_map(|it| writes(&swarm, it))
                 .collect();
             match wanted {
-                Wanted::Now(done) => {
-                    let done = Box::new(move |result: Result<(), StoreFault>| {
-                        done(result.map_err(fault));
-                    });
-                    store.submit(writes, Some(done));
-                }
+                Wanted::Now(done) => store.submit(writes, Some(told(done))),
+                Wanted::InPassing(done) => store.submit_at_once(writes, told(done)),
                 Wanted::Soon(None) => store.submit(writes, None),
                 Wanted::Soon(Some(told)) => store.submit_then(writes, told),
             }
         })
     })
+}
+
+/// Tells a swarm what came of its writes.
+fn told(done: Done) -> store::Done {
+    Box::new(move |result| done(result.map_err(fault)))
 }
 
 /// Makes a new swarm safe, and with it the answer to whoever asked for it by name.

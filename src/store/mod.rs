@@ -200,12 +200,14 @@ impl Store {
             return;
         }
         let wanted = done.map_or(Wanted::Soon(None), Wanted::Now);
-        let refused = self.0.shared.queue.push(Submit { writes, wanted });
-        if let Err((submit, end)) = refused
-            && let Wanted::Now(done) = submit.wanted
-        {
-            done(Err(end.fault()));
-        }
+        refused(self.0.shared.queue.push(Submit { writes, wanted }));
+    }
+
+    /// Queues `writes` as [`Store::submit`] does, and never waits: for whoever has no more than one
+    /// such underway.
+    pub fn submit_at_once(&self, writes: Vec<Write>, done: Done) {
+        let wanted = Wanted::Now(done);
+        refused(self.0.shared.queue.push_at_once(Submit { writes, wanted }));
     }
 
     /// Writes `writes` and waits until they are synced; none, until all that came before them is.
@@ -396,6 +398,15 @@ impl Drop for Inner {
         if let Some(thread) = thread.filter(|_| !self.shared.queue.is_writer()) {
             let _ = thread.join();
         }
+    }
+}
+
+/// Tells whoever waits why the queue took nothing.
+fn refused(pushed: Result<(), (Submit, End)>) {
+    if let Err((submit, end)) = pushed
+        && let Wanted::Now(done) = submit.wanted
+    {
+        done(Err(end.fault()));
     }
 }
 

@@ -102,6 +102,20 @@ impl Queue {
                 .wait(state)
                 .unwrap_or_else(PoisonError::into_inner);
         }
+        self.put(state, submit)
+    }
+
+    /// Puts `submit` at the end, where there is room or not: its sender has no more than one there.
+    ///
+    /// # Errors
+    ///
+    /// Gives `submit` back when the queue has ended.
+    pub(super) fn push_at_once(&self, submit: Submit) -> Result<(), (Submit, End)> {
+        self.put(self.lock(), submit)
+    }
+
+    fn put(&self, mut state: MutexGuard<'_, State>, submit: Submit) -> Result<(), (Submit, End)> {
+        let (writes, bytes) = submit.size();
         if let Some(end) = state.end.clone() {
             return Err((submit, end));
         }

@@ -82,25 +82,28 @@ impl Handle {
     }
 
     /// Hands over a command. If the swarm waits for it and it is done in a moment, that is done
-    /// here, and it is answered when this returns; otherwise as with [`send`](Handle::send).
+    /// here, and it is answered when this returns, or by the store as soon as it is safe; otherwise
+    /// as with [`send`](Handle::send).
     pub fn send_here(&self, command: Command) {
-        match self.shelf.carry_out(command) {
-            Ok(false) => {}
-            // A thread whose queue is full wakes for that.
-            Ok(true) => drop(self.tickets.try_send(Ticket::Awake)),
-            Err(command) => self.send(Ticket::Command(*command)),
+        if let Err(command) = self.shelf.carry_out(command, self.awaken()) {
+            self.send(Ticket::Command(*command));
         }
     }
 
-    /// Its place among the swarms that share the cores. It keeps no queue of tickets alive.
-    pub(crate) fn seat(&self) -> Seat {
+    /// Wakes its thread, and keeps no queue of tickets alive.
+    fn awaken(&self) -> impl Fn() + Send + Sync + use<> {
         let tickets = Arc::downgrade(&self.tickets);
-        self.cores.seat(move || {
+        move || {
             if let Some(tickets) = tickets.upgrade() {
                 // A thread whose queue is full is awake, or wakes for that.
                 let _ = tickets.try_send(Ticket::Awake);
             }
-        })
+        }
+    }
+
+    /// Its place among the swarms that share the cores.
+    pub(crate) fn seat(&self) -> Seat {
+        self.cores.seat(self.awaken())
     }
 
     /// What has been counted of it since it is hosted here.

@@ -89,17 +89,19 @@ pub type Done = Box<dyn FnOnce(Result<(), WriteFault>) + Send>;
 pub enum Wanted {
     /// At once, or not at all.
     Now(Done),
+    /// The same, of one who does not wait for room either: no swarm has more than one underway.
+    InPassing(Done),
     /// Within a few milliseconds, tried again for as long as it fails; told when it is safe.
     Soon(Option<Box<dyn FnOnce() + Send>>),
 }
 
 /// Writes together what belongs together, in the order of calls.
-pub type Writer = Box<dyn Fn(Vec<Written>, Wanted) + Send>;
+pub type Writer = Arc<dyn Fn(Vec<Written>, Wanted) + Send + Sync>;
 
 /// A writer that says at once that all is safe, and writes nothing.
 pub fn to_nowhere() -> Writer {
-    Box::new(|_, wanted| match wanted {
-        Wanted::Now(done) => done(Ok(())),
+    Arc::new(|_, wanted| match wanted {
+        Wanted::Now(done) | Wanted::InPassing(done) => done(Ok(())),
         Wanted::Soon(Some(told)) => told(),
         Wanted::Soon(None) => {}
     })
@@ -126,6 +128,12 @@ struct Safe {
     step: u64,
     /// How often what was to be done was cut short: what was noted before counts no more.
     cuts: u64,
+}
+
+/// Records that are being written: how many lines there were before, and at which step.
+pub struct Begun {
+    before: u64,
+    step: u64,
 }
 
 impl Journal {
@@ -206,27 +214,68 @@ impl Journal {
         (epoch, step): (u64, u64),
         records: Vec<Record>,
     ) -> Result<u64, WriteFault> {
-        let first = self.lines + 1;
         if self.is_replaying {
-            return Ok(first);
+            return Ok(self.lines + 1);
         }
+        let (lines, begun) = self.begin((epoch, step), records);
+        let result = self.wait(lines);
+        self.committed(begun, result)
+    }
+
+    /// Has records of a swarm at `place` written, as [`commit`](Journal::commit) does, without
+    /// waiting: gives what hands them over, and what [`committed`](Journal::committed) is to be told
+    /// of them before anything else is written.
+    pub fn commit_then(
+        &mut self,
+        place: (u64, u64),
+        records: Vec<Record>,
+    ) -> (impl FnOnce(Done) + use<>, Begun) {
+        let (lines, begun) = self.begin(place, records);
+        let writer = self.writer.clone();
+        (move |done| writer(lines, Wanted::InPassing(done)), begun)
+    }
+
+    fn begin(&mut self, (epoch, step): (u64, u64), records: Vec<Record>) -> (Vec<Written>, Begun) {
         let before = self.lines;
         let lines = records
             .into_iter()
             .map(|record| Written::Line(self.line(epoch, step, record)))
             .collect();
-        match self.wait(lines) {
+        (lines, Begun { before, step })
+    }
+
+    /// Takes in whether records are safe. Returns the first one's number.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteFault`], as it was told.
+    pub fn committed(
+        &mut self,
+        Begun { before, step }: Begun,
+        result: Result<(), WriteFault>,
+    ) -> Result<u64, WriteFault> {
+        match result {
             Ok(()) => {
                 let mut safe = self.safe();
                 safe.step = safe.step.max(step);
-                drop(safe);
-                Ok(first)
+                Ok(before + 1)
             }
             Err(fault) => {
                 self.lines = before;
                 Err(fault)
             }
         }
+    }
+
+    /// Has a record written when it suits, and tells when it is safe.
+    pub fn note_then(
+        &mut self,
+        (epoch, step): (u64, u64),
+        record: Record,
+        told: Box<dyn FnOnce() + Send>,
+    ) {
+        let line = Written::Line(self.line(epoch, step, record));
+        (self.writer)(vec![line], Wanted::Soon(Some(told)));
     }
 
     /// Has a record written when it suits; once it is, a crash takes back no step up to `reached`.

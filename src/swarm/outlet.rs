@@ -125,6 +125,14 @@ impl Outlet {
         (frames, events)
     }
 
+    /// Does something that puts more than one thing here, and something else besides that is waited
+    /// for: rings when all of it is done.
+    pub fn ring_after<T>(&self, work: impl FnOnce() -> T) -> T {
+        let is_rung = std::mem::replace(&mut self.lock().rung, true);
+        let _ring = (!is_rung).then(|| RingAfter(self));
+        work()
+    }
+
     /// Passes to the taps what `of` makes of the number of frames so far.
     fn pass<'a>(&self, of: impl Fn(u64) -> Tapped<'a>) {
         let number = self.frames.load(Ordering::Relaxed);
@@ -152,6 +160,23 @@ impl Outlet {
     fn lock(&self) -> MutexGuard<'_, Contents> {
         // Nothing that changes the contents can panic in between.
         self.contents.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Rings when dropped, if something is there.
+struct RingAfter<'a>(&'a Outlet);
+
+impl Drop for RingAfter<'_> {
+    fn drop(&mut self) {
+        let Outlet { ring, .. } = self.0;
+        let has_any = {
+            let mut contents = self.0.lock();
+            contents.rung = !contents.frames.is_empty() || !contents.events.is_empty();
+            contents.rung
+        };
+        if has_any {
+            ring();
+        }
     }
 }
 

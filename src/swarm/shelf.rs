@@ -1,10 +1,11 @@
-//! Where a paused swarm lies while its thread sleeps. Whoever brings a command that has it step may
-//! carry that out there and then: waking the thread takes longer than a step.
+//! Where a paused swarm lies while its thread sleeps. Whoever brings a command may carry it out
+//! there and then, or have the store do so as soon as it is safe: waking the thread takes longer
+//! than a step.
 //!
-//! The swarm has one owner at a time, its thread or whoever holds the shelf.
+//! The swarm has one owner at a time: its thread, whoever holds the shelf, or the store.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::{Mutex, MutexGuard};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 
 use crate::swarm::handle::Command;
 use crate::swarm::worker::Worker;
@@ -12,9 +13,30 @@ use crate::swarm::worker::Worker;
 /// A swarm's shelf.
 #[derive(Default)]
 pub struct Shelf {
-    worker: Mutex<Option<Box<Worker>>>,
+    place: Mutex<Place>,
+    is_back: Condvar,
     /// Tickets that wait for the thread. They came first.
     queued: AtomicUsize,
+}
+
+/// What lies on a shelf.
+#[derive(Default)]
+enum Place {
+    /// Nothing: the swarm is with its thread.
+    #[default]
+    Empty,
+    /// The swarm.
+    Taken(Box<Worker>),
+    /// Nothing until the store has made a command safe and carried it out.
+    Lent,
+    /// What a defect left of it.
+    Lost,
+}
+
+/// Brings a swarm back that was lent.
+struct Loan {
+    shelf: Arc<Shelf>,
+    worker: Option<Box<Worker>>,
 }
 
 impl Shelf {
@@ -30,39 +52,221 @@ impl Shelf {
 
     /// Puts the swarm here while its thread sleeps.
     pub fn put(&self, worker: Box<Worker>) {
-        *self.lock() = Some(worker);
+        *self.lock() = Place::Taken(worker);
     }
 
-    /// Takes it back.
+    /// Takes it back, as soon as it is there.
     pub fn take(&self) -> Box<Worker> {
-        self.lock().take().expect("only its thread takes a swarm")
+        let place = self.lock();
+        let place = self
+            .is_back
+            .wait_while(place, |place| matches!(place, Place::Lent));
+        let mut place = place.expect("no defect showed on the shelf");
+        match std::mem::take(&mut *place) {
+            Place::Taken(worker) => worker,
+            _ => panic!("a defect showed while the swarm was away"),
+        }
     }
 
-    /// Carries a command out, if the swarm lies here and that is done in a moment; otherwise gives
-    /// it back. Returns whether the thread is to be woken all the same.
+    /// Carries a command out, if the swarm lies here and that is done in a moment, or once it is
+    /// safe; otherwise gives it back. `wake` is called if the thread is to be woken all the same.
     ///
     /// # Errors
     ///
     /// The command, which is to be handed to the thread.
-    pub fn carry_out(&self, command: Command) -> Result<bool, Box<Command>> {
+    pub fn carry_out(
+        self: &Arc<Self>,
+        command: Command,
+        wake: impl FnOnce() + Send + 'static,
+    ) -> Result<(), Box<Command>> {
         // Whoever holds it does so for a moment.
-        let Ok(mut shelf) = self.worker.lock() else {
+        let Ok(mut place) = self.place.lock() else {
             return Err(Box::new(command));
         };
-        match shelf.as_mut() {
-            Some(worker)
-                if command.order.is_carried_out_first()
-                    && self.queued.load(Ordering::Acquire) == 0
-                    && worker.has_a_moment() =>
-            {
-                Ok(worker.carry_out_here(command))
-            }
-            _ => Err(Box::new(command)),
+        let Place::Taken(worker) = &mut *place else {
+            return Err(Box::new(command));
+        };
+        if self.queued.load(Ordering::Acquire) > 0 || !worker.has_a_moment() {
+            return Err(Box::new(command));
         }
+        if command.order.is_carried_out_first() {
+            if worker.carry_out_here(command) {
+                wake();
+            }
+            return Ok(());
+        }
+        if !worker.is_done_at_once(&command) {
+            return Err(Box::new(command));
+        }
+        let Place::Taken(worker) = std::mem::replace(&mut *place, Place::Lent) else {
+            unreachable!("it lay here just now");
+        };
+        drop(place);
+        let mut loan = Loan {
+            shelf: self.clone(),
+            worker: None,
+        };
+        worker.carry_out_when_safe(command, move |worker, is_to_wake| {
+            loan.worker = Some(worker);
+            drop(loan);
+            if is_to_wake {
+                wake();
+            }
+        });
+        Ok(())
     }
 
-    fn lock(&self) -> MutexGuard<'_, Option<Box<Worker>>> {
+    fn lock(&self) -> MutexGuard<'_, Place> {
         // What a defect left half done ends its thread too, like any defect there.
-        self.worker.lock().expect("no defect showed on the shelf")
+        self.place.lock().expect("no defect showed on the shelf")
+    }
+}
+
+impl Drop for Loan {
+    fn drop(&mut self) {
+        *self.shelf.lock() = self.worker.take().map_or(Place::Lost, Place::Taken);
+        self.shelf.is_back.notify_all();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::{Receiver, channel, sync_channel};
+    use std::time::Duration;
+
+    use super::*;
+    use crate::model::parameters::Parameters;
+    use crate::swarm::cores::Cores;
+    use crate::swarm::handle::Handle;
+    use crate::swarm::journal::{Done, Wanted, WriteFault, Writer};
+    use crate::swarm::order::{Change, Order, Recipe, Sender, Settings, Start, When};
+    use crate::swarm::outcome::{Answered, OrderError};
+    use crate::swarm::outlet::Outlet;
+    use crate::swarm::simulation::Simulation;
+
+    /// A swarm on its shelf, and what its store is asked to make safe and tell of.
+    fn shelf() -> (Arc<Shelf>, Receiver<Done>) {
+        let recipe = Recipe {
+            n: 2,
+            parameters: Parameters::default(),
+            seed: 1,
+            start: Start::Disc(None),
+            publish_every: 1,
+            rate: None,
+        };
+        let (tickets, _) = sync_channel(1);
+        let handle = Handle {
+            recipe: Arc::new(recipe.clone()),
+            outlet: Arc::new(Outlet::new("demo".into(), || {}, |_| false)),
+            history: Arc::default(),
+            tally: Arc::default(),
+            tickets: Arc::new(tickets),
+            shelf: Arc::default(),
+            cores: Arc::new(Cores::new(1)),
+            summary: Arc::default(),
+        };
+        let (asked, store) = channel();
+        let writer: Writer = Arc::new(move |_, wanted| {
+            if let Wanted::InPassing(done) = wanted {
+                asked.send(done).unwrap();
+            }
+        });
+        let simulation = Simulation::new(recipe, Box::new(|_| Ok(()))).unwrap();
+        let worker = Worker::new(simulation, &handle, Duration::ZERO, writer);
+        handle.shelf.put(Box::new(worker));
+        (handle.shelf, store)
+    }
+
+    /// A command to it, and what it is answered.
+    fn command(order: Order) -> (Command, Receiver<Answered>) {
+        let (answer, answered) = channel();
+        let command = Command {
+            order,
+            when: When::default(),
+            sender: Arc::new(Sender::default()),
+            answer: Box::new(move |it| answer.send(it).unwrap()),
+        };
+        (command, answered)
+    }
+
+    fn set(new: Settings) -> Order {
+        Order::Change(Change::Set(new))
+    }
+
+    fn pi2(value: f64) -> Order {
+        set(Settings {
+            pi2: Some(value),
+            ..Settings::default()
+        })
+    }
+
+    #[test]
+    fn a_change_is_made_by_whoever_tells_that_it_is_safe_and_nothing_else_meanwhile() {
+        let (shelf, store) = shelf();
+        let (first, answered) = command(pi2(0.7));
+        assert!(shelf.carry_out(first, || {}).is_ok());
+        assert!(answered.try_recv().is_err(), "it is not safe yet");
+        // The swarm is away: whoever comes now waits for its thread, and that for the swarm.
+        let (step, _) = command(Order::Step(1));
+        assert!(shelf.carry_out(step, || {}).is_err());
+        let taken = {
+            let shelf = shelf.clone();
+            std::thread::spawn(move || shelf.take().checkpoint())
+        };
+        store.recv().unwrap()(Ok(()));
+        let (place, _) = answered.recv().unwrap().unwrap();
+        let kept = taken.join().unwrap();
+        assert_eq!((place.seq, kept.seq, kept.lines), (1, 1, 2));
+        assert!((kept.state.parameters.pi2 - 0.7).abs() < f64::EPSILON);
+    }
+
+    #[test]
+    fn what_could_not_be_made_safe_is_refused_and_changes_nothing() {
+        let (shelf, store) = shelf();
+        let full: fn(Done) = |done| done(Err(WriteFault::Full));
+        for tell in [full, drop] {
+            let (order, answered) = command(pi2(0.7));
+            assert!(shelf.carry_out(order, || {}).is_ok());
+            tell(store.recv().unwrap());
+            let refusal = answered.recv().unwrap().unwrap_err();
+            assert!(
+                matches!(refusal.error, OrderError::Unsafe(_)),
+                "{refusal:?}"
+            );
+        }
+        let kept = shelf.take().checkpoint();
+        assert_eq!((kept.seq, kept.lines), (0, 0));
+    }
+
+    #[test]
+    fn what_takes_long_or_changes_more_is_left_to_the_thread() {
+        let (shelf, store) = shelf();
+        let other_bodies = set(Settings {
+            pi1: Some(2.0),
+            ..Settings::default()
+        });
+        let pause = Order::Pause;
+        for order in [other_bodies, pause, Order::Batch(Vec::new())] {
+            let (command, _) = command(order);
+            assert!(shelf.carry_out(command, || {}).is_err());
+        }
+        // What came before is done before.
+        shelf.queue();
+        let (second, _) = command(pi2(0.7));
+        assert!(shelf.carry_out(second, || {}).is_err());
+        assert!(store.try_recv().is_err());
+    }
+
+    #[test]
+    fn a_defect_while_it_is_away_ends_the_thread_instead_of_letting_it_wait() {
+        let (shelf, store) = shelf();
+        let (mut order, _) = command(pi2(0.7));
+        order.answer = Box::new(|_| panic!("a defect"));
+        assert!(shelf.carry_out(order, || {}).is_ok());
+        let done = store.recv().unwrap();
+        let told = std::thread::spawn(move || done(Ok(())));
+        assert!(told.join().is_err());
+        let taken = std::thread::spawn(move || drop(shelf.take()));
+        assert!(taken.join().is_err());
     }
 }

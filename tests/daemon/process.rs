@@ -4,10 +4,11 @@ use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use jostle_proto::{ErrorCode, keys};
-use serde_json::json;
+use serde_json::{Value, json};
+use zenoh::Wait;
 
 use crate::apart::{Process, jostled};
-use crate::support::{Client, PREFIX, alone, beside_others, until};
+use crate::support::{Client, PATIENCE, PREFIX, alone, beside_others, read, until};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn sigterm_and_ctrl_c_end_it_within_two_seconds() {
@@ -182,6 +183,41 @@ async fn a_defect_in_a_command_is_told_changes_nothing_and_hurts_nobody_else() {
     client.ok("b", "inject", json!({"count": 1})).await;
     client.ok("b", "inform", inform).await;
     assert_eq!(client.hash("a").await, client.hash("b").await);
+}
+
+/// A change is made when it is safe, and nobody waits for it but whoever sent it and whoever sends
+/// the same swarm another.
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_waits_for_a_slow_disk_holds_up_nobody_else() {
+    const COMMIT: Duration = Duration::from_secs(1);
+    let _machine = alone().await;
+    let (_daemon, endpoint) = Process::serve_failing("store-begin=sleep(1000)");
+    let client = Client::open(&endpoint).await;
+    for swarm in ["a", "b", "c", "free"] {
+        client.create(swarm, json!({"n": 5})).await;
+    }
+    let send = |swarm: &str, verb: &str, request: Value| {
+        let key = keys::cmd(PREFIX, swarm, verb);
+        let get = client.session.get(key).payload(request.to_string());
+        get.timeout(PATIENCE).wait().unwrap()
+    };
+    let began = Instant::now();
+    let changes = ["a", "b", "c"].map(|swarm| send(swarm, "set", json!({"pi2": 0.7})));
+    let step = send("a", "step", json!({"steps": 1}));
+    for _ in 0..10 {
+        client.ok("free", "step", json!({"steps": 1})).await;
+    }
+    let free = began.elapsed();
+    assert!(free < COMMIT / 2, "{free:?}");
+    for reply in changes {
+        let reply = reply.recv_async().await.unwrap().into_result().unwrap();
+        let reply = read(reply.encoding(), &reply.payload().to_bytes());
+        assert_eq!(reply["result"]["now"]["pi2"], 0.7);
+    }
+    let stepped = step.recv_async().await.unwrap().into_result().unwrap();
+    let stepped = read(stepped.encoding(), &stepped.payload().to_bytes());
+    assert_eq!((&stepped["step"], &stepped["seq"]), (&json!(1), &json!(2)));
+    assert!(began.elapsed() > COMMIT / 2, "{:?}", began.elapsed());
 }
 
 #[tokio::test(flavor = "multi_thread")]

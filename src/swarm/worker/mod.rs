@@ -82,6 +82,8 @@ pub struct Worker {
     step_took: Duration,
     /// When its thread wakes by itself, while it sleeps.
     wakes_at: Option<Instant>,
+    /// Whether the store has it, whose thread must not wait for itself.
+    is_lent: bool,
     replay: Replay,
 }
 
@@ -159,6 +161,7 @@ impl Worker {
             since: Since::new(),
             step_took: Duration::MAX,
             wakes_at: None,
+            is_lent: false,
             replay: Replay::default(),
             simulation,
             phase: Phase::Paused(PauseReason::Created),

@@ -194,8 +194,16 @@ impl Worker {
             }
             Err(error) => {
                 self.simulation.seq = seq;
-                self.became(input, Err(&error));
-                answer(Err(self.refusal(error)));
+                let is_by_chance = error.is_by_chance();
+                let refusal = self.refusal(error);
+                if self.is_lent && is_by_chance {
+                    let record = Record::Became { input, seq: None };
+                    let told = Box::new(move || answer(Err(refusal)));
+                    self.journal.note_then(self.at(), record, told);
+                } else {
+                    self.became(input, Err(&refusal.error));
+                    answer(Err(refusal));
+                }
             }
         }
         None
@@ -233,7 +241,7 @@ impl Worker {
         }
     }
 
-    fn check(&mut self, order: &Order, when: When) -> Result<(), OrderError> {
+    pub(super) fn check(&mut self, order: &Order, when: When) -> Result<(), OrderError> {
         // Who has left is behind, mostly, and is to hear why.
         if let Order::Advance { controller, .. } = order {
             self.controllers.find(controller)?;
