@@ -130,6 +130,7 @@ impl Drop for Loan {
 }
 
 #[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use std::sync::mpsc::{Receiver, channel, sync_channel};
     use std::time::Duration;

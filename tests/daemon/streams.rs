@@ -75,7 +75,7 @@ async fn a_running_swarm_is_published_every_so_many_steps_and_frames_count_up() 
 async fn who_comes_just_before_a_command_is_shown_what_it_does() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
-    for k in 0..100 {
+    for k in 0..300 {
         let name = format!("a{k}");
         client.create(&name, json!({"n": 5})).await;
         // zenoh tells a publisher of its readers a moment after they came.
