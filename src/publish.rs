@@ -182,9 +182,11 @@ impl Press {
         let mut waiting = BTreeSet::new();
         loop {
             let bell = match waiting.first() {
-                Some((at, _)) => {
+                Some((at, _)) if *at > Instant::now() => {
                     rung.recv_timeout(Instant::saturating_duration_since(at, Instant::now()))
                 }
+                // Whose turn it is does not wait until nobody rings.
+                Some(_) => Err(RecvTimeoutError::Timeout),
                 None => rung.recv().map_err(RecvTimeoutError::from),
             };
             self.pulse.beat();
@@ -207,7 +209,13 @@ impl Press {
                     None
                 }
                 Err(RecvTimeoutError::Timeout) => waiting.pop_first().map(|(_, swarm)| swarm),
-                Ok(Bell::Stop) | Err(RecvTimeoutError::Disconnected) => return self.pulse.rest(),
+                Ok(Bell::Stop) | Err(RecvTimeoutError::Disconnected) => {
+                    let all = waiting
+                        .iter()
+                        .filter_map(|(_, swarm)| Some((swarm, self.find(swarm)?)));
+                    all.for_each(|(swarm, publication)| publication.publish(swarm));
+                    return self.pulse.rest();
+                }
             };
             if let Some(swarm) = swarm
                 && let Some(publication) = self.find(&swarm)
