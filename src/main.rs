@@ -380,8 +380,10 @@ async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
     };
     informing.abort();
     supervisor::tell_end();
-    server.stop().await;
-    code
+    match server.stop().await {
+        false if code == 0 => server::EXIT_STORE,
+        _ => code,
+    }
 }
 
 /// Whether a setting is to blame, and not the machine.

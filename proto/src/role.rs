@@ -70,7 +70,7 @@ impl fmt::Display for Role {
 pub fn refusal(person: Option<(&str, Role)>, verb: &str) -> String {
     let who = match person {
         Some((name, role)) => format!("you are {name}, {}", role.with_article()),
-        None => "no token of a person came along".into(),
+        None => "no token came along that belongs to a person here".into(),
     };
     let least = Role::least(verb).with_article();
     format!("{who}, and {verb} takes {least}: ask whoever runs the daemon")

@@ -60,8 +60,8 @@ use crate::server::recovery::RecoveryError;
 use crate::server::session::SessionError;
 use crate::store::{self, Store, StoreError, StoreFault};
 
-/// The exit code when the store can no longer be trusted.
-const EXIT_STORE: i32 = 8;
+/// The exit code when the store can no longer be trusted, or has not written all of it.
+pub const EXIT_STORE: i32 = 8;
 
 /// How long swarms may take to finish the step they are at when the daemon stops.
 const PATIENCE_WITH_SWARMS: Duration = Duration::from_millis(500);
@@ -438,8 +438,8 @@ impl Server {
     }
 
     /// Stops: no new orders, every swarm between two steps, goodbye. Takes less than two
-    /// seconds whatever the clients do.
-    pub async fn stop(self) {
+    /// seconds whatever the clients do. Returns whether all that was to be written is on the disk.
+    pub async fn stop(self) -> bool {
         info!("stopping");
         self.desk.close();
         self.watch.stop();
@@ -463,8 +463,12 @@ impl Server {
             tokio::task::spawn_blocking(move || recordings.close(PATIENCE_WITH_RECORDINGS));
         let store = self.store.clone();
         let stopped = tokio::task::spawn_blocking(move || store.stop(PATIENCE_WITH_STORE));
-        if let Ok(false) = stopped.await {
-            warn!("the store was still writing");
+        let is_written = stopped.await.unwrap_or(false);
+        if !is_written {
+            error!(
+                "not all is on the disk, which is full or slow: steps beyond the last `durable_step` \
+                 are taken back, as after a crash"
+            );
         }
         if let Ok(writing @ 1..) = recordings.await {
             warn!(
@@ -488,5 +492,6 @@ impl Server {
             Ok(Err(_)) => warn!("a client does not take its goodbye"),
             failed => warn!(?failed, "failed to close the session"),
         }
+        is_written
     }
 }

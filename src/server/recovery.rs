@@ -203,7 +203,7 @@ pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Retold, CommandE
             {
                 return Err(history(format!(
                     "step {step} is not on the disk yet, which the journal there reaches up to {}: \
-                     ask again once `durable_step` of get/status has come to it",
+                     ask again in a moment, or once the disk has room",
                     checkpoint.state.step
                 )));
             }

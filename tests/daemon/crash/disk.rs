@@ -265,6 +265,42 @@ async fn on_a_full_disk_swarms_step_on_and_commands_hear_of_it_at_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn an_orderly_end_on_a_full_disk_says_that_not_all_is_written() {
+    let _alone = alone().await;
+    let Some(disk) = Small::mount(8) else {
+        println!("skipped: mounting a small disk is not permitted here");
+        return;
+    };
+    let logs = tempfile::tempdir().unwrap();
+    let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
+    let log = File::create(logs.path().join("log")).unwrap();
+    command.arg("--data-dir").arg(disk.path()).stderr(log);
+    let mut life = Life::begin(&mut command).unwrap();
+    let client = Client::open(&life.endpoint).await;
+    client.create("a", json!({"n": 20})).await;
+    client.ok("a", "step", json!({"steps": 5})).await;
+    client.ok("a", "set", json!({"noise": 1})).await;
+    disk.fill();
+    until("the disk is full", async || {
+        let answer = client.cmd("a", "set", json!({"noise": 1})).await;
+        answer.is_err_and(|error| error.code == ErrorCode::StorageFull)
+    })
+    .await;
+    let step = client.ok("a", "step", json!({"steps": 7})).await;
+    assert_eq!(step["result"]["durable_step"], 5);
+    life.stop();
+    assert_eq!(life.end(), Some(8));
+    let log = life::log(logs.path());
+    assert!(log.contains("not all is on the disk"), "{log}");
+    disk.make_room();
+    let mut life = Life::begin(&mut command).unwrap();
+    let client = Client::open(&life.endpoint).await;
+    assert_eq!(client.get("a", "status").await["step"], 5);
+    life.stop();
+    assert_eq!(life.end(), Some(0));
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn on_a_full_disk_swarms_can_be_deleted_and_what_cannot_be_told_yet_is_said() {
     let _alone = alone().await;
     let Some(disk) = Small::mount(8) else {

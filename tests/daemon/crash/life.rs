@@ -59,6 +59,13 @@ impl Life {
         self.child.wait().unwrap();
     }
 
+    /// Tells it to stop.
+    pub fn stop(&self) {
+        let pid = self.child.id().to_string();
+        let told = Command::new("kill").args(["-TERM", &pid]).status();
+        assert!(told.unwrap().success());
+    }
+
     /// Waits until it ends, and tells its exit code; `None` if it was killed.
     pub fn end(&mut self) -> Option<i32> {
         let began = Instant::now();

@@ -90,7 +90,7 @@ def refusal(who: WhoAmI, verb: str) -> str:
     """The words for a verb that takes another role, as the daemon has them."""
     takes = "a controller" if verb in ("join", "advance", "leave") else "an operator"
     if who.person is None or who.role is None:
-        told = "no token of a person came along"
+        told = "no token came along that belongs to a person here"
     else:
         article = "an" if who.role == "operator" else "a"
         told = f"you are {who.person}, {article} {who.role}"
