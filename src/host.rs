@@ -565,17 +565,7 @@ impl Host {
 /// the telling went.
 pub fn tell_again(past: Past) -> (Checkpoint, Replay) {
     let _ = rustix::process::setpriority_process(None, RETELLING_NICENESS);
-    let (tickets, _) = sync_channel(1);
-    let handle = Handle {
-        recipe: Arc::new(past.checkpoint.recipe.clone()),
-        outlet: Arc::new(Outlet::new(String::new(), || {}, |_| false)),
-        history: Arc::default(),
-        tally: Arc::default(),
-        tickets: Arc::new(tickets),
-        shelf: Arc::default(),
-        cores: Arc::new(Cores::new(1)),
-        summary: Arc::default(),
-    };
+    let handle = Handle::alone(past.checkpoint.recipe.clone());
     let always: Admit = Box::new(|_| Ok(()));
     let (worker, _) = Worker::from_past(past, &handle, Duration::ZERO, (to_nowhere(), always));
     (worker.checkpoint(), worker.into_replay())

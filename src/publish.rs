@@ -179,11 +179,11 @@ impl Press {
     fn run(&self, rung: &Receiver<Bell>) {
         // When each may be published again, and who has rung before.
         let mut due = HashMap::new();
-        let mut waiting = BTreeSet::new();
+        let mut waiting: BTreeSet<(Instant, String)> = BTreeSet::new();
         loop {
             let bell = match waiting.first() {
                 Some((at, _)) if *at > Instant::now() => {
-                    rung.recv_timeout(Instant::saturating_duration_since(at, Instant::now()))
+                    rung.recv_timeout(at.saturating_duration_since(Instant::now()))
                 }
                 // Whose turn it is does not wait until nobody rings.
                 Some(_) => Err(RecvTimeoutError::Timeout),

@@ -44,8 +44,8 @@ pub fn archive(store: &Store) -> Archive {
                 .flat_map(|it| writes(&swarm, it))
                 .collect();
             match wanted {
-                Wanted::Now(done) => store.submit(writes, Some(told(done))),
-                Wanted::InPassing(done) => store.submit_at_once(writes, told(done)),
+                Wanted::Now(done) => store.submit(writes, Some(tell(done))),
+                Wanted::InPassing(done) => store.submit_at_once(writes, tell(done)),
                 Wanted::Soon(None) => store.submit(writes, None),
                 Wanted::Soon(Some(told)) => store.submit_then(writes, told),
             }
@@ -54,7 +54,7 @@ pub fn archive(store: &Store) -> Archive {
 }
 
 /// Tells a swarm what came of its writes.
-fn told(done: Done) -> store::Done {
+fn tell(done: Done) -> store::Done {
     Box::new(move |result| done(result.map_err(fault)))
 }
 

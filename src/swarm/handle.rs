@@ -1,6 +1,6 @@
 //! How the rest of the daemon reaches a swarm.
 
-use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
@@ -68,6 +68,21 @@ pub struct Handle {
 }
 
 impl Handle {
+    /// A handle of a swarm that nobody else knows of, that has a core of its own and no name.
+    pub(crate) fn alone(recipe: Recipe) -> Self {
+        let (tickets, _) = sync_channel(1);
+        Handle {
+            recipe: Arc::new(recipe),
+            outlet: Arc::new(Outlet::new(String::new(), || {}, |_| false)),
+            history: Arc::default(),
+            tally: Arc::default(),
+            tickets: Arc::new(tickets),
+            shelf: Arc::default(),
+            cores: Arc::new(Cores::new(1)),
+            summary: Arc::default(),
+        }
+    }
+
     /// Hands over a ticket. Its answer comes from the swarm's thread, or from here when too many
     /// wait already ([`OrderError::Busy`]) or the swarm has ended ([`OrderError::Gone`]).
     pub fn send(&self, ticket: Ticket) {

@@ -132,17 +132,15 @@ impl Drop for Loan {
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use std::sync::mpsc::{Receiver, channel, sync_channel};
+    use std::sync::mpsc::{Receiver, channel};
     use std::time::Duration;
 
     use super::*;
     use crate::model::parameters::Parameters;
-    use crate::swarm::cores::Cores;
     use crate::swarm::handle::Handle;
     use crate::swarm::journal::{Done, Wanted, WriteFault, Writer};
     use crate::swarm::order::{Change, Order, Recipe, Sender, Settings, Start, When};
     use crate::swarm::outcome::{Answered, OrderError};
-    use crate::swarm::outlet::Outlet;
     use crate::swarm::simulation::Simulation;
 
     /// A swarm on its shelf, and what its store is asked to make safe and tell of.
@@ -155,17 +153,7 @@ mod tests {
             publish_every: 1,
             rate: None,
         };
-        let (tickets, _) = sync_channel(1);
-        let handle = Handle {
-            recipe: Arc::new(recipe.clone()),
-            outlet: Arc::new(Outlet::new("demo".into(), || {}, |_| false)),
-            history: Arc::default(),
-            tally: Arc::default(),
-            tickets: Arc::new(tickets),
-            shelf: Arc::default(),
-            cores: Arc::new(Cores::new(1)),
-            summary: Arc::default(),
-        };
+        let handle = Handle::alone(recipe.clone());
         let (asked, store) = channel();
         let writer: Writer = Arc::new(move |_, wanted| {
             if let Wanted::InPassing(done) = wanted {
