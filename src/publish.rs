@@ -3,7 +3,9 @@
 //! One thread takes what each outlet holds in turn. Congestion drops samples and never blocks:
 //! a stopped reader costs nobody else anything.
 
-use std::collections::{BTreeMap, BTreeSet, HashMap};
+mod turns;
+
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -23,6 +25,8 @@ use crate::swarm::frame::Frame;
 use crate::swarm::outlet::Outlet;
 use crate::wire::{self, Payload};
 
+use self::turns::Turns;
+
 /// Events a late joiner still gets from the publisher's own cache.
 const EVENTS_CACHED: usize = 64;
 
@@ -32,11 +36,6 @@ const HEARTBEAT: Duration = Duration::from_secs(2);
 /// How long the frames of one swarm are published one after the other while others wait; of those
 /// left then, the newest.
 const MOST_AT_ONCE: Duration = Duration::from_millis(2);
-
-/// How long a swarm's next frames are gathered once some of its were published: so many times as long
-/// as that took, and at most so long. Who publishes often to many has the bus send several at once,
-/// which costs everybody less.
-const GATHERED: (u32, Duration) = (8, Duration::from_millis(1));
 
 /// The publishers of one swarm.
 pub struct Publication {
@@ -177,55 +176,48 @@ impl Press {
     }
 
     fn run(&self, rung: &Receiver<Bell>) {
-        // When each may be published again, and who has rung before.
-        let mut due = HashMap::new();
-        let mut waiting: BTreeSet<(Instant, String)> = BTreeSet::new();
+        let mut turns = Turns::default();
         loop {
-            let bell = match waiting.first() {
-                Some((at, _)) if *at > Instant::now() => {
-                    rung.recv_timeout(at.saturating_duration_since(Instant::now()))
-                }
-                // Whose turn it is does not wait until nobody rings.
-                Some(_) => Err(RecvTimeoutError::Timeout),
+            let bell = match turns.until_next(Instant::now()) {
                 None => rung.recv().map_err(RecvTimeoutError::from),
+                // Whose turn it is does not wait until nobody rings.
+                Some(Duration::ZERO) => Err(RecvTimeoutError::Timeout),
+                Some(wait) => rung.recv_timeout(wait),
             };
             self.pulse.beat();
-            let now = Instant::now();
+            let began = Instant::now();
             let swarm = match bell {
-                Ok(Bell::Ring(swarm)) => match due.get(&swarm) {
-                    Some(at) if *at > now => {
-                        waiting.insert((*at, swarm));
-                        None
-                    }
-                    _ => Some(swarm),
-                },
+                Ok(Bell::Ring(swarm)) => turns.ring(swarm, began),
                 Ok(Bell::Close(swarm, closed)) => {
                     let publication = self.lock().remove(&swarm);
                     if let Some(publication) = publication {
                         publication.publish(&swarm);
                     }
-                    due.remove(&swarm);
+                    turns.forget(&swarm);
                     closed();
                     None
                 }
-                Err(RecvTimeoutError::Timeout) => waiting.pop_first().map(|(_, swarm)| swarm),
+                Err(RecvTimeoutError::Timeout) => turns.next(),
                 Ok(Bell::Stop) | Err(RecvTimeoutError::Disconnected) => {
-                    let all = waiting
-                        .iter()
-                        .filter_map(|(_, swarm)| Some((swarm, self.find(swarm)?)));
-                    all.for_each(|(swarm, publication)| publication.publish(swarm));
+                    while let Some(swarm) = turns.next() {
+                        self.publish(&swarm);
+                    }
                     return self.pulse.rest();
                 }
             };
             if let Some(swarm) = swarm
-                && let Some(publication) = self.find(&swarm)
+                && self.publish(&swarm)
             {
-                publication.publish(&swarm);
-                let (times, most) = GATHERED;
-                due.insert(swarm, now + (now.elapsed() * times).min(most));
+                turns.published(swarm, began, Instant::now());
             }
             self.pulse.rest();
         }
+    }
+
+    /// Publishes what a swarm's outlet holds, and says whether there is such a swarm.
+    fn publish(&self, swarm: &str) -> bool {
+        let publication = self.find(swarm);
+        publication.inspect(|it| it.publish(swarm)).is_some()
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<String, Arc<Publication>>> {

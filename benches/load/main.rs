@@ -8,17 +8,19 @@
 //!
 //! The daemon is a process of its own and all the clients another, each with a session of its own.
 //! A swarm of 50 steps 100 times a second and is published 20 times, first with nobody there, then
-//! with all of them. A thread of the bench's own wakes as often and does nothing.
+//! with all of them. Then as many follow a bare process, which only puts such states as often. A
+//! thread of the bench's own wakes as often as the swarm and does nothing.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 
 #[path = "../apart/mod.rs"]
 mod apart;
+mod bare;
 mod crowd;
 mod sleeper;
 
 use std::process::Command;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
 use serde_json::json;
@@ -33,15 +35,23 @@ const NODE: &str = "bench";
 /// Steps of 0.02 at two time units a second, one in five published.
 const RATE: f64 = 2.0;
 const EVERY: u64 = 5;
+const HZ: f64 = RATE / 0.02 / EVERY as f64;
 
 /// Tells a copy of this program that it is to be the clients: where, and how many.
 const FOLLOW: &str = "JOSTLE_BENCH_FOLLOW";
+
+/// Tells one that it is to be the bare process: where the daemon is, and for how many clients.
+const BARE: &str = "JOSTLE_BENCH_BARE";
 
 #[tokio::main(flavor = "multi_thread", worker_threads = 2)]
 async fn main() {
     if let Ok(asked) = std::env::var(FOLLOW) {
         let (endpoint, sessions) = asked.split_once(' ').unwrap();
         return crowd::follow(endpoint, SWARM, sessions.parse().unwrap()).await;
+    }
+    if let Ok(asked) = std::env::var(BARE) {
+        let (daemon, sessions) = asked.split_once(' ').unwrap();
+        return bare::publish(daemon, SWARM, sessions.parse().unwrap(), (HZ, EVERY)).await;
     }
     let arguments: Vec<String> = std::env::args().collect();
     if arguments.iter().any(|argument| argument == "--test") {
@@ -73,10 +83,7 @@ async fn main() {
     let alone = Counted::by(&http);
     let sleeper_alone = sleeper.late_ms();
 
-    let mut clients = Command::new(std::env::current_exe().unwrap());
-    clients.env(FOLLOW, format!("{endpoint} {sessions}"));
-    let mut clients = Process::start(clients);
-    let connected: f64 = clients.find("connected ").parse().unwrap();
+    let (mut clients, connected) = follow(&endpoint, sessions);
     let connecting = Counted::by(&http);
     tokio::time::sleep(Duration::from_secs(1)).await;
     let before = Counted::by(&http);
@@ -85,6 +92,12 @@ async fn main() {
     let report: Report = serde_json::from_str(&clients.find("report ")).unwrap();
     let after = Counted::by(&http);
     let sleeper = [sleeper_alone, sleeper.late_ms()];
+    drop(clients);
+
+    ask(&session, keys::cmd("jostle", SWARM, "pause"), &json!({})).await;
+    let mut bare = Command::new(std::env::current_exe().unwrap());
+    bare.env(BARE, format!("{endpoint} {sessions}"));
+    let bare = follow_bare(Process::start(bare), sessions, seconds).await;
 
     let late = [
         alone.lateness_since(&began),
@@ -98,13 +111,38 @@ async fn main() {
             "resident_mb": after.resident_mb, "late_ms_alone": late[0],
             "late_ms_connecting": late[1], "late_ms": late[2],
             "sleeper_late_ms_alone": sleeper[0], "sleeper_late_ms": sleeper[1],
-            "clients": report});
+            "clients": report, "bare_cores": bare.0, "bare_clients": bare.1});
         println!("{told}");
     } else {
         print(&report, connected, cores, [&alone, &after], (late, sleeper));
+        print_bare(&bare, cores[1]);
     }
-    drop((clients, daemon));
+    drop(daemon);
     std::fs::remove_dir_all(folder).unwrap();
+}
+
+/// Has so many clients follow whatever listens there, and says in how many seconds they connected.
+fn follow(endpoint: &str, sessions: usize) -> (Process, f64) {
+    let mut clients = Command::new(std::env::current_exe().unwrap());
+    clients.env(FOLLOW, format!("{endpoint} {sessions}"));
+    let mut clients = Process::start(clients);
+    let connected = clients.find("connected ").parse().unwrap();
+    (clients, connected)
+}
+
+/// How much of a core the bare process takes that so many follow, and what came to them.
+async fn follow_bare(mut bare: Process, sessions: usize, seconds: usize) -> (f64, Report) {
+    let (mut clients, _) = follow(&bare.find("listening on "), sessions);
+    tokio::time::sleep(Duration::from_secs(1)).await;
+    let mut cpu_secs = || {
+        bare.tell("");
+        bare.find("cpu ").parse::<f64>().unwrap()
+    };
+    let (before, began) = (cpu_secs(), Instant::now());
+    clients.tell(&seconds.to_string());
+    let report = serde_json::from_str(&clients.find("report ")).unwrap();
+    let spent = cpu_secs() - before;
+    (spent / began.elapsed().as_secs_f64(), report)
 }
 
 fn print(
@@ -147,4 +185,14 @@ fn print(
         100.0 * report.lost,
         100.0 * report.most_lost
     );
+}
+
+fn print_bare((cores, report): &(f64, Report), daemon: f64) {
+    let [half, most, nearly_all] = report.delivery_ms;
+    println!(
+        "a bare publisher, of a core             {:9.1} %: the daemon takes {:.2} of that",
+        100.0 * cores,
+        daemon / cores
+    );
+    println!("its delivery                {half:9.1} ms {most:9.1} ms {nearly_all:9.1} ms");
 }

@@ -47,6 +47,12 @@ pub enum SessionError {
          (`jostled auth init` makes one)"
     )]
     NobodyKnown(String),
+    /// TLS in another way than that of the people's folder.
+    #[error(
+        "{0}: behind # may stand iface=NAME alone, since certificates and who must show one are \
+         the auth_dir's to say"
+    )]
+    OtherTls(String),
     /// Nothing can be listened on.
     #[error(
         "cannot listen on {endpoints}: {reason}\nanother daemon may hold it, or a zenoh router, \
@@ -67,13 +73,15 @@ pub enum SessionError {
 ///
 /// # Errors
 ///
-/// [`SessionError::NoEndpoint`], [`SessionError::NotLoopback`] and [`SessionError::NobodyKnown`].
+/// [`SessionError::NoEndpoint`], [`SessionError::NotLoopback`], [`SessionError::NobodyKnown`] and
+/// [`SessionError::OtherTls`].
 pub fn check(listen: &[String], are_people_known: bool) -> Result<(), SessionError> {
     for endpoint in listen {
         let refused: fn(String) -> SessionError = match endpoint.split_once('/') {
             None => SessionError::NoEndpoint,
-            Some(("tls", _)) if are_people_known => continue,
-            Some(("tls", _)) => SessionError::NobodyKnown,
+            Some(("tls", _)) if !are_people_known => SessionError::NobodyKnown,
+            Some(("tls", address)) if has_settings_of_its_own(address) => SessionError::OtherTls,
+            Some(("tls", _)) => continue,
             Some(_) if is_local(endpoint) => continue,
             Some(_) => SessionError::NotLoopback,
         };
@@ -192,6 +200,17 @@ fn proofs(folder: &Folder) -> [(&'static str, Value); 2] {
     ]
 }
 
+/// Whether an address says more of how it is to be listened on than the interface, as
+/// `0.0.0.0:7447#enable_mtls=false` does: to zenoh that stands above the settings.
+fn has_settings_of_its_own(address: &str) -> bool {
+    let Some((_, settings)) = address.split_once('#') else {
+        return false;
+    };
+    settings
+        .split(';')
+        .any(|setting| !setting.starts_with("iface="))
+}
+
 /// Whether only this machine can reach `endpoint`.
 fn is_local(endpoint: &str) -> bool {
     let Some((protocol, rest)) = endpoint.split_once('/') else {
@@ -246,7 +265,15 @@ mod tests {
     fn others_are_let_in_by_tls_alone_and_only_if_people_are_known() {
         let check = |endpoint: &str, are_known| check(&[endpoint.to_owned()], are_known);
         assert!(check("tls/0.0.0.0:7447", true).is_ok());
+        assert!(check("tls/0.0.0.0:7447#iface=eth0", true).is_ok());
         assert!(check("tcp/127.0.0.1:7447", true).is_ok());
+        for settings in ["enable_mtls=false", "iface=eth0;enable_mtls=false", ""] {
+            let refused = check(&format!("tls/0.0.0.0:7447#{settings}"), true);
+            assert!(
+                matches!(refused, Err(SessionError::OtherTls(_))),
+                "{settings}"
+            );
+        }
         for endpoint in ["tls/0.0.0.0:7447", "tls/127.0.0.1:7447"] {
             let refused = check(endpoint, false);
             assert!(

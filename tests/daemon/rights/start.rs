@@ -124,6 +124,15 @@ fn what_others_could_reach_unasked_does_not_start() {
             "name their folder as auth_dir",
         ),
         (
+            &[
+                "--listen",
+                "tls/127.0.0.1:0#enable_mtls=false",
+                "--auth-dir",
+                auth,
+            ],
+            "iface=NAME alone",
+        ),
+        (
             &["--listen", "tls/127.0.0.1:0"],
             "name their folder as auth_dir",
         ),
