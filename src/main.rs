@@ -403,6 +403,7 @@ fn is_setting(error: &ServerError) -> bool {
                 SessionError::NoEndpoint(_)
                     | SessionError::NotLoopback(_)
                     | SessionError::NobodyKnown(_)
+                    | SessionError::OtherTls(_)
             )
     )
 }
