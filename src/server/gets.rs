@@ -22,8 +22,15 @@ use crate::swarm::outcome::Outcome;
 use crate::swarm::waiters::Waiter;
 use crate::wire::{self, Payload};
 
+/// What is asked of one swarm by its own key: the first waits, the others cost much.
+const OF_ONE: [&str; 3] = ["wait", "verify", "snapshot"];
+
 impl Clerk {
+    /// Answers with the state as it is.
     pub(super) fn state(&self, swarm: &Arc<str>, asked: &Asked) {
+        if self.is_not_meant(swarm, &asked.query) {
+            return;
+        }
         let key = keys::state(&self.prefix, swarm);
         let as_json = match format(&asked.query) {
             Ok(as_json) => as_json,
@@ -45,13 +52,14 @@ impl Clerk {
     /// Answers every noun that the query names; wildcards are welcome.
     pub(super) fn get(&self, swarm: &Arc<str>, asked: &Asked) {
         let query = &asked.query;
+        if self.is_not_meant(swarm, query) {
+            return;
+        }
         let is_concrete = !query.key_expr().is_wild();
         let mut is_known = false;
         for noun in keys::SWARM_GETS {
             let key = keys::get(&self.prefix, swarm, noun);
-            if !names(query, &key)
-                || (["wait", "verify", "snapshot"].contains(&noun) && !is_concrete)
-            {
+            if !names(query, &key) || (OF_ONE.contains(&noun) && !is_concrete) {
                 continue;
             }
             is_known = true;
@@ -113,14 +121,24 @@ impl Clerk {
         }
         if is_concrete {
             self.unknown_noun(asked, &keys::SWARM_GETS);
-        } else if query.key_expr().as_str().ends_with("/wait") {
+            return;
+        }
+        let key = query.key_expr().as_str();
+        let noun = key.rsplit_once('/').map_or(key, |(_, noun)| noun);
+        if OF_ONE.contains(&noun) {
             let error = CommandError::Field {
                 field: "swarm",
-                problem: "is a wildcard: a wait is for one swarm, by its own key",
+                problem: "is a wildcard: wait, verify and snapshot are of one swarm, by its own key",
             };
-            let key = query.key_expr().as_str().to_owned();
-            self.desk.promise(asked, key).refuse(&error, None);
+            self.desk
+                .promise(asked, key.to_owned())
+                .refuse(&error, None);
         }
+    }
+
+    /// Whether a query is for whatever swarms there are, and this one was deleted a moment ago.
+    fn is_not_meant(&self, swarm: &str, query: &Query) -> bool {
+        query.key_expr().is_wild() && self.host.find(swarm).is_none()
     }
 
     fn wait(&self, swarm: &Arc<str>, promise: &Promise, query: &Query) {

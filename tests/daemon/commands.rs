@@ -172,8 +172,18 @@ async fn every_verb_in_every_phase_does_what_the_table_says() {
         let error = client.one(&format!("jostle/{name}/get/status"), None).await;
         assert_eq!(error.unwrap_err().code, ErrorCode::NotFound);
     }
+    // Whoever asks what there is does not hear of what is gone.
+    for selector in ["jostle/*/get/status", "jostle/*/state", "jostle/**"] {
+        let answers = client.ask(selector, None).await;
+        let of_swarms = answers.iter().filter(|it| match it {
+            Ok(told) => told.get("node").is_none(),
+            Err(error) => error.code == ErrorCode::NotFound,
+        });
+        assert_eq!(of_swarms.count(), 0, "{selector}: {answers:?}");
+    }
     until("silence", async || {
-        client.ask("jostle/*/get/status", None).await.is_empty()
+        let key = "jostle/paused/get/status";
+        client.ask(key, None).await.is_empty()
     })
     .await;
     daemon.stop().await;

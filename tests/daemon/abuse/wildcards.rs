@@ -98,6 +98,14 @@ async fn a_wildcard_reads_everything_and_executes_nothing() {
         nouns,
         "all but wait, which needs to know what for, and snapshot and verify, which cost much"
     );
+    for noun in ["wait", "snapshot", "verify"] {
+        let answers = client.ask(&format!("jostle/*/get/{noun}"), None).await;
+        assert!(!answers.is_empty(), "{noun}: silence");
+        for answer in answers {
+            let error = answer.unwrap_err();
+            assert!(error.message.contains("of one swarm"), "{noun}: {error:?}");
+        }
+    }
     daemon.stop().await;
 }
 
