@@ -6,6 +6,7 @@ use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
+use zenoh::key_expr::KeyExpr;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Queryable;
 use zenoh::{Session, Wait};
@@ -39,6 +40,7 @@ struct Door {
     /// When the swarm was deleted.
     deleted: Option<Instant>,
     _queryables: [Queryable<()>; 3],
+    _keys: Vec<KeyExpr<'static>>,
 }
 
 impl Doors {
@@ -73,6 +75,7 @@ impl Doors {
                 token: None,
                 deleted: None,
                 _queryables: self.queryables(swarm)?,
+                _keys: self.keys(swarm)?,
             },
         };
         let key = keys::alive(&self.prefix, swarm, &self.node);
@@ -103,6 +106,15 @@ impl Doors {
             self.doors
                 .retain(|_, door| door.deleted.is_none_or(|at| at.elapsed() < LINGER));
         }
+    }
+
+    /// Has zenoh know the key of each of a swarm's verbs: it then remembers where commands go, and
+    /// need not compare each with the keys of all swarms, while others wait.
+    fn keys(&self, swarm: &str) -> zenoh::Result<Vec<KeyExpr<'static>>> {
+        let keys = keys::SWARM_VERBS.map(|verb| keys::cmd(&self.prefix, swarm, verb));
+        keys.into_iter()
+            .map(|key| self.session.declare_keyexpr(key).wait())
+            .collect()
     }
 
     fn queryables(&self, swarm: &str) -> zenoh::Result<[Queryable<()>; 3]> {
