@@ -33,9 +33,9 @@ const EVENTS_CACHED: usize = 64;
 /// How often the number of the last event is told, so that a reader notices that it missed it.
 const HEARTBEAT: Duration = Duration::from_secs(2);
 
-/// How long the frames of one swarm are published one after the other while others wait; of those
-/// left then, the newest.
-const MOST_AT_ONCE: Duration = Duration::from_millis(2);
+/// How long the frames of one swarm are published one after the other while others wait: twice as
+/// long as they are gathered at most. Of those left then, the newest.
+const MOST_AT_ONCE: Duration = Duration::from_millis(8);
 
 /// The publishers of one swarm.
 pub struct Publication {

@@ -6,6 +6,7 @@
 //! ```sh
 //! cargo bench --bench service               # a table
 //! cargo bench --bench service -- --hz 2000  # another pace
+//! cargo bench --bench service -- --followers 64
 //! cargo bench --bench service -- --json     # an object a line
 //! ```
 //!
@@ -73,10 +74,15 @@ async fn main() {
         return;
     }
     let as_json = std::env::args().any(|argument| argument == "--json");
-    let hz: u32 = std::env::args()
-        .skip_while(|argument| argument != "--hz")
-        .nth(1)
-        .map_or(HZ, |hz| hz.parse().unwrap());
+    let number_after = |name: &str| {
+        let mut found = std::env::args().skip_while(|argument| argument != name);
+        found.nth(1).map(|number| number.parse::<u32>().unwrap())
+    };
+    let hz = number_after("--hz").unwrap_or(HZ);
+    let followers = match number_after("--followers") {
+        Some(followers) => vec![followers as usize],
+        None => FOLLOWERS.to_vec(),
+    };
     let folder = format!("/dev/shm/jostle-service-{}", std::process::id());
     let mut daemon = Command::new(env!("CARGO_BIN_EXE_jostled"));
     daemon.args(["--listen", "tcp/127.0.0.1:0", "--http", "", "--node", NODE]);
@@ -100,7 +106,7 @@ async fn main() {
         );
     }
     let mut journal = Journal::new();
-    for followers in FOLLOWERS {
+    for followers in followers {
         let bare_followers = Followers::new(&bare_at, followers).await;
         let daemon_followers = Followers::new(&daemon_at, followers).await;
         let mut rates: [Vec<f64>; 2] = Default::default();

@@ -5,8 +5,8 @@ use std::time::{Duration, Instant};
 
 /// How long a swarm's next frames are gathered once some of its were published: so many times as long
 /// as that took, and at most so long. Who publishes often to many has the bus send several at once,
-/// which costs everybody less.
-const GATHERED: (u32, Duration) = (8, Duration::from_millis(1));
+/// which costs everybody less, and whoever commands meanwhile does not wait for those that follow.
+const GATHERED: (u32, Duration) = (8, Duration::from_millis(4));
 
 /// When each swarm may be published again, and who has rung before.
 #[derive(Default)]
@@ -88,16 +88,12 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_gathered_for_more_than_a_millisecond() {
+    fn nothing_is_gathered_for_more_than_four_milliseconds() {
         let (mut turns, began) = (Turns::default(), Instant::now());
-        publish(
-            &mut turns,
-            "a",
-            began,
-            Duration::from_millis(1) - MICROSECOND,
-        );
-        assert!(!ring(&mut turns, "a", began + 999 * MICROSECOND));
-        assert_eq!(turns.until_next(began), Some(Duration::from_millis(1)));
+        let four = Duration::from_millis(4);
+        publish(&mut turns, "a", began, four - MICROSECOND);
+        assert!(!ring(&mut turns, "a", began + four - MICROSECOND));
+        assert_eq!(turns.until_next(began), Some(four));
         // What took as long as that has its next turn at once.
         publish(&mut turns, "b", began, Duration::from_secs(3));
         assert!(ring(&mut turns, "b", began + Duration::from_secs(3)));
