@@ -61,6 +61,9 @@ const CROSSING: f64 = 4.0 * (1.0 + 1e-9);
 /// Where any gap is smaller than this, as in every group, the smallest is among those.
 const CLOSE: f64 = 0.01;
 
+/// More than rounding moves a distance of bodies that are near each other, in their lengths.
+const ROUNDING: f64 = 1e-9;
+
 impl Body {
     /// The body that `parameters` give every individual.
     #[must_use]
@@ -86,6 +89,16 @@ impl Body {
     pub fn nearness(&self, first: Pose, second: Pose) -> Nearness {
         let apart = [second.x - first.x, second.y - first.y];
         self.nearness_of(apart, [first.alpha, second.alpha].map(unit_vector))
+    }
+
+    /// Whether a line along one of two bodies leaves more than `gap` between them, as it does
+    /// between most that are near and not in touch. That is told sooner than their gap is measured.
+    fn are_separated_by(&self, gap: f64, [dx, dy]: [f64; 2], units: [[f64; 2]; 2]) -> bool {
+        let [one, two] = units;
+        let across = (one[0] * two[1] - one[1] * two[0]).abs() * self.half_length;
+        let beside = |unit: [f64; 2]| (unit[0] * dy - unit[1] * dx).abs();
+        let between = beside(one).max(beside(two)) - across;
+        between - 2.0 * self.radius > gap + ROUNDING * (self.half_length + self.radius)
     }
 
     /// The same of two bodies that are so far apart, with these unit vectors.
@@ -145,13 +158,16 @@ pub fn near_pairs(
     let units: Vec<[f64; 2]> = alpha.iter().map(|&alpha| unit_vector(alpha)).collect();
     pairs_within(x, y, body.centre_distance(gap))
         .into_iter()
-        .map(|(i, j)| {
+        .filter_map(|(i, j)| {
             let [first, second] = [i as usize, j as usize];
             let apart = [x[second] - x[first], y[second] - y[first]];
-            let nearness = body.nearness_of(apart, [units[first], units[second]]);
-            (i, j, nearness)
+            let units = [units[first], units[second]];
+            if body.are_separated_by(gap, apart, units) {
+                return None;
+            }
+            let nearness = body.nearness_of(apart, units);
+            (nearness.gap < gap).then_some((i, j, nearness))
         })
-        .filter(|(_, _, nearness)| nearness.gap < gap)
         .collect()
 }
 
@@ -184,9 +200,10 @@ pub fn worst_gap(parameters: &Parameters, configuration: &Configuration) -> Opti
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use std::f64::consts::FRAC_PI_2;
+    use std::f64::consts::{FRAC_PI_2, PI};
 
     use super::*;
+    use crate::model::random::{Purpose, Stream};
 
     const BODY: Body = Body {
         half_length: 0.6,
@@ -284,6 +301,34 @@ mod tests {
         assert!((one.gap - two.gap).abs() < 3e-9);
         assert!((one.gap - (0.6f64.hypot(0.9) - 1.0)).abs() < 1e-15);
         assert!(disc.nearness(first, first).crossed);
+    }
+
+    #[test]
+    fn who_is_separated_is_further_apart_and_few_others_are() {
+        let mut stream = Stream::new(1, 0, 0, Purpose::Start);
+        let (mut apart, mut told) = (0, 0);
+        for _ in 0..100_000 {
+            let mut draw = |size: f64| size * (2.0 * stream.uniform() - 1.0);
+            let (dx, dy, gap) = (draw(1.6), draw(1.6), draw(0.1));
+            let (one, two) = (draw(PI), draw(PI));
+            let first = Pose {
+                x: 0.0,
+                y: 0.0,
+                alpha: one,
+            };
+            let second = Pose {
+                x: dx,
+                y: dy,
+                alpha: two,
+            };
+            let is_apart = BODY.nearness(first, second).gap > gap;
+            let units = [one, two].map(unit_vector);
+            let is_told = BODY.are_separated_by(gap, [dx, dy], units);
+            assert!(is_apart || !is_told, "{first:?} {second:?} {gap}");
+            apart += u32::from(is_apart);
+            told += u32::from(is_told);
+        }
+        assert!(f64::from(told) > 0.5 * f64::from(apart), "{told} of {apart}");
     }
 
     #[test]
