@@ -21,6 +21,8 @@ pub const MOST_QUERIES: usize = 1024;
 pub enum Intake {
     /// A query on one of the daemon's keys.
     Query(Topic, Asked),
+    /// A verb came to a swarm for the first time.
+    Used(Arc<str>, &'static str),
     /// A swarm is built.
     Begun(String, Box<dyn FnOnce() + Send>),
     /// A swarm has ended.
@@ -86,6 +88,7 @@ impl Dispatcher {
                     }
                     self.clerk.waiting.fetch_sub(1, Ordering::Release);
                 }
+                Ok(Intake::Used(swarm, verb)) => self.doors.expect(&swarm, verb),
                 Ok(Intake::Begun(swarm, built)) => self.begun(&swarm, built),
                 Ok(Intake::Ended(swarm, ended)) => self.ended(&swarm, ended),
                 Err(RecvTimeoutError::Timeout) => {}

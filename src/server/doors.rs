@@ -6,6 +6,7 @@ use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
+use tracing::debug;
 use zenoh::key_expr::KeyExpr;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Queryable;
@@ -40,7 +41,8 @@ struct Door {
     /// When the swarm was deleted.
     deleted: Option<Instant>,
     _queryables: [Queryable<()>; 3],
-    _keys: Vec<KeyExpr<'static>>,
+    /// Those of the verbs that were used.
+    keys: Vec<KeyExpr<'static>>,
 }
 
 impl Doors {
@@ -75,7 +77,7 @@ impl Doors {
                 token: None,
                 deleted: None,
                 _queryables: self.queryables(swarm)?,
-                _keys: self.keys(swarm)?,
+                keys: Vec::new(),
             },
         };
         let key = keys::alive(&self.prefix, swarm, &self.node);
@@ -108,13 +110,18 @@ impl Doors {
         }
     }
 
-    /// Has zenoh know the key of each of a swarm's verbs: it then remembers where commands go, and
-    /// need not compare each with the keys of all swarms, while others wait.
-    fn keys(&self, swarm: &str) -> zenoh::Result<Vec<KeyExpr<'static>>> {
-        let keys = keys::SWARM_VERBS.map(|verb| keys::cmd(&self.prefix, swarm, verb));
-        keys.into_iter()
-            .map(|key| self.session.declare_keyexpr(key).wait())
-            .collect()
+    /// Has zenoh know the key of a verb that was used: from then on it remembers where such commands
+    /// go. Each of a key it does not know it compares with the keys of all swarms, while every other
+    /// query and answer waits.
+    pub fn expect(&mut self, swarm: &str, verb: &str) {
+        let Some(door) = self.doors.get_mut(swarm) else {
+            return;
+        };
+        let key = keys::cmd(&self.prefix, swarm, verb);
+        match self.session.declare_keyexpr(key).wait() {
+            Ok(key) => door.keys.push(key),
+            Err(error) => debug!(swarm, verb, %error, "commands are found as before"),
+        }
     }
 
     fn queryables(&self, swarm: &str) -> zenoh::Result<[Queryable<()>; 3]> {

@@ -2,10 +2,10 @@
 
 use std::borrow::Cow;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
 
-use jostle_proto::Request;
+use jostle_proto::{Request, keys};
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::key_expr::KeyExpr;
 use zenoh::query::{Query, Queryable};
@@ -50,11 +50,18 @@ pub fn queryable(
     let intake: SyncSender<Intake> = intake.clone();
     let clerk = clerk.clone();
     let turns = Arc::new(AtomicUsize::new(0));
+    let used = AtomicU32::new(0);
     let Payload { bytes, encoding } = Payload::json(&CommandError::Busy.to_wire(None));
     let busy = ZBytes::from(bytes);
     session
         .declare_queryable(key)
         .callback(move |query| {
+            if let Topic::Command(swarm) = &topic
+                && let Some(verb) = unused_before(&query, &used)
+            {
+                // Where there is no room for it commands are found as before.
+                let _ = intake.try_send(Intake::Used(swarm.clone(), verb));
+            }
             let asked = clerk.desk.take_in(&query, &turns);
             let is_taken = asked.is_some_and(|asked| {
                 if clerk.reads_at_the_door(&topic, &query, &asked) {
@@ -74,6 +81,16 @@ pub fn queryable(
             }
         })
         .wait()
+}
+
+/// The verb of a command, if none came with it before; `used` has a bit for each.
+fn unused_before(query: &Query, used: &AtomicU32) -> Option<&'static str> {
+    let (_, last) = query.key_expr().as_str().rsplit_once('/')?;
+    let verb = keys::SWARM_VERBS.iter().position(|verb| *verb == last)?;
+    let bit = 1 << verb;
+    let is_new = used.load(Ordering::Relaxed) & bit == 0
+        && used.fetch_or(bit, Ordering::Relaxed) & bit == 0;
+    is_new.then_some(keys::SWARM_VERBS[verb])
 }
 
 /// The token that a query brings along; empty if it brings none.
