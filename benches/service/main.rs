@@ -50,7 +50,7 @@ const HZ: u32 = 10_000;
 /// How long is counted, and how often in turn: the machine is shared, and what is compared is to
 /// meet the same noise.
 const COUNTED: Duration = Duration::from_secs(1);
-const ROUNDS: usize = 5;
+const ROUNDS: usize = 9;
 
 /// Queries of a round.
 const QUERIES: usize = 500;
@@ -111,8 +111,8 @@ async fn main() {
         let daemon_followers = Followers::new(&daemon_at, followers).await;
         let mut rates: [Vec<f64>; 2] = Default::default();
         let mut took: [Vec<f64>; 5] = Default::default();
-        let mut ratios: [Vec<f64>; 4] = Default::default();
-        for _ in 0..ROUNDS {
+        let mut ratios: [Vec<f64>; 5] = Default::default();
+        for round in 0..ROUNDS {
             // One of them publishes at a time.
             command(&asker, "run", &json!({})).await;
             rates[0].push(bare_followers.rate().await);
@@ -129,15 +129,27 @@ async fn main() {
                 all.push(micros);
             }
             let rest = set - sync;
-            let of_both = [step / query, step / shown, rest / query, rest / shown];
+            let of_rate = rates[1][round] / rates[0][round];
+            let of_both = [
+                of_rate,
+                step / query,
+                step / shown,
+                rest / query,
+                rest / shown,
+            ];
             for (all, ratio) in ratios.iter_mut().zip(of_both) {
                 all.push(ratio);
             }
         }
         let [bare_rate, rate] = rates.map(median);
         let [query, shown, step, set, sync] = took.map(median);
-        let [step_of_bare, step_of_shown, rest_of_bare, rest_of_shown] = ratios.map(median);
-        let of_rate = rate / bare_rate;
+        let [
+            of_rate,
+            step_of_bare,
+            step_of_shown,
+            rest_of_bare,
+            rest_of_shown,
+        ] = ratios.map(median);
         if as_json {
             let told = json!({"followers": followers, "n": N, "state_bytes": state, "hz": hz,
                 "bare_states_per_s": bare_rate, "states_per_s": rate, "of_bare_rate": of_rate,

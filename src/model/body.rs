@@ -328,7 +328,10 @@ mod tests {
             apart += u32::from(is_apart);
             told += u32::from(is_told);
         }
-        assert!(f64::from(told) > 0.5 * f64::from(apart), "{told} of {apart}");
+        assert!(
+            f64::from(told) > 0.5 * f64::from(apart),
+            "{told} of {apart}"
+        );
     }
 
     #[test]

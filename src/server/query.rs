@@ -88,8 +88,8 @@ fn unused_before(query: &Query, used: &AtomicU32) -> Option<&'static str> {
     let (_, last) = query.key_expr().as_str().rsplit_once('/')?;
     let verb = keys::SWARM_VERBS.iter().position(|verb| *verb == last)?;
     let bit = 1 << verb;
-    let is_new = used.load(Ordering::Relaxed) & bit == 0
-        && used.fetch_or(bit, Ordering::Relaxed) & bit == 0;
+    let is_new =
+        used.load(Ordering::Relaxed) & bit == 0 && used.fetch_or(bit, Ordering::Relaxed) & bit == 0;
     is_new.then_some(keys::SWARM_VERBS[verb])
 }
 
