@@ -40,7 +40,7 @@ struct Door {
     token: Option<LivelinessToken>,
     /// When the swarm was deleted.
     deleted: Option<Instant>,
-    _queryable: Queryable<()>,
+    _queryables: [Queryable<()>; 3],
     /// Those of the verbs that were used.
     keys: Vec<KeyExpr<'static>>,
 }
@@ -76,7 +76,7 @@ impl Doors {
             None => Door {
                 token: None,
                 deleted: None,
-                _queryable: self.queryable(swarm)?,
+                _queryables: self.queryables(swarm)?,
                 keys: Vec::new(),
             },
         };
@@ -124,15 +124,17 @@ impl Doors {
         }
     }
 
-    /// One for all of a swarm: zenoh compares every query with every one there is.
-    fn queryable(&self, swarm: &str) -> zenoh::Result<Queryable<()>> {
-        let (prefix, name): (_, Arc<str>) = (&self.prefix, swarm.into());
-        let answered = [
-            (keys::state(prefix, swarm), Topic::State(name.clone())),
-            (keys::get(prefix, swarm, "**"), Topic::Get(name.clone())),
-            (keys::cmd(prefix, swarm, "**"), Topic::Command(name)),
-        ];
-        let key = format!("{prefix}/{swarm}/**");
-        queryable(&self.session, &key, answered, &self.intake, &self.clerk)
+    fn queryables(&self, swarm: &str) -> zenoh::Result<[Queryable<()>; 3]> {
+        let name: Arc<str> = swarm.into();
+        let queryable =
+            |key: String, topic| queryable(&self.session, &key, topic, &self.intake, &self.clerk);
+        Ok([
+            queryable(keys::state(&self.prefix, swarm), Topic::State(name.clone()))?,
+            queryable(
+                keys::get(&self.prefix, swarm, "**"),
+                Topic::Get(name.clone()),
+            )?,
+            queryable(keys::cmd(&self.prefix, swarm, "**"), Topic::Command(name))?,
+        ])
     }
 }

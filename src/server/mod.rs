@@ -311,8 +311,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     recordings::go_on(&recordings, &to_record, &host);
 
     let refused = |error: zenoh::Error| ServerError::Keys(error.to_string());
-    let queryable =
-        |key: String, topic| queryable(&session, &key, [(key.clone(), topic)], &intake, &clerk);
+    let queryable = |key: String, topic| queryable(&session, &key, topic, &intake, &clerk);
     let queryables = [
         queryable(keys::node_get(prefix, node, "**"), Topic::NodeGet).map_err(refused)?,
         queryable(keys::node_cmd(prefix, node, "**"), Topic::NodeCommand).map_err(refused)?,

@@ -35,79 +35,52 @@ pub enum Topic {
     Experiment,
 }
 
-/// What is answered at one key, and how much of it is unanswered.
-struct Counter {
-    key: KeyExpr<'static>,
-    topic: Topic,
-    turns: Arc<AtomicUsize>,
-    /// A bit for each verb that came.
-    used: AtomicU32,
-}
-
-/// Declares a queryable whose callback only hands over, for the keys below `key` that are answered.
+/// Declares a queryable whose callback only hands over.
 ///
 /// # Errors
 ///
-/// When zenoh refuses a key.
+/// When zenoh refuses it.
 pub fn queryable(
     session: &Session,
     key: &str,
-    answered: impl IntoIterator<Item = (String, Topic)>,
+    topic: Topic,
     intake: &SyncSender<Intake>,
     clerk: &Arc<Clerk>,
 ) -> zenoh::Result<Queryable<()>> {
     let intake: SyncSender<Intake> = intake.clone();
     let clerk = clerk.clone();
-    let counters = answered.into_iter().map(|(key, topic)| {
-        Ok(Counter {
-            key: KeyExpr::new(key)?,
-            topic,
-            turns: Arc::default(),
-            used: AtomicU32::default(),
-        })
-    });
-    let counters: Vec<Counter> = counters.collect::<zenoh::Result<_>>()?;
+    let turns = Arc::new(AtomicUsize::new(0));
+    let used = AtomicU32::new(0);
     let Payload { bytes, encoding } = Payload::json(&CommandError::Busy.to_wire(None));
     let busy = ZBytes::from(bytes);
     session
         .declare_queryable(key)
         .callback(move |query| {
-            for counter in &counters {
-                if counter.key.intersects(query.key_expr())
-                    && !counter.takes(&query, &intake, &clerk)
-                {
-                    let refusal = query.reply_err(busy.clone());
-                    let _ = refusal.encoding(encoding).wait();
+            if let Topic::Command(swarm) = &topic
+                && let Some(verb) = unused_before(&query, &used)
+            {
+                // Where there is no room for it commands are found as before.
+                let _ = intake.try_send(Intake::Used(swarm.clone(), verb));
+            }
+            let asked = clerk.desk.take_in(&query, &turns);
+            let is_taken = asked.is_some_and(|asked| {
+                if clerk.reads_at_the_door(&topic, &query, &asked) {
+                    return true;
                 }
+                clerk.waiting.fetch_add(1, Ordering::AcqRel);
+                let sent = intake.try_send(Intake::Query(topic.clone(), asked));
+                if sent.is_err() {
+                    clerk.waiting.fetch_sub(1, Ordering::AcqRel);
+                }
+                // A daemon that is going takes nothing, and its silence says so.
+                !matches!(sent, Err(TrySendError::Full(_)))
+            });
+            if !is_taken {
+                let refusal = query.reply_err(busy.clone());
+                let _ = refusal.encoding(encoding).wait();
             }
         })
         .wait()
-}
-
-impl Counter {
-    /// Takes a query in; false if it is to be turned away.
-    fn takes(&self, query: &Query, intake: &SyncSender<Intake>, clerk: &Clerk) -> bool {
-        let topic = &self.topic;
-        if let Topic::Command(swarm) = topic
-            && let Some(verb) = unused_before(query, &self.used)
-        {
-            // Where there is no room for it commands are found as before.
-            let _ = intake.try_send(Intake::Used(swarm.clone(), verb));
-        }
-        let Some(asked) = clerk.desk.take_in(query, &self.turns) else {
-            return false;
-        };
-        if clerk.reads_at_the_door(topic, query, &asked) {
-            return true;
-        }
-        clerk.waiting.fetch_add(1, Ordering::AcqRel);
-        let sent = intake.try_send(Intake::Query(topic.clone(), asked));
-        if sent.is_err() {
-            clerk.waiting.fetch_sub(1, Ordering::AcqRel);
-        }
-        // A daemon that is going takes nothing, and its silence says so.
-        !matches!(sent, Err(TrySendError::Full(_)))
-    }
 }
 
 /// The verb of a command, if none came with it before; `used` has a bit for each.
