@@ -25,7 +25,7 @@ use crate::swarm::frame::Frame;
 use crate::swarm::outlet::Outlet;
 use crate::wire::{self, Payload};
 
-use self::turns::Turns;
+use self::turns::{MOST_GATHERED, Turns};
 
 /// Events a late joiner still gets from the publisher's own cache.
 const EVENTS_CACHED: usize = 64;
@@ -35,7 +35,7 @@ const HEARTBEAT: Duration = Duration::from_secs(2);
 
 /// How long the frames of one swarm are published one after the other while others wait: twice as
 /// long as they are gathered at most. Of those left then, the newest.
-const MOST_AT_ONCE: Duration = Duration::from_millis(8);
+const MOST_AT_ONCE: Duration = MOST_GATHERED.saturating_mul(2);
 
 /// The publishers of one swarm.
 pub struct Publication {

@@ -3,10 +3,13 @@
 use std::collections::{BTreeSet, HashMap};
 use std::time::{Duration, Instant};
 
-/// How long a swarm's next frames are gathered once some of its were published: so many times as long
-/// as that took, and at most so long. Who publishes often to many has the bus send several at once,
-/// which costs everybody less, and whoever commands meanwhile does not wait for those that follow.
-const GATHERED: (u32, Duration) = (8, Duration::from_millis(4));
+/// How many times as long as publishing took a swarm's next frames are gathered. Who publishes often
+/// to many has the bus send several at once, which costs everybody less, and whoever commands
+/// meanwhile does not wait for those that follow.
+const TIMES_GATHERED: u32 = 8;
+
+/// How long frames are gathered at most.
+pub const MOST_GATHERED: Duration = Duration::from_millis(4);
 
 /// When each swarm may be published again, and who has rung before.
 #[derive(Default)]
@@ -43,8 +46,7 @@ impl Turns {
 
     /// A swarm was published, from `began` until now.
     pub fn published(&mut self, swarm: String, began: Instant, now: Instant) {
-        let (times, most) = GATHERED;
-        let gathered = ((now - began) * times).min(most);
+        let gathered = ((now - began) * TIMES_GATHERED).min(MOST_GATHERED);
         self.due.insert(swarm, began + gathered);
     }
 

@@ -239,10 +239,13 @@ impl Promise {
         self.hand_in(page, Box::new(body));
     }
 
-    /// Refuses what was asked for; nothing has changed then.
+    /// Refuses what was asked for; nothing has changed then. Whoever asked whatever swarms there are
+    /// does not hear of one that is gone.
     pub fn refuse(&self, error: &CommandError, step: Option<u64>) {
         let is_gone = matches!(error, CommandError::Order(OrderError::Gone));
-        if is_gone && self.0.desk.is_closing.load(Ordering::Acquire) {
+        let is_unknown = matches!(error, CommandError::UnknownSwarm(_));
+        let is_closing = self.0.desk.is_closing.load(Ordering::Acquire);
+        if (is_gone && is_closing) || ((is_gone || is_unknown) && self.is_of_many()) {
             return drop(self.lock().take());
         }
         let payload = Payload::json(&error.to_wire(step));
@@ -289,6 +292,13 @@ impl Promise {
         self.lock()
             .as_ref()
             .is_some_and(|asked| asked.door.is_some())
+    }
+
+    /// Whether the query is for whatever swarms there are.
+    fn is_of_many(&self) -> bool {
+        self.lock()
+            .as_ref()
+            .is_some_and(|asked| asked.query.key_expr().is_wild())
     }
 
     /// Whether it has been kept.

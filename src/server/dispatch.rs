@@ -88,7 +88,7 @@ impl Dispatcher {
                     }
                     self.clerk.waiting.fetch_sub(1, Ordering::Release);
                 }
-                Ok(Intake::Used(swarm, verb)) => self.doors.expect(&swarm, verb),
+                Ok(Intake::Used(swarm, verb)) => self.doors.declare_key(&swarm, verb),
                 Ok(Intake::Begun(swarm, built)) => self.begun(&swarm, built),
                 Ok(Intake::Ended(swarm, ended)) => self.ended(&swarm, ended),
                 Err(RecvTimeoutError::Timeout) => {}

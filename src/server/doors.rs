@@ -113,7 +113,7 @@ impl Doors {
     /// Has zenoh know the key of a verb that was used: from then on it remembers where such commands
     /// go. Each of a key it does not know it compares with the keys of all swarms, while every other
     /// query and answer waits.
-    pub fn expect(&mut self, swarm: &str, verb: &str) {
+    pub fn declare_key(&mut self, swarm: &str, verb: &str) {
         let Some(door) = self.doors.get_mut(swarm) else {
             return;
         };

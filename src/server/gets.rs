@@ -28,9 +28,6 @@ const OF_ONE: [&str; 3] = ["wait", "verify", "snapshot"];
 impl Clerk {
     /// Answers with the state as it is.
     pub(super) fn state(&self, swarm: &Arc<str>, asked: &Asked) {
-        if self.is_not_meant(swarm, &asked.query) {
-            return;
-        }
         let key = keys::state(&self.prefix, swarm);
         let as_json = match format(&asked.query) {
             Ok(as_json) => as_json,
@@ -52,9 +49,6 @@ impl Clerk {
     /// Answers every noun that the query names; wildcards are welcome.
     pub(super) fn get(&self, swarm: &Arc<str>, asked: &Asked) {
         let query = &asked.query;
-        if self.is_not_meant(swarm, query) {
-            return;
-        }
         let is_concrete = !query.key_expr().is_wild();
         let mut is_known = false;
         for noun in keys::SWARM_GETS {
@@ -134,11 +128,6 @@ impl Clerk {
                 .promise(asked, key.to_owned())
                 .refuse(&error, None);
         }
-    }
-
-    /// Whether a query is for whatever swarms there are, and this one was deleted a moment ago.
-    fn is_not_meant(&self, swarm: &str, query: &Query) -> bool {
-        query.key_expr().is_wild() && self.host.find(swarm).is_none()
     }
 
     fn wait(&self, swarm: &Arc<str>, promise: &Promise, query: &Query) {

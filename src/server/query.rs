@@ -57,7 +57,7 @@ pub fn queryable(
         .declare_queryable(key)
         .callback(move |query| {
             if let Topic::Command(swarm) = &topic
-                && let Some(verb) = unused_before(&query, &used)
+                && let Some(verb) = unused_before(query.key_expr(), &used)
             {
                 // Where there is no room for it commands are found as before.
                 let _ = intake.try_send(Intake::Used(swarm.clone(), verb));
@@ -84,8 +84,8 @@ pub fn queryable(
 }
 
 /// The verb of a command, if none came with it before; `used` has a bit for each.
-fn unused_before(query: &Query, used: &AtomicU32) -> Option<&'static str> {
-    let (_, last) = query.key_expr().as_str().rsplit_once('/')?;
+fn unused_before(key: &str, used: &AtomicU32) -> Option<&'static str> {
+    let (_, last) = key.rsplit_once('/')?;
     let verb = keys::SWARM_VERBS.iter().position(|verb| *verb == last)?;
     let bit = 1 << verb;
     let is_new =
@@ -155,4 +155,25 @@ pub fn no_parameters(query: &Query) -> Result<(), CommandError> {
 /// Whether a query's key expression takes in `key`.
 pub fn names(query: &Query, key: &str) -> bool {
     KeyExpr::new(key).is_ok_and(|key| query.key_expr().intersects(&key))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn each_verb_is_new_once_and_only_verbs_are() {
+        let used = AtomicU32::new(0);
+        for verb in keys::SWARM_VERBS {
+            let key = keys::cmd("jostle", "ants", verb);
+            assert_eq!(unused_before(&key, &used), Some(verb));
+            assert_eq!(unused_before(&key, &used), None, "{verb} is new twice");
+        }
+        let used = AtomicU32::new(0);
+        for other in ["*", "**", "fly", "set/now"] {
+            let key = keys::cmd("jostle", "ants", other);
+            assert_eq!(unused_before(&key, &used), None, "{other}");
+        }
+        assert_eq!(used.into_inner(), 0);
+    }
 }

@@ -5,6 +5,7 @@
 mod abuse;
 mod apart;
 mod architecture;
+mod changes;
 mod claim;
 mod codes;
 mod commands;

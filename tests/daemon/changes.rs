@@ -1,0 +1,218 @@
+//! What a command changes of a swarm: who is informed, who is there, its parameters and rules.
+
+use jostle_proto::ErrorCode;
+use serde_json::json;
+
+use crate::support::{Daemon, until};
+
+#[tokio::test(flavor = "multi_thread")]
+async fn informed_individuals_are_those_told_and_a_draw_repeats() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let mut drawn = Vec::new();
+    for name in ["a", "b"] {
+        client.create(name, json!({"n": 20, "seed": 9})).await;
+        let args = json!({"select": {"fraction": 0.25}, "direction": -1.5, "weight": 0.7});
+        let reply = client.ok(name, "inform", args).await;
+        drawn.push(reply["result"]["ids"].clone());
+    }
+    assert_eq!(drawn[0], drawn[1]);
+    assert_eq!(drawn[0].as_array().unwrap().len(), 5);
+    let state = client.one("jostle/a/state", None).await.unwrap();
+    for (id, (weight, direction)) in (0..20u64).zip(
+        state["weight"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(state["direction"].as_array().unwrap()),
+    ) {
+        let expected = if drawn[0].as_array().unwrap().contains(&json!(id)) {
+            (0.7, -1.5)
+        } else {
+            (0.0, 0.0)
+        };
+        assert_eq!(
+            (weight.as_f64().unwrap(), direction.as_f64().unwrap()),
+            expected,
+            "{id}"
+        );
+    }
+    let reply = client
+        .ok("a", "uninform", json!({"select": {"count": 2}}))
+        .await;
+    assert_eq!(reply["result"]["ids"].as_array().unwrap().len(), 2);
+    assert_eq!(client.get("a", "status").await["result"]["informed"], 3);
+    let (code, _) = client
+        .err("a", "uninform", json!({"select": {"count": 4}}))
+        .await;
+    assert_eq!(code, ErrorCode::InvalidArgument, "only three are informed");
+
+    let args = json!({"select": {"ids": [3]}, "direction": 0, "for_time": 0.1});
+    client.ok("b", "inform", args).await;
+    client.ok("b", "step", json!({"steps": 4})).await;
+    let weight = async || client.one("jostle/b/state", None).await.unwrap()["weight"][3].clone();
+    assert_eq!(weight().await, 0.5);
+    client.ok("b", "step", json!({})).await;
+    assert_eq!(weight().await, 0.0, "informed for 0.1, which is five steps");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn individuals_join_where_they_overlap_nobody_and_leave_for_good() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 10})).await;
+    let reply = client
+        .ok("a", "inject", json!({"count": 5, "direction": 1.0}))
+        .await;
+    assert_eq!(
+        reply["result"],
+        json!({"ids": [10, 11, 12, 13, 14], "n": 15})
+    );
+    let region = json!({"x": 100, "y": 0, "radius": 3});
+    client
+        .ok("a", "inject", json!({"count": 2, "within": region}))
+        .await;
+    let at = json!([{"x": -50, "y": 0, "alpha": 0}, {"x": -50, "y": 0.4, "alpha": 0}]);
+    client.ok("a", "inject", json!({"at": at})).await;
+    let status = client.get("a", "status").await;
+    assert_eq!(status["result"]["informed"], 5);
+    assert!(
+        status["result"]["certificate"]["worst_gap"]
+            .as_f64()
+            .unwrap()
+            >= -1e-12
+    );
+
+    let hash = client.hash("a").await;
+    let (code, _) = client
+        .err(
+            "a",
+            "inject",
+            json!({"at": [{"x": -50, "y": 0.1, "alpha": 1}]}),
+        )
+        .await;
+    assert_eq!(code, ErrorCode::InvalidArgument);
+    let small = json!({"x": 0, "y": 0, "radius": 0.5});
+    let (code, _) = client
+        .err("a", "inject", json!({"count": 100, "within": small}))
+        .await;
+    assert_eq!(code, ErrorCode::ResourceExhausted);
+    assert_eq!(client.hash("a").await, hash);
+
+    let reply = client
+        .ok("a", "remove", json!({"select": {"ids": [18, 0]}}))
+        .await;
+    assert_eq!(reply["result"], json!({"ids": [0, 18], "n": 17}));
+    let reply = client.ok("a", "inject", json!({"count": 1})).await;
+    assert_eq!(
+        reply["result"]["ids"],
+        json!([19]),
+        "ids are never used twice"
+    );
+    let (code, message) = client
+        .err("a", "remove", json!({"select": {"fraction": 1}}))
+        .await;
+    assert_eq!(code, ErrorCode::InvalidArgument);
+    assert!(message.contains("leave one"), "{message}");
+    client.ok("a", "step", json!({"steps": 50})).await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn set_changes_what_it_names_and_a_new_shape_makes_room() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 40})).await;
+    client.hash_at("a", 2000).await;
+    let reply = client
+        .ok("a", "set", json!({"pi3": 1.5, "publish_every": 7}))
+        .await;
+    let result = &reply["result"];
+    assert_eq!(
+        (&result["before"]["pi3"], &result["now"]["pi3"]),
+        (&json!(1.0), &json!(1.5))
+    );
+    assert_eq!(
+        (&result["now"]["publish_every"], &result["now"]["pi4"]),
+        (&json!(7), &json!(10.0))
+    );
+
+    let hash = client.hash("a").await;
+    let (code, message) = client.err("a", "set", json!({"pi1": 8})).await;
+    assert_eq!(code, ErrorCode::ResourceExhausted);
+    assert!(message.contains("make_room"), "{message}");
+    assert_eq!(client.hash("a").await, hash);
+    let reply = client
+        .ok("a", "set", json!({"pi1": 8, "make_room": true}))
+        .await;
+    let scaled_by = reply["result"]["scaled_by"].as_f64().unwrap();
+    assert!(scaled_by > 1.0 && scaled_by < 3.0, "{scaled_by}");
+    client.ok("a", "step", json!({"steps": 100})).await;
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_rules_and_the_noise_change_too_but_no_axes_stay_crossed() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    let rules = json!({"contacts": "closest", "stepping": "velocity", "noise": 0.1,
+        "attraction": {"kind": "metric", "radius": 3.0}});
+    let mut spec = rules.clone();
+    spec["n"] = json!(20);
+    client.create("made", spec).await;
+    client.create("told", json!({"n": 20})).await;
+    let reply = client.ok("told", "set", rules.clone()).await;
+    for (field, value) in rules.as_object().unwrap() {
+        assert_eq!(&reply["result"]["now"][field], value, "{field}");
+    }
+    assert_eq!(reply["result"]["before"]["contacts"], "endpoints");
+    assert_eq!(
+        client.hash_at("made", 200).await,
+        client.hash_at("told", 200).await,
+        "told or made, the rules are the same"
+    );
+    for (wrong, says) in [
+        (json!({"relinearise": 1}), "stepping"),
+        (json!({"relinearise": 2}), "relinearise"),
+        (json!({"noise": -1}), "noise"),
+        (json!({"contacts": "all"}), "contacts"),
+        (
+            json!({"attraction": {"kind": "metric", "radius": 0}}),
+            "radius",
+        ),
+    ] {
+        let (code, message) = client.err("told", "set", wrong).await;
+        assert_eq!(code, ErrorCode::InvalidArgument, "{message}");
+        assert!(message.contains(says), "{message}");
+    }
+    client
+        .ok(
+            "told",
+            "set",
+            json!({"stepping": "position", "relinearise": 1}),
+        )
+        .await;
+
+    // Needles in long steps: under `closest` some come to cross.
+    client
+        .create(
+            "loose",
+            json!({"n": 60, "pi1": 8, "pi4": 1, "dt": 0.05, "contacts": "closest"}),
+        )
+        .await;
+    until("crossed axes", async || {
+        client.ok("loose", "step", json!({"steps": 50})).await;
+        client.get("loose", "status").await["result"]["certificate"]["crossed"] != 0
+    })
+    .await;
+    let before = client.hash("loose").await;
+    for strict in ["endpoints", "clamped"] {
+        let request = json!({"contacts": strict, "pi3": 0.9});
+        let (code, message) = client.err("loose", "set", request).await;
+        assert_eq!(code, ErrorCode::IncorrectState);
+        assert!(message.contains("pairs cross"), "{message}");
+    }
+    assert_eq!(client.hash("loose").await, before, "nothing has changed");
+    daemon.stop().await;
+}
