@@ -17,6 +17,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, SystemTime};
 
+use fail::fail_point;
 use jostle_proto::keys;
 pub use jostle_results::recording::Format;
 use jostle_results::recording::{Recorder, RecordingError, Written, parts, sweep};
@@ -394,7 +395,7 @@ impl Recordings {
         }
         standing.phase = phase;
         standing.reason = Some(reason).filter(|it| !it.is_empty());
-        // On a full disk the end of its last part has made room for this.
+        fail_point!("recording-settled");
         if let Err(error) = self.0.shelf.note(name, &standing) {
             warn!(recording = name, %error, "failed to write down how it stands");
         }

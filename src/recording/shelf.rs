@@ -1,15 +1,23 @@
 //! What the daemon keeps of its recordings on the disk: a folder for each, and how it stands.
 
-use std::fs::{self, File};
+use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 
+use rustix::fs::{CWD, RenameFlags, renameat_with};
 use serde::{Deserialize, Serialize};
 
 use super::{Format, Phase};
 
 /// How it stands, in its folder.
 const STANDING: &str = "recording.json";
+
+/// How it stood before, beside it: what comes next is written over it, and takes its place. So there
+/// is room to write down that a recording has failed, where that is for want of room.
+const SPARE: &str = "recording.json.spare";
+
+/// What both have bytes for, as spaces where less is said.
+const ROOM: usize = 4096;
 
 /// What the folder of a deleted recording begins with until it is gone.
 const GONE: &str = ".gone-";
@@ -60,7 +68,7 @@ impl Shelf {
                 fs::remove_dir_all(&path)?;
             } else if path.is_dir() && !path.join(STANDING).exists() {
                 // Whoever began it was, and got no answer. Anything else in it is somebody's.
-                let _ = fs::remove_file(path.join(draft()));
+                let _ = fs::remove_file(path.join(SPARE));
                 let _ = fs::remove_dir(&path);
             }
         }
@@ -97,18 +105,23 @@ impl Shelf {
         self.0.join(name)
     }
 
-    /// Writes down how a recording stands. It is on the disk on return.
+    /// Writes down how a recording stands. It is on the disk on return, and but for the first time it
+    /// takes no more room, where files are written in place.
     ///
     /// # Errors
     ///
     /// When it cannot be written; it stands as before then.
     pub fn note(&self, name: &str, standing: &Standing) -> io::Result<()> {
         let folder = self.folder(name);
-        let part = folder.join(draft());
-        let mut file = File::create(&part)?;
-        file.write_all(&serde_json::to_vec(standing)?)?;
-        file.sync_all()?;
-        fs::rename(&part, folder.join(STANDING))?;
+        let (there, spare) = (folder.join(STANDING), folder.join(SPARE));
+        let mut text = serde_json::to_vec(standing)?;
+        text.resize(text.len().next_multiple_of(ROOM), b' ');
+        write_over(&spare, &text)?;
+        if renameat_with(CWD, &spare, CWD, &there, RenameFlags::EXCHANGE).is_err() {
+            // There is none yet, or the file system cannot.
+            fs::rename(&spare, &there)?;
+            write_over(&spare, &text)?;
+        }
         sync(&folder)?;
         sync(&self.0)
     }
@@ -130,8 +143,17 @@ impl Shelf {
     }
 }
 
-fn draft() -> String {
-    format!("{STANDING}.part")
+/// Writes over what a file holds, where it is; it is on the disk on return.
+fn write_over(path: &Path, text: &[u8]) -> io::Result<()> {
+    let mut options = OpenOptions::new();
+    let mut file = options
+        .write(true)
+        .create(true)
+        .truncate(false)
+        .open(path)?;
+    file.write_all(text)?;
+    file.set_len(text.len() as u64)?;
+    file.sync_all()
 }
 
 /// Has the disk know the names in a folder.

@@ -109,7 +109,15 @@ impl Small {
     }
 
     pub fn fill(&self) {
-        let mut file = File::create(self.0.join("ballast")).unwrap();
+        File::create(self.0.join("ballast")).unwrap();
+        self.fill_more();
+    }
+
+    /// Takes what others gave back, and keeps what it has.
+    pub fn fill_more(&self) {
+        let mut options = File::options();
+        let ballast = options.append(true).create(true);
+        let mut file = ballast.open(self.0.join("ballast")).unwrap();
         for size in [65536, 4096, 1] {
             while file.write_all(&vec![0; size]).is_ok() {}
         }

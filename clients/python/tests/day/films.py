@@ -67,12 +67,14 @@ def gaps(lab: Lab) -> tuple[bool, str]:
 def full(lab: Lab) -> tuple[bool | None, str]:
     """What could not be written when the disk was full has failed, and what it had can be read."""
     failed = [it for it in lab.notes.recordings.values() if it.phase == "failed"]
-    if not failed:
+    if not failed and not lab.notes.full.failed:
         return None, "none came to write just then"
+    undone = set(lab.notes.full.failed) - {it.recording for it in failed}
     unread = [it.recording for it in failed if not isinstance(lab.notes.read[it.recording], dict)]
     said = ", ".join(f"{it.recording} after {it.frames} frames" for it in failed)
     fits = all("the disk is full" in (it.reason or "") for it in failed)
-    return fits and not unread, f"failed: {said}; {len(unread)} cannot be read {unread}"
+    seen = f"failed: {said}; {len(undone)} did not stay so; {len(unread)} cannot be read {unread}"
+    return fits and not undone and not unread, seen
 
 
 def stopped(lab: Lab) -> tuple[bool, str]:

@@ -33,6 +33,7 @@ class Full:
         others: What else such commands were refused with.
         ran: How many steps a running swarm took meanwhile.
         stepped: What a `step` was answered: step and `durable_step`.
+        failed: Which recordings had failed by its end.
     """
 
     filled: float = 0.0
@@ -44,6 +45,7 @@ class Full:
     others: list[str] = field(default_factory=list)
     ran: int = 0
     stepped: tuple[int, ...] = ()
+    failed: list[str] = field(default_factory=list)
 
 
 @dataclass

@@ -215,6 +215,8 @@ class Troubles:
         lab.say(f"commands are carried out again after {full.taken - full.freed:.2f} s")
         for it in self._client.recordings():
             lab.say(f"recording {it.recording} is {it.phase} {it.reason or ''}")
+            if it.phase == "failed":
+                full.failed.append(it.recording)
 
     def _state(self) -> tuple[int, int, int, str]:
         status = self._client.swarm(_PAUSED).status()
