@@ -29,6 +29,7 @@ mod replay;
 mod rights;
 mod schedule;
 mod soak;
+mod stored;
 mod streams;
 mod supervisor;
 mod support;

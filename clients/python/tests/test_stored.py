@@ -1,0 +1,42 @@
+"""Recordings and results that earlier builds stored are read by this package."""
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+import jostle
+
+STORED = Path(__file__).parents[3] / "tests" / "stored"
+BUILDS = sorted(path.parent for path in STORED.glob("*/expected.json"))
+
+
+def test_there_are_stored_builds() -> None:
+    assert "bf41dde" in [build.name for build in BUILDS]
+
+
+@pytest.mark.parametrize("build", BUILDS, ids=lambda build: build.name)
+def test_recordings_of_an_earlier_build_are_read(build: Path) -> None:
+    listed = json.loads((build / "expected.json").read_text())["recordings"]["recordings"]
+    frames = {recording["recording"]: recording["frames"] for recording in listed}
+    recordings = build / "data" / "recordings"
+    film = list(jostle.read_recording(recordings / "film"))
+    table = list(jostle.read_recording(recordings / "table"))
+    client = list(jostle.read_recording(build / "filmed.mcap"))
+    assert (len(film), len(table)) == (frames["film"], frames["table"])
+    assert len(client) > 1
+    for one, other in zip(film, table, strict=True):
+        assert (one.step, one.time) == (other.step, other.time)
+        assert (one.x == other.x).all()
+        assert (one.y == other.y).all()
+    assert film[-1].step == 1000
+
+
+@pytest.mark.parametrize("build", BUILDS, ids=lambda build: build.name)
+def test_results_of_an_earlier_build_are_read(build: Path) -> None:
+    table = pd.read_parquet(build / "results" / "results.parquet")
+    text = pd.read_csv(build / "results" / "results.csv")
+    assert len(table) == len(text) == 16
+    assert list(table.columns) == list(text.columns)
+    assert list(table["run"]) == list(text["run"])

@@ -1,0 +1,266 @@
+//! Stored files of earlier builds are opened, verified and replayed. Every expectation is a reply
+//! that the earlier build gave: `tests/stored/make.py` writes both.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use jostle_proto::keys;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use crate::apart::jostled;
+use crate::crash::life::{Life, daemon};
+use crate::replay::show;
+use crate::support::{Client, NODE, PATIENCE, PREFIX, beside_others};
+
+/// The fixtures, one folder for each build.
+fn builds() -> Vec<PathBuf> {
+    let stored = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/stored");
+    let entries = fs::read_dir(stored).unwrap();
+    let folders = entries.map(|entry| entry.unwrap().path());
+    let builds: Vec<PathBuf> = folders
+        .filter(|path| path.join("expected.json").exists())
+        .collect();
+    assert!(!builds.is_empty());
+    builds
+}
+
+fn expected(build: &Path) -> Value {
+    serde_json::from_slice(&fs::read(build.join("expected.json")).unwrap()).unwrap()
+}
+
+/// A copy of one of a build's folders, since a daemon changes its data.
+fn copy(build: &Path, folder: &str) -> TempDir {
+    fn copy_all(from: &Path, to: &Path) {
+        fs::create_dir_all(to).unwrap();
+        for entry in fs::read_dir(from).unwrap() {
+            let entry = entry.unwrap();
+            let to = to.join(entry.file_name());
+            match entry.path().is_dir() {
+                true => copy_all(&entry.path(), &to),
+                false => drop(fs::copy(entry.path(), to).unwrap()),
+            }
+        }
+    }
+    let copy = tempfile::tempdir().unwrap();
+    copy_all(&build.join(folder), copy.path());
+    copy
+}
+
+/// Starts a daemon on a copy of the build's data folder.
+async fn start(build: &Path) -> (Life, Client, TempDir) {
+    let data = copy(build, "data");
+    let life = Life::begin(&mut daemon(data.path())).unwrap();
+    let client = Client::open(&life.endpoint).await;
+    (life, client, data)
+}
+
+async fn stop(mut life: Life, client: Client) {
+    client.session.close().await.unwrap();
+    life.stop();
+    assert_eq!(life.end(), Some(0));
+}
+
+/// Whether `new` has every field of `old` with its value; it may have more.
+fn has_all(new: &Value, old: &Value) -> bool {
+    match (new, old) {
+        (Value::Object(new), Value::Object(old)) => old
+            .iter()
+            .all(|(name, old)| new.get(name).is_some_and(|new| has_all(new, old))),
+        (Value::Array(new), Value::Array(old)) => {
+            new.len() == old.len() && new.iter().zip(old).all(|(new, old)| has_all(new, old))
+        }
+        (new, old) => new == old,
+    }
+}
+
+#[track_caller]
+fn assert_has_all(new: &Value, old: &Value) {
+    assert!(has_all(new, old), "not all of\n{old:#}\n is in\n{new:#}");
+}
+
+#[test]
+fn a_missing_field_and_another_value_are_noticed() {
+    let old = json!({"a": [{"b": 1}], "c": null});
+    assert!(has_all(&json!({"a": [{"b": 1, "d": 2}], "c": null}), &old));
+    for other in [
+        json!({"a": [{"b": 2}], "c": null}),
+        json!({"a": [{"b": 1}]}),
+        json!({"a": [], "c": null}),
+        json!({"a": [{"b": 1}, {"b": 1}], "c": null}),
+    ] {
+        assert!(!has_all(&other, &old), "{other}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn swarms_their_history_and_their_replies_are_recovered() {
+    let _machine = beside_others().await;
+    for build in builds() {
+        let expected = expected(&build);
+        let (life, client, _data) = start(&build).await;
+        let swarms = expected["swarms"].as_object().unwrap();
+        let listed = client.node("swarms").await["swarms"].clone();
+        assert_eq!(listed.as_array().unwrap().len(), swarms.len());
+        for (name, old) in swarms {
+            let status = client.get(name, "status").await;
+            assert!(status["epoch"].as_u64() > old["status"]["epoch"].as_u64());
+            for field in ["step", "seq", "time", "phase"] {
+                assert_eq!(status[field], old["status"][field], "{name} {field}");
+            }
+            for field in ["state_hash", "n", "parameters", "seed"] {
+                let (new, old) = (&status["result"][field], &old["status"]["result"][field]);
+                assert_eq!(new, old, "{name} {field}");
+            }
+            assert_has_all(&client.get(name, "spec").await["result"], &old["spec"]);
+            let journal = client.get(name, "journal?limit=1000").await;
+            assert_has_all(&journal["result"]["entries"], &old["journal"]);
+            let controllers = client.get(name, "controllers").await;
+            assert_has_all(&controllers["result"], &old["controllers"]);
+            let verified = client.get(name, "verify").await;
+            assert_eq!(verified["result"]["differs_at"], Value::Null, "{name}");
+            assert_eq!(verified["result"]["to_step"], status["step"], "{name}");
+        }
+        // Each request is known, and its reply is the first one.
+        let requests = expected["requests"].as_array().unwrap();
+        assert!(requests.len() > 20);
+        for request in requests {
+            let key = request["key"].as_str().unwrap();
+            let payload = request["request"].to_string();
+            let reply = client.one(key, Some(payload.as_bytes())).await;
+            assert_eq!(reply.unwrap(), request["reply"], "{payload}");
+        }
+        for (name, old) in swarms {
+            let status = client.get(name, "status").await;
+            assert_eq!(status["seq"], old["status"]["seq"], "{name} executed twice");
+        }
+        stop(life, client).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn snapshots_restore_and_the_future_is_the_same() {
+    let _machine = beside_others().await;
+    for build in builds() {
+        let expected = &expected(&build)["snapshot"];
+        let (life, client, _data) = start(&build).await;
+        let snapshot = fs::read(build.join("school.snapshot")).unwrap();
+        let request = json!({"name": "restored", "snapshot": STANDARD.encode(snapshot)});
+        let key = keys::node_cmd(PREFIX, NODE, "restore");
+        let restored = client.one(&key, Some(request.to_string().as_bytes())).await;
+        restored.unwrap();
+        // The journal and the snapshot both hold a command that waits for step 2000.
+        for swarm in ["restored", "school"] {
+            let steps = json!({"steps": expected["steps"]});
+            let reply = client.ok(swarm, "step", steps).await;
+            assert_eq!(reply["step"], expected["step"], "{swarm}");
+            assert_eq!(client.hash(swarm).await, expected["state_hash"], "{swarm}");
+            let verified = client.get(swarm, "verify").await;
+            assert_eq!(verified["result"]["differs_at"], Value::Null, "{swarm}");
+        }
+        // The controller is still a member: with "again" it takes its place and advances.
+        let token = client.session.liveliness();
+        let key = format!("{PREFIX}/led/ctl/ada/alive");
+        let token = token.declare_token(key).await.unwrap();
+        let join = json!({"controller": "ada", "select": {"ids": [0, 1]}, "again": true});
+        client.ok("led", "join", join).await;
+        let advance = json!({"expect_step": 50, "args": {"controller": "ada", "steps": 5}});
+        assert_eq!(client.ok("led", "advance", advance).await["step"], 55);
+        token.undeclare().await.unwrap();
+        stop(life, client).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn recordings_are_listed_resumed_and_played() {
+    let _machine = beside_others().await;
+    for build in builds() {
+        let expected = &expected(&build)["recordings"]["recordings"];
+        let (life, client, data) = start(&build).await;
+        let recordings = client.node("recordings").await["recordings"].clone();
+        for (new, old) in recordings
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(expected.as_array().unwrap())
+        {
+            for field in ["recording", "swarm", "format", "every", "phase", "missed"] {
+                assert_eq!(new[field], old[field], "{old}");
+            }
+            assert!(
+                new["frames"].as_u64() >= old["frames"].as_u64(),
+                "{new} {old}"
+            );
+        }
+        assert_eq!(recordings.as_array().unwrap().len(), 3);
+        // The one that was not stopped goes on, and takes another frame.
+        client.ok("filmed", "step", json!({"steps": 20})).await;
+        let key = keys::node_cmd(PREFIX, NODE, "record");
+        let stop_it = json!({"stop": {"recording": "going"}}).to_string();
+        let stopped = client.one(&key, Some(stop_it.as_bytes())).await.unwrap();
+        assert_eq!(stopped["result"]["phase"], "ended");
+        // Every part that was whole is played, and so is the recording of a client.
+        let mut frames = 0;
+        let mut parts = fs::read_dir(data.path().join("recordings/film"))
+            .unwrap()
+            .map(|entry| entry.unwrap().path())
+            .filter(|path| path.extension().is_some_and(|it| it == "mcap"))
+            .collect::<Vec<_>>();
+        parts.sort();
+        for (number, part) in parts.iter().enumerate() {
+            let name = format!("part-{number}");
+            let shown = show(&client, &name, &fs::read(part).unwrap()).await;
+            let replay = &shown.unwrap()["result"]["replay"];
+            assert_eq!(replay["of"], "filmed");
+            frames += replay["frames"].as_u64().unwrap();
+        }
+        assert_eq!(json!(frames), expected[0]["frames"]);
+        let file = fs::read(build.join("filmed.mcap")).unwrap();
+        let shown = show(&client, "client", &file).await.unwrap();
+        assert!(shown["result"]["replay"]["frames"].as_u64() > Some(1));
+        client.ok("client", "seek", json!({"fraction": 1.0})).await;
+        stop(life, client).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn experiments_go_on_and_their_results_are_the_same() {
+    let _machine = beside_others().await;
+    for build in builds() {
+        let old = &expected(&build)["experiment"];
+        let (life, client, _data) = start(&build).await;
+        let key = keys::experiment(PREFIX, NODE, "half", "results");
+        let began = Instant::now();
+        let page = loop {
+            let page = client.one(&key, None).await.unwrap();
+            if page["finished"] == 6 {
+                break page;
+            }
+            assert!(began.elapsed() < 3 * PATIENCE, "{page}");
+            tokio::time::sleep(std::time::Duration::from_millis(50)).await;
+        };
+        let (rows, old) = (
+            page["rows"].as_array().unwrap(),
+            old["rows"].as_array().unwrap(),
+        );
+        assert!(!old.is_empty() && old.len() < rows.len());
+        for old in old {
+            let new = rows.iter().find(|new| new["run"] == old["run"]);
+            assert_has_all(new.unwrap(), old);
+        }
+        stop(life, client).await;
+
+        let results = copy(&build, "results");
+        let table = results.path().join("results.csv");
+        let before = fs::read_to_string(&table).unwrap();
+        fs::remove_file(&table).unwrap();
+        let file = build.join("results.toml");
+        let mut command = jostled(&["run", file.to_str().unwrap(), "--threads", "1", "-o"]);
+        let run = command.arg(results.path()).output().unwrap();
+        assert!(run.status.success(), "{run:?}");
+        assert_eq!(fs::read_to_string(&table).unwrap(), before);
+    }
+}
