@@ -48,6 +48,9 @@ async fn two_futures_are_equal_until_treated_differently_and_diff_says_where_the
         "{said}"
     );
 
+    let same = daemon.jostle("diff a a").await;
+    assert_eq!(same.code, Some(2), "{same:?}");
+
     daemon.said("inform b --ids 0,1,2 --degrees 90").await;
     let said = daemon.said("diff a b").await;
     assert!(said.contains("3 informed otherwise"), "{said}");

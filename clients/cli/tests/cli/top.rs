@@ -25,6 +25,14 @@ async fn top_shows_what_each_swarm_costs_and_ends_after_so_many_looks() {
         ["swarm", "large", "small", "still"]
     );
     assert!(once.starts_with("test  up "), "{once}");
+    // Nothing steps now, whatever was computed since the start.
+    let row = once
+        .lines()
+        .find(|line| line.starts_with("large "))
+        .unwrap();
+    let row: Vec<&str> = row.split_whitespace().collect();
+    assert_eq!(row[6].parse(), Ok(0.0), "{once}");
+    assert!(once.contains("steps 0/s"), "{once}");
     for word in ["cores", "memory", "sessions", "commits", "faults 0"] {
         assert!(once.contains(word), "{word}: {once}");
     }

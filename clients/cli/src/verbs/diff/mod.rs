@@ -80,6 +80,15 @@ struct Seen {
 ///
 /// Why one of them cannot be looked at.
 pub async fn diff(bus: &Bus, output: Output, arguments: &DiffArguments) -> Result<(), Failure> {
+    if arguments.one == arguments.other {
+        return Err(Failure::Argument {
+            argument: "OTHER".to_owned(),
+            problem: format!(
+                "{} is the first swarm, too: name another one to compare it with",
+                arguments.other
+            ),
+        });
+    }
     let one = seen(bus, &arguments.one).await?;
     let other = seen(bus, &arguments.other).await?;
     let difference = difference(one, other);

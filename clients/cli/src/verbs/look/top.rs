@@ -1,6 +1,7 @@
 //! `top`: what a daemon and its swarms cost, and how fast they are.
 
 use std::cmp::Ordering;
+use std::time::Duration;
 
 use jostle_proto::{Metrics, NodeReply, SwarmMetrics};
 
@@ -12,8 +13,12 @@ use crate::output::Output;
 use crate::table;
 use crate::verbs::look::Sight;
 
-/// A daemon's numbers as they came, or a header and a line for each swarm: what came about since
-/// the look before, at the first since the daemon started.
+/// How far apart the two samples of the first screen are.
+const FIRST_INTERVAL: Duration = Duration::from_millis(500);
+
+/// A daemon's numbers as they came, or a header and a line for each swarm: rates since the previous
+/// sample. The first screen takes two samples: an average since the start of the daemon says nothing
+/// about the present.
 ///
 /// # Errors
 ///
@@ -24,6 +29,11 @@ pub async fn sight(
     arguments: &TopArguments,
     before: &mut Option<Metrics>,
 ) -> Result<Sight, Failure> {
+    if before.is_none() && !output.json {
+        let first = bus.get_node("metrics").await?;
+        *before = Some(first.read::<NodeReply<Metrics>>()?.result);
+        tokio::time::sleep(FIRST_INTERVAL).await;
+    }
     let answer = bus.get_node("metrics").await?;
     if output.json {
         return Ok(Sight::of(answer.json()?.to_owned()));
