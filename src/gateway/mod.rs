@@ -6,8 +6,10 @@
 //! shows the token that the daemon prints when it starts; where people are known, everybody who
 //! sees more than the page itself and `/healthz` shows their own.
 
+mod accept;
 mod admit;
 mod bus;
+mod connections;
 mod feed;
 mod page;
 mod pass;
@@ -26,12 +28,10 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use axum::Router;
-use axum::body::Bytes;
-use axum::extract::rejection::BytesRejection;
-use axum::extract::{DefaultBodyLimit, Path, Query, RawQuery, State, WebSocketUpgrade};
+use axum::extract::{DefaultBodyLimit, Extension, Path, Query, RawQuery, State, WebSocketUpgrade};
 use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
-use axum::middleware::{from_fn_with_state, map_response};
+use axum::middleware::{from_fn, from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
 use axum::routing::{any, get, post};
 use jostle_proto::{ErrorCode, Role, keys};
@@ -39,19 +39,16 @@ use serde::Deserialize;
 use serde_json::json;
 use thiserror::Error;
 use tokio::net::TcpListener;
-use tokio::sync::Semaphore;
 use tokio::task::JoinHandle;
 use tokio_rustls::TlsAcceptor;
 
+use crate::gateway::accept::{WholeBody, accept, record};
 use crate::gateway::admit::{Guests, MOST_BODY_BYTES, admit, harden};
 use crate::gateway::bus::{refuse, told_of};
+use crate::gateway::connections::{Connections, Slot, Sockets, max_connections};
 use crate::gateway::feed::Feeds;
 use crate::gateway::pass::PROTOCOL;
-use crate::gateway::secure::Secure;
 use crate::health::Watch;
-
-/// Tabs at once.
-const MOST_TABS: usize = 256;
 
 /// Why HTTP is not served.
 #[derive(Debug, Error)]
@@ -158,12 +155,13 @@ impl Gateway {
     ) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
         let is_secure = acceptor.is_some();
+        let max_connections = max_connections();
         let served = Served {
             feeds: Feeds::start(bus.clone()),
             bus,
             watch,
             pass,
-            tabs: Arc::new(Semaphore::new(MOST_TABS)),
+            sockets: Sockets::new(max_connections),
         };
         let router = Router::new()
             .route("/healthz", get(healthz))
@@ -177,15 +175,11 @@ impl Gateway {
             .layer(DefaultBodyLimit::max(MOST_BODY_BYTES))
             .with_state(Arc::new(served))
             .layer(from_fn_with_state(Guests { is_secure }, admit))
-            .layer(map_response(harden));
+            .layer(map_response(harden))
+            .layer(from_fn(record));
+        let connections = Connections::new(max_connections);
         // It ends only when it is stopped.
-        let serving = match acceptor {
-            None => tokio::spawn(async move { drop(axum::serve(listener, router).await) }),
-            Some(acceptor) => {
-                let listener = Secure::on(listener, acceptor)?;
-                tokio::spawn(async move { drop(axum::serve(listener, router).await) })
-            }
-        };
+        let serving = tokio::spawn(accept(listener, acceptor, router, connections));
         Ok(Gateway {
             address,
             is_secure,
@@ -215,7 +209,7 @@ struct Served {
     feeds: Arc<Feeds>,
     watch: Arc<Watch>,
     pass: Pass,
-    tabs: Arc<Semaphore>,
+    sockets: Arc<Sockets>,
 }
 
 type Seen = State<Arc<Served>>;
@@ -308,7 +302,7 @@ async fn command(
     seen: Seen,
     Path((swarm, verb)): Path<(String, String)>,
     headers: HeaderMap,
-    body: Result<Bytes, BytesRejection>,
+    body: Result<WholeBody, Response>,
 ) -> Response {
     order(seen, &format!("{swarm}/cmd/{verb}"), &headers, body).await
 }
@@ -317,7 +311,7 @@ async fn node_command(
     seen: Seen,
     Path(verb): Path<String>,
     headers: HeaderMap,
-    body: Result<Bytes, BytesRejection>,
+    body: Result<WholeBody, Response>,
 ) -> Response {
     order(seen, &format!("@node/cmd/{verb}"), &headers, body).await
 }
@@ -327,14 +321,14 @@ async fn order(
     State(seen): Seen,
     rest: &str,
     headers: &HeaderMap,
-    body: Result<Bytes, BytesRejection>,
+    body: Result<WholeBody, Response>,
 ) -> Response {
     if !seen.pass.may_command(headers) {
         return seen.unknown();
     }
     let body = match body {
-        Ok(body) => body,
-        Err(rejection) => return rejection.into_response(),
+        Ok(WholeBody(body)) => body,
+        Err(rejection) => return rejection,
     };
     // What is under way goes on, whether or not the tab waits for it.
     let asked = tokio::spawn({
@@ -358,6 +352,7 @@ struct Tab {
 async fn tab(
     State(seen): Seen,
     Query(tab): Query<Tab>,
+    Extension(slot): Extension<Arc<Slot>>,
     headers: HeaderMap,
     upgrade: WebSocketUpgrade,
 ) -> Response {
@@ -370,14 +365,19 @@ async fn tab(
         let told = format!("{swarm:?} is no name of a swarm");
         return refuse(&told_of(ErrorCode::InvalidArgument, told));
     }
-    let Ok(place) = seen.tabs.clone().try_acquire_owned() else {
-        let told = format!("{MOST_TABS} tabs are open: close one");
-        return refuse(&told_of(ErrorCode::ResourceExhausted, told));
+    let person = seen.pass.person(&headers);
+    let place = match seen.sockets.open(person.map(|person| person.name.as_str())) {
+        Ok(place) => place,
+        Err(message) => return refuse(&told_of(ErrorCode::ResourceExhausted, message)),
     };
     let feeds = seen.feeds.clone();
     let upgrade = upgrade.protocols([PROTOCOL]);
     let upgrade = upgrade.max_message_size(4096).max_frame_size(4096);
-    upgrade.on_upgrade(move |socket| socket::serve(socket, feeds, tab.swarm, place))
+    upgrade.on_upgrade(async move |socket| {
+        slot.upgrade();
+        socket::serve(socket, feeds, tab.swarm, place).await;
+        drop(slot);
+    })
 }
 
 #[cfg(test)]

@@ -8,9 +8,10 @@ use axum::extract::ws::{CloseFrame, Message, Utf8Bytes, WebSocket};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use tokio::sync::broadcast::error::RecvError;
-use tokio::sync::{OwnedSemaphorePermit, broadcast, watch};
+use tokio::sync::{broadcast, watch};
 use tokio::time::timeout;
 
+use crate::gateway::connections::OpenSocket;
 use crate::gateway::feed::{Feed, Feeds};
 
 /// How long a tab may not read before it is let go. It comes back by itself.
@@ -46,7 +47,7 @@ pub async fn serve(
     mut socket: WebSocket,
     feeds: Arc<Feeds>,
     swarm: Option<String>,
-    _place: OwnedSemaphorePermit,
+    _place: OpenSocket,
 ) {
     let mut lists = feeds.list.subscribe();
     lists.mark_changed();

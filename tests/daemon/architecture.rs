@@ -93,7 +93,7 @@ const MAY_USE: [(&str, &[&str]); 27] = [
 ];
 
 /// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 24] = [
+const ONLY_IN: [(&str, &[&str]); 26] = [
     ("zenoh::", &["gateway", "publish", "server"]),
     ("zenoh_ext::", &["publish"]),
     (
@@ -137,6 +137,8 @@ const ONLY_IN: [(&str, &[&str]); 24] = [
     ),
     ("indicatif::", &["batch"]),
     ("axum::", &["gateway"]),
+    ("hyper::", &["gateway"]),
+    ("hyper_util::", &["gateway"]),
     ("rust_embed", &["gateway"]),
     ("prometheus_client::", &["gateway"]),
     (

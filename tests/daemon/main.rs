@@ -18,6 +18,7 @@ mod experiment;
 mod experiments;
 mod health;
 mod history;
+mod idle_http;
 mod load;
 mod once;
 mod overload;

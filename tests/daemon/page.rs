@@ -56,7 +56,7 @@ impl Browser {
     }
 }
 
-type Tab = WebSocketStream<TcpStream>;
+pub type Tab = WebSocketStream<TcpStream>;
 
 async fn open(address: &str, path: &str, origin: Option<&str>) -> tungstenite::Result<Tab> {
     let stream = TcpStream::connect(address).await.unwrap();
@@ -69,7 +69,7 @@ async fn open(address: &str, path: &str, origin: Option<&str>) -> tungstenite::R
     client_async(request, stream).await.map(|(tab, _)| tab)
 }
 
-async fn tab(address: &str, path: &str) -> Tab {
+pub async fn tab(address: &str, path: &str) -> Tab {
     open(address, path, Some(&format!("http://{address}")))
         .await
         .unwrap()

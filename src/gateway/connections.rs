@@ -1,0 +1,266 @@
+//! The open HTTP connections and WebSockets, and the limits on their number.
+
+use std::collections::HashMap;
+use std::net::IpAddr;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+use rustix::process::{Resource, getrlimit};
+use tokio::sync::Notify;
+
+/// The upper bound of the cap on open connections.
+const MAX_CONNECTIONS: usize = 1024;
+
+/// Open WebSockets in total.
+pub const MAX_SOCKETS: usize = 256;
+
+/// Open WebSockets of one person.
+pub const MAX_SOCKETS_PER_PERSON: usize = 32;
+
+/// The cap on open connections: [`MAX_CONNECTIONS`], or a quarter of the descriptor limit if that
+/// is less.
+pub fn max_connections() -> usize {
+    let descriptors = getrlimit(Resource::Nofile).current;
+    let quarter = descriptors.map_or(MAX_CONNECTIONS, |most| {
+        usize::try_from(most / 4).unwrap_or(MAX_CONNECTIONS)
+    });
+    quarter.clamp(1, MAX_CONNECTIONS)
+}
+
+/// The registry of open connections.
+pub struct Connections {
+    max: usize,
+    max_per_peer: usize,
+    registry: Mutex<Registry>,
+}
+
+#[derive(Default)]
+struct Registry {
+    next_id: u64,
+    entries: HashMap<u64, Entry>,
+}
+
+struct Entry {
+    peer: IpAddr,
+    /// When the last request was answered, or the connection was accepted.
+    last_complete: Instant,
+    is_socket: bool,
+    evicted: Arc<Notify>,
+}
+
+impl Connections {
+    /// A registry of at most `max` connections. A peer that is not loopback gets a quarter of them.
+    pub fn new(max: usize) -> Arc<Self> {
+        Arc::new(Connections {
+            max,
+            max_per_peer: (max / 4).max(1),
+            registry: Mutex::default(),
+        })
+    }
+
+    /// Registers a connection. At the cap, evicts the connection without an open WebSocket that has
+    /// gone longest without completing a request; at the cap of one peer, such a connection of that
+    /// peer. Returns `None` if there is none to evict.
+    pub fn register(self: &Arc<Self>, peer: IpAddr) -> Option<Arc<Slot>> {
+        let mut registry = self.lock();
+        let of_peer = |entry: &Entry| entry.peer == peer;
+        let used = registry.entries.values().filter(|it| of_peer(it)).count();
+        if !peer.to_canonical().is_loopback() && used >= self.max_per_peer {
+            registry.evict(of_peer)?;
+        } else if registry.entries.len() >= self.max {
+            registry.evict(|_| true)?;
+        }
+        let id = registry.next_id;
+        registry.next_id += 1;
+        let evicted = Arc::new(Notify::new());
+        let entry = Entry {
+            peer,
+            last_complete: Instant::now(),
+            is_socket: false,
+            evicted: evicted.clone(),
+        };
+        registry.entries.insert(id, entry);
+        Some(Arc::new(Slot {
+            id,
+            evicted,
+            connections: self.clone(),
+        }))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Registry> {
+        self.registry.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Registry {
+    fn evict(&mut self, is_candidate: impl Fn(&Entry) -> bool) -> Option<()> {
+        let candidates = self.entries.iter();
+        let candidates = candidates.filter(|(_, it)| !it.is_socket && is_candidate(it));
+        let (&id, _) = candidates.min_by_key(|(id, it)| (it.last_complete, **id))?;
+        self.entries.remove(&id)?.evicted.notify_one();
+        Some(())
+    }
+}
+
+/// The registration of one connection, removed when the last reference is dropped.
+pub struct Slot {
+    id: u64,
+    evicted: Arc<Notify>,
+    connections: Arc<Connections>,
+}
+
+impl Slot {
+    /// Completes when the connection is evicted.
+    pub async fn evicted(&self) {
+        self.evicted.notified().await;
+    }
+
+    /// Records that a request was answered.
+    pub fn complete(&self) {
+        if let Some(entry) = self.connections.lock().entries.get_mut(&self.id) {
+            entry.last_complete = Instant::now();
+        }
+    }
+
+    /// Records that the connection is a WebSocket from now on: it is not evicted.
+    pub fn upgrade(&self) {
+        if let Some(entry) = self.connections.lock().entries.get_mut(&self.id) {
+            entry.is_socket = true;
+        }
+    }
+}
+
+impl Drop for Slot {
+    fn drop(&mut self) {
+        self.connections.lock().entries.remove(&self.id);
+    }
+}
+
+/// The open WebSockets, by person where people are known.
+pub struct Sockets {
+    max: usize,
+    open: Mutex<HashMap<Option<String>, usize>>,
+}
+
+impl Sockets {
+    /// At most [`MAX_SOCKETS`], and three quarters of the cap on connections, so that WebSockets
+    /// alone cannot reach that cap.
+    pub fn new(max_connections: usize) -> Arc<Self> {
+        Arc::new(Sockets {
+            max: MAX_SOCKETS.min((max_connections * 3 / 4).max(1)),
+            open: Mutex::default(),
+        })
+    }
+
+    /// Counts one more WebSocket, of a person if people are known.
+    ///
+    /// # Errors
+    ///
+    /// A message that names the limit that is reached.
+    pub fn open(self: &Arc<Self>, person: Option<&str>) -> Result<OpenSocket, String> {
+        let person = person.map(str::to_owned);
+        let mut open = self.lock();
+        if open.values().sum::<usize>() >= self.max {
+            return Err(format!("{} tabs are open: close one", self.max));
+        }
+        let own = open.get(&person).copied().unwrap_or(0);
+        if let Some(name) = &person
+            && own >= MAX_SOCKETS_PER_PERSON
+        {
+            return Err(format!(
+                "{MAX_SOCKETS_PER_PERSON} tabs of {name} are open: close one"
+            ));
+        }
+        open.insert(person.clone(), own + 1);
+        drop(open);
+        Ok(OpenSocket {
+            person,
+            sockets: self.clone(),
+        })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, HashMap<Option<String>, usize>> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// One counted WebSocket, until it is dropped.
+pub struct OpenSocket {
+    person: Option<String>,
+    sockets: Arc<Sockets>,
+}
+
+impl Drop for OpenSocket {
+    fn drop(&mut self) {
+        let mut open = self.sockets.lock();
+        if let Some(count) = open.get_mut(&self.person) {
+            *count -= 1;
+            if *count == 0 {
+                open.remove(&self.person);
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use std::net::Ipv4Addr;
+
+    use super::*;
+
+    const LOCAL: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
+    const REMOTE: IpAddr = IpAddr::V4(Ipv4Addr::new(10, 0, 0, 1));
+
+    fn ids(connections: &Arc<Connections>) -> Vec<u64> {
+        let mut ids: Vec<u64> = connections.lock().entries.keys().copied().collect();
+        ids.sort_unstable();
+        ids
+    }
+
+    #[test]
+    fn the_connection_longest_without_a_request_is_evicted() {
+        let connections = Connections::new(3);
+        let slots: Vec<_> = (0..3)
+            .map(|_| connections.register(LOCAL).unwrap())
+            .collect();
+        slots[0].upgrade();
+        std::thread::sleep(std::time::Duration::from_millis(2));
+        slots[1].complete();
+        let fourth = connections.register(LOCAL).unwrap();
+        assert_eq!(ids(&connections), [0, 1, 3]);
+        slots[1].upgrade();
+        fourth.upgrade();
+        assert!(connections.register(LOCAL).is_none(), "all are WebSockets");
+        drop(slots);
+        assert_eq!(ids(&connections), [3]);
+    }
+
+    #[test]
+    fn a_remote_peer_gets_a_quarter_of_the_connections() {
+        let connections = Connections::new(8);
+        let local = connections.register(LOCAL).unwrap();
+        let remote: Vec<_> = (0..4)
+            .map(|_| connections.register(REMOTE).unwrap())
+            .collect();
+        assert_eq!(ids(&connections), [0, 3, 4]);
+        drop((local, remote));
+        assert!(ids(&connections).is_empty());
+    }
+
+    #[test]
+    fn a_person_has_at_most_32_web_sockets_and_all_have_256() {
+        let sockets = Sockets::new(MAX_CONNECTIONS);
+        let mut open: Vec<_> = (0..MAX_SOCKETS_PER_PERSON)
+            .map(|_| sockets.open(Some("ada")).unwrap())
+            .collect();
+        assert!(sockets.open(Some("ada")).is_err());
+        open.extend((open.len()..MAX_SOCKETS).map(|_| sockets.open(None).unwrap()));
+        assert!(sockets.open(Some("bob")).is_err());
+        open.pop();
+        assert!(sockets.open(Some("bob")).is_ok());
+        drop(open);
+        assert!(sockets.lock().is_empty());
+    }
+}
