@@ -10,6 +10,7 @@ use axum::http::header::CONNECTION;
 use axum::http::{HeaderValue, StatusCode};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use fail::fail_point;
 use hyper::body::Incoming;
 use hyper::server::conn::http1;
 use hyper::service::{Service, service_fn};
@@ -49,6 +50,7 @@ pub async fn accept(
     let (_running, stopped) = watch::channel(());
     let mut failures = Failures::default();
     loop {
+        fail_point!("http-accept", |_| ());
         let (stream, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
             Err(error) => {
@@ -79,15 +81,15 @@ async fn serve(
     stopped: watch::Receiver<()>,
 ) {
     let Some(acceptor) = acceptor else {
-        return converse(stream, router, slot, stopped).await;
+        return serve_http(stream, router, slot, stopped).await;
     };
     if let Ok(Ok(stream)) = timeout(HANDSHAKE_TIMEOUT, acceptor.accept(stream)).await {
-        converse(stream, router, slot, stopped).await;
+        serve_http(stream, router, slot, stopped).await;
     }
 }
 
-/// Speaks HTTP until the connection is closed or upgraded.
-async fn converse<Stream>(
+/// Serves HTTP until the connection is closed or upgraded.
+async fn serve_http<Stream>(
     stream: Stream,
     router: Router,
     slot: Arc<Slot>,
@@ -116,8 +118,8 @@ async fn converse<Stream>(
     let _ = connection.await;
 }
 
-/// Records each response in the registry of connections.
-pub async fn record(request: Request, next: Next) -> Response {
+/// Middleware that records each response in the registry of connections.
+pub async fn record_completion(request: Request, next: Next) -> Response {
     let slot = request.extensions().get::<Arc<Slot>>().cloned();
     let response = next.run(request).await;
     if let Some(slot) = slot {

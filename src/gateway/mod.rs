@@ -42,7 +42,7 @@ use tokio::net::TcpListener;
 use tokio::task::JoinHandle;
 use tokio_rustls::TlsAcceptor;
 
-use crate::gateway::accept::{WholeBody, accept, record};
+use crate::gateway::accept::{WholeBody, accept, record_completion};
 use crate::gateway::admit::{Guests, MOST_BODY_BYTES, admit, harden};
 use crate::gateway::bus::{refuse, told_of};
 use crate::gateway::connections::{Connections, Slot, Sockets, max_connections};
@@ -176,7 +176,7 @@ impl Gateway {
             .with_state(Arc::new(served))
             .layer(from_fn_with_state(Guests { is_secure }, admit))
             .layer(map_response(harden))
-            .layer(from_fn(record));
+            .layer(from_fn(record_completion));
         let connections = Connections::new(max_connections);
         // It ends only when it is stopped.
         let serving = tokio::spawn(accept(listener, acceptor, router, connections));

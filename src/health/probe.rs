@@ -20,10 +20,15 @@ pub const PATIENCE: Duration = Duration::from_secs(2);
 /// the protocol, a client with a name of 16 bytes, and the name.
 const GREETING: [u8; 21] = *b"\x13\x00\x01\x09\xf2jostle-probe-own";
 
+/// A request over HTTP, to which a listener that speaks TLS replies with an alert.
+const HTTP_REQUEST: &[u8] =
+    b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
+
 /// A way to the listener.
 pub struct Probe {
     endpoint: String,
     way: Way,
+    request: &'static [u8],
 }
 
 enum Way {
@@ -65,15 +70,17 @@ impl Probe {
     pub fn of(endpoint: &str) -> Option<Self> {
         let (protocol, rest) = endpoint.split_once('/')?;
         let address = rest.split(['?', '#']).next().unwrap_or(rest).to_owned();
-        let way = match protocol {
+        let (way, request): (_, &[u8]) = match protocol {
             // Over TLS this is no greeting, and the answer is that it is none.
-            "tcp" | "tls" => Way::Tcp(address),
-            "unixsock-stream" => Way::Unix(address),
+            "tcp" | "tls" => (Way::Tcp(address), &GREETING),
+            "unixsock-stream" => (Way::Unix(address), &GREETING),
+            "http" | "https" => (Way::Tcp(address), HTTP_REQUEST),
             _ => return None,
         };
         Some(Probe {
             endpoint: endpoint.to_owned(),
             way,
+            request,
         })
     }
 
@@ -88,12 +95,12 @@ impl Probe {
             Way::Tcp(address) => connect(address).and_then(|mut stream| {
                 stream.set_read_timeout(Some(PATIENCE))?;
                 stream.set_write_timeout(Some(PATIENCE))?;
-                greet(&mut stream)
+                greet(&mut stream, self.request)
             }),
             Way::Unix(path) => UnixStream::connect(path).and_then(|mut stream| {
                 stream.set_read_timeout(Some(PATIENCE))?;
                 stream.set_write_timeout(Some(PATIENCE))?;
-                greet(&mut stream)
+                greet(&mut stream, self.request)
             }),
         };
         heard.map_err(|error| Reason::Deaf {
@@ -115,10 +122,10 @@ fn connect(address: &str) -> io::Result<TcpStream> {
     TcpStream::connect_timeout(first, PATIENCE)
 }
 
-fn greet(stream: &mut (impl Read + Write)) -> io::Result<()> {
+fn greet(stream: &mut (impl Read + Write), request: &[u8]) -> io::Result<()> {
     fail_point!("probe", |_| Err(io::ErrorKind::TimedOut.into()));
-    stream.write_all(&GREETING)?;
-    // An answer begins with its length, whatever it is.
+    stream.write_all(request)?;
+    // zenoh's answer begins with its length, whatever it is.
     stream.read_exact(&mut [0; 3])
 }
 
@@ -162,6 +169,8 @@ mod tests {
             "tcp/[::1]:0#iface=lo",
             "tls/0.0.0.0:7447",
             "unixsock-stream//tmp/x",
+            "http/127.0.0.1:8080",
+            "https/0.0.0.0:8443",
         ] {
             assert!(Probe::of(endpoint).is_some(), "{endpoint}");
         }

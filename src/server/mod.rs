@@ -267,11 +267,16 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         .spawn(move || dispatcher.run(&taken))?;
 
     let clients = session.clone();
+    let mut probed = endpoints.clone();
+    if let Some((listener, acceptor)) = &http {
+        let protocol = if acceptor.is_some() { "https" } else { "http" };
+        probed.push(format!("{protocol}/{}", listener.local_addr()?));
+    }
     let watching = Watch::start(Watched {
         host: host.clone(),
         store: store.clone(),
         threads,
-        endpoints: endpoints.clone(),
+        endpoints: probed,
         sessions: Box::new(move || clients.info().transports().wait().count()),
         certificate_ended: {
             let rights = rights.clone();

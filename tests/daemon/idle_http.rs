@@ -1,19 +1,24 @@
 //! Idle and slow HTTP connections: they are closed, and do not keep other clients out.
 
 use std::io::{BufRead, BufReader, Read, Write};
-use std::net::TcpStream;
+use std::net::{SocketAddr, TcpStream};
 use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
+use jostled::rights::folder::Folder;
+use jostled::rights::issue;
+use rustix::process::{Pid, Resource, Rlimit, prlimit};
+use tempfile::TempDir;
 use tokio::time::timeout;
 use tokio_tungstenite::tungstenite::Message;
 
 use crate::apart::Process;
 use crate::health::{get, of_daemon};
 use crate::page::tab;
-use crate::support::{Daemon, NODE, PATIENCE, beside_others};
+use crate::rights::secrets::https;
+use crate::support::{Client, Daemon, NODE, PATIENCE, beside_others, until};
 
 /// The descriptor limit of the daemon: it keeps a quarter of them as HTTP connections.
 const DESCRIPTORS: usize = 512;
@@ -21,30 +26,62 @@ const DESCRIPTORS: usize = 512;
 /// The first connections of the flood: more than the daemon has descriptors.
 const FLOOD: usize = 600;
 
-/// The longest that `/healthz` may take in the flood.
+/// The maximum response time of `/healthz` during the flood.
 const HEALTHZ_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// A daemon process with few descriptors, and where it serves HTTP.
-fn serve() -> (Process, String) {
-    let folder = tempfile::tempdir().unwrap();
-    let mut command = Command::new("sh");
-    command
-        .args([
-            "-c",
-            &format!("ulimit -n {DESCRIPTORS} && exec \"$0\" \"$@\""),
-        ])
-        .arg(env!("CARGO_BIN_EXE_jostled"))
-        .args(["--listen", "tcp/127.0.0.1:0", "--node", NODE])
-        .args(["--http", "127.0.0.1:0", "--data-dir"])
-        .arg(folder.path())
-        .stdin(Stdio::null())
-        .stderr(Stdio::null())
-        .stdout(Stdio::piped());
-    let mut process = Process(command.spawn().unwrap(), folder);
-    let mut lines = BufReader::new(process.0.stdout.take().unwrap()).lines();
-    let address =
-        lines.find_map(|line| Some(line.unwrap().strip_prefix("http on http://")?.to_owned()));
-    (process, address.unwrap())
+/// The maximum time to open a zenoh session and get a reply during the flood.
+const STATUS_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// A daemon process with few descriptors.
+struct Few {
+    process: Process,
+    /// Where it listens for zenoh.
+    endpoint: String,
+    /// Where it serves HTTP.
+    address: String,
+    /// Who may do what, if it serves HTTP over TLS.
+    auth: TempDir,
+}
+
+impl Few {
+    fn serve(scheme: &str, failpoints: &str) -> Self {
+        let (data, auth) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let mut command = Command::new("sh");
+        command
+            .args([
+                "-c",
+                &format!("ulimit -n {DESCRIPTORS} && exec \"$0\" \"$@\""),
+            ])
+            .arg(env!("CARGO_BIN_EXE_jostled"))
+            .args(["--listen", "tcp/127.0.0.1:0", "--node", NODE, "--data-dir"])
+            .arg(data.path())
+            .args(["--http", &format!("{scheme}://127.0.0.1:0")]);
+        if scheme == "https" {
+            issue::init(&Folder::at(auth.path().join("auth")), &[], &[]).unwrap();
+            command.arg("--auth-dir").arg(auth.path().join("auth"));
+        }
+        command
+            .env("FAILPOINTS", failpoints)
+            .stdin(Stdio::null())
+            .stderr(Stdio::null())
+            .stdout(Stdio::piped());
+        let mut process = Process(command.spawn().unwrap(), data);
+        let mut lines = BufReader::new(process.0.stdout.take().unwrap()).lines();
+        let mut after = |start: &str| {
+            let mut found = lines.by_ref().map(Result::unwrap);
+            found.find_map(|line| Some(line.strip_prefix(start)?.to_owned()))
+        };
+        Few {
+            endpoint: after("listening on ").unwrap(),
+            address: after(&format!("http on {scheme}://")).unwrap(),
+            process,
+            auth,
+        }
+    }
+
+    fn plain() -> Self {
+        Few::serve("http", "")
+    }
 }
 
 /// A connection that sends half a header.
@@ -66,6 +103,16 @@ fn healthz(address: &str) -> Option<u16> {
     answer.split(' ').nth(1)?.parse().ok()
 }
 
+/// A connection that sends requests until the daemon reads no more of them, and reads no response.
+fn never_reading(address: &str) -> TcpStream {
+    let mut stream = TcpStream::connect(address).unwrap();
+    let timeout = Some(Duration::from_millis(500));
+    stream.set_write_timeout(timeout).unwrap();
+    let request = format!("GET / HTTP/1.1\r\nHost: {address}\r\n\r\n").repeat(100);
+    while stream.write_all(request.as_bytes()).is_ok() {}
+    stream
+}
+
 /// Reads until the daemon closes the connection.
 fn read_to_close(mut stream: TcpStream) -> String {
     stream.set_read_timeout(Some(PATIENCE)).unwrap();
@@ -85,18 +132,31 @@ fn read_to_close(mut stream: TcpStream) -> String {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_of_half_headers_keeps_no_client_out() {
     let _machine = beside_others().await;
-    let (_process, address) = serve();
+    let daemon = Few::plain();
+    let address = daemon.address.clone();
     let mut socket = tab(&address, "/api/ws").await;
+    let mut unread = never_reading(&address);
     let mut flood: Vec<_> = (0..FLOOD).map(|_| half_header(&address)).collect();
-    let mut worst = Duration::ZERO;
+    let (mut worst, mut worst_status) = (Duration::ZERO, Duration::ZERO);
     for attempt in 0..20 {
         flood.extend((0..10).map(|_| half_header(&address)));
         let start = Instant::now();
         assert_eq!(healthz(&address), Some(200), "attempt {attempt}");
         worst = worst.max(start.elapsed());
+        let start = Instant::now();
+        let client = Client::open(&daemon.endpoint).await;
+        client.node("status").await;
+        worst_status = worst_status.max(start.elapsed());
+        client.session.close().await.unwrap();
     }
-    println!("worst of 20 healthz: {worst:?}");
+    println!("worst of 20: healthz {worst:?}, session and status {worst_status:?}");
     assert!(worst < HEALTHZ_TIMEOUT, "{worst:?}");
+    assert!(worst_status < STATUS_TIMEOUT, "{worst_status:?}");
+    // The connection whose client read nothing was evicted: its end comes after what was sent.
+    unread.set_read_timeout(Some(PATIENCE)).unwrap();
+    let end = std::io::copy(&mut unread, &mut std::io::sink());
+    let is_reset = |error: std::io::Error| error.kind() == std::io::ErrorKind::ConnectionReset;
+    assert!(end.is_ok() || end.is_err_and(is_reset));
     let (status, _, body) = get(&address, "/api/hello");
     assert_eq!(status, 200, "{body}");
 
@@ -106,6 +166,68 @@ async fn a_flood_of_half_headers_keeps_no_client_out() {
     timeout(PATIENCE, pong)
         .await
         .expect("the WebSocket is open");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_flood_of_unfinished_handshakes_keeps_no_client_out() {
+    let _machine = beside_others().await;
+    let daemon = Few::serve("https", "");
+    let folder = Folder::at(daemon.auth.path().join("auth"));
+    let address: SocketAddr = daemon.address.parse().unwrap();
+    let began = Instant::now();
+    let silent = || TcpStream::connect(address).unwrap();
+    let mut flood: Vec<_> = (0..FLOOD).map(|_| silent()).collect();
+    let request = "GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
+    let mut worst = Duration::ZERO;
+    let mut attempts = 0;
+    // Two probes of its own listener that fail would turn it unhealthy within this time.
+    while attempts < 20 || began.elapsed() < Duration::from_secs(9) {
+        flood.extend((0..10).map(|_| silent()));
+        let start = Instant::now();
+        let answer = timeout(HEALTHZ_TIMEOUT, https(address, &folder, request)).await;
+        let answer = answer.expect("no response in time").unwrap();
+        assert!(answer.starts_with("HTTP/1.1 200 "), "{answer}");
+        worst = worst.max(start.elapsed());
+        attempts += 1;
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+    println!("worst of {attempts}: {worst:?}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn without_a_free_descriptor_a_connection_waits_and_is_served() {
+    let _machine = beside_others().await;
+    let daemon = Few::plain();
+    let pid = i32::try_from(daemon.process.0.id()).unwrap();
+    let limit = |descriptors| {
+        let limit = Rlimit {
+            current: Some(descriptors),
+            maximum: Some(DESCRIPTORS as u64),
+        };
+        prlimit(Pid::from_raw(pid), Resource::Nofile, limit).unwrap();
+    };
+    // All that are free now are above the limit.
+    limit(3);
+    let address = daemon.address.clone();
+    let waiting = std::thread::spawn(move || healthz(&address));
+    sleep(Duration::from_millis(500));
+    assert!(!waiting.is_finished());
+    limit(DESCRIPTORS as u64);
+    assert_eq!(waiting.join().unwrap(), Some(200));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_daemon_whose_http_listener_is_closed_is_unhealthy() {
+    let _machine = beside_others().await;
+    let daemon = Few::serve("http", "http-accept=return");
+    let client = Client::open(&daemon.endpoint).await;
+    let expected = format!("http/{} does not answer", daemon.address);
+    until("the probe of HTTP fails twice", async || {
+        let unwell = client.node("metrics").await["unwell"].to_string();
+        unwell.contains(&expected)
+    })
+    .await;
+    client.session.close().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -2,7 +2,7 @@
 
 mod forgery;
 mod matrix;
-mod secrets;
+pub mod secrets;
 mod start;
 
 use std::path::PathBuf;

@@ -202,6 +202,12 @@ async fn recordings_are_listed_resumed_and_played() {
         let stop_it = json!({"stop": {"recording": "going"}}).to_string();
         let stopped = client.one(&key, Some(stop_it.as_bytes())).await.unwrap();
         assert_eq!(stopped["result"]["phase"], "ended");
+        let mut listed = recordings.as_array().unwrap().iter();
+        let before = listed.find(|it| it["recording"] == "going").unwrap();
+        assert!(
+            stopped["result"]["frames"].as_u64() > before["frames"].as_u64(),
+            "{stopped} {before}"
+        );
         // Every part that was whole is played, and so is the recording of a client.
         let mut frames = 0;
         let mut parts = fs::read_dir(data.path().join("recordings/film"))

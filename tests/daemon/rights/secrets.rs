@@ -1,7 +1,7 @@
 //! No secret stands in any log, however much is logged; and whom HTTP lets do what.
 
 use std::fs::{self, File};
-use std::net::TcpListener;
+use std::net::{SocketAddr, TcpListener};
 
 use futures_util::StreamExt;
 use jostle_proto::{Credentials, keys};
@@ -128,7 +128,7 @@ async fn over_http_everybody_shows_their_own_token() {
 }
 
 /// Asks over TLS, by the name `lab.example`; nothing if the other side is not trusted.
-async fn https(lab: &Lab, trusted: &Folder, request: &str) -> Option<String> {
+pub async fn https(address: SocketAddr, trusted: &Folder, request: &str) -> Option<String> {
     let mut roots = RootCertStore::empty();
     let [authority, _] = trusted.authority();
     roots
@@ -141,9 +141,7 @@ async fn https(lab: &Lab, trusted: &Folder, request: &str) -> Option<String> {
         .with_root_certificates(roots)
         .with_no_client_auth();
     let connector = TlsConnector::from(std::sync::Arc::new(config));
-    let stream = TcpStream::connect(lab.server.http().unwrap())
-        .await
-        .unwrap();
+    let stream = TcpStream::connect(address).await.unwrap();
     let name = ServerName::try_from("localhost").unwrap();
     let mut stream = connector.connect(name, stream).await.ok()?;
     stream.write_all(request.as_bytes()).await.unwrap();
@@ -157,6 +155,7 @@ async fn https(lab: &Lab, trusted: &Folder, request: &str) -> Option<String> {
 async fn over_tls_http_is_for_other_machines_too() {
     let lab = Lab::serving("https://127.0.0.1:0").await;
     assert!(lab.server.url().unwrap().starts_with("https://127.0.0.1:"));
+    let address = lab.server.http().unwrap();
     let token = lab.credentials("vera").token;
     let head = |path: &str, origin: &str, token: &str| {
         format!(
@@ -172,24 +171,26 @@ async fn over_tls_http_is_for_other_machines_too() {
         (head(swarms, own, "nobody's"), "401"),
         (head(swarms, "https://evil.example", &token), "403"),
     ] {
-        let answer = https(&lab, &lab.folder, &request).await.unwrap();
+        let answer = https(address, &lab.folder, &request).await.unwrap();
         assert!(
             answer.starts_with(&format!("HTTP/1.1 {status} ")),
             "{answer}"
         );
     }
     // Connections that stay silent hold up nobody.
-    let address = lab.server.http().unwrap();
     let mut silent = Vec::new();
     for _ in 0..50 {
         silent.push(TcpStream::connect(address).await.unwrap());
     }
-    let answer = https(&lab, &lab.folder, &head("/healthz", own, "")).await;
+    let answer = https(address, &lab.folder, &head("/healthz", own, "")).await;
     assert!(answer.unwrap().starts_with("HTTP/1.1 200 "));
     // Nobody takes another daemon for this one, and nobody speaks in the clear.
     let stranger = Folder::at(lab.base.path().join("stranger"));
     issue::init(&stranger, &[], &[]).unwrap();
-    assert_eq!(https(&lab, &stranger, &head("/", own, &token)).await, None);
+    assert_eq!(
+        https(address, &stranger, &head("/", own, &token)).await,
+        None
+    );
     let mut clear = TcpStream::connect(address).await.unwrap();
     clear
         .write_all(head("/", own, &token).as_bytes())

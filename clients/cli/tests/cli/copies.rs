@@ -50,6 +50,7 @@ async fn two_futures_are_equal_until_treated_differently_and_diff_says_where_the
 
     let same = daemon.jostle("diff a a").await;
     assert_eq!(same.code, Some(2), "{same:?}");
+    assert!(same.stderr.contains("two different swarms"), "{same:?}");
 
     daemon.said("inform b --ids 0,1,2 --degrees 90").await;
     let said = daemon.said("diff a b").await;

@@ -84,7 +84,7 @@ pub async fn diff(bus: &Bus, output: Output, arguments: &DiffArguments) -> Resul
         return Err(Failure::Argument {
             argument: "OTHER".to_owned(),
             problem: format!(
-                "{} is the first swarm, too: name another one to compare it with",
+                "{} is also the first swarm: name two different swarms",
                 arguments.other
             ),
         });
