@@ -172,7 +172,8 @@ async fn a_stuck_thread_of_the_daemon_turns_health_red_and_its_end_green() {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_deaf_listener_turns_health_red_and_its_answer_green() {
     let _machine = beside_others().await;
-    let (_daemon, _, http) = serve_failing("probe=2*return->off");
+    // Two failures in a row of each of its two listeners.
+    let (_daemon, _, http) = serve_failing("probe=4*return->off");
     let codes = until_well(&http, false).await;
     assert_eq!(codes, BTreeSet::from(["listener_deaf".to_owned()]));
     until_well(&http, true).await;

@@ -29,34 +29,40 @@ pub async fn sight(
     arguments: &TopArguments,
     before: &mut Option<Metrics>,
 ) -> Result<Sight, Failure> {
-    if before.is_none() && !output.json {
-        let first = bus.get_node("metrics").await?;
-        *before = Some(first.read::<NodeReply<Metrics>>()?.result);
-        tokio::time::sleep(FIRST_INTERVAL).await;
-    }
     let answer = bus.get_node("metrics").await?;
     if output.json {
         return Ok(Sight::of(answer.json()?.to_owned()));
     }
-    let NodeReply { node, result } = answer.read::<NodeReply<Metrics>>()?;
-    // A daemon that has started anew counts anew.
+    let NodeReply { node, mut result } = answer.read::<NodeReply<Metrics>>()?;
+    // The counters of a daemon that was restarted begin at 0.
     let earlier = before
         .take()
         .filter(|it| it.uptime_secs < result.uptime_secs);
-    let header = header(&node, &result, earlier.as_ref());
-    let swarms = table(&result, earlier.as_ref(), arguments.sort);
+    let earlier = match earlier {
+        Some(earlier) => earlier,
+        None => {
+            tokio::time::sleep(FIRST_INTERVAL).await;
+            let answer = bus.get_node("metrics").await?;
+            let second = answer.read::<NodeReply<Metrics>>()?.result;
+            std::mem::replace(&mut result, second)
+        }
+    };
+    let header = header(&node, &result, &earlier);
+    let swarms = table(&result, &earlier, arguments.sort);
     *before = Some(result);
     Ok(Sight::of(format!("{header}\n\n{swarms}")))
 }
 
 /// How much of something came about, and in how many seconds.
-fn since(now: &Metrics, earlier: Option<&Metrics>, what: impl Fn(&Metrics) -> f64) -> (f64, f64) {
-    let (was, at) = earlier.map_or((0.0, 0.0), |it| (what(it), it.uptime_secs));
-    (what(now) - was, now.uptime_secs - at)
+fn since(now: &Metrics, earlier: &Metrics, what: impl Fn(&Metrics) -> f64) -> (f64, f64) {
+    (
+        what(now) - what(earlier),
+        now.uptime_secs - earlier.uptime_secs,
+    )
 }
 
 /// Two lines about the daemon.
-fn header(node: &str, now: &Metrics, earlier: Option<&Metrics>) -> String {
+fn header(node: &str, now: &Metrics, earlier: &Metrics) -> String {
     let per_sec = |what: fn(&Metrics) -> f64| {
         let (more, secs) = since(now, earlier, what);
         more / secs
@@ -98,18 +104,16 @@ struct Row<'a> {
     late_secs: Option<f64>,
 }
 
-fn rows<'a>(now: &'a Metrics, earlier: Option<&Metrics>) -> Vec<Row<'a>> {
+fn rows<'a>(now: &'a Metrics, earlier: &Metrics) -> Vec<Row<'a>> {
     let row = |swarm: &'a SwarmMetrics| {
         let find = |it: &Metrics| it.swarms.iter().find(|it| it.swarm == swarm.swarm).cloned();
         // One of the same name that counts from 0 again is another swarm.
-        let was = earlier
-            .and_then(find)
-            .filter(|was| was.steps <= swarm.steps);
+        let was = find(earlier).filter(|was| was.steps <= swarm.steps);
         let more = |what: fn(&SwarmMetrics) -> f64| {
             let was = was.as_ref().map_or(0.0, what);
             what(swarm) - was
         };
-        let secs = now.uptime_secs - earlier.map_or(0.0, |it| it.uptime_secs);
+        let secs = now.uptime_secs - earlier.uptime_secs;
         let mean = |sum: f64, count: f64| (count > 0.0).then(|| sum / count);
         let computed = more(|it| it.step_secs);
         Row {
@@ -140,7 +144,7 @@ fn order(sort: Sort, a: &Row<'_>, b: &Row<'_>) -> Ordering {
     by.then_with(|| a.swarm.swarm.cmp(&b.swarm.swarm))
 }
 
-fn table(now: &Metrics, earlier: Option<&Metrics>, sort: Sort) -> String {
+fn table(now: &Metrics, earlier: &Metrics, sort: Sort) -> String {
     let mut rows = rows(now, earlier);
     rows.sort_by(|a, b| order(sort, a, b));
     let number = |number: Option<f64>, scale: f64| {
@@ -201,14 +205,14 @@ mod tests {
 
     #[test]
     fn what_came_about_between_two_looks_is_shown() {
-        let header = header("lab", &later(), Some(&metrics()));
+        let header = header("lab", &later(), &metrics());
         assert!(header.contains("cores 0.50 of 2"), "{header}");
         assert!(
             header.contains("steps 50/s  commits 2.0/s of 0.50 ms"),
             "{header}"
         );
         assert!(header.contains("unwell: the disk is full"), "{header}");
-        let table = table(&later(), Some(&metrics()), Sort::Cost);
+        let table = table(&later(), &metrics(), Sort::Cost);
         let lines: Vec<String> = table
             .lines()
             .map(|line| line.split_whitespace().collect::<Vec<_>>().join(" "))
@@ -230,7 +234,7 @@ mod tests {
         (behind.rate, behind.real_time_factor) = (Some(4.0), Some(2.0));
         now.swarms.push(behind);
         let first = |sort| {
-            let table = table(&now, Some(&metrics()), sort);
+            let table = table(&now, &metrics(), sort);
             let line = table.lines().nth(1).unwrap().to_owned();
             line.split_whitespace().next().unwrap().to_owned()
         };
@@ -240,7 +244,7 @@ mod tests {
         assert_eq!(first(Sort::Name), "behind");
         now.swarms[2].swarm = "zebra".into();
         now.swarms[2].step_secs = 0.0;
-        let table = table(&now, Some(&metrics()), Sort::Factor);
+        let table = table(&now, &metrics(), Sort::Factor);
         assert!(
             table.lines().nth(1).unwrap().starts_with("zebra"),
             "{table}"
@@ -253,7 +257,7 @@ mod tests {
         now.swarms[0].steps = 10;
         now.swarms[0].step_secs = 0.001;
         let earlier = metrics();
-        let rows = rows(&now, Some(&earlier));
+        let rows = rows(&now, &earlier);
         assert_eq!(rows[0].step_secs, Some(0.0001));
     }
 }
