@@ -160,7 +160,11 @@ fn zenoh(channel: &Channel) -> Value {
         }),
         // They take long or answer much, which nobody who asks for `**` means.
         ChannelKind::Get(
-            "snapshot.reply" | "verify.reply" | "experiment.results" | "experiment.order",
+            "snapshot.reply"
+            | "verify.reply"
+            | "node.recording.reply"
+            | "experiment.results"
+            | "experiment.order",
         ) => queryable(&declared, "not answered"),
         ChannelKind::Get(_) if channel.key.ends_with("/wait") => {
             queryable(&declared, "not answered")
@@ -192,8 +196,8 @@ fn answered(kind: ChannelKind) -> Vec<&'static str> {
         ChannelKind::Kept(reply) | ChannelKind::Get(reply) => vec![reply, "error"],
         // There is no swarm yet whose step could be waited for.
         ChannelKind::Command(
-            "create.args" | "fork.args" | "restore.args" | "experiment.args" | "record.args"
-            | "advance.args",
+            "create.args" | "fork.args" | "restore.args" | "discard.args" | "experiment.args"
+            | "record.args" | "advance.args",
             reply,
         ) => vec![reply, "error"],
         ChannelKind::Command(_, reply) => vec![reply, "scheduled.reply", "error"],

@@ -12,16 +12,16 @@ use serde_json::Value;
 
 use crate::verbs::{
     AdvanceArgs, AdvanceResult, BatchArgs, BatchResult, Control, CreateArgs, CreateResult,
-    DeleteArgs, EmptyResult, ForkArgs, IdsResult, InformArgs, InjectArgs, JoinArgs, JoinResult,
-    LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs, RunResult,
-    Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
+    DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs, InjectArgs, JoinArgs,
+    JoinResult, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs,
+    RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use crate::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
     Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameter, ParameterKind,
-    Parameters, Progress, RecordArgs, Recording, Recordings, ReplayArgs, ReplayResult, Reply,
-    Request, ResultsPage, Schemas, SeekArgs, Snapshot, Spec, State, Status, Swarms, Verified,
-    WhoAmI,
+    Parameters, Progress, RecordArgs, Recording, RecordingPiece, Recordings, ReplayArgs,
+    ReplayResult, Reply, Request, ResultsPage, Schemas, SeekArgs, Snapshot, Spec, State, Status,
+    Swarms, Verified, WhoAmI,
 };
 
 /// Something that stands on a key of the bus.
@@ -99,6 +99,11 @@ pub const CHANNELS: &[Channel] = &{
             "{swarm}/alive/{node}",
             Token,
             "Stands while the swarm is there.",
+        ),
+        plain(
+            "{swarm}/claim/{node}/{instance}/{standing}",
+            Token,
+            "Held by a daemon that has a swarm of this name, and serves it unless it is `waiting`.",
         ),
         plain(
             "{swarm}/get/status",
@@ -254,6 +259,11 @@ pub const CHANNELS: &[Channel] = &{
             "Stands while the daemon is there.",
         ),
         plain(
+            "@node/{node}/claim/{instance}/{standing}",
+            Token,
+            "Held by a daemon of this name.",
+        ),
+        plain(
             "@node/{node}/get/hello",
             Get("node.hello.reply"),
             "Who the daemon is, and its limits.",
@@ -294,6 +304,11 @@ pub const CHANNELS: &[Channel] = &{
             "Makes a swarm from a snapshot, paused.",
         ),
         plain(
+            "@node/{node}/cmd/discard",
+            Command("discard.args", "discard.reply"),
+            "Deletes this daemon's swarm of a name, and no other daemon's.",
+        ),
+        plain(
             "@node/{node}/get/experiments",
             Get("node.experiments.reply"),
             "Every experiment it has, and how far each is.",
@@ -313,6 +328,22 @@ pub const CHANNELS: &[Channel] = &{
             Get("node.recordings.reply"),
             "Every recording it has made or makes, and how each stands.",
         ),
+        Channel {
+            key: "@node/{node}/get/recording",
+            kind: Get("node.recording.reply"),
+            parameters: &[
+                ("name", "the recording"),
+                (
+                    "part",
+                    "a whole number: which of its whole parts, from 0; 0 if left out",
+                ),
+                (
+                    "offset",
+                    "a whole number: where the piece begins, in bytes; 0 if left out",
+                ),
+            ],
+            doc: "A piece of a recording, for operators; by the daemon's own key.",
+        },
         plain(
             "@node/{node}/cmd/record",
             Command("record.args", "record.reply"),
@@ -402,6 +433,8 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("fork.reply", told::<Reply<CreateResult>>()),
         ("restore.args", asked::<RestoreArgs>()),
         ("restore.reply", told::<Reply<CreateResult>>()),
+        ("discard.args", asked::<DiscardArgs>()),
+        ("discard.reply", told::<Reply<EmptyResult>>()),
         ("replay.args", asked::<ReplayArgs>()),
         ("replay.reply", told::<NodeReply<ReplayResult>>()),
         ("node.hello.reply", told::<NodeReply<Hello>>()),
@@ -412,6 +445,7 @@ pub fn schemas() -> BTreeMap<&'static str, Schema> {
         ("node.metrics.reply", told::<NodeReply<Metrics>>()),
         ("node.experiments.reply", told::<NodeReply<Experiments>>()),
         ("node.recordings.reply", told::<NodeReply<Recordings>>()),
+        ("node.recording.reply", told::<NodeReply<RecordingPiece>>()),
         ("record.args", asked::<RecordArgs>()),
         ("record.reply", told::<NodeReply<Recording>>()),
         ("experiment.args", asked::<ExperimentArgs>()),

@@ -51,6 +51,8 @@ pub enum ErrorCode {
     Busy,
     /// The swarm is not at the step or epoch the request expects.
     Conflict,
+    /// Two daemons hold this name: neither executes the request.
+    Contested,
     /// Not with these rights.
     PermissionDenied,
     /// The disk is full.

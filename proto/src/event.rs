@@ -20,6 +20,10 @@ pub struct Event {
     pub time: f64,
     /// What the swarm does from then on.
     pub phase: Phase,
+    /// The daemon's wall clock when it happened: seconds since 1970, UTC, to the millisecond; `null`
+    /// if it is not known.
+    #[serde(default)]
+    pub unix_secs: Option<f64>,
     /// What happened.
     pub event: EventKind,
 }
@@ -81,6 +85,13 @@ pub enum EventKind {
     },
     /// A step failed; the last good state is kept.
     Fault {
+        /// Why.
+        reason: String,
+    },
+    /// A recording that the daemon made of the swarm has failed; what was recorded before is kept.
+    RecordingFailed {
+        /// The recording's name.
+        recording: String,
         /// Why.
         reason: String,
     },

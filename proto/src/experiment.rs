@@ -88,7 +88,7 @@ pub enum ExperimentPhase {
     Queued,
     /// Its runs are carried out.
     Running,
-    /// Its runs stand still until it is resumed, also when the daemon starts anew.
+    /// Its runs are paused until it is resumed, also when the daemon restarts.
     Paused,
     /// Every run is over, and the tables are written.
     Finished,

@@ -50,6 +50,10 @@ pub struct Status {
     /// Where it is, if it is the replay of a recording.
     #[serde(default)]
     pub replay: Option<Replay>,
+    /// The share of its history that a `verify` under way has replayed, from 0 to 1; `null` if none
+    /// is under way.
+    #[serde(default)]
+    pub verifying: Option<f64>,
 }
 
 /// A controller that the others wait for.
@@ -104,7 +108,7 @@ pub struct Puts {
     pub stale: u64,
     /// Overtaken by a newer one before the next step.
     pub overtaken: u64,
-    /// Unreadable, out of range, or about individuals that are not its own.
+    /// Unreadable, out of range, not permitted, or about individuals that are not its own.
     pub refused: u64,
 }
 
@@ -219,6 +223,10 @@ pub struct JournalEntry {
     pub step: u64,
     /// `step · dt`.
     pub time: f64,
+    /// The daemon's wall clock when it was applied: seconds since 1970, UTC, to the millisecond;
+    /// `null` if it is not known, as in what older versions journaled.
+    #[serde(default)]
+    pub unix_secs: Option<f64>,
     /// Its verb.
     pub verb: String,
     /// Its arguments as they came.
@@ -240,6 +248,9 @@ pub struct Hello {
     pub unix_secs: f64,
     /// The limits it enforces.
     pub limits: Limits,
+    /// Where it serves HTTP, such as `https://0.0.0.0:8443`; absent if it serves none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub http: Option<String>,
 }
 
 /// What a daemon refuses to go beyond.
@@ -321,4 +332,7 @@ pub struct SwarmSummary {
     /// Whether it is the replay of a recording.
     #[serde(default)]
     pub replay: bool,
+    /// The other daemon that has a swarm of this name, if there is one; see `contested`.
+    #[serde(default)]
+    pub contested_by: Option<String>,
 }

@@ -29,7 +29,7 @@ pub const SWARM_VERBS: [&str; 16] = [
 pub const OWN_VERBS: [&str; 3] = ["deadline", "lost", "control"];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
-pub const NODE_GETS: [&str; 8] = [
+pub const NODE_GETS: [&str; 9] = [
     "hello",
     "whoami",
     "status",
@@ -38,10 +38,18 @@ pub const NODE_GETS: [&str; 8] = [
     "metrics",
     "experiments",
     "recordings",
+    "recording",
 ];
 
 /// The verbs that `{prefix}/@node/{node}/cmd/` executes.
-pub const NODE_VERBS: [&str; 5] = ["create", "restore", "experiment", "replay", "record"];
+pub const NODE_VERBS: [&str; 6] = [
+    "create",
+    "restore",
+    "discard",
+    "experiment",
+    "replay",
+    "record",
+];
 
 /// The nouns that `{prefix}/@node/{node}/experiment/{experiment}/` answers.
 pub const EXPERIMENT_GETS: [&str; 3] = ["progress", "results", "order"];
@@ -87,6 +95,17 @@ pub fn event(prefix: &str, swarm: &str) -> String {
 /// The liveliness token of a swarm, held by the daemon that hosts it.
 pub fn alive(prefix: &str, swarm: &str, node: &str) -> String {
     format!("{prefix}/{swarm}/alive/{node}")
+}
+
+/// The liveliness token by which a daemon claims a swarm's name. `instance` identifies one run of
+/// the daemon, so that two daemons never declare the same key.
+pub fn claim(prefix: &str, swarm: &str, node: &str, instance: &str, standing: &str) -> String {
+    format!("{prefix}/{swarm}/claim/{node}/{instance}/{standing}")
+}
+
+/// The liveliness token by which a daemon claims its own name.
+pub fn node_claim(prefix: &str, node: &str, instance: &str, standing: &str) -> String {
+    format!("{prefix}/@node/{node}/claim/{instance}/{standing}")
 }
 
 /// The key that answers `noun` about a swarm; changes nothing.

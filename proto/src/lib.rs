@@ -10,6 +10,7 @@
 pub mod keys;
 
 pub mod asyncapi;
+pub mod claim;
 mod column;
 pub mod contract;
 mod envelope;
@@ -27,6 +28,7 @@ mod state;
 mod told;
 pub mod verbs;
 
+pub use claim::{Claim, Claimant, Standing};
 pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request, RequestError};
 pub use error::{Error, ErrorCode};
 pub use event::{Event, EventKind};
@@ -39,10 +41,10 @@ pub use gets::{
     NodeStatus, Parameter, ParameterKind, Parameters, Puts, Schemas, Status, SwarmSummary, Swarms,
     Verified,
 };
-pub use metrics::{Metrics, StoreMetrics, SwarmMetrics};
+pub use metrics::{Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics};
 pub use recording::{
-    BeginRecordingArgs, RecordArgs, Recording, RecordingFormat, RecordingName, RecordingPhase,
-    Recordings,
+    BeginRecordingArgs, DEFAULT_MAX_RECORDING_BYTES, RecordArgs, Recording, RecordingFormat,
+    RecordingName, RecordingPhase, RecordingPiece, Recordings,
 };
 pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArgs};
 pub use role::{Credentials, Role, WhoAmI};

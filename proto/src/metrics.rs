@@ -13,6 +13,10 @@ pub struct Metrics {
     pub uptime_secs: f64,
     /// Why not all is well, for people; empty if it is.
     pub unwell: Vec<String>,
+    /// What is wrong without keeping it from its work, such as a recording that has failed, for
+    /// people; empty if nothing is.
+    #[serde(default)]
+    pub warnings: Vec<String>,
     /// Seconds its threads have computed.
     pub cpu_secs: f64,
     /// Cores it may use.
@@ -35,8 +39,20 @@ pub struct Metrics {
     pub frames: u64,
     /// States that gave way to a newer one before they were published.
     pub frames_dropped: u64,
+    /// Names of the daemon and its swarms that another daemon holds, too.
+    #[serde(default)]
+    pub contested: u64,
     /// How the daemon's memory on disk does.
     pub store: StoreMetrics,
+    /// The recordings it has made or makes.
+    #[serde(default)]
+    pub recordings: RecordingMetrics,
+    /// What all recordings take on disk, in bytes.
+    #[serde(default)]
+    pub recordings_bytes: u64,
+    /// What they may take, in bytes: those that go on end there, and none begins.
+    #[serde(default)]
+    pub recordings_quota_bytes: u64,
     /// Every swarm, ordered by name.
     pub swarms: Vec<SwarmMetrics>,
 }
@@ -60,6 +76,17 @@ pub struct StoreMetrics {
     pub failing: bool,
     /// Whether more waits than should be kept in memory.
     pub overrun: bool,
+}
+
+/// A daemon's recordings, counted by what they do.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RecordingMetrics {
+    /// Those that go on.
+    pub recording: u64,
+    /// Those that have ended.
+    pub ended: u64,
+    /// Those that have failed.
+    pub failed: u64,
 }
 
 /// A swarm in numbers.

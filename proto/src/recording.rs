@@ -1,10 +1,13 @@
-//! Recordings that a daemon makes: what a swarm shows, in its data directory, whoever looks on.
+//! Recordings that a daemon makes: every k-th state of a swarm, in its data directory.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use crate::LARGEST_WHOLE;
 use crate::keys::NAME_RULE;
+
+/// The bytes from which on a recording ends unless the request says otherwise: 1 GiB.
+pub const DEFAULT_MAX_RECORDING_BYTES: u64 = 1 << 30;
 
 /// What is to be done with a recording; sent to a node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -32,10 +35,26 @@ pub struct BeginRecordingArgs {
     /// How to write it.
     #[serde(default)]
     pub format: RecordingFormat,
-    /// Only states that are at least so many steps apart; all that are shown if left out.
+    /// Record the states whose step is a multiple of this, each of them; the swarm's `publish_every`
+    /// if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 1, max = LARGEST_WHOLE))]
     pub every: Option<u64>,
+    /// End when the swarm has taken so many steps.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = LARGEST_WHOLE))]
+    pub steps: Option<u64>,
+    /// Leave states out, and count them, while the disk does not keep up; otherwise the swarm waits
+    /// for the disk.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub drop_when_behind: bool,
+    /// End when the files have so many bytes; 1 GiB if left out.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schemars(range(min = 1, max = LARGEST_WHOLE))]
+    pub max_bytes: Option<u64>,
+    /// A client is to fetch it and delete it then. The daemon itself deletes none.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub temporary: bool,
 }
 
 /// Which recording.
@@ -51,7 +70,7 @@ pub struct RecordingName {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingFormat {
-    /// States, orders and events as they are published, byte for byte.
+    /// States, orders and events in the encodings in which they are published.
     #[default]
     Mcap,
     /// A table with a row for each individual and state.
@@ -67,7 +86,8 @@ pub struct Recording {
     pub swarm: String,
     /// How it is written.
     pub format: RecordingFormat,
-    /// Only states at least so many steps apart are in it; `null`: all that were shown.
+    /// The states whose step is a multiple of this are in it; `null`: an earlier version recorded
+    /// what was published.
     pub every: Option<u64>,
     /// What it is doing.
     pub phase: RecordingPhase,
@@ -75,7 +95,8 @@ pub struct Recording {
     pub reason: Option<String>,
     /// How many states were recorded.
     pub frames: u64,
-    /// How many states came faster than they could be written, and are not in it.
+    /// How many states it left out because the disk did not keep up. Without `drop_when_behind` the
+    /// swarm waits instead.
     pub missed: u64,
     /// How many of its files are whole.
     pub parts: u64,
@@ -83,15 +104,25 @@ pub struct Recording {
     pub bytes: u64,
     /// When it began, in seconds since 1970.
     pub began_unix_secs: u64,
+    /// Whether it leaves states out while the disk does not keep up.
+    #[serde(default)]
+    pub drop_when_behind: bool,
+    /// The bytes from which on it ends; `null`: an earlier version began it, without such an end.
+    #[serde(default)]
+    pub max_bytes: Option<u64>,
+    /// Whether a client is to fetch it and delete it then.
+    #[serde(default)]
+    pub temporary: bool,
 }
 
 /// What a recording is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingPhase {
-    /// It goes on, also when the daemon starts anew.
+    /// It goes on, also when the daemon restarts.
     Recording,
-    /// It was stopped, or its swarm was deleted.
+    /// It is over, as its reason says: stopped, complete, as large as it may be, or its swarm was
+    /// deleted.
     Ended,
     /// It cannot go on; what was recorded before is kept.
     Failed,
@@ -102,4 +133,21 @@ pub enum RecordingPhase {
 pub struct Recordings {
     /// All it has, ordered by name.
     pub recordings: Vec<Recording>,
+}
+
+/// A node's answer to `get/recording`: a piece of a file that is whole.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+pub struct RecordingPiece {
+    /// The recording.
+    pub recording: String,
+    /// The number of the part, from 0.
+    pub part: u64,
+    /// How many parts are whole now.
+    pub parts: u64,
+    /// Where in the part the piece begins, in bytes.
+    pub offset: u64,
+    /// How long the whole part is, in bytes.
+    pub length: u64,
+    /// The piece, as base64: at most 512 KiB of the part; empty where the part ends.
+    pub bytes: String,
 }

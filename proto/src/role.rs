@@ -131,6 +131,10 @@ pub struct Credentials {
     pub role: Role,
     /// Where the daemon is reached, such as `tls/lab.example:7447`.
     pub endpoint: String,
+    /// Where its page is, such as `https://lab.example:8443`, if it serves HTTP. Folders of earlier
+    /// versions do not say so.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub page: Option<String>,
     /// What comes along with each request, as its attachment.
     pub token: String,
     /// With the person's name what a session is opened with.

@@ -18,6 +18,18 @@ pub enum Phase {
     Faulted,
 }
 
+impl Phase {
+    /// Its name on the wire.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Phase::Paused => "paused",
+            Phase::Running => "running",
+            Phase::Faulted => "faulted",
+        }
+    }
+}
+
 /// One published state: columns of n numbers, ordered by id.
 ///
 /// An individual's absolute position is `1024 · origin + (x, y)`. In CBOR the columns are RFC 8746

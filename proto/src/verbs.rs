@@ -41,6 +41,15 @@ pub struct CreateResult {
 #[serde(deny_unknown_fields)]
 pub struct DeleteArgs {}
 
+/// Deletes one daemon's swarm. Sent to the node: a swarm's key may reach several daemons.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct DiscardArgs {
+    /// The swarm's name.
+    #[schemars(regex(pattern = NAME_RULE))]
+    pub name: String,
+}
+
 /// Lets a swarm run, to an end or until paused; changes end and rate of one that runs, and leaves
 /// what is left out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -140,7 +149,8 @@ pub struct StepResult {
     pub durable_step: u64,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
-    /// The state reached, if it was asked for.
+    /// The state reached, if it was asked for. A retry of the request gets a remembered reply, which
+    /// has no state if the first one took more than 4 KiB: the reply is then JSON.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub state: Option<State>,
 }
@@ -268,7 +278,8 @@ pub struct AdvanceResult {
     pub state_hash: String,
     /// What came about since this controller was last told.
     pub news: News,
-    /// The state reached, if it was asked for.
+    /// The state reached, if it was asked for. A retry of the request gets a remembered reply, which
+    /// has no state if the first one took more than 4 KiB: the reply is then JSON.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub state: Option<State>,
 }

@@ -2,15 +2,15 @@
 
 use jostle_proto::verbs::{
     AdvanceArgs, AdvanceResult, BatchArgs, BatchResult, Control, CreateArgs, CreateResult,
-    DeleteArgs, EmptyResult, ForkArgs, IdsResult, InformArgs, InjectArgs, JoinArgs, JoinResult,
-    LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs, RunResult,
-    Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
+    DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs, InjectArgs, JoinArgs,
+    JoinResult, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, ResetResult, RestoreArgs, RunArgs,
+    RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use jostle_proto::{
     ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
     Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameters, Progress,
-    RecordArgs, Recording, Recordings, ReplayArgs, ReplayResult, Reply, Request, ResultsPage,
-    Schemas, SeekArgs, Snapshot, Spec, State, Status, Swarms, Told, Verified, WhoAmI,
+    RecordArgs, Recording, RecordingPiece, Recordings, ReplayArgs, ReplayResult, Reply, Request,
+    ResultsPage, Schemas, SeekArgs, Snapshot, Spec, State, Status, Swarms, Told, Verified, WhoAmI,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -39,6 +39,7 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "fork.args" => asked::<ForkArgs>(text),
         "restore.args" => asked::<RestoreArgs>(text),
         "create.reply" | "fork.reply" | "restore.reply" => told::<Reply<CreateResult>>(text),
+        "discard.args" => asked::<DiscardArgs>(text),
         "delete.args" => asked::<DeleteArgs>(text),
         "controllers.reply" => told::<Reply<ControllerList>>(text),
         "join.args" => asked::<JoinArgs>(text),
@@ -50,7 +51,7 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "seek.args" => asked::<SeekArgs>(text),
         "replay.args" => asked::<ReplayArgs>(text),
         "replay.reply" => told::<NodeReply<ReplayResult>>(text),
-        "delete.reply" | "pause.reply" | "leave.reply" | "seek.reply" => {
+        "delete.reply" | "discard.reply" | "pause.reply" | "leave.reply" | "seek.reply" => {
             told::<Reply<EmptyResult>>(text)
         }
         "run.args" => asked::<RunArgs>(text),
@@ -79,6 +80,7 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
         "node.metrics.reply" => told::<NodeReply<Metrics>>(text),
         "node.experiments.reply" => told::<NodeReply<Experiments>>(text),
         "node.recordings.reply" => told::<NodeReply<Recordings>>(text),
+        "node.recording.reply" => told::<NodeReply<RecordingPiece>>(text),
         "record.args" => asked::<RecordArgs>(text),
         "record.reply" => told::<NodeReply<Recording>>(text),
         "experiment.args" => asked::<ExperimentArgs>(text),
