@@ -1,6 +1,6 @@
 //! Claim 6: what the paper's animations [35] show when one number is changed.
 
-use super::{Answer, Claim, Evidence, Verdict};
+use super::{Answer, Case, Claim, Evidence, Verdict};
 use crate::touch::Touch;
 
 pub(super) const CLAIMS: [Claim; 4] = [
@@ -67,7 +67,7 @@ fn compare(
     };
     Answer {
         measured: format!("{what}: {there:.4}, usually {usual:.4}"),
-        verdict: Verdict::of_cases(usize::from(is_met(there, usual)), 1),
+        verdict: Verdict::of_cases(&[Case::sure(is_met(there, usual))]),
     }
 }
 
@@ -79,9 +79,9 @@ fn pairs_at_high_drag(evidence: &Evidence) -> Answer {
     ) else {
         return Answer::untold();
     };
-    let met = usize::from(there > usual) * usize::from(there >= 0.5);
+    let is_met = there > usual && there >= 0.5;
     Answer {
         measured: format!("share with another at their side: {there:.3}, usually {usual:.3}"),
-        verdict: Verdict::of_cases(met, 1),
+        verdict: Verdict::of_cases(&[Case::sure(is_met)]),
     }
 }

@@ -1,28 +1,28 @@
 //! Claim 5: how far informed individuals lead the others (Figure 6).
 
-use super::order::ERRORS;
-use super::{Answer, Claim, Evidence, Verdict, of_difference, with_error};
-use crate::statistics::Summary;
+use super::{
+    Answer, Case, Claim, Evidence, Verdict, at_most, counts, of_difference, ratio, with_error,
+};
+use crate::statistics::{Spread, Summary};
 
 pub(super) const CLAIMS: [Claim; 5] = [
     Claim {
         name: "5a",
         says: "Elongation increases the drift speed, by up to a factor of 2.",
-        criterion: "the largest v_pd over that of discs, among all n, k and π1, is between 1.5 and 2.5; \
-                    and elongated bodies (π1 ≥ 2) are quicker by 2 standard errors in all conditions; \
-                    in part: in some",
+        criterion: "elongated bodies (π1 ≥ 2) are quicker than discs, and at most 2.5 times as quick, at \
+                    every n and k; and some are at least 1.5 times as quick",
         ask: elongation_helps,
     },
     Claim {
         name: "5b",
         says: "Elongated and n ≤ 20: v_pd is significantly higher than k/n.",
-        criterion: "by 2 standard errors in every condition with π1 ≥ 2; in part: in some",
+        criterion: "in every condition with π1 ≥ 2",
         ask: more_than_their_share,
     },
     Claim {
         name: "5c",
         says: "Larger groups are led less well: v_pd is lower at n = 40 than at 10 and 20.",
-        criterion: "below both by 2 standard errors at every k/n and π1 ≥ 2; in part: at some",
+        criterion: "below both at every k/n and π1 ≥ 2",
         ask: larger_groups_are_slower,
     },
     Claim {
@@ -35,7 +35,7 @@ pub(super) const CLAIMS: [Claim; 5] = [
         name: "5e",
         says: "Runs differ much, especially at n = 10 and for elongated shapes.",
         criterion: "mean standard deviation of runs at n = 10 at least 1.5 times that at n = 40, and \
-                    that of π1 ≥ 4 above that of discs; in part: one of both",
+                    that of π1 ≥ 4 above that of discs",
         ask: runs_differ,
     },
 ];
@@ -62,33 +62,37 @@ fn name(it: &Summary) -> String {
 }
 
 fn elongation_helps(evidence: &Evidence) -> Answer {
-    let (mut met, mut all, mut best) = (0, 0, None::<(f64, f64, String)>);
+    let (mut cases, mut best) = (Vec::new(), None::<(f64, Option<f64>, String)>);
+    let (mut quicker, mut too_quick) = (Vec::new(), 0);
     for it in elongated(evidence) {
         let discs = evidence.drift(1.0, it.condition.n, it.condition.informed);
         let (Some(long), Some(discs)) = (it.v_pd, discs) else {
             continue;
         };
-        all += 1;
         let error = of_difference(long.error, discs.error);
-        met += usize::from(long.mean - discs.mean > ERRORS * error);
-        let ratio = long.mean / discs.mean;
-        let relative = |spread: crate::statistics::Spread| spread.error.map(|it| it / spread.mean);
-        let error = ratio * of_difference(relative(long), relative(discs));
-        if best.as_ref().is_none_or(|best| ratio > best.0) {
-            best = Some((ratio, error, name(it)));
+        let is_quicker = Case::new(long.mean - discs.mean, error);
+        let is_at_most = at_most(2.5, long, discs);
+        quicker.push(is_quicker);
+        too_quick += usize::from(is_at_most.is_missed());
+        cases.push(is_quicker.and(is_at_most));
+        let (value, error) = ratio(long, discs);
+        if best.as_ref().is_none_or(|best| value > best.0) {
+            best = Some((value, error, name(it)));
         }
     }
-    let Some((ratio, error, place)) = best else {
+    let Some((largest, error, place)) = best else {
         return Answer::untold();
     };
-    let verdict = match Verdict::of_cases(met, all) {
-        Verdict::Holds if !(1.5..=2.5).contains(&ratio) => Verdict::InPart,
+    let verdict = match Verdict::of_cases(&cases) {
+        Verdict::Holds if largest < 1.5 => Verdict::InPart,
         verdict => verdict,
     };
     Answer {
         measured: format!(
-            "largest ratio to discs {} ({place}); quicker than discs in {met} of {all} conditions",
-            with_error(ratio, Some(error))
+            "quicker than discs: {}; more than 2.5 times as quick in {too_quick}; largest ratio {} \
+             ({place})",
+            counts(&quicker),
+            with_error(largest, error)
         ),
         verdict,
     }
@@ -100,11 +104,10 @@ fn more_than_their_share(evidence: &Evidence) -> Answer {
         .filter(|it| it.condition.n <= 20)
         .collect();
     let mut gains: Vec<f64> = Vec::new();
-    let mut met = 0;
+    let mut cases = Vec::new();
     for it in &few {
         let Some(drift) = it.v_pd else { continue };
-        let error = drift.error.unwrap_or(f64::INFINITY);
-        met += usize::from(drift.mean - share(it) > ERRORS * error);
+        cases.push(Case::new(drift.mean - share(it), drift.error));
         gains.push(drift.mean / share(it));
     }
     gains.sort_by(f64::total_cmp);
@@ -113,18 +116,17 @@ fn more_than_their_share(evidence: &Evidence) -> Answer {
     };
     Answer {
         measured: format!(
-            "v_pd / (k/n): median {median:.2}, least {:.2}, largest {:.2}; above 1 in {met} of {} \
-             conditions",
+            "v_pd / (k/n): median {median:.2}, least {:.2}, largest {:.2}; above 1: {}",
             gains[0],
             gains[gains.len() - 1],
-            gains.len()
+            counts(&cases)
         ),
-        verdict: Verdict::of_cases(met, gains.len()),
+        verdict: Verdict::of_cases(&cases),
     }
 }
 
 fn larger_groups_are_slower(evidence: &Evidence) -> Answer {
-    let (mut met, mut all, mut losses) = (0, 0, Vec::new());
+    let (mut cases, mut losses) = (Vec::new(), Vec::new());
     for it in elongated(evidence) {
         let condition = &it.condition;
         if condition.n != 40 || !condition.informed.is_multiple_of(4) {
@@ -135,11 +137,11 @@ fn larger_groups_are_slower(evidence: &Evidence) -> Answer {
         let ([Some(ten), Some(twenty)], Some(forty)) = (small, it.v_pd) else {
             continue;
         };
-        all += 1;
-        let is_below = |other: crate::statistics::Spread| {
-            other.mean - forty.mean > ERRORS * of_difference(other.error, forty.error)
+        let below = |other: Spread| {
+            let error = of_difference(other.error, forty.error);
+            Case::new(other.mean - forty.mean, error)
         };
-        met += usize::from(is_below(ten) && is_below(twenty));
+        cases.push(below(ten).and(below(twenty)));
         losses.push(2.0 * forty.mean / (ten.mean + twenty.mean));
     }
     if losses.is_empty() {
@@ -148,10 +150,10 @@ fn larger_groups_are_slower(evidence: &Evidence) -> Answer {
     let mean = losses.iter().sum::<f64>() / losses.len() as f64;
     Answer {
         measured: format!(
-            "v_pd at n = 40 is {mean:.2} times the mean of n = 10 and 20, on average; below both in \
-             {met} of {all} conditions"
+            "v_pd at n = 40 is {mean:.2} times the mean of n = 10 and 20, on average; below both: {}",
+            counts(&cases)
         ),
-        verdict: Verdict::of_cases(met, all),
+        verdict: Verdict::of(&cases, mean < 1.0),
     }
 }
 
@@ -166,7 +168,8 @@ fn moderate_is_sometimes_better(evidence: &Evidence) -> Answer {
             continue;
         };
         all += 1;
-        let errors = (moderate.mean - eight.mean) / of_difference(moderate.error, eight.error);
+        let error = of_difference(moderate.error, eight.error).unwrap_or(f64::INFINITY);
+        let errors = (moderate.mean - eight.mean) / error;
         // Among so many comparisons two errors would come by chance.
         met += usize::from(errors > 3.0);
         if best.as_ref().is_none_or(|best| errors > best.0) {
@@ -184,7 +187,7 @@ fn moderate_is_sometimes_better(evidence: &Evidence) -> Answer {
     };
     Answer {
         measured: format!("in {met} of {all} conditions; clearest: {told}"),
-        verdict: Verdict::of_cases(usize::from(met > 0), 1),
+        verdict: Verdict::of_cases(&[Case::sure(met > 0)]),
     }
 }
 
@@ -201,12 +204,12 @@ fn runs_differ(evidence: &Evidence) -> Answer {
     if [ten, twenty, forty, discs].iter().any(|it| it.is_nan()) {
         return Answer::untold();
     }
-    let met = usize::from(ten >= 1.5 * forty) + usize::from(ten > discs);
+    let cases = [ten >= 1.5 * forty, ten > discs].map(Case::sure);
     Answer {
         measured: format!(
             "standard deviation of v_pd among runs, π1 ≥ 4: {ten:.3}, {twenty:.3}, {forty:.3} at n = \
              10, 20, 40; discs at n = 10: {discs:.3}"
         ),
-        verdict: Verdict::of_cases(met, 2),
+        verdict: Verdict::of_cases(&cases),
     }
 }

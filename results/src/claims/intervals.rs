@@ -1,7 +1,7 @@
 //! Claims 3 and 4: how long order takes to come and stays, and the size of clusters (Figures 4, 5).
 
 use super::order::ELONGATED;
-use super::{Answer, Claim, Evidence, Verdict, with_error};
+use super::{Answer, Case, Claim, Evidence, Verdict, counts, of_difference, with_error};
 use crate::disorder::n_eff;
 use crate::statistics::Summary;
 
@@ -10,32 +10,31 @@ pub(super) const CLAIMS: [Claim; 5] = [
         name: "3a",
         says: "Build-up times grow exponentially with n (π1 ≥ 4).",
         criterion: "from n = 10 on a straight line of log time over n fits with R² ≥ 0.9, and better \
-                    than over log n, for both; in part: for one",
+                    than over log n, for both",
         ask: build_up_grows,
     },
     Claim {
         name: "3b",
         says: "Breakdown times are still well above 1 at n = 50 for π1 ≥ 4.",
-        criterion: "2 or more for both; in part: for one; as the paper, only where every run reached \
-                    order",
+        criterion: "2 or more for both; as the paper, only where every run reached order",
         ask: breakdown_at_50,
     },
     Claim {
         name: "4a",
         says: "n_eff is close to n for groups of a few (π1 ≥ 4).",
-        criterion: "n_eff ≥ 0.8 n at every n ≤ 7; in part: at some",
+        criterion: "n_eff ≥ 0.8 n at every n ≤ 7",
         ask: few_are_one_cluster,
     },
     Claim {
         name: "4b",
         says: "n_eff ≈ 10 at n = 50 for π1 ≥ 4.",
-        criterion: "between 7 and 14 for both; in part: for one",
+        criterion: "between 7 and 14 for both",
         ask: ten_of_fifty,
     },
     Claim {
         name: "4c",
         says: "n_eff probably saturates.",
-        criterion: "n_eff grows by less than a quarter from n = 50 to 74, for both; in part: for one",
+        criterion: "n_eff grows by less than a quarter from n = 50 to 74, for both",
         ask: saturates,
     },
 ];
@@ -54,7 +53,7 @@ fn line(points: &[(f64, f64)]) -> (f64, f64) {
 }
 
 fn build_up_grows(evidence: &Evidence) -> Answer {
-    let (mut met, mut told) = (0, Vec::new());
+    let (mut cases, mut told) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let all = evidence.uninformed(pi1);
         let of = |it: &&Summary| Some((it.condition.n as f64, it.build_up?.mean));
@@ -68,12 +67,13 @@ fn build_up_grows(evidence: &Evidence) -> Answer {
                 "{} points where every run reached order (π1 = {pi1})",
                 points.len()
             ));
+            cases.push(Case::sure(false));
             continue;
         }
         let exponential: Vec<_> = points.iter().map(|it| (it.0, it.1.ln())).collect();
         let power: Vec<_> = points.iter().map(|it| (it.0.ln(), it.1.ln())).collect();
         let ((fit, slope), (other, _)) = (line(&exponential), line(&power));
-        met += usize::from(fit >= 0.9 && fit >= other && slope > 0.0);
+        cases.push(Case::sure(fit >= 0.9 && fit >= other && slope > 0.0));
         let (first, last) = (points[0], points[points.len() - 1]);
         told.push(format!(
             "×{:.2} each 10 individuals, R² {fit:.3} (over log n {other:.3}); {:.1} at n = {} to {:.1} \
@@ -90,30 +90,33 @@ fn build_up_grows(evidence: &Evidence) -> Answer {
     }
     Answer {
         measured: told.join("; "),
-        verdict: Verdict::of_cases(met, ELONGATED.len()),
+        verdict: Verdict::of_cases(&cases),
     }
 }
 
 fn breakdown_at_50(evidence: &Evidence) -> Answer {
-    let (mut met, mut told) = (0, Vec::new());
+    let (mut cases, mut told) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let Some(it) = evidence.one(pi1, 50) else {
             return Answer::untold();
         };
         match it.breakdown {
             Some(time) => {
-                met += usize::from(time.mean >= 2.0);
+                cases.push(Case::new(time.mean - 2.0, time.error));
                 told.push(format!(
                     "{} (π1 = {pi1})",
                     with_error(time.mean, time.error)
                 ));
             }
-            None => told.push(format!("not every run reached order (π1 = {pi1})")),
+            None => {
+                cases.push(Case::sure(false));
+                told.push(format!("not every run reached order (π1 = {pi1})"));
+            }
         }
     }
     Answer {
         measured: told.join(", "),
-        verdict: Verdict::of_cases(met, ELONGATED.len()),
+        verdict: Verdict::of_cases(&cases),
     }
 }
 
@@ -131,54 +134,63 @@ fn cluster(it: &Summary) -> Option<(f64, Option<f64>)> {
 fn few_are_one_cluster(evidence: &Evidence) -> Answer {
     let few = ELONGATED.map(|pi1| evidence.uninformed(pi1)).concat();
     let few = few.into_iter().filter(|it| it.condition.n <= 7);
-    let shares: Vec<(f64, &Summary)> = few
-        .map(|it| (it.n_eff.unwrap_or(0.0) / it.condition.n as f64, it))
+    let shares: Vec<(f64, Option<f64>, &Summary)> = few
+        .map(|it| {
+            let (size, error) = cluster(it).unwrap_or((0.0, Some(0.0)));
+            let n = it.condition.n as f64;
+            (size / n, error.map(|error| error / n), it)
+        })
         .collect();
-    let Some((least, it)) = shares.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else {
+    let Some((least, error, it)) = shares.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else {
         return Answer::untold();
     };
-    let met = shares.iter().filter(|it| it.0 >= 0.8).count();
+    let cases = shares.iter().map(|it| Case::new(it.0 - 0.8, it.1));
+    let cases: Vec<Case> = cases.collect();
     Answer {
         measured: format!(
-            "least n_eff / n = {least:.3} (π1 = {}, n = {}); {met} of {} at 0.8 or more",
+            "least n_eff / n = {} (π1 = {}, n = {}); at 0.8 or more: {}",
+            with_error(*least, *error),
             it.condition.pi1,
             it.condition.n,
-            shares.len()
+            counts(&cases)
         ),
-        verdict: Verdict::of_cases(met, shares.len()),
+        verdict: Verdict::of_cases(&cases),
     }
 }
 
 fn ten_of_fifty(evidence: &Evidence) -> Answer {
-    let (mut met, mut told) = (0, Vec::new());
+    let (mut cases, mut told) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let Some(it) = evidence.one(pi1, 50) else {
             return Answer::untold();
         };
         let Some((size, error)) = cluster(it) else {
             told.push(format!("none: v is below v_ind (π1 = {pi1})"));
+            cases.push(Case::sure(false));
             continue;
         };
-        met += usize::from((7.0..=14.0).contains(&size));
+        cases.push(Case::new(f64::min(size - 7.0, 14.0 - size), error));
         told.push(format!("{} (π1 = {pi1})", with_error(size, error)));
     }
     Answer {
         measured: format!("n_eff = {}", told.join(", ")),
-        verdict: Verdict::of_cases(met, ELONGATED.len()),
+        verdict: Verdict::of_cases(&cases),
     }
 }
 
 fn saturates(evidence: &Evidence) -> Answer {
-    let (mut met, mut told) = (0, Vec::new());
+    let (mut cases, mut told) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let (Some(fifty), Some(more)) = (evidence.one(pi1, 50), evidence.one(pi1, 74)) else {
             return Answer::untold();
         };
         let (Some(before), Some(after)) = (cluster(fifty), cluster(more)) else {
             told.push(format!("none: v is below v_ind (π1 = {pi1})"));
+            cases.push(Case::sure(false));
             continue;
         };
-        met += usize::from(after.0 < 1.25 * before.0);
+        let error = of_difference(before.1.map(|error| 1.25 * error), after.1);
+        cases.push(Case::new(1.25 * before.0 - after.0, error));
         told.push(format!(
             "{} at n = 50, {} at 74 (π1 = {pi1})",
             with_error(before.0, before.1),
@@ -187,7 +199,7 @@ fn saturates(evidence: &Evidence) -> Answer {
     }
     Answer {
         measured: format!("n_eff = {}", told.join("; ")),
-        verdict: Verdict::of_cases(met, ELONGATED.len()),
+        verdict: Verdict::of_cases(&cases),
     }
 }
 

@@ -10,46 +10,13 @@ mod evidence;
 mod intervals;
 mod order;
 pub mod page;
-
-use std::fmt;
+mod verdict;
 
 pub use evidence::{Evidence, Rule, rules};
+pub use verdict::Verdict;
 
-/// What is made of a claim.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
-    /// The criterion is met.
-    Holds,
-    /// It is met for some of what the claim speaks of.
-    InPart,
-    /// It is not.
-    Fails,
-    /// The runs do not tell.
-    Untold,
-}
-
-impl Verdict {
-    /// Of `all` cases so many are met.
-    fn of_cases(met: usize, all: usize) -> Self {
-        match met {
-            _ if all == 0 => Self::Untold,
-            0 => Self::Fails,
-            _ if met == all => Self::Holds,
-            _ => Self::InPart,
-        }
-    }
-}
-
-impl fmt::Display for Verdict {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        formatter.write_str(match self {
-            Self::Holds => "holds",
-            Self::InPart => "holds in part",
-            Self::Fails => "does not hold",
-            Self::Untold => "not told",
-        })
-    }
-}
+use crate::statistics::Spread;
+use verdict::{Case, counts};
 
 /// What the runs of one rule say of a claim.
 #[derive(Clone, Debug, PartialEq)]
@@ -110,11 +77,22 @@ fn with_error(value: f64, error: Option<f64>) -> String {
 }
 
 /// The standard error of a difference of independent means; unknown if either is.
-fn of_difference(one: Option<f64>, other: Option<f64>) -> f64 {
-    match (one, other) {
-        (Some(one), Some(other)) => one.hypot(other),
-        _ => f64::INFINITY,
-    }
+fn of_difference(one: Option<f64>, other: Option<f64>) -> Option<f64> {
+    Some(one?.hypot(other?))
+}
+
+/// Whether one mean is at most so many times another: without a division, since the other may be near 0.
+fn at_most(times: f64, one: Spread, other: Spread) -> Case {
+    let error = of_difference(one.error, other.error.map(|error| times * error));
+    Case::new(times * other.mean - one.mean, error)
+}
+
+/// The ratio of two independent means, and its standard error.
+fn ratio(one: Spread, other: Spread) -> (f64, Option<f64>) {
+    let ratio = one.mean / other.mean;
+    let relative = |spread: Spread| spread.error.map(|error| error / spread.mean);
+    let error = of_difference(relative(one), relative(other));
+    (ratio, error.map(|error| (ratio * error).abs()))
 }
 
 #[cfg(test)]
@@ -127,13 +105,6 @@ mod tests {
         assert_eq!(with_error(12.345, Some(1.23)), "12.3 ± 1.2");
         assert_eq!(with_error(1234.5, Some(123.0)), "1234 ± 123");
         assert_eq!(with_error(0.5, None), "0.500");
-    }
-
-    #[test]
-    fn some_of_many_is_in_part() {
-        let verdicts = [0, 2, 3].map(|met| Verdict::of_cases(met, 3));
-        assert_eq!(verdicts, [Verdict::Fails, Verdict::InPart, Verdict::Holds]);
-        assert_eq!(Verdict::of_cases(0, 0), Verdict::Untold);
     }
 
     #[test]

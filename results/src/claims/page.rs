@@ -65,6 +65,15 @@ commands from the tables that the others make; nothing is typed by hand.
 
 ";
 
+/// How a verdict follows from the cases of a claim.
+const HOW: &str = "\
+A claim speaks of one or more conditions. A condition meets its criterion, or misses it, if the
+measured value is more than two standard errors away from the limit. A claim *holds* if all conditions
+meet it, and *holds in part* if at least half do and the mean over all conditions is on the claim's side.
+Otherwise it *does not hold*. It is *undecided* if the conditions within two standard errors of the limit
+decide which of these it is.
+";
+
 fn title(rule: &Rule) -> String {
     format!("`{}`, dt = {}", rule.contacts, rule.dt)
 }
@@ -158,7 +167,8 @@ fn meaning(rules: &[Rule], evidence: &[Evidence]) -> String {
                 it.crossed_share
             );
         }
-        let errors = (one.v.mean - other.v.mean) / of_difference(one.v.error, other.v.error);
+        let error = of_difference(one.v.error, other.v.error).unwrap_or(f64::INFINITY);
+        let errors = (one.v.mean - other.v.mean) / error;
         if errors > 3.0 {
             differ.push(format!("π1 = {pi1}, n = {n} ({errors:.1} standard errors)"));
         }
@@ -196,7 +206,7 @@ fn meaning(rules: &[Rule], evidence: &[Evidence]) -> String {
 
 /// All verdicts at a glance, and which of them depend on the rule.
 fn summary(rules: &[Rule], rows: &[Row]) -> String {
-    let mut text = String::from("## Verdicts\n\n| claim |");
+    let mut text = format!("## Verdicts\n\n{HOW}\n| claim |");
     rules.iter().for_each(|rule| {
         let _ = write!(text, " {} |", title(rule));
     });
@@ -223,11 +233,12 @@ fn summary(rules: &[Rule], rows: &[Row]) -> String {
         };
         let _ = writeln!(
             text,
-            "- {}: {} hold, {} in part, {} do not.",
+            "- {}: {} hold, {} in part, {} do not, {} are undecided.",
             title(rule),
             count(Verdict::Holds),
             count(Verdict::InPart),
-            count(Verdict::Fails)
+            count(Verdict::Fails),
+            count(Verdict::Undecided)
         );
     }
     let depends = |answers: &[super::Answer]| {

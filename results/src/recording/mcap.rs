@@ -14,6 +14,9 @@ use super::{About, Moment, RecordingError, io_error};
 /// The channels, in their order: topics, and how their messages are encoded.
 pub const CHANNELS: [(&str, &str); 3] = [("state", "cbor"), ("order", "json"), ("event", "json")];
 
+/// The id that the MCAP writer assigns to the first channel.
+pub const FIRST_CHANNEL: u16 = 1;
+
 /// The channel of states, in CBOR as they are published.
 pub const STATE: usize = 0;
 /// The channel of orders, in JSON as they are published.
@@ -38,6 +41,12 @@ pub struct McapPart {
     channels: Vec<u16>,
     /// How long the file is at most, ended now.
     bytes: u64,
+    /// The bytes of all messages.
+    data_bytes: u64,
+    /// Whether the chunk in hand holds a message.
+    is_dirty: bool,
+    /// The metadata that the last [`McapPart::flush`] wrote.
+    flushed_about: About,
 }
 
 impl McapPart {
@@ -51,7 +60,11 @@ impl McapPart {
             .library(concat!("jostle-results ", env!("CARGO_PKG_VERSION")))
             .create(BufWriter::new(draft.file()?))
             .map_err(failed)?;
-        writer.write_metadata(&metadata(about)).map_err(failed)?;
+        if !about.is_empty() {
+            writer.write_metadata(&metadata(about)).map_err(failed)?;
+        }
+        // A partial file says what it is from the beginning.
+        writer.flush().map_err(failed)?;
         let channels = CHANNELS
             .iter()
             .map(|(topic, encoding)| writer.add_channel(0, topic, encoding, &About::new()))
@@ -62,6 +75,9 @@ impl McapPart {
             writer,
             channels,
             bytes: AROUND_FILE + 2 * length(about),
+            data_bytes: 0,
+            is_dirty: false,
+            flushed_about: About::new(),
         })
     }
 
@@ -74,8 +90,6 @@ impl McapPart {
         log_time: u64,
         data: &[u8],
     ) -> Result<(), RecordingError> {
-        let bytes = self.bytes + data.len() as u64 + AROUND_MESSAGE;
-        draft.reserve(bytes)?;
         let taken = moment.taken.duration_since(SystemTime::UNIX_EPOCH);
         let taken = taken.unwrap_or_default().as_nanos();
         #[expect(clippy::cast_possible_truncation, reason = "MCAP counts in 32 bits")]
@@ -86,11 +100,61 @@ impl McapPart {
             log_time,
             publish_time: u64::try_from(taken).unwrap_or(u64::MAX),
         };
+        self.write(draft, &header, data)
+    }
+
+    /// Writes a message of another file as it is, if there is room for it.
+    pub fn copy(
+        &mut self,
+        draft: &mut Draft,
+        channel: usize,
+        header: &MessageHeader,
+        data: &[u8],
+    ) -> Result<(), RecordingError> {
+        let channel_id = self.channels[channel];
+        let header = MessageHeader {
+            channel_id,
+            ..*header
+        };
+        self.write(draft, &header, data)
+    }
+
+    fn write(
+        &mut self,
+        draft: &mut Draft,
+        header: &MessageHeader,
+        data: &[u8],
+    ) -> Result<(), RecordingError> {
+        let bytes = self.bytes + data.len() as u64 + AROUND_MESSAGE;
+        draft.reserve(bytes)?;
+        self.is_dirty = true;
         self.writer
-            .write_to_known_channel(&header, data)
+            .write_to_known_channel(header, data)
             .map_err(|error| failed(draft, error))?;
         self.bytes = bytes;
+        self.data_bytes += data.len() as u64;
         Ok(())
+    }
+
+    /// Ends the chunk in hand and flushes the file to the operating system, with the metadata
+    /// `so_far` if it has changed. Returns whether anything was written.
+    pub fn flush(&mut self, draft: &mut Draft, so_far: &About) -> Result<bool, RecordingError> {
+        let has_changed = !so_far.is_empty() && self.flushed_about != *so_far;
+        if !self.is_dirty && !has_changed {
+            return Ok(false);
+        }
+        if has_changed {
+            let bytes = self.bytes + 2 * length(so_far) + AROUND_MESSAGE;
+            draft.reserve(bytes)?;
+            self.bytes = bytes;
+            self.writer
+                .write_metadata(&metadata(so_far))
+                .map_err(|error| failed(draft, error))?;
+            self.flushed_about.clone_from(so_far);
+        }
+        self.writer.flush().map_err(|error| failed(draft, error))?;
+        self.is_dirty = false;
+        Ok(true)
     }
 
     /// Ends the file.
@@ -111,6 +175,11 @@ impl McapPart {
     /// How long the file is at most, ended now.
     pub fn bytes(&self) -> u64 {
         self.bytes
+    }
+
+    /// The bytes of all messages that were taken.
+    pub fn data_bytes(&self) -> u64 {
+        self.data_bytes
     }
 }
 

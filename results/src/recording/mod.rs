@@ -5,16 +5,21 @@
 //! name that ends in `.partial` and get their own when they are whole, so a crash leaves whole
 //! files and at most one partial one. A frame is taken only if the disk has room for it, and for
 //! what ends the file: a full disk ends a recording and damages none.
+//!
+//! Parquet cannot be read without its end. A recording to one file is therefore MCAP until it is
+//! finished, also if it becomes Parquet, and [`recover`] makes a whole file of what was flushed
+//! before the process was killed. The parts of a folder are written as they are to be.
 
 mod draft;
 mod extent;
 mod mcap;
 mod parquet;
 mod reading;
+mod recovery;
 mod timeline;
 
 use std::collections::BTreeMap;
-use std::fs;
+use std::fs::{self, File};
 use std::io;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
@@ -28,11 +33,22 @@ use self::parquet::ParquetPart;
 use self::timeline::Timeline;
 use crate::table::TableError;
 
-pub use self::draft::PARTIAL;
+pub use self::draft::{PARTIAL, is_being_written, partial};
 pub use self::reading::{Message, bytes_at, read};
+pub use self::recovery::{Recovered, Recovery, is_unfinished, recover};
 
 /// What a recording says of itself, such as `swarm` and `version`.
 pub type About = BTreeMap<String, String>;
+
+/// By what name a recording says where its states come from.
+pub const SOURCE: &str = "source";
+
+/// The source of a recording that the daemon made: every step that is a multiple of `every`.
+pub const FROM_STEPS: &str = "steps";
+
+/// The source of a recording of what was published: as many states as `max_hz` left, and as many of
+/// them as arrived.
+pub const FROM_PUBLISHED: &str = "published";
 
 /// How long a part of a recording in parts becomes, about.
 const PART_BYTES: u64 = 64 * 1024 * 1024;
@@ -55,14 +71,36 @@ pub enum RecordingError {
         /// The file or folder.
         path: PathBuf,
     },
-    /// Another recording of that name goes on, or never ended.
+    /// A recording of that name was killed.
     #[error(
-        "record: {} is there: it is being written, or what a crash left of an earlier recording, \
-         and then to be removed", partial.display()
+        "record to {}: {} is there, left by a recording that was killed: \
+         `jostle record --recover {}` makes a whole file of it",
+        path.display(), partial.display(), path.display()
     )]
     Unfinished {
+        /// The file.
+        path: PathBuf,
         /// The partial file.
         partial: PathBuf,
+    },
+    /// A process writes the file.
+    #[error("{}: a recording that goes on writes this file", path.display())]
+    BeingWritten {
+        /// The partial file.
+        path: PathBuf,
+    },
+    /// All was recorded, but the file that was asked for could not be made of it.
+    #[error(
+        "{source}; {} holds the whole recording: fix the cause, then `jostle record --recover {}` \
+         creates the file", partial.display(), path.display()
+    )]
+    Unconverted {
+        /// The file.
+        path: PathBuf,
+        /// The partial file.
+        partial: PathBuf,
+        /// Why.
+        source: Box<RecordingError>,
     },
     /// The disk is full. What was taken is safe, the frame that met this is not.
     #[error("record on to {}: the disk is full; what was recorded before is kept", path.display())]
@@ -125,8 +163,12 @@ pub struct Moment {
 /// A state to be recorded: columns of one length, ordered by id.
 #[derive(Clone, Copy, Debug)]
 pub struct Frame<'a> {
+    /// The swarm's name.
+    pub swarm: &'a str,
     /// Where it belongs; its number is that of the published state.
     pub moment: Moment,
+    /// What the swarm does, in the wire's word.
+    pub phase: &'a str,
     /// The number of steps since the start.
     pub step: u64,
     /// Where `x` and `y` are counted from, in units of 1024 body sizes.
@@ -139,12 +181,14 @@ pub struct Frame<'a> {
     pub y: &'a [f64],
     /// Headings in radians.
     pub alpha: &'a [f64],
-    /// Weights of the preferred directions.
+    /// Weights of the preferred directions; 0 for the uninformed.
     pub weight: &'a [f64],
-    /// Preferred directions in radians.
+    /// Preferred directions in radians; tables have none for the uninformed.
     pub direction: &'a [f64],
     /// The polar order parameter.
     pub order: f64,
+    /// The drift along the informed individuals' common direction, if there is one.
+    pub drift: Option<f64>,
     /// The smallest gap between two bodies.
     pub worst_gap: Option<f64>,
     /// The residual of the step that led here.
@@ -166,9 +210,14 @@ pub struct Written {
     pub bytes: u64,
 }
 
+/// Reads a published state, CBOR, and passes it to the callback as a frame. Fails with the reason if
+/// it cannot be read.
+pub type Decode = fn(&[u8], &mut dyn FnMut(&Frame<'_>)) -> Result<(), String>;
+
 /// Writes a recording: one file, or the parts of a folder.
 pub struct Recorder {
     place: Place,
+    /// How it is written; a file becomes what its name says when it is finished.
     format: Format,
     about: About,
     timeline: Timeline,
@@ -181,7 +230,11 @@ pub struct Recorder {
 }
 
 enum Place {
-    File { path: PathBuf, replace: bool },
+    File {
+        path: PathBuf,
+        replace: bool,
+        decode: Decode,
+    },
     Folder(PathBuf),
 }
 
@@ -218,17 +271,25 @@ impl Format {
 
 impl Recorder {
     /// Begins a recording in one file, whose name tells the format. What is there already stays,
-    /// unless it is to be replaced, and then until the recording is whole.
+    /// unless it is to be replaced, and then until the recording is whole. What was recorded before
+    /// a [`Recorder::flush`] can be recovered after this process was killed; `decode` reads it back.
     ///
     /// # Errors
     ///
     /// [`RecordingError`] with the file; nothing is left behind.
-    pub fn to_file(path: &Path, replace: bool, about: About) -> Result<Self, RecordingError> {
+    pub fn to_file(
+        path: &Path,
+        replace: bool,
+        about: About,
+        decode: Decode,
+    ) -> Result<Self, RecordingError> {
+        Format::of(path)?;
         let place = Place::File {
             path: path.to_owned(),
             replace,
+            decode,
         };
-        let mut recorder = Recorder::new(place, Format::of(path)?, about);
+        let mut recorder = Recorder::new(place, Format::Mcap, about);
         recorder.begin_part()?;
         Ok(recorder)
     }
@@ -311,6 +372,23 @@ impl Recorder {
         Ok(())
     }
 
+    /// Flushes all that was recorded to the operating system, with the metadata `so_far`: a kill of
+    /// this process does not lose it. Returns the file if anything was written; the caller may sync
+    /// it so that a power failure does not lose it either. Parquet parts cannot be flushed.
+    ///
+    /// # Errors
+    ///
+    /// As with [`Recorder::frame`].
+    pub fn flush(&mut self, so_far: &About) -> Result<Option<File>, RecordingError> {
+        match &mut self.part {
+            Some(Part::Mcap(draft, part)) => match part.flush(draft, so_far)? {
+                true => draft.file().map(Some),
+                false => Ok(None),
+            },
+            Some(Part::Parquet(..)) | None => Ok(None),
+        }
+    }
+
     /// Records an order as it was published, in JSON; only MCAP holds it.
     ///
     /// # Errors
@@ -371,8 +449,14 @@ impl Recorder {
                 draft
             }
         };
-        let replace = matches!(self.place, Place::File { replace: true, .. });
-        self.written.bytes += draft.publish(replace)?;
+        self.written.bytes += match &self.place {
+            Place::File {
+                path,
+                replace,
+                decode,
+            } => publish(&draft, path, *replace, *decode)?,
+            Place::Folder(_) => draft.publish(false)?,
+        };
         self.written.parts += 1;
         self.next += 1;
         self.frames_before = self.written.frames;
@@ -395,6 +479,27 @@ impl Recorder {
         self.written
     }
 
+    /// What has been written, with a lower bound for the bytes of the part in hand.
+    #[must_use]
+    pub fn progress(&self) -> Written {
+        let of_part = match &self.part {
+            Some(Part::Parquet(_, part)) => part.data_bytes(),
+            Some(Part::Mcap(_, part)) => part.data_bytes(),
+            None => 0,
+        };
+        let bytes = self.written.bytes + of_part;
+        Written {
+            bytes,
+            ..self.written
+        }
+    }
+
+    /// The bytes of all files, with what the part in hand would have at most if it ended now.
+    #[must_use]
+    pub fn size(&self) -> u64 {
+        self.written.bytes + self.bytes_of_part()
+    }
+
     fn bytes_of_part(&self) -> u64 {
         match &self.part {
             Some(Part::Parquet(_, part)) => part.bytes(),
@@ -407,7 +512,13 @@ impl Recorder {
     fn begin_part(&mut self) -> Result<&mut Part, RecordingError> {
         if self.part.is_none() {
             let draft = match &self.place {
-                Place::File { path, replace } => Draft::begin(path, *replace, false)?,
+                Place::File { path, replace, .. } => {
+                    let draft = Draft::begin(path, *replace, false)?;
+                    match Format::of(path)? {
+                        Format::Mcap => draft,
+                        Format::Parquet => draft.doubled(),
+                    }
+                }
                 Place::Folder(folder) => {
                     let number = self.next;
                     let name = format!("{PART}{number:05}.{}", self.format.extension());
@@ -427,6 +538,36 @@ impl Recorder {
         }
         Ok(self.part.as_mut().expect("it was just made"))
     }
+}
+
+/// Gives a finished file its name, as Parquet if that says so; returns its bytes.
+fn publish(
+    draft: &Draft,
+    path: &Path,
+    replace: bool,
+    decode: Decode,
+) -> Result<u64, RecordingError> {
+    let partial = draft.partial();
+    let published = match Format::of(path)? {
+        Format::Mcap => return draft.publish(replace),
+        Format::Parquet => draft.sync().and_then(|_| {
+            recovery::rebuild(
+                partial,
+                path,
+                Format::Parquet,
+                replace,
+                &About::new(),
+                decode,
+            )
+        }),
+    };
+    let recovered = published.map_err(|source| RecordingError::Unconverted {
+        path: path.to_owned(),
+        partial: partial.to_owned(),
+        source: Box::new(source),
+    })?;
+    fs::remove_file(partial).map_err(|source| io_error(partial, source))?;
+    Ok(recovered.bytes)
 }
 
 /// The whole parts of a folder, in order.

@@ -25,7 +25,10 @@ const ORIGIN_UNIT: f64 = 1024.0;
 const ROWS: usize = 64 * 1024;
 
 /// What a row takes on the disk at most: its values twice, once in a dictionary that is given up.
-const ROW_BYTES: u64 = 256;
+const ROW_BYTES: u64 = 280;
+
+/// What a row takes at least: positions and headings of moving bodies hardly compress.
+const LEAST_ROW_BYTES: u64 = 24;
 
 /// What a group of rows adds at most: its pages' heads, its columns' statistics.
 const GROUP_BYTES: u64 = 32 * 1024;
@@ -59,17 +62,21 @@ macro_rules! columns {
 }
 
 columns! {
+    swarm: Arc<str>,
     epoch: u64,
     frame: u64,
     step: u64,
     time: f64,
+    phase: Arc<str>,
     id: u32,
     x: f64,
     y: f64,
     alpha: f64,
     weight: f64,
-    direction: f64,
+    direction: Option<f64>,
+    informed: bool,
     order: f64,
+    drift: Option<f64>,
     worst_gap: Option<f64>,
     residual: f64,
     contacts: u64,
@@ -115,10 +122,12 @@ impl ParquetPart {
         let n = frame.id.len();
         draft.reserve(self.bytes() + n as u64 * ROW_BYTES)?;
         let columns = &mut self.columns;
+        columns.swarm.extend(vec![Arc::from(frame.swarm); n]);
         columns.epoch.extend(vec![frame.moment.epoch; n]);
         columns.frame.extend(vec![frame.moment.number; n]);
         columns.step.extend(vec![frame.step; n]);
         columns.time.extend(vec![frame.moment.time; n]);
+        columns.phase.extend(vec![Arc::from(frame.phase); n]);
         columns.id.extend(frame.id);
         let [x, y] = frame.origin.map(|origin| ORIGIN_UNIT * origin as f64);
         columns
@@ -129,23 +138,26 @@ impl ParquetPart {
             .extend(frame.y.iter().map(|relative| relative + y));
         columns.alpha.extend(frame.alpha);
         columns.weight.extend(frame.weight);
-        columns.direction.extend(frame.direction);
+        let informed = frame.weight.iter().map(|weight| *weight > 0.0);
+        columns.informed.extend(informed.clone());
+        let preferred = frame.direction.iter().zip(informed);
+        columns
+            .direction
+            .extend(preferred.map(|(direction, informed)| informed.then_some(*direction)));
         columns.order.extend(vec![frame.order; n]);
+        columns.drift.extend(vec![frame.drift; n]);
         columns.worst_gap.extend(vec![frame.worst_gap; n]);
         columns.residual.extend(vec![frame.residual; n]);
         columns.contacts.extend(vec![frame.contacts; n]);
         let rows = columns.id.len();
-        let columns = [
-            &columns.x,
-            &columns.y,
-            &columns.alpha,
-            &columns.weight,
-            &columns.direction,
+        let lengths = [
+            columns.x.len(),
+            columns.y.len(),
+            columns.alpha.len(),
+            columns.weight.len(),
+            columns.direction.len(),
         ];
-        assert!(
-            columns.iter().all(|column| column.len() == rows),
-            "columns of one length"
-        );
+        assert_eq!(lengths, [rows; 5], "columns of one length");
         if rows >= ROWS {
             self.write_group()?;
         }
@@ -171,6 +183,12 @@ impl ParquetPart {
     pub fn bytes(&self) -> u64 {
         let rows = self.columns.id.len() as u64 * ROW_BYTES;
         self.writer.bytes_written() as u64 + rows + (self.groups + 2) * GROUP_BYTES + self.about
+    }
+
+    /// The bytes that were written, and those that the rows in hand take at least.
+    pub fn data_bytes(&self) -> u64 {
+        let rows = self.columns.id.len() as u64 * LEAST_ROW_BYTES;
+        self.writer.bytes_written() as u64 + rows
     }
 
     fn write_group(&mut self) -> Result<(), TableError> {

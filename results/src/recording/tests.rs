@@ -2,6 +2,8 @@
 
 #![expect(clippy::unwrap_used, reason = "tests")]
 
+use std::sync::Arc;
+
 use ::mcap::MessageStream;
 use ::parquet::file::reader::{FileReader, SerializedFileReader};
 
@@ -26,7 +28,9 @@ fn moment(number: u64) -> Moment {
 
 fn frame(number: u64, published: &[u8]) -> Frame<'_> {
     Frame {
+        swarm: "demo",
         moment: moment(number),
+        phase: "running",
         step: 5 * number,
         origin: [0, -1],
         id: &IDS,
@@ -36,11 +40,25 @@ fn frame(number: u64, published: &[u8]) -> Frame<'_> {
         weight: &COLUMN,
         direction: &COLUMN,
         order: 1.0 / 3.0,
+        drift: (number > 1).then_some(-0.125),
         worst_gap: (number > 1).then_some(-0.25),
         residual: 1e-12,
         contacts: 3,
         published,
     }
+}
+
+/// A state as these tests publish it: its number.
+fn published(number: u64) -> [u8; 300] {
+    let mut bytes = [7; 300];
+    bytes[..8].copy_from_slice(&number.to_le_bytes());
+    bytes
+}
+
+fn decode(published: &[u8], take: &mut dyn FnMut(&Frame<'_>)) -> Result<(), String> {
+    let number = published.first_chunk().ok_or("too short")?;
+    take(&frame(u64::from_le_bytes(*number), published));
+    Ok(())
 }
 
 fn names(folder: &Path) -> Vec<String> {
@@ -60,9 +78,9 @@ fn bits(column: &[f64]) -> Vec<u64> {
 fn parquet_holds_a_row_for_each_individual_and_frame_to_the_bit() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.parquet");
-    let mut recorder = Recorder::to_file(&path, false, about()).unwrap();
+    let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
     for number in 1..3 {
-        recorder.frame(&frame(number, b"")).unwrap();
+        recorder.frame(&frame(number, &published(number))).unwrap();
         recorder.event(&moment(number), b"{}").unwrap();
     }
     assert_eq!(names(folder.path()), ["take.parquet.partial"]);
@@ -83,12 +101,22 @@ fn parquet_holds_a_row_for_each_individual_and_frame_to_the_bit() {
         assert_eq!(bits(&y[..3]), bits(&COLUMN.map(|y| y - 1024.0)));
         let alpha: Vec<f64> = read_column(&path, group, "alpha", 0)?;
         assert_eq!(bits(&alpha[3..]), bits(&COLUMN));
+        let informed: Vec<bool> = read_column(&path, group, "informed", 0)?;
+        assert_eq!(informed[..3], [true, false, true]);
+        let direction: Vec<Option<f64>> = read_column(&path, group, "direction", 0)?;
+        assert_eq!(direction[..3], [Some(COLUMN[0]), None, Some(COLUMN[2])]);
+        let drift: Vec<Option<f64>> = read_column(&path, group, "drift", 0)?;
+        assert_eq!((drift[0], drift[5]), (None, Some(-0.125)));
+        let phase: Vec<String> = read_column(&path, group, "phase", 0)?;
+        assert_eq!(phase, ["running"; 6]);
+        let swarm: Vec<Arc<str>> = read_column(&path, group, "swarm", 0)?;
+        assert!(swarm.iter().all(|it| &**it == "demo"));
         let gap: Vec<Option<f64>> = read_column(&path, group, "worst_gap", 0)?;
         assert_eq!((gap[0], gap[5]), (None, Some(-0.25)));
         Ok(())
     })
     .unwrap();
-    let reader = SerializedFileReader::new(fs::File::open(&path).unwrap()).unwrap();
+    let reader = SerializedFileReader::new(File::open(&path).unwrap()).unwrap();
     let said = reader
         .metadata()
         .file_metadata()
@@ -98,16 +126,17 @@ fn parquet_holds_a_row_for_each_individual_and_frame_to_the_bit() {
         .iter()
         .map(|pair| (&*pair.key, pair.value.as_deref()))
         .collect();
-    assert_eq!(said, [("swarm", Some("demo")), ("missed", Some("4"))]);
+    let expected = [("frames", "2"), ("missed", "4"), ("swarm", "demo")];
+    assert_eq!(said, expected.map(|(key, value)| (key, Some(value))));
 }
 
 #[test]
 fn many_rows_are_written_as_several_groups() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.parquet");
-    let mut recorder = Recorder::to_file(&path, false, about()).unwrap();
+    let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
     for number in 0..50_000 {
-        recorder.frame(&frame(number, b"")).unwrap();
+        recorder.frame(&frame(number, &published(number))).unwrap();
     }
     recorder.finish(&About::new()).unwrap();
     let mut rows = 0;
@@ -129,7 +158,7 @@ fn many_rows_are_written_as_several_groups() {
 fn mcap_holds_what_was_published_byte_for_byte() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.mcap");
-    let mut recorder = Recorder::to_file(&path, false, about()).unwrap();
+    let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
     recorder.frame(&frame(1, b"one")).unwrap();
     recorder.order(&moment(1), b"{\"order\":1}").unwrap();
     recorder.event(&moment(2), b"{}").unwrap();
@@ -181,7 +210,7 @@ fn a_recording_without_a_frame_is_a_whole_file() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["take.parquet", "take.mcap"] {
         let path = folder.path().join(name);
-        let recorder = Recorder::to_file(&path, false, about()).unwrap();
+        let recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
         assert_eq!(recorder.finish(&About::new()).unwrap().frames, 0);
     }
     for_each_group(&folder.path().join("take.parquet"), |_| panic!("no rows")).unwrap();
@@ -192,13 +221,17 @@ fn what_is_there_stays() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("take.mcap");
     fs::write(&path, "old").unwrap();
-    let error = Recorder::to_file(&path, false, about()).err().unwrap();
+    let error = Recorder::to_file(&path, false, about(), decode)
+        .err()
+        .unwrap();
     assert!(matches!(error, RecordingError::Exists { .. }), "{error}");
 
-    let replacing = Recorder::to_file(&path, true, about()).unwrap();
-    let error = Recorder::to_file(&path, true, about()).err().unwrap();
+    let replacing = Recorder::to_file(&path, true, about(), decode).unwrap();
+    let error = Recorder::to_file(&path, true, about(), decode)
+        .err()
+        .unwrap();
     assert!(
-        matches!(error, RecordingError::Unfinished { .. }),
+        matches!(error, RecordingError::BeingWritten { .. }),
         "{error}"
     );
     assert_eq!(fs::read(&path).unwrap(), b"old");
@@ -207,7 +240,7 @@ fn what_is_there_stays() {
 
     // Somebody else's file that appears meanwhile is no prey, and the recording is not lost.
     let other = folder.path().join("other.mcap");
-    let recorder = Recorder::to_file(&other, false, about()).unwrap();
+    let recorder = Recorder::to_file(&other, false, about(), decode).unwrap();
     fs::write(&other, "theirs").unwrap();
     let error = recorder.finish(&About::new()).unwrap_err();
     assert!(matches!(error, RecordingError::Exists { .. }), "{error}");
@@ -221,7 +254,7 @@ fn what_is_there_stays() {
 fn names_that_cannot_be_are_refused_and_leave_nothing() {
     let folder = tempfile::tempdir().unwrap();
     let refused = |path: &str| {
-        let refused = Recorder::to_file(&folder.path().join(path), false, about());
+        let refused = Recorder::to_file(&folder.path().join(path), false, about(), decode);
         refused.err().unwrap()
     };
     for path in ["take", "take.csv", ".parquet"] {
@@ -243,13 +276,13 @@ fn a_full_disk_ends_a_recording_and_what_was_taken_is_whole() {
     let folder = tempfile::tempdir().unwrap();
     for name in ["take.parquet", "take.mcap"] {
         let path = folder.path().join(name);
-        let mut recorder = Recorder::to_file(&path, false, about()).unwrap();
+        let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
         match recorder.part.as_mut().unwrap() {
             Part::Parquet(draft, _) | Part::Mcap(draft, _) => draft.disk_bytes = 512 * 1024,
         }
         let mut taken = 0;
         let error = loop {
-            match recorder.frame(&frame(taken + 1, &[7; 300])) {
+            match recorder.frame(&frame(taken + 1, &published(taken + 1))) {
                 Ok(()) => taken += 1,
                 Err(error) => break error,
             }
@@ -350,7 +383,8 @@ fn a_recording_goes_on_behind_what_a_crash_left() {
 #[test]
 fn a_clock_before_1970_is_as_good_as_1970() {
     let folder = tempfile::tempdir().unwrap();
-    let mut recorder = Recorder::to_file(&folder.path().join("take.mcap"), false, about()).unwrap();
+    let mut recorder =
+        Recorder::to_file(&folder.path().join("take.mcap"), false, about(), decode).unwrap();
     let taken = SystemTime::UNIX_EPOCH - std::time::Duration::from_secs(1);
     let early = Moment { taken, ..moment(0) };
     recorder.event(&early, b"{}").unwrap();
@@ -377,7 +411,7 @@ fn messages(path: &Path) -> Result<(About, Vec<Read>), RecordingError> {
 /// A file of some messages.
 fn recorded(folder: &Path) -> PathBuf {
     let path = folder.join("take.mcap");
-    let mut recorder = Recorder::to_file(&path, false, about()).unwrap();
+    let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
     recorder.event(&moment(1), b"{}").unwrap();
     for number in 1..4_u8 {
         let published = [number; 100];
@@ -396,7 +430,7 @@ fn mcap_is_read_back_in_order_each_message_from_where_it_lies() {
     assert_eq!((&*about["swarm"], &*about["frames"]), ("demo", "3"));
     let topics: Vec<&str> = messages.iter().map(|(topic, ..)| &**topic).collect();
     assert_eq!(topics, ["event", "state", "state", "state"]);
-    let mut file = fs::File::open(&path).unwrap();
+    let mut file = File::open(&path).unwrap();
     for (_, offset, bytes) in &messages {
         assert_eq!(bytes_at(&mut file, *offset, bytes.len()).unwrap(), *bytes);
     }
@@ -444,4 +478,300 @@ fn a_file_that_is_cut_short_is_refused_and_one_that_is_damaged_never_read_wrong(
         }
     }
     assert!(refused > 400, "{refused}");
+}
+
+/// What a process that is killed now leaves of its recording.
+fn left_behind(path: &Path) -> Vec<u8> {
+    fs::read(partial(path)).unwrap()
+}
+
+fn said(path: &Path) -> About {
+    match Format::of(path).unwrap() {
+        Format::Mcap => messages(path).unwrap().0,
+        Format::Parquet => {
+            let reader = SerializedFileReader::new(File::open(path).unwrap()).unwrap();
+            let pairs = reader.metadata().file_metadata().key_value_metadata();
+            let pairs = pairs.unwrap().iter();
+            pairs
+                .map(|it| (it.key.clone(), it.value.clone().unwrap()))
+                .collect()
+        }
+    }
+}
+
+/// The steps of a whole file.
+fn steps(path: &Path) -> Vec<u64> {
+    let mut steps = Vec::new();
+    match Format::of(path).unwrap() {
+        Format::Mcap => {
+            for (topic, _, bytes) in messages(path).unwrap().1 {
+                if topic == "state" {
+                    decode(&bytes, &mut |frame| steps.push(frame.step)).unwrap();
+                }
+            }
+        }
+        Format::Parquet => for_each_group(path, |group| {
+            steps.extend(read_column::<u64>(path, group, "step", 0)?);
+            Ok(())
+        })
+        .unwrap(),
+    }
+    steps.dedup();
+    steps
+}
+
+#[test]
+fn what_was_flushed_is_recovered_wherever_the_file_is_cut() {
+    let folder = tempfile::tempdir().unwrap();
+    for name in ["take.mcap", "take.parquet"] {
+        let path = folder.path().join(name);
+        let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
+        let mut number = 0;
+        for missed in ["0", "0", "4"] {
+            for _ in 0..3 {
+                number += 1;
+                let published = published(number);
+                recorder.frame(&frame(number, &published)).unwrap();
+                recorder.event(&moment(number), b"{}").unwrap();
+            }
+            let so_far = About::from([("missed".to_owned(), missed.to_owned())]);
+            assert!(recorder.flush(&so_far).unwrap().is_some());
+            assert!(recorder.flush(&so_far).unwrap().is_none(), "nothing new");
+        }
+        recorder.frame(&frame(10, &published(10))).unwrap();
+        let left = left_behind(&path);
+        let killed = folder.path().join(format!("killed-{name}"));
+        let mut most = 0;
+        for length in (0..left.len()).step_by(13).chain([left.len()]) {
+            fs::write(partial(&killed), &left[..length]).unwrap();
+            match recover(&killed, false, decode) {
+                Ok(Recovery::Recovered(recovered)) => {
+                    most = recovered.frames;
+                    assert!([3, 6, 9].contains(&most), "{length}: {recovered:?}");
+                    assert_eq!((recovered.first_step, recovered.last_step), (5, 5 * most));
+                    let expected: Vec<u64> = (1..=most).map(|it| 5 * it).collect();
+                    assert_eq!(steps(&killed), expected);
+                    assert_eq!(recovered.bytes, fs::metadata(&killed).unwrap().len());
+                    assert_eq!(recovered.damaged, 0, "{length}");
+                    assert!(recovered.unread < length as u64, "{recovered:?}");
+                    assert!(!partial(&killed).exists());
+                    fs::remove_file(&killed).unwrap();
+                }
+                Ok(whole @ Recovery::Whole(_)) => panic!("{length}: {whole:?}"),
+                Err(error) => {
+                    assert_eq!(most, 0, "{length}: {error}");
+                    assert!(!killed.exists());
+                    assert_eq!(fs::read(partial(&killed)).unwrap(), left[..length]);
+                }
+            }
+        }
+        assert_eq!(most, 9);
+        fs::write(partial(&killed), &left).unwrap();
+        recover(&partial(&killed), false, decode).unwrap();
+        let said = said(&killed);
+        let said = ["swarm", "frames", "missed", "recovered"].map(|it| &*said[it]);
+        assert_eq!(said, ["demo", "9", "4", "true"]);
+        let again = recover(&killed, false, decode).unwrap();
+        assert_eq!(again, Recovery::Whole(killed));
+        recorder.finish(&About::new()).unwrap();
+        assert_eq!(steps(&path).len(), 10);
+    }
+    let expected = [
+        "killed-take.mcap",
+        "killed-take.parquet",
+        "take.mcap",
+        "take.parquet",
+    ];
+    assert_eq!(names(folder.path()), expected);
+}
+
+#[test]
+fn what_cannot_be_recovered_stays_and_the_reason_is_said() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("take.mcap");
+    let refused = |path: &Path, replace| recover(path, replace, decode).err().unwrap().to_string();
+    assert!(refused(&path, false).contains("No such file"));
+    assert!(refused(folder.path(), false).contains("neither"));
+
+    let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
+    recorder.frame(&frame(1, &published(1))).unwrap();
+    recorder.flush(&About::new()).unwrap();
+    let left = left_behind(&path);
+    for name in [path.clone(), partial(&path)] {
+        assert!(
+            refused(&name, true).contains("goes on"),
+            "it is being written"
+        );
+    }
+    recorder.finish(&About::new()).unwrap();
+    let whole = fs::read(&path).unwrap();
+
+    // A recording that was to replace a whole one.
+    fs::write(partial(&path), &left).unwrap();
+    assert!(refused(&path, false).contains("it is there already"));
+    assert_eq!(fs::read(&path).unwrap(), whole);
+    recover(&path, true, decode).unwrap();
+    assert_eq!(steps(&path), [5]);
+
+    for (name, bytes, reason) in [
+        ("a.mcap", &b"rubbish that is no recording"[..], "no MCAP"),
+        ("b.mcap", b"", "no state"),
+        ("c.parquet", b"PAR1 an earlier version's", "earlier version"),
+        ("d.parquet", b"rubbish that is no recording", "no MCAP"),
+        ("e.mcap", &left[..8], "no state"),
+    ] {
+        let path = folder.path().join(name);
+        fs::write(partial(&path), bytes).unwrap();
+        let said = refused(&path, false);
+        assert!(said.contains(reason), "{name}: {said}");
+        assert_eq!(fs::read(partial(&path)).unwrap(), bytes, "{name}");
+        assert!(!path.exists(), "{name}");
+        fs::rename(partial(&path), &path).unwrap();
+        refused(&path, false);
+        assert_eq!(fs::read(&path).unwrap(), bytes, "{name}");
+    }
+
+    // Another program's file.
+    let other = folder.path().join("other.mcap");
+    let file = File::create(partial(&other)).unwrap();
+    let mut writer = ::mcap::Writer::new(file).unwrap();
+    let channel = writer
+        .add_channel(0, "state", "cbor", &About::new())
+        .unwrap();
+    let header = ::mcap::records::MessageHeader {
+        channel_id: channel,
+        sequence: 0,
+        log_time: 0,
+        publish_time: 0,
+    };
+    writer
+        .write_to_known_channel(&header, &published(1))
+        .unwrap();
+    writer.finish().unwrap();
+    assert!(refused(&other, false).contains("jostle did not record it"));
+}
+
+#[test]
+fn a_file_cut_short_under_its_own_name_is_recovered_in_its_place() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = recorded(folder.path());
+    let whole = fs::read(&path).unwrap();
+    fs::write(&path, &whole[..whole.len() - 60]).unwrap();
+    assert!(is_unfinished(&path).unwrap());
+    let decode: Decode = |_, take| {
+        take(&frame(1, b""));
+        Ok(())
+    };
+    let recovered = recover(&path, false, decode).unwrap();
+    assert!(matches!(recovered, Recovery::Recovered(it) if it.frames == 3));
+    assert!(!is_unfinished(&path).unwrap());
+    assert_eq!(names(folder.path()), ["take.mcap"]);
+}
+
+#[test]
+fn a_damaged_chunk_is_left_out_and_the_file_that_holds_it_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("take.mcap");
+    let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
+    for number in 1..4 {
+        recorder.frame(&frame(number, &published(number))).unwrap();
+        recorder.flush(&About::new()).unwrap();
+    }
+    let mut left = left_behind(&path);
+    drop(recorder);
+    let second = left.windows(300).position(|it| it == published(2)).unwrap();
+    left[second + 20] ^= 1;
+    fs::write(partial(&path), &left).unwrap();
+    let Recovery::Recovered(recovered) = recover(&path, false, decode).unwrap() else {
+        panic!("it had no end");
+    };
+    assert_eq!((recovered.frames, recovered.damaged), (2, 1));
+    assert_eq!(steps(&path), [5, 15]);
+    assert_eq!(fs::read(partial(&path)).unwrap(), left);
+}
+
+#[test]
+fn a_damaged_chunk_or_length_loses_one_chunk_and_the_partial_file_is_kept() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("take.mcap");
+    let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
+    for number in 1..4 {
+        recorder.frame(&frame(number, &published(number))).unwrap();
+        recorder.flush(&About::new()).unwrap();
+    }
+    let left = left_behind(&path);
+    drop(recorder);
+    let at = |number| {
+        let mut windows = left.windows(300);
+        windows.position(|it| it == published(number)).unwrap()
+    };
+    let chunk = |number| {
+        let mut before = (0..at(number)).rev();
+        let is_chunk = |it: &usize| left[*it] == 6 && left[*it + 4..*it + 9] == [0; 5];
+        before.find(is_chunk).unwrap()
+    };
+    let changed = |at: usize, byte: u8| {
+        let mut changed = left.clone();
+        changed[at] ^= byte;
+        changed
+    };
+    for (bytes, expected) in [
+        // The first chunk names the channels.
+        (changed(at(1) + 20, 1), &[10, 15][..]),
+        // A length that is beyond the file, too long or too short.
+        (changed(chunk(1) + 7, 1), &[10, 15]),
+        (changed(chunk(2) + 7, 1), &[5, 15]),
+        (changed(chunk(3) + 7, 1), &[5, 10]),
+        (changed(chunk(2) + 1, 1), &[5, 15]),
+        (changed(chunk(3) + 2, 1), &[5, 10]),
+        // No record begins there.
+        (changed(chunk(2), 0x80), &[5, 15]),
+    ] {
+        fs::write(partial(&path), &bytes).unwrap();
+        let Recovery::Recovered(recovered) = recover(&path, false, decode).unwrap() else {
+            panic!("it had no end");
+        };
+        assert_eq!(steps(&path), expected, "{recovered:?}");
+        assert!(recovered.damaged >= 1, "{recovered:?}");
+        assert_eq!(fs::read(partial(&path)).unwrap(), bytes);
+        fs::remove_file(&path).unwrap();
+    }
+}
+
+#[test]
+fn a_table_that_cannot_be_made_leaves_what_was_recorded() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("take.parquet");
+    let mut recorder = Recorder::to_file(&path, false, about(), decode).unwrap();
+    recorder.frame(&frame(1, &published(1))).unwrap();
+    fs::write(&path, "somebody else's").unwrap();
+    let error = recorder.finish(&About::new()).unwrap_err();
+    assert!(error.to_string().contains("--recover"), "{error}");
+    assert_eq!(fs::read(&path).unwrap(), b"somebody else's");
+    assert_eq!(
+        names(folder.path()),
+        ["take.parquet", "take.parquet.partial"]
+    );
+    recover(&path, true, decode).unwrap();
+    assert_eq!(steps(&path), [5]);
+    assert_eq!(names(folder.path()), ["take.parquet"]);
+}
+
+#[test]
+fn what_is_written_of_a_part_grows_while_it_is_written() {
+    let folder = tempfile::tempdir().unwrap();
+    for format in [Format::Parquet, Format::Mcap] {
+        let take = folder.path().join(format.extension());
+        let mut recorder = Recorder::to_folder(&take, format, about()).unwrap();
+        let mut bytes = 0;
+        for number in 1..4 {
+            recorder.frame(&frame(number, &published(number))).unwrap();
+            let progress = recorder.progress();
+            assert!(progress.bytes > bytes, "{progress:?}");
+            assert_eq!((progress.frames, progress.parts), (number, 0));
+            bytes = progress.bytes;
+        }
+        let written = recorder.finish(&About::new()).unwrap();
+        assert!(written.bytes >= bytes);
+    }
 }

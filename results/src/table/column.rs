@@ -1,10 +1,13 @@
 //! Columns of Parquet: which values they hold, how those are written and read.
 
 use std::path::Path;
+use std::sync::Arc;
 
 use parquet::basic::{LogicalType, Repetition, Type as Physical};
 use parquet::column::reader::{ColumnReader, ColumnReaderImpl};
-use parquet::data_type::{ByteArray, ByteArrayType, DataType, DoubleType, Int32Type, Int64Type};
+use parquet::data_type::{
+    BoolType, ByteArray, ByteArrayType, DataType, DoubleType, Int32Type, Int64Type,
+};
 use parquet::errors::ParquetError;
 use parquet::file::writer::SerializedColumnWriter;
 use parquet::schema::types::Type;
@@ -53,6 +56,46 @@ impl CellError {
                 reason,
             },
         }
+    }
+}
+
+impl Cell for bool {
+    fn schema(name: &str) -> Result<Type, ParquetError> {
+        Type::primitive_type_builder(name, Physical::BOOLEAN)
+            .with_repetition(Repetition::REQUIRED)
+            .build()
+    }
+
+    fn write(values: &[Self], column: &mut SerializedColumnWriter<'_>) -> Result<(), CellError> {
+        column.typed::<BoolType>().write_batch(values, None, None)?;
+        Ok(())
+    }
+
+    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+        let ColumnReader::BoolColumnReader(reader) = column else {
+            return Err(CellError::Value(0, "no boolean".to_owned()));
+        };
+        required(reader, rows)
+    }
+}
+
+/// Text that many rows share.
+impl Cell for Arc<str> {
+    fn schema(name: &str) -> Result<Type, ParquetError> {
+        String::schema(name)
+    }
+
+    fn write(values: &[Self], column: &mut SerializedColumnWriter<'_>) -> Result<(), CellError> {
+        let bytes: Vec<ByteArray> = values.iter().map(|text| (&**text).into()).collect();
+        column
+            .typed::<ByteArrayType>()
+            .write_batch(&bytes, None, None)?;
+        Ok(())
+    }
+
+    fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
+        let text = String::read(column, rows)?;
+        Ok(text.into_iter().map(Arc::from).collect())
     }
 }
 

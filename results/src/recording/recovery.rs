@@ -1,0 +1,279 @@
+//! Makes a whole file of one that has no end: its recorder was killed, or the disk was full.
+
+use std::fs::{self, File};
+use std::io::{self, Read as _};
+use std::path::{Path, PathBuf};
+
+use parquet::file::reader::SerializedFileReader;
+
+use super::draft::{self, Draft, PARTIAL};
+use super::mcap::{CHANNELS, McapPart, STATE};
+use super::parquet::ParquetPart;
+use super::reading::{self, Unfinished, read_unfinished};
+use super::{About, Decode, Format, RecordingError, extent, io_error};
+
+/// The metadata key that marks a recovered recording.
+const RECOVERED: &str = "recovered";
+
+/// The first bytes of every Parquet file.
+const PARQUET: [u8; 4] = *b"PAR1";
+
+/// The outcome of a recovery.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Recovery {
+    /// The file is whole already.
+    Whole(PathBuf),
+    /// A whole file was made.
+    Recovered(Recovered),
+}
+
+/// A whole file, and what it holds.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Recovered {
+    /// The file.
+    pub path: PathBuf,
+    /// How many states it holds.
+    pub frames: u64,
+    /// The step of the first.
+    pub first_step: u64,
+    /// The step of the last.
+    pub last_step: u64,
+    /// The file's length.
+    pub bytes: u64,
+    /// Damaged places of the partial file, which are left out. It is kept if there are any.
+    pub damaged: u64,
+    /// Bytes at the end of the partial file that hold no whole record, and are left out.
+    pub unread: u64,
+}
+
+/// Makes a whole file of a recording that has no end. `path` names either the file that the
+/// recording was to become or the partial one. What was recorded is removed only after the whole
+/// file is on the disk.
+///
+/// # Errors
+///
+/// [`RecordingError`]; all files are as they were then.
+pub fn recover(path: &Path, replace: bool, decode: Decode) -> Result<Recovery, RecordingError> {
+    let is_partial = path.extension().is_some_and(|it| it == PARTIAL);
+    let target = if is_partial {
+        path.with_extension("")
+    } else {
+        path.to_owned()
+    };
+    let format = Format::of(&target)?;
+    let partial = draft::partial(&target);
+    let is_there = |path: &Path| fs::symlink_metadata(path).is_ok();
+    let source = if is_partial || is_there(&partial) {
+        partial
+    } else {
+        target.clone()
+    };
+    let metadata = fs::metadata(&source).map_err(|error| io_error(&source, error))?;
+    if !metadata.is_file() {
+        return Err(unreadable(&source, "it is no file"));
+    }
+    if source == target {
+        if is_whole(&target, format)? {
+            return Ok(Recovery::Whole(target));
+        }
+        if format == Format::Parquet {
+            return Err(unreadable(&target, "it is no Parquet file, or has no end"));
+        }
+    } else if !replace && is_there(&target) {
+        return Err(RecordingError::Exists { path: target });
+    }
+    let locked = draft::lock(&source).map_err(|error| io_error(&source, error))?;
+    let Some(_lock) = locked else {
+        return Err(RecordingError::BeingWritten { path: source });
+    };
+    if begins_with(&source, &PARQUET)? {
+        let reason = "an earlier version recorded it, as Parquet without an end: it cannot be read";
+        return Err(unreadable(&source, reason));
+    }
+    let about = About::from([(RECOVERED.to_owned(), true.to_string())]);
+    let replace = replace || source == target;
+    let recovered = rebuild(&source, &target, format, replace, &about, decode)?;
+    // If the source is damaged, keep it: only it contains the damaged bytes.
+    if source != target && recovered.damaged == 0 {
+        fs::remove_file(&source).map_err(|error| io_error(&source, error))?;
+    }
+    Ok(Recovery::Recovered(recovered))
+}
+
+/// Makes a whole file of the whole chunks of another, with `about` added to its metadata.
+pub fn rebuild(
+    source: &Path,
+    target: &Path,
+    format: Format,
+    replace: bool,
+    about: &About,
+    decode: Decode,
+) -> Result<Recovered, RecordingError> {
+    let mut draft = Draft::rebuild(target)?;
+    let mut rebuilding = Rebuilding {
+        source,
+        decode,
+        frames: 0,
+        steps: None,
+    };
+    let rebuilt = match format {
+        Format::Mcap => rebuilding.mcap(&mut draft, about),
+        Format::Parquet => rebuilding.parquet(&mut draft, about),
+    };
+    let published = rebuilt.and_then(|read| Ok((draft.publish(replace)?, read)));
+    let (bytes, read) = match published {
+        Ok(published) => published,
+        Err(error) => {
+            draft.discard();
+            return Err(error);
+        }
+    };
+    let (first_step, last_step) = rebuilding.steps.unwrap_or_default();
+    Ok(Recovered {
+        path: target.to_owned(),
+        frames: rebuilding.frames,
+        first_step,
+        last_step,
+        bytes,
+        damaged: read.damaged,
+        unread: read.unread,
+    })
+}
+
+struct Rebuilding<'a> {
+    source: &'a Path,
+    decode: Decode,
+    frames: u64,
+    /// The first and the last.
+    steps: Option<(u64, u64)>,
+}
+
+impl Rebuilding<'_> {
+    fn mcap(&mut self, draft: &mut Draft, about: &About) -> Result<Unfinished, RecordingError> {
+        let mut part = McapPart::begin(draft, &About::new())?;
+        let read = read_unfinished(self.source, |message| {
+            let mut channels = CHANNELS.iter();
+            let Some(channel) = channels.position(|(topic, _)| *topic == message.topic) else {
+                return Ok(());
+            };
+            if channel == STATE {
+                self.state(message.bytes, |_| Ok(()))?;
+            }
+            part.copy(draft, channel, &message.header, message.bytes)
+        })?;
+        part.finish(draft, &self.closing(&read, about)?)?;
+        Ok(read)
+    }
+
+    fn parquet(&mut self, draft: &mut Draft, about: &About) -> Result<Unfinished, RecordingError> {
+        let mut part = ParquetPart::begin(draft, &About::new())?;
+        let read = read_unfinished(self.source, |message| {
+            if message.topic != CHANNELS[STATE].0 {
+                return Ok(());
+            }
+            self.state(message.bytes, |frame| part.frame(draft, frame))
+        })?;
+        part.finish(draft, &self.closing(&read, about)?)?;
+        Ok(read)
+    }
+
+    fn state(
+        &mut self,
+        published: &[u8],
+        mut take: impl FnMut(&super::Frame<'_>) -> Result<(), RecordingError>,
+    ) -> Result<(), RecordingError> {
+        let mut taken = Ok(());
+        let decoded = (self.decode)(published, &mut |frame| {
+            let (first, _) = self.steps.unwrap_or((frame.step, 0));
+            self.steps = Some((first, frame.step));
+            self.frames += 1;
+            taken = take(frame);
+        });
+        decoded.map_err(|reason| {
+            let state = self.frames + 1;
+            unreadable(self.source, &format!("state {state}: {reason}"))
+        })?;
+        taken
+    }
+
+    /// The metadata of the whole file.
+    fn closing(&self, read: &Unfinished, about: &About) -> Result<About, RecordingError> {
+        if self.frames == 0 && read.damaged > 0 {
+            let reason = format!(
+                "it holds no state that can be read, and is damaged in {} places",
+                read.damaged
+            );
+            return Err(unreadable(self.source, &reason));
+        }
+        if self.frames == 0 && read.cut.is_some() {
+            let reason = "it holds no state, so there is nothing to recover: remove it";
+            return Err(unreadable(self.source, reason));
+        }
+        if read.about.is_empty() {
+            return Err(unreadable(self.source, "jostle did not record it"));
+        }
+        let mut closing = read.about.clone();
+        closing.insert(extent::FRAMES.to_owned(), self.frames.to_string());
+        closing.extend(about.clone());
+        Ok(closing)
+    }
+}
+
+/// Whether a file of its own name has an end.
+fn is_whole(path: &Path, format: Format) -> Result<bool, RecordingError> {
+    match format {
+        Format::Mcap => {
+            let read = read_unfinished(path, |_| Ok(()))?;
+            match read.damaged {
+                0 => Ok(read.cut.is_none()),
+                // Replacing it would lose what is damaged for good.
+                damaged => Err(unreadable(
+                    path,
+                    &format!(
+                        "{damaged} of its chunks are damaged: rename it to end in .mcap.partial, \
+                         and recover what is not"
+                    ),
+                )),
+            }
+        }
+        Format::Parquet => {
+            let file = File::open(path).map_err(|error| io_error(path, error))?;
+            Ok(SerializedFileReader::new(file).is_ok())
+        }
+    }
+}
+
+/// Whether a file is an MCAP file that has no end: its recording was killed, or goes on.
+///
+/// # Errors
+///
+/// When it cannot be read.
+pub fn is_unfinished(path: &Path) -> io::Result<bool> {
+    let mut file = File::open(path)?;
+    let mut first = [0; reading::MAGIC.len()];
+    match file.read_exact(&mut first) {
+        Ok(()) => {}
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(false),
+        Err(error) => return Err(error),
+    }
+    let length = file.metadata()?.len();
+    let end = length.saturating_sub(reading::MAGIC.len() as u64);
+    let last = super::bytes_at(&mut file, end, reading::MAGIC.len())?;
+    Ok(first == reading::MAGIC && last != reading::MAGIC)
+}
+
+fn begins_with(path: &Path, magic: &[u8]) -> Result<bool, RecordingError> {
+    let read = File::open(path).and_then(|file| {
+        let mut first = Vec::new();
+        file.take(magic.len() as u64).read_to_end(&mut first)?;
+        Ok(first == magic)
+    });
+    read.map_err(|error| io_error(path, error))
+}
+
+fn unreadable(path: &Path, reason: &str) -> RecordingError {
+    RecordingError::Unreadable {
+        path: path.to_owned(),
+        reason: reason.to_owned(),
+    }
+}
