@@ -17,6 +17,7 @@ use thiserror::Error;
 use crate::experiment::{
     Control, ExecuteError, Folder, FolderError, Outcome, Plan, PlanError, Progress, execute,
 };
+use crate::plural::counted;
 
 /// How often the bar is renewed and Ctrl-C looked for.
 const LOOK: Duration = Duration::from_millis(50);
@@ -201,7 +202,7 @@ fn describe(progress: &Progress) -> String {
         left_secs,
         ..
     } = progress;
-    let mut text = format!("{finished} of {runs} runs");
+    let mut text = format!("{finished} of {}", counted(*runs, "run"));
     if *faulted > 0 {
         text.push_str(&format!(", {faulted} ended early"));
     }

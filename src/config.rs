@@ -19,7 +19,7 @@ use crate::host::Limits;
 ///
 /// The name is the same in the file, as a flag (`--max-hz`) and in the environment
 /// (`JOSTLED_MAX_HZ`).
-pub const SETTINGS: [(&str, &str, &str); 15] = [
+pub const SETTINGS: [(&str, &str, &str); 16] = [
     (
         "listen",
         "tcp/127.0.0.1:7447",
@@ -77,6 +77,11 @@ pub const SETTINGS: [(&str, &str, &str); 15] = [
         "quota_mb",
         "64",
         "history kept of one swarm, in MiB; the oldest goes first",
+    ),
+    (
+        "recordings_quota_mb",
+        "10240",
+        "all recordings of the daemon together, in MiB; one that reaches it ends, its swarm steps on",
     ),
     (
         "experiment_threads",
@@ -169,6 +174,8 @@ pub struct Config {
     pub auth_dir: Option<PathBuf>,
     /// History kept of one swarm, in bytes.
     pub quota_bytes: u64,
+    /// All recordings together, in bytes.
+    pub recordings_quota_bytes: u64,
     /// Runs of an experiment at once; as many as there are cores if not given.
     pub experiment_threads: Option<NonZero<usize>>,
 }
@@ -221,11 +228,7 @@ impl Config {
     /// [`ConfigError::Value`] names the setting, its value and where it comes from.
     pub fn new(merged: &Merged) -> Result<Self, ConfigError> {
         let text = |name: &'static str| merged[name].0.trim().to_owned();
-        let listen: Vec<String> = text("listen")
-            .split(',')
-            .map(|endpoint| endpoint.trim().to_owned())
-            .filter(|endpoint| !endpoint.is_empty())
-            .collect();
+        let listen = endpoints(&text("listen"));
         if listen.is_empty() {
             return Err(wrong(merged, "listen", "at least one endpoint"));
         }
@@ -260,6 +263,8 @@ impl Config {
                 _ => NonZero::new(number(merged, "experiment_threads", 1024)? as usize),
             },
             quota_bytes: u64::from(number(merged, "quota_mb", 1 << 20)?) << 20,
+            recordings_quota_bytes: u64::from(number(merged, "recordings_quota_mb", 1 << 30)?)
+                << 20,
             listen,
             http: text("http"),
             node,
@@ -275,6 +280,12 @@ impl Config {
             },
         })
     }
+}
+
+/// The endpoints of a list with commas.
+pub fn endpoints(listen: &str) -> Vec<String> {
+    let endpoints = listen.split(',').map(|it| it.trim().to_owned());
+    endpoints.filter(|it| !it.is_empty()).collect()
 }
 
 /// What a chunk of a key is.

@@ -10,13 +10,14 @@ use std::time::{Duration, Instant};
 use thiserror::Error;
 use tracing::warn;
 
+use crate::plural::counted;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::cores::Cores;
 use crate::swarm::film::Film;
 use crate::swarm::frame::{Frame, Place, Summary};
 use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::journal::{WriteFault, Writer, to_nowhere};
-use crate::swarm::order::{Admit, Recipe};
+use crate::swarm::order::{Admit, Recipe, Resize};
 use crate::swarm::outcome::{Answer, OrderError, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::player::Player;
@@ -65,7 +66,10 @@ pub enum HostError {
     #[error("an equal swarm of this name exists: take it with exist_ok")]
     SameSpec,
     /// There are as many swarms as there may be.
-    #[error("the daemon hosts its {limit} swarms: delete one, or raise max_swarms")]
+    #[error(
+        "the daemon hosts {} already, its limit: delete one, or raise max_swarms",
+        counted(*.limit, "swarm")
+    )]
     TooManySwarms {
         /// The limit.
         limit: usize,
@@ -435,12 +439,13 @@ impl Host {
         Ok(())
     }
 
-    /// Sets memory aside for a swarm that is to have `n` individuals.
-    fn resize(&self, name: &str, n: usize) -> Result<(), OrderError> {
+    /// Reserves memory for a swarm that is to have another size.
+    fn resize(&self, name: &str, size: Resize) -> Result<(), OrderError> {
         let limit = self.limits.max_individuals;
-        if n > limit {
-            return Err(OrderError::TooMany { n, limit });
-        }
+        let n = match size {
+            Resize::Grow(n) if n > limit => return Err(OrderError::TooMany { n, limit }),
+            Resize::Grow(n) | Resize::Return(n) => n,
+        };
         let mut hosted = self.lock();
         let (total, needed) = (hosted.memory_bytes, memory_of(n));
         let Some(entry) = hosted.swarms.get_mut(name) else {
@@ -510,7 +515,7 @@ impl Host {
     ) -> Result<Result<Guest, End>, OrderError> {
         let name = &handle.outlet.name;
         let (host, swarm) = (self.clone(), name.clone());
-        let admit: Admit = Box::new(move |n| host.resize(&swarm, n));
+        let admit: Admit = Box::new(move |size| host.resize(&swarm, size));
         let shortest = Duration::from_secs(1) / self.limits.max_hz.max(1);
         let writer = (self.archive)(name);
         match beginning {

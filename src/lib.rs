@@ -16,6 +16,9 @@
 //!
 //! How a swarm is recorded: [`recording`] taps what it shows and writes it to files.
 //!
+//! How a data folder is backed up: [`backup`] copies what [`store`], [`lab`] and [`recording`] have
+//! written, in a process of its own.
+//!
 //! Who may do what: [`rights`] knows the people, [`server`] asks it of every command, and zenoh's access
 //! control, which [`server`] sets, stands before both.
 //!
@@ -40,12 +43,14 @@ pub mod lab;
 
 pub mod recording;
 
+pub mod backup;
 pub mod batch;
 pub mod command;
 pub mod config;
 pub mod demo;
 pub mod gateway;
 pub mod health;
+pub mod plural;
 pub mod process;
 pub mod publish;
 pub mod replay;

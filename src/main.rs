@@ -8,7 +8,10 @@ use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::time::Duration;
 
-use clap::{Args, CommandFactory, Parser, Subcommand};
+use clap::error::ErrorKind;
+use clap::parser::ValueSource;
+use clap::{Arg, ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
+use jostled::backup::{self, BackupError, Manifest};
 use jostled::batch;
 use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
 use jostled::demo;
@@ -22,7 +25,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tracing::warn;
 use tracing_subscriber::EnvFilter;
 
-use crate::people::Auth;
+use crate::people::{Auth, give_rights};
 
 /// Files that are open beside one for each client: the store's, recordings, pages, swarms' wakers.
 const FILES_OF_ITS_OWN: u64 = 500;
@@ -69,6 +72,25 @@ enum Command {
         #[arg(long, conflicts_with = "output")]
         dry_run: bool,
     },
+    /// Take a backup of the data folder, while the daemon runs or not: swarms with their history,
+    /// experiments and recordings, but no secrets.
+    Backup {
+        /// Where; the folder is made.
+        #[arg(value_name = "FOLDER")]
+        target: PathBuf,
+        /// As JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Restore a backup into the data folder, which must be empty, or not there yet.
+    Restore {
+        /// The folder of the backup.
+        #[arg(value_name = "FOLDER")]
+        source: PathBuf,
+        /// As JSON.
+        #[arg(long)]
+        json: bool,
+    },
     /// Say what the settings are, and serve nothing.
     Config {
         #[command(subcommand)]
@@ -82,7 +104,7 @@ enum Command {
     /// Print the manual page, or write one for each command.
     Man {
         /// Write the pages into this folder.
-        #[arg(long, value_name = "FOLDER")]
+        #[arg(short, long, value_name = "FOLDER")]
         out: Option<PathBuf>,
     },
 }
@@ -145,6 +167,9 @@ struct Settings {
     /// History kept of one swarm, in MiB [default: 64].
     #[arg(long, global = true, value_name = "MIB")]
     quota_mb: Option<String>,
+    /// All recordings of the daemon together, in MiB [default: 10240].
+    #[arg(long, global = true, value_name = "MIB")]
+    recordings_quota_mb: Option<String>,
     /// States published per second and swarm [default: 50].
     #[arg(long, global = true, value_name = "N")]
     max_hz: Option<String>,
@@ -171,6 +196,7 @@ impl Settings {
             ("data_dir", self.data_dir),
             ("auth_dir", self.auth_dir),
             ("quota_mb", self.quota_mb),
+            ("recordings_quota_mb", self.recordings_quota_mb),
         ];
         // What is not UTF-8 is not passed over: it is refused as what it then reads.
         let environment = std::env::vars_os().map(|(name, value)| {
@@ -181,9 +207,70 @@ impl Settings {
     }
 }
 
+/// Whether a setting has an effect on a command, such as `config default`.
+fn has_effect(setting: &str, command: &str) -> bool {
+    match command {
+        "config default" | "man" | "run" => false,
+        // The node's name is part of the data folder's default.
+        "backup" | "restore" => ["config", "data_dir", "node"].contains(&setting),
+        "auth address" | "auth init" => ["auth_dir", "config", "http", "listen"].contains(&setting),
+        command if command.starts_with("auth ") => ["auth_dir", "config"].contains(&setting),
+        _ => true,
+    }
+}
+
+/// The command line; each command offers the settings that have an effect on it.
+fn command_line() -> clap::Command {
+    let settings = Settings::augment_args(clap::Command::new("settings"));
+    let settings: Vec<Arg> = settings.get_arguments().cloned().collect();
+    hide_unused(Arguments::command(), "", &settings)
+}
+
+/// Hides the settings without effect from the commands below `command`.
+fn hide_unused(command: clap::Command, of: &str, settings: &[Arg]) -> clap::Command {
+    command.mut_subcommands(|command| {
+        let name = joined(of, command.get_name());
+        if command.has_subcommands() {
+            return hide_unused(command, &name, settings);
+        }
+        let unused = settings
+            .iter()
+            .filter(|it| !has_effect(it.get_id().as_str(), &name));
+        // In the place of the one that holds for all commands.
+        command.args(unused.map(|setting| setting.clone().hide(true)))
+    })
+}
+
+/// Refuses a setting that is on the command line and has no effect on the command.
+fn refuse_unused(matches: &ArgMatches) -> Result<(), clap::Error> {
+    let (mut name, mut level) = (String::new(), matches);
+    while let Some((command, deeper)) = level.subcommand() {
+        (name, level) = (joined(&name, command), deeper);
+    }
+    let names = config::SETTINGS.map(|(name, ..)| name);
+    for setting in names.into_iter().chain(["config"]) {
+        let is_given = level.value_source(setting) == Some(ValueSource::CommandLine);
+        if is_given && !has_effect(setting, &name) {
+            let option = setting.replace('_', "-");
+            let problem = format!("--{option} has no effect on `jostled {name}`: leave it out");
+            return Err(command_line().error(ErrorKind::ArgumentConflict, problem));
+        }
+    }
+    Ok(())
+}
+
+fn joined(of: &str, command: &str) -> String {
+    format!("{of} {command}").trim_start().to_owned()
+}
+
 fn main() -> ExitCode {
     process::settle();
-    let Arguments { command, settings } = Arguments::parse();
+    let matches = command_line().get_matches();
+    if let Err(error) = refuse_unused(&matches) {
+        error.exit();
+    }
+    let Arguments { command, settings } =
+        Arguments::from_arg_matches(&matches).unwrap_or_else(|error| error.exit());
     let command = command.unwrap_or(Command::Serve);
     if let Command::Config {
         command: Show::Default,
@@ -223,10 +310,7 @@ fn main() -> ExitCode {
         "warn,zenoh=error".clone_into(log);
     }
     if let Command::Auth { command } = command {
-        return match people::give_rights(merged["auth_dir"].0.trim(), &command) {
-            Ok(told) => show(&told),
-            Err((code, problem)) => fail(code, &problem),
-        };
+        return auth(&merged, &command);
     }
     let mut temporary = None;
     if let (Command::Demo { .. }, Some((folder, Source::Default))) =
@@ -245,6 +329,19 @@ fn main() -> ExitCode {
         Ok(config) => config,
         Err(error) => return fail(2, &error),
     };
+    // Tests make the process fail at named points; elsewhere the variable is not set.
+    let _failing = std::env::var_os("FAILPOINTS").map(|_| fail::FailScenario::setup());
+    match &command {
+        Command::Backup { target, json } => {
+            let taken = backup::take(&config.data_dir, target);
+            return conclude("backed up", taken, target, *json);
+        }
+        Command::Restore { source, json } => {
+            let restored = backup::restore(source, &config.data_dir);
+            return conclude("restored", restored, &config.data_dir, *json);
+        }
+        _ => {}
+    }
     let filter = match EnvFilter::try_new(&config.log) {
         Ok(filter) => filter,
         Err(error) => {
@@ -253,7 +350,12 @@ fn main() -> ExitCode {
         }
     };
     let demo = match command {
-        Command::Serve | Command::Run { .. } | Command::Auth { .. } | Command::Man { .. } => None,
+        Command::Serve
+        | Command::Run { .. }
+        | Command::Auth { .. }
+        | Command::Man { .. }
+        | Command::Backup { .. }
+        | Command::Restore { .. } => None,
         Command::Demo { lasting } => Some(lasting),
         Command::Config { command } => {
             if let Err(error) = session::check(&config.listen, config.auth_dir.is_some()) {
@@ -279,11 +381,9 @@ fn main() -> ExitCode {
         logs.init();
     }
     open_many(config.max_clients);
-    // Tests make the daemon fail at named points; elsewhere the variable is not set.
-    let _failing = std::env::var_os("FAILPOINTS").map(|points| {
+    if let Some(points) = std::env::var_os("FAILPOINTS") {
         warn!(?points, "set to fail");
-        fail::FailScenario::setup()
-    });
+    }
     // zenoh needs a runtime of several threads.
     let runtime = tokio::runtime::Builder::new_multi_thread()
         .worker_threads(2)
@@ -303,6 +403,58 @@ fn main() -> ExitCode {
         let _ = temporary.close();
     }
     signal_hook::low_level::exit(code)
+}
+
+/// Changes or shows who may do what, and where the daemon is reached.
+fn auth(merged: &Merged, command: &Auth) -> ExitCode {
+    let set = |name: &str| match &merged[name] {
+        (_, Source::Default) => None,
+        (text, _) => Some(text.trim().to_owned()),
+    };
+    let is_flag = |name: &str| matches!(merged[name].1, Source::Flag(_));
+    let settings = people::Settings {
+        listen: set("listen").map(|listen| config::endpoints(&listen)),
+        http: set("http"),
+        are_flags: is_flag("listen") || is_flag("http"),
+    };
+    if let Some(listen) = &settings.listen {
+        if listen.is_empty() {
+            return fail(2, &"--listen takes at least one endpoint");
+        }
+        if let Err(error) = session::check(listen, true) {
+            return fail(2, &error);
+        }
+    }
+    if let Some(http) = &settings.http
+        && let Err(error) = gateway::check(http, true)
+    {
+        return fail(2, &error);
+    }
+    match give_rights(merged["auth_dir"].0.trim(), &settings, command) {
+        Ok(told) => show(&told),
+        Err((code, problem)) => fail(code, &problem),
+    }
+}
+
+/// Prints what a backup or a restoration has written, and where.
+fn conclude(
+    done: &str,
+    manifest: Result<Manifest, BackupError>,
+    folder: &Path,
+    as_json: bool,
+) -> ExitCode {
+    match manifest {
+        Ok(manifest) if as_json => show(&format!("{}\n", manifest.summary(folder))),
+        Ok(manifest) => {
+            let Manifest { swarms, files, .. } = &manifest;
+            let mebibytes = manifest.bytes().div_ceil(1024 * 1024);
+            let (folder, files) = (folder.display(), files.len());
+            show(&format!(
+                "{done}: swarms: {swarms}, files: {files}, {mebibytes} MiB in {folder}\n"
+            ))
+        }
+        Err(error) => fail(1, &error),
+    }
 }
 
 /// Has as many files open as the system lets it, since each client takes one, and a shell often
@@ -349,7 +501,7 @@ async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
             true => link,
             false => {
                 let bare = link.split('#').next().unwrap_or_default();
-                let file = Token::file(&config.data_dir);
+                let file = Token::file_in(&config.data_dir);
                 format!("{bare} with the token in {}", file.display())
             }
         };
@@ -431,7 +583,7 @@ fn show(text: &str) -> ExitCode {
 
 /// Prints the manual page, or writes a page for each command into `folder`.
 fn manual(folder: Option<&Path>) -> ExitCode {
-    let command = Arguments::command();
+    let command = command_line();
     let written = match folder {
         Some(folder) => {
             std::fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(command, folder))
@@ -484,7 +636,7 @@ mod tests {
 
     #[test]
     fn the_flags_are_consistent_and_there_is_one_for_every_setting() {
-        let command = Arguments::command();
+        let command = command_line();
         command.clone().debug_assert();
         for (name, ..) in config::SETTINGS {
             let flag = name.replace('_', "-");
@@ -494,6 +646,69 @@ mod tests {
                     .any(|it| it.get_long() == Some(flag.as_str())),
                 "--{flag}"
             );
+        }
+    }
+
+    #[test]
+    fn a_command_offers_the_settings_that_have_an_effect_on_it_and_refuses_others() {
+        let read = |line: &str| {
+            let words = ["jostled"].into_iter().chain(line.split(' '));
+            let matches = command_line().try_get_matches_from(words)?;
+            refuse_unused(&matches)
+        };
+        for line in [
+            "--listen tcp/127.0.0.1:1 serve",
+            "demo --node a --for 3s",
+            "config explain --max-swarms 3",
+            "--auth-dir a auth list",
+            "auth init --auth-dir a",
+            "auth address --auth-dir a --listen tls/127.0.0.1:1 --http https://127.0.0.1:2",
+        ] {
+            assert!(read(line).is_ok(), "{line}");
+        }
+        for line in [
+            "--listen tcp/127.0.0.1:1 man",
+            "man --log info",
+            "run order.toml -o results --experiment-threads 2",
+            "--config a.toml run order.toml -o results",
+            "config default --node a",
+            "config --node a default",
+            "auth list --auth-dir a --max-hz 3",
+        ] {
+            let error = read(line).expect_err(line).to_string();
+            assert!(error.contains("has no effect on `jostled "), "{error}");
+        }
+
+        let mut command = command_line();
+        command.build();
+        let is_offered = |name: &str, setting: &str| {
+            let mut of = &command;
+            for word in name.split(' ') {
+                of = of.find_subcommand(word).expect(name);
+            }
+            let mut arguments = of.get_arguments();
+            arguments.any(|it| it.get_id() == setting && !it.is_hide_set())
+        };
+        let settings = config::SETTINGS.map(|(name, ..)| name);
+        for name in [
+            "serve",
+            "demo",
+            "run",
+            "man",
+            "backup",
+            "restore",
+            "config explain",
+            "config default",
+            "auth init",
+            "auth address",
+            "auth add",
+            "auth remove",
+            "auth list",
+        ] {
+            for setting in settings.into_iter().chain(["config"]) {
+                let has_effect = has_effect(setting, name);
+                assert_eq!(is_offered(name, setting), has_effect, "{name} {setting}");
+            }
         }
     }
 

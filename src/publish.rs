@@ -41,6 +41,8 @@ const MOST_AT_ONCE: Duration = MOST_GATHERED.saturating_mul(2);
 pub struct Publication {
     outlet: Arc<Outlet>,
     frames: AtomicU64,
+    /// Whether the outlet's frames and events are discarded instead of published.
+    is_silent: AtomicBool,
     publishers: Publishers,
 }
 
@@ -145,12 +147,20 @@ impl Press {
         let publication = Arc::new(Publication {
             outlet,
             frames: AtomicU64::new(0),
+            is_silent: AtomicBool::new(false),
             publishers,
         });
         self.lock().insert(swarm.to_owned(), publication);
         // What was put there before is still to be published.
         self.ring(swarm);
         Ok(())
+    }
+
+    /// Stops or resumes publishing a swarm whose name another daemon also holds.
+    pub fn silence(&self, swarm: &str, is_silent: bool) {
+        if let Some(publication) = self.find(swarm) {
+            publication.is_silent.store(is_silent, Ordering::Relaxed);
+        }
     }
 
     /// Publishes what is left of a swarm, then no more, and then calls `closed`.
@@ -238,6 +248,9 @@ impl Publication {
     fn publish(&self, swarm: &str) {
         let publishers = &self.publishers;
         let (mut frames, events) = self.outlet.take();
+        if self.is_silent.load(Ordering::Relaxed) {
+            return;
+        }
         for event in events {
             let Payload { bytes, .. } = Payload::json(&wire::event(swarm, event, refusal));
             report(swarm, publishers.event.put(bytes).wait());

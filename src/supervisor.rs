@@ -12,6 +12,7 @@ use tracing::warn;
 
 use crate::health::{Reason, Watch};
 use crate::host::Host;
+use crate::plural::counted;
 
 /// How often is told how it is, where there is no watchdog.
 const PERIOD: Duration = Duration::from_secs(10);
@@ -55,10 +56,7 @@ fn tell(news: &[NotifyState]) {
 
 /// How it is, in a line.
 fn status(swarms: usize, reasons: &[Reason]) -> String {
-    let swarms = match swarms {
-        1 => "1 swarm".to_owned(),
-        count => format!("{count} swarms"),
-    };
+    let swarms = counted(swarms, "swarm");
     if reasons.is_empty() {
         return format!("{swarms}, all is well");
     }

@@ -1,7 +1,7 @@
 //! Why a request was refused, and the code, words and details it is refused with.
 
 use jostle_proto::role::refused;
-use jostle_proto::{Error, ErrorCode, RequestError, keys};
+use jostle_proto::{Claimant, Error, ErrorCode, RequestError, claim, keys};
 use serde_json::{Map, Value, json};
 use thiserror::Error as ThisError;
 
@@ -110,7 +110,7 @@ pub enum CommandError {
     )]
     OtherRequest(String),
     /// A snapshot cannot be one.
-    #[error("the snapshot is none that this daemon can restore: {0}")]
+    #[error("not a snapshot that this daemon can restore: {0}")]
     Snapshot(String),
     /// A snapshot that one message does not carry.
     #[error(
@@ -137,13 +137,29 @@ pub enum CommandError {
     /// It takes other rights.
     #[error(transparent)]
     NotPermitted(#[from] NotPermitted),
+    /// Another daemon holds the name, too, and has executed commands on it.
+    #[error("{}", claim::refused(swarm.as_deref(), claimants).message)]
+    Contested {
+        /// The swarm; `None` for the daemon's own name.
+        swarm: Option<String>,
+        /// Both daemons.
+        claimants: [Claimant; 2],
+    },
+    /// The name of a new swarm is claimed by another daemon.
+    #[error(
+        "daemon {0:?} claims this name: choose another name, or delete the swarm of this name there"
+    )]
+    Claimed(String),
     /// A defect of the daemon.
     #[error("a defect of the daemon: nothing was changed; please report what you sent")]
     Internal,
     /// More clients are connected than there may be.
     #[error(
-        "more than the daemon's {limit} clients are connected: close one, or raise max_clients \
-         and start it again"
+        "more than the daemon's {} connected: close one, or raise max_clients and start it again",
+        match .limit {
+            1 => "1 client is".to_owned(),
+            limit => format!("{limit} clients are"),
+        }
     )]
     TooManyClients {
         /// The limit.
@@ -267,6 +283,8 @@ impl CommandError {
             CommandError::Snapshot(_) => ErrorCode::InvalidArgument,
             CommandError::NotReached { .. } | CommandError::History(_) => ErrorCode::Conflict,
             CommandError::NotPermitted(_) => ErrorCode::PermissionDenied,
+            CommandError::Contested { .. } => ErrorCode::Contested,
+            CommandError::Claimed(_) => ErrorCode::AlreadyExists,
             CommandError::Internal => ErrorCode::Internal,
             CommandError::TooLong { .. }
             | CommandError::SnapshotTooLong { .. }
@@ -303,11 +321,13 @@ impl CommandError {
                 LabError::Stopping => ErrorCode::Busy,
             },
             CommandError::Record(error) => match error {
-                RecordError::Unknown(_) => ErrorCode::NotFound,
+                RecordError::Unknown(_) | RecordError::NoPart { .. } => ErrorCode::NotFound,
+                RecordError::NoOffset { .. } => ErrorCode::InvalidArgument,
                 RecordError::Exists(_) => ErrorCode::AlreadyExists,
                 RecordError::Failed(_) => ErrorCode::IncorrectState,
                 RecordError::TooMany(_)
                 | RecordError::TooManyKept(_)
+                | RecordError::OverQuota { .. }
                 | RecordError::NoThread(_) => ErrorCode::ResourceExhausted,
                 RecordError::Unkept(_) => ErrorCode::StorageFull,
                 RecordError::Ending(_) | RecordError::Stopping => ErrorCode::Busy,
@@ -334,7 +354,9 @@ impl CommandError {
                 | OrderError::Superseded => ErrorCode::Conflict,
                 OrderError::InBatch { error, .. } => CommandError::Order((**error).clone()).code(),
                 OrderError::Panicked => ErrorCode::Internal,
-                OrderError::Film(_) => ErrorCode::InvalidArgument,
+                OrderError::Film(_) | OrderError::OutsideRecording { .. } => {
+                    ErrorCode::InvalidArgument
+                }
                 OrderError::Parameters(_)
                 | OrderError::Selection(_)
                 | OrderError::NobodyLeft(_) => ErrorCode::InvalidArgument,
@@ -389,6 +411,10 @@ impl CommandError {
             CommandError::Individuals { n, limit } => {
                 json!({"field": "n", "value": n, "range": format!("[1, {limit}]")})
             }
+            CommandError::Contested { swarm, claimants } => {
+                return claim::refused(swarm.as_deref(), claimants).details;
+            }
+            CommandError::Claimed(node) => json!({"node": node}),
             CommandError::Snapshot(_) => named("snapshot", Value::Null, range_of("snapshot")),
             CommandError::Parameter { name, known } => json!({"field": name, "known": known}),
             CommandError::Twice(name) => json!({"field": name}),
@@ -430,6 +456,14 @@ impl CommandError {
             CommandError::Order(OrderError::Past { until, step }) => {
                 json!({"field": "until_step", "until": until, "step": step})
             }
+            CommandError::Order(OrderError::OutsideRecording {
+                field,
+                value,
+                first,
+                last,
+            }) => {
+                json!({"field": field, "value": value, "range": format!("[{first}, {last}]")})
+            }
             CommandError::Order(OrderError::Late { at_step, step }) => {
                 json!({"field": "at_step", "at_step": at_step, "step": step})
             }
@@ -456,6 +490,15 @@ impl CommandError {
             }
             CommandError::Record(RecordError::TooMany(limit) | RecordError::TooManyKept(limit)) => {
                 json!({"limit": limit})
+            }
+            CommandError::Record(RecordError::OverQuota { used, quota }) => {
+                json!({"bytes": used, "limit": quota})
+            }
+            CommandError::Record(RecordError::NoPart { part, .. }) => {
+                json!({"field": "part", "value": part})
+            }
+            CommandError::Record(RecordError::NoOffset { offset, .. }) => {
+                json!({"field": "offset", "value": offset})
             }
             CommandError::OtherRequest(id) => json!({"field": "request_id", "value": id}),
             CommandError::Order(OrderError::NoMemory { n, needed, free }) => {
@@ -581,6 +624,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "rate" => "a number above 0, at most 1e6, or null for as fast as possible",
         "until_step" => "a whole number from 0 to 9007199254740991",
         "until_time" => "a number from 0 to 1e12",
+        "steps" if field == "begin.steps" => "a whole number from 1 to 9007199254740991",
         "steps" => "a whole number from 1 to 1e9",
         "bytes" => "base64 of a piece of the file",
         "offset" | "length" => "a whole number of bytes",
@@ -605,7 +649,9 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "deadline_secs" => "a number above 0, at most 60",
         "on_timeout" => "\"hold\", \"free\" or \"pause\"",
         "set" => "{\"ids\": […], \"direction\": […]}, \"weight\": […] if wanted",
-        "make_room" | "exist_ok" | "again" | "driving" => "true or false",
+        "make_room" | "exist_ok" | "again" | "driving" | "drop_when_behind" | "temporary" => {
+            "true or false"
+        }
         "timeout_secs" => "a number above 0, at most 3600",
         "at_step" => "a whole number from 0 to 9007199254740991",
         "expect_step" | "expect_epoch" | "step" | "after" => "a whole number, 0 or more",
@@ -614,10 +660,11 @@ pub fn range_of(field: &str) -> Option<&'static str> {
             "a list of 1 to 256 of {\"verb\": \"set\" | \"inform\" | \"uninform\" | \"inject\" | \
              \"remove\", \"args\": {…}}"
         }
+        "part" => "a whole number, 0 or more",
         "phase" => "paused, running or faulted",
         "format" if field == "begin.format" => "\"mcap\" or \"parquet\"",
         "format" => "json or cbor",
-        "every" => "a whole number from 1 to 9007199254740991",
+        "every" | "max_bytes" => "a whole number from 1 to 9007199254740991",
         "request_id" | "client" => "at most 256 bytes of text, each character to be seen",
         "name" | "controller" | "recording" | "swarm" => keys::NAME_RULE,
         _ => return None,

@@ -23,7 +23,7 @@ pub fn seek(args: SeekArgs) -> Result<Seek, CommandError> {
         (None, None, Some(share)) => Err(WireError::out_of_range("fraction", share).into()),
         _ => Err(CommandError::Field {
             field: "args",
-            problem: "names no one place: give one of step, time and fraction",
+            problem: "must have exactly one of step, time and fraction",
         }),
     }
 }

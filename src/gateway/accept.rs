@@ -22,7 +22,7 @@ use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 use tokio_rustls::TlsAcceptor;
 
-use crate::gateway::connections::{Connections, Slot};
+use crate::gateway::connections::{CloseReason, Connections, Slot};
 
 /// The time for a TLS handshake.
 const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(5);
@@ -48,13 +48,13 @@ pub async fn accept(
     connections: Arc<Connections>,
 ) {
     let (_running, stopped) = watch::channel(());
-    let mut failures = Failures::default();
+    let mut logged = None;
     loop {
         fail_point!("http-accept", |_| ());
         let (stream, peer) = match listener.accept().await {
             Ok(accepted) => accepted,
             Err(error) => {
-                failures.record(&error);
+                record_failure(&error, &connections, &mut logged);
                 sleep(ACCEPT_RETRY).await;
                 continue;
             }
@@ -83,8 +83,11 @@ async fn serve(
     let Some(acceptor) = acceptor else {
         return serve_http(stream, router, slot, stopped).await;
     };
-    if let Ok(Ok(stream)) = timeout(HANDSHAKE_TIMEOUT, acceptor.accept(stream)).await {
-        serve_http(stream, router, slot, stopped).await;
+    match timeout(HANDSHAKE_TIMEOUT, acceptor.accept(stream)).await {
+        Ok(Ok(stream)) => serve_http(stream, router, slot, stopped).await,
+        // The client has gone, or does not speak TLS.
+        Ok(Err(_)) => {}
+        Err(_) => slot.count_closed(CloseReason::HandshakeTimeout),
     }
 }
 
@@ -98,8 +101,9 @@ async fn serve_http<Stream>(
     Stream: AsyncRead + AsyncWrite + Send + Unpin + 'static,
 {
     let router = TowerToHyperService::new(router);
+    let served = slot.clone();
     let service = service_fn(move |mut request: hyper::Request<Incoming>| {
-        request.extensions_mut().insert(slot.clone());
+        request.extensions_mut().insert(served.clone());
         router.call(request)
     });
     let connection = http1::Builder::new()
@@ -110,7 +114,12 @@ async fn serve_http<Stream>(
     let mut connection = std::pin::pin!(connection);
     tokio::select! {
         // An error is the client's: it has gone, timed out, or does not speak HTTP.
-        _ = connection.as_mut() => return,
+        ended = connection.as_mut() => {
+            if ended.is_err_and(|error| error.is_timeout()) {
+                slot.count_closed(CloseReason::HeaderTimeout);
+            }
+            return;
+        }
         // The sender is dropped with the accept loop.
         _ = stopped.changed() => {}
     }
@@ -135,10 +144,14 @@ impl<S: Send + Sync> FromRequest<S> for WholeBody {
     type Rejection = Response;
 
     async fn from_request(request: Request, state: &S) -> Result<Self, Response> {
+        let slot = request.extensions().get::<Arc<Slot>>().cloned();
         match timeout(BODY_TIMEOUT, Bytes::from_request(request, state)).await {
             Ok(Ok(body)) => Ok(WholeBody(body)),
             Ok(Err(rejection)) => Err(rejection.into_response()),
             Err(_) => {
+                if let Some(slot) = slot {
+                    slot.count_closed(CloseReason::BodyTimeout);
+                }
                 let message = format!("the body did not arrive within {BODY_TIMEOUT:?}\n");
                 let close = [(CONNECTION, HeaderValue::from_static("close"))];
                 Err((StatusCode::REQUEST_TIMEOUT, close, message).into_response())
@@ -147,19 +160,11 @@ impl<S: Send + Sync> FromRequest<S> for WholeBody {
     }
 }
 
-/// The accepts that have failed.
-#[derive(Default)]
-struct Failures {
-    count: u64,
-    logged: Option<Instant>,
-}
-
-impl Failures {
-    fn record(&mut self, error: &std::io::Error) {
-        self.count += 1;
-        if self.logged.is_none_or(|at| at.elapsed() >= LOG_INTERVAL) {
-            self.logged = Some(Instant::now());
-            tracing::warn!(%error, failures = self.count, "cannot accept HTTP connections");
-        }
+/// Counts an accept that failed, and logs it unless another was logged lately.
+fn record_failure(error: &std::io::Error, connections: &Connections, logged: &mut Option<Instant>) {
+    let failures = connections.count_accept_failure();
+    if logged.is_none_or(|at| at.elapsed() >= LOG_INTERVAL) {
+        *logged = Some(Instant::now());
+        tracing::warn!(%error, failures, "cannot accept HTTP connections");
     }
 }

@@ -8,9 +8,10 @@ use axum::http::StatusCode;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::{IntoResponse, Response};
 use jostle_proto::{Error, ErrorCode};
-use zenoh::Session;
+use tokio::task::spawn_blocking;
 use zenoh::bytes::Encoding;
 use zenoh::key_expr::KeyExpr;
+use zenoh::{Session, Wait};
 
 /// Longer than any `timeout_secs` that a page gives; the daemon answers before.
 const PATIENCE: Duration = Duration::from_secs(70);
@@ -66,20 +67,26 @@ impl Bus {
             "" => key,
             parameters => format!("{key}?{}", parameters.replace('&', ";")),
         };
-        let mut query = self.session.get(selector).timeout(PATIENCE);
-        if let Some(request) = request {
-            query = query
-                .payload(request.to_vec())
-                .encoding(Encoding::APPLICATION_JSON);
-        }
-        if let Some(token) = token {
-            query = query.attachment(token);
-        }
+        let (session, token) = (self.session.clone(), token.map(str::to_owned));
+        let sending = move || {
+            let mut query = session.get(selector).timeout(PATIENCE);
+            if let Some(request) = request {
+                query = query
+                    .payload(request.to_vec())
+                    .encoding(Encoding::APPLICATION_JSON);
+            }
+            if let Some(token) = token {
+                query = query.attachment(token);
+            }
+            query.wait()
+        };
         let silence = || {
             let told = format!("nothing answers under {rest:?}: look at the list of swarms");
             told_of(ErrorCode::NotFound, told)
         };
-        let answers = query.await.map_err(|_| silence())?;
+        // zenoh blocks the thread that sends while it removes what a session has declared.
+        let answers = spawn_blocking(sending).await.map_err(|_| silence())?;
+        let answers = answers.map_err(|_| silence())?;
         let answer = answers.recv_async().await.map_err(|_| silence())?;
         let (is_ok, payload, encoding) = match answer.result() {
             Ok(sample) => (true, sample.payload(), sample.encoding()),
@@ -139,9 +146,10 @@ fn status(code: ErrorCode) -> StatusCode {
     match code {
         ErrorCode::NotFound => StatusCode::NOT_FOUND,
         ErrorCode::InvalidArgument => StatusCode::BAD_REQUEST,
-        ErrorCode::AlreadyExists | ErrorCode::Conflict | ErrorCode::IncorrectState => {
-            StatusCode::CONFLICT
-        }
+        ErrorCode::AlreadyExists
+        | ErrorCode::Conflict
+        | ErrorCode::Contested
+        | ErrorCode::IncorrectState => StatusCode::CONFLICT,
         ErrorCode::PermissionDenied => StatusCode::FORBIDDEN,
         ErrorCode::ResourceExhausted | ErrorCode::Busy => StatusCode::TOO_MANY_REQUESTS,
         ErrorCode::StorageFull => StatusCode::INSUFFICIENT_STORAGE,

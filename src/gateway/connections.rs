@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 use std::net::IpAddr;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -27,11 +28,61 @@ pub fn max_connections() -> usize {
     quarter.clamp(1, MAX_CONNECTIONS)
 }
 
+/// Why the daemon closed a connection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum CloseReason {
+    /// The cap was reached, and another connection took its place.
+    Evicted,
+    /// The cap was reached, and no other connection could be evicted for it.
+    Refused,
+    /// The TLS handshake took too long.
+    HandshakeTimeout,
+    /// The header of a request took too long.
+    HeaderTimeout,
+    /// The body of a request took too long.
+    BodyTimeout,
+}
+
+impl CloseReason {
+    /// All of them.
+    const ALL: [CloseReason; 5] = [
+        CloseReason::Evicted,
+        CloseReason::Refused,
+        CloseReason::HandshakeTimeout,
+        CloseReason::HeaderTimeout,
+        CloseReason::BodyTimeout,
+    ];
+
+    /// Its label in the metrics.
+    fn label(self) -> &'static str {
+        match self {
+            CloseReason::Evicted => "evicted",
+            CloseReason::Refused => "refused",
+            CloseReason::HandshakeTimeout => "handshake_timeout",
+            CloseReason::HeaderTimeout => "header_timeout",
+            CloseReason::BodyTimeout => "body_timeout",
+        }
+    }
+}
+
+/// The connections in numbers.
+#[derive(Debug)]
+pub struct HttpFigures {
+    /// Open connections.
+    pub open: u64,
+    /// Accepts that failed.
+    pub accept_failures: u64,
+    /// Connections that the daemon closed, by the label of the reason.
+    pub closed: [(&'static str, u64); 5],
+}
+
 /// The registry of open connections.
 pub struct Connections {
     max: usize,
     max_per_peer: usize,
     registry: Mutex<Registry>,
+    accept_failures: AtomicU64,
+    closed: [AtomicU64; 5],
 }
 
 #[derive(Default)]
@@ -55,7 +106,31 @@ impl Connections {
             max,
             max_per_peer: (max / 4).max(1),
             registry: Mutex::default(),
+            accept_failures: AtomicU64::new(0),
+            closed: Default::default(),
         })
+    }
+
+    /// Counts an accept that failed; returns how many have.
+    pub fn count_accept_failure(&self) -> u64 {
+        self.accept_failures.fetch_add(1, Ordering::Relaxed) + 1
+    }
+
+    /// Counts a connection that the daemon closed.
+    pub fn count_closed(&self, reason: CloseReason) {
+        self.closed[reason as usize].fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The connections in numbers.
+    pub fn figures(&self) -> HttpFigures {
+        HttpFigures {
+            open: self.lock().entries.len() as u64,
+            accept_failures: self.accept_failures.load(Ordering::Relaxed),
+            closed: CloseReason::ALL.map(|reason| {
+                let count = self.closed[reason as usize].load(Ordering::Relaxed);
+                (reason.label(), count)
+            }),
+        }
     }
 
     /// Registers a connection. At the cap, evicts the connection without an open WebSocket that has
@@ -65,10 +140,14 @@ impl Connections {
         let mut registry = self.lock();
         let of_peer = |entry: &Entry| entry.peer == peer;
         let used = registry.entries.values().filter(|it| of_peer(it)).count();
-        if !peer.to_canonical().is_loopback() && used >= self.max_per_peer {
-            registry.evict(of_peer)?;
-        } else if registry.entries.len() >= self.max {
-            registry.evict(|_| true)?;
+        let is_peer_full = !peer.to_canonical().is_loopback() && used >= self.max_per_peer;
+        if is_peer_full || registry.entries.len() >= self.max {
+            let evicted = registry.evict(|entry| !is_peer_full || of_peer(entry));
+            if evicted.is_none() {
+                self.count_closed(CloseReason::Refused);
+                return None;
+            }
+            self.count_closed(CloseReason::Evicted);
         }
         let id = registry.next_id;
         registry.next_id += 1;
@@ -113,6 +192,11 @@ impl Slot {
     /// Completes when the connection is evicted.
     pub async fn evicted(&self) {
         self.evicted.notified().await;
+    }
+
+    /// Counts the connection as closed by the daemon.
+    pub fn count_closed(&self, reason: CloseReason) {
+        self.connections.count_closed(reason);
     }
 
     /// Records that a request was answered.
@@ -233,6 +317,11 @@ mod tests {
         slots[1].upgrade();
         fourth.upgrade();
         assert!(connections.register(LOCAL).is_none(), "all are WebSockets");
+        let HttpFigures { open, closed, .. } = connections.figures();
+        assert_eq!(
+            (open, closed[0], closed[1]),
+            (3, ("evicted", 1), ("refused", 1))
+        );
         drop(slots);
         assert_eq!(ids(&connections), [3]);
     }

@@ -10,8 +10,10 @@ use std::time::Duration;
 use axum::body::Bytes;
 use jostle_proto::keys;
 use tokio::sync::{broadcast, watch};
+use tokio::task::spawn_blocking;
 use tokio::time::{Instant, MissedTickBehavior, interval};
 use tracing::debug;
+use zenoh::Wait;
 use zenoh::pubsub::Subscriber;
 
 use crate::gateway::bus::Bus;
@@ -42,7 +44,7 @@ impl Drop for Feed {
     fn drop(&mut self) {
         // Letting go of what is declared may wait for other clients.
         if let Some(subscribers) = self.subscribers.take() {
-            tokio::task::spawn_blocking(move || drop(subscribers));
+            spawn_blocking(move || drop(subscribers));
         }
     }
 }
@@ -90,29 +92,26 @@ impl Feeds {
             watch::Sender::new(Bytes::new()),
         );
         let events = broadcast::Sender::new(EVENTS);
-        let Bus {
-            session, prefix, ..
-        } = &self.bus;
-        let newest = |key: String, to: watch::Sender<Bytes>| {
-            session.declare_subscriber(key).callback(move |sample| {
-                to.send_replace(Bytes::from(sample.payload().to_bytes().into_owned()));
-            })
-        };
-        let told = events.clone();
-        let each = session
-            .declare_subscriber(keys::event(prefix, swarm))
-            .callback(move |sample| {
+        let session = self.bus.session.clone();
+        let of = |key: fn(&str, &str) -> String| key(&self.bus.prefix, swarm);
+        let [state, order, event] = [of(keys::state), of(keys::order), of(keys::event)];
+        let (told, to) = (events.clone(), [states.clone(), orders.clone()]);
+        let declaring = move || {
+            let newest = |key: String, sender: watch::Sender<Bytes>| {
+                let declared = session.declare_subscriber(key).callback(move |sample| {
+                    sender.send_replace(Bytes::from(sample.payload().to_bytes().into_owned()));
+                });
+                declared.wait()
+            };
+            let each = session.declare_subscriber(event).callback(move |sample| {
                 // Nobody may be listening.
                 let _ = told.send(Bytes::from(sample.payload().to_bytes().into_owned()));
             });
-        let declared = async {
-            zenoh::Result::Ok([
-                newest(keys::state(prefix, swarm), states.clone()).await?,
-                newest(keys::order(prefix, swarm), orders.clone()).await?,
-                each.await?,
-            ])
+            let [states, orders] = to;
+            zenoh::Result::Ok([newest(state, states)?, newest(order, orders)?, each.wait()?])
         };
-        let subscribers = declared.await;
+        // zenoh blocks the thread that declares while it removes what a session has declared.
+        let subscribers = spawn_blocking(declaring).await.ok()?;
         let subscribers =
             subscribers.inspect_err(|error| debug!(swarm, %error, "failed to watch for the page"));
         let feed = Arc::new(Feed {

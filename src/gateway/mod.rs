@@ -130,6 +130,11 @@ pub fn check(http: &str, are_people_known: bool) -> Result<Option<Place>, Gatewa
     }
 }
 
+/// The scheme of a URL.
+pub fn scheme(is_secure: bool) -> &'static str {
+    if is_secure { "https" } else { "http" }
+}
+
 impl Gateway {
     /// Takes the port, before anybody is told that the daemon is there.
     ///
@@ -156,7 +161,9 @@ impl Gateway {
         let address = listener.local_addr()?;
         let is_secure = acceptor.is_some();
         let max_connections = max_connections();
+        let connections = Connections::new(max_connections);
         let served = Served {
+            connections: connections.clone(),
             feeds: Feeds::start(bus.clone()),
             bus,
             watch,
@@ -177,7 +184,6 @@ impl Gateway {
             .layer(from_fn_with_state(Guests { is_secure }, admit))
             .layer(map_response(harden))
             .layer(from_fn(record_completion));
-        let connections = Connections::new(max_connections);
         // It ends only when it is stopped.
         let serving = tokio::spawn(accept(listener, acceptor, router, connections));
         Ok(Gateway {
@@ -194,8 +200,7 @@ impl Gateway {
 
     /// Where it serves, as a browser takes it.
     pub fn url(&self) -> String {
-        let scheme = if self.is_secure { "https" } else { "http" };
-        format!("{scheme}://{}", self.address)
+        format!("{}://{}", scheme(self.is_secure), self.address)
     }
 
     /// Answers no more.
@@ -210,6 +215,7 @@ struct Served {
     watch: Arc<Watch>,
     pass: Pass,
     sockets: Arc<Sockets>,
+    connections: Arc<Connections>,
 }
 
 type Seen = State<Arc<Served>>;
@@ -234,11 +240,17 @@ async fn healthz(State(seen): Seen) -> Response {
         .iter()
         .map(|reason| json!({"code": reason.code(), "message": reason.to_string()}))
         .collect();
+    let warnings = watch.warnings();
+    let warnings: Vec<_> = warnings
+        .iter()
+        .map(|warning| json!({"code": warning.code(), "message": warning.to_string()}))
+        .collect();
     let document = json!({
         "healthy": reasons.is_empty(),
         "node": node,
         "uptime_secs": watch.uptime().as_secs_f64(),
         "reasons": told,
+        "warnings": warnings,
     });
     let json = [(CONTENT_TYPE, "application/json")];
     (status, json, format!("{document}\n")).into_response()
@@ -248,7 +260,7 @@ async fn metrics(State(seen): Seen, headers: HeaderMap) -> Response {
     if !seen.pass.may_watch(&headers) {
         return seen.unknown();
     }
-    match text::of(seen.watch.figures()) {
+    match text::of(seen.watch.figures(), seen.connections.figures()) {
         Ok(text) => ([(CONTENT_TYPE, text::CONTENT_TYPE)], text).into_response(),
         Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
     }
@@ -256,15 +268,18 @@ async fn metrics(State(seen): Seen, headers: HeaderMap) -> Response {
 
 async fn hello(State(seen): Seen, headers: HeaderMap) -> Response {
     let person = seen.pass.person(&headers);
-    let role = person.map(|person| person.role);
+    let role = person.as_ref().map(|person| person.role);
+    let token = seen.pass.page_token();
     let document = json!({
         "node": seen.bus.node,
         "prefix": seen.bus.prefix,
         "version": env!("CARGO_PKG_VERSION"),
         "may_watch": seen.pass.may_watch(&headers),
         "may_command": seen.pass.may_command(&headers) && role.is_none_or(|it| it == Role::Operator),
-        "person": person.map(|person| &person.name),
+        "person": person.map(|person| person.name),
         "role": role,
+        "token_file": token.map(|token| token.file().display().to_string()),
+        "token_needs_root": token.map(Token::needs_root),
     });
     let json = [(CONTENT_TYPE, jostle_proto::JSON)];
     (json, document.to_string()).into_response()
@@ -281,6 +296,10 @@ async fn look(
         return seen.unknown();
     }
     let chunks: Vec<&str> = rest.split('/').collect();
+    // The one get that operators alone may send.
+    if chunks[..] == ["@node", "get", "recording"] && !seen.pass.may_command(&headers) {
+        return seen.unknown();
+    }
     let is_look = match chunks[..] {
         ["@node", "get", _] | [_, "get", _] | [_, "state"] => true,
         ["@node", "experiment", ..] => chunks.len() > 2,
@@ -366,7 +385,8 @@ async fn tab(
         return refuse(&told_of(ErrorCode::InvalidArgument, told));
     }
     let person = seen.pass.person(&headers);
-    let place = match seen.sockets.open(person.map(|person| person.name.as_str())) {
+    let name = person.as_ref().map(|person| person.name.as_str());
+    let place = match seen.sockets.open(name) {
         Ok(place) => place,
         Err(message) => return refuse(&told_of(ErrorCode::ResourceExhausted, message)),
     };
@@ -375,7 +395,8 @@ async fn tab(
     let upgrade = upgrade.max_message_size(4096).max_frame_size(4096);
     upgrade.on_upgrade(async move |socket| {
         slot.upgrade();
-        socket::serve(socket, feeds, tab.swarm, place).await;
+        let revoked = seen.pass.revoked(&headers);
+        socket::serve(socket, feeds, tab.swarm, place, revoked).await;
         drop(slot);
     })
 }

@@ -6,7 +6,8 @@ use axum::http::HeaderMap;
 use axum::http::header::{AUTHORIZATION, SEC_WEBSOCKET_PROTOCOL};
 
 use crate::gateway::token::Token;
-use crate::rights::{Person, Rights};
+use crate::rights::Person;
+use crate::rights::live::LiveRights;
 
 /// What a tab's WebSocket speaks. Behind it stands its token, since a page can give no header
 /// there: a link with the token in it would be written down on the way.
@@ -21,7 +22,7 @@ pub enum Pass {
     /// Everybody may watch; with this token they may command.
     Page(Token),
     /// The daemon's people, with theirs.
-    People(Arc<Rights>),
+    People(Arc<LiveRights>),
 }
 
 impl Pass {
@@ -39,10 +40,22 @@ impl Pass {
     }
 
     /// Who it is, where people are known.
-    pub fn person(&self, headers: &HeaderMap) -> Option<&Person> {
+    pub fn person(&self, headers: &HeaderMap) -> Option<Person> {
         match self {
             Pass::Page(_) => None,
-            Pass::People(rights) => rights.owner(given(headers)?.as_bytes()),
+            Pass::People(rights) => rights.current().owner(given(headers)?.as_bytes()).cloned(),
+        }
+    }
+
+    /// Completes when the token in these headers is revoked. Never completes if the daemon has no
+    /// users.
+    pub async fn revoked(&self, headers: &HeaderMap) {
+        match self {
+            Pass::Page(_) => std::future::pending().await,
+            Pass::People(rights) => {
+                let token = given(headers).unwrap_or_default();
+                rights.revoked(token.as_bytes()).await;
+            }
         }
     }
 
@@ -55,13 +68,26 @@ impl Pass {
     }
 
     /// What to tell somebody who shows nothing that opens.
-    pub fn remedy(&self) -> &'static str {
+    pub fn remedy(&self) -> String {
         match self {
-            Pass::Page(_) => "watching only: open the link with the token that jostled printed",
+            Pass::Page(token) => format!(
+                "no valid token, which commands need: send the one in {} as `Authorization: \
+                 Bearer`, or open the page with it",
+                token.file().display()
+            ),
             Pass::People(_) => {
                 "not known here: send your token as `Authorization: Bearer`, or open the page with \
-                 it (`jostle auth link` prints the link)"
+                 it (`jostle --credentials FOLDER auth link` prints the link)"
+                    .to_owned()
             }
+        }
+    }
+
+    /// The page's own token, where people are not known.
+    pub fn page_token(&self) -> Option<&Token> {
+        match self {
+            Pass::Page(token) => Some(token),
+            Pass::People(_) => None,
         }
     }
 }

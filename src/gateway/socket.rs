@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::Bytes;
-use axum::extract::ws::{CloseFrame, Message, Utf8Bytes, WebSocket};
+use axum::extract::ws::{CloseFrame, Message, Utf8Bytes, WebSocket, close_code};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use tokio::sync::broadcast::error::RecvError;
@@ -16,6 +16,9 @@ use crate::gateway::feed::{Feed, Feeds};
 
 /// How long a tab may not read before it is let go. It comes back by itself.
 const PATIENCE: Duration = Duration::from_secs(150);
+
+/// How long sending a close frame may take.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 
 /// The part of the list's document that is told.
 #[derive(Deserialize)]
@@ -42,25 +45,41 @@ struct Kind<'a> {
     kind: &'a str,
 }
 
-/// Tells a tab the list, and of one swarm if it names one, until it goes.
+/// Sends a tab the list of swarms, and the frames of `swarm` if given, until the tab disconnects or
+/// `revoked` completes.
 pub async fn serve(
     mut socket: WebSocket,
     feeds: Arc<Feeds>,
     swarm: Option<String>,
     _place: OpenSocket,
+    revoked: impl Future<Output = ()>,
 ) {
+    tokio::select! {
+        () = feed(&mut socket, feeds, swarm) => {}
+        () = revoked => {
+            let reason = Utf8Bytes::from_static("this token is no longer valid");
+            let close = CloseFrame { code: close_code::POLICY, reason };
+            // A client that does not read is disconnected all the same.
+            let close = socket.send(Message::Close(Some(close)));
+            let _ = timeout(CLOSE_TIMEOUT, close).await;
+        }
+    }
+}
+
+/// Sends a tab the list, and of one swarm if it names one, until it goes.
+async fn feed(socket: &mut WebSocket, feeds: Arc<Feeds>, swarm: Option<String>) {
     let mut lists = feeds.list.subscribe();
     lists.mark_changed();
     let mut watched = None;
-    if swarm.is_none() && tell(&mut socket, text(feeds.past.told())).await.is_none() {
+    if swarm.is_none() && tell(socket, text(feeds.past.told())).await.is_none() {
         return;
     }
     if let Some(swarm) = swarm {
         let Some((feed, state)) = feeds.watch(&swarm).await else {
-            return say_gone(&mut socket).await;
+            return say_gone(socket).await;
         };
         let seen = Watched::new(feed);
-        if tell(&mut socket, Message::Binary(state)).await.is_none() {
+        if tell(socket, Message::Binary(state)).await.is_none() {
             return;
         }
         watched = Some(seen);
@@ -85,12 +104,12 @@ pub async fn serve(
             continue;
         };
         let is_end = is_end(&message);
-        if tell(&mut socket, message).await.is_none() {
+        if tell(socket, message).await.is_none() {
             return;
         }
         // Another swarm of its name is another one: the tab asks for it.
         if is_end {
-            return say_gone(&mut socket).await;
+            return say_gone(socket).await;
         }
     }
 }

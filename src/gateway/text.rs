@@ -12,6 +12,7 @@ use prometheus_client::encoding::{DescriptorEncoder, EncodeGaugeValue, MetricEnc
 use prometheus_client::metrics::MetricType;
 use prometheus_client::registry::{Registry, Unit};
 
+use crate::gateway::connections::HttpFigures;
 use crate::health::figures::{Figures, SwarmFigures};
 use crate::meter::Durations;
 use crate::swarm::phase::Phase;
@@ -27,24 +28,26 @@ pub const MOST_LABELLED: usize = 1000;
 /// # Errors
 ///
 /// Never: it is written to memory.
-pub fn of(figures: Figures) -> Result<String, Error> {
+pub fn of(figures: Figures, http: HttpFigures) -> Result<String, Error> {
     let mut registry = Registry::with_prefix("jostle");
-    registry.register_collector(Box::new(Told(figures)));
+    registry.register_collector(Box::new(Told(figures, http)));
     let mut text = String::new();
     encode(&mut text, &registry)?;
     Ok(text)
 }
 
 #[derive(Debug)]
-struct Told(Figures);
+struct Told(Figures, HttpFigures);
 
 impl Collector for Told {
     fn encode(&self, mut encoder: DescriptorEncoder) -> Result<(), Error> {
         let figures = &self.0;
         let mut told = Telling(&mut encoder);
         told.daemon(figures)?;
+        told.http(&self.1)?;
         told.swarms(figures)?;
         told.store(figures)?;
+        told.recordings(figures)?;
         told.each_swarm(&figures.swarms)
     }
 }
@@ -64,6 +67,8 @@ impl Telling<'_, '_> {
             threads,
             sessions,
             probe_secs,
+            bus,
+            contested,
             ..
         } = figures;
         self.gauge(
@@ -86,6 +91,8 @@ impl Telling<'_, '_> {
             cpu_secs,
         )?;
         self.gauge("cores", "Cores it may use", None, &(*cores as u64))?;
+        let help = "Names of the daemon and its swarms that another daemon holds, too";
+        self.gauge("contested", help, None, &(*contested as u64))?;
         let bytes = Some(Unit::Bytes);
         self.gauge(
             "resident_memory",
@@ -97,6 +104,11 @@ impl Telling<'_, '_> {
         self.gauge("reserved_memory", help, bytes.as_ref(), reserved_bytes)?;
         self.gauge("threads", "Threads of the daemon", None, threads)?;
         self.gauge("sessions", "Clients connected", None, &(*sessions as u64))?;
+        let blocked_secs = bus.blocked.map_or(0.0, |age| age.as_secs_f64());
+        let help = "Time for which commands and queries have been blocked, 0 while they are not";
+        self.gauge("bus_blocked", help, secs.as_ref(), &blocked_secs)?;
+        let help = "How often commands and queries were blocked for 2 s or more";
+        self.counter("bus_blocks", help, None, &bus.blocks)?;
         match probe_secs {
             Some(took) => {
                 let help = "Time its own listener took to answer when it was tried last";
@@ -104,6 +116,22 @@ impl Telling<'_, '_> {
             }
             None => Ok(()),
         }
+    }
+
+    fn http(&mut self, http: &HttpFigures) -> fmt::Result {
+        let help = "Open HTTP connections, WebSockets included";
+        self.gauge("http_connections", help, None, &http.open)?;
+        let help = "Attempts to accept an HTTP connection that failed";
+        self.counter("http_accept_failures", help, None, &http.accept_failures)?;
+        let help = "HTTP connections that the daemon closed, by reason";
+        let kind = MetricType::Counter;
+        let mut family = self.0.encode_descriptor("http_closed", help, None, kind)?;
+        for (reason, count) in http.closed {
+            let labels = [("reason", reason)];
+            let mut series = family.encode_family(&labels)?;
+            series.encode_counter::<NoLabelSet, _, f64>(&count, None)?;
+        }
+        Ok(())
     }
 
     fn swarms(&mut self, figures: &Figures) -> fmt::Result {
@@ -171,6 +199,11 @@ impl Telling<'_, '_> {
         self.counter("journal_damaged", help, None, &store.damaged)?;
         let help = "What the store takes on disk";
         self.gauge("store", help, Some(&Unit::Bytes), &store.bytes_on_disk)?;
+        let (bytes, quota) = &figures.recordings_bytes;
+        let help = "What all recordings take on disk";
+        self.gauge("recordings", help, Some(&Unit::Bytes), bytes)?;
+        let help = "What they may take";
+        self.gauge("recordings_quota", help, Some(&Unit::Bytes), quota)?;
         for (name, help, is) in [
             ("store_full", "1 while the disk is full", store.is_full),
             (
@@ -185,6 +218,22 @@ impl Telling<'_, '_> {
             ),
         ] {
             self.gauge(name, help, None, &u64::from(is))?;
+        }
+        Ok(())
+    }
+
+    fn recordings(&mut self, figures: &Figures) -> fmt::Result {
+        let recordings = &figures.recordings;
+        let help = "Recordings of the daemon, by what they are doing";
+        let kind = MetricType::Gauge;
+        let mut family = self.0.encode_descriptor("recordings", help, None, kind)?;
+        for (phase, count) in [
+            ("recording", recordings.recording),
+            ("ended", recordings.ended),
+            ("failed", recordings.failed.len() as u64),
+        ] {
+            let labels = [("phase", phase)];
+            family.encode_family(&labels)?.encode_gauge(&count)?;
         }
         Ok(())
     }

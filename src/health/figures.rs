@@ -5,7 +5,7 @@ use std::thread;
 
 use rustix::time::{ClockId, clock_gettime};
 
-use crate::health::{Reason, Watch};
+use crate::health::{Bus, Reason, RecordingCounts, Warning, Watch};
 use crate::store;
 use crate::swarm::frame::Summary;
 use crate::swarm::tally::{LastStep, Totals};
@@ -17,6 +17,8 @@ pub struct Figures {
     pub uptime_secs: f64,
     /// Why not all is well; nothing if it is.
     pub reasons: Vec<Reason>,
+    /// What is wrong without keeping it from its work.
+    pub warnings: Vec<Warning>,
     /// Seconds that its threads have computed.
     pub cpu_secs: f64,
     /// Cores it may use.
@@ -31,10 +33,18 @@ pub struct Figures {
     pub sessions: usize,
     /// How long its own listener took to answer; nothing if it did not, or was not asked yet.
     pub probe_secs: Option<f64>,
+    /// Whether zenoh takes queries.
+    pub bus: Bus,
     /// Of all swarms since it started, those that are gone too.
     pub totals: Totals,
+    /// Names that another daemon holds, too.
+    pub contested: usize,
     /// How the store is doing.
     pub store: store::Health,
+    /// The daemon's recordings.
+    pub recordings: RecordingCounts,
+    /// The bytes of all recordings, and those that they may have.
+    pub recordings_bytes: (u64, u64),
     /// Every swarm that is built, ordered by name.
     pub swarms: Vec<SwarmFigures>,
 }
@@ -82,6 +92,7 @@ impl Watch {
         Figures {
             uptime_secs: self.uptime().as_secs_f64(),
             reasons: self.reasons(),
+            warnings: self.warnings(),
             cpu_secs: cpu.tv_sec as f64 + cpu.tv_nsec as f64 * 1e-9,
             cores: thread::available_parallelism().map_or(1, usize::from),
             resident_bytes,
@@ -89,8 +100,12 @@ impl Watch {
             threads,
             sessions,
             probe_secs,
+            bus: (self.watched.bus)(),
             totals,
+            contested: (self.watched.contested)().len(),
             store: self.watched.store.health(),
+            recordings: (self.watched.recordings)(),
+            recordings_bytes: (self.watched.recordings_bytes)(),
             swarms,
         }
     }

@@ -74,6 +74,21 @@ pub enum Reason {
         /// How.
         problem: String,
     },
+    /// zenoh takes no queries.
+    #[error(
+        "commands and queries have been blocked for {secs:.0} s{}: it ends by itself; docs/security.md \
+         says what a session's subscriptions can block",
+        while_closing(closing)
+    )]
+    BusBlocked {
+        /// For how long.
+        secs: f64,
+        /// Whose sessions are being closed, if any is.
+        closing: String,
+    },
+    /// Another daemon holds a name of this one.
+    #[error("{0}")]
+    Contested(Contested),
     /// Nobody gets in any more.
     #[error(
         "the daemon's certificate held until {day}: `jostled auth init --host NAME` with each of its \
@@ -83,6 +98,12 @@ pub enum Reason {
         /// The last day of it.
         day: String,
     },
+    /// `people.json` was damaged while the daemon runs.
+    #[error(
+        "people.json cannot be read again: the rights that were read last stay in force, and \
+         `jostled auth add` and `remove` have no effect; the log says why"
+    )]
+    PeopleUnreadable,
     /// Nobody has looked for long.
     #[error("the watch itself has not looked for {secs:.0} s")]
     WatchStuck {
@@ -101,7 +122,10 @@ impl Reason {
             Reason::StoreFailing => "store_failing",
             Reason::StoreOverrun => "store_overrun",
             Reason::Deaf { .. } => "listener_deaf",
+            Reason::BusBlocked { .. } => "bus_blocked",
+            Reason::Contested(_) => "contested",
             Reason::CertificateEnded { .. } => "certificate_ended",
+            Reason::PeopleUnreadable => "people_unreadable",
             Reason::WatchStuck { .. } => "watch_stuck",
         }
     }
@@ -117,9 +141,114 @@ impl Reason {
             Reason::StoreFull
             | Reason::StoreFailing
             | Reason::StoreOverrun
-            | Reason::CertificateEnded { .. } => false,
+            | Reason::BusBlocked { .. }
+            | Reason::Contested(_)
+            | Reason::CertificateEnded { .. }
+            | Reason::PeopleUnreadable => false,
         }
     }
+}
+
+/// A name that another daemon holds, too.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("{}", words(self))]
+pub struct Contested {
+    /// The swarm; `None` for the daemon's own name.
+    pub swarm: Option<String>,
+    /// The other daemon's name.
+    pub node: String,
+    /// Its run.
+    pub instance: String,
+    /// Whether the other one serves the name.
+    pub waits: bool,
+}
+
+fn words(contested: &Contested) -> String {
+    let Contested {
+        swarm,
+        node,
+        instance,
+        waits,
+    } = contested;
+    let what = match swarm {
+        Some(swarm) => format!("daemon {node} has a swarm {swarm}, too"),
+        None => format!("another daemon is named {node}, too ({instance})"),
+    };
+    let outcome = match waits {
+        true => "the other daemon serves it, and this one waits",
+        false => "both created it or executed commands on it, so both reject everything",
+    };
+    let end = match swarm {
+        Some(_) => "until one is stopped or deletes it",
+        None => "until one is stopped",
+    };
+    format!("contested: {what}; {outcome}, {end}")
+}
+
+/// How many failed recordings a warning names.
+const MAX_NAMED: usize = 5;
+
+/// What is wrong without keeping the daemon from its work.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum Warning {
+    /// Recordings have failed.
+    #[error("{}", recordings_failed(.0))]
+    RecordingsFailed(Vec<(String, String)>),
+}
+
+impl Warning {
+    /// What it is in a word, for programs.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Warning::RecordingsFailed(_) => "recording_failed",
+        }
+    }
+}
+
+fn recordings_failed(failed: &[(String, String)]) -> String {
+    let named = failed.iter().take(MAX_NAMED);
+    let named: Vec<String> = named
+        .map(|(name, reason)| format!("{name} ({reason})"))
+        .collect();
+    let others = match failed.len().saturating_sub(MAX_NAMED) {
+        0 => String::new(),
+        others => format!(" and {others} more"),
+    };
+    format!(
+        "recordings failed: {}{others}; `jostle record --list` lists them, \
+         `jostle record --delete NAME` removes one with its files",
+        named.join(", ")
+    )
+}
+
+/// The daemon's recordings, counted by what they do.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RecordingCounts {
+    /// Those that go on.
+    pub recording: u64,
+    /// Those that have ended.
+    pub ended: u64,
+    /// The names of those that have failed, and why.
+    pub failed: Vec<(String, String)>,
+}
+
+/// The start of what is said of a session that is being closed.
+fn while_closing(closing: &str) -> String {
+    match closing {
+        "" => String::new(),
+        closing => format!(" while zenoh closes the session of {closing}"),
+    }
+}
+
+/// Whether zenoh takes queries.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Bus {
+    /// For how long zenoh has been blocked, if that is longer than the limit.
+    pub blocked: Option<Duration>,
+    /// The clients whose sessions are being closed.
+    pub closing: String,
+    /// The number of blocks longer than the limit.
+    pub blocks: u64,
 }
 
 /// What is watched.
@@ -134,8 +263,18 @@ pub struct Watched {
     pub endpoints: Vec<String>,
     /// Counts the clients connected. It may take its time.
     pub sessions: Box<dyn Fn() -> usize + Send + Sync>,
+    /// Tells whether zenoh takes queries.
+    pub bus: Box<dyn Fn() -> Bus + Send + Sync>,
     /// The last day of the daemon's certificate, if that is over.
     pub certificate_ended: Box<dyn Fn() -> Option<String> + Send + Sync>,
+    /// Counts the daemon's recordings.
+    pub recordings: Box<dyn Fn() -> RecordingCounts + Send + Sync>,
+    /// Whether `people.json` cannot be read again.
+    pub are_people_unreadable: Box<dyn Fn() -> bool + Send + Sync>,
+    /// The bytes of all recordings, and those that they may have.
+    pub recordings_bytes: Box<dyn Fn() -> (u64, u64) + Send + Sync>,
+    /// The names that another daemon holds, too.
+    pub contested: Box<dyn Fn() -> Vec<Contested> + Send + Sync>,
 }
 
 /// Watches a daemon.
@@ -205,9 +344,20 @@ impl Watch {
         for hearing in seen.hearing.iter().filter(|it| it.failures >= FAILURES) {
             reasons.extend(hearing.problem.clone());
         }
+        let bus = (self.watched.bus)();
+        reasons.extend(bus.blocked.map(|age| Reason::BusBlocked {
+            secs: age.as_secs_f64(),
+            closing: bus.closing,
+        }));
         let ended = (self.watched.certificate_ended)();
         reasons.extend(ended.map(|day| Reason::CertificateEnded { day }));
+        let contested = (self.watched.contested)().into_iter();
+        reasons.extend(contested.map(Reason::Contested));
         let troubles = [
+            (
+                (self.watched.are_people_unreadable)(),
+                Reason::PeopleUnreadable,
+            ),
             (store.is_full, Reason::StoreFull),
             (store.is_failing, Reason::StoreFailing),
             (store.is_overrun, Reason::StoreOverrun),
@@ -218,6 +368,13 @@ impl Watch {
                 .filter_map(|(is, why)| is.then_some(why)),
         );
         reasons
+    }
+
+    /// What is wrong without keeping the daemon from its work; nothing if all is well.
+    pub fn warnings(&self) -> Vec<Warning> {
+        let failed = (self.watched.recordings)().failed;
+        let warning = (!failed.is_empty()).then_some(Warning::RecordingsFailed(failed));
+        warning.into_iter().collect()
     }
 
     /// Since when it is watched: since the daemon started.

@@ -4,6 +4,7 @@ use thiserror::Error;
 
 use super::body::{Body, Nearness, Pose, near_pairs, pose};
 use super::{Configuration, Parameters, ParametersError, State};
+use crate::plural::counted;
 
 /// How much larger than the least possible the factor may be. Far below what shows, and far
 /// above the rounding of a gap.
@@ -17,7 +18,9 @@ pub enum ResizeError {
     Parameters(#[from] ParametersError),
     /// The new bodies overlap more than the old ones did.
     #[error(
-        "{pairs} pairs would overlap more than before, {first} and {second} by a gap of {gap}: make_room moves all apart"
+        "{} would overlap more than before, {first} and {second} by a gap of {gap}: make_room moves \
+         all apart",
+        counted(*.pairs, "pair")
     )]
     NoRoom {
         /// How many pairs would.

@@ -6,6 +6,7 @@ use super::injection::check_radius;
 use super::parameters::check_coordinate;
 use super::random::{Purpose, Stream};
 use super::{Configuration, ParametersError};
+use crate::plural::counted;
 
 /// A way of naming individuals.
 #[derive(Clone, Debug, PartialEq)]
@@ -50,7 +51,7 @@ pub enum SelectionError {
     #[error(transparent)]
     Number(#[from] ParametersError),
     /// More were asked for than there are.
-    #[error("{field} = {count} is outside [0, {candidates}]")]
+    #[error("{}", too_many(.field, *.count, *.candidates, *.among))]
     Count {
         /// The field's name.
         field: &'static str,
@@ -58,17 +59,18 @@ pub enum SelectionError {
         count: usize,
         /// How many there are.
         candidates: usize,
+        /// Which those are.
+        among: Candidates,
     },
-    /// An id names nobody that may be selected.
-    #[error(
-        "select.ids: {id} is none of the {candidates} to choose from; uninform chooses among the \
-         informed, all else among everybody"
-    )]
+    /// An id names no individual that may be selected.
+    #[error("select.ids: {}", unknown(*.id, *.candidates, *.among))]
     UnknownId {
         /// The id.
         id: u32,
         /// How many there are.
         candidates: usize,
+        /// Which those are.
+        among: Candidates,
     },
     /// An id is given twice.
     #[error("select.ids: {id} is given twice")]
@@ -76,6 +78,36 @@ pub enum SelectionError {
         /// The id.
         id: u32,
     },
+}
+
+fn too_many(field: &str, count: usize, candidates: usize, among: Candidates) -> String {
+    let individuals = counted(candidates, "individual");
+    match (among, candidates) {
+        (Candidates::All, _) => {
+            format!("{field} = {count}, but the swarm has {individuals}: select fewer")
+        }
+        (Candidates::Informed, 0) => {
+            format!(
+                "{field} = {count}, but no individual is informed: there is nothing to uninform"
+            )
+        }
+        (Candidates::Informed, _) => format!(
+            "{field} = {count}, but only {individuals} {} informed: select fewer",
+            if candidates == 1 { "is" } else { "are" }
+        ),
+    }
+}
+
+fn unknown(id: u32, candidates: usize, among: Candidates) -> String {
+    match (among, candidates) {
+        (Candidates::All, _) => format!("no individual has the id {id}"),
+        (Candidates::Informed, 0) => {
+            format!(
+                "{id} is not informed, nor is any other individual: there is nothing to uninform"
+            )
+        }
+        (Candidates::Informed, _) => format!("no informed individual has the id {id}"),
+    }
 }
 
 /// Selects individuals and returns their indices, in order.
@@ -101,10 +133,11 @@ pub fn select(
             field,
             count,
             candidates: pool.len(),
+            among: candidates,
         }),
     };
     match *selection {
-        Selection::Ids(ref ids) => return by_id(configuration, &pool, ids),
+        Selection::Ids(ref ids) => return by_id(configuration, &pool, ids, candidates),
         Selection::Count(count) => {
             let count = check_count("select.count", count)?;
             draw(&mut pool, count, seed, seq);
@@ -144,6 +177,7 @@ fn by_id(
     configuration: &Configuration,
     pool: &[usize],
     ids: &[u32],
+    among: Candidates,
 ) -> Result<Vec<usize>, SelectionError> {
     let mut sorted = ids.to_vec();
     sorted.sort_unstable();
@@ -156,6 +190,7 @@ fn by_id(
             .map_err(|_| SelectionError::UnknownId {
                 id: *id,
                 candidates: pool.len(),
+                among,
             })
     };
     sorted.iter().map(find).collect()
@@ -239,14 +274,16 @@ mod tests {
             ids(Candidates::All, &[20]),
             Err(SelectionError::UnknownId {
                 id: 20,
-                candidates: 10
+                candidates: 10,
+                among: Candidates::All,
             })
         );
         assert_eq!(
             ids(Candidates::Informed, &[11]),
             Err(SelectionError::UnknownId {
                 id: 11,
-                candidates: 5
+                candidates: 5,
+                among: Candidates::Informed,
             })
         );
         assert_eq!(
@@ -291,7 +328,12 @@ mod tests {
             field: "select.count",
             count: 6,
             candidates: 5,
+            among: Candidates::Informed,
         };
+        assert_eq!(
+            refusal.to_string(),
+            "select.count = 6, but only 5 individuals are informed: select fewer"
+        );
         assert_eq!(
             pick(Candidates::Informed, Selection::Count(6)),
             Err(refusal)
@@ -311,6 +353,34 @@ mod tests {
                 "{refusal}"
             );
         }
+    }
+
+    #[test]
+    fn a_refused_selection_says_among_how_many_it_was_made() {
+        let error = |candidates, among| {
+            let field = "select.count";
+            let count = SelectionError::Count {
+                field,
+                count: 3,
+                candidates,
+                among,
+            };
+            let id = SelectionError::UnknownId {
+                id: 7,
+                candidates,
+                among,
+            };
+            (count.to_string(), id.to_string())
+        };
+        let (count, id) = error(0, Candidates::Informed);
+        assert!(count.contains("no individual is informed"), "{count}");
+        assert!(id.contains("7 is not informed"), "{id}");
+        let (count, id) = error(1, Candidates::Informed);
+        assert!(count.contains("only 1 individual is informed"), "{count}");
+        assert!(id.contains("no informed individual has the id 7"), "{id}");
+        let (count, id) = error(1, Candidates::All);
+        assert!(count.contains("the swarm has 1 individual:"), "{count}");
+        assert!(id.contains("no individual has the id 7"), "{id}");
     }
 
     #[test]

@@ -21,6 +21,45 @@ pub enum RecordError {
     /// Too many are kept.
     #[error("there are {0} recordings, which is the most: delete one that has ended")]
     TooManyKept(usize),
+    /// All recordings together are too large.
+    #[error(
+        "the recordings take {} MiB, and recordings_quota_mb allows {}: delete one that has ended, \
+         or raise it",
+        used >> 20,
+        quota >> 20
+    )]
+    OverQuota {
+        /// Their bytes.
+        used: u64,
+        /// The bytes that they may have.
+        quota: u64,
+    },
+    /// There is no such part.
+    #[error(
+        "recording {name:?} has {parts} whole parts, so there is no part {part}: parts count from 0"
+    )]
+    NoPart {
+        /// The recording.
+        name: String,
+        /// The part asked for.
+        part: u64,
+        /// How many are whole.
+        parts: u64,
+    },
+    /// A part is not that long.
+    #[error(
+        "part {part} of recording {name:?} has {length} bytes, and offset {offset} is beyond them"
+    )]
+    NoOffset {
+        /// The recording.
+        name: String,
+        /// The part.
+        part: u64,
+        /// Where it was to be read from.
+        offset: u64,
+        /// How long it is.
+        length: u64,
+    },
     /// It ends, and is not done with that yet.
     #[error("recording {0:?} still writes what it has: try again in a moment")]
     Ending(String),

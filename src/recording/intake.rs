@@ -1,6 +1,7 @@
-//! Between a swarm and the thread that writes its recording: what waits to be written.
+//! The bounded queue between a swarm and the thread that writes its recording.
 //!
-//! The swarm never waits here. What there is no room for is left out, and counted.
+//! By default the swarm takes no step while the queue is full, so that no state is dropped. A
+//! recording with `drop_when_behind` never blocks the swarm, and counts the states that it drops.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -9,21 +10,25 @@ use std::time::{Instant, SystemTime};
 use jostle_results::recording::Written;
 
 use crate::swarm::frame::{Event, EventKind, Frame};
-use crate::swarm::outlet::{Outlet, Tap, Tapped};
+use crate::swarm::outlet::Tap;
 
-/// Frames that may wait: more than a second of them.
-const MOST_FRAMES: usize = 64;
+/// States in the queue from which on it is full.
+const MAX_FRAMES: usize = 64;
 
-/// Individuals that may wait in frames, beside those of a first one: some megabytes.
-const MOST_INDIVIDUALS: usize = 128 * 1024;
+/// Individuals in these states from which on it is full: some megabytes.
+const MAX_INDIVIDUALS: usize = 128 * 1024;
 
-/// Events that may wait.
-const MOST_EVENTS: usize = 4096;
+/// A state that comes though the queue is full, as after a reset, is still enqueued up to so many
+/// times its capacity.
+const MAX_OVERFULL: usize = 2;
+
+/// Events in the queue; later ones are left out.
+const MAX_EVENTS: usize = 4096;
 
 /// What comes next.
 pub enum Next {
-    /// A frame, its number and when it was taken.
-    Frame(Arc<Frame>, u64, SystemTime),
+    /// A state and when it was taken.
+    Frame(Arc<Frame>, SystemTime),
     /// An event and when it was taken.
     Event(Box<Event>, SystemTime),
     /// Nothing came until then.
@@ -35,17 +40,41 @@ pub enum Next {
 /// Why nothing more comes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// Somebody stopped it.
+    /// A client stopped it.
     Stopped,
     /// The swarm was deleted.
     Deleted,
+    /// The swarm has taken as many steps as were to be recorded.
+    Complete,
+    /// It has as many bytes as it may have.
+    Full {
+        /// How many.
+        max_bytes: u64,
+    },
+    /// The recordings of the daemon have as many bytes as they may have.
+    OverQuota {
+        /// How many.
+        quota_bytes: u64,
+    },
     /// The daemon stops.
     Closing,
 }
 
-/// What waits to be written, and how far the writing is.
+/// Which states are recorded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Choice {
+    /// Those whose step is a multiple of this.
+    pub every: u64,
+    /// Whether a state is left out while the queue is full; otherwise the swarm waits.
+    pub drops: bool,
+    /// Ends the recording when the swarm has taken so many steps.
+    pub steps: Option<u64>,
+}
+
+/// The queue, and how far the writing is.
 pub struct Intake {
-    every: Option<u64>,
+    choice: Choice,
+    wake: Box<dyn Fn() + Send + Sync>,
     contents: Mutex<Contents>,
     changed: Condvar,
 }
@@ -55,79 +84,37 @@ struct Contents {
     waiting: VecDeque<Next>,
     frames: usize,
     individuals: usize,
-    /// Epoch and step of the last frame that was taken.
-    taken: Option<(u64, u64)>,
+    /// Epoch and step of the last state, recorded or not.
+    last: Option<(u64, u64)>,
+    /// Steps that the swarm has taken.
+    steps: u64,
+    /// Whether the swarm waits until it is woken.
+    holds_up: bool,
     missed: u64,
     written: Written,
+    /// The bytes of all files, that of the part in hand included.
+    size: u64,
     end: Option<End>,
 }
 
+impl Contents {
+    fn is_full(&self, times: usize) -> bool {
+        self.frames >= times * MAX_FRAMES || self.individuals >= times * MAX_INDIVIDUALS
+    }
+}
+
 impl Intake {
-    /// Takes frames at least so many steps apart, or all; `missed` are missed already.
-    pub fn new(every: Option<u64>, missed: u64) -> Self {
+    /// An empty queue; `wake` wakes the swarm's thread, and `missed` is the initial count.
+    pub fn new(choice: Choice, missed: u64, wake: impl Fn() + Send + Sync + 'static) -> Self {
         Intake {
-            every,
+            choice,
+            wake: Box::new(wake),
             contents: Mutex::new(Contents {
                 missed,
                 ..Contents::default()
             }),
             changed: Condvar::new(),
         }
-    }
-
-    /// Takes the frame that is there, and all that comes until what is returned is dropped. To be
-    /// called between two steps.
-    pub fn tap(self: &Arc<Self>, outlet: &Outlet, now: &Arc<Frame>) -> Arc<Tap> {
-        let (number, _) = outlet.frames();
-        self.take(Tapped::Frame(now, number));
-        let intake = self.clone();
-        let tap: Arc<Tap> = Arc::new(move |tapped: Tapped<'_>| intake.take(tapped));
-        outlet.tap(&tap);
-        tap
-    }
-
-    fn take(&self, tapped: Tapped<'_>) {
-        let mut contents = self.lock();
-        if contents.end.is_some() {
-            return;
-        }
-        let now = SystemTime::now();
-        match tapped {
-            Tapped::Frame(frame, number) => {
-                let place = (frame.place.epoch, frame.place.step);
-                let is_near = match (self.every, contents.taken) {
-                    (Some(every), Some((epoch, step))) => {
-                        epoch == place.0 && place.1.saturating_sub(step) < every
-                    }
-                    _ => false,
-                };
-                if is_near {
-                    return;
-                }
-                let n = frame.configuration.n();
-                let is_much = contents.frames > 0 && contents.individuals + n > MOST_INDIVIDUALS;
-                if is_much || contents.frames >= MOST_FRAMES {
-                    contents.missed += 1;
-                    return;
-                }
-                contents.taken = Some(place);
-                contents.frames += 1;
-                contents.individuals += n;
-                let next = Next::Frame(frame.clone(), number, now);
-                contents.waiting.push_back(next);
-            }
-            Tapped::Event(event) => {
-                if matches!(event.kind, EventKind::Deleted) {
-                    contents.end = Some(End::Deleted);
-                }
-                if contents.waiting.len() - contents.frames < MOST_EVENTS {
-                    let next = Next::Event(Box::new(event.clone()), now);
-                    contents.waiting.push_back(next);
-                }
-            }
-        }
-        drop(contents);
-        self.changed.notify_all();
     }
 
     /// Waits for what comes next, at most until then.
@@ -138,6 +125,10 @@ impl Intake {
                 if let Next::Frame(frame, ..) = &next {
                     contents.frames -= 1;
                     contents.individuals -= frame.configuration.n();
+                }
+                // Half empty, so that the swarm is not woken for every single step.
+                if 2 * contents.frames <= MAX_FRAMES && !contents.is_full(1) {
+                    self.let_go(contents);
                 }
                 return next;
             }
@@ -158,25 +149,108 @@ impl Intake {
         }
     }
 
-    /// Takes nothing more; what waits is still to be written.
+    /// Closes the queue: later states are ignored and the swarm no longer waits. The writer still
+    /// writes the states in the queue.
     pub fn end(&self, end: End) {
-        self.lock().end.get_or_insert(end);
+        let mut contents = self.lock();
+        contents.end.get_or_insert(end);
+        self.let_go(contents);
         self.changed.notify_all();
     }
 
-    /// Says how much is written.
-    pub fn note(&self, written: Written) {
-        self.lock().written = written;
+    /// Notes how much is written, and the bytes of all files.
+    pub fn note(&self, written: Written, size: u64) {
+        let mut contents = self.lock();
+        (contents.written, contents.size) = (written, size);
     }
 
-    /// How much is written, and how many frames were missed.
+    /// The bytes of all files, that of the part in hand included.
+    pub fn size(&self) -> u64 {
+        self.lock().size
+    }
+
+    /// How much is written, and how many states were left out.
     pub fn progress(&self) -> (Written, u64) {
         let contents = self.lock();
         (contents.written, contents.missed)
     }
 
+    /// How many more steps are to be recorded, if there is an end.
+    pub fn steps_left(&self) -> Option<u64> {
+        let steps = self.lock().steps;
+        self.choice.steps.map(|all| all.saturating_sub(steps))
+    }
+
+    fn enqueue(&self, contents: &mut Contents, next: Next) {
+        contents.waiting.push_back(next);
+        // The writing thread sleeps only while the queue is empty.
+        if contents.waiting.len() == 1 {
+            self.changed.notify_all();
+        }
+    }
+
+    /// Wakes the swarm's thread if it waits for this queue.
+    fn let_go(&self, mut contents: MutexGuard<'_, Contents>) {
+        let holds_up = std::mem::take(&mut contents.holds_up);
+        drop(contents);
+        if holds_up {
+            (self.wake)();
+        }
+    }
+
     fn lock(&self) -> MutexGuard<'_, Contents> {
         // What changes together is numbers and a queue, which nothing in between can tear apart.
         self.contents.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Tap for Intake {
+    fn state(&self, at: (u64, u64), frame: &dyn Fn() -> Arc<Frame>) {
+        let mut contents = self.lock();
+        if contents.end.is_some() || contents.last == Some(at) {
+            return;
+        }
+        if let Some((epoch, step)) = contents.last.replace(at)
+            && epoch == at.0
+        {
+            contents.steps += at.1.saturating_sub(step);
+        }
+        if at.1.is_multiple_of(self.choice.every) {
+            let times = if self.choice.drops { 1 } else { MAX_OVERFULL };
+            if contents.is_full(times) {
+                contents.missed += 1;
+            } else {
+                let frame = frame();
+                contents.frames += 1;
+                contents.individuals += frame.configuration.n();
+                self.enqueue(&mut contents, Next::Frame(frame, SystemTime::now()));
+            }
+        }
+        if self.choice.steps.is_some_and(|all| contents.steps >= all) {
+            contents.end = Some(End::Complete);
+            self.changed.notify_all();
+        }
+    }
+
+    fn event(&self, event: &Event) {
+        let mut contents = self.lock();
+        if contents.end.is_some() {
+            return;
+        }
+        if contents.waiting.len() - contents.frames < MAX_EVENTS {
+            let next = Next::Event(Box::new(event.clone()), SystemTime::now());
+            self.enqueue(&mut contents, next);
+        }
+        if matches!(event.kind, EventKind::Deleted) {
+            contents.end = Some(End::Deleted);
+            self.changed.notify_all();
+        }
+    }
+
+    fn has_room(&self) -> bool {
+        let mut contents = self.lock();
+        let has_room = self.choice.drops || contents.end.is_some() || !contents.is_full(1);
+        contents.holds_up |= !has_room;
+        has_room
     }
 }

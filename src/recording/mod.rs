@@ -1,7 +1,8 @@
-//! The recordings of a daemon: what swarms show, in its data directory, whoever looks on.
+//! The recordings of a daemon: every k-th state of a swarm, in its data directory.
 //!
-//! Each has a folder and a thread of its own, which writes what a tap on the swarm's outlet takes.
-//! One that goes on outlives the daemon, and goes on with its next part when that starts anew.
+//! Each has its own folder and its own thread, which writes what a tap on the swarm's outlet
+//! enqueues. By default the swarm waits for that thread, never for a client. A running recording
+//! resumes with its next part when the daemon restarts.
 
 mod error;
 mod intake;
@@ -38,9 +39,12 @@ const MOST_GOING: usize = 64;
 /// The most recordings that are kept: a list of them fits a message.
 const MOST: usize = 1000;
 
-/// How much lower than the rest of the daemon a recording's thread ranks (its niceness): below the
-/// swarms, which it must not delay.
+/// The niceness of the writer thread of a recording for which no swarm waits: lower priority than
+/// the swarms, which it must not delay.
 const NICENESS: i32 = 10;
+
+/// The longest piece of a part that is read at once, in bytes.
+const MAX_PIECE: u64 = 512 * 1024;
 
 /// How long the end of a recording is waited for, which is a matter of the disk.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -57,14 +61,54 @@ pub enum Phase {
     Failed,
 }
 
+/// What is to be recorded, and how.
+#[derive(Clone, Debug)]
+pub struct Wanted {
+    /// What to call it; the swarm's name and a number if not given.
+    pub name: Option<String>,
+    /// How it is written.
+    pub format: Format,
+    /// The bytes from which on it ends.
+    pub max_bytes: u64,
+    /// Whether a client that fetches it deletes it.
+    pub temporary: bool,
+}
+
+/// A piece of a whole part.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Piece {
+    /// How many parts are whole.
+    pub parts: u64,
+    /// How long the part is, in bytes.
+    pub length: u64,
+    /// What it holds from the offset on.
+    pub bytes: Vec<u8>,
+}
+
+/// The bytes of all recordings.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Usage {
+    /// How many go on.
+    pub recording: usize,
+    /// Their bytes and those of the others.
+    pub bytes: u64,
+    /// The bytes that they may have.
+    pub quota_bytes: u64,
+}
+
 /// The recordings of a daemon. Clones are the same ones. Whoever changes something is to do so in
 /// turn.
 #[derive(Clone)]
 pub struct Recordings(Arc<Shared>);
 
+/// Called when a recording has failed, with its swarm's name, its own and the reason.
+pub type OnFailed = Box<dyn Fn(&str, &str, &str) + Send + Sync>;
+
 struct Shared {
     shelf: Shelf,
     word: WordRefusal,
+    on_failed: OnFailed,
+    quota_bytes: u64,
     kept: Mutex<Kept>,
     changed: Condvar,
 }
@@ -95,6 +139,14 @@ impl Entry {
         }
         standing
     }
+
+    /// The bytes of its files, that of the part in hand included.
+    fn size(&self) -> u64 {
+        match &self.going {
+            Some(intake) => intake.size(),
+            None => self.standing.bytes,
+        }
+    }
 }
 
 impl Standing {
@@ -115,7 +167,12 @@ impl Recordings {
     /// # Errors
     ///
     /// When the folder cannot be used.
-    pub fn open(folder: &Path, word: WordRefusal) -> io::Result<Self> {
+    pub fn open(
+        folder: &Path,
+        word: WordRefusal,
+        quota_bytes: u64,
+        on_failed: OnFailed,
+    ) -> io::Result<Self> {
         let shelf = Shelf::open(folder)?;
         let mut kept = Kept::default();
         for (name, standing) in shelf.list()? {
@@ -131,6 +188,8 @@ impl Recordings {
         Ok(Recordings(Arc::new(Shared {
             shelf,
             word,
+            on_failed,
+            quota_bytes,
             kept: Mutex::new(kept),
             changed: Condvar::new(),
         })))
@@ -143,17 +202,20 @@ impl Recordings {
     /// [`RecordError`].
     pub fn begin(
         &self,
-        name: Option<&str>,
-        format: Format,
-        every: Option<u64>,
+        wanted: &Wanted,
         source: Source,
     ) -> Result<(String, Standing), RecordError> {
-        let name = self.admit(name, &source.swarm)?;
+        let format = wanted.format;
+        let name = self.admit(wanted.name.as_deref(), &source.swarm)?;
         let began = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
         let standing = Standing {
             swarm: source.swarm.clone(),
             format,
-            every,
+            every: Some(source.choice.every),
+            drop_when_behind: source.choice.drops,
+            max_bytes: Some(wanted.max_bytes),
+            steps_left: source.choice.steps,
+            temporary: wanted.temporary,
             phase: Phase::Recording,
             reason: None,
             frames: 0,
@@ -244,7 +306,7 @@ impl Recordings {
             (Ok((removed, recorder)), Some(source)) => {
                 let part = counted.parts;
                 info!(recording = name, part, removed, "goes on, with a new part");
-                source.intake.note(recorder.written());
+                source.intake.note(recorder.written(), recorder.size());
                 let begun = self.write(name, counted.clone(), source, recorder);
                 begun.map_err(|error| (Phase::Failed, error.to_string()))
             }
@@ -262,6 +324,49 @@ impl Recordings {
     /// The whole parts of a recording, in order; none if there is no such recording.
     pub fn parts(&self, name: &str) -> Vec<PathBuf> {
         parts(&self.0.shelf.folder(name)).unwrap_or_default()
+    }
+
+    /// A piece of a whole part, which counts from 0.
+    ///
+    /// # Errors
+    ///
+    /// [`RecordError`].
+    pub fn piece(&self, name: &str, part: u64, offset: u64) -> Result<Piece, RecordError> {
+        self.find(name)?;
+        let all = parts(&self.0.shelf.folder(name))?;
+        let parts = all.len() as u64;
+        let Some(path) = usize::try_from(part).ok().and_then(|part| all.get(part)) else {
+            let name = name.to_owned();
+            return Err(RecordError::NoPart { name, part, parts });
+        };
+        let (length, bytes) = shelf::piece(path, offset, MAX_PIECE)?;
+        if offset > length {
+            return Err(RecordError::NoOffset {
+                name: name.to_owned(),
+                part,
+                offset,
+                length,
+            });
+        }
+        Ok(Piece {
+            parts,
+            length,
+            bytes,
+        })
+    }
+
+    /// The bytes of all recordings.
+    pub fn usage(&self) -> Usage {
+        let kept = self.lock();
+        Usage {
+            recording: kept
+                .entries
+                .values()
+                .filter(|it| it.going.is_some())
+                .count(),
+            bytes: kept.entries.values().map(Entry::size).sum(),
+            quota_bytes: self.0.quota_bytes,
+        }
     }
 
     /// How all recordings stand, by name.
@@ -294,6 +399,13 @@ impl Recordings {
 
     /// The name of a new recording, if there may be one.
     fn admit(&self, name: Option<&str>, swarm: &str) -> Result<String, RecordError> {
+        let Usage {
+            bytes, quota_bytes, ..
+        } = self.usage();
+        if bytes >= quota_bytes {
+            let (used, quota) = (bytes, quota_bytes);
+            return Err(RecordError::OverQuota { used, quota });
+        }
         let kept = self.lock();
         let entries = &kept.entries;
         if kept.is_stopping {
@@ -328,12 +440,20 @@ impl Recordings {
         let Source {
             swarm, intake, tap, ..
         } = source;
+        let recordings = self.clone();
         let scribe = Scribe {
             swarm,
             format: standing.format,
             word: self.0.word,
             intake: intake.clone(),
             recorder,
+            max_bytes: standing.max_bytes,
+            over_quota: Box::new(move || {
+                let Usage {
+                    bytes, quota_bytes, ..
+                } = recordings.usage();
+                (bytes >= quota_bytes).then_some(End::OverQuota { quota_bytes })
+            }),
         };
         let entry = Entry {
             standing: standing.clone(),
@@ -343,8 +463,10 @@ impl Recordings {
         self.lock().entries.insert(name.to_owned(), entry);
         let (recordings, of) = (self.clone(), name.to_owned());
         let work = move || {
-            // Zero names the calling thread. Where it is not permitted it ranks like the rest.
-            let _ = rustix::process::setpriority_process(None, NICENESS);
+            if standing.drop_when_behind {
+                // Zero names the calling thread. Where it is not permitted it ranks like the rest.
+                let _ = rustix::process::setpriority_process(None, NICENESS);
+            }
             recordings.record(&of, standing, scribe);
             drop(tap);
         };
@@ -362,12 +484,15 @@ impl Recordings {
         let noted = |written, missed| {
             let mut standing = standing.clone();
             standing.take(written, missed);
+            standing.steps_left = intake.steps_left();
             // Its files tell how much there is.
             if let Err(error) = self.0.shelf.note(name, &standing) {
                 warn!(recording = name, %error, "failed to write down how it stands");
             }
         };
         let outcome = catch_unwind(AssertUnwindSafe(|| scribe.write(noted)));
+        // A swarm that waits for a writer that panicked steps on.
+        intake.end(End::Stopped);
         let (_, missed) = intake.progress();
         let (outcome, written) = match outcome {
             Ok((outcome, written)) => (outcome.map_err(|error| error.to_string()), written),
@@ -377,10 +502,26 @@ impl Recordings {
             ),
         };
         standing.take(written, missed);
+        standing.steps_left = intake.steps_left();
         let (phase, reason) = match outcome {
             Ok(End::Closing) => (Phase::Recording, String::new()),
             Ok(End::Stopped) => (Phase::Ended, "stopped".to_owned()),
             Ok(End::Deleted) => (Phase::Ended, "its swarm was deleted".to_owned()),
+            Ok(End::Complete) => (Phase::Ended, "all its steps are recorded".to_owned()),
+            Ok(End::Full { max_bytes }) => (
+                Phase::Ended,
+                format!(
+                    "its next states could exceed max_bytes ({max_bytes}): record again with a \
+                     higher limit"
+                ),
+            ),
+            Ok(End::OverQuota { quota_bytes }) => (
+                Phase::Ended,
+                format!(
+                    "the daemon's recordings have reached their {} MiB (recordings_quota_mb)",
+                    quota_bytes >> 20
+                ),
+            ),
             Err(reason) => (Phase::Failed, reason),
         };
         self.settle(name, standing, phase, reason);
@@ -400,10 +541,15 @@ impl Recordings {
             warn!(recording = name, %error, "failed to write down how it stands");
         }
         let going = None;
+        let failed = (phase == Phase::Failed).then(|| standing.clone());
         let mut kept = self.lock();
         kept.entries
             .insert(name.to_owned(), Entry { standing, going });
         self.0.changed.notify_all();
+        drop(kept);
+        if let Some(Standing { swarm, reason, .. }) = failed {
+            (self.0.on_failed)(&swarm, name, &reason.unwrap_or_default());
+        }
     }
 
     /// Ends a recording that goes on, and waits for that.

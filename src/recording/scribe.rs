@@ -13,6 +13,9 @@ use crate::wire::{self, Payload, WordRefusal};
 /// How long a part may be in the making: as much is lost by a crash.
 const PART: Duration = Duration::from_secs(60);
 
+/// How much a recording grows until the quota is looked at again.
+const BETWEEN_QUOTA_CHECKS: u64 = 1024 * 1024;
+
 /// What writes a recording.
 pub struct Scribe {
     /// The swarm's name.
@@ -25,6 +28,10 @@ pub struct Scribe {
     pub intake: Arc<Intake>,
     /// Where it goes.
     pub recorder: Recorder,
+    /// The bytes from which on it ends.
+    pub max_bytes: Option<u64>,
+    /// Why the quota of all recordings ends it.
+    pub over_quota: Box<dyn Fn() -> Option<End> + Send>,
 }
 
 impl Scribe {
@@ -35,6 +42,8 @@ impl Scribe {
         mut ended_part: impl FnMut(Written, u64),
     ) -> (Result<End, RecordingError>, Written) {
         let followed = self.follow(&mut ended_part);
+        // The swarm steps on while the last part is ended.
+        self.intake.end(*followed.as_ref().unwrap_or(&End::Stopped));
         let before = self.recorder.written();
         match self.recorder.finish(&closing(&self.intake)) {
             Ok(written) => (followed, written),
@@ -44,11 +53,11 @@ impl Scribe {
     }
 
     fn follow(&mut self, ended_part: &mut impl FnMut(Written, u64)) -> Result<End, RecordingError> {
-        let mut due = None;
+        let (mut due, mut checked) = (None, 0);
         loop {
             let whole = self.recorder.written().parts;
             match self.intake.next(due) {
-                Next::Frame(frame, number, taken) => self.frame(&frame, number, taken)?,
+                Next::Frame(frame, taken) => self.frame(&frame, taken)?,
                 Next::Event(event, taken) => self.event(*event, taken)?,
                 Next::Nothing => {}
                 Next::End(end) => return Ok(end),
@@ -58,8 +67,17 @@ impl Scribe {
             if now >= due_at {
                 self.recorder.end_part(&closing(&self.intake))?;
             }
-            let written = self.recorder.written();
-            self.intake.note(written);
+            let (written, size) = (self.recorder.written(), self.recorder.size());
+            self.intake.note(self.recorder.progress(), size);
+            if let Some(max_bytes) = self.max_bytes.filter(|it| size >= *it) {
+                return Ok(End::Full { max_bytes });
+            }
+            if size >= checked + BETWEEN_QUOTA_CHECKS {
+                checked = size;
+                if let Some(end) = (self.over_quota)() {
+                    return Ok(end);
+                }
+            }
             if written.parts > whole || now >= due_at {
                 due = None;
             }
@@ -69,13 +87,10 @@ impl Scribe {
         }
     }
 
-    fn frame(
-        &mut self,
-        frame: &frame::Frame,
-        number: u64,
-        taken: SystemTime,
-    ) -> Result<(), RecordingError> {
+    fn frame(&mut self, frame: &frame::Frame, taken: SystemTime) -> Result<(), RecordingError> {
         fail_point!("recording-frame");
+        // It need not have been published: states are numbered within the recording.
+        let number = self.recorder.written().frames + 1;
         let state = wire::state(&self.swarm, frame, number);
         let moment = Moment {
             epoch: state.epoch,
@@ -88,7 +103,9 @@ impl Scribe {
             Format::Parquet => Vec::new(),
         };
         self.recorder.frame(&Frame {
+            swarm: &state.swarm,
             moment,
+            phase: state.phase.name(),
             step: state.step,
             origin: state.origin,
             id: &state.id,
@@ -98,6 +115,7 @@ impl Scribe {
             weight: &state.weight,
             direction: &state.direction,
             order: state.order.order,
+            drift: state.order.drift,
             worst_gap: state.certificate.worst_gap,
             residual: state.certificate.residual,
             contacts: state.certificate.contacts,

@@ -1,7 +1,7 @@
 //! What the daemon keeps of its recordings on the disk: a folder for each, and how it stands.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write as _};
+use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 
 use rustix::fs::{CWD, RenameFlags, renameat_with};
@@ -30,8 +30,21 @@ pub struct Standing {
     pub swarm: String,
     /// How it is written.
     pub format: Format,
-    /// How many steps its frames are apart, at least.
+    /// The steps of its states are multiples of this. An earlier version left it out for all states
+    /// that were published.
     pub every: Option<u64>,
+    /// Whether states are left out while the disk is behind; otherwise the swarm waits.
+    #[serde(default)]
+    pub drop_when_behind: bool,
+    /// The bytes from which on it ends.
+    #[serde(default)]
+    pub max_bytes: Option<u64>,
+    /// How many more steps are to be recorded, if there is an end.
+    #[serde(default)]
+    pub steps_left: Option<u64>,
+    /// Whether a client that fetches it deletes it.
+    #[serde(default)]
+    pub temporary: bool,
     /// What it is doing.
     pub phase: Phase,
     /// Why it ended or failed.
@@ -141,6 +154,21 @@ impl Shelf {
         sync(&self.0)?;
         fs::remove_dir_all(gone)
     }
+}
+
+/// How long a file is, and what it holds from an offset on, at most so much.
+///
+/// # Errors
+///
+/// When it cannot be read.
+pub fn piece(path: &Path, offset: u64, most: u64) -> io::Result<(u64, Vec<u8>)> {
+    let mut file = File::open(path)?;
+    let (length, mut bytes) = (file.metadata()?.len(), Vec::new());
+    if offset < length {
+        file.seek(SeekFrom::Start(offset))?;
+        file.take(most).read_to_end(&mut bytes)?;
+    }
+    Ok((length, bytes))
 }
 
 /// Writes over what a file holds, where it is; it is on the disk on return.

@@ -2,9 +2,9 @@
 
 use std::sync::Arc;
 
-use jostle_results::recording::About;
+use jostle_results::recording::{About, FROM_STEPS, SOURCE};
 
-use super::intake::Intake;
+use super::intake::{Choice, Intake};
 use super::shelf::Standing;
 use crate::swarm::frame::Frame;
 use crate::swarm::handle::Handle;
@@ -16,22 +16,42 @@ use crate::wire::{self, Payload};
 pub struct Source {
     /// Its name.
     pub swarm: String,
+    /// Which of its states are recorded.
+    pub choice: Choice,
     /// What waits to be written.
     pub intake: Arc<Intake>,
     /// Has that filled until it is dropped.
-    pub tap: Arc<Tap>,
+    pub tap: Arc<dyn Tap>,
     recipe: Arc<Recipe>,
     now: Arc<Frame>,
 }
 
 impl Source {
-    /// Takes what a swarm shows from now on: where it is, and all that comes. To be called between
-    /// two steps; `missed` are missed already.
-    pub fn tap(handle: &Handle, now: &Arc<Frame>, every: Option<u64>, missed: u64) -> Self {
-        let intake = Arc::new(Intake::new(every, missed));
-        let tap = intake.tap(&handle.outlet, now);
+    /// Starts to receive the swarm's states, beginning with the current one. If `every` is not
+    /// given, it is the swarm's `publish_every`, or for a replay every frame. Call it between two
+    /// steps. `missed` continues the count of dropped states.
+    pub fn tap(
+        handle: &Handle,
+        now: &Arc<Frame>,
+        (every, steps, drops): (Option<u64>, Option<u64>, bool),
+        missed: u64,
+    ) -> Self {
+        let default = match now.replay {
+            None => now.publish_every,
+            Some(_) => 1,
+        };
+        let choice = Choice {
+            every: every.unwrap_or(default).max(1),
+            drops,
+            steps,
+        };
+        let intake = Arc::new(Intake::new(choice, missed, handle.awaken()));
+        let tap: Arc<dyn Tap> = intake.clone();
+        tap.state((now.place.epoch, now.place.step), &|| now.clone());
+        handle.outlet.tap(&tap);
         Source {
             swarm: handle.outlet.name.clone(),
+            choice,
             recipe: handle.recipe.clone(),
             now: now.clone(),
             intake,
@@ -45,17 +65,15 @@ impl Source {
         let spec = Payload::json(&wire::spec(&self.recipe, self.now.seed));
         let parameters = Payload::json(&wire::status(&self.now, None).parameters);
         let began = standing.began_unix_secs.to_string();
-        let mut about = About::from([
+        About::from([
             ("swarm".to_owned(), self.swarm.clone()),
             ("spec".to_owned(), json(spec)),
             ("parameters".to_owned(), json(parameters)),
             ("rate".to_owned(), json(Payload::json(&self.now.rate))),
             ("version".to_owned(), env!("CARGO_PKG_VERSION").to_owned()),
             ("began_unix_secs".to_owned(), began),
-        ]);
-        if let Some(every) = standing.every {
-            about.insert("every".to_owned(), every.to_string());
-        }
-        about
+            (SOURCE.to_owned(), FROM_STEPS.to_owned()),
+            ("every".to_owned(), self.choice.every.to_string()),
+        ])
     }
 }

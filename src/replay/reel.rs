@@ -150,6 +150,7 @@ impl Reel {
                 after,
                 step: event.step,
                 time: event.time,
+                unix_secs: event.unix_secs,
                 what: what.into(),
             });
         }

@@ -40,6 +40,12 @@ pub struct Entry {
 pub struct People {
     /// Where people are to look for the daemon.
     pub endpoint: String,
+    /// Where they find its page, if it serves HTTP. Older files do not have it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub page: Option<String>,
+    /// The names by which other machines reach the daemon. Older files do not have them.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub hosts: Option<Vec<String>>,
     /// The last day of the daemon's certificate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<String>,
@@ -205,13 +211,31 @@ impl Folder {
         Ok(())
     }
 
-    /// Refuses a folder that others can change.
+    /// Refuses a folder or a `people.json` that others can change.
+    ///
+    /// # Errors
+    ///
+    /// [`RightsError`], with the remedy.
+    pub fn check_people(&self) -> Result<(), RightsError> {
+        check_owner(&self.0)?;
+        match self.is_made()? {
+            true => check_owner(&self.people_file()).map(drop),
+            false => Err(RightsError::Nothing(self.0.clone())),
+        }
+    }
+
+    /// Rejects a folder that other users can write. Root may change the folder of a daemon that
+    /// runs as another user.
     ///
     /// # Errors
     ///
     /// [`RightsError`], with the remedy.
     pub fn check_own(&self) -> Result<(), RightsError> {
-        check_owner(&self.0).map(drop)
+        let checked = match geteuid().is_root() {
+            true => check_mode(&self.0),
+            false => check_owner(&self.0),
+        };
+        checked.map(drop)
     }
 
     /// Writes who there is.
@@ -244,10 +268,16 @@ fn check_owner(path: &Path) -> Result<u32, RightsError> {
     if !own.contains(&metadata.uid()) {
         return Err(RightsError::Foreign(path.to_owned()));
     }
-    if metadata.mode() & 0o022 != 0 {
-        return Err(RightsError::Changeable(path.to_owned()));
+    check_mode(path)
+}
+
+/// The mode of what only its owner can change.
+fn check_mode(path: &Path) -> Result<u32, RightsError> {
+    let mode = fs::metadata(path).map_err(|error| at(path, error))?.mode();
+    match mode & 0o022 {
+        0 => Ok(mode),
+        _ => Err(RightsError::Changeable(path.to_owned())),
     }
-    Ok(metadata.mode())
 }
 
 /// Reads a file.

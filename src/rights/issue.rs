@@ -1,7 +1,7 @@
 //! What `jostled auth` does: an authority, and for each person a name, a role and secrets.
 
+use std::collections::BTreeSet;
 use std::fs;
-use std::net::IpAddr;
 use std::path::{Path, PathBuf};
 
 use base64::Engine as _;
@@ -10,21 +10,29 @@ use jostle_proto::role::is_person;
 use jostle_proto::{Credentials, Role};
 use serde_json::{Value, json};
 
+use crate::rights::address::{Address, Reach};
 use crate::rights::certificates::{Authority, DAEMON, Pair, last_day};
 use crate::rights::folder::{Entry, Folder, People, at, read, write, write_json};
 use crate::rights::{RightsError, secret};
-
-/// By what this machine always reaches itself.
-const OWN_NAMES: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
-
-/// Where a daemon listens unless told otherwise.
-const PORT: u16 = 7447;
 
 /// The settings for clients that speak nothing but zenoh, in a person's folder.
 const ZENOH: &str = "zenoh.json5";
 
 /// Bytes of a token, and of a password.
 const SECRET_BYTES: usize = 32;
+
+/// The result of a change of the daemon's addresses.
+#[derive(Debug)]
+pub struct Moved {
+    /// Where the daemon is reached from its next start on.
+    pub address: Address,
+    /// The names of its certificate.
+    pub names: Vec<String>,
+    /// The people's folders that are here, if they say something else now; the secrets are the same.
+    pub rewritten: Vec<PathBuf>,
+    /// The people whose folders are not here and say something else.
+    pub stale: Vec<String>,
+}
 
 /// Makes what is not there yet: the authority, the daemon's certificate for `hosts`, and people.
 /// The daemon's certificate is made anew when hosts are named. Returns the folders for people.
@@ -37,64 +45,159 @@ pub fn init(
     hosts: &[String],
     people: &[(String, Role)],
 ) -> Result<Vec<PathBuf>, RightsError> {
+    let reach = Reach {
+        hosts: hosts.to_owned(),
+        ..Reach::default()
+    };
+    Ok(set_up(folder, &reach, people)?.made)
+}
+
+/// What [`set_up`] changed.
+#[derive(Debug)]
+pub struct SetUp {
+    /// The folders of the people that were added.
+    pub made: Vec<PathBuf>,
+    /// What `reach` changed in a folder that already existed.
+    pub moved: Option<Moved>,
+}
+
+/// The same, for a daemon that is reached as `reach` says.
+///
+/// # Errors
+///
+/// [`RightsError`]; nobody is added then.
+pub fn set_up(
+    folder: &Folder,
+    reach: &Reach,
+    people: &[(String, Role)],
+) -> Result<SetUp, RightsError> {
     check(people)?;
-    if let Some(host) = hosts.iter().find(|host| !is_host(host)) {
-        return Err(RightsError::Host(host.clone()));
+    // Refuses an address before anything is made.
+    let known = folder.is_made()?.then(|| folder.people()).transpose()?;
+    Address::of(folder, known.as_ref(), reach)?;
+    let mut entries = known.iter().flat_map(|known| &known.people);
+    let other_role = entries.find(|entry| {
+        let mut people = people.iter();
+        people.any(|(name, role)| *name == entry.person && *role != entry.role)
+    });
+    if let Some(entry) = other_role {
+        return Err(RightsError::There(entry.person.clone()));
     }
     make_folder(folder.path())?;
     folder.check_own()?;
     let _held = folder.hold()?;
     let authority = authority(folder)?;
-    // Of a certificate whose making was cut off nobody has noted until when it holds.
-    let is_noted = folder.is_made()? && folder.people()?.until.is_some();
+    let known = folder.is_made()?.then(|| folder.people()).transpose()?;
+    // An interrupted run has not recorded when its certificate expires.
+    let is_noted = known.as_ref().is_some_and(|known| known.until.is_some());
     let is_whole = is_noted && folder.daemon().iter().all(|path| path.exists());
-    let is_renewed = !hosts.is_empty() || !is_whole;
-    if is_renewed {
-        let own = OWN_NAMES.map(str::to_owned).into_iter();
-        let mut hosts: Vec<String> = own.chain(hosts.iter().cloned()).collect();
-        hosts.dedup();
-        keep(&authority.certify_daemon(&hosts)?, folder.daemon())?;
+    if known.is_none() {
+        folder.write_passwords(&[])?;
     }
-    let endpoint = |host: &String| match host.contains(':') {
-        true => format!("tls/[{host}]:{PORT}"),
-        false => format!("tls/{host}:{PORT}"),
-    };
-    let mut known = match folder.is_made()? {
-        true => folder.people()?,
+    let was_made = known.is_some();
+    let (known, moved) = match is_whole && reach.is_empty() && folder.settings_file().exists() {
+        true => (known.map_or_else(|| folder.people(), Ok)?, None),
         false => {
-            let [_, own, _] = OWN_NAMES;
-            folder.write_passwords(&[])?;
-            People {
-                endpoint: endpoint(&own.to_owned()),
-                until: None,
-                people: Vec::new(),
-            }
+            let (known, moved) = relocate(&authority, folder, known, reach)?;
+            (known, (was_made && !reach.is_empty()).then_some(moved))
         }
     };
-    if let Some(host) = hosts.first() {
-        known.endpoint = endpoint(host);
-    }
-    if is_renewed {
-        known.until = Some(last_day());
-    }
-    folder.write_people(&known)?;
-    if !folder.settings_file().exists() {
-        let listen = match hosts {
-            [] => known.endpoint.clone(),
-            _ => format!("tls/0.0.0.0:{PORT}"),
-        };
-        let path = folder.path().canonicalize();
-        let path = path.map_err(|error| at(folder.path(), error))?;
-        let settings = format!("listen = {listen:?}\nauth_dir = {path:?}\n");
-        write(&folder.settings_file(), &settings)?;
-    }
     // Who is there already stays as they are.
     let is_there = |(name, role): &(String, Role)| {
         let mut entries = known.people.iter();
         entries.any(|it| it.person == *name && it.role == *role)
     };
     let new: Vec<_> = people.iter().filter(|it| !is_there(it)).cloned().collect();
-    add_by(&authority, folder, &new)
+    let made = add_by(&authority, folder, &new)?;
+    Ok(SetUp { made, moved })
+}
+
+/// Changes where the daemon is reached, from its next start on: its certificate is issued again by
+/// the same authority, and the folders of people that are here are rewritten.
+///
+/// # Errors
+///
+/// [`RightsError`]; nothing is changed then, unless a file cannot be written.
+pub fn readdress(folder: &Folder, reach: &Reach) -> Result<Moved, RightsError> {
+    folder.people()?;
+    folder.check_own()?;
+    let _held = folder.hold()?;
+    let known = folder.people()?;
+    Address::of(folder, Some(&known), reach)?;
+    let [_, key] = folder.authority();
+    if !key.exists() {
+        return Err(RightsError::NoAuthority(key));
+    }
+    Ok(relocate(&authority(folder)?, folder, Some(known), reach)?.1)
+}
+
+/// Issues the daemon's certificate, and writes where it is reached.
+fn relocate(
+    authority: &Authority,
+    folder: &Folder,
+    known: Option<People>,
+    reach: &Reach,
+) -> Result<(People, Moved), RightsError> {
+    let address = Address::of(folder, known.as_ref(), reach)?;
+    let names = address.names();
+    keep(&authority.certify_daemon(&names)?, folder.daemon())?;
+    address.write_settings(folder, reach)?;
+    let is_moved = known
+        .as_ref()
+        .is_some_and(|known| (&known.endpoint, &known.page) != (&address.endpoint, &address.page));
+    let known = People {
+        endpoint: address.endpoint.clone(),
+        page: address.page.clone(),
+        hosts: Some(address.hosts.clone()),
+        until: Some(last_day()),
+        people: known.map(|known| known.people).unwrap_or_default(),
+    };
+    let (rewritten, stale) = match is_moved {
+        // `people.json` comes last: an interrupted run is repeated as long as it is the old one.
+        true => {
+            let rewritten = rewrite(folder, &known)?;
+            let names = known.people.iter().map(|entry| entry.person.clone());
+            let is_stale = |name: &String| !rewritten.contains(&folder.of(name));
+            let stale = names.filter(is_stale).collect();
+            (rewritten, stale)
+        }
+        false => Default::default(),
+    };
+    folder.write_people(&known)?;
+    let moved = Moved {
+        address,
+        names,
+        stale,
+        rewritten,
+    };
+    Ok((known, moved))
+}
+
+/// Writes where the daemon is reached into the folders of people that are here. Returns those.
+fn rewrite(folder: &Folder, known: &People) -> Result<Vec<PathBuf>, RightsError> {
+    let mut rewritten = Vec::new();
+    for entry in &known.people {
+        let path = folder.of(&entry.person);
+        let file = path.join(Credentials::FILE);
+        if !file.exists() {
+            continue;
+        }
+        let credentials = Credentials {
+            endpoint: known.endpoint.clone(),
+            page: known.page.clone(),
+            ..folder.credentials(&entry.person)?
+        };
+        let [ca, certificate, key] = Credentials::CERTIFICATES.map(|file| read(&path.join(file)));
+        let pair = Pair {
+            certificate: certificate?,
+            key: key?,
+        };
+        let settings = zenoh_settings(&credentials, &ca?, &pair);
+        write_json(&path.join(ZENOH), &settings)?;
+        write_json(&file, &credentials)?;
+        rewritten.push(path);
+    }
+    Ok(rewritten)
 }
 
 /// Adds people, and returns the folders to hand to them.
@@ -131,7 +234,7 @@ fn authority(folder: &Folder) -> Result<Authority, RightsError> {
     Ok(authority)
 }
 
-/// Takes people's rights away, from the daemon's next start on.
+/// Takes people's rights away: a running daemon rejects their tokens within seconds.
 ///
 /// # Errors
 ///
@@ -176,24 +279,14 @@ fn sweep(
     Ok(())
 }
 
-/// Whether a machine can be reached by this: an address, or a name of letters, digits and hyphens
-/// between dots.
-fn is_host(host: &str) -> bool {
-    let is_label = |label: &str| {
-        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-';
-        !label.is_empty() && label.len() <= 63 && label.chars().all(plain)
-    };
-    let mut labels = host.split('.');
-    // What ends in a number is an address, or was meant to be one.
-    let is_number = |label: &str| label.bytes().all(|c| c.is_ascii_digit());
-    let is_name = labels.clone().all(is_label) && !labels.next_back().is_some_and(is_number);
-    host.parse::<IpAddr>().is_ok() || (host.len() <= 253 && is_name)
-}
-
 fn check(people: &[(String, Role)]) -> Result<(), RightsError> {
     let is_taken = |name: &str| !is_person(name) || name == DAEMON;
-    match people.iter().find(|(name, _)| is_taken(name)) {
-        Some((name, _)) => Err(RightsError::Name(name.clone())),
+    if let Some((name, _)) = people.iter().find(|(name, _)| is_taken(name)) {
+        return Err(RightsError::Name(name.clone()));
+    }
+    let mut seen = BTreeSet::new();
+    match people.iter().find(|(name, _)| !seen.insert(name)) {
+        Some((name, _)) => Err(RightsError::Twice(name.clone())),
         None => Ok(()),
     }
 }
@@ -215,6 +308,7 @@ fn add_by(
             person: name.clone(),
             role: *role,
             endpoint: known.endpoint.clone(),
+            page: known.page.clone(),
             token: draw()?,
             password: draw()?,
         };
@@ -311,7 +405,10 @@ mod tests {
         let before = (read(&ca).unwrap(), folder.credentials("anna").unwrap());
         init(&folder, &["lab.example".into()], &[person("ben")]).unwrap();
         add(&folder, &[person("cleo")]).unwrap();
-        assert!(before == (read(&ca).unwrap(), folder.credentials("anna").unwrap()));
+        let after = folder.credentials("anna").unwrap();
+        assert_eq!(read(&ca).unwrap(), before.0);
+        assert!((&after.token, &after.password) == (&before.1.token, &before.1.password));
+        assert_eq!(after.endpoint, "tls/lab.example:7447");
         let names: Vec<_> = folder
             .people()
             .unwrap()
@@ -348,6 +445,36 @@ mod tests {
             set(path, mode);
         }
         Rights::read(folder).unwrap();
+    }
+
+    #[test]
+    fn what_root_writes_belongs_to_whom_the_folder_belongs() {
+        use std::os::unix::fs::{MetadataExt, chown};
+        if !rustix::process::geteuid().is_root() {
+            return;
+        }
+        let base = tempfile::tempdir().unwrap();
+        let folder = Folder::at(base.path().join("auth"));
+        init(&folder, &[], &[person("anna")]).unwrap();
+        let files = [
+            folder.path().to_owned(),
+            folder.people_file(),
+            folder.passwords_file(),
+        ];
+        for path in &files {
+            chown(path, Some(12345), Some(12346)).unwrap();
+        }
+        add(&folder, &[person("ben")]).unwrap();
+        remove(&folder, &["anna".into()]).unwrap();
+        for path in &files {
+            let owner = fs::metadata(path).unwrap();
+            assert_eq!(
+                (owner.uid(), owner.gid()),
+                (12345, 12346),
+                "{}",
+                path.display()
+            );
+        }
     }
 
     #[test]
@@ -438,9 +565,16 @@ mod tests {
             add(&folder, &[person("anna")]),
             Err(RightsError::Nothing(_))
         ));
+        assert!(matches!(
+            init(&folder, &[], &[person("anna"), person("anna")]),
+            Err(RightsError::Twice(_))
+        ));
+        assert!(!folder.path().exists());
         init(&folder, &[], &[person("anna")]).unwrap();
         let people = folder.people().unwrap();
+        let operator = (String::from("anna"), Role::Operator);
         for refused in [
+            init(&folder, &["lab.example".into()], &[operator]),
             add(&folder, &[person("ben"), person("anna")]),
             add(&folder, &[person("ben"), person("ben")]),
             add(&folder, &[person("ben"), person("ben-1")]),

@@ -3,9 +3,11 @@
 //! A query does not tell whose session it came over, so each request brings a token along; zenoh's
 //! own access control, which knows the session's name and certificate, stands before that.
 
+pub mod address;
 pub mod certificates;
 pub mod folder;
 pub mod issue;
+pub mod live;
 pub mod secret;
 
 use std::collections::BTreeMap;
@@ -68,11 +70,32 @@ pub enum RightsError {
     /// A machine's name or address.
     #[error("{0:?} is neither a name nor an address of a machine, such as lab.example or 10.0.0.1")]
     Host(String),
+    /// Every address of a machine, and no name to reach it by.
+    #[error(
+        "{0} is every address of this machine: name one by which others reach it, \
+         --host lab.example"
+    )]
+    NoHost(String),
+    /// A port that differs at each start.
+    #[error("{0} picks a new port at each start, but credentials contain a fixed one: give a port")]
+    AnyPort(String),
+    /// An endpoint without a port.
+    #[error("{0:?} has no port: give tls/ADDRESS:PORT")]
+    NoPort(String),
+    /// Names that an earlier version did not record.
+    #[error(
+        "an earlier version made the certificate, and did not record its names: give all of them, \
+         --host {0} and so on"
+    )]
+    HostsUnknown(String),
     /// The person is there already.
     #[error(
         "{0} is there already: `jostled auth remove {0}` first, to give new secrets or another role"
     )]
     There(String),
+    /// The same name twice in one command.
+    #[error("{0} is named twice: give each name once")]
+    Twice(String),
     /// There is no such person.
     #[error("there is nobody called {0:?}: `jostled auth list` shows who there is")]
     Nobody(String),
@@ -91,7 +114,7 @@ pub struct Person {
 }
 
 /// Who may do what.
-#[derive(Default)]
+#[derive(Clone, Default, PartialEq, Eq)]
 pub enum Rights {
     /// Whoever reaches the daemon may do everything.
     #[default]
@@ -142,26 +165,8 @@ impl Rights {
         let _held = folder.hold()?;
         // zenoh reads them, and would say less of what is wrong.
         folder.passwords()?;
-        let mut people = BTreeMap::new();
         let known = folder.people()?;
-        for entry in known.people {
-            let wrong = |problem: &str| RightsError::Content {
-                path: folder.people_file(),
-                problem: format!("{}: {problem}", entry.person),
-            };
-            if !is_person(&entry.person) {
-                return Err(RightsError::Name(entry.person));
-            }
-            let hash = Hash::from_hex(&entry.token_hash)
-                .map_err(|_| wrong("token_hash is no BLAKE3 hash in hexadecimal"))?;
-            let person = Person {
-                name: entry.person.clone(),
-                role: entry.role,
-            };
-            if people.insert(*hash.as_bytes(), person).is_some() {
-                return Err(wrong("has the token of somebody else"));
-            }
-        }
+        let people = by_token(&folder, known.people)?;
         if people.is_empty() {
             // With no password to ask for, zenoh would ask for none.
             return Err(RightsError::Content {
@@ -232,6 +237,22 @@ impl Rights {
         }
     }
 
+    /// Who sends a request that bears this token; `None` where everybody may do everything.
+    ///
+    /// # Errors
+    ///
+    /// [`NotPermitted::Verb`] if no person has this token.
+    pub fn sender(&self, token: &[u8], verb: &str) -> Result<Option<&Person>, NotPermitted> {
+        match (self, self.owner(token)) {
+            (Rights::Everybody, _) => Ok(None),
+            (Rights::People { .. }, Some(person)) => Ok(Some(person)),
+            (Rights::People { .. }, None) => Err(NotPermitted::Verb {
+                person: None,
+                verb: verb.to_owned(),
+            }),
+        }
+    }
+
     /// Whose token this is. By its hash, so that how long it takes tells nothing of another.
     pub fn owner(&self, token: &[u8]) -> Option<&Person> {
         match self {
@@ -246,18 +267,41 @@ impl Rights {
     ///
     /// [`NotPermitted`].
     pub fn permit(&self, token: &[u8], verb: &str) -> Result<Option<&Person>, NotPermitted> {
-        let Rights::People { .. } = self else {
-            return Ok(None);
-        };
-        let owner = self.owner(token);
-        match owner {
-            Some(person) if person.role.may(verb) => Ok(owner),
-            _ => Err(NotPermitted::Verb {
-                person: owner.cloned(),
+        match self.sender(token, verb)? {
+            Some(person) if !person.role.may(verb) => Err(NotPermitted::Verb {
+                person: Some(person.clone()),
                 verb: verb.to_owned(),
             }),
+            sender => Ok(sender),
         }
     }
+}
+
+/// The people of `people.json`, by the hashes of their tokens.
+fn by_token(
+    folder: &Folder,
+    entries: Vec<Entry>,
+) -> Result<BTreeMap<[u8; 32], Person>, RightsError> {
+    let mut people = BTreeMap::new();
+    for entry in entries {
+        let wrong = |problem: &str| RightsError::Content {
+            path: folder.people_file(),
+            problem: format!("{}: {problem}", entry.person),
+        };
+        if !is_person(&entry.person) {
+            return Err(RightsError::Name(entry.person));
+        }
+        let hash = Hash::from_hex(&entry.token_hash)
+            .map_err(|_| wrong("token_hash is no BLAKE3 hash in hexadecimal"))?;
+        let person = Person {
+            name: entry.person.clone(),
+            role: entry.role,
+        };
+        if people.insert(*hash.as_bytes(), person).is_some() {
+            return Err(wrong("has the token of somebody else"));
+        }
+    }
+    Ok(people)
 }
 
 impl Person {

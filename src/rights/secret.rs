@@ -2,8 +2,10 @@
 
 use std::fs::{self, OpenOptions};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, fchown};
 use std::path::Path;
+
+use rustix::process::geteuid;
 
 /// So many random bytes, in hexadecimal digits.
 ///
@@ -35,6 +37,13 @@ pub fn write(path: &Path, text: &str) -> io::Result<()> {
         .mode(0o600)
         .open(&aside);
     let mut file = options?;
+    // Root writes into the folder of a daemon that runs as somebody else, who reads it.
+    if geteuid().is_root()
+        && let Some(folder) = path.parent()
+    {
+        let owner = fs::metadata(folder)?;
+        fchown(&file, Some(owner.uid()), Some(owner.gid()))?;
+    }
     file.write_all(text.as_bytes())?;
     file.sync_all()?;
     fs::rename(&aside, path)

@@ -29,6 +29,9 @@ const TELLING: [&str; 5] = [
     "liveliness_token",
 ];
 
+/// The rule for claims of other daemons.
+const CLAIMS: &str = "claims";
+
 /// The links on which a session proves by its password alone who it is: those within a machine.
 const LOCAL_LINKS: [&str; 2] = ["tcp", "unixsock-stream"];
 
@@ -52,12 +55,14 @@ pub fn control(prefix: &str, rights: &Rights) -> Value {
                 &EVERYTHING.map(str::to_owned),
             ));
             rules.extend(steering(prefix, "steer", &["*".to_owned()]));
+            rules.push(claims(prefix));
             subjects.push(json!({"id": "everyone"}));
-            let names = ["the_daemon_tells", "ask", "steer_put", "steer_live"];
+            let names = ["the_daemon_tells", "ask", "steer_put", "steer_live", CLAIMS];
             policies.push(json!({"rules": names, "subjects": ["everyone"]}));
         }
         Some(people) => {
             rules.extend(roles(prefix));
+            rules.push(claims(prefix));
             for person in people {
                 let names = rules_of(prefix, person, &mut rules);
                 let ids = subjects_of(person, &mut subjects);
@@ -99,6 +104,7 @@ fn roles(prefix: &str) -> Vec<Value> {
             &EVERYTHING.map(str::to_owned),
         ),
         rule("get", "ingress", &["query"], &gets),
+        denial("no_recording", &keys::node_get(prefix, "*", "recording")),
         rule("control", "ingress", &["query"], &controllers),
         rule("operate", "ingress", &["query"], &everything),
     ]
@@ -108,13 +114,16 @@ fn roles(prefix: &str) -> Vec<Value> {
 fn rules_of(prefix: &str, person: &Person, rules: &mut Vec<Value>) -> Vec<String> {
     let mut names = vec!["the_daemon_tells", "watch", "get"];
     let controllers = match person.role {
-        Role::Viewer => Vec::new(),
+        Role::Viewer => {
+            names.push("no_recording");
+            Vec::new()
+        }
         Role::Controller => {
-            names.push("control");
+            names.extend(["no_recording", "control"]);
             vec![person.name.clone(), format!("{}-$*", person.name)]
         }
         Role::Operator => {
-            names.push("operate");
+            names.extend(["operate", CLAIMS]);
             vec!["*".to_owned()]
         }
     };
@@ -128,6 +137,16 @@ fn rules_of(prefix: &str, person: &Person, rules: &mut Vec<Value>) -> Vec<String
         rules.extend(own);
     }
     names
+}
+
+/// Permits the claims of other daemons, which routers forward. A router that forwards commands
+/// connects as an operator, so no other role needs this permission.
+fn claims(prefix: &str) -> Value {
+    let keys = [
+        keys::claim(prefix, "*", "*", "*", "*"),
+        keys::node_claim(prefix, "*", "*", "*"),
+    ];
+    rule(CLAIMS, "ingress", &["liveliness_token"], &keys)
 }
 
 /// The ids of the subjects that are `person`, which are added.
@@ -162,6 +181,13 @@ fn steering(prefix: &str, id: &str, controllers: &[String]) -> [Value; 2] {
             &each(keys::ctl_alive),
         ),
     ]
+}
+
+/// Denies queries on a key that another rule allows.
+fn denial(id: &str, key: &str) -> Value {
+    let mut rule = rule(id, "ingress", &["query"], &[key.to_owned()]);
+    rule["permission"] = json!("deny");
+    rule
 }
 
 fn rule(id: &str, flow: &str, messages: &[&str], keys: &[String]) -> Value {

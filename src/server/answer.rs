@@ -359,8 +359,12 @@ impl Outgoing {
             return;
         };
         let sent = match answer {
-            Ok(Payload { bytes, encoding }) => query.reply(key, bytes).encoding(encoding).wait(),
-            Err(Payload { bytes, encoding }) => query.reply_err(bytes).encoding(encoding).wait(),
+            Ok(Payload {
+                bytes, encoding, ..
+            }) => query.reply(key, bytes).encoding(encoding).wait(),
+            Err(Payload {
+                bytes, encoding, ..
+            }) => query.reply_err(bytes).encoding(encoding).wait(),
         };
         if let Err(error) = sent {
             debug!(%error, "failed to send an answer");

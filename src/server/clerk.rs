@@ -1,12 +1,13 @@
 //! Answers queries: an order or a look handed to a swarm, and the promise of its answer.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use fail::fail_point;
-use jostle_proto::{Request, Schemas};
+use jostle_proto::{Request, Schemas, keys};
+use serde_json::Value;
 use tracing::error;
 use zenoh::Session;
 use zenoh::bytes::ZBytes;
@@ -19,11 +20,14 @@ use crate::lab::Lab;
 use crate::publish::Press;
 use crate::recording::Recordings;
 use crate::replay::Uploads;
-use crate::rights::{NotPermitted, Person, Rights};
+use crate::rights::live::LiveRights;
+use crate::rights::{NotPermitted, Rights};
 use crate::server::answer::{Asked, Desk, Excuse, Keeper, Promise};
+use crate::server::claims::{Claims, Gate, Name};
 use crate::server::experiments::Errands;
 use crate::server::ledger::Ledger;
 use crate::server::query::{self, Topic};
+use crate::server::verifications::Verifications;
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::Ticket;
@@ -43,6 +47,8 @@ pub struct Clerk {
     pub prefix: String,
     /// The daemon's name.
     pub node: String,
+    /// Where it serves HTTP, if it does.
+    pub http: Option<String>,
     /// The swarms.
     pub host: Arc<Host>,
     /// Where answers go.
@@ -50,7 +56,7 @@ pub struct Clerk {
     /// Where states go.
     pub press: Arc<Press>,
     /// Who may do what.
-    pub rights: Arc<Rights>,
+    pub rights: Arc<LiveRights>,
     /// When the daemon started.
     pub started: Instant,
     /// What outlives the daemon.
@@ -71,10 +77,14 @@ pub struct Clerk {
     pub to_record: Errands<Recordings>,
     /// The daemon in numbers, once it is watched.
     pub watch: Arc<OnceLock<Arc<Watch>>>,
+    /// The claims of this daemon and of others, which decide what it may serve.
+    pub claims: Arc<Claims>,
+    /// Whether the swarms of an earlier run are being brought back.
+    pub is_recovering: AtomicBool,
     /// How many queries wait for the dispatching thread, or are at it.
     pub waiting: AtomicUsize,
-    /// How many histories are being told again.
-    pub telling: Arc<AtomicUsize>,
+    /// The histories that are being verified.
+    pub verifications: Arc<Verifications>,
 }
 
 impl Clerk {
@@ -85,7 +95,10 @@ impl Clerk {
         let takes_long = |verb: &str| matches!(verb, "fork" | "seek" | "delete");
         let verb = query.key_expr().as_str().rsplit('/').next();
         let is_first = self.waiting.load(Ordering::Acquire) == 0;
-        let is_read = matches!(topic, Topic::Command(_))
+        let Topic::Command(swarm) = topic else {
+            return false;
+        };
+        let is_read = self.claims.gate(&Name::Swarm(swarm.to_string()), true) == Gate::Open
             && is_short
             && is_first
             && !verb.is_none_or(takes_long);
@@ -151,23 +164,41 @@ impl Clerk {
     }
 
     /// Whether whoever sends a command may; by its verb, which a wildcard is not.
-    pub(super) fn permit(&self, query: &Query) -> Result<Option<&Person>, NotPermitted> {
-        if let Rights::Everybody = *self.rights {
-            return Ok(None);
+    pub(super) fn permit(&self, query: &Query) -> Result<(), NotPermitted> {
+        match &*self.rights.current() {
+            Rights::Everybody => Ok(()),
+            rights => rights.permit(&query::token(query), &verb(query)).map(drop),
         }
-        let key = query.key_expr().as_str();
-        let verb = key.split_once("/cmd/").map_or(key, |(_, verb)| verb);
-        let verb = command::shortened(verb);
-        self.rights.permit(&query::token(query), &verb)
     }
 
     /// Reads the request in a query, signed by whoever sends it if people are known.
     pub(super) fn request(&self, query: &Query) -> Result<Request, CommandError> {
         let mut request = query::request(query, self.most_bytes())?;
-        if let Some(person) = self.rights.owner(&query::token(query)) {
-            request.client = Some(person.signed(request.client.as_deref()));
+        let rights = self.rights.current();
+        if let Rights::People { .. } = &*rights {
+            // A person may have been removed since the query was permitted: the request must not
+            // execute unsigned then.
+            let sender = rights.sender(&query::token(query), &verb(query))?;
+            request.client = sender.map(|person| person.signed(request.client.as_deref()));
         }
         Ok(request)
+    }
+
+    /// The name of the swarm that a query creates; `None` if no other daemon can be reached.
+    pub(super) fn creates(&self, topic: &Topic, asked: &Asked) -> Option<String> {
+        if !self.claims.is_connected() {
+            return None;
+        }
+        let verb = asked.query.key_expr().as_str().rsplit('/').next()?;
+        let is_of_node = matches!(topic, Topic::NodeCommand);
+        let args: Value = self.request(&asked.query).ok()?.args().ok()?;
+        let name = match (is_of_node, verb) {
+            (true, "create" | "restore") | (false, "fork") => &args["name"],
+            (true, "replay") => &args["open"]["name"],
+            _ => return None,
+        };
+        let name = name.as_str().filter(|it| keys::is_name(it))?;
+        Some(name.to_owned())
     }
 
     /// Looks at a swarm and answers with what `payload` makes of it.
@@ -214,6 +245,12 @@ impl Clerk {
             ticket => handle.send(ticket),
         }
     }
+}
+
+/// The verb of a command; its whole key if there is none.
+pub(super) fn verb(query: &Query) -> String {
+    let key = query.key_expr().as_str();
+    command::shortened(key.split_once("/cmd/").map_or(key, |(_, verb)| verb))
 }
 
 /// Takes what a swarm answers and how to word it.

@@ -2,14 +2,15 @@
 
 use std::sync::Arc;
 
-use jostle_proto::verbs::CreateArgs;
+use jostle_proto::verbs::{CreateArgs, DiscardArgs};
 use jostle_proto::{Request, keys};
 
-use crate::command::{self, Command, CommandError, create};
+use crate::command::{self, Command, CommandError, check_name, create};
 use crate::host::Created;
 use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::archive::{self, MakePayload};
 use crate::server::clerk::Clerk;
+use crate::server::copies::refuse_when;
 use crate::server::dispatch::Dispatcher;
 use crate::server::ledger::Entered;
 use crate::server::query::token;
@@ -47,7 +48,8 @@ impl Clerk {
             self.request(query).and_then(|request| {
                 let mut command = command::read(verb, &request)?;
                 if let Some(controller) = command.order.controller()
-                    && let Some(person) = self.rights.owner(&token(query))
+                    && let rights = self.rights.current()
+                    && let Some(person) = rights.sender(&token(query), verb)?
                 {
                     person.permit_controller(controller)?;
                 }
@@ -123,6 +125,9 @@ impl Clerk {
             Some("restore") => self
                 .request(query)
                 .and_then(|request| self.restore(&promise, &request)),
+            Some("discard") => self
+                .request(query)
+                .and_then(|request| self.discard(&promise, &request)),
             Some("experiment") => self
                 .request(query)
                 .and_then(|request| self.experiment(&promise, &request)),
@@ -193,6 +198,48 @@ impl Clerk {
         if let Created::Existing(handle) = created {
             handle.send(Ticket::Look(answer(false)));
         }
+        Ok(())
+    }
+
+    /// Deletes this daemon's swarm of a name that other daemons may hold, too.
+    fn discard(&self, promise: &Promise, request: &Request) -> Result<(), CommandError> {
+        refuse_when(request)?;
+        let DiscardArgs { name } = request.args()?;
+        check_name("name", &name)?;
+        let Command {
+            order,
+            when,
+            sender,
+            timeout,
+            ..
+        } = command::read(
+            "delete",
+            &Request {
+                request_id: request.request_id.clone(),
+                client: request.client.clone(),
+                timeout_secs: request.timeout_secs,
+                ..Request::default()
+            },
+        )?;
+        let key = keys::node_cmd(&self.prefix, &self.node, "discard");
+        if !self.enter(&key, request, promise)? {
+            promise.keep_within(timeout, CommandError::deadline, || None);
+            return Ok(());
+        }
+        let swarm = name.clone();
+        let patience = (timeout, CommandError::deadline as fn(f64) -> CommandError);
+        self.send(&swarm, promise, patience, |answer| {
+            Ticket::Command(handle::Command {
+                order,
+                when,
+                sender,
+                answer: Box::new(move |answered| {
+                    answer(answered, move |place, outcome| {
+                        wire::outcome(&name, &place, outcome, None)
+                    });
+                }),
+            })
+        });
         Ok(())
     }
 

@@ -7,13 +7,15 @@ use std::time::Duration;
 
 use jostle_proto::keys;
 use tracing::debug;
-use zenoh::bytes::Encoding;
+use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
 use crate::command::control;
 use crate::host::Host;
+use crate::rights::live::LiveRights;
+use crate::server::claims::Claims;
 use crate::swarm::handle::Ticket;
 
 /// What may wait to be read; beyond that the newest are dropped, as on any link that is full.
@@ -39,12 +41,16 @@ pub fn listen(
     session: &Session,
     prefix: &str,
     host: Arc<Host>,
+    rights: Arc<LiveRights>,
+    claims: Arc<Claims>,
 ) -> zenoh::Result<[Subscriber<()>; 2]> {
     let (sent, to_read) = sync_channel(MOST);
     let reader = Reader {
         session: session.clone(),
         prefix: format!("{prefix}/"),
         host,
+        rights,
+        claims,
     };
     thread::Builder::new()
         .name("control".into())
@@ -73,6 +79,8 @@ struct Reader {
     session: Session,
     prefix: String,
     host: Arc<Host>,
+    rights: Arc<LiveRights>,
+    claims: Arc<Claims>,
 }
 
 impl Reader {
@@ -93,6 +101,12 @@ impl Reader {
         let Some(handle) = self.host.find(swarm) else {
             return;
         };
+        let token = sample.attachment().map(ZBytes::to_bytes);
+        if !self.rights.permits_set_points(controller, token.as_deref()) {
+            debug!(swarm, controller, "set-points not permitted");
+            // Counted as rejected, so that `get/controllers` shows it.
+            return handle.send(Ticket::Put(controller.to_owned(), None, None));
+        }
         let is_cbor = *sample.encoding() == Encoding::APPLICATION_CBOR;
         let read = match sample.kind() {
             SampleKind::Put => control::read(controller, &sample.payload().to_bytes(), is_cbor),
@@ -105,7 +119,10 @@ impl Reader {
                 (None, None)
             }
         };
-        handle.send(Ticket::Put(controller.to_owned(), epoch, put));
+        // If another daemon serves the name, the set-point may be for that daemon's swarm.
+        if self.claims.serves(swarm) {
+            handle.send(Ticket::Put(controller.to_owned(), epoch, put));
+        }
     }
 
     /// Tells a swarm that a controller is gone, unless another session holds its token: one that

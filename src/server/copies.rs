@@ -1,7 +1,6 @@
 //! Swarms made as others were, and a swarm's past told again: fork, restore, verify.
 
 use std::sync::Arc;
-use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
 use std::thread;
 use std::time::Duration;
@@ -31,25 +30,6 @@ const BYTES_AROUND_SNAPSHOT: usize = 4096;
 
 /// How long a history may be told again before its asker hears that it takes longer.
 const PATIENCE_WITH_HISTORY: Duration = Duration::from_secs(3600);
-
-/// Histories that are told again at once; they take what cores there are.
-const MOST_TOLD: usize = 4;
-
-/// One of so many at once.
-struct Turn(Arc<AtomicUsize>);
-
-impl Turn {
-    fn take(turns: &Arc<AtomicUsize>) -> Option<Self> {
-        let turn = Turn(turns.clone());
-        (turns.fetch_add(1, Ordering::AcqRel) < MOST_TOLD).then_some(turn)
-    }
-}
-
-impl Drop for Turn {
-    fn drop(&mut self) {
-        self.0.fetch_sub(1, Ordering::AcqRel);
-    }
-}
 
 impl Clerk {
     /// Makes a swarm as another one is, or as it was on arriving at a step.
@@ -104,7 +84,9 @@ impl Clerk {
                 let (store, swarm) = (self.store.clone(), swarm.clone());
                 let told = thread::Builder::new()
                     .name("fork".into())
-                    .spawn(move || copy.of(recovery::told_again(&store, &swarm, To::Step(step))))
+                    .spawn(move || {
+                        copy.of(recovery::told_again(&store, &swarm, To::Step(step), |_| {}));
+                    })
                     .map(drop);
                 told.map_err(|_| CommandError::Busy)?;
             }
@@ -193,7 +175,7 @@ impl Clerk {
         if handle.summary().is_some_and(|it| it.is_replay) {
             return promise.refuse(&OrderError::Recorded.into(), handle.step());
         }
-        let Some(turn) = Turn::take(&self.telling) else {
+        let Some(verification) = self.verifications.begin(swarm) else {
             return promise.refuse(&CommandError::Busy, handle.step());
         };
         promise.keep_within(PATIENCE_WITH_HISTORY, CommandError::deadline, || None);
@@ -203,13 +185,17 @@ impl Clerk {
             Keeper::new(promise.clone()),
         );
         let spawned = thread::Builder::new().name("verify".into()).spawn(move || {
-            let _turn = turn;
             let seen = present(&handle);
             let to = match &seen {
                 Some((place, _)) if !place.phase.is_moving() => To::Place(place.epoch, place.step),
                 _ => To::LastHash,
             };
-            match recovery::told_again(&store, &name, to) {
+            let verification = Arc::new(verification);
+            let progress = verification.clone();
+            let told =
+                recovery::told_again(&store, &name, to, move |share| progress.advance(share));
+            drop(verification);
+            match told {
                 Ok(told) => {
                     let now = seen.and_then(|(place, hash)| is_as_now(&told, &place, hash));
                     let here = (told.checkpoint.epoch, told.checkpoint.state.step);

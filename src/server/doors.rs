@@ -31,6 +31,8 @@ pub struct Doors {
     intake: SyncSender<Intake>,
     clerk: Arc<Clerk>,
     doors: BTreeMap<String, Door>,
+    /// The liveliness token and the queryables of the daemon itself.
+    node_keys: Option<(LivelinessToken, [Queryable<()>; 4])>,
     swept: Instant,
 }
 
@@ -61,6 +63,7 @@ impl Doors {
             intake,
             clerk,
             doors: BTreeMap::new(),
+            node_keys: None,
             swept: Instant::now(),
         }
     }
@@ -85,6 +88,45 @@ impl Doors {
         door.deleted = None;
         self.doors.insert(swarm.to_owned(), door);
         Ok(())
+    }
+
+    /// Opens the daemon's own keys, the token last.
+    ///
+    /// # Errors
+    ///
+    /// When zenoh refuses a key.
+    pub fn open_node(&mut self) -> zenoh::Result<()> {
+        let (prefix, node) = (&self.prefix, &self.node);
+        let queryable =
+            |key: String, topic| queryable(&self.session, &key, topic, &self.intake, &self.clerk);
+        let queryables = [
+            queryable(keys::node_get(prefix, node, "**"), Topic::NodeGet)?,
+            queryable(keys::node_cmd(prefix, node, "**"), Topic::NodeCommand)?,
+            queryable(keys::cmd(prefix, "*", "delete"), Topic::Deletion)?,
+            queryable(
+                format!("{prefix}/@node/{node}/experiment/**"),
+                Topic::Experiment,
+            )?,
+        ];
+        let token = self.session.liveliness();
+        let token = token.declare_token(keys::node_alive(prefix, node)).wait()?;
+        self.node_keys = Some((token, queryables));
+        Ok(())
+    }
+
+    /// Closes the daemon's own keys, the token first.
+    pub fn close_node(&mut self) {
+        if let Some((token, queryables)) = self.node_keys.take() {
+            drop(token);
+            drop(queryables);
+        }
+    }
+
+    /// Closes a swarm's keys at once, the token first: another daemon serves it.
+    pub fn shut(&mut self, swarm: &str) {
+        if let Some(mut door) = self.doors.remove(swarm) {
+            drop(door.token.take());
+        }
     }
 
     /// Takes a swarm's token away; its keys close a while later. Tells whether it had any.

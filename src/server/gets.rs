@@ -4,7 +4,8 @@ use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
 use jostle_proto::{
-    Hello, HistoryFrom, NodeReply, NodeStatus, Phase, Role, Schemas, Swarms, WhoAmI, keys,
+    Hello, HistoryFrom, NodeReply, NodeStatus, Phase, Role, Schemas, SwarmSummary, Swarms, WhoAmI,
+    keys,
 };
 use zenoh::Wait;
 use zenoh::query::Query;
@@ -86,6 +87,7 @@ impl Clerk {
             };
             let (name, handle) = (swarm.clone(), self.host.find(swarm));
             let (limits, store) = (self.host.limits(), self.store.clone());
+            let verifying = self.verifications.share(swarm);
             self.look(swarm, &promise, move |place, seen| match (noun, handle) {
                 ("spec", Some(handle)) => {
                     let spec = wire::spec(&handle.recipe, seen.seed);
@@ -107,7 +109,7 @@ impl Clerk {
                     let journal = wire::journal(handle.history.entries(after, limit));
                     Payload::json(&wire::reply(&name, &place, journal))
                 }
-                _ => status(&store, &name, &place, &seen),
+                _ => status(&store, verifying, &name, &place, &seen),
             });
         }
         if is_known {
@@ -136,6 +138,7 @@ impl Clerk {
             Err(error) => return promise.refuse(&error, None),
         };
         let (name, store) = (swarm.clone(), self.store.clone());
+        let verifications = self.verifications.clone();
         let abandoned = promise.clone();
         self.send(
             swarm,
@@ -147,7 +150,10 @@ impl Clerk {
                     is_abandoned: Box::new(move || abandoned.is_kept()),
                     answer: Box::new(move |answered| {
                         answer(answered, move |place, outcome| match outcome {
-                            Outcome::Seen(seen) => status(&store, &name, &place, &seen),
+                            Outcome::Seen(seen) => {
+                                let verifying = verifications.share(&name);
+                                status(&store, verifying, &name, &place, &seen)
+                            }
                             other => wire::outcome(&name, &place, other, None),
                         });
                     }),
@@ -165,6 +171,16 @@ impl Clerk {
                 continue;
             }
             is_known = true;
+            if noun == "recording" {
+                // Expensive, and meaningless without the name of a recording: not for wildcards.
+                if !query.key_expr().is_wild() {
+                    let promise = self.desk.promise(asked, key);
+                    if let Err(error) = self.recording(asked, &promise) {
+                        promise.refuse(&error, None);
+                    }
+                }
+                continue;
+            }
             let promise = self.desk.promise(asked, key);
             if let Err(error) = no_parameters(query) {
                 promise.refuse(&error, None);
@@ -188,14 +204,7 @@ impl Clerk {
                     // It is watched before anybody can ask.
                     None => continue,
                 },
-                _ => self.node_reply(Swarms {
-                    swarms: self
-                        .host
-                        .list()
-                        .iter()
-                        .map(|(name, summary)| wire::summary(name, summary))
-                        .collect(),
-                }),
+                _ => self.node_reply(self.swarms()),
             };
             promise.keep(move || Ok(payload));
         }
@@ -206,7 +215,7 @@ impl Clerk {
 
     /// Who asks, by the token that came along, and what they may.
     fn who_asks(&self, query: &Query) -> WhoAmI {
-        let (person, role) = match &*self.rights {
+        let (person, role) = match &*self.rights.current() {
             Rights::Everybody => (None, Some(Role::Operator)),
             known => known.owner(&token(query)).map_or((None, None), |person| {
                 (Some(person.name.clone()), Some(person.role))
@@ -238,12 +247,30 @@ impl Clerk {
             wire_version: jostle_proto::WIRE_VERSION,
             unix_secs: unix_secs(),
             limits: wire::limits(limits, self.max_clients, most_bytes),
+            http: self.http.clone(),
         })
     }
 
     /// How many clients are connected.
     fn clients(&self) -> usize {
         self.session.info().transports().wait().count()
+    }
+
+    fn swarms(&self) -> Swarms {
+        let contests = self.claims.contests();
+        let contested_by = |name: &str| {
+            let mut contests = contests.iter();
+            let contest = contests.find(|it| it.swarm.as_deref() == Some(name))?;
+            Some(contest.claimants[1].node.clone())
+        };
+        let swarms = self.host.list().into_iter();
+        let swarms = swarms.map(|(name, summary)| SwarmSummary {
+            contested_by: contested_by(&name),
+            ..wire::summary(&name, &summary)
+        });
+        Swarms {
+            swarms: swarms.collect(),
+        }
     }
 
     fn node_status(&self) -> NodeStatus {
@@ -285,14 +312,24 @@ impl Clerk {
 }
 
 /// A swarm's status.
-fn status(store: &Store, swarm: &str, place: &Place, seen: &Frame) -> Payload {
+fn status(
+    store: &Store,
+    verifying: Option<f64>,
+    swarm: &str,
+    place: &Place,
+    seen: &Frame,
+) -> Payload {
     // What cannot be read is told of in the log, and here left open.
     let oldest = store.history_from(swarm).ok().flatten();
     let history_from = oldest.map(|mark| HistoryFrom {
         epoch: mark.epoch,
         step: mark.step,
     });
-    Payload::json(&wire::reply(swarm, place, wire::status(seen, history_from)))
+    let status = jostle_proto::Status {
+        verifying,
+        ..wire::status(seen, history_from)
+    };
+    Payload::json(&wire::reply(swarm, place, status))
 }
 
 /// The schemas of every message, as `get/schema` answers them.

@@ -3,6 +3,8 @@
 mod access;
 pub mod answer;
 pub mod archive;
+pub mod blocked;
+pub mod claims;
 pub mod clerk;
 mod commands;
 mod control;
@@ -19,10 +21,12 @@ mod recordings;
 pub mod recovery;
 mod replays;
 pub mod session;
+pub mod sessions;
+mod verifications;
 
 use std::net::SocketAddr;
 use std::num::NonZero;
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, OnceLock};
 use std::thread;
@@ -30,10 +34,9 @@ use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
 use thiserror::Error;
-use tracing::{error, info, warn};
-use zenoh::liveliness::LivelinessToken;
+use tokio::time::MissedTickBehavior;
+use tracing::{debug, error, info, warn};
 use zenoh::pubsub::Subscriber;
-use zenoh::query::Queryable;
 use zenoh::{Session, Wait};
 
 use crate::command::error::refusal;
@@ -48,16 +51,18 @@ use crate::publish::Press;
 use crate::recording::Recordings;
 use crate::replay::Uploads;
 use crate::rights::folder::Folder;
+use crate::rights::live::{Changes, LiveRights};
 use crate::rights::{Rights, RightsError};
 use crate::server::answer::Desk;
+use crate::server::blocked::BusWatch;
+use crate::server::claims::{Claims, Contest, Watching};
 use crate::server::clerk::Clerk;
 use crate::server::dispatch::{Crier, Dispatcher, Intake, MOST_QUERIES};
 use crate::server::doors::Doors;
 use crate::server::experiments::Errands;
 use crate::server::ledger::Ledger;
-use crate::server::query::{Topic, queryable};
 use crate::server::recovery::RecoveryError;
-use crate::server::session::SessionError;
+use crate::server::session::{OpenRuntime, Opened, SessionError};
 use crate::store::{self, Store, StoreError, StoreFault};
 
 /// The exit code when the store can no longer be trusted, or has not written all of it.
@@ -80,6 +85,9 @@ const PATIENCE_WITH_SESSION: Duration = Duration::from_secs(1);
 
 /// How many days before its end a certificate is told of.
 const DAYS_OF_NOTICE: i64 = 60;
+
+/// How often the people are read again: a removed person's token is rejected within 5 s.
+const PEOPLE_RELOAD_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Why the daemon does not serve.
 #[derive(Debug, Error)]
@@ -141,7 +149,8 @@ pub enum ServerError {
 pub struct Server {
     host: Arc<Host>,
     store: Store,
-    session: Session,
+    connection: Connection,
+    bus: Arc<BusWatch>,
     press: Arc<Press>,
     desk: Desk,
     intake: SyncSender<Intake>,
@@ -151,21 +160,71 @@ pub struct Server {
     pass: Pass,
     lab: Lab,
     recordings: Recordings,
-    doors: (LivelinessToken, [Queryable<()>; 4], [Subscriber<()>; 2]),
+}
+
+/// The zenoh session with its subscribers and the runtime below it, closed and dropped in this order:
+/// zenoh panics when a subscriber is undeclared after the runtime was closed.
+struct Connection {
+    session: Session,
+    _subscribers: ([Subscriber<()>; 2], Watching),
+    _runtime: OpenRuntime,
+}
+
+impl Drop for Connection {
+    fn drop(&mut self) {
+        if let Err(error) = self.session.close().wait() {
+            debug!(%error, "failed to close the session");
+        }
+    }
 }
 
 /// Tells of certificates that end soon and passwords of nobody: at once, and once a day for as long
 /// as the daemon runs.
-async fn warn_of_people(rights: Arc<Rights>) {
+async fn warn_of_people(rights: Arc<LiveRights>) {
     let mut days = tokio::time::interval(Duration::from_secs(24 * 60 * 60));
     loop {
         days.tick().await;
-        match rights.notices(DAYS_OF_NOTICE) {
+        match rights.current().notices(DAYS_OF_NOTICE) {
             Ok(ending) => ending.iter().for_each(|line| warn!("{line}")),
             Err(error) => {
                 warn!(%error, "failed to see which certificates end soon, and who is nobody");
             }
         }
+    }
+}
+
+/// Reads the people again every second: what `jostled auth add` and `remove` change takes effect
+/// without a restart.
+async fn reload_people(rights: Arc<LiveRights>) {
+    let mut ticks = tokio::time::interval(PEOPLE_RELOAD_INTERVAL);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut last_problem = None;
+    loop {
+        ticks.tick().await;
+        let reloaded = tokio::task::spawn_blocking({
+            let rights = rights.clone();
+            move || rights.reload()
+        });
+        match reloaded.await {
+            Ok(Ok(changes)) => {
+                if changes != Changes::default() {
+                    let Changes { added, removed } = changes;
+                    info!(
+                        added = added.join(" "),
+                        removed = removed.join(" "),
+                        "people changed"
+                    );
+                }
+            }
+            Ok(Err(error)) => {
+                let problem = Some(error.to_string());
+                if problem != last_problem {
+                    warn!(%error, "failed to read the people again; rights stay as they were");
+                }
+            }
+            Err(error) => error!(%error, "a defect: reading the people panicked"),
+        }
+        last_problem = rights.problem();
     }
 }
 
@@ -182,13 +241,15 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         Some(path) => Rights::read(Folder::at(path.clone()))?,
         None => Rights::Everybody,
     };
-    let rights = Arc::new(rights);
-    if let Rights::People { .. } = &*rights {
+    let are_people_known = rights.people().is_some();
+    let rights = Arc::new(LiveRights::new(rights));
+    if are_people_known {
         tokio::spawn(warn_of_people(rights.clone()));
+        tokio::spawn(reload_people(rights.clone()));
     }
     let http = match gateway::check(&config.http, config.auth_dir.is_some())? {
         Some(place) => {
-            let acceptor = match &*rights {
+            let acceptor = match &*rights.current() {
                 Rights::People { folder, .. } if place.is_secure => {
                     Some(gateway::acceptor(&folder.daemon()).map_err(GatewayError::Certificate)?)
                 }
@@ -199,7 +260,17 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         None => None,
     };
     let store = open_store(config)?;
-    let session = session::open(&config.listen, prefix, &rights, config.max_clients).await?;
+    let Opened {
+        session,
+        runtime,
+        clients,
+    } = session::open(
+        &config.listen,
+        prefix,
+        &rights.current(),
+        config.max_clients,
+    )
+    .await?;
     let locators = session.info().locators().await;
     let mut endpoints: Vec<String> = locators.iter().map(ToString::to_string).collect();
     if endpoints.is_empty() {
@@ -210,12 +281,19 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let desk = Desk::start()?;
     let (press, _) = Press::start(prefix)?;
     let (intake, taken) = sync_channel(MOST_QUERIES);
+    let refused = |error: zenoh::Error| ServerError::Keys(error.to_string());
+    let waking = intake.clone();
+    let (claims, watching_claims) = Claims::watch(&session, prefix, node, move || {
+        // If the queue is full, the dispatcher thread is awake and reconciles anyway.
+        let _ = waking.try_send(Intake::Claimed);
+    })
+    .map_err(refused)?;
     let crier = Arc::new(Crier::new(intake.clone(), press.clone()));
     let host = Arc::new(Host::new(config.limits, crier, archive::archive(&store)));
-    let ledger = Ledger::new(store.clone());
+    let ledger = Ledger::new(store.clone(), are_people_known);
     let lab = open_lab(config).await?;
     let errands = Errands::start("experiments", lab.clone())?;
-    let recordings = open_recordings(config)?;
+    let recordings = open_recordings(config, host.clone())?;
     let to_record = Errands::start("recordings", recordings.clone())?;
     let folder = config.data_dir.join("replays");
     let uploads = Uploads::open(&folder).map_err(|error| ServerError::Uploads {
@@ -229,11 +307,19 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         ("publish", press.pulse.clone()),
         ("replies", desk.pulse.clone()),
     ];
+    let url = match &http {
+        Some((listener, acceptor)) => {
+            let scheme = gateway::scheme(acceptor.is_some());
+            Some(format!("{scheme}://{}", listener.local_addr()?))
+        }
+        None => None,
+    };
     let clerk = Arc::new(Clerk {
         session: session.clone(),
         max_clients: config.max_clients,
         prefix: prefix.clone(),
         node: node.clone(),
+        http: url,
         host: host.clone(),
         desk: desk.clone(),
         press: press.clone(),
@@ -248,8 +334,10 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         recordings: recordings.clone(),
         to_record: to_record.clone(),
         watch: watch.clone(),
+        claims: claims.clone(),
+        is_recovering: AtomicBool::new(true),
         waiting: AtomicUsize::new(0),
-        telling: Arc::default(),
+        verifications: Arc::default(),
     });
     let dispatcher = Dispatcher {
         clerk: clerk.clone(),
@@ -260,16 +348,21 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
             intake.clone(),
             clerk.clone(),
         ),
+        held: Vec::new(),
+        recovered: None,
         pulse,
     };
     thread::Builder::new()
         .name("dispatch".into())
         .spawn(move || dispatcher.run(&taken))?;
 
-    let clients = session.clone();
+    // No queryable has this key.
+    let key = keys::node_get(prefix, node, "@probe");
+    let bus = BusWatch::start(session.clone(), key, clients)?;
+    let transports = session.clone();
     let mut probed = endpoints.clone();
     if let Some((listener, acceptor)) = &http {
-        let protocol = if acceptor.is_some() { "https" } else { "http" };
+        let protocol = gateway::scheme(acceptor.is_some());
         probed.push(format!("{protocol}/{}", listener.local_addr()?));
     }
     let watching = Watch::start(Watched {
@@ -277,17 +370,40 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         store: store.clone(),
         threads,
         endpoints: probed,
-        sessions: Box::new(move || clients.info().transports().wait().count()),
+        sessions: Box::new(move || transports.info().transports().wait().count()),
+        bus: {
+            let bus = bus.clone();
+            Box::new(move || bus.report())
+        },
+        contested: {
+            let claims = claims.clone();
+            Box::new(move || claims.contests().iter().map(Contest::for_health).collect())
+        },
         certificate_ended: {
             let rights = rights.clone();
-            Box::new(move || rights.ended())
+            Box::new(move || rights.current().ended())
+        },
+        are_people_unreadable: {
+            let rights = rights.clone();
+            Box::new(move || rights.problem().is_some())
+        },
+        recordings: {
+            let recordings = recordings.clone();
+            Box::new(move || recordings::count(&recordings))
+        },
+        recordings_bytes: {
+            let recordings = recordings.clone();
+            Box::new(move || {
+                let usage = recordings.usage();
+                (usage.bytes, usage.quota_bytes)
+            })
         },
     })?;
     let watching = watch.get_or_init(|| watching).clone();
     // Whoever looks after the daemon reaches it while its swarms are brought back.
-    let pass = match &*rights {
-        Rights::Everybody => Pass::Page(Token::of(&config.data_dir).map_err(ServerError::Token)?),
-        Rights::People { .. } => Pass::People(rights.clone()),
+    let pass = match are_people_known {
+        false => Pass::Page(Token::of(&config.data_dir).map_err(ServerError::Token)?),
+        true => Pass::People(rights.clone()),
     };
     let gateway = match http {
         Some((listener, acceptor)) => {
@@ -315,29 +431,25 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     recovered.await.expect("recovery does not panic")?;
     recordings::go_on(&recordings, &to_record, &host);
 
-    let refused = |error: zenoh::Error| ServerError::Keys(error.to_string());
-    let queryable = |key: String, topic| queryable(&session, &key, topic, &intake, &clerk);
-    let queryables = [
-        queryable(keys::node_get(prefix, node, "**"), Topic::NodeGet).map_err(refused)?,
-        queryable(keys::node_cmd(prefix, node, "**"), Topic::NodeCommand).map_err(refused)?,
-        queryable(keys::cmd(prefix, "*", "delete"), Topic::Deletion).map_err(refused)?,
-        queryable(
-            format!("{prefix}/@node/{node}/experiment/**"),
-            Topic::Experiment,
-        )
-        .map_err(refused)?,
-    ];
-    let controls = control::listen(&session, prefix, host.clone()).map_err(refused)?;
-    let token = session
-        .liveliness()
-        .declare_token(keys::node_alive(prefix, node))
-        .await
-        .map_err(refused)?;
+    clerk.is_recovering.store(false, Ordering::Release);
+    let controls =
+        control::listen(&session, prefix, host.clone(), rights.clone(), claims).map_err(refused)?;
+    let (recovered, opened) = sync_channel(1);
+    let _ = intake.send(Intake::Recovered(recovered));
+    let opened = tokio::task::spawn_blocking(move || opened.recv()).await;
+    if let Ok(Ok(Err(error))) = opened {
+        return Err(refused(error));
+    }
     info!(node, endpoints = endpoints.join(" "), "serving");
     Ok(Server {
         host,
         store,
-        session,
+        connection: Connection {
+            session,
+            _subscribers: (controls, watching_claims),
+            _runtime: runtime,
+        },
+        bus,
         press,
         desk,
         intake,
@@ -347,7 +459,6 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         pass,
         lab,
         recordings,
-        doors: (token, queryables, controls),
     })
 }
 
@@ -370,9 +481,12 @@ async fn open_lab(config: &Config) -> Result<Lab, ServerError> {
 }
 
 /// Opens the recordings, which lie there too.
-fn open_recordings(config: &Config) -> Result<Recordings, ServerError> {
+fn open_recordings(config: &Config, host: Arc<Host>) -> Result<Recordings, ServerError> {
     let folder = config.data_dir.join("recordings");
-    Recordings::open(&folder, refusal).map_err(|error| ServerError::Recordings {
+    let on_failed = recordings::publish_failure(host);
+    let quota_bytes = config.recordings_quota_bytes;
+    let opened = Recordings::open(&folder, refusal, quota_bytes, on_failed);
+    opened.map_err(|error| ServerError::Recordings {
         folder: folder.display().to_string(),
         error,
     })
@@ -424,7 +538,7 @@ impl Server {
 
     /// What zenoh calls its session.
     pub fn zid(&self) -> String {
-        self.session.zid().to_string()
+        self.connection.session.zid().to_string()
     }
 
     /// What outlives it.
@@ -439,7 +553,7 @@ impl Server {
 
     /// How many clients are connected.
     pub fn sessions(&self) -> usize {
-        self.session.info().transports().wait().count()
+        self.connection.session.info().transports().wait().count()
     }
 
     /// Stops: no new orders, every swarm between two steps, goodbye. Takes less than two
@@ -448,6 +562,7 @@ impl Server {
         info!("stopping");
         self.desk.close();
         self.watch.stop();
+        self.bus.stop();
         if let Some(gateway) = &self.gateway {
             gateway.stop();
         }
@@ -487,8 +602,8 @@ impl Server {
         // it: a thread of its own, so that a frozen client delays neither timers nor the end.
         let (closed, is_closed) = std::sync::mpsc::channel();
         thread::spawn(move || {
-            let result = self.session.close().wait();
-            drop(self.doors);
+            let result = self.connection.session.close().wait();
+            drop(self.connection);
             let _ = closed.send(result);
         });
         let closing = move || is_closed.recv_timeout(PATIENCE_WITH_SESSION);

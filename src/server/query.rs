@@ -51,7 +51,9 @@ pub fn queryable(
     let clerk = clerk.clone();
     let turns = Arc::new(AtomicUsize::new(0));
     let used = AtomicU32::new(0);
-    let Payload { bytes, encoding } = Payload::json(&CommandError::Busy.to_wire(None));
+    let Payload {
+        bytes, encoding, ..
+    } = Payload::json(&CommandError::Busy.to_wire(None));
     let busy = ZBytes::from(bytes);
     session
         .declare_queryable(key)

@@ -2,16 +2,18 @@
 
 use std::sync::Arc;
 
-use jostle_proto::{NodeReply, RecordArgs, Request, keys};
+use jostle_proto::{DEFAULT_MAX_RECORDING_BYTES, NodeReply, RecordArgs, Request, keys};
 use tracing::warn;
 
-use crate::command::{self, CommandError, check_name};
+use crate::command::{self, CommandError, DEFAULT_TIMEOUT, check_name, selector};
+use crate::health::RecordingCounts;
 use crate::host::Host;
-use crate::recording::{RecordError, Recordings, Source, Standing};
-use crate::server::answer::{Keeper, Promise};
+use crate::recording::{OnFailed, Phase, RecordError, Recordings, Source, Standing, Wanted};
+use crate::server::answer::{Asked, Keeper, Promise};
 use crate::server::clerk::Clerk;
 use crate::server::copies::refuse_when;
 use crate::server::experiments::Errands;
+use crate::server::query::token;
 use crate::swarm::handle::Ticket;
 use crate::swarm::outcome::{OrderError, Outcome, Refusal};
 use crate::wire::{self, Payload, WireError};
@@ -33,18 +35,25 @@ impl Clerk {
         let (errands, node) = (self.to_record.clone(), self.node.clone());
         match args {
             RecordArgs::Begin(args) => {
+                if let Some(contest) = self.claims.contest_of(&args.swarm) {
+                    return Err(contest.into());
+                }
                 let Some(handle) = self.host.find(&args.swarm) else {
                     return Err(CommandError::UnknownSwarm(args.swarm));
                 };
                 let (keeper, tapped) = (Keeper::new(promise.clone()), handle.clone());
                 handle.send(Ticket::Look(Box::new(move |answered| match answered {
                     Ok((_, Outcome::Seen(now))) => {
-                        let source = Source::tap(&tapped, &now, args.every, 0);
+                        let choice = (args.every, args.steps, args.drop_when_behind);
+                        let source = Source::tap(&tapped, &now, choice, 0);
                         errands.hand_in(&keeper.leave(), move |recordings, keeper| {
-                            let name = args.recording.as_deref();
-                            let format = wire::recording_format(args.format);
-                            let begun = recordings.begin(name, format, args.every, source);
-                            answer(keeper, node, begun);
+                            let wanted = Wanted {
+                                name: args.recording,
+                                format: wire::recording_format(args.format),
+                                max_bytes: args.max_bytes.unwrap_or(DEFAULT_MAX_RECORDING_BYTES),
+                                temporary: args.temporary,
+                            };
+                            answer(keeper, node, recordings.begin(&wanted, source));
                         });
                     }
                     Ok(_) => keeper.0.refuse(&CommandError::Internal, None),
@@ -62,6 +71,46 @@ impl Clerk {
         }
         Ok(())
     }
+
+    /// Answers with a piece of a recording, if the sender may record.
+    pub(super) fn recording(&self, asked: &Asked, promise: &Promise) -> Result<(), CommandError> {
+        self.rights
+            .current()
+            .permit(&token(&asked.query), "record")?;
+        let parameters = asked.query.parameters();
+        let (mut name, mut part, mut offset) = (None, 0, 0);
+        for (parameter, value) in selector(parameters.iter(), &["name", "part", "offset"])? {
+            let number = |field| {
+                let wrong = |_| CommandError::Field {
+                    field,
+                    problem: "is not a whole number",
+                };
+                value.parse().map_err(wrong)
+            };
+            match parameter {
+                "name" => name = Some(value.to_owned()),
+                "part" => part = number("part")?,
+                _ => offset = number("offset")?,
+            }
+        }
+        let name = name.ok_or(CommandError::Field {
+            field: "name",
+            problem: "is missing: get/recordings lists the recordings",
+        })?;
+        check_name("name", &name)?;
+        promise.keep_within(DEFAULT_TIMEOUT, CommandError::deadline, || None);
+        let node = self.node.clone();
+        self.to_record.hand_in(promise, move |recordings, keeper| {
+            match recordings.piece(&name, part, offset) {
+                Ok(piece) => keeper.leave().keep(move || {
+                    let result = wire::recording_piece(name, part, offset, &piece);
+                    Ok(Payload::json(&NodeReply { node, result }))
+                }),
+                Err(error) => keeper.leave().refuse(&error.into(), None),
+            }
+        });
+        Ok(())
+    }
 }
 
 /// Refuses arguments that cannot be.
@@ -71,17 +120,24 @@ fn check(args: &RecordArgs) -> Result<(), CommandError> {
             let mut named = args.recording.iter();
             let checked = check_name("swarm", &args.swarm)
                 .and_then(|()| named.try_for_each(|it| check_name("recording", it)))
-                .and_then(|()| match args.every {
-                    Some(0) => Err(WireError::out_of_range("every", 0).into()),
-                    Some(every) => Ok(wire::whole("every", every).map(drop)?),
-                    None => Ok(()),
-                });
+                .and_then(|()| positive("every", args.every))
+                .and_then(|()| positive("steps", args.steps))
+                .and_then(|()| positive("max_bytes", args.max_bytes));
             ("begin", checked)
         }
         RecordArgs::Stop(args) => ("stop", check_name("recording", &args.recording)),
         RecordArgs::Delete(args) => ("delete", check_name("recording", &args.recording)),
     };
     checked.map_err(|error: CommandError| error.within(action.to_owned()))
+}
+
+/// Refuses a number that is given and counts nothing.
+fn positive(field: &'static str, number: Option<u64>) -> Result<(), CommandError> {
+    match number {
+        Some(0) => Err(WireError::out_of_range(field, 0).into()),
+        Some(number) => Ok(wire::whole(field, number).map(drop)?),
+        None => Ok(()),
+    }
 }
 
 fn answer(keeper: Keeper, node: String, done: Result<(String, Standing), RecordError>) {
@@ -92,6 +148,31 @@ fn answer(keeper: Keeper, node: String, done: Result<(String, Standing), RecordE
         }),
         Err(error) => keeper.leave().refuse(&error.into(), None),
     }
+}
+
+/// Publishes a failed recording as an event of its swarm, if that is still there.
+pub fn publish_failure(host: Arc<Host>) -> OnFailed {
+    Box::new(move |swarm, recording, reason| {
+        if let Some(handle) = host.find(swarm) {
+            handle.send(Ticket::RecordingFailed(recording.into(), reason.into()));
+        }
+    })
+}
+
+/// Counts the recordings for health and metrics.
+pub fn count(recordings: &Recordings) -> RecordingCounts {
+    let mut counts = RecordingCounts::default();
+    for (name, standing) in recordings.list() {
+        match standing.phase {
+            Phase::Recording => counts.recording += 1,
+            Phase::Ended => counts.ended += 1,
+            Phase::Failed => {
+                let reason = standing.reason.unwrap_or_default();
+                counts.failed.push((name, reason));
+            }
+        }
+    }
+    counts
 }
 
 /// Has the recordings go on that went on when the daemon ended.
@@ -108,14 +189,22 @@ pub fn go_on(recordings: &Recordings, errands: &Errands<Recordings>, host: &Arc<
         let tapped = handle.clone();
         handle.send(Ticket::Look(Box::new(move |answered| match answered {
             Ok((_, Outcome::Seen(now))) => {
-                let source = Source::tap(&tapped, &now, standing.every, standing.missed);
+                let Standing {
+                    every,
+                    steps_left,
+                    drop_when_behind,
+                    missed,
+                    ..
+                } = standing;
+                let choice = (every, steps_left, drop_when_behind);
+                let source = Source::tap(&tapped, &now, choice, missed);
                 go_on(Some(source));
             }
             Err(Refusal {
                 error: OrderError::Gone,
                 ..
             }) => go_on(None),
-            // It goes on when the daemon starts anew.
+            // It goes on when the daemon restarts.
             _ => warn!(recording = name, "its swarm does not answer"),
         })));
     }

@@ -44,6 +44,9 @@ pub enum RecoveryError {
     Host(String, HostError),
 }
 
+/// Checkpoints between a command whose answer is kept for sure and the newest one.
+const SETTLED_CHECKPOINTS: usize = 8;
+
 /// Brings every swarm back, and waits until each is as it was. Returns how many there are.
 ///
 /// A swarm of which nothing can be read is left in the store and told of in the log.
@@ -95,7 +98,14 @@ fn recall(
         .map_err(|error| unreadable(error.to_string()))?;
     let mut newest = None;
     let mut problem = "no checkpoint of it is kept".to_owned();
-    for mark in store.checkpoints(swarm)? {
+    let marks = store.checkpoints(swarm)?;
+    // A reply is stored soon after its command, so replies to commands before an older checkpoint
+    // were stored before the newest one: if the store has ever evicted a reply, a missing one was
+    // evicted, not lost.
+    let settled = marks.get(SETTLED_CHECKPOINTS);
+    let settled = settled.filter(|_| store.has_forgotten());
+    let answered = settled.map_or(0, |mark| mark.number);
+    for mark in marks {
         let checkpoint = store
             .checkpoint(swarm, mark.number)
             .map_err(|error| error.to_string())
@@ -107,7 +117,8 @@ fn recall(
                     // What is sure goes before what was answered.
                     break;
                 }
-                let is_answered = past.is_answered(ledger, store, swarm, mark.number)?;
+                let is_answered =
+                    past.is_answered(ledger, store, swarm, (answered, mark.number))?;
                 if is_answered {
                     let entries = entries_before(store, swarm, past.checkpoint.lines)?;
                     let past = past.cut(store, swarm);
@@ -145,11 +156,17 @@ pub struct Retold {
 }
 
 /// Tells a swarm's past again: to a step from the last checkpoint before it, else from the oldest.
+/// Passes the share of the journal's lines that are done, from 0 to 1, to `on_progress`.
 ///
 /// # Errors
 ///
 /// [`CommandError::History`] when what is needed is no longer kept, or damaged.
-pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Retold, CommandError> {
+pub fn told_again(
+    store: &Store,
+    swarm: &str,
+    to: To,
+    on_progress: impl Fn(f64) + Clone + Send + 'static,
+) -> Result<Retold, CommandError> {
     // Nothing, which is written after everything before it; if it cannot be, the rest tells.
     let _ = store.commit(Vec::new());
     let history = |problem: String| CommandError::History(problem);
@@ -180,7 +197,12 @@ pub fn told_again(store: &Store, swarm: &str, to: To) -> Result<Retold, CommandE
         }
         // Lines that are written from now on are not told.
         let until = outlook.last().unwrap_or(after);
-        let lines = Lines::new(store, swarm, after, Some(until));
+        let on_progress = on_progress.clone();
+        let lines = Lines::new(store, swarm, after, Some(until)).inspect(move |line| {
+            if let Ok((line, _)) = line {
+                on_progress((line.number - after - 1) as f64 / (until - after) as f64);
+            }
+        });
         let past = Past {
             checkpoint,
             lines: Box::new(lines.map(|line| line.map_err(|it| it.to_string()))),
@@ -319,16 +341,17 @@ impl Story {
         self
     }
 
-    /// Whether every named command that the checkpoint contains has its answer in the ledger.
+    /// Whether every named command of the rows after `answered` up to `number`, the checkpoint's,
+    /// has its answer in the ledger.
     fn is_answered(
         &self,
         ledger: &Ledger,
         store: &Store,
         swarm: &str,
-        number: u64,
+        (answered, number): (u64, u64),
     ) -> Result<bool, RecoveryError> {
-        // Answers follow their commands within moments; what is further back has its own.
-        let rows = store.rows(swarm, number.saturating_sub(PAGE as u64), PAGE)?;
+        let after = answered.max(number.saturating_sub(PAGE as u64));
+        let rows = store.rows(swarm, after, PAGE)?;
         let mut unanswered = Vec::new();
         for row in rows.rows.into_iter().filter(|row| row.number <= number) {
             let number = row.number;
@@ -348,7 +371,10 @@ impl Story {
                 }
                 Ok((
                     Line {
-                        record: Record::Became { input, seq: None },
+                        record:
+                            Record::Became {
+                                input, seq: None, ..
+                            },
                         ..
                     },
                     _,
@@ -391,18 +417,28 @@ fn entries_before(store: &Store, swarm: &str, line: u64) -> Result<Vec<Applied>,
         for row in rows.into_iter().take_while(|row| row.number <= line) {
             let (number, epoch, step) = (row.number, row.epoch, row.step);
             let applied = match durable::read_record(&row.body) {
-                Ok(Record::Input { sender, seq, .. }) => {
+                Ok(Record::Input {
+                    sender,
+                    seq,
+                    unix_secs,
+                    ..
+                }) => {
                     inputs.insert(number, sender.clone());
-                    seq.zip(Some(sender))
+                    seq.zip(Some((sender, unix_secs)))
                 }
-                Ok(Record::Became { input, seq }) => seq.zip(inputs.remove(&input)),
+                Ok(Record::Became {
+                    input,
+                    seq,
+                    unix_secs,
+                }) => seq.zip(inputs.remove(&input).map(|sender| (sender, unix_secs))),
                 _ => None,
             };
-            if let Some((seq, sender)) = applied {
+            if let Some((seq, (sender, unix_secs))) = applied {
                 entries.push(Applied {
                     epoch,
                     step,
                     seq,
+                    unix_secs,
                     sender,
                 });
             }

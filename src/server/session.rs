@@ -1,19 +1,22 @@
 //! The daemon's zenoh session: what it listens on and what it refuses from the bus.
 
 use std::net::{IpAddr, SocketAddr};
+use std::sync::Arc;
 use std::thread;
 
 use rustix::process::setpriority_process;
 use serde_json::{Value, json};
 use thiserror::Error;
 use tokio::runtime::Handle;
-use tracing::debug;
-use zenoh::Session;
+use tracing::{debug, warn};
+use zenoh::internal::runtime::{DynamicRuntime, Runtime, RuntimeBuilder};
+use zenoh::{Config, Session, Wait};
 use zenoh_runtime::ZRuntime;
 
 use crate::rights::Rights;
 use crate::rights::folder::Folder;
 use crate::server::access;
+use crate::server::sessions::{Handler, Sessions};
 
 /// How much higher than the rest of the daemon the threads rank that read from the bus.
 const READING_NICENESS: i32 = -10;
@@ -90,6 +93,27 @@ pub fn check(listen: &[String], are_people_known: bool) -> Result<(), SessionErr
     Ok(())
 }
 
+/// The daemon's session, and what it runs on.
+pub struct Opened {
+    /// The session.
+    pub session: Session,
+    /// What it runs on, until this is dropped.
+    pub runtime: OpenRuntime,
+    /// The sessions of its clients.
+    pub clients: Arc<Sessions>,
+}
+
+/// What zenoh runs on. It is closed when this is dropped, which is to be after its session.
+pub struct OpenRuntime(Runtime);
+
+impl Drop for OpenRuntime {
+    fn drop(&mut self) {
+        if let Err(error) = self.0.close().wait() {
+            warn!(%error, "failed to close zenoh's runtime");
+        }
+    }
+}
+
 /// Opens the session on `listen`, for keys below `prefix`, whoever has rights there and so many
 /// clients.
 ///
@@ -101,10 +125,10 @@ pub async fn open(
     prefix: &str,
     rights: &Rights,
     max_clients: usize,
-) -> Result<Session, SessionError> {
+) -> Result<Opened, SessionError> {
     check(listen, rights.people().is_some())?;
     read_first();
-    let mut config = zenoh::Config::default();
+    let mut config = Config::default();
     let mut settings = settings(listen, max_clients);
     settings.push(("access_control", access::control(prefix, rights)));
     if let Rights::People { folder, .. } = rights {
@@ -115,12 +139,28 @@ pub async fn open(
             .insert_json5(key, &value.to_string())
             .map_err(|error| SessionError::Setting(format!("{key}: {error}")))?;
     }
-    zenoh::open(config)
+    let clients = Arc::<Sessions>::default();
+    start(config, clients.clone())
         .await
+        .map(|(session, runtime)| Opened {
+            session,
+            runtime,
+            clients,
+        })
         .map_err(|error| SessionError::Listen {
             endpoints: listen.join(", "),
             reason: reason(&error.to_string()),
         })
+}
+
+/// Does what `zenoh::open` does, which has no place for a handler of transports.
+async fn start(config: Config, clients: Arc<Sessions>) -> zenoh::Result<(Session, OpenRuntime)> {
+    let mut runtime = OpenRuntime(RuntimeBuilder::new(config).build().await?);
+    let shared = DynamicRuntime::from(runtime.0.clone());
+    shared.new_handler(Arc::new(Handler(clients)));
+    let session = zenoh::session::init(shared).await?;
+    runtime.0.start().await?;
+    Ok((session, runtime))
 }
 
 /// Starts zenoh's reading threads, and has them rank above the daemon's others where that is
@@ -152,15 +192,19 @@ fn reason(text: &str) -> String {
 /// Every setting that differs from zenoh's own default, each measured to matter.
 fn settings(listen: &[String], max_clients: usize) -> Vec<(&'static str, Value)> {
     vec![
-        ("mode", json!("peer")),
+        // A zenoh router forwards claims to other routers, but not from one peer to another.
+        ("mode", json!("router")),
+        // The daemon opens no connections, so there is nothing to wait for.
+        ("scouting/delay", json!(0)),
         ("listen/endpoints", json!(listen)),
         // Nobody joins whom they did not name.
         ("scouting/multicast/enabled", json!(false)),
         ("scouting/gossip/enabled", json!(false)),
         // A query of it that meets a client's declaration locks up the whole session for good.
         ("adminspace/enabled", json!(false)),
-        // Events with a history need timestamps.
-        ("timestamping/enabled", json!(true)),
+        // Sequence numbers order events. After the clock is set back zenoh logs two lines for every
+        // sample with a timestamp, until the clock catches up.
+        ("timestamping/enabled", json!(false)),
         ("transport/shared_memory/enabled", json!(false)),
         // Silent connections must not lock out new clients.
         ("transport/unicast/accept_timeout", json!(2000)),

@@ -25,7 +25,7 @@ impl Backlog {
         self.grow(&submit);
         self.submits.push_back(submit);
         self.give_up(|write| matches!(write, Write::Keep { .. }));
-        self.give_up(|write| matches!(write, Write::Answer(_)));
+        self.give_up(|write| matches!(write, Write::Answer(_) | Write::Forget { .. }));
     }
 
     /// The oldest of them that make a group of at most this size, and at least one.

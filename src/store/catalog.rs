@@ -106,7 +106,7 @@ type Ends = Option<(u64, u64, u64)>;
 fn follow(write: &Write, found: Ends, is_damaged: bool) -> Result<Ends, String> {
     let is_numbered = |number: u64| i64::try_from(number).is_ok();
     match (write, found) {
-        (Write::Answer(_), _) => Ok(found),
+        (Write::Answer(_) | Write::Forget { .. }, _) => Ok(found),
         (Write::Delete { .. }, _) if is_damaged => Ok(None),
         (_, _) if is_damaged => {
             Err("the swarm's record is damaged; it can only be deleted".to_string())

@@ -50,7 +50,7 @@ impl<'a> Draft<'a> {
     ///
     /// What they contradict.
     pub(super) fn check(&self, writes: &[Write]) -> Result<(), String> {
-        let is_answer = |write: &Write| matches!(write, Write::Answer(_));
+        let is_answer = |write: &Write| matches!(write, Write::Answer(_) | Write::Forget { .. });
         if self.catalog.answers.is_none() && writes.iter().any(is_answer) {
             return Err("the record of the answers is damaged".to_string());
         }
@@ -70,6 +70,9 @@ impl<'a> Draft<'a> {
             Write::Cut { swarm, after } => self.cut(swarm, *after),
             Write::Delete { swarm } => self.delete(swarm),
             Write::Answer(answer) => self.answer(answer),
+            Write::Forget { client, request_id } => {
+                self.forget_answer(client.as_deref(), request_id)
+            }
         }
     }
 
@@ -90,14 +93,6 @@ impl<'a> Draft<'a> {
             Some(entry) => entry.as_ref(),
             None => self.catalog.swarms.get(swarm),
         }
-    }
-
-    /// Which answers there are now; `None` when that is damaged.
-    pub(super) fn known_answers(&self) -> Option<&Extent> {
-        self.changes
-            .answers
-            .as_ref()
-            .or(self.catalog.answers.as_ref())
     }
 
     /// The swarm's entry, to be changed; `None` if there is no such swarm.
@@ -282,6 +277,24 @@ impl<'a> Draft<'a> {
                 answer.seal(extent.last),
                 answer.body
             ])?;
+        Ok(())
+    }
+
+    /// Deletes the answers to a request: there are two where the swarm's own commit had one too.
+    fn forget_answer(&mut self, client: Option<&str>, request_id: &str) -> SqlResult<()> {
+        let connection = self.connection;
+        let Some(extent) = self.answers() else {
+            return Ok(());
+        };
+        let mut statement = connection.prepare_cached(
+            "DELETE FROM answer WHERE request_id = ? AND client IS ? RETURNING length(body)",
+        )?;
+        let mut deleted = statement.query(params![request_id, client])?;
+        while let Some(row) = deleted.next()? {
+            let bytes = usize::try_from(row.get::<_, i64>(0)?).unwrap_or(0);
+            extent.checkpoints += 1;
+            extent.bytes = extent.bytes.saturating_sub(cost(bytes));
+        }
         Ok(())
     }
 }

@@ -57,6 +57,23 @@ pub enum StoreError {
         /// What was found.
         detail: String,
     },
+    /// A restoration of the folder was ended before it was complete.
+    #[error(
+        "open {}: a `jostled restore` into it was ended before it was complete: remove what is in it \
+         and restore again", folder.display()
+    )]
+    Unrestored {
+        /// The folder.
+        folder: PathBuf,
+    },
+    /// A copy for a backup cannot be made.
+    #[error("copy the database to {}: {detail}: check that disk and its free space", file.display())]
+    Copy {
+        /// The copy.
+        file: PathBuf,
+        /// What SQLite says.
+        detail: String,
+    },
     /// A record is not what was written.
     #[error(
         "read {what} of swarm {swarm:?} in {}: damaged since it was written: check the disk, and \

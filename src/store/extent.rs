@@ -7,7 +7,7 @@ use super::seal::{Seal, Sealer};
 /// The extent under this number is that of the answers; swarms count from 1.
 pub(super) const ANSWERS: i64 = 0;
 
-/// Which rows and checkpoints of a swarm there are; of the answers, `first` and `last` alone.
+/// Which rows and checkpoints of a swarm there are; of the answers, all but `newest`.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub(super) struct Extent {
     /// Rows up to this one are gone: the oldest checkpoint's number.
@@ -16,7 +16,7 @@ pub(super) struct Extent {
     pub(super) last: u64,
     /// The newest checkpoint's number.
     pub(super) newest: u64,
-    /// Checkpoints kept.
+    /// Checkpoints kept; of the answers, how many after `first` were deleted.
     pub(super) checkpoints: u64,
     /// What rows and checkpoints take, those included that are yet to be swept away.
     pub(super) bytes: u64,

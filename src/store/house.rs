@@ -96,9 +96,7 @@ impl Writer {
 
     /// Takes away a piece of what is kept no longer; whether there is more.
     fn tidy(&mut self) -> Result<bool, StoreFault> {
-        let answers = self.catalog.answers.as_ref();
-        let is_tidy = self.catalog.gone.is_empty() && self.untidy.is_empty();
-        if is_tidy && !answers.is_some_and(retain::is_too_long) {
+        if self.catalog.gone.is_empty() && self.untidy.is_empty() {
             return Ok(false);
         }
         let (quota_bytes, gone) = (self.quota_bytes, self.catalog.gone.first().copied());
@@ -147,9 +145,12 @@ impl Writer {
     }
 
     /// Writes what is left and moves the WAL into the file; whether both could be done.
+    ///
+    /// A WAL that another process still reads, such as a backup, stays: it is synced, and the next
+    /// start reads it.
     pub(super) fn close(&mut self) -> Result<bool, StoreFault> {
         let is_written = unless_fatal(self.write_backlog().map(|()| true), false)?;
-        let is_moved = unless_fatal(self.move_wal("TRUNCATE"), false)?;
+        let is_moved = unless_fatal(self.move_wal("TRUNCATE").map(|_| true), false)?;
         Ok(is_written && is_moved)
     }
 }

@@ -29,6 +29,7 @@ mod retain;
 mod aside;
 mod backlog;
 mod beginnings;
+mod copy;
 mod crash;
 mod queue;
 
@@ -59,6 +60,7 @@ use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 use tracing::warn;
 
+pub use copy::copy;
 pub use error::{StoreError, StoreFault};
 pub use health::Health;
 pub use record::{Answer, Checkpoint, Mark, Row, Rows, Write};
@@ -79,6 +81,20 @@ const NICENESS: i32 = 4;
 
 /// Size up to which SQLite looks through the whole file when it is opened: milliseconds.
 const MOST_CHECKED_BYTES: u64 = 8 * 1024 * 1024;
+
+/// The database in a data folder.
+pub const FILE: &str = schema::FILE;
+/// The write-ahead log beside it.
+pub const WAL: &str = "jostle.sqlite-wal";
+
+/// The schema that this version writes, and the newest that it reads.
+pub const SCHEMA: i64 = schema::KNOWN;
+
+/// The file in a data folder whose lock the daemon holds.
+pub const LOCK: &str = "lock";
+
+/// The folder in a data folder in which a restoration writes, until it is complete.
+pub const RESTORING: &str = ".restoring";
 
 /// Called once with the outcome of a submit, on the store's thread or, where the store has ended,
 /// on that of the submitter. It must not wait for the store.
@@ -154,6 +170,11 @@ impl Store {
         most_checked_bytes: u64,
     ) -> Result<Store, StoreError> {
         let lock = lock(folder)?;
+        if folder.join(RESTORING).exists() {
+            return Err(StoreError::Unrestored {
+                folder: folder.to_path_buf(),
+            });
+        }
         let file = folder.join(schema::FILE);
         let mut connection = schema::open(&file, most_checked_bytes)?;
         let size = fs::metadata(&file).map_or(0, |file| file.len());
@@ -320,6 +341,11 @@ impl Store {
         Ok(answers)
     }
 
+    /// Whether an answer was ever deleted. False where that cannot be read.
+    pub fn has_forgotten(&self) -> bool {
+        self.read("", read::has_forgotten).unwrap_or(false)
+    }
+
     /// The oldest checkpoint kept of `swarm`: from there on every row is there.
     ///
     /// The file is read only when the beginning of the history has moved since it was last asked
@@ -411,7 +437,11 @@ fn refused(pushed: Result<(), (Submit, End)>) {
 }
 
 /// Creates `folder` for its owner alone, and locks it until the file returned is closed.
-fn lock(folder: &Path) -> Result<File, StoreError> {
+///
+/// # Errors
+///
+/// [`StoreError::InUse`] and [`StoreError::Folder`].
+pub fn lock(folder: &Path) -> Result<File, StoreError> {
     let fail = |source| StoreError::Folder {
         folder: folder.to_path_buf(),
         source,
@@ -432,7 +462,7 @@ fn lock(folder: &Path) -> Result<File, StoreError> {
         .create(true)
         .truncate(false)
         .write(true)
-        .open(folder.join("lock"))
+        .open(folder.join(LOCK))
         .map_err(fail)?;
     let began = Instant::now();
     loop {

@@ -236,23 +236,32 @@ pub(super) fn checkpoint(
 pub(super) fn answers(
     page: impl Fn(u64) -> Result<AnswerPage, StoreError>,
 ) -> Result<(Vec<Answer>, u64), StoreError> {
-    let (mut answers, mut damaged, mut after) = (Vec::new(), 0, 0);
+    let (mut answers, mut after) = (Vec::new(), 0);
     loop {
         let mut read = page(after)?;
         answers.append(&mut read.answers);
-        damaged += read.damaged;
         match read.next {
             Some(next) if next > after => after = next,
-            _ => return Ok((answers, damaged)),
+            _ => {
+                let missing = read.expected.saturating_sub(answers.len() as u64);
+                return Ok((answers, missing));
+            }
         }
     }
+}
+
+/// Whether an answer was ever deleted.
+pub(super) fn has_forgotten(connection: &Connection) -> Result<bool, Trouble> {
+    let extent = extent::read(connection, extent::ANSWERS)?;
+    Ok(extent.is_some_and(|it| it.first > 0 || it.checkpoints > 0))
 }
 
 /// Some answers.
 #[derive(Default)]
 pub(super) struct AnswerPage {
     answers: Vec<Answer>,
-    damaged: u64,
+    /// How many answers there must be, on all pages.
+    expected: u64,
     /// Where the next page begins, if there may be one.
     next: Option<u64>,
 }
@@ -260,14 +269,20 @@ pub(super) struct AnswerPage {
 /// The answers after the answer `after`.
 pub(super) fn answer_page(connection: &Connection, after: u64) -> Result<AnswerPage, Trouble> {
     let moment = connection.unchecked_transaction()?;
-    let Some(Extent { first, last, .. }) = extent::read(&moment, extent::ANSWERS)? else {
+    let Some(extent) = extent::read(&moment, extent::ANSWERS)? else {
         return Err(Trouble::DamagedOf(
             String::new(),
             "the extent of the answers, not",
         ));
     };
+    let Extent { first, last, .. } = extent;
     let mut next = after.max(first) + 1;
-    let mut page = AnswerPage::default();
+    let mut page = AnswerPage {
+        expected: last
+            .saturating_sub(first)
+            .saturating_sub(extent.checkpoints),
+        ..AnswerPage::default()
+    };
     let mut statement = moment.prepare_cached(
         "SELECT id, client, request_id, digest, swarm, number, is_ok, encoding, body, seal
          FROM answer WHERE id >= ? ORDER BY id LIMIT ?",
@@ -276,21 +291,18 @@ pub(super) fn answer_page(connection: &Connection, after: u64) -> Result<AnswerP
     let mut count = 0;
     while let Some(row) = cursor.next()? {
         count += 1;
-        // What is out of order or beyond the end is counted when its place turns out empty.
+        // What is out of order or beyond the end is missing from those expected.
         let Some((id, answer, seal)) = fitting(read_answer(row))? else {
             continue;
         };
         if id < next || id > last || seal != answer.seal(id) {
             continue;
         }
-        page.damaged += id - next;
         next = id + 1;
         page.answers.push(answer);
     }
     if count == ANSWERS_PER_PAGE && next <= last {
         page.next = Some(next - 1);
-    } else {
-        page.damaged += (last + 1).saturating_sub(next);
     }
     Ok(page)
 }

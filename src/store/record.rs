@@ -115,6 +115,13 @@ pub enum Write {
     },
     /// What a named request came to.
     Answer(Answer),
+    /// The answer to a named request is deleted, if it is there.
+    Forget {
+        /// The client of the request.
+        client: Option<String>,
+        /// Its id.
+        request_id: String,
+    },
 }
 
 impl Write {
@@ -126,7 +133,7 @@ impl Write {
             | Write::Keep { swarm, .. }
             | Write::Cut { swarm, .. }
             | Write::Delete { swarm } => Some(swarm),
-            Write::Answer(_) => None,
+            Write::Answer(_) | Write::Forget { .. } => None,
         }
     }
 
@@ -143,6 +150,7 @@ impl Write {
                 Write::Keep { swarm, checkpoint } => swarm.len() + checkpoint.body.len(),
                 Write::Cut { swarm, .. } | Write::Delete { swarm } => swarm.len(),
                 Write::Answer(answer) => answer.body.len() + answer.request_id.len(),
+                Write::Forget { request_id, .. } => request_id.len(),
             }
     }
 }

@@ -6,17 +6,13 @@ use rusqlite::{Result as SqlResult, params};
 
 use super::catalog::Entry;
 use super::draft::Draft;
-use super::extent::Extent;
 use super::record::cost;
 
-/// Rows or answers taken away in one piece.
+/// Rows taken away in one piece.
 const ROWS_PER_PIECE: i64 = 1000;
 
 /// Checkpoints taken away in one piece.
 const CHECKPOINTS_PER_PIECE: usize = 4;
-
-/// Answers kept, and the bytes they may take.
-const MOST_ANSWERS: (u64, u64) = (100_000, 64 * 1024 * 1024);
 
 /// Checkpoints between the oldest and the two newest that are not thinned further, so that the
 /// history goes in steps of at most a few parts of it.
@@ -40,7 +36,7 @@ pub(super) fn tidy(
         }
         untidy.remove(&swarm);
     }
-    sweep_answers(draft)
+    Ok(false)
 }
 
 /// Takes away a piece of what a deleted swarm left.
@@ -152,38 +148,4 @@ fn choose(kept: &[(i64, u64)], quota_bytes: u64) -> Option<usize> {
         return Some(0);
     }
     (1..=between).min_by_key(|place| kept[place + 1].0 - kept[place - 1].0)
-}
-
-/// Whether there are more answers than are kept.
-pub(super) fn is_too_long(answers: &Extent) -> bool {
-    let count = answers.last.saturating_sub(answers.first);
-    count > MOST_ANSWERS.0 || (answers.bytes > MOST_ANSWERS.1 && count > 0)
-}
-
-/// Takes away the oldest answers beyond those kept; whether there were any.
-fn sweep_answers(draft: &mut Draft<'_>) -> SqlResult<bool> {
-    let connection = draft.connection();
-    let Some(extent) = draft.known_answers() else {
-        return Ok(false);
-    };
-    if !is_too_long(extent) {
-        return Ok(false);
-    }
-    let count = extent.last.saturating_sub(extent.first);
-    let excess = count
-        .saturating_sub(MOST_ANSWERS.0)
-        .clamp(count.min(64), ROWS_PER_PIECE.cast_unsigned());
-    let first = extent.first + excess;
-    let (swept, bytes): (i64, Option<i64>) = connection
-        .prepare_cached("SELECT count(*), sum(length(body)) FROM answer WHERE id <= ?")?
-        .query_row([first.cast_signed()], |row| Ok((row.get(0)?, row.get(1)?)))?;
-    connection
-        .prepare_cached("DELETE FROM answer WHERE id <= ?")?
-        .execute([first.cast_signed()])?;
-    if let Some(extent) = draft.answers() {
-        let freed = bytes.unwrap_or(0).cast_unsigned() + swept.cast_unsigned() * cost(0);
-        extent.first = first;
-        extent.bytes = extent.bytes.saturating_sub(freed);
-    }
-    Ok(true)
 }

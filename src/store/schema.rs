@@ -23,10 +23,10 @@ const BUSY: Duration = Duration::from_millis(20);
 type Step = fn(&Transaction<'_>) -> SqlResult<()>;
 
 /// Step k leads from schema k to k + 1.
-const STEPS: &[Step] = &[first];
+const STEPS: &[Step] = &[first, second];
 
 /// The schema this version writes.
-pub(super) const KNOWN: i64 = 1;
+pub(super) const KNOWN: i64 = 2;
 
 const _: () = assert!(STEPS.len() as i64 == KNOWN);
 
@@ -68,6 +68,11 @@ fn first(transaction: &Transaction<'_>) -> SqlResult<()> {
          CREATE TABLE gone (swarm INTEGER PRIMARY KEY);",
     ))?;
     extent::write(transaction, extent::ANSWERS, &Extent::default())
+}
+
+/// The second schema: answers are found by their request, to be deleted.
+fn second(transaction: &Transaction<'_>) -> SqlResult<()> {
+    transaction.execute_batch("CREATE INDEX answer_request ON answer (request_id)")
 }
 
 /// Opens the writer's connection to `file`, creates or migrates it, and has SQLite look through it
@@ -131,7 +136,11 @@ fn configure(connection: &Connection) -> SqlResult<()> {
 }
 
 /// Whether the file is new; an error if it is not ours, or of a later version.
-fn check_origin(file: &Path, connection: &Connection) -> Result<bool, StoreError> {
+///
+/// # Errors
+///
+/// [`StoreError`].
+pub(super) fn check_origin(file: &Path, connection: &Connection) -> Result<bool, StoreError> {
     let fail = |error| StoreError::of_reading(file, &error);
     let number = |pragma| connection.pragma_query_value(None, pragma, |row| row.get::<_, i64>(0));
     let application = number("application_id").map_err(fail)?;

@@ -342,7 +342,10 @@ fn is_deletion(writes: &[Write]) -> bool {
     writes
         .iter()
         .any(|write| matches!(write, Write::Delete { .. }))
-        && writes
-            .iter()
-            .all(|write| matches!(write, Write::Delete { .. } | Write::Answer(_)))
+        && writes.iter().all(|write| {
+            matches!(
+                write,
+                Write::Delete { .. } | Write::Answer(_) | Write::Forget { .. }
+            )
+        })
 }

@@ -46,6 +46,8 @@ pub struct Told {
     pub step: u64,
     /// Its time.
     pub time: f64,
+    /// The wall-clock time when it was recorded, in seconds since 1970, if known.
+    pub unix_secs: Option<f64>,
     /// What happened, as JSON.
     pub what: Arc<str>,
 }

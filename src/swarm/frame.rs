@@ -124,6 +124,8 @@ pub struct Event {
     pub number: u64,
     /// Where the swarm was.
     pub place: Place,
+    /// The wall-clock time, in seconds since 1970, if known.
+    pub unix_secs: Option<f64>,
     /// What happened.
     pub kind: EventKind,
 }
@@ -145,6 +147,8 @@ pub enum EventKind {
     Lapsed(Vec<u32>),
     /// A step failed.
     Fault(String),
+    /// The daemon's recording of that name has failed, for this reason.
+    RecordingFailed(Arc<str>, Arc<str>),
     /// A recording tells this, as JSON.
     Told(Arc<str>),
     /// It was deleted.

@@ -32,6 +32,8 @@ pub enum Ticket {
     Put(String, Option<u64>, Option<Put>),
     /// A controller's token is gone.
     Lost(String),
+    /// A recording of the swarm has failed: its name, and why.
+    RecordingFailed(Arc<str>, Arc<str>),
     /// It is to look for itself: it has a core now, or somebody else has done what it waited for.
     Awake,
     /// End now, without an event: the daemon stops.
@@ -106,7 +108,7 @@ impl Handle {
     }
 
     /// Wakes its thread, and keeps no queue of tickets alive.
-    fn awaken(&self) -> impl Fn() + Send + Sync + use<> {
+    pub(crate) fn awaken(&self) -> impl Fn() + Send + Sync + use<> {
         let tickets = Arc::downgrade(&self.tickets);
         move || {
             if let Some(tickets) = tickets.upgrade() {
@@ -170,7 +172,11 @@ impl Ticket {
             | Ticket::Wait(Waiter { answer, .. }) => {
                 answer(Err(Refusal { step, error }));
             }
-            Ticket::Put(..) | Ticket::Lost(_) | Ticket::Awake | Ticket::Stop => {}
+            Ticket::Put(..)
+            | Ticket::Lost(_)
+            | Ticket::RecordingFailed(..)
+            | Ticket::Awake
+            | Ticket::Stop => {}
         }
     }
 }

@@ -22,6 +22,8 @@ const RECORD_BYTES: usize = 64;
 pub struct Entry {
     /// Where the swarm was; its `seq` numbers the entry.
     pub place: Place,
+    /// The wall-clock time, in seconds since 1970, if known.
+    pub unix_secs: Option<f64>,
     /// The command and who sent it.
     pub sender: Arc<Sender>,
 }
@@ -54,6 +56,7 @@ impl History {
         if let EventKind::Command(sender) = &event.kind {
             let entry = Entry {
                 place: event.place.clone(),
+                unix_secs: event.unix_secs,
                 sender: sender.clone(),
             };
             let bytes = RECORD_BYTES + sender.bytes();
@@ -141,6 +144,7 @@ impl EventKind {
             | EventKind::Refused(sender, _) => sender.bytes(),
             EventKind::Lapsed(ids) => 4 * ids.len(),
             EventKind::Fault(reason) => reason.len(),
+            EventKind::RecordingFailed(recording, reason) => recording.len() + reason.len(),
             EventKind::Told(what) => what.len(),
             EventKind::Created | EventKind::Phase | EventKind::Deleted => 0,
         }

@@ -44,6 +44,8 @@ pub enum Record {
         sender: Arc<Sender>,
         /// Its number among the applied ones, if it has been carried out already.
         seq: Option<u64>,
+        /// The wall-clock time, in seconds since 1970, if known.
+        unix_secs: Option<f64>,
     },
     /// What became of the command on the line of this number.
     Became {
@@ -51,6 +53,8 @@ pub enum Record {
         input: u64,
         /// Its number among the applied ones; none if it was refused.
         seq: Option<u64>,
+        /// The wall-clock time when it was carried out or refused, in seconds since 1970, if known.
+        unix_secs: Option<f64>,
     },
     /// A step failed, for this reason.
     Fault(String),

@@ -1,6 +1,7 @@
 //! One hosted swarm, or a recording played as one: its phases, its thread and how to reach it. Knows no zenoh.
 
 pub mod checkpoint;
+pub mod clock;
 pub mod control;
 pub mod cores;
 mod crash;

@@ -297,5 +297,15 @@ pub enum Awaited {
     Faulted,
 }
 
-/// Sets memory aside for a group of this size, or says why not.
-pub type Admit = Box<dyn Fn(usize) -> Result<(), OrderError> + Send>;
+/// Reserves memory for a group of another size, or says why not.
+pub type Admit = Box<dyn Fn(Resize) -> Result<(), OrderError> + Send>;
+
+/// The size that a group is to have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Resize {
+    /// Individuals are added: the limit of individuals applies.
+    Grow(usize),
+    /// Individuals are removed, a change is rolled back, or the swarm is reset to its spec. The limit
+    /// of individuals may have been lowered since that size was admitted, so it does not apply.
+    Return(usize),
+}

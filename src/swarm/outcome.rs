@@ -10,6 +10,7 @@ use crate::model::parameters::ParametersError;
 use crate::model::resize::ResizeError;
 use crate::model::selection::SelectionError;
 use crate::model::start::StartError;
+use crate::plural::counted;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::control::{Departure, MOST_MISSES, News};
 use crate::swarm::frame::{Frame, Place};
@@ -207,8 +208,8 @@ pub enum OrderError {
     Superseded,
     /// Axes cross that the rule asked for never lets cross.
     #[error(
-        "the axes of {pairs} pairs cross, which only `closest` allows: run it until none do, or \
-         reset"
+        "the axes of {} cross, which only `closest` allows: run it until none do, or reset",
+        counted(*.pairs, "pair")
     )]
     StillCrossed {
         /// How many pairs.
@@ -218,7 +219,10 @@ pub enum OrderError {
     #[error(transparent)]
     Resize(#[from] ResizeError),
     /// Nobody would be left.
-    #[error("this would remove all {0} individuals: leave one, or delete the swarm")]
+    #[error(
+        "this would remove {}, which is all: leave one, or delete the swarm",
+        counted(*.0, "individual")
+    )]
     NobodyLeft(usize),
     /// It was refused before the daemon restarted, and is not tried again.
     #[error("it was refused before the daemon restarted: send it anew")]
@@ -235,8 +239,9 @@ pub enum OrderError {
     },
     /// The group would take more memory than is free.
     #[error(
-        "{n} individuals need up to {needed} bytes, {free} are free: add fewer, delete another \
-         swarm, or raise max_memory_mb"
+        "a swarm of {} needs up to {needed} bytes, {free} are free: add fewer, delete another \
+         swarm, or raise max_memory_mb",
+        counted(*.n, "individual")
     )]
     NoMemory {
         /// The size asked for.
@@ -258,6 +263,21 @@ pub enum OrderError {
     /// Only a recording can be sought through.
     #[error("this swarm is no replay: fork it at a step it has passed, or replay a recording")]
     NotRecorded,
+    /// A replay has no frame there.
+    #[error(
+        "{field} = {value} is outside the run that was recorded: give a {field} from {first} to \
+         {last}, or a fraction from 0 to 1"
+    )]
+    OutsideRecording {
+        /// `step` or `time`.
+        field: &'static str,
+        /// What was sought.
+        value: f64,
+        /// The first there is in the run of the recorded swarm that the replay is at.
+        first: f64,
+        /// The last there is.
+        last: f64,
+    },
     /// A recording cannot be shown.
     #[error("the recording cannot be shown: {0}")]
     Film(String),

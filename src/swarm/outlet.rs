@@ -1,11 +1,12 @@
 //! Where a swarm puts what is to be published: its newest frames and its events, in order.
 //!
 //! The swarm never waits here. Whoever publishes takes what is there when it gets round to it; of
-//! more frames than there is room for it finds the newest. Whoever has to have all of them taps the
-//! outlet.
+//! more frames than there is room for it finds the newest. A recording taps the outlet: it receives
+//! every state that the swarm steps to, whether or not that is published.
 
+use std::cell::OnceCell;
 use std::collections::VecDeque;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
 use crate::meter::add;
@@ -18,16 +19,16 @@ const MOST_INDIVIDUALS: usize = 16 * 1024;
 /// Events kept for a publisher that lags; the oldest give way, and their numbers show it.
 const MOST_EVENTS: usize = 4096;
 
-/// Takes all that is put into an outlet, on the swarm's thread: it must not wait.
-pub type Tap = dyn Fn(Tapped<'_>) + Send + Sync;
+/// Receives every state and event of a swarm, on the swarm's thread: it must not block.
+pub trait Tap: Send + Sync {
+    /// The swarm is at this epoch and step; `frame` copies its state, if that is wanted.
+    fn state(&self, at: (u64, u64), frame: &dyn Fn() -> Arc<Frame>);
 
-/// What a tap takes.
-#[derive(Clone, Copy)]
-pub enum Tapped<'a> {
-    /// A frame, and how many there were with it.
-    Frame(&'a Arc<Frame>, u64),
-    /// An event.
-    Event(&'a Event),
+    /// Something happened.
+    fn event(&self, event: &Event);
+
+    /// Whether the swarm may step on. If not, the tap wakes the swarm's thread once it may.
+    fn has_room(&self) -> bool;
 }
 
 /// The place between one swarm and whoever publishes it.
@@ -35,7 +36,9 @@ pub struct Outlet {
     /// The swarm's name.
     pub name: String,
     contents: Mutex<Contents>,
-    taps: Mutex<Vec<Weak<Tap>>>,
+    taps: Mutex<Vec<Weak<dyn Tap>>>,
+    /// Whether there may be a tap, so that a step without one takes no lock.
+    is_tapped: AtomicBool,
     frames: AtomicU64,
     dropped: AtomicU64,
     ring: Box<dyn Fn() + Send + Sync>,
@@ -61,6 +64,7 @@ impl Outlet {
             name,
             contents: Mutex::default(),
             taps: Mutex::default(),
+            is_tapped: AtomicBool::new(false),
             frames: AtomicU64::new(0),
             dropped: AtomicU64::new(0),
             ring: Box::new(ring),
@@ -71,20 +75,37 @@ impl Outlet {
     /// Whether a frame would be read; without readers none need be made. Of a moving swarm the next
     /// ones tell whoever has come this moment.
     pub fn is_watched(&self, is_moving: bool) -> bool {
-        (self.is_watched)(is_moving) || self.taps().iter().any(|tap| tap.strong_count() > 0)
+        (self.is_watched)(is_moving)
     }
 
-    /// Has all that is put here from now on go to `tap` too, until that is dropped.
-    pub fn tap(&self, tap: &Arc<Tap>) {
-        let mut taps = self.taps();
-        taps.retain(|tap| tap.strong_count() > 0);
-        taps.push(Arc::downgrade(tap));
+    /// Passes every state and event from now on to `tap`, until that is dropped.
+    pub fn tap(&self, tap: &Arc<dyn Tap>) {
+        self.taps
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+            .push(Arc::downgrade(tap));
+        self.is_tapped.store(true, Ordering::Release);
+    }
+
+    /// Passes the state at an epoch and step to the taps. Only the swarm's thread may.
+    pub fn state(&self, at: (u64, u64), frame: impl Fn() -> Arc<Frame>) {
+        let copied = OnceCell::new();
+        for tap in self.taps() {
+            tap.state(at, &|| copied.get_or_init(&frame).clone());
+        }
+    }
+
+    /// Whether every tap has room for another state. If not, the swarm's thread is woken once it
+    /// has.
+    pub fn has_room(&self) -> bool {
+        // Query every tap without short-circuit, so that each full one wakes the thread.
+        let taps = self.taps();
+        taps.iter().filter(|tap| !tap.has_room()).count() == 0
     }
 
     /// Puts the newest frame behind those not taken yet. Only the swarm's thread may.
     pub fn show(&self, frame: Arc<Frame>) {
         add(&self.frames, 1);
-        self.pass(|number| Tapped::Frame(&frame, number));
         self.put(|contents| {
             contents.individuals += frame.configuration.n();
             contents.frames.push_back(frame);
@@ -110,7 +131,9 @@ impl Outlet {
 
     /// Puts an event behind those not taken yet.
     pub fn tell(&self, event: Event) {
-        self.pass(|_| Tapped::Event(&event));
+        for tap in self.taps() {
+            tap.event(&event);
+        }
         self.put(|contents| {
             if contents.events.len() == MOST_EVENTS {
                 contents.events.pop_front();
@@ -133,14 +156,6 @@ impl Outlet {
         work()
     }
 
-    /// Passes to the taps what `of` makes of the number of frames so far.
-    fn pass<'a>(&self, of: impl Fn(u64) -> Tapped<'a>) {
-        let number = self.frames.load(Ordering::Relaxed);
-        for tap in self.taps().iter().filter_map(Weak::upgrade) {
-            tap(of(number));
-        }
-    }
-
     fn put(&self, put: impl FnOnce(&mut Contents)) {
         let ring = {
             let mut contents = self.lock();
@@ -152,9 +167,15 @@ impl Outlet {
         }
     }
 
-    fn taps(&self) -> MutexGuard<'_, Vec<Weak<Tap>>> {
-        // A tap that panics takes nothing from the list.
-        self.taps.lock().unwrap_or_else(PoisonError::into_inner)
+    /// The taps that there are.
+    fn taps(&self) -> Vec<Arc<dyn Tap>> {
+        if !self.is_tapped.load(Ordering::Acquire) {
+            return Vec::new();
+        }
+        let mut taps = self.taps.lock().unwrap_or_else(PoisonError::into_inner);
+        taps.retain(|tap| tap.strong_count() > 0);
+        self.is_tapped.store(!taps.is_empty(), Ordering::Release);
+        taps.iter().filter_map(Weak::upgrade).collect()
     }
 
     fn lock(&self) -> MutexGuard<'_, Contents> {
@@ -186,8 +207,29 @@ mod tests {
     use crate::swarm::frame::{EventKind, Place};
     use crate::swarm::phase::Phase;
 
+    /// Adds up the numbers of events, and the steps of states.
+    #[derive(Default)]
+    struct Sum {
+        events: AtomicU64,
+        steps: AtomicU64,
+    }
+
+    impl Tap for Sum {
+        fn state(&self, (_, step): (u64, u64), _: &dyn Fn() -> Arc<Frame>) {
+            add(&self.steps, step);
+        }
+
+        fn event(&self, event: &Event) {
+            add(&self.events, event.number);
+        }
+
+        fn has_room(&self) -> bool {
+            self.steps.load(Ordering::Relaxed) < 7
+        }
+    }
+
     #[test]
-    fn a_tap_takes_all_that_is_told_until_it_is_dropped() {
+    fn a_tap_receives_every_state_and_event_until_it_is_dropped() {
         let outlet = Outlet::new("demo".to_owned(), || {}, |_| false);
         let tell = |number| {
             let place = Place {
@@ -201,27 +243,26 @@ mod tests {
             outlet.tell(Event {
                 number,
                 place,
+                unix_secs: None,
                 kind,
             });
+            outlet.state((0, number), || unreachable!("no tap wants a copy"));
         };
         tell(1);
-        let taken = Arc::new(AtomicU64::new(0));
-        let sum = taken.clone();
-        let tap: Arc<Tap> = Arc::new(move |tapped: Tapped<'_>| {
-            if let Tapped::Event(event) = tapped {
-                add(&sum, event.number);
-            }
-        });
-        assert!(!outlet.is_watched(false));
+        let sum = Arc::new(Sum::default());
+        let tap: Arc<dyn Tap> = sum.clone();
         outlet.tap(&tap);
-        assert!(outlet.is_watched(false));
-        tell(2);
+        assert!(outlet.has_room());
+        assert!(!outlet.is_watched(false), "it needs no published frame");
         tell(3);
-        drop(tap);
-        assert!(!outlet.is_watched(false));
         tell(4);
-        assert_eq!(taken.load(Ordering::Relaxed), 5);
+        assert!(!outlet.has_room());
+        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        assert_eq!((read(&sum.events), read(&sum.steps)), (7, 7));
+        drop((tap, sum));
+        assert!(outlet.has_room());
+        tell(5);
         let (_, events) = outlet.take();
-        assert_eq!(events.len(), 4, "whoever publishes has all of them, too");
+        assert_eq!(events.len(), 4, "the publisher has all of them, too");
     }
 }

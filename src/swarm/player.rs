@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use tracing::warn;
 
+use crate::swarm::clock;
 use crate::swarm::film::{Film, Mark, Shot, Told};
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
 use crate::swarm::handle::{Command, Handle, Ticket, receive};
@@ -23,6 +24,10 @@ use crate::swarm::worker::End;
 /// How often the summary of a moving film is renewed, and its rate measured.
 const SUMMARY_PERIOD: Duration = Duration::from_millis(100);
 const RATE_PERIOD: Duration = Duration::from_secs(1);
+
+/// The tolerance between a requested time and a frame's, since decimals are rounded; frames are
+/// further apart.
+const TIME_ROUNDING: f64 = 1e-9;
 
 /// A film that is shown.
 pub struct Player {
@@ -181,7 +186,11 @@ impl Player {
         let until = self.told_before(target);
         let told: Vec<Told> = self.film.told()[self.told..until].to_vec();
         for Told {
-            step, time, what, ..
+            step,
+            time,
+            unix_secs,
+            what,
+            ..
         } in told
         {
             let place = Place {
@@ -189,7 +198,7 @@ impl Player {
                 time,
                 ..self.place()
             };
-            self.tell_at(place, EventKind::Told(what));
+            self.tell_at(place, unix_secs, EventKind::Told(what));
         }
         let marks = self.film.marks();
         if marks[target].epoch != marks[self.at].epoch {
@@ -232,12 +241,18 @@ impl Player {
                 self.answer_waiters();
             }
             Ticket::Copy(answer) => answer(Err(self.refusal(OrderError::Recorded))),
-            Ticket::Seek(seek, sender, answer) => {
-                self.applied(&sender);
-                self.jump_to(self.sought(seek));
-                answer(Ok((self.place(), Outcome::Done)));
-            }
+            Ticket::Seek(seek, sender, answer) => match self.sought(seek) {
+                Ok(frame) => {
+                    self.applied(&sender);
+                    self.jump_to(frame);
+                    answer(Ok((self.place(), Outcome::Done)));
+                }
+                Err(error) => answer(Err(self.refusal(error))),
+            },
             Ticket::Command(command) => return self.command(command),
+            Ticket::RecordingFailed(recording, reason) => {
+                self.tell(EventKind::RecordingFailed(recording, reason));
+            }
             Ticket::Put(..) | Ticket::Lost(_) | Ticket::Awake => {}
             Ticket::Stop => return Some(End::Stopped),
         }
@@ -377,19 +392,40 @@ impl Player {
 
     /// The frame that is sought: the last that is not later, steps and times counted within the
     /// present run of the recorded swarm.
-    fn sought(&self, seek: Seek) -> usize {
+    ///
+    /// # Errors
+    ///
+    /// [`OrderError::OutsideRecording`] before the first frame of that run and after its last.
+    fn sought(&self, seek: Seek) -> Result<usize, OrderError> {
         let marks = self.film.marks();
-        let (first, run) = (self.present_from(), self.present());
-        let within = |count: usize| first + count.saturating_sub(1);
-        match seek {
-            Seek::Step(step) => within(run.partition_point(|mark| mark.step <= step)),
-            Seek::Time(time) => within(run.partition_point(|mark| mark.time <= time)),
+        let (from, run) = (self.present_from(), self.present());
+        let [first, last] = [marks[from], marks[from + run.len() - 1]];
+        let (field, value, range, count) = match seek {
+            Seek::Step(step) => {
+                let range = (first.step as f64, last.step as f64);
+                let count = run.partition_point(|mark| mark.step <= step);
+                ("step", step as f64, range, count)
+            }
+            Seek::Time(time) => {
+                let count = run.partition_point(|mark| mark.time <= time + TIME_ROUNDING);
+                ("time", time, (first.time, last.time), count)
+            }
             Seek::Fraction(fraction) => {
                 let position = fraction * self.duration();
                 let count = marks.partition_point(|mark| mark.position <= position);
-                count.saturating_sub(1)
+                return Ok(count.saturating_sub(1));
             }
+        };
+        let (first, last) = range;
+        if count == 0 || value > last + TIME_ROUNDING {
+            return Err(OrderError::OutsideRecording {
+                field,
+                value,
+                first,
+                last,
+            });
         }
+        Ok(from + count - 1)
     }
 
     /// The first frame of the present run of the recorded swarm.
@@ -518,20 +554,23 @@ impl Player {
 
     fn show(&mut self) {
         self.shown = Instant::now();
+        let Place { epoch, step, .. } = self.place();
+        self.outlet.state((epoch, step), || self.frame());
         if self.outlet.is_watched(self.phase.is_moving()) {
             self.outlet.show(self.frame());
         }
     }
 
     fn tell(&mut self, kind: EventKind) {
-        self.tell_at(self.place(), kind);
+        self.tell_at(self.place(), clock::unix_secs(), kind);
     }
 
-    fn tell_at(&mut self, place: Place, kind: EventKind) {
+    fn tell_at(&mut self, place: Place, unix_secs: Option<f64>, kind: EventKind) {
         self.events += 1;
         let event = Event {
             number: self.events,
             place,
+            unix_secs,
             kind,
         };
         self.history.tell(&event);

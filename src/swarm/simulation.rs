@@ -15,7 +15,7 @@ use crate::stepper::{StepError, StepReport, Stepper};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::control::SetPoints;
 use crate::swarm::frame::Exactness;
-use crate::swarm::order::{Admit, Change, ChangeKind, Placement, Recipe, Settings, Start};
+use crate::swarm::order::{Admit, Change, ChangeKind, Placement, Recipe, Resize, Settings, Start};
 use crate::swarm::outcome::{OrderError, Outcome};
 
 /// A swarm's state, its stepper and the means kept over its steps.
@@ -119,11 +119,11 @@ impl Simulation {
     pub fn fresh(&self, seed: Option<u64>) -> Result<Fresh, OrderError> {
         let mut recipe = self.recipe.clone();
         recipe.seed = seed.unwrap_or(recipe.seed);
-        (self.admit)(recipe.n)?;
+        (self.admit)(Resize::Return(recipe.n))?;
         match begin(&recipe) {
             Ok(state) => Ok(Fresh { recipe, state }),
             Err(error) => {
-                (self.admit)(self.n())?;
+                (self.admit)(Resize::Return(self.n()))?;
                 Err(error)
             }
         }
@@ -155,7 +155,7 @@ impl Simulation {
         self.publish_every = saved.publish_every;
         self.seq = saved.seq;
         // Shrinking is always let, and what it had before it was let have.
-        let _ = (self.admit)(self.n());
+        let _ = (self.admit)(Resize::Return(self.n()));
     }
 
     /// Makes every change in turn, each under a number of its own: the first under the present
@@ -303,6 +303,7 @@ impl Simulation {
             individuals.push(index.map_err(|_| SelectionError::UnknownId {
                 id: *id,
                 candidates,
+                among: Candidates::All,
             })?);
         }
         self.state.parameters.check(largest)?;
@@ -347,7 +348,7 @@ impl Simulation {
             Placement::Border(count) | Placement::Within(count, _) => *count,
         };
         let before = self.n();
-        (self.admit)(before.saturating_add(count))?;
+        (self.admit)(Resize::Grow(before.saturating_add(count)))?;
         let draw = injection::Draw {
             seed: self.state.seed,
             seq: self.seq,
@@ -374,7 +375,7 @@ impl Simulation {
             Ok(ids) => ids,
             Err(error) => {
                 // What was set aside for them is not needed.
-                (self.admit)(before)?;
+                (self.admit)(Resize::Return(before))?;
                 return Err(error.into());
             }
         };
@@ -390,7 +391,7 @@ impl Simulation {
             unreachable!("ids are ids");
         };
         self.state.configuration.remove(&chosen);
-        (self.admit)(self.n())?;
+        (self.admit)(Resize::Return(self.n()))?;
         Ok(Outcome::Ids(ids, self.n()))
     }
 

@@ -422,9 +422,16 @@ enum Stored {
         at_step: Option<u64>,
         sent: Sent,
         seq: Option<u64>,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        unix_secs: Option<f64>,
     },
     #[serde(rename = "became")]
-    Became { input: u64, seq: Option<u64> },
+    Became {
+        input: u64,
+        seq: Option<u64>,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        unix_secs: Option<f64>,
+    },
     #[serde(rename = "fault")]
     Fault(String),
     #[serde(rename = "hash")]
@@ -440,21 +447,28 @@ pub fn record(record: &Record) -> (u8, Vec<u8>) {
             at_step,
             sender,
             seq,
+            unix_secs,
         } => {
             let stored = Stored::Input {
                 at_step: *at_step,
                 sent: sent(sender),
                 seq: *seq,
+                unix_secs: *unix_secs,
             };
             (1, stored)
         }
-        Record::Became { input, seq } => (
-            2,
-            Stored::Became {
+        Record::Became {
+            input,
+            seq,
+            unix_secs,
+        } => {
+            let stored = Stored::Became {
                 input: *input,
                 seq: *seq,
-            },
-        ),
+                unix_secs: *unix_secs,
+            };
+            (2, stored)
+        }
         Record::Fault(reason) => (3, Stored::Fault(reason.clone())),
         Record::Hash(hash) => (4, Stored::Hash((*hash).into())),
         Record::Resumed(epoch) => (5, Stored::Resumed(*epoch)),
@@ -471,14 +485,81 @@ pub fn read_record(bytes: &[u8]) -> Result<Record, DurableError> {
     let stored = ciborium::from_reader(bytes)
         .map_err(|error| DurableError::Unreadable(error.to_string()))?;
     Ok(match stored {
-        Stored::Input { at_step, sent, seq } => Record::Input {
+        Stored::Input {
+            at_step,
+            sent,
+            seq,
+            unix_secs,
+        } => Record::Input {
             at_step,
             sender: sender(&sent)?,
             seq,
+            unix_secs,
         },
-        Stored::Became { input, seq } => Record::Became { input, seq },
+        Stored::Became {
+            input,
+            seq,
+            unix_secs,
+        } => Record::Became {
+            input,
+            seq,
+            unix_secs,
+        },
         Stored::Fault(reason) => Record::Fault(reason),
         Stored::Hash(hash) => Record::Hash(hash.into_array()),
         Stored::Resumed(epoch) => Record::Resumed(epoch),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    /// A record as builds before wall-clock times read and wrote it.
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    enum Before {
+        #[serde(rename = "input")]
+        Input {
+            at_step: Option<u64>,
+            sent: Sent,
+            seq: Option<u64>,
+        },
+        #[serde(rename = "became")]
+        Became { input: u64, seq: Option<u64> },
+    }
+
+    #[test]
+    fn older_builds_read_records_with_a_time_and_theirs_are_read_without_one() {
+        let sender = Arc::new(Sender {
+            verb: "pause",
+            args: "{}".to_owned(),
+            ..Sender::default()
+        });
+        let records = |unix_secs| {
+            let input = Record::Input {
+                at_step: Some(7),
+                sender: sender.clone(),
+                seq: None,
+                unix_secs,
+            };
+            let became = Record::Became {
+                input: 3,
+                seq: Some(5),
+                unix_secs,
+            };
+            [input, became]
+        };
+        let known = records(Some(1_795_531_201.25));
+        for (known, unknown) in known.into_iter().zip(records(None)) {
+            let (kind, bytes) = record(&known);
+            assert_eq!(read_record(&bytes).unwrap(), known);
+            let before: Before = ciborium::from_reader(&bytes[..]).unwrap();
+            let bytes = proto::to_cbor(&before);
+            assert_eq!(read_record(&bytes).unwrap(), unknown);
+            // Without a time the bytes are those of before.
+            assert_eq!(record(&unknown), (kind, bytes));
+        }
+    }
 }

@@ -11,6 +11,7 @@ pub fn metrics(figures: &Figures) -> proto::Metrics {
     proto::Metrics {
         uptime_secs: figures.uptime_secs,
         unwell: figures.reasons.iter().map(ToString::to_string).collect(),
+        warnings: figures.warnings.iter().map(ToString::to_string).collect(),
         cpu_secs: figures.cpu_secs,
         cores: figures.cores as u64,
         memory_bytes: figures.resident_bytes,
@@ -22,6 +23,7 @@ pub fn metrics(figures: &Figures) -> proto::Metrics {
         residual_max: totals.residual_max,
         frames: totals.frames,
         frames_dropped: totals.frames_dropped,
+        contested: figures.contested as u64,
         store: proto::StoreMetrics {
             commits: store.commits,
             commit_secs: store.total_commit_secs,
@@ -32,6 +34,13 @@ pub fn metrics(figures: &Figures) -> proto::Metrics {
             failing: store.is_failing,
             overrun: store.is_overrun,
         },
+        recordings: proto::RecordingMetrics {
+            recording: figures.recordings.recording,
+            ended: figures.recordings.ended,
+            failed: figures.recordings.failed.len() as u64,
+        },
+        recordings_bytes: figures.recordings_bytes.0,
+        recordings_quota_bytes: figures.recordings_bytes.1,
         swarms: figures.swarms.iter().map(swarm).collect(),
     }
 }

@@ -16,7 +16,7 @@ pub use from_proto::{
     rate, recipe, region, relinearise, selection, stepping, weight, whole,
 };
 pub use recorded::{recorded, recorded_event, shot};
-pub use recordings::{recording, recording_format, recordings};
+pub use recordings::{recording, recording_format, recording_piece, recordings};
 pub use to_proto::{
     Payload, WordRefusal, controllers, created, event, events, hexadecimal, journal, limits,
     order_sample, outcome, parameters, replay, reply, spec, state, status, summary,

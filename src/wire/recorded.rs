@@ -139,6 +139,8 @@ pub struct RecordedEvent {
     pub step: u64,
     /// Its time.
     pub time: f64,
+    /// The wall-clock time, in seconds since 1970, if known.
+    pub unix_secs: Option<f64>,
     /// What happened, as JSON; the end of a swarm is none, since the recording goes on being there.
     pub what: Option<String>,
     /// The command that was applied, and its arguments.
@@ -163,6 +165,7 @@ pub fn recorded_event(bytes: &[u8]) -> Result<RecordedEvent, String> {
     Ok(RecordedEvent {
         step: event.step,
         time: event.time,
+        unix_secs: event.unix_secs,
         what,
         command: match event.event {
             EventKind::Command { verb, args, .. } => Some((verb, args)),

@@ -1,8 +1,10 @@
 //! What clients are told of recordings.
 
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use jostle_proto as proto;
 
-use crate::recording::{Format, Phase, Standing};
+use crate::recording::{Format, Phase, Piece, Standing};
 
 /// How a recording is to be written.
 pub fn recording_format(format: proto::RecordingFormat) -> Format {
@@ -33,6 +35,26 @@ pub fn recording(name: String, standing: Standing) -> proto::Recording {
         parts: standing.parts,
         bytes: standing.bytes,
         began_unix_secs: standing.began_unix_secs,
+        drop_when_behind: standing.drop_when_behind,
+        max_bytes: standing.max_bytes,
+        temporary: standing.temporary,
+    }
+}
+
+/// A piece of a part of a recording.
+pub fn recording_piece(
+    name: String,
+    part: u64,
+    offset: u64,
+    piece: &Piece,
+) -> proto::RecordingPiece {
+    proto::RecordingPiece {
+        recording: name,
+        part,
+        parts: piece.parts,
+        offset,
+        length: piece.length,
+        bytes: STANDARD.encode(&piece.bytes),
     }
 }
 

@@ -20,6 +20,9 @@ use crate::wire::durable::snapshot;
 /// Most messages are no longer.
 const USUAL_BYTES: usize = 512;
 
+/// A reply that takes more bytes is remembered without its state.
+const MAX_REMEMBERED_BYTES: usize = 4096;
+
 /// The reply of `swarm` at `place`.
 pub fn reply<T>(swarm: &str, place: &Place, result: T) -> proto::Reply<T> {
     proto::Reply {
@@ -40,6 +43,9 @@ pub struct Payload {
     pub bytes: Vec<u8>,
     /// What they are: [`proto::JSON`] or [`proto::CBOR`].
     pub encoding: &'static str,
+    /// The JSON that a retry of the request gets in their place, where they are too large to be
+    /// remembered.
+    pub to_remember: Option<Vec<u8>>,
 }
 
 impl Payload {
@@ -51,6 +57,7 @@ impl Payload {
         Payload {
             bytes,
             encoding: proto::JSON,
+            to_remember: None,
         }
     }
 
@@ -59,6 +66,32 @@ impl Payload {
         Payload {
             bytes: proto::to_cbor(message),
             encoding: proto::CBOR,
+            to_remember: None,
+        }
+    }
+
+    /// A reply whose state is left out of what is remembered when it is large.
+    fn with_state<T: Serialize>(
+        mut reply: proto::Reply<T>,
+        leave_out: impl FnOnce(&mut T),
+    ) -> Self {
+        let mut payload = Payload::cbor(&reply);
+        if payload.bytes.len() > MAX_REMEMBERED_BYTES {
+            leave_out(&mut reply.result);
+            payload.to_remember = Some(Payload::json(&reply).bytes);
+        }
+        payload
+    }
+
+    /// What is remembered of it, to be sent again.
+    pub fn remembered(&self) -> Payload {
+        match &self.to_remember {
+            Some(bytes) => Payload {
+                bytes: bytes.clone(),
+                encoding: proto::JSON,
+                to_remember: None,
+            },
+            None => self.clone(),
         }
     }
 }
@@ -85,7 +118,7 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
             };
             let reply = reply(swarm, place, result);
             match frame {
-                Some(_) => Payload::cbor(&reply),
+                Some(_) => Payload::with_state(reply, |result| result.state = None),
                 None => Payload::json(&reply),
             }
         }
@@ -109,7 +142,7 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
             };
             let reply = reply(swarm, place, result);
             match frame {
-                Some(_) => Payload::cbor(&reply),
+                Some(_) => Payload::with_state(reply, |result| result.state = None),
                 None => Payload::json(&reply),
             }
         }
@@ -346,6 +379,7 @@ pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::
         certificate: certificate(seen),
         history_from,
         replay: seen.replay.as_ref().map(replay),
+        verifying: None,
     }
 }
 
@@ -408,6 +442,7 @@ pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
     let Event {
         number,
         place,
+        unix_secs,
         kind,
     } = event;
     proto::Event {
@@ -417,6 +452,7 @@ pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
         step: place.step,
         time: place.time,
         phase: phase(&place.phase),
+        unix_secs,
         event: match kind {
             EventKind::Created => proto::EventKind::Created {},
             EventKind::Phase => proto::EventKind::Phase {
@@ -445,6 +481,10 @@ pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
             },
             EventKind::Lapsed(ids) => proto::EventKind::Lapsed { ids },
             EventKind::Fault(reason) => proto::EventKind::Fault { reason },
+            EventKind::RecordingFailed(recording, reason) => proto::EventKind::RecordingFailed {
+                recording: recording.to_string(),
+                reason: reason.to_string(),
+            },
             // It was one when it was recorded.
             EventKind::Told(what) => {
                 serde_json::from_str(&what).unwrap_or(proto::EventKind::Phase { reason: None })
@@ -467,12 +507,17 @@ pub fn events(swarm: &str, page: Page<Event>, word: WordRefusal) -> proto::Event
 /// Applied commands as they are asked for.
 pub fn journal(page: Page<Entry>) -> proto::Journal {
     let entries = page.records.into_iter().map(|entry| {
-        let Entry { place, sender } = entry;
+        let Entry {
+            place,
+            unix_secs,
+            sender,
+        } = entry;
         proto::JournalEntry {
             seq: place.seq,
             epoch: place.epoch,
             step: place.step,
             time: place.time,
+            unix_secs,
             verb: sender.verb.to_owned(),
             args: args(&sender),
             client: sender.client.clone(),
@@ -543,6 +588,7 @@ pub fn summary(swarm: &str, summary: &Summary) -> proto::SwarmSummary {
         rate: summary.rate,
         real_time_factor: summary.real_time_factor,
         replay: summary.is_replay,
+        contested_by: None,
     }
 }
 

@@ -468,7 +468,7 @@ fn what_another_wrote_is_refused() {
         .unwrap();
     let error = refusal(folder.path());
     assert!(matches!(error, StoreError::Newer { .. }));
-    let expected = "written by a newer jostled (schema 2, this one knows 1): upgrade, or name another --data-dir";
+    let expected = "written by a newer jostled (schema 3, this one knows 2): upgrade, or name another --data-dir";
     assert!(error.to_string().ends_with(expected), "{error}");
 
     let foreign = self::folder();

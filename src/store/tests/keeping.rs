@@ -134,22 +134,50 @@ fn a_checkpoint_at_the_same_row_takes_the_place_of_the_one_before() {
 }
 
 #[test]
-fn the_oldest_answers_give_way() {
+fn forgotten_answers_are_gone_and_do_not_count_as_damaged() {
     let folder = folder();
     let store = open(folder.path());
-    // 72 MB in answers of 1 MB each: the bytes are what is over.
-    for number in 1..=72 {
-        let answer = Answer {
-            body: vec![number as u8; 1_000_000],
-            ..answer(number)
-        };
-        store.submit(vec![Write::Answer(answer)], None);
-    }
-    durable(&store, Vec::new()).unwrap();
-    wait_until("some are gone", || store.answers().unwrap().len() < 68);
-    let answers = store.answers().unwrap();
-    assert_eq!(answers.last().unwrap().number, 72);
+    let forget = |number| {
+        let Answer {
+            client, request_id, ..
+        } = answer(number);
+        Write::Forget { client, request_id }
+    };
+    // More than one page of them; the request of 7 has two answers, that of another client stays.
+    let mut writes: Vec<Write> = (1..=2500).map(|it| Write::Answer(answer(it))).collect();
+    let namesake = Answer {
+        client: Some("someone else".to_string()),
+        ..answer(7)
+    };
+    writes.push(Write::Answer(answer(7)));
+    writes.push(Write::Answer(namesake.clone()));
+    durable(&store, writes).unwrap();
+    assert!(!store.has_forgotten());
+    // 9999 was never there.
+    durable(&store, vec![forget(9999)]).unwrap();
+    assert!(!store.has_forgotten());
+    let forgotten = (1..=2500).filter(|it| it % 3 == 1);
+    durable(&store, forgotten.map(forget).collect()).unwrap();
+    assert!(store.has_forgotten());
+    let mut left: Vec<Answer> = (1..=2500).filter(|it| it % 3 != 1).map(answer).collect();
+    left.push(namesake);
+    assert_eq!(store.answers().unwrap(), left);
     assert_eq!(store.health().damaged, 0);
+    // New answers do not fill the gaps, and what is lost beside them is still noticed.
+    durable(&store, vec![Write::Answer(answer(2501))]).unwrap();
+    left.push(answer(2501));
+    assert!(store.stop(PATIENCE));
+    let store = open(folder.path());
+    assert_eq!(store.answers().unwrap(), left);
+    assert_eq!(store.health().damaged, 0);
+    assert!(store.stop(PATIENCE));
+    Connection::open(folder.path().join(schema::FILE))
+        .unwrap()
+        .execute("DELETE FROM answer WHERE id = 2", [])
+        .unwrap();
+    let store = open(folder.path());
+    assert_eq!(store.answers().unwrap(), left[1..]);
+    assert_eq!(store.health().damaged, 1);
 }
 
 #[test]

@@ -46,6 +46,7 @@ impl Worker {
         while let Phase::Stepping { .. } = self.phase
             && end.is_none()
             && self.seat.is_needless()
+            && self.outlet.has_room()
             && began.elapsed().saturating_add(self.step_took) <= MOMENT
         {
             end = self.step();
@@ -86,6 +87,7 @@ impl Worker {
             at_step: None,
             sender: command.sender.clone(),
             seq: None,
+            unix_secs: self.unix_secs(),
         };
         let at = self.at();
         let (write, begun) = self.journal.commit_then(at, vec![record]);

@@ -18,6 +18,7 @@ use fail::fail_point;
 use tracing::warn;
 
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::clock;
 use crate::swarm::control::Controllers;
 use crate::swarm::cores::Seat;
 use crate::swarm::crash;
@@ -84,6 +85,9 @@ pub struct Worker {
     wakes_at: Option<Instant>,
     /// Whether the store has it, whose thread must not wait for itself.
     is_lent: bool,
+    /// The wall-clock time that the journal and events give for what is being carried out, while a
+    /// command is.
+    applied_at: Option<Option<f64>>,
     replay: Replay,
 }
 
@@ -162,6 +166,7 @@ impl Worker {
             step_took: Duration::MAX,
             wakes_at: None,
             is_lent: false,
+            applied_at: None,
             replay: Replay::default(),
             simulation,
             phase: Phase::Paused(PauseReason::Created),
@@ -255,7 +260,8 @@ impl Worker {
                 }
             }
             let wait = worker.wait();
-            if wait == Some(Duration::ZERO) && worker.has_core() {
+            let is_held_up = wait == Some(Duration::ZERO) && !worker.outlet.has_room();
+            if wait == Some(Duration::ZERO) && !is_held_up && worker.has_core() {
                 worker.tally.pulse.beat();
                 if let Some(end) = worker.step() {
                     return end;
@@ -264,6 +270,11 @@ impl Worker {
             }
             worker.tally.pulse.rest();
             worker.wakes_at = match wait {
+                // A recording that cannot take another state wakes it once it can.
+                Some(Duration::ZERO) if is_held_up => {
+                    worker.seat.leave();
+                    worker.controllers.due()
+                }
                 // It is called when there is a core for it.
                 Some(Duration::ZERO) => None,
                 wait => {
@@ -379,6 +390,10 @@ impl Worker {
                 None
             }
             Ticket::Lost(controller) => self.lost(controller),
+            Ticket::RecordingFailed(recording, reason) => {
+                self.tell(EventKind::RecordingFailed(recording, reason));
+                None
+            }
             Ticket::Wait(waiter) => {
                 if let Some(waiter) = self.waiters.add(waiter) {
                     (waiter.answer)(Err(self.refusal(OrderError::Busy)));
@@ -454,6 +469,7 @@ impl Worker {
             } else {
                 self.enter_by(Cue::Reached(step));
             }
+            self.record_state();
             self.show();
             self.renew_summary();
             if let Some(end) = self.carry_out_due() {
@@ -465,6 +481,7 @@ impl Worker {
             }
             self.answer_arrived();
         } else {
+            self.record_state();
             if step.is_multiple_of(self.simulation.publish_every) && now >= self.frame_due {
                 // Counted from when it was due, so that what a swarm makes good is shown too.
                 let grace = self.shortest_between_frames.max(MOST_BACKLOG);
@@ -613,11 +630,39 @@ impl Worker {
         }
     }
 
+    /// The wall-clock time to give for what happens now, in seconds since 1970. In a replay only
+    /// what the journal says is known.
+    pub(super) fn unix_secs(&self) -> Option<f64> {
+        match self.applied_at {
+            Some(at) => at,
+            None if self.journal.is_replaying() => None,
+            None => clock::unix_secs(),
+        }
+    }
+
+    /// Executes `work` with one wall-clock time, which its journal line and its events share.
+    pub(super) fn applied_at<T>(
+        &mut self,
+        unix_secs: Option<f64>,
+        work: impl FnOnce(&mut Self) -> T,
+    ) -> T {
+        let outer = self.applied_at.replace(unix_secs);
+        let done = work(self);
+        self.applied_at = outer;
+        done
+    }
+
+    /// Passes the state to the recordings, whether or not it is published.
+    pub(super) fn record_state(&self) {
+        self.outlet.state(self.at(), || self.frame(false));
+    }
+
     pub(super) fn tell(&mut self, kind: EventKind) {
         self.events += 1;
         let event = Event {
             number: self.events,
             place: self.place(),
+            unix_secs: self.unix_secs(),
             kind,
         };
         self.history.tell(&event);

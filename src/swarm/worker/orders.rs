@@ -7,6 +7,7 @@ use std::time::Instant;
 use fail::fail_point;
 use tracing::warn;
 
+use crate::swarm::clock;
 use crate::swarm::crash;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::Command;
@@ -38,6 +39,7 @@ impl Worker {
             let is_held = is_far_ahead && order.is_carried_out_first();
             order.is_written_first() || put_off(command).is_some() || is_held
         };
+        let unix_secs = self.unix_secs();
         let records: Vec<Record> = possible
             .iter()
             .filter(|command| is_written_first(command))
@@ -45,6 +47,7 @@ impl Worker {
                 at_step: put_off(command),
                 sender: command.sender.clone(),
                 seq: None,
+                unix_secs,
             })
             .collect();
         let mut input = 0;
@@ -69,8 +72,13 @@ impl Worker {
             let at_step = put_off(&command);
             let is_written = is_written_first(&command);
             let line = if is_written { input } else { 0 };
-            if let Some(end) = self.command(line, at_step, command) {
-                return Some(end);
+            let end = match at_step {
+                // Nothing else says when it came.
+                Some(_) => self.applied_at(unix_secs, |it| it.command(line, at_step, command)),
+                None => self.command(line, None, command),
+            };
+            if end.is_some() {
+                return end;
             }
             input += u64::from(is_written);
         }
@@ -85,6 +93,10 @@ impl Worker {
         at_step: Option<u64>,
         command: Command,
     ) -> Option<End> {
+        self.applied_at(self.unix_secs(), |it| it.apply(input, at_step, command))
+    }
+
+    fn apply(&mut self, input: u64, at_step: Option<u64>, command: Command) -> Option<End> {
         self.since.inputs += 1;
         let Command {
             order,
@@ -111,6 +123,7 @@ impl Worker {
         let record = Record::Became {
             input,
             seq: outcome.ok(),
+            unix_secs: self.unix_secs(),
         };
         let at = self.at();
         match outcome {
@@ -197,7 +210,11 @@ impl Worker {
                 let is_by_chance = error.is_by_chance();
                 let refusal = self.refusal(error);
                 if self.is_lent && is_by_chance {
-                    let record = Record::Became { input, seq: None };
+                    let record = Record::Became {
+                        input,
+                        seq: None,
+                        unix_secs: self.unix_secs(),
+                    };
                     let told = Box::new(move || answer(Err(refusal)));
                     self.journal.note_then(self.at(), record, told);
                 } else {
@@ -318,15 +335,23 @@ impl Worker {
                     *refused.lock().unwrap_or_else(PoisonError::into_inner) = answered.err();
                 }
             };
-            if let Some(end) = self.carry_out(input, order, sender.clone(), Box::new(answer)) {
-                return Some(end);
-            }
-            let refusal = refused
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .take();
-            if let Some(Refusal { error, .. }) = refusal {
-                self.tell(EventKind::Refused(sender, error));
+            let unix_secs = match self.journal.is_replaying() {
+                true => self.replay.unix_secs_of(input),
+                false => clock::unix_secs(),
+            };
+            let end = self.applied_at(unix_secs, |it| {
+                let end = it.carry_out(input, order, sender.clone(), Box::new(answer));
+                let refusal = refused
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .take();
+                if let Some(Refusal { error, .. }) = refusal {
+                    it.tell(EventKind::Refused(sender, error));
+                }
+                end
+            });
+            if end.is_some() {
+                return end;
             }
         }
         None
@@ -399,6 +424,7 @@ impl Worker {
         self.controllers
             .restart(0, |id| there.binary_search(&id).is_ok());
         self.enter(next);
+        self.record_state();
         Ok(Outcome::Reset(self.frame(true)))
     }
 
@@ -418,15 +444,7 @@ impl Worker {
                 // every reader of the reply knows, is not worth an event each way.
                 self.phase = next;
                 self.pace = Pace::new(None, self.simulation.state.parameters.dt, Instant::now());
-                let seq = Some(self.simulation.seq);
-                let record = match input {
-                    0 => Record::Input {
-                        at_step: None,
-                        sender: sender.clone(),
-                        seq,
-                    },
-                    input => Record::Became { input, seq },
-                };
+                let record = self.applied_record(input, &sender);
                 self.journal.note(self.at(), record, Some(until));
                 self.tell(EventKind::Command(sender.clone()));
                 self.pending = Some(Pending {
@@ -442,6 +460,24 @@ impl Worker {
                 }
                 answer(Err(self.refusal(error)));
             }
+        }
+    }
+
+    /// The line of a command that was applied and stands on line `input`, or on none yet.
+    pub(super) fn applied_record(&self, input: u64, sender: &Arc<Sender>) -> Record {
+        let (seq, unix_secs) = (Some(self.simulation.seq), self.unix_secs());
+        match input {
+            0 => Record::Input {
+                at_step: None,
+                sender: sender.clone(),
+                seq,
+                unix_secs,
+            },
+            input => Record::Became {
+                input,
+                seq,
+                unix_secs,
+            },
         }
     }
 

@@ -54,6 +54,8 @@ pub struct Applied {
     pub step: u64,
     /// Its number.
     pub seq: u64,
+    /// The wall-clock time, in seconds since 1970, if known.
+    pub unix_secs: Option<f64>,
     /// The command and who sent it.
     pub sender: Arc<Sender>,
 }
@@ -76,8 +78,8 @@ pub enum To {
 pub struct Outlook {
     /// Lines whose commands were refused when they were first carried out.
     refused: BTreeSet<u64>,
-    /// Lines of commands of which a later line says what became of them.
-    settled: BTreeSet<u64>,
+    /// Lines of commands whose outcome is on a later line, with the wall-clock time of the outcome.
+    settled: BTreeMap<u64, Option<f64>>,
     /// The hashes that steps had when they were first taken.
     hashes: BTreeMap<(u64, u64), [u8; 32]>,
     /// Where the last of them was written.
@@ -96,8 +98,12 @@ impl Outlook {
             self.last_reset = line.number;
         }
         match line.record {
-            Record::Became { input, seq } => {
-                self.settled.insert(input);
+            Record::Became {
+                input,
+                seq,
+                unix_secs,
+            } => {
+                self.settled.insert(input, unix_secs);
                 if seq.is_none() {
                     self.refused.insert(input);
                 }
@@ -129,6 +135,8 @@ impl<'a> FromIterator<&'a Told> for Outlook {
 #[derive(Default)]
 pub struct Replay {
     refused: BTreeSet<u64>,
+    /// When the command on each line was applied, by the wall clock.
+    unix_secs: BTreeMap<u64, f64>,
     hashes: BTreeMap<(u64, u64), [u8; 32]>,
     /// How many hashes were found to be the same.
     pub same: u64,
@@ -144,6 +152,11 @@ impl Replay {
         self.refused.contains(&input)
     }
 
+    /// When the command on this line was applied, by the wall clock, in seconds since 1970.
+    pub fn unix_secs_of(&self, input: u64) -> Option<f64> {
+        self.unix_secs.get(&input).copied()
+    }
+
     /// Whether a step has the hash that it had, if that is known.
     pub fn is_as_it_was(&mut self, at: (u64, u64), hash: [u8; 32]) -> Option<bool> {
         let is_same = *self.hashes.get(&at)? == hash;
@@ -156,6 +169,7 @@ impl Replay {
 
     fn forget(&mut self) {
         self.refused.clear();
+        self.unix_secs.clear();
         self.hashes.clear();
     }
 }
@@ -189,6 +203,7 @@ impl Worker {
                     phase: Phase::Paused(PauseReason::Requested),
                     seq: entry.seq,
                 },
+                unix_secs: entry.unix_secs,
                 sender: entry.sender,
             });
         }
@@ -196,7 +211,9 @@ impl Worker {
         let pending = checkpoint.pending.clone();
         let joined = checkpoint.controllers.clone();
         let mut worker =
-            Worker::from_copy(checkpoint, handle, shortest_between_frames, (writer, admit));
+            Worker::from_kept(checkpoint, handle, shortest_between_frames, (writer, admit));
+        // When it was created is not known any more.
+        worker.applied_at(None, Worker::begin_copy);
         worker.journal.replay();
         worker.pending = pending.map(|(from, sender)| Pending {
             answer: recall(&sender),
@@ -223,6 +240,25 @@ impl Worker {
         shortest_between_frames: Duration,
         (writer, admit): (Writer, Admit),
     ) -> Self {
+        let mut worker =
+            Worker::from_kept(checkpoint, handle, shortest_between_frames, (writer, admit));
+        worker.begin_copy();
+        worker
+    }
+
+    fn begin_copy(&mut self) {
+        if self.events == 0 {
+            self.tell(EventKind::Created);
+        }
+        self.renew_summary();
+    }
+
+    fn from_kept(
+        checkpoint: Checkpoint,
+        handle: &Handle,
+        shortest_between_frames: Duration,
+        (writer, admit): (Writer, Admit),
+    ) -> Self {
         let simulation = Simulation::from_checkpoint(&checkpoint, admit);
         let mut worker = Worker::around(
             simulation,
@@ -238,10 +274,6 @@ impl Worker {
             let _ = worker.schedule.add(at_step, scheduled);
         }
         worker.set_pace();
-        if worker.events == 0 {
-            worker.tell(EventKind::Created);
-        }
-        worker.renew_summary();
         worker
     }
 
@@ -285,7 +317,12 @@ impl Worker {
         recall: &dyn Fn(&Arc<Sender>) -> Answer,
         to: To,
     ) -> Option<End> {
-        self.journal.learn(outlook.settled);
+        self.journal
+            .learn(outlook.settled.keys().copied().collect());
+        let applied = outlook.settled.into_iter();
+        self.replay.unix_secs = applied
+            .filter_map(|(input, unix_secs)| Some((input, unix_secs?)))
+            .collect();
         self.replay.refused = outlook.refused;
         self.replay.hashes = outlook.hashes;
         let mut last = self.journal.lines();
@@ -308,7 +345,10 @@ impl Worker {
             match (line.record, order) {
                 (
                     Record::Input {
-                        at_step, sender, ..
+                        at_step,
+                        sender,
+                        unix_secs,
+                        ..
                     },
                     Some(order),
                 ) => {
@@ -327,7 +367,11 @@ impl Worker {
                         when: When::default(),
                         sender,
                     };
-                    end = self.command(input, at_step, command);
+                    let applied_at = match at_step {
+                        Some(_) => unix_secs,
+                        None => self.replay.unix_secs_of(line.number).or(unix_secs),
+                    };
+                    end = self.applied_at(applied_at, |it| it.command(input, at_step, command));
                 }
                 (Record::Resumed(epoch), _) => {
                     end = self.advance(line.epoch, line.step);

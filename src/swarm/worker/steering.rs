@@ -11,7 +11,6 @@ use crate::model::selection::{Candidates, Selection, select};
 use crate::swarm::control::{Departure, MOST_MISSES, Mode, News, OnTimeout, Put, SetPoints, Terms};
 use crate::swarm::frame::EventKind;
 use crate::swarm::history::Entry;
-use crate::swarm::journal::Record;
 use crate::swarm::order::{Order, Sender};
 use crate::swarm::outcome::{Answer, OrderError, Outcome};
 use crate::swarm::pace::Pace;
@@ -260,15 +259,7 @@ impl Worker {
     /// Writes down, when it suits, what was done for a controller. Once that is safe, so are the
     /// steps up to `until`.
     fn note_coupling(&mut self, coupling: &Coupling, until: Option<u64>) {
-        let seq = Some(self.simulation.seq);
-        let record = match coupling.input {
-            0 => Record::Input {
-                at_step: None,
-                sender: coupling.sender.clone(),
-                seq,
-            },
-            input => Record::Became { input, seq },
-        };
+        let record = self.applied_record(coupling.input, &coupling.sender);
         self.journal.note(self.at(), record, until);
     }
 
@@ -277,6 +268,7 @@ impl Worker {
     fn enter_in_history(&self, sender: Arc<Sender>) {
         self.history.recall(Entry {
             place: self.place(),
+            unix_secs: self.unix_secs(),
             sender,
         });
     }
@@ -397,7 +389,9 @@ impl Worker {
             return None;
         }
         self.since.inputs += 1;
-        self.carry_out(0, order, sender, Box::new(|_| {}))
+        self.applied_at(self.unix_secs(), |it| {
+            it.carry_out(0, order, sender, Box::new(|_| {}))
+        })
     }
 
     fn show_if_standing(&self) {

@@ -1,0 +1,258 @@
+//! Copies of files with their checksums, and which files of a data folder belong in a backup.
+
+use std::fs::{self, DirBuilder, File, OpenOptions};
+use std::io;
+use std::os::unix::fs::{DirBuilderExt as _, OpenOptionsExt as _};
+use std::path::{Path, PathBuf};
+use std::thread::sleep;
+use std::time::Duration;
+
+use super::BackupError;
+
+/// The bytes that are read at a time.
+const BUFFER: usize = 1 << 20;
+
+/// Reads of a JSON file that is being replaced, and the time between two.
+const JSON_READS: u32 = 20;
+const JSON_INTERVAL: Duration = Duration::from_millis(5);
+
+/// How deep the folders of experiments and recordings are, with room to spare.
+const MAX_DEPTH: usize = 8;
+
+/// The extensions of incomplete files, which are renamed when they are complete. The daemon
+/// rewrites those of a running recording or experiment.
+const UNFINISHED: [&str; 4] = ["partial", "part", "new", "spare"];
+
+/// The start of the name of a folder that is being deleted.
+const DELETED: &str = ".gone-";
+
+/// The name of a lock file.
+const LOCK: &str = "lock";
+
+/// An error that names `path`.
+pub fn io_error(path: &Path, source: io::Error) -> BackupError {
+    BackupError::Io {
+        path: path.to_owned(),
+        source,
+    }
+}
+
+/// Makes a folder that only its owner can use, and the folders above it.
+pub fn make_folder(path: &Path) -> Result<(), BackupError> {
+    let mut builder = DirBuilder::new();
+    let made = builder.recursive(true).mode(0o700).create(path);
+    made.map_err(|source| io_error(path, source))
+}
+
+/// Syncs a folder, so that the names in it are durable.
+pub fn sync_folder(path: &Path) -> Result<(), BackupError> {
+    let synced = File::open(path).and_then(|folder| folder.sync_all());
+    synced.map_err(|source| io_error(path, source))
+}
+
+/// The files below `folder` that belong in a backup, as paths below it, in the order in which they
+/// are to be copied.
+///
+/// A status file is copied before the files that it describes, so that their copies are at least as
+/// new: in each folder `.json` first, then `.jsonl`, then other files, then subfolders.
+///
+/// # Errors
+///
+/// [`BackupError::Io`]; folders that are deleted meanwhile are left out.
+pub fn list(folder: &Path) -> Result<Vec<PathBuf>, BackupError> {
+    let mut found = Vec::new();
+    list_below(folder, Path::new(""), MAX_DEPTH, &mut found)?;
+    Ok(found)
+}
+
+fn list_below(
+    root: &Path,
+    below: &Path,
+    depth: usize,
+    found: &mut Vec<PathBuf>,
+) -> Result<(), BackupError> {
+    let folder = root.join(below);
+    let entries = match fs::read_dir(&folder) {
+        Ok(entries) => entries,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+        Err(source) => return Err(io_error(&folder, source)),
+    };
+    let (mut files, mut folders) = (Vec::new(), Vec::new());
+    for entry in entries {
+        let path = entry.map_err(|source| io_error(&folder, source))?.path();
+        let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
+            continue;
+        };
+        let extension = Path::new(name).extension().and_then(|it| it.to_str());
+        let is_unfinished = extension.is_some_and(|it| UNFINISHED.contains(&it));
+        let rank = match extension {
+            Some("json") => 0,
+            Some("jsonl") => 1,
+            _ => 2,
+        };
+        match fs::metadata(&path) {
+            Ok(it) if it.is_dir() && name.starts_with(DELETED) => {}
+            Ok(it) if it.is_dir() => folders.push(below.join(name)),
+            Ok(it) if it.is_file() && name != LOCK && !is_unfinished => {
+                files.push((rank, below.join(name)));
+            }
+            // Deleted meanwhile, or none of the daemon's, such as a socket.
+            _ => {}
+        }
+    }
+    files.sort();
+    folders.sort();
+    found.extend(files.into_iter().map(|(_, path)| path));
+    for folder in folders.into_iter().filter(|_| depth > 0) {
+        list_below(root, &folder, depth - 1, found)?;
+    }
+    Ok(())
+}
+
+/// Copies a file to a new one and returns its length and hash; `None` if it is there no longer.
+///
+/// # Errors
+///
+/// [`BackupError::Io`].
+pub fn copy(from: &Path, to: &Path) -> Result<Option<(u64, String)>, BackupError> {
+    if from.extension().is_some_and(|it| it == "json") {
+        return match read_json(from) {
+            Ok(bytes) => write(to, &mut bytes.as_slice()).map(Some),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+            Err(source) => Err(io_error(from, source)),
+        };
+    }
+    match File::open(from) {
+        Ok(mut file) => write(to, &mut file).map(Some),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),
+        Err(source) => Err(io_error(from, source)),
+    }
+}
+
+/// Reads a JSON file that the daemon may be overwriting: retries until two reads return the same
+/// JSON.
+fn read_json(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = fs::read(path)?;
+    for _ in 0..JSON_READS {
+        let again = fs::read(path)?;
+        let is_whole = serde_json::from_slice::<serde::de::IgnoredAny>(&again).is_ok();
+        if is_whole && again == bytes {
+            break;
+        }
+        bytes = again;
+        sleep(JSON_INTERVAL);
+    }
+    Ok(bytes)
+}
+
+/// Makes a new file that only its owner can use.
+///
+/// # Errors
+///
+/// [`BackupError::Io`], also where there is one.
+pub fn create(path: &Path) -> Result<File, BackupError> {
+    let mut options = OpenOptions::new();
+    let options = options.write(true).create_new(true).mode(0o600);
+    options.open(path).map_err(|source| io_error(path, source))
+}
+
+/// Writes a new file and syncs it; returns its length and hash.
+fn write(to: &Path, from: &mut impl io::Read) -> Result<(u64, String), BackupError> {
+    let fail = |source| io_error(to, source);
+    let mut file = create(to)?;
+    let written = pump(from, &mut file).map_err(fail)?;
+    file.sync_all().map_err(fail)?;
+    Ok(written)
+}
+
+/// The length and hash of a file.
+///
+/// # Errors
+///
+/// [`BackupError::Io`].
+pub fn hash(path: &Path) -> Result<(u64, String), BackupError> {
+    let hashed = File::open(path).and_then(|mut file| pump(&mut file, &mut io::sink()));
+    hashed.map_err(|source| io_error(path, source))
+}
+
+/// Copies all that is read, and returns its length and hash.
+fn pump(from: &mut impl io::Read, to: &mut impl io::Write) -> io::Result<(u64, String)> {
+    let mut hasher = blake3::Hasher::new();
+    let (mut buffer, mut bytes) = (vec![0; BUFFER], 0);
+    loop {
+        let count = match from.read(&mut buffer) {
+            Ok(0) => return Ok((bytes, hasher.finalize().to_hex().to_string())),
+            Ok(count) => count,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
+            Err(error) => return Err(error),
+        };
+        to.write_all(&buffer[..count])?;
+        hasher.update(&buffer[..count]);
+        bytes += count as u64;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    #[test]
+    fn what_is_unfinished_or_deleted_is_left_out_and_the_rest_is_in_order() {
+        let root = tempfile::tempdir().unwrap();
+        for path in [
+            "lock/recording.json",
+            "lock/recording.json.spare",
+            "a/part-000000.mcap",
+            "a/part-000001.mcap.partial",
+            "a/recording.json",
+            ".gone-b/recording.json",
+            "part.part/x",
+            "e/lock",
+            "e/order/000000",
+            "e/order/000001.part",
+            "e/results.csv",
+            "e/runs.jsonl",
+            "e/standing.json",
+        ] {
+            let path = root.path().join(path);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, "x").unwrap();
+        }
+        let found = list(root.path()).unwrap();
+        let found: Vec<&str> = found.iter().map(|it| it.to_str().unwrap()).collect();
+        assert_eq!(
+            found,
+            [
+                "a/recording.json",
+                "a/part-000000.mcap",
+                "e/standing.json",
+                "e/runs.jsonl",
+                "e/results.csv",
+                "e/order/000000",
+                "lock/recording.json",
+                "part.part/x",
+            ]
+        );
+        assert_eq!(
+            list(&root.path().join("nothing")).unwrap(),
+            [""; 0].map(PathBuf::from)
+        );
+    }
+
+    #[test]
+    fn a_copy_is_told_with_its_hash_and_takes_the_place_of_nothing() {
+        let root = tempfile::tempdir().unwrap();
+        let [from, to] = ["from", "to"].map(|name| root.path().join(name));
+        let content = vec![7; BUFFER + 1];
+        fs::write(&from, &content).unwrap();
+        let (bytes, blake3) = copy(&from, &to).unwrap().unwrap();
+        assert_eq!(bytes, content.len() as u64);
+        assert_eq!(blake3, blake3::hash(&content).to_hex().to_string());
+        assert_eq!(hash(&to).unwrap(), (bytes, blake3));
+        assert_eq!(fs::read(&to).unwrap(), content);
+        assert!(copy(&from, &to).is_err(), "it is there already");
+        assert_eq!(copy(&root.path().join("gone"), &to).unwrap(), None);
+    }
+}
