@@ -8,6 +8,7 @@
 
 use std::error::Error;
 use std::f64::consts::TAU;
+use std::process::ExitCode;
 use std::time::{Duration, Instant};
 
 use jostle_proto::Reply;
@@ -30,7 +31,17 @@ const EXCHANGES: u32 = 1000;
 type Failure = Box<dyn Error + Send + Sync>;
 
 #[tokio::main(flavor = "multi_thread", worker_threads = 2)]
-async fn main() -> Result<(), Failure> {
+async fn main() -> ExitCode {
+    match run().await {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(failure) => {
+            eprintln!("controller: {failure}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+async fn run() -> Result<(), Failure> {
     let mut arguments = std::env::args().skip(1);
     let (Some(swarm), Some(endpoint)) = (arguments.next(), arguments.next()) else {
         return Err("usage: controller SWARM ENDPOINT, such as demo tcp/127.0.0.1:7447".into());
@@ -43,7 +54,9 @@ async fn main() -> Result<(), Failure> {
     ] {
         config.insert_json5(setting, &value.to_string())?;
     }
-    let session = zenoh::open(config).await?;
+    let session = zenoh::open(config).await.map_err(|_| {
+        format!("no daemon answers at {endpoint}: start one with `jostled`, or give its ENDPOINT")
+    })?;
 
     // Held for as long as it steers: if this process ends, nobody waits for it.
     let alive = keys::ctl_alive(DEFAULT_PREFIX, &swarm, NAME);
@@ -109,13 +122,18 @@ async fn ask<T: DeserializeOwned>(
         .encoding("application/json")
         .timeout(Duration::from_secs(15))
         .await?;
-    // A query to nobody is answered by nothing, at once.
-    let answer = answers
-        .recv_async()
-        .await
-        .map_err(|_| "no answer: is the daemon there, and the swarm?")?;
+    // A query that no queryable matches ends at once without a reply.
+    let answer = answers.recv_async().await.map_err(|_| {
+        format!(
+            "no swarm {swarm} there: make one with `jostle create {swarm} --n 50`, or give the name \
+             of another as SWARM"
+        )
+    })?;
     match answer.into_result() {
         Ok(sample) => Ok(serde_json::from_slice(&sample.payload().to_bytes())?),
-        Err(error) => Err(String::from_utf8_lossy(&error.payload().to_bytes()).into()),
+        Err(error) => {
+            let error: jostle_proto::Error = serde_json::from_slice(&error.payload().to_bytes())?;
+            Err(error.message.into())
+        }
     }
 }

@@ -3,15 +3,15 @@
 use std::ffi::OsStr;
 use std::time::Duration;
 
-use clap::CommandFactory;
 use clap::builder::StyledStr;
 use clap_complete::CompleteEnv;
 use clap_complete::engine::CompletionCandidate;
 use jostle_proto::contract;
 use jostle_proto::keys::DEFAULT_PREFIX;
 
-use crate::arguments::{Arguments, GlobalArguments};
+use crate::arguments::{self, GlobalArguments};
 use crate::bus::Bus;
+use crate::output;
 use crate::values::{self, LAWS};
 
 /// The variable by which a shell asks.
@@ -24,7 +24,21 @@ pub const SHELLS: [&str; 5] = ["bash", "zsh", "fish", "elvish", "powershell"];
 
 /// Answers a shell that asks for completions, and ends; does nothing otherwise.
 pub fn complete_if_asked() {
-    CompleteEnv::with_factory(Arguments::command)
+    let variable = |name| std::env::var(name).ok();
+    if variable(VARIABLE).as_deref() == Some("bash")
+        && let Some(at) = variable("_CLAP_COMPLETE_INDEX")
+        && let Some(values) = values_behind_equals(&std::env::args().collect::<Vec<_>>(), &at)
+    {
+        let values: Vec<_> = values
+            .iter()
+            .map(|it| it.get_value().to_string_lossy())
+            .collect();
+        let separator = variable("_CLAP_IFS").unwrap_or_else(|| "\n".into());
+        // A write fails if the shell has closed the pipe: not an error.
+        let _ = output::write(&values.join(&separator));
+        std::process::exit(0);
+    }
+    CompleteEnv::with_factory(arguments::command)
         .var(VARIABLE)
         .complete();
 }
@@ -114,7 +128,15 @@ pub fn laws(typed: &OsStr) -> Vec<CompletionCandidate> {
     beginning_with(typed, laws.into())
 }
 
-/// The values of a parameter that is a choice.
+/// The values of an enumerated parameter; empty for any other parameter.
+fn values_of(field: &str, typed: &str) -> Vec<CompletionCandidate> {
+    match field {
+        "attraction" => laws(OsStr::new(typed)),
+        field => choices(OsStr::new(typed), field),
+    }
+}
+
+/// The words that a parameter that is a choice may have.
 fn choices(typed: &OsStr, name: &str) -> Vec<CompletionCandidate> {
     let parameters = contract::parameters().into_iter();
     let choices = parameters
@@ -124,11 +146,38 @@ fn choices(typed: &OsStr, name: &str) -> Vec<CompletionCandidate> {
     beginning_with(typed, words.collect())
 }
 
-/// The parameters that `set` changes, each up to its `=`.
+/// Completes the value in `contacts=end` or `--contacts=end` for bash, which splits the word and
+/// passes `contacts`, `=` and `end`.
+fn values_behind_equals(words: &[String], at: &str) -> Option<Vec<CompletionCandidate>> {
+    let typed = words.iter().position(|word| word == "--")? + 1;
+    let words = words.get(typed..=typed + at.parse::<usize>().ok()?)?;
+    let (field, typed) = match words {
+        [.., field, equals, typed] if equals == "=" => (field, typed),
+        // Directly behind the `=` it hands over an empty word instead.
+        [before @ .., field, typed] if typed.is_empty() => {
+            let is_set = before.iter().any(|word| word == "set");
+            // Directly behind the verb stands a swarm.
+            let is_swarm = before.last().is_some_and(|word| word == "set");
+            (field.starts_with("--") || is_set && !is_swarm).then_some((field, typed))?
+        }
+        _ => return None,
+    };
+    let values = values_of(field.trim_start_matches("--"), typed);
+    (!values.is_empty()).then_some(values)
+}
+
+/// Completes the parameters that `set` changes up to their `=`, then the values of the enumerated
+/// ones.
 pub fn assignments(typed: &OsStr) -> Vec<CompletionCandidate> {
     let Some(typed) = typed.to_str() else {
         return Vec::new();
     };
+    if let Some((field, value)) = typed.split_once('=') {
+        let values = values_of(field, value).into_iter();
+        return values
+            .map(|value| value.add_prefix(format!("{field}=")))
+            .collect();
+    }
     contract::parameters()
         .into_iter()
         .filter(|parameter| parameter.changed_by.iter().any(|verb| verb == "set"))
@@ -221,6 +270,43 @@ mod tests {
         assert_eq!(of("pu"), ["publish_every="]);
         assert_eq!(of("d"), [""; 0], "`set` does not change dt");
         assert_eq!(of("pi1=6"), [""; 0]);
+        let contacts = ["contacts=endpoints", "contacts=closest", "contacts=clamped"];
+        assert_eq!(of("contacts="), contacts);
+        assert_eq!(of("contacts=e"), ["contacts=endpoints"]);
+        assert_eq!(of("stepping=v"), ["stepping=velocity"]);
+        assert_eq!(of("attraction=m"), ["attraction=metric="]);
+        assert_eq!(of("colour="), [""; 0]);
+    }
+
+    #[test]
+    fn what_bash_has_split_at_its_equals_sign_is_completed_from_there_on() {
+        let of = |line: &str| {
+            let words = format!("jostle -- jostle {line}");
+            let words: Vec<String> = words.split(' ').map(str::to_owned).collect();
+            let at = (words.len() - 3).to_string();
+            values_behind_equals(&words, &at).map(|values| completed(&values))
+        };
+        let contacts = ["endpoints", "closest", "clamped"].map(str::to_owned);
+        assert_eq!(of("set demo contacts "), Some(contacts.to_vec()));
+        assert_eq!(
+            of("set demo pi1 = 6 contacts = e"),
+            Some(vec!["endpoints".into()])
+        );
+        assert_eq!(
+            of("create demo --contacts = e"),
+            Some(vec!["endpoints".into()])
+        );
+        assert_eq!(of("create demo --contacts "), Some(contacts.to_vec()));
+        for other in [
+            "set demo pi1 = 6 conta",
+            "set demo pi1 = 6",
+            "set contacts ",
+            "status contacts ",
+            "set demo ",
+            "",
+        ] {
+            assert_eq!(of(other), None, "{other:?}");
+        }
     }
 
     #[test]

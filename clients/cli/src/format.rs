@@ -1,5 +1,7 @@
 //! Numbers as people read them.
 
+use std::time::{Duration, UNIX_EPOCH};
+
 use jostle_proto::{LARGEST_WHOLE, Phase};
 use serde_json::Value;
 
@@ -8,17 +10,26 @@ pub const NONE: &str = "-";
 
 /// The wire's word for a phase.
 pub fn phase(phase: Phase) -> &'static str {
-    match phase {
-        Phase::Paused => "paused",
-        Phase::Running => "running",
-        Phase::Faulted => "faulted",
-    }
+    phase.name()
 }
 
 /// A time, without digits nobody asked for.
 pub fn time(time: f64) -> String {
     let digits = format!("{time:.4}");
     digits.trim_end_matches('0').trim_end_matches('.').into()
+}
+
+/// A wall-clock time in seconds since 1970, in RFC 3339, UTC, to the millisecond.
+pub fn when(unix_secs: Option<f64>) -> String {
+    /// The last millisecond of the year 9999.
+    const END: f64 = 253_402_300_799.999;
+    let secs = unix_secs.filter(|secs| (0.0..END).contains(secs));
+    // What is less than a millisecond is cut off: half of one rounds.
+    let since = secs.and_then(|secs| Duration::try_from_secs_f64(secs + 0.0005).ok());
+    since.map_or_else(
+        || NONE.into(),
+        |since| humantime::format_rfc3339_millis(UNIX_EPOCH + since).to_string(),
+    )
 }
 
 /// A rate: `max` is as fast as possible.
@@ -203,6 +214,24 @@ mod tests {
         assert_eq!(time(0.06), "0.06");
         assert_eq!(time(100.0), "100");
         assert_eq!(time(12.000_000_1), "12");
+    }
+
+    #[test]
+    fn wall_clock_times_are_rfc_3339_and_unknown_ones_empty() {
+        assert_eq!(when(Some(1_795_531_201.25)), "2026-11-24T14:40:01.250Z");
+        assert_eq!(when(Some(1_764_000_000.123)), "2025-11-24T16:00:00.123Z");
+        assert_eq!(when(Some(0.0)), "1970-01-01T00:00:00.000Z");
+        assert_eq!(when(Some(253_402_300_799.0)), "9999-12-31T23:59:59.000Z");
+        for unknown in [
+            None,
+            Some(f64::NAN),
+            Some(f64::INFINITY),
+            Some(-1.0),
+            Some(1e300),
+            Some(253_402_300_800.0),
+        ] {
+            assert_eq!(when(unknown), "-", "{unknown:?}");
+        }
     }
 
     #[test]

@@ -1,5 +1,7 @@
 //! Which individuals a verb is about, and which way they should go.
 
+use std::ops::RangeInclusive;
+
 use clap::{ArgGroup, Args};
 use jostle_proto::verbs::{Foremost, Region, Select};
 
@@ -15,14 +17,14 @@ use crate::values;
         .required(true)
 )]
 pub struct SelectionArguments {
-    /// These, by their ids
-    #[arg(long, value_name = "ID,…", value_delimiter = ',')]
-    ids: Option<Vec<u32>>,
+    /// These, by their ids and ranges of ids, such as 1,4-7
+    #[arg(long, value_name = "IDS", value_delimiter = ',', value_parser = values::ids)]
+    ids: Option<Vec<RangeInclusive<u32>>>,
     /// This many, drawn
     #[arg(long, value_name = "COUNT", allow_negative_numbers = true)]
     count: Option<u64>,
-    /// This share of them, 0 to 1, drawn
-    #[arg(long, value_name = "SHARE", value_parser = values::number, allow_hyphen_values = true)]
+    /// This share of them, 0 to 1 or 0% to 100%, drawn
+    #[arg(long, value_name = "SHARE", value_parser = values::share, allow_hyphen_values = true)]
     fraction: Option<f64>,
     /// All whose centre is in a disc
     #[arg(long, value_name = "X,Y,RADIUS", value_parser = values::region, allow_hyphen_values = true)]
@@ -50,7 +52,7 @@ impl SelectionArguments {
     /// The selection on the wire.
     pub fn select(&self) -> Select {
         if let Some(ids) = &self.ids {
-            return Select::Ids(ids.clone());
+            return Select::Ids(ids.iter().cloned().flatten().collect());
         }
         if let (Some(count), Some(along)) = (self.foremost, self.along) {
             return Select::Foremost(Foremost { count, along });
@@ -93,8 +95,13 @@ mod tests {
     fn each_way_to_select_reads_as_on_the_wire() {
         let json = |line: &str| serde_json::to_string(&read(line).unwrap()).unwrap();
         assert_eq!(json("--ids 3,1,2"), r#"{"ids":[3,1,2]}"#);
+        assert_eq!(json("--ids 1-5"), r#"{"ids":[1,2,3,4,5]}"#);
+        assert_eq!(json("--ids 1,4-7 --ids 9"), r#"{"ids":[1,4,5,6,7,9]}"#);
+        assert_eq!(json("--ids 4294967295"), r#"{"ids":[4294967295]}"#);
         assert_eq!(json("--count 5"), r#"{"count":5}"#);
         assert_eq!(json("--fraction 0.1"), r#"{"fraction":0.1}"#);
+        assert_eq!(json("--fraction 10%"), r#"{"fraction":0.1}"#);
+        assert_eq!(json("--fraction 12.5%"), r#"{"fraction":0.125}"#);
         assert_eq!(
             json("--within -1,2,0.5"),
             r#"{"within":{"x":-1.0,"y":2.0,"radius":0.5}}"#
@@ -114,6 +121,17 @@ mod tests {
             "--foremost 3 --along 1 --count 2",
             "--count -3",
             "--ids 1,x",
+            "--ids 1,",
+            "--ids 5-1",
+            "--ids 1-",
+            "--ids 1-2-3",
+            "--ids 1--2",
+            "--ids 0-4294967296",
+            "--ids 0-4294967295",
+            "--fraction ten%",
+            "--fraction %",
+            "--fraction 10%%",
+            "--fraction nan%",
         ] {
             assert!(read(line).is_err(), "{line}");
         }

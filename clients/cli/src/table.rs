@@ -120,6 +120,7 @@ pub fn status(reply: &Reply<Status>) -> String {
         certificate,
         history_from,
         replay,
+        verifying,
     } = &reply.result;
     let mut lines = vec![
         ("swarm", reply.swarm.clone()),
@@ -164,6 +165,9 @@ pub fn status(reply: &Reply<Status>) -> String {
         let (position, duration) = (format::time(replay.position), format::time(replay.duration));
         let text = format!("of {of}: frame {frame} of {frames}, {position} of {duration}");
         lines.insert(1, ("replay", text));
+    }
+    if let Some(share) = verifying {
+        lines.push(("verifying", format!("{:.0} %", 100.0 * share)));
     }
     if *scheduled > 0 {
         let commands = format::count(*scheduled, "command");

@@ -2,11 +2,17 @@
 //!
 //! Only what cannot be sent is refused here; what a value may be, the daemon says.
 
-use jostle_proto::MAX_LABEL_LENGTH;
+use std::ops::RangeInclusive;
+
+use glob::Pattern;
 use jostle_proto::keys::{NAME_RULE, is_name};
 use jostle_proto::verbs::{Pose, Region};
+use jostle_proto::{LARGEST_WHOLE, MAX_LABEL_LENGTH};
 use jostle_results::figure::Kind;
 use serde_json::{Value, json};
+
+/// The most ids that a range may have; more than any swarm has individuals.
+const MAX_IDS: u32 = 1_000_000;
 
 /// Time units per second of wall clock; `None` is as fast as possible.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -33,6 +39,15 @@ pub const LAWS: [(&str, Option<&str>); 5] = [
     ("topological", Some("neighbours")),
     ("power", Some("exponent")),
 ];
+
+/// A swarm, or all whose name matches a pattern.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Names {
+    /// This one.
+    One(String),
+    /// Those.
+    Matching(Pattern),
+}
 
 /// What to draw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -79,6 +94,25 @@ pub fn name(text: &str) -> Result<String, String> {
     }
 }
 
+/// Reads the name of a swarm, or a pattern of names such as `test-*`.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn names(text: &str) -> Result<Names, String> {
+    if !text.contains(['*', '?', '[']) {
+        return name(text).map(Names::One);
+    }
+    let is_of_names =
+        |it: char| it.is_ascii_lowercase() || it.is_ascii_digit() || "-_*?[]!".contains(it);
+    if !text.chars().all(is_of_names) {
+        return Err(format!("no name matches it: a name matches {NAME_RULE}"));
+    }
+    Pattern::new(text)
+        .map(Names::Matching)
+        .map_err(|error| format!("not a pattern: {}", error.msg))
+}
+
 /// Reads a number. JSON has no infinity and no NaN.
 ///
 /// # Errors
@@ -91,6 +125,44 @@ pub fn number(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Reads a share: `0.1`, or in percent `10%`.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn share(text: &str) -> Result<f64, String> {
+    let share = match text.strip_suffix('%') {
+        Some(percent) => number(percent).map(|percent| percent / 100.0),
+        None => number(text),
+    };
+    share.map_err(|_| format!("`{text}` is not a share: give one such as 0.1 or 10%"))
+}
+
+/// Reads an id, or a range of ids with both its ends: `7` or `1-5`.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn ids(text: &str) -> Result<RangeInclusive<u32>, String> {
+    let (first, last) = text.split_once('-').unwrap_or((text, text));
+    let is_number = |it: &str| !it.is_empty() && it.bytes().all(|it| it.is_ascii_digit());
+    let (Ok(first), Ok(last)) = (first.parse::<u32>(), last.parse::<u32>()) else {
+        return Err(match is_number(first) && is_number(last) {
+            true => format!("`{text}` is beyond the largest id, {}", u32::MAX),
+            false => format!("`{text}` is neither an id nor a range: give one such as 7 or 1-5"),
+        });
+    };
+    if first > last {
+        return Err(format!("`{text}` is backwards: give {last}-{first}"));
+    }
+    if last - first >= MAX_IDS {
+        return Err(format!(
+            "`{text}` has more than {MAX_IDS} ids: give a shorter range"
+        ));
+    }
+    Ok(first..=last)
+}
+
 /// Reads a positive number of seconds, such as `20` or `20s`.
 ///
 /// # Errors
@@ -101,6 +173,36 @@ pub fn seconds(text: &str) -> Result<f64, String> {
         Ok(seconds) if seconds > 0.0 && seconds <= 1e9 => Ok(seconds),
         _ => Err(format!("`{text}` is not a number of seconds above 0")),
     }
+}
+
+/// Reads a number of bytes, such as `500MB`, `2GiB` or `4096`.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn size(text: &str) -> Result<u64, String> {
+    const UNITS: [(&str, u64); 7] = [
+        ("KiB", 1 << 10),
+        ("MiB", 1 << 20),
+        ("GiB", 1 << 30),
+        ("kB", 1000),
+        ("MB", 1_000_000),
+        ("GB", 1_000_000_000),
+        ("B", 1),
+    ];
+    let of = |(unit, bytes): &(&str, u64)| Some((text.strip_suffix(*unit)?, *bytes));
+    let (number, unit) = UNITS.iter().find_map(of).unwrap_or((text, 1));
+    let bytes = self::number(number)? * unit as f64;
+    if !(1.0..=LARGEST_WHOLE as f64).contains(&bytes) {
+        return Err(format!("`{text}` is not a size such as 500MB or 2GiB"));
+    }
+    #[expect(
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "it is in range"
+    )]
+    let bytes = bytes as u64;
+    Ok(bytes)
 }
 
 /// Reads a whole number, 0 or more.
@@ -283,6 +385,22 @@ mod tests {
             assert!(name(text).is_err(), "{text:?}");
         }
         assert_eq!(name("demo").as_deref(), Ok("demo"));
+    }
+
+    #[test]
+    fn a_pattern_of_names_matches_whole_names() {
+        let matches = |pattern: &str, name: &str| match names(pattern).unwrap() {
+            Names::One(one) => one == name,
+            Names::Matching(pattern) => pattern.matches(name),
+        };
+        assert!(matches("test-*", "test-1") && matches("test-*", "test-"));
+        assert!(!matches("test-*", "latest-1") && !matches("test-*", "test"));
+        assert!(matches("test-?", "test-1") && !matches("test-?", "test-12"));
+        assert!(matches("run-[12]", "run-2") && !matches("run-[!12]", "run-2"));
+        assert!(matches("demo", "demo") && !matches("demo", "demo-2"));
+        for text in ["a/*", "@*", "A*", "***", "[a", "", "$*", "a b*"] {
+            assert!(names(text).is_err(), "{text:?}");
+        }
     }
 
     #[test]

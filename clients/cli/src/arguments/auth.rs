@@ -30,8 +30,8 @@ pub enum AuthVerb {
     },
     /// Prints the link that opens the daemon's page as you
     Link {
-        /// Where the daemon serves HTTP
-        #[arg(long, value_name = "URL", default_value = "http://127.0.0.1:8080")]
-        page: String,
+        /// Where the daemon serves HTTP [default: what the daemon says]
+        #[arg(long, value_name = "URL")]
+        page: Option<String>,
     },
 }

@@ -41,8 +41,39 @@ pub enum Experiment {
     Results(ResultsArguments),
 }
 
+impl Experiment {
+    /// The experiment that it is about, if that is on the daemon already.
+    pub fn name(&self) -> Option<&str> {
+        match self {
+            Experiment::Run(_) | Experiment::List => None,
+            Experiment::Status(arguments) | Experiment::Attach(arguments) => Some(&arguments.name),
+            Experiment::Pause(arguments)
+            | Experiment::Resume(arguments)
+            | Experiment::Cancel(arguments)
+            | Experiment::Delete(arguments) => Some(&arguments.name),
+            Experiment::Results(arguments) => Some(&arguments.name),
+        }
+    }
+}
+
+/// An example of an experiment file, for the help text.
+const EXAMPLE: &str = "\
+Such a file, of 18 runs:
+  name = \"order\"
+  seed = 1
+  replicates = 3
+  duration = 100
+
+  [[grid]]
+  pi1 = [1, 4]
+  n = [5, 10, 20]
+
+  [measure]
+  order_every = 50";
+
 /// Which experiment to carry out.
 #[derive(Debug, Args)]
+#[command(after_help = EXAMPLE)]
 pub struct RunExperimentArguments {
     /// The file that describes it, TOML; - for stdin
     #[arg(value_hint = ValueHint::FilePath)]

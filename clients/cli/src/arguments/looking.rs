@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::builder::PossibleValuesParser;
-use clap::{Args, Subcommand, ValueEnum};
+use clap::{Args, Subcommand, ValueEnum, ValueHint};
 use clap_complete::engine::ArgValueCompleter;
 
 use crate::completion;
@@ -176,7 +176,7 @@ pub struct CompletionsArguments {
 /// Where to put the manual.
 #[derive(Debug, Args)]
 pub struct ManArguments {
-    /// Write a page for each verb into this directory
-    #[arg(long, value_name = "DIR")]
+    /// Write a page for each verb into this folder
+    #[arg(short, long, value_name = "FOLDER", value_hint = ValueHint::DirPath)]
     pub out: Option<PathBuf>,
 }

@@ -4,30 +4,25 @@ mod auth;
 mod claims;
 mod copies;
 mod experiment;
+mod global;
 mod looking;
 mod recording;
 mod replay;
 mod sending;
 mod verbs;
 
-use std::path::PathBuf;
-
-use clap::builder::TypedValueParser as _;
-use clap::{Args, Parser, Subcommand};
-use clap_complete::engine::ArgValueCompleter;
-use jostle_proto::keys::DEFAULT_PREFIX;
+use clap::{Parser, Subcommand};
 
 pub use self::auth::*;
 pub use self::claims::*;
 pub use self::copies::*;
 pub use self::experiment::*;
+pub use self::global::*;
 pub use self::looking::*;
 pub use self::recording::*;
 pub use self::replay::*;
 pub use self::sending::*;
 pub use self::verbs::*;
-use crate::completion;
-use crate::values;
 
 /// Where a daemon listens unless told otherwise.
 pub const DEFAULT_ENDPOINT: &str = "tcp/127.0.0.1:7447";
@@ -63,7 +58,7 @@ Exit codes:
     1  failed: a defect, or the swarm faulted (internal, faulted)
     2  the command line or an argument is wrong (invalid_argument)
     3  no such swarm or node (not_found)
-    4  not in this state (conflict, incorrect_state, already_exists)
+    4  not in this state (conflict, contested, incorrect_state, already_exists)
     5  not permitted (permission_denied)
     6  no daemon, or no answer in time (unreachable, deadline_exceeded, timeout)
     7  too much (busy, resource_exhausted)
@@ -83,50 +78,12 @@ Exit codes:
     after_help = EXAMPLES_AND_EXIT_CODES
 )]
 pub struct Arguments {
-    /// What holds for every verb.
+    /// The options that verbs have in common.
     #[command(flatten)]
     pub global: GlobalArguments,
     /// What to do.
     #[command(subcommand)]
     pub verb: Verb,
-}
-
-/// What holds for every verb.
-#[derive(Debug, Args)]
-#[command(next_help_heading = "Options of every verb")]
-pub struct GlobalArguments {
-    /// Where the daemon listens [default: where the credentials say, or tcp/127.0.0.1:7447]
-    #[arg(
-        short,
-        long,
-        global = true,
-        env = "JOSTLE_ENDPOINT",
-        hide_env_values = true
-    )]
-    pub endpoint: Option<String>,
-    /// The folder that says who you are, as `jostled auth` makes it
-    #[arg(
-        long,
-        global = true,
-        env = "JOSTLE_CREDENTIALS",
-        hide_env_values = true,
-        value_name = "FOLDER",
-        value_parser = clap::builder::OsStringValueParser::new().map(PathBuf::from),
-        value_hint = clap::ValueHint::DirPath
-    )]
-    pub credentials: Option<PathBuf>,
-    /// Which daemon, if several are reached there
-    #[arg(long, global = true, value_name = "NAME", value_parser = values::name, add = ArgValueCompleter::new(completion::nodes))]
-    pub node: Option<String>,
-    /// The first chunk of the daemon's keys
-    #[arg(long, global = true, value_name = "NAME", default_value = DEFAULT_PREFIX, value_parser = values::name)]
-    pub prefix: String,
-    /// How long to wait for an answer; the daemon finishes its work anyway
-    #[arg(long, global = true, value_name = "SECS", default_value = "5", value_parser = values::seconds, allow_negative_numbers = true)]
-    pub timeout: f64,
-    /// Print replies as they came, streams as JSON Lines
-    #[arg(long, global = true)]
-    pub json: bool,
 }
 
 /// What to do.
@@ -141,7 +98,7 @@ pub enum Verb {
     Events(EventsArguments),
     /// Watches swarms live; on a terminal a view that steers them, too
     Watch(WatchArguments),
-    /// Records what a swarm publishes to a file, or has the daemon record it
+    /// Records a swarm to a file, every k-th state of it, or has the daemon record it
     Record(RecordArguments),
     /// Shows a recording as if it were a swarm: to watch, pause, step and seek
     Replay(ReplayArguments),
@@ -203,13 +160,11 @@ pub enum Verb {
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
-    use clap::CommandFactory;
-
     use super::*;
 
     /// Every verb with its arguments, an option of every verb only once.
     fn surface() -> String {
-        let mut command = Arguments::command();
+        let mut command = command();
         command.build();
         let mut lines = Vec::new();
         let verbs = command.get_subcommands().flat_map(|verb| {
@@ -225,8 +180,10 @@ mod tests {
                 continue;
             }
             let is_verb = name != "jostle";
+            let in_common: Vec<_> = command.get_arguments().map(clap::Arg::get_id).collect();
             for argument in verb.get_arguments() {
-                if is_verb && argument.is_global_set() || argument.get_id() == "help" {
+                let is_in_common = in_common.contains(&argument.get_id());
+                if is_verb && is_in_common || argument.get_id() == "help" {
                     continue;
                 }
                 let flags = argument.get_long().map(|long| format!("--{long}"));
@@ -251,12 +208,12 @@ mod tests {
     }
 
     fn read(line: &str) -> Result<Arguments, clap::Error> {
-        Arguments::try_parse_from(["jostle"].into_iter().chain(line.split(' ')))
+        Arguments::read(["jostle"].into_iter().chain(line.split(' ')))
     }
 
     #[test]
     fn clap_finds_no_contradiction_in_the_arguments() {
-        Arguments::command().debug_assert();
+        command().debug_assert();
     }
 
     #[test]
@@ -272,17 +229,6 @@ mod tests {
             "set demo pi1=-6 pi2=-1",
         ] {
             assert!(read(line).is_ok(), "{line}: {}", read(line).unwrap_err());
-        }
-    }
-
-    #[test]
-    fn options_of_every_verb_may_stand_before_and_after_it() {
-        let before = read("-e tcp/h:1 --json --timeout 2 status demo").unwrap();
-        let after = read("status demo -e tcp/h:1 --json --timeout 2").unwrap();
-        for arguments in [before, after] {
-            assert_eq!(arguments.global.endpoint.as_deref(), Some("tcp/h:1"));
-            assert!(arguments.global.json);
-            assert_eq!(arguments.global.timeout.to_bits(), 2.0_f64.to_bits());
         }
     }
 
@@ -308,6 +254,13 @@ mod tests {
             "record demo --at-daemon --for 3",
             "record demo --at-daemon --format csv",
             "record demo --at-daemon --list",
+            "record demo -o a.mcap --max-size 0",
+            "record demo -o a.mcap --max-size 1TiB5",
+            "record demo -o a.mcap --published --drop-when-behind",
+            "record demo --published",
+            "record --fetch take",
+            "record demo --fetch take -o a.mcap",
+            "record --fetch take -o a.mcap --every 5",
             "record demo --list",
             "record --at-daemon",
             "record --list --every 5",

@@ -13,26 +13,41 @@ use crate::values;
 #[derive(Debug, Args)]
 pub struct RecordArguments {
     /// The swarm
-    #[arg(required_unless_present_any = ["list", "stop", "delete"], value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
+    #[arg(required_unless_present_any = ["list", "stop", "delete", "fetch", "recover"], value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
     pub name: Option<String>,
-    /// The file: .parquet for data frames, .mcap for what was published as it was
-    #[arg(short, long, value_name = "FILE", value_hint = ValueHint::FilePath, required_unless_present_any = ["at_daemon", "list", "stop", "delete"], conflicts_with_all = ["at_daemon", "as_name", "format", "list", "stop", "delete", "request_id", "client"])]
+    /// The file: .parquet for data frames, .mcap for players and replays
+    #[arg(short, long, value_name = "FILE", value_hint = ValueHint::FilePath, required_unless_present_any = ["at_daemon", "list", "stop", "delete", "recover"], conflicts_with_all = ["at_daemon", "as_name", "format", "list", "stop", "delete", "request_id", "client"])]
     pub out: Option<PathBuf>,
-    /// Of the published states only such as are at least so many steps apart
+    /// Record the states whose step is a multiple of this [default: the swarm's publish_every; with
+    /// --published every state that arrives]
     #[arg(long, value_name = "STEPS", value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     pub every: Option<u64>,
+    /// Drop and count states while the daemon's disk is too slow [default: the swarm waits for the
+    /// disk]
+    #[arg(long)]
+    pub drop_when_behind: bool,
+    /// End before the recording exceeds this size, such as 500MB or 2GiB. The limit applies to the
+    /// size before compression, so the file may be smaller [default: 1GiB]
+    #[arg(long, value_name = "SIZE", value_parser = values::size)]
+    pub max_size: Option<u64>,
+    /// Record the published states on this machine, as a viewer receives them: as many as the
+    /// daemon's max_hz and the network let through
+    #[arg(long, requires = "out", conflicts_with_all = ["drop_when_behind", "max_size"])]
+    pub published: bool,
     /// End after this long [default: at Ctrl-C, or when the swarm is deleted]
     #[arg(long = "for", value_name = "SECS", value_parser = values::seconds, allow_negative_numbers = true)]
     pub for_secs: Option<f64>,
-    /// End when the swarm has gone so many steps
+    /// End when the swarm has taken so many steps
     #[arg(long, value_parser = clap::value_parser!(u64).range(1..), allow_negative_numbers = true)]
     pub steps: Option<u64>,
     /// Replace a file that is there
     #[arg(long)]
     pub force: bool,
-    /// Have the daemon record into its data directory, whoever looks on, until it is stopped or
-    /// the swarm is deleted
-    #[arg(long, help_heading = AT_DAEMON, conflicts_with_all = ["for_secs", "steps", "force"])]
+    /// Recover FILE after its recording process was killed; needs no daemon
+    #[arg(long, value_name = "FILE", value_hint = ValueHint::FilePath, conflicts_with_all = ["name", "out", "every", "drop_when_behind", "max_size", "published", "fetch", "for_secs", "steps", "at_daemon", "list", "stop", "delete", "request_id", "client"])]
+    pub recover: Option<PathBuf>,
+    /// Have the daemon record into its data directory, until it is stopped or the swarm is deleted
+    #[arg(long, help_heading = AT_DAEMON, conflicts_with_all = ["for_secs", "force"])]
     pub at_daemon: bool,
     /// What to call the daemon's recording [default: the swarm's name and a number]
     #[arg(long = "as", value_name = "NAME", help_heading = AT_DAEMON, requires = "at_daemon", value_parser = values::name)]
@@ -40,14 +55,17 @@ pub struct RecordArguments {
     /// How the daemon writes it [default: mcap]
     #[arg(long, help_heading = AT_DAEMON, requires = "at_daemon")]
     pub format: Option<RecordedAs>,
+    /// Fetch one of the daemon's recordings into -o FILE, such as one whose client was killed
+    #[arg(long, value_name = "NAME", help_heading = AT_DAEMON, requires = "out", conflicts_with_all = ["name", "every", "drop_when_behind", "max_size", "published", "for_secs", "steps", "at_daemon", "list", "stop", "delete"], value_parser = values::name, add = ArgValueCompleter::new(completion::recordings))]
+    pub fetch: Option<String>,
     /// List the daemon's recordings and how they stand
-    #[arg(long, help_heading = AT_DAEMON, conflicts_with_all = ["name", "every", "for_secs", "steps", "force", "at_daemon", "stop", "delete", "request_id", "client"])]
+    #[arg(long, help_heading = AT_DAEMON, conflicts_with_all = ["name", "every", "drop_when_behind", "max_size", "for_secs", "steps", "force", "at_daemon", "stop", "delete", "request_id", "client"])]
     pub list: bool,
     /// End one of the daemon's recordings; what was recorded is kept
-    #[arg(long, value_name = "NAME", help_heading = AT_DAEMON, conflicts_with_all = ["name", "every", "for_secs", "steps", "force", "at_daemon", "delete"], value_parser = values::name, add = ArgValueCompleter::new(completion::recordings))]
+    #[arg(long, value_name = "NAME", help_heading = AT_DAEMON, conflicts_with_all = ["name", "every", "drop_when_behind", "max_size", "for_secs", "steps", "force", "at_daemon", "delete"], value_parser = values::name, add = ArgValueCompleter::new(completion::recordings))]
     pub stop: Option<String>,
     /// Remove one of the daemon's recordings with its files; one that goes on is ended
-    #[arg(long, value_name = "NAME", help_heading = AT_DAEMON, conflicts_with_all = ["name", "every", "for_secs", "steps", "force", "at_daemon"], value_parser = values::name, add = ArgValueCompleter::new(completion::recordings))]
+    #[arg(long, value_name = "NAME", help_heading = AT_DAEMON, conflicts_with_all = ["name", "every", "drop_when_behind", "max_size", "for_secs", "steps", "force", "at_daemon"], value_parser = values::name, add = ArgValueCompleter::new(completion::recordings))]
     pub delete: Option<String>,
     /// Who sends it.
     #[command(flatten)]
@@ -60,7 +78,7 @@ const AT_DAEMON: &str = "Recordings of the daemon";
 /// How a daemon writes a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum RecordedAs {
-    /// What was published as it was
+    /// Messages for players and replays, in the encodings in which they are published
     Mcap,
     /// A table for data frames
     Parquet,

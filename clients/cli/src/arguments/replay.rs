@@ -51,13 +51,13 @@ pub struct SeekArguments {
 #[derive(Debug, Args)]
 #[group(required = true, multiple = false)]
 pub struct PlaceArguments {
-    /// To the last frame up to this step
+    /// To the last frame up to this step of the recorded swarm
     #[arg(long, value_parser = values::whole, allow_negative_numbers = true)]
     pub step: Option<u64>,
-    /// To the last frame up to this time
+    /// To the last frame up to this time of the recorded swarm
     #[arg(long, value_parser = values::number, allow_negative_numbers = true)]
     pub time: Option<f64>,
-    /// To this share of the recording, from 0 to 1
-    #[arg(long, value_parser = values::number, allow_negative_numbers = true)]
+    /// To this share of the recording, 0 to 1 or 0% to 100%
+    #[arg(long, value_name = "SHARE", value_parser = values::share, allow_hyphen_values = true)]
     pub fraction: Option<f64>,
 }

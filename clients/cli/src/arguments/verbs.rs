@@ -9,7 +9,7 @@ use jostle_proto::verbs::{Pose, Region};
 use crate::arguments::{SenderArguments, SendingArguments};
 use crate::completion;
 use crate::selection::SelectionArguments;
-use crate::values::{self, Assignment, Law, Rate};
+use crate::values::{self, Assignment, Law, Names, Rate};
 
 /// Which swarm to pause.
 #[derive(Debug, Args)]
@@ -290,9 +290,13 @@ pub struct LeaveArguments {
 /// Which swarms to delete.
 #[derive(Debug, Args)]
 pub struct DeleteArguments {
-    /// The swarms
-    #[arg(required = true, value_name = "NAME", value_parser = values::name, add = ArgValueCompleter::new(completion::swarms))]
-    pub names: Vec<String>,
+    /// Names of swarms, or quoted patterns with `*`, `?` and `[abc]`, such as 'test-*'. With --node
+    /// only swarms of that daemon are deleted
+    #[arg(required = true, value_name = "NAME", value_parser = values::names, add = ArgValueCompleter::new(completion::swarms))]
+    pub names: Vec<Names>,
+    /// Delete what a pattern matches without asking
+    #[arg(short, long)]
+    pub yes: bool,
     /// How it is sent.
     #[command(flatten)]
     pub sending: SendingArguments,

@@ -4,12 +4,15 @@ mod again;
 mod answer;
 mod opening;
 mod presence;
+mod tls;
 
-use std::sync::Arc;
+use std::collections::HashSet;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
+use jostle_proto::verbs::DiscardArgs;
 use jostle_proto::{
     Error, Experiments, Hello, JSON, NodeReply, Recordings, Request, SwarmSummary, Swarms,
 };
@@ -24,6 +27,7 @@ use crate::bus::again::Again;
 pub use crate::bus::answer::Answer;
 use crate::bus::opening::Identity;
 pub use crate::bus::presence::node_of;
+use crate::bus::tls::WrongName;
 use crate::failure::Failure;
 
 /// How much longer than the daemon a client waits, so that the daemon's own answer arrives.
@@ -45,11 +49,14 @@ pub struct Bus {
     prefix: String,
     node: Option<String>,
     token: Option<String>,
+    page: Option<String>,
     user_and_host: String,
     timeout_secs: f64,
     asked: AtomicU64,
     /// How many connections were lost.
     lost: Arc<AtomicU64>,
+    /// Names whose claims were checked, each with the number of connections lost by then.
+    looked: Mutex<HashSet<(String, u64)>>,
 }
 
 /// Who is asked.
@@ -82,9 +89,17 @@ impl Bus {
         let session = match zenoh::open(config).await {
             Ok(session) => session,
             Err(_) if opening::speaks_zenoh(&endpoint) => {
-                return Err(Failure::NotLetIn {
-                    endpoint,
-                    person: identity.map(|it| it.credentials.person),
+                let wrong_name = identity.as_ref().and_then(|it| it.wrong_name(&endpoint));
+                return Err(match wrong_name {
+                    Some(WrongName { host, names }) => Failure::WrongName {
+                        endpoint,
+                        host,
+                        names,
+                    },
+                    None => Failure::NotLetIn {
+                        endpoint,
+                        person: identity.map(|it| it.credentials.person),
+                    },
                 });
             }
             Err(error) => {
@@ -112,11 +127,13 @@ impl Bus {
             endpoint,
             prefix,
             node,
+            page: identity.as_ref().and_then(|it| it.credentials.page.clone()),
             token: identity.map(|it| it.credentials.token),
             user_and_host: opening::user_and_host(),
             timeout_secs: timeout,
             asked: AtomicU64::new(0),
             lost,
+            looked: Mutex::default(),
         })
     }
 
@@ -155,6 +172,11 @@ impl Bus {
     /// What the daemon's page takes for this person's, if it is one.
     pub fn token(&self) -> Option<&str> {
         self.token.as_deref()
+    }
+
+    /// Where the credentials say that the daemon's page is.
+    pub fn page(&self) -> Option<&str> {
+        self.page.as_deref()
     }
 
     /// Where the daemon is reached.
@@ -217,6 +239,23 @@ impl Bus {
         self.check_length(&node, payload.len()).await?;
         let key = keys::node_cmd(&self.prefix, &node, verb);
         self.ask_again(Whom::Node(&node), &key, Some(payload)).await
+    }
+
+    /// Deletes one daemon's swarm, and no other daemon's of the same name.
+    ///
+    /// # Errors
+    ///
+    /// What the daemon says, or why it says nothing.
+    pub async fn discard(&self, swarm: &str, sender: &SenderArguments) -> Result<Answer, Failure> {
+        let args = DiscardArgs {
+            name: swarm.to_owned(),
+        };
+        self.command_node("discard", &args, sender).await
+    }
+
+    /// The node given by `--node`, if any.
+    pub fn named_node(&self) -> Option<&str> {
+        self.node.as_deref()
     }
 
     /// Asks a swarm something, such as `status` or `events?after=7`.
@@ -332,6 +371,7 @@ impl Bus {
         let deadline = Instant::now() + Duration::from_secs_f64(self.timeout_secs);
         let mut again = Again::until(deadline, payload.is_some());
         let lost_before = self.lost();
+        self.check_contested(whom).await?;
         loop {
             let failure = match self.ask(whom, key, payload.clone(), self.patience()).await {
                 Ok(answer) => return Ok(answer),

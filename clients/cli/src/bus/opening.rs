@@ -9,6 +9,7 @@ use jostle_proto::Credentials;
 use zenoh::config::EndPoint;
 
 use crate::arguments::DEFAULT_ENDPOINT;
+use crate::bus::tls::{self, WrongName};
 use crate::failure::Failure;
 
 /// What a session can be opened over.
@@ -56,6 +57,12 @@ impl Identity {
             folder: folder.to_owned(),
             credentials,
         })
+    }
+
+    /// The names of the certificate at `endpoint`, if the connection fails because of them.
+    pub fn wrong_name(&self, endpoint: &str) -> Option<WrongName> {
+        let [ca, ..] = Credentials::CERTIFICATES;
+        tls::wrong_name(endpoint, &self.folder.join(ca))
     }
 
     /// What zenoh needs to prove it.

@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use jostle_proto::role::refused;
-use jostle_proto::{NodeReply, WhoAmI, keys};
+use jostle_proto::{Claim, NodeReply, WhoAmI, claim, keys};
 use zenoh::handlers::RingChannel;
 
 use crate::bus::{Bus, Samples, Whom};
@@ -16,6 +16,10 @@ const LOOKING: Duration = Duration::from_secs(2);
 /// often is looked meanwhile.
 const STARTING: Duration = Duration::from_secs(1);
 const LOOKING_AGAIN: Duration = Duration::from_millis(50);
+
+/// How long two daemons that were just connected may both claim to serve a name. They settle it
+/// within 0.4 s; this leaves the rest for a busy machine.
+const YIELDING: Duration = Duration::from_secs(1);
 
 impl Bus {
     /// The nodes that say they host a swarm.
@@ -112,6 +116,46 @@ impl Bus {
         Ok(nodes)
     }
 
+    /// Fails if several daemons serve the name for longer than [`YIELDING`] or the client's own
+    /// limit, since each of them would execute a command. Checks once per connection: while the daemons can reach each other, they
+    /// reject it themselves.
+    pub(super) async fn check_contested(&self, whom: Whom<'_>) -> Result<(), Failure> {
+        let looked = (whom.to_string(), self.lost());
+        if self.looked.lock().is_ok_and(|all| all.contains(&looked)) {
+            return Ok(());
+        }
+        let patience = YIELDING.min(Duration::from_secs_f64(self.timeout_secs));
+        let deadline = Instant::now() + patience;
+        while let Some(servers) = claim::servers(&self.claims(whom).await?) {
+            if Instant::now() < deadline {
+                tokio::time::sleep(LOOKING_AGAIN).await;
+                continue;
+            }
+            let swarm = match whom {
+                Whom::Swarm(swarm) => Some(swarm),
+                Whom::Node(_) => None,
+            };
+            return Err(Failure::refused(claim::refused(swarm, &servers)));
+        }
+        if let Ok(mut all) = self.looked.lock() {
+            all.insert(looked);
+        }
+        Ok(())
+    }
+
+    /// The claims of a name.
+    async fn claims(&self, whom: Whom<'_>) -> Result<Vec<Claim>, Failure> {
+        let key = match whom {
+            Whom::Swarm(swarm) => keys::claim(&self.prefix, swarm, "*", "*", "*"),
+            Whom::Node(node) => keys::node_claim(&self.prefix, node, "*", "*"),
+        };
+        let keys = self.keys_of_tokens(&key).await?;
+        let claims = keys.iter();
+        Ok(claims
+            .filter_map(|key| Claim::read(&self.prefix, key))
+            .collect())
+    }
+
     /// The keys of the liveliness tokens that stand.
     async fn keys_of_tokens(&self, key: &str) -> Result<Vec<String>, Failure> {
         let replies = self
@@ -157,13 +201,20 @@ impl Bus {
             (Ok(hosts), Ok(there)) => (hosts, there),
             (Err(failure), _) | (_, Err(failure)) => return failure,
         };
+        let is_there = match whom {
+            Whom::Swarm(_) => !hosts.is_empty(),
+            Whom::Node(node) => there.iter().any(|it| it == node),
+        };
+        if !is_there
+            && let Ok(claims) = self.claims(whom).await
+            && let Some(error) = claim::unserved(&claims)
+        {
+            return Failure::refused(error);
+        }
         match whom {
             Whom::Swarm(_) if !hosts.is_empty() => self.explain_refusal(whom, &hosts[0], key).await,
             _ if there.is_empty() => self.nobody().await,
-            Whom::Swarm(swarm) => Failure::NoSwarm {
-                swarm: swarm.into(),
-                there: self.swarms().await.unwrap_or_default(),
-            },
+            Whom::Swarm(swarm) => self.no_swarm(swarm).await,
             Whom::Node(node) if there.iter().any(|name| name == node) => {
                 self.explain_refusal(whom, node, key).await
             }
@@ -174,9 +225,19 @@ impl Bus {
         }
     }
 
+    /// The error for a swarm that does not exist; names those that do.
+    pub async fn no_swarm(&self, swarm: &str) -> Failure {
+        Failure::NoSwarm {
+            swarm: swarm.into(),
+            there: self.swarms().await.unwrap_or_default(),
+        }
+    }
+
     /// What is not permitted never reaches the daemon, which says so when it is asked.
     async fn explain_refusal(&self, whom: Whom<'_>, node: &str, key: &str) -> Failure {
         let verb = key.split_once("/cmd/").map(|(_, verb)| verb);
+        // `get/recording` is the only query that requires a role: the role of `record`.
+        let verb = verb.or(key.contains("/get/recording?").then_some("record"));
         match (verb, self.whoami(node).await) {
             (Some(verb), Some(who)) if who.role.is_none_or(|role| !role.may(verb)) => {
                 Failure::refused(refused(who.person.as_deref().zip(who.role), verb))
@@ -204,7 +265,13 @@ impl Bus {
     pub async fn nobody(&self) -> Failure {
         let info = self.session.info();
         let connected = info.peers_zid().await.count() + info.routers_zid().await.count() > 0;
-        if connected {
+        let claims = match connected {
+            true => self.claims(Whom::Node("*")).await.unwrap_or_default(),
+            false => Vec::new(),
+        };
+        if let Some(error) = claim::unserved(&claims) {
+            Failure::refused(error)
+        } else if connected {
             Failure::NoNode {
                 endpoint: self.endpoint.clone(),
                 prefix: self.prefix.clone(),

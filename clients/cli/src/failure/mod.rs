@@ -9,6 +9,7 @@ use serde_json::{Map, Value, json};
 use thiserror::Error as ThisError;
 
 use self::code::{exit_code, name};
+use crate::format::count;
 use crate::nearest::{did_you_mean, nearest};
 
 /// Why a command failed.
@@ -55,7 +56,7 @@ pub enum Failure {
         "something listens at {endpoint} but does not let {} in: {}",
         person.as_deref().unwrap_or("this client"),
         match person {
-            Some(_) => "these credentials may be newer than the daemon's last start, out of date, or another daemon's, or it knows no people and takes none",
+            Some(_) => "these credentials may be newer than the daemon's last start (restart it), out of date, or another daemon's, or it knows no people and takes none",
             None => "if it is a daemon that knows its people, say who you are: --credentials FOLDER",
         }
     )]
@@ -64,6 +65,21 @@ pub enum Failure {
         endpoint: String,
         /// Who wanted in, if they said so.
         person: Option<String>,
+    },
+    /// The daemon's certificate is for other names than the one that was connected to.
+    #[error(
+        "the certificate of the daemon at {endpoint} does not name {host}; it names {}: connect by \
+         one of these, or run `{}` on the daemon's machine and restart the daemon",
+        .names.join(", "),
+        adding(.names, .host)
+    )]
+    WrongName {
+        /// Where it was connected to.
+        endpoint: String,
+        /// By which name or address.
+        host: String,
+        /// Those in the certificate.
+        names: Vec<String>,
     },
     /// zenoh answers, but no daemon of jostle is behind it.
     #[error(
@@ -97,6 +113,32 @@ pub enum Failure {
         /// Those that are there.
         there: Vec<String>,
     },
+    /// The daemon has no experiment or no recording of that name.
+    #[error("no {what} {name} on this daemon: {}", remedy(.name, .there, list_of(.what)))]
+    Unknown {
+        /// `experiment` or `recording`.
+        what: &'static str,
+        /// What was given.
+        name: String,
+        /// Those that are there.
+        there: Vec<String>,
+        /// What the daemon said.
+        error: Box<Error>,
+    },
+    /// No swarm has a name that matches.
+    #[error("no swarm matches {pattern}: `jostle list` shows what there is")]
+    NoMatch {
+        /// What was given.
+        pattern: String,
+    },
+    /// One of the swarms to delete is still there.
+    #[error("{swarm} was not deleted: {failure}")]
+    NotDeleted {
+        /// The swarm.
+        swarm: String,
+        /// Why.
+        failure: Box<Failure>,
+    },
     /// There is no such message on the wire.
     #[error("no message {message}: {}", remedy(.message, .there, "`jostle schema` lists them"))]
     NoMessage {
@@ -106,7 +148,7 @@ pub enum Failure {
         there: Vec<String>,
     },
     /// The doctor found something.
-    #[error("{count} of {of} checks failed")]
+    #[error("{count} of {} failed", self::count(*.of as u64, "check"))]
     Unwell {
         /// How many checks failed.
         count: usize,
@@ -190,8 +232,10 @@ pub enum Failure {
     },
     /// The experiment ended before all of its runs were over.
     #[error(
-        "experiment {name} {how}{}, {finished} of {runs} runs are finished: `jostle experiment \
-         resume {name}` goes on", because(.message.as_deref())
+        "experiment {name} {how}{}, {finished} of {} finished: `jostle experiment resume {name}` \
+         goes on",
+        because(.message.as_deref()),
+        self::count(*.runs, "run")
     )]
     Unfinished {
         /// The experiment.
@@ -236,6 +280,9 @@ pub enum Failure {
         /// What goes on without the command line.
         left: Option<String>,
     },
+    /// The answer to a question was no.
+    #[error("not confirmed: nothing was deleted")]
+    Declined,
     /// Standard output cannot be written.
     #[error("failed to write: {0}")]
     Output(io::Error),
@@ -256,6 +303,16 @@ impl Failure {
         Failure::Refused {
             error: Box::new(error),
             advice: None,
+        }
+    }
+
+    /// The daemon has no such experiment or recording.
+    pub fn unknown(what: &'static str, name: &str, there: Vec<String>, error: Box<Error>) -> Self {
+        Failure::Unknown {
+            what,
+            name: name.to_owned(),
+            there,
+            error,
         }
     }
 
@@ -289,22 +346,26 @@ impl Failure {
     /// The kind, in the words of the wire where it has one.
     pub fn code(&self) -> &'static str {
         match self {
-            Failure::Refused { error, .. } => name(error.code),
+            Failure::Refused { error, .. } | Failure::Unknown { error, .. } => name(error.code),
             Failure::Argument { .. } | Failure::ManyNodes { .. } => "invalid_argument",
             Failure::TooLarge { .. } => "resource_exhausted",
-            Failure::NoDaemon { .. } | Failure::NoNode { .. } => "unreachable",
+            Failure::NoDaemon { .. } | Failure::NoNode { .. } | Failure::WrongName { .. } => {
+                "unreachable"
+            }
             Failure::UnknownNode { .. }
             | Failure::NoSwarm { .. }
             | Failure::NoMessage { .. }
+            | Failure::NoMatch { .. }
             | Failure::Deleted { .. }
             | Failure::LeftBehind { .. } => "not_found",
             Failure::Silent { .. } | Failure::NotLetIn { .. } => "permission_denied",
+            Failure::NotDeleted { failure, .. } => failure.code(),
             Failure::TimedOut { .. } => "timeout",
             Failure::Stopped { .. } => "incorrect_state",
             Failure::StartedAnew { .. } => "conflict",
             Failure::Faulted { .. } => "faulted",
             Failure::Mismatch { .. } => "mismatch",
-            Failure::Interrupted { .. } => "interrupted",
+            Failure::Interrupted { .. } | Failure::Declined => "interrupted",
             Failure::Pipe => "broken_pipe",
             Failure::DiskFull { .. } => "storage_full",
             Failure::Unwell { code, .. } | Failure::Unfinished { code, .. } => code,
@@ -323,11 +384,32 @@ impl Failure {
 
     /// The error as programs read it: what the daemon said, or the same shape.
     pub fn to_json(&self) -> Value {
+        if let Failure::NotDeleted { swarm, failure } = self {
+            let mut error = failure.to_json();
+            error["message"] = json!(self.to_string());
+            error["details"]["swarm"] = json!(swarm);
+            return error;
+        }
         let (details, step) = match self {
             Failure::Refused { error, .. } => (error.details.clone(), error.step),
+            Failure::Unknown {
+                name, there, error, ..
+            } => {
+                let mut details = error.details.clone();
+                details.insert("nearest".into(), json!(nearest_of(name, there)));
+                (details, error.step)
+            }
             Failure::NoDaemon { endpoint, cause } => {
                 (object(json!({"endpoint": endpoint, "cause": cause})), None)
             }
+            Failure::WrongName {
+                endpoint,
+                host,
+                names,
+            } => (
+                object(json!({"endpoint": endpoint, "host": host, "names": names})),
+                None,
+            ),
             Failure::ManyNodes { there } | Failure::UnknownNode { there, .. } => {
                 (object(json!({"nodes": there})), None)
             }
@@ -349,7 +431,9 @@ impl Failure {
             _ => (Map::new(), None),
         };
         let message = match self {
-            Failure::Refused { error, .. } => error.message.clone(),
+            Failure::Refused { error, .. } | Failure::Unknown { error, .. } => {
+                error.message.clone()
+            }
             failure => failure.to_string(),
         };
         json!({
@@ -374,6 +458,29 @@ fn hint(code: ErrorCode) -> &'static str {
     match code {
         ErrorCode::DeadlineExceeded => " (here: `jostle status` and --timeout)",
         _ => "",
+    }
+}
+
+/// The command that adds `host` to the names of a daemon's certificate.
+fn adding(names: &[String], host: &str) -> String {
+    // Every certificate of a daemon has these.
+    let own = ["localhost", "127.0.0.1", "::1"];
+    let others = names.iter().map(String::as_str);
+    let hosts = others.filter(|name| !own.contains(name)).chain([host]);
+    let hosts: String = hosts.map(|name| format!(" --host {name}")).collect();
+    format!("jostled auth address{hosts}")
+}
+
+/// Whether the daemon refused the name of what the request is about, and no field of the request.
+pub fn is_unknown_name(error: &Error) -> bool {
+    error.code == ErrorCode::NotFound && error.details.is_empty()
+}
+
+/// The command that lists what there is.
+fn list_of(what: &str) -> &'static str {
+    match what {
+        "experiment" => "`jostle experiment list` shows what there is",
+        _ => "`jostle record --list` shows what there is",
     }
 }
 

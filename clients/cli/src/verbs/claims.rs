@@ -12,6 +12,7 @@ use serde_json::{Value, json};
 
 use crate::arguments::ClaimsArguments;
 use crate::failure::Failure;
+use crate::format;
 use crate::output::Output;
 use crate::table::table as columns;
 
@@ -153,7 +154,8 @@ fn write_page(output: Output, path: &Path, runs: &[Run], touches: &[Touch]) -> R
         figures,
     };
     fs::write(path, page(runs, touches, &origin)).map_err(system)?;
-    let told = format!("{} runs on {}", runs.len(), path.display());
+    let count = format::count(runs.len() as u64, "run");
+    let told = format!("{count} on {}", path.display());
     output.data(&told)
 }
 

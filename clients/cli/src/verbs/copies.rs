@@ -109,7 +109,7 @@ pub async fn restore(
     let bytes = fs::read(file).map_err(|error| wrong(error.to_string()))?;
     let snapshot = Snapshot::from_file(&bytes).map_err(|error| {
         wrong(format!(
-            "this is no whole snapshot ({error}): `jostle snapshot` writes one"
+            "not a snapshot, or not all of one ({error}): `jostle snapshot` writes one"
         ))
     })?;
     let args = RestoreArgs {

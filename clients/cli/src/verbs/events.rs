@@ -169,15 +169,16 @@ impl Told<'_> {
 
 fn header() -> String {
     format!(
-        "{:>7} {:>5} {:>9} {:>10} {:7}  {}\n",
-        "number", "epoch", "step", "time", "phase", "what"
+        "{:>7}  {:24} {:>5} {:>9} {:>10} {:7}  {}\n",
+        "number", "when", "epoch", "step", "time", "phase", "what"
     )
 }
 
 fn line(event: &Event) -> String {
     format!(
-        "{:>7} {:>5} {:>9} {:>10} {:7}  {}\n",
+        "{:>7}  {:24} {:>5} {:>9} {:>10} {:7}  {}\n",
         event.number,
+        format::when(event.unix_secs),
         event.epoch,
         event.step,
         format::time(event.time),
@@ -230,6 +231,9 @@ pub fn what(kind: &EventKind) -> String {
         ),
         EventKind::Lapsed { ids } => format!("no longer informed: {}", whom(ids)),
         EventKind::Fault { reason } => format!("fault: {reason}"),
+        EventKind::RecordingFailed { recording, reason } => {
+            format!("recording {recording} failed: {reason}")
+        }
         EventKind::Deleted {} => "deleted".into(),
     }
 }

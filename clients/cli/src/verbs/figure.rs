@@ -32,7 +32,11 @@ pub fn of_results(output: Output, arguments: &FigureArguments) -> Result<(), Fai
         output,
         arguments,
         &svg,
-        &format!("figure {} of {} runs", kind.number(), runs.len()),
+        &format!(
+            "figure {} of {}",
+            kind.number(),
+            format::count(runs.len() as u64, "run")
+        ),
     )
 }
 

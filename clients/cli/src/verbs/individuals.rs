@@ -93,7 +93,7 @@ fn tell(output: Output, answer: &Answer, verb: &str, done: &str) -> Result<(), F
 /// How many, and who.
 pub fn whom(ids: &[u32]) -> String {
     match ids.len() {
-        0 => "nobody".into(),
+        0 => "no individual".into(),
         count => format!("{count} ({})", format::ids(ids)),
     }
 }

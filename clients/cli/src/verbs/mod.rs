@@ -5,6 +5,7 @@ mod batch;
 mod claims;
 mod copies;
 mod create;
+mod delete;
 mod diff;
 mod doctor;
 mod events;
@@ -29,7 +30,7 @@ use jostle_proto::Reply;
 use jostle_proto::verbs::Scheduled;
 use serde::de::DeserializeOwned;
 
-use crate::arguments::{Arguments, Verb};
+use crate::arguments::{Arguments, RecordArguments, Verb};
 use crate::bus::{Answer, Bus};
 use crate::failure::Failure;
 use crate::format;
@@ -51,6 +52,11 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
         Verb::Man(arguments) => return shell::man(output, &arguments),
         Verb::Claims(arguments) => return claims::judge(output, &arguments),
         Verb::Doctor => return interrupt::either(doctor::doctor(output, global)).await,
+        Verb::Record(RecordArguments {
+            recover: Some(file),
+            force,
+            ..
+        }) => return record::recover(output, &file, force),
         Verb::Figure(arguments) if arguments.kind != Figure::Snapshot => {
             return figure::of_results(output, &arguments);
         }
@@ -75,7 +81,8 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
 pub fn grace(verb: &Verb) -> Duration {
     match verb {
         // All of it is to be on the disk, however slow that is.
-        Verb::Record(_) => Duration::from_secs(60),
+        // The first Ctrl-C fetches the rest; a second one leaves the rest on the daemon.
+        Verb::Record(_) => Duration::from_secs(3600),
         _ => interrupt::GRACE,
     }
 }
@@ -91,7 +98,7 @@ async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
         Verb::Reset(arguments) => steer::reset(bus, output, &arguments).await,
         Verb::Set(arguments) => steer::set(bus, output, &arguments).await,
         Verb::Leave(arguments) => steer::leave(bus, output, &arguments).await,
-        Verb::Delete(arguments) => steer::delete(bus, output, &arguments).await,
+        Verb::Delete(arguments) => delete::delete(bus, output, &arguments).await,
         Verb::Inform(arguments) => individuals::inform(bus, output, &arguments).await,
         Verb::Uninform(arguments) => individuals::uninform(bus, output, &arguments).await,
         Verb::Inject(arguments) => individuals::inject(bus, output, &arguments).await,

@@ -11,6 +11,7 @@ use jostle_proto::verbs::{DeleteArgs, EmptyResult, RunArgs, RunResult};
 use jostle_proto::{
     NodeReply, OpenArgs, Replay, ReplayArgs, ReplayResult, Reply, SeekArgs, UploadArgs, keys,
 };
+use jostle_results::recording::{self, PARTIAL};
 
 use crate::arguments::{ReplayArguments, SeekArguments, SenderArguments, SendingArguments};
 use crate::bus::Bus;
@@ -18,6 +19,7 @@ use crate::failure::Failure;
 use crate::format;
 use crate::output::Output;
 use crate::values::Rate;
+use crate::verbs::record::check_fetched;
 use crate::verbs::{place, print};
 
 /// A piece of a file, in bytes: in base64 it passes every daemon's limit.
@@ -29,6 +31,9 @@ const PIECE: usize = 180 * 1024;
 ///
 /// Why it is not shown.
 pub async fn replay(bus: &Bus, output: Output, arguments: &ReplayArguments) -> Result<(), Failure> {
+    if let Some(file) = &arguments.file {
+        check_finished(file)?;
+    }
     let name = name(arguments)?;
     if let Some(file) = &arguments.file {
         upload(bus, output, file, &name, &arguments.sender).await?;
@@ -103,6 +108,28 @@ fn name(arguments: &ReplayArguments) -> Result<String, Failure> {
     Err(Failure::Argument {
         argument: file.display().to_string(),
         problem: "its name cannot be a swarm's: say what to show it as with --as NAME".into(),
+    })
+}
+
+/// Refuses a recording that has no end, with the command that makes a whole file of it.
+fn check_finished(path: &Path) -> Result<(), Failure> {
+    check_fetched(path)?;
+    let partial = recording::partial(path);
+    let is_partial = path.extension().is_some_and(|it| it == PARTIAL);
+    let unfinished = if !path.exists() && partial.exists() {
+        partial.as_path()
+    } else if is_partial || (path.is_file() && recording::is_unfinished(path).unwrap_or(false)) {
+        path
+    } else {
+        return Ok(());
+    };
+    let file = unfinished.display().to_string();
+    Err(Failure::Argument {
+        problem: format!(
+            "is incomplete: its recorder was killed or is still running; if it was killed, \
+             `jostle record --recover {file}` recovers it"
+        ),
+        argument: file,
     })
 }
 

@@ -2,11 +2,11 @@
 
 use std::path::Path;
 
-use clap::{Command, CommandFactory};
+use clap::Command;
 use clap_mangen::Man;
 use serde_json::json;
 
-use crate::arguments::{Arguments, CompletionsArguments, ManArguments};
+use crate::arguments::{self, CompletionsArguments, ManArguments};
 use crate::completion;
 use crate::failure::Failure;
 use crate::output::{self, Output};
@@ -68,7 +68,7 @@ pub fn man(output: Output, arguments: &ManArguments) -> Result<(), Failure> {
 
 /// The command line without `help`, which has no page of its own.
 fn command() -> Command {
-    Arguments::command().disable_help_subcommand(true)
+    arguments::command().disable_help_subcommand(true)
 }
 
 #[expect(clippy::needless_pass_by_value, reason = "nobody needs it any more")]

@@ -1,18 +1,17 @@
-//! `pause`, `step`, `reset`, `set` and `delete`: the swarm as a whole.
+//! `pause`, `step`, `reset`, `set` and `leave`: the swarm as a whole.
 
 use jostle_proto::verbs::{
-    DeleteArgs, EmptyResult, LeaveArgs, PauseArgs, ResetArgs, ResetResult, Return, SetResult,
-    StepArgs, StepResult,
+    EmptyResult, LeaveArgs, PauseArgs, ResetArgs, ResetResult, Return, SetResult, StepArgs,
+    StepResult,
 };
-use jostle_proto::{Parameter, Reply, contract};
+use jostle_proto::{Error, ErrorCode, Parameter, Reply, State, Status, contract};
 use serde_json::{Map, Value};
 
 use crate::arguments::{
-    DeleteArguments, LeaveArguments, PauseArguments, ResetArguments, SetArguments, StepArguments,
+    LeaveArguments, PauseArguments, ResetArguments, SetArguments, StepArguments,
 };
 use crate::bus::Bus;
 use crate::failure::Failure;
-use crate::format;
 use crate::nearest::did_you_mean;
 use crate::output::Output;
 use crate::table;
@@ -62,15 +61,41 @@ pub async fn step(bus: &Bus, output: Output, arguments: &StepArguments) -> Resul
         });
     }
     // The answer came as CBOR; either way it is printed as JSON.
-    let reply: Reply<StepResult> = answer.read()?;
-    if output.json {
-        return output.data(&json(&reply)?);
+    let mut reply: Reply<StepResult> = answer.read()?;
+    if reply.result.state.is_none() {
+        reply.result.state = Some(fetch_state(bus, &reply).await?);
     }
-    match &reply.result.state {
-        Some(state) => output.data(&json(state)?),
-        None => Err(Failure::Unreadable {
-            problem: "it has no state".into(),
-        }),
+    match output.json {
+        true => output.data(&json(&reply)?),
+        false => output.data(&json(&reply.result.state)?),
+    }
+}
+
+/// Queries the state that a remembered reply omits; fails if the swarm has changed.
+async fn fetch_state(bus: &Bus, reply: &Reply<StepResult>) -> Result<State, Failure> {
+    let status = async || {
+        let status = bus.get(&reply.swarm, "status").await?;
+        status.read::<Reply<Status>>()
+    };
+    let before = status().await?;
+    let state: State = bus.state(&reply.swarm).await?.read()?;
+    let status = status().await?;
+    // Where no command came between the two statuses, the state between them is theirs.
+    let is_same = before.seq == status.seq
+        && [state.step, status.step] == [reply.step; 2]
+        && status.result.state_hash == reply.result.state_hash;
+    match is_same {
+        true => Ok(state),
+        false => Err(Failure::refused(Error {
+            code: ErrorCode::Conflict,
+            message: format!(
+                "the command was carried out and led to step {}, but its reply with the state was \
+                 lost, and the swarm is at step {} now or was changed",
+                reply.step, status.step
+            ),
+            details: Map::new(),
+            step: Some(status.step),
+        })),
     }
 }
 
@@ -156,42 +181,6 @@ pub async fn leave(bus: &Bus, output: Output, arguments: &LeaveArguments) -> Res
         let (controller, swarm) = (&arguments.controller, &reply.swarm);
         format!("{controller} has left {swarm}, which is {}", place(reply))
     })
-}
-
-/// Deletes swarms, each whatever becomes of the others.
-///
-/// # Errors
-///
-/// Why the first that is still there was not deleted.
-pub async fn delete(bus: &Bus, output: Output, arguments: &DeleteArguments) -> Result<(), Failure> {
-    let DeleteArguments { names, sending } = arguments;
-    if names.len() > 1 && sending.sender.request_id.is_some() {
-        return Err(Failure::Argument {
-            argument: "--request-id".into(),
-            problem: "names one request, and each swarm is one of its own".into(),
-        });
-    }
-    let mut first = None;
-    for swarm in names {
-        match bus.command(swarm, "delete", &DeleteArgs {}, sending).await {
-            Ok(answer) => {
-                print_outcome(output, &answer, "delete", |reply: &Reply<EmptyResult>| {
-                    format!(
-                        "deleted {} at step {}, time {}",
-                        reply.swarm,
-                        reply.step,
-                        format::time(reply.time)
-                    )
-                })?;
-            }
-            Err(failure) => {
-                if let Some(earlier) = first.replace(failure) {
-                    output.failure(&earlier);
-                }
-            }
-        }
-    }
-    first.map_or(Ok(()), Err)
 }
 
 /// What people may have meant by a field that no swarm has; of all others the daemon says what

@@ -2,7 +2,8 @@
 
 use std::time::Duration;
 
-use jostle_proto::{Reply, Verified, keys};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use jostle_proto::{Reply, Status, Verified, keys};
 
 use crate::arguments::VerifyArguments;
 use crate::bus::{Bus, Whom};
@@ -14,6 +15,11 @@ use crate::verbs::print;
 /// How long a past may take to tell: as long as the daemon tells it.
 const PATIENCE: Duration = Duration::from_secs(3600 + 10);
 
+/// How often the progress is asked for.
+const PROGRESS_INTERVAL: Duration = Duration::from_millis(300);
+/// The bar's length: a share in thousandths.
+const WHOLE: f64 = 1000.0;
+
 /// Verifies a swarm.
 ///
 /// # Errors
@@ -23,7 +29,15 @@ pub async fn verify(bus: &Bus, output: Output, arguments: &VerifyArguments) -> R
     let swarm = &arguments.name;
     let key = keys::get(bus.prefix(), swarm, "verify");
     // It is asked once: each time it would be told from the beginning.
-    let answer = bus.ask(Whom::Swarm(swarm), &key, None, PATIENCE).await?;
+    let asked = bus.ask(Whom::Swarm(swarm), &key, None, PATIENCE);
+    let bar = bar(output, swarm);
+    let answer = tokio::select! {
+        biased;
+        answer = asked => answer,
+        () = show_progress(bus, swarm, &bar), if !bar.is_hidden() => unreachable!("it goes on"),
+    };
+    bar.finish_and_clear();
+    let answer = answer?;
     print(output, &answer, words)?;
     let reply: Reply<Verified> = answer.read()?;
     match reply.result.differs_at {
@@ -33,6 +47,45 @@ pub async fn verify(bus: &Bus, output: Output, arguments: &VerifyArguments) -> R
         }),
         None => Ok(()),
     }
+}
+
+/// Moves the bar on as the daemon reports it; never ends.
+async fn show_progress(bus: &Bus, swarm: &str, bar: &ProgressBar) {
+    loop {
+        tokio::time::sleep(PROGRESS_INTERVAL).await;
+        // If a reply is lost, skip one update of the bar.
+        let Ok(answer) = bus.get(swarm, "status").await else {
+            continue;
+        };
+        if let Ok(Reply { result, .. }) = answer.read::<Reply<Status>>()
+            && let Some(share) = result.verifying
+        {
+            bar.set_position(of_whole(share));
+        }
+    }
+}
+
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "a share is from 0 to 1"
+)]
+fn of_whole(share: f64) -> u64 {
+    (share * WHOLE) as u64
+}
+
+/// How much of the history is replayed; hidden unless stderr is a terminal.
+fn bar(output: Output, swarm: &str) -> ProgressBar {
+    if output.json {
+        return ProgressBar::hidden();
+    }
+    let target = ProgressDrawTarget::stderr();
+    let bar = ProgressBar::with_draw_target(Some(of_whole(1.0)), target);
+    let template = "verifying {prefix} {bar:30} {percent:>3}%  {elapsed}";
+    bar.set_style(ProgressStyle::with_template(template).expect("a constant"));
+    bar.set_prefix(swarm.to_owned());
+    bar.enable_steady_tick(Duration::from_millis(100));
+    bar
 }
 
 fn words(reply: &Reply<Verified>) -> String {

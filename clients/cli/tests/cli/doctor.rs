@@ -55,6 +55,35 @@ async fn what_is_wrong_is_told_with_its_remedy() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_failed_recording_is_found_and_named() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 3").await;
+    daemon.said("record demo --at-daemon --as take").await;
+    let report = daemon.reply("doctor").await;
+    let recordings = check(&report, "recordings");
+    assert_eq!(recordings["ok"], true, "{report}");
+    assert_eq!(recordings["figures"]["recording"], 1, "{report}");
+    std::fs::remove_dir_all(daemon.folder().join("recordings/take")).unwrap();
+    let stopped = daemon.said("record --stop take").await;
+    assert!(stopped.contains("take is failed"), "{stopped}");
+
+    let ended = daemon.jostle("--json doctor").await;
+    assert_ne!(ended.code, Some(0), "{ended:?}");
+    let report = &ended.json_lines()[0];
+    let recordings = check(report, "recordings");
+    assert_eq!(recordings["ok"], false, "{report}");
+    assert_eq!(recordings["figures"]["failed"], 1, "{report}");
+    let message = recordings["message"].as_str().unwrap();
+    assert!(message.contains("take ("), "{message}");
+    assert_eq!(check(report, "health")["ok"], true, "{report}");
+    let ended = daemon.jostle("doctor").await;
+    assert!(ended.stdout.contains("✗ recordings"), "{ended:?}");
+    let events = daemon.said("events demo --limit 1").await;
+    assert!(events.contains("recording take failed: "), "{events}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn what_this_client_may_not_do_is_found_out() {
     let impostor = Impostor::start(&[], "jostle/x", "jostle/y").await;
     let node = |result: Value| vec![Ok(json!({"node": "a", "result": result}))];
@@ -108,6 +137,7 @@ async fn one_client_too_many_is_told_so() {
     assert!(ended.stdout.contains("raise max_clients"), "{ended:?}");
     let ended = daemon.jostle("nodes").await;
     assert!(ended.stderr.contains("raise max_clients"), "{ended:?}");
+    assert!(ended.stderr.contains("1 client is connected"), "{ended:?}");
     watching.interrupt();
     watching.end().await;
     daemon.stop().await;

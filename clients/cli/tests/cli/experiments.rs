@@ -161,3 +161,74 @@ async fn it_goes_on_without_the_command_line_until_it_is_cancelled() {
     assert!(wrong.stderr.contains("line 2"), "{wrong:?}");
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_not_there_is_answered_with_the_command_to_use() {
+    let daemon = Daemon::start().await;
+    let ended = daemon.jostle("experiment run nofile.toml").await;
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    for command in ["`jostle experiment run --help`", "`jostle experiment list`"] {
+        assert!(ended.stderr.contains(command), "{ended:?}");
+    }
+    // What that help shows is taken.
+    let help = daemon.said("experiment run --help").await;
+    let example = help.split_once("of 18 runs:\n").unwrap().1;
+    let submitted = daemon
+        .jostle_with("experiment run - --detach", example)
+        .await;
+    assert_eq!(submitted.code, Some(0), "{submitted:?}");
+    assert!(
+        submitted.stdout.contains("submitted order, 18 runs"),
+        "{submitted:?}"
+    );
+    daemon.said("experiment cancel order").await;
+
+    for line in [
+        "results nope",
+        "status nope",
+        "pause nope",
+        "attach nope",
+        "delete nope",
+    ] {
+        let ended = daemon.jostle(&format!("experiment {line}")).await;
+        assert_eq!(ended.code, Some(3), "{line}: {ended:?}");
+        let list = "no experiment nope on this daemon: `jostle experiment list`";
+        assert!(ended.stderr.contains(list), "{line}: {ended:?}");
+        let refused = daemon.refusal(&format!("experiment {line}")).await;
+        assert_eq!(refused["code"], "not_found", "{line}: {refused}");
+    }
+    let ended = daemon.jostle("experiment results oder").await;
+    assert!(ended.stderr.contains("did you mean `order`?"), "{ended:?}");
+    // A run that it has not is another thing.
+    let ended = daemon.jostle("experiment results order --order nope").await;
+    assert!(ended.stderr.contains("has no run"), "{ended:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_of_a_kind_is_counted_as_one() {
+    let folder = tempfile::tempdir().unwrap();
+    let daemon = Daemon::with(&[("max_swarms", "1")]).await;
+    let one = file(
+        folder.path(),
+        "one.toml",
+        "name = \"one\"\nduration = 1\nspec = { n = 3 }\n",
+    );
+    let ended = daemon.jostle(&format!("experiment run {one}")).await;
+    let said = ended.stdout + &ended.stderr;
+    assert!(said.contains("submitted one, 1 run:"), "{said}");
+    assert!(said.contains("1 of 1 run finished"), "{said}");
+    daemon.said("create a --n 1").await;
+    let refused = daemon.jostle("create b --n 1").await;
+    assert_eq!(refused.code, Some(7), "{refused:?}");
+    assert!(
+        refused.stderr.contains("hosts 1 swarm already"),
+        "{refused:?}"
+    );
+    let refused = daemon.jostle("remove a --count 1").await;
+    assert!(
+        refused.stderr.contains("1 individual, which is all"),
+        "{refused:?}"
+    );
+    daemon.stop().await;
+}

@@ -1,8 +1,20 @@
 //! The verbs that only look: parameters, journal, events, nodes, schemas; once and repeatedly.
 
+use std::time::{Duration, SystemTime};
+
 use serde_json::{Value, json};
 
-use crate::support::{Daemon, object};
+use crate::support::{Daemon, PATIENCE, object};
+
+/// Asserts that the second column of a line is the wall-clock time of a moment ago, in UTC.
+fn assert_is_of_now(line: &str) {
+    let when = line.split_whitespace().nth(1).unwrap();
+    assert!(when.ends_with('Z') && when.len() == 24, "{line}");
+    let since = humantime::parse_rfc3339(when).unwrap();
+    // A millisecond is rounded up, too.
+    let now = SystemTime::now() + Duration::from_millis(1);
+    assert!(now.duration_since(since).unwrap() < 2 * PATIENCE, "{line}");
+}
 
 #[tokio::test(flavor = "multi_thread")]
 async fn parameters_are_told_with_their_ranges_and_who_changes_them() {
@@ -50,6 +62,11 @@ async fn the_journal_holds_what_was_applied_and_can_be_cut() {
         lines[3].contains("tester@") && lines[3].ends_with("set pi3=4"),
         "{table}"
     );
+    assert_eq!(
+        lines[0].split_whitespace().collect::<Vec<_>>(),
+        ["seq", "when", "epoch", "step", "time", "client", "command"]
+    );
+    lines[1..].iter().for_each(|line| assert_is_of_now(line));
     let seqs = |journal: &Value| {
         let entries = journal["result"]["entries"].as_array().unwrap();
         entries
@@ -90,8 +107,11 @@ async fn events_are_told_and_followed_until_the_swarm_is_deleted() {
         table.contains("created") && table.contains("set pi3=2 (seq 1, by tester@"),
         "{table}"
     );
+    assert!(table.starts_with(" number  when"), "{table}");
+    table.lines().skip(1).for_each(assert_is_of_now);
     let ended = daemon.jostle("--json events demo --limit 1").await;
     assert_eq!(object(&ended)["event"]["verb"], "set");
+    assert!(object(&ended)["unix_secs"].as_f64() > Some(1.7e9));
     let last = object(&ended)["number"].as_u64().unwrap();
 
     let line = format!("--json events demo --follow --after {last}");

@@ -5,9 +5,11 @@
 mod copies;
 mod doctor;
 mod experiments;
+mod fetching;
 mod live;
 mod looking;
 mod lost;
+mod options;
 mod recording;
 mod rights;
 mod sending;

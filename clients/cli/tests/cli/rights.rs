@@ -4,6 +4,7 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use jostle_proto::Role;
+use jostled::rights::address::Reach;
 use jostled::rights::folder::Folder;
 use jostled::rights::issue;
 
@@ -99,8 +100,83 @@ async fn whoever_is_not_let_in_hears_so_soon() {
     let ended = daemon.jostle(&line).await;
     assert_eq!(ended.code, Some(2), "{ended:?}");
     assert!(ended.stderr.contains("in the clear"), "{ended:?}");
-    let link = daemon.said(&by("olga", "auth link")).await;
-    assert!(link.starts_with("http://127.0.0.1:8080/#token="), "{link}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_link_names_the_address_that_is_served_on() {
+    let base = tempfile::tempdir().unwrap();
+    let folder = Folder::at(base.path().join("auth"));
+    issue::init(&folder, &[], &[("olga".into(), Role::Operator)]).unwrap();
+    let (auth, olga) = (folder.path().to_str().unwrap(), folder.of("olga"));
+    let line = |line: &str| format!("--credentials {} {line}", olga.display());
+    for (http, scheme) in [("127.0.0.1:0", "http"), ("https://127.0.0.1:0", "https")] {
+        let settings = [
+            ("listen", "tls/127.0.0.1:0"),
+            ("auth_dir", auth),
+            ("http", http),
+        ];
+        let daemon = Daemon::with(&settings).await;
+        let link = daemon.said(&line("auth link")).await;
+        let (page, token) = link.trim().split_once("/#token=").unwrap();
+        assert_eq!(token, folder.credentials("olga").unwrap().token);
+        let (its_scheme, address) = page.split_once("://").unwrap();
+        assert_eq!(its_scheme, scheme);
+        // Something listens there, and it is no default.
+        assert!(!address.ends_with(":8080"), "{address}");
+        std::net::TcpStream::connect(address).unwrap();
+        let given = daemon
+            .said(&line("auth link --page https://lab.example/"))
+            .await;
+        assert_eq!(given.trim(), format!("https://lab.example/#token={token}"));
+        daemon.stop().await;
+    }
+    let settings = [("listen", "tls/127.0.0.1:0"), ("auth_dir", auth)];
+    let daemon = Daemon::with(&settings).await;
+    let ended = daemon.jostle(&line("auth link")).await;
+    assert_eq!(ended.code, Some(2), "{ended:?}");
+    assert!(ended.stderr.contains("serves no HTTP"), "{ended:?}");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_address_that_the_certificate_does_not_name_is_reported_with_the_remedy() {
+    let base = tempfile::tempdir().unwrap();
+    let folder = Folder::at(base.path().join("auth"));
+    let mut hosts = vec!["lab.example".to_owned(), "fe80::1".to_owned()];
+    issue::init(&folder, &hosts, &[("olga".into(), Role::Operator)]).unwrap();
+    let auth = folder.path().to_str().unwrap();
+    let settings = [("listen", "tls/127.0.0.2:0"), ("auth_dir", auth)];
+    let daemon = Daemon::with(&settings).await;
+    let line = format!("--credentials {} list", folder.of("olga").display());
+    let began = Instant::now();
+    let ended = daemon.jostle(&line).await;
+    assert!(
+        began.elapsed() < Duration::from_secs(5),
+        "{:?}",
+        began.elapsed()
+    );
+    assert_eq!(ended.code, Some(6), "{ended:?}");
+    for told in [
+        "does not name 127.0.0.2",
+        "it names localhost, 127.0.0.1, ::1, lab.example, fe80::1:",
+        "`jostled auth address --host lab.example --host fe80::1 --host 127.0.0.2`",
+    ] {
+        assert!(ended.stderr.contains(told), "{told}: {ended:?}");
+    }
+    let refusal = daemon.refusal(&line).await;
+    assert_eq!(refusal["code"], "unreachable", "{refusal}");
+    assert_eq!(refusal["details"]["host"], "127.0.0.2", "{refusal}");
+    daemon.stop().await;
+    // The remedy.
+    hosts.push("127.0.0.2".to_owned());
+    let reach = Reach {
+        hosts,
+        ..Reach::default()
+    };
+    issue::readdress(&folder, &reach).unwrap();
+    let daemon = Daemon::with(&settings).await;
+    daemon.said(&line).await;
     daemon.stop().await;
 }
 

@@ -2,7 +2,7 @@
 
 use serde_json::json;
 
-use crate::support::Daemon;
+use crate::support::{Daemon, object};
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_command_for_a_step_to_come_is_acknowledged_and_applies_there() {
@@ -139,4 +139,25 @@ async fn a_batch_applies_as_a_whole_or_not_at_all() {
         assert_eq!(ended.code, Some(2), "{ended:?}");
     }
     daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_step_sent_again_prints_the_state_while_the_swarm_has_it() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 200").await;
+    let step = "--json step demo 3 --state --client me --request-id 1";
+    let first = object(&daemon.jostle(step).await);
+    assert_eq!(first["result"]["state"]["step"], 3);
+    // The daemon does not remember the state, so the client fetches it.
+    assert_eq!(object(&daemon.jostle(step).await), first);
+    let step = "step demo 3 --state --client me --request-id 1";
+    assert_eq!(object(&daemon.jostle(step).await), first["result"]["state"]);
+    daemon.said("inject demo --count 1").await;
+    let refused = daemon.refusal(step).await;
+    assert_eq!(
+        (&refused["code"], &refused["step"]),
+        (&json!("conflict"), &json!(3))
+    );
+    daemon.said("step demo").await;
+    assert_eq!(daemon.refusal(step).await["step"], 4);
 }

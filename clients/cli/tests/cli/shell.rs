@@ -2,7 +2,7 @@
 
 use std::process::Command;
 
-use crate::support::Daemon;
+use crate::support::{Daemon, Terminal};
 
 /// What bash would offer for the last of these words.
 fn completed(endpoint: &str, words: &[&str]) -> Vec<String> {
@@ -34,6 +34,34 @@ async fn a_shell_completes_the_names_of_swarms_and_parameters() {
     assert_eq!(
         here(&["set", "demo", "pi"]),
         ["pi1=", "pi2=", "pi3=", "pi4="]
+    );
+    // As zsh and fish hand it over, and as bash does, which splits it at its `=`.
+    let contacts = ["endpoints", "closest", "clamped"];
+    let whole = contacts.map(|it| format!("contacts={it}"));
+    assert_eq!(here(&["set", "demo", "contacts="]), whole);
+    assert_eq!(
+        here(&["set", "demo", "pi1=3", "contacts=e"]),
+        ["contacts=endpoints"]
+    );
+    assert_eq!(here(&["set", "demo", "contacts", ""]), contacts);
+    assert_eq!(here(&["set", "demo", "contacts", "=", "e"]), ["endpoints"]);
+    assert_eq!(
+        here(&["set", "demo", "stepping", "=", ""]),
+        ["position", "velocity"]
+    );
+    assert_eq!(here(&["create", "new", "--contacts", "e"]), ["endpoints"]);
+    assert_eq!(
+        here(&["create", "new", "--contacts=e"]),
+        ["--contacts=endpoints"]
+    );
+    assert_eq!(
+        here(&["create", "new", "--contacts", "=", "e"]),
+        ["endpoints"]
+    );
+    assert_eq!(
+        here(&["status", "demo", "--nod"]),
+        [""; 0],
+        "it has no effect there"
     );
     assert_eq!(here(&["list", "--node", ""]), ["test"]);
     assert_eq!(here(&["schema", "batch."]), ["batch.args", "batch.reply"]);
@@ -91,6 +119,13 @@ async fn every_verb_has_a_page_in_the_manual() {
     let verbs = verbs.count();
     assert_eq!(written.len(), verbs + 1, "and one about them all");
     let page = std::fs::read_to_string(directory.join("jostle-set.1")).unwrap();
+    let short = directory.join("short");
+    let again = daemon.reply(&format!("man -o {}", short.display())).await;
+    assert_eq!(again["written"].as_array().unwrap().len(), written.len());
+    assert_eq!(
+        std::fs::read_to_string(short.join("jostle-set.1")).unwrap(),
+        page
+    );
     std::fs::remove_dir_all(&directory).unwrap();
     assert!(page.contains(r"\-\-make\-room"), "{page}");
     let ended = daemon.jostle("man --out /proc/nowhere").await;
@@ -122,5 +157,24 @@ async fn a_slip_of_the_finger_is_answered_with_what_may_be_meant() {
     }
     let unknown = daemon.refusal("status dmeo").await;
     assert_eq!(unknown["details"]["nearest"][0], "demo");
+    daemon.stop().await;
+}
+
+/// What stands on the line of a bash that is typed into.
+#[tokio::test(flavor = "multi_thread")]
+async fn bash_completes_the_value_of_an_assignment() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 3").await;
+    for (typed, completed) in [
+        ("jostle set demo contacts=en\t", "contacts=endpoints"),
+        ("jostle set demo stepping=v\t", "stepping=velocity"),
+        ("jostle set demo conta\ten\t", "contacts=endpoints"),
+        ("jostle create new --contacts=en\t", "--contacts=endpoints"),
+    ] {
+        let mut terminal = Terminal::bash(&daemon.endpoint);
+        terminal.until_seen("ready").await;
+        terminal.press(typed);
+        terminal.until_seen(completed).await;
+    }
     daemon.stop().await;
 }

@@ -100,3 +100,63 @@ async fn it_outlives_the_daemon_and_its_swarms() {
     assert_eq!(terminal.end().await, "0");
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn on_a_terminal_delete_lists_what_a_pattern_matches_and_asks() {
+    let daemon = Daemon::start().await;
+    for name in ["test-1", "test-2", "demo"] {
+        daemon.said(&format!("create {name} --n 3")).await;
+    }
+    let swarms = async || object(&daemon.jostle("--json list").await)["result"]["swarms"].clone();
+    for (answer, code, left) in [
+        ("n\r", "130", 3),
+        ("\r", "130", 3),
+        ("\x04", "130", 3),
+        ("y\r", "0", 1),
+    ] {
+        let mut terminal = Terminal::begin(&daemon.endpoint, "delete test-*");
+        terminal.until_seen("delete 2 swarms? [y/N]").await;
+        let seen = terminal.seen();
+        assert!(seen.contains("test-1") && seen.contains("test-2"), "{seen}");
+        assert!(!seen.contains("demo"), "{seen}");
+        terminal.press(answer);
+        assert_eq!(terminal.code().await, code, "{answer:?}");
+        assert_eq!(swarms().await.as_array().unwrap().len(), left, "{answer:?}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn verify_shows_its_progress_on_a_terminal_and_nowhere_else() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 150 --seed 2").await;
+    daemon.said("step demo 20000 --timeout 60").await;
+    let terminal = Terminal::begin(&daemon.endpoint, "verify demo");
+    terminal.until_seen("demo is the same").await;
+    let seen = terminal.seen();
+    let percents = seen
+        .split('%')
+        .filter_map(|it| it.split(' ').next_back()?.parse::<u32>().ok());
+    let percents: Vec<u32> = percents.collect();
+    assert!(
+        percents.iter().any(|it| (1..100).contains(it)),
+        "{percents:?} in {seen}"
+    );
+    assert!(percents.is_sorted(), "{percents:?}");
+    assert_eq!(terminal.code().await, "0");
+
+    let terminal = Terminal::begin(&daemon.endpoint, "--json verify demo");
+    terminal.until_seen("over.").await;
+    assert!(!terminal.seen().contains('%'), "{}", terminal.seen());
+    let ended = daemon.jostle("verify demo").await;
+    assert_eq!(
+        (ended.code, ended.stderr.as_str()),
+        (Some(0), ""),
+        "{ended:?}"
+    );
+    assert_eq!(
+        object(&daemon.jostle("--json status demo").await)["result"]["verifying"],
+        serde_json::Value::Null
+    );
+    daemon.stop().await;
+}

@@ -243,3 +243,153 @@ async fn silence_is_explained_by_who_is_there() {
     }
     impostor.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn individuals_are_named_by_ranges_of_ids_and_shares_in_percent() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 20").await;
+    let ids = async |line: &str| daemon.reply(line).await["result"]["ids"].clone();
+    assert_eq!(
+        ids("inform demo --ids 1-5 --direction 0").await,
+        json!([1, 2, 3, 4, 5])
+    );
+    assert_eq!(ids("uninform demo --ids 1,4-5").await, json!([1, 4, 5]));
+    let informed = ids("inform demo --fraction 10% --direction 0").await;
+    assert_eq!(informed.as_array().unwrap().len(), 2);
+    assert_eq!(ids("remove demo --ids 17-19").await, json!([17, 18, 19]));
+    for line in [
+        "inform demo --ids 5-1 --direction 0",
+        "inform demo --ids 0-4294967295 --direction 0",
+        "inform demo --ids 1-3,2 --direction 0",
+        "inform demo --ids 10-30 --direction 0",
+        "inform demo --fraction 110% --direction 0",
+        "remove demo --fraction -10%",
+    ] {
+        let ended = daemon.jostle(line).await;
+        assert_eq!(ended.code, Some(2), "{line}: {ended:?}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn with_no_one_informed_uninform_says_so() {
+    let daemon = Daemon::start().await;
+    daemon.said("create demo --n 20").await;
+    for line in [
+        "uninform demo --count 3",
+        "uninform demo --foremost 1 --along 0",
+        "uninform demo --ids 3",
+    ] {
+        let ended = daemon.jostle(line).await;
+        assert_eq!(ended.code, Some(2), "{line}: {ended:?}");
+        assert!(
+            ended.stderr.contains("there is nothing to uninform"),
+            "{line}: {ended:?}"
+        );
+    }
+    let said = daemon.said("uninform demo --fraction 50%").await;
+    assert!(
+        said.starts_with("uninformed no individual at step 0"),
+        "{said}"
+    );
+    daemon.said("inform demo --ids 4 --direction 0").await;
+    let ended = daemon.jostle("uninform demo --count 3").await;
+    assert!(
+        ended.stderr.contains("only 1 individual is informed"),
+        "{ended:?}"
+    );
+    let ended = daemon.jostle("inform demo --count 21 --direction 0").await;
+    assert!(
+        ended.stderr.contains("the swarm has 20 individuals"),
+        "{ended:?}"
+    );
+    daemon.stop().await;
+}
+
+async fn names(daemon: &Daemon) -> Vec<String> {
+    let list = daemon.reply("list").await;
+    let swarms = list["result"]["swarms"].as_array().unwrap().clone();
+    swarms
+        .iter()
+        .map(|it| it["swarm"].as_str().unwrap().to_owned())
+        .collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_pattern_deletes_what_it_matches_and_no_more_and_only_if_confirmed() {
+    let daemon = Daemon::start().await;
+    let all = ["latest-1", "test", "test-1", "test-2", "test-22", "testing"];
+    for name in all {
+        daemon.said(&format!("create {name} --n 3")).await;
+    }
+    for line in ["delete test-*", "--json delete test-*"] {
+        let ended = daemon.jostle(line).await;
+        assert_eq!(ended.code, Some(2), "{ended:?}");
+        for word in ["--yes", "3 swarms", "test-1, test-2, test-22"] {
+            assert!(ended.stderr.contains(word), "{ended:?}");
+        }
+        assert_eq!(names(&daemon).await, all);
+    }
+    let ended = daemon.jostle("delete none-* test-1 --yes").await;
+    assert_eq!(ended.code, Some(3), "{ended:?}");
+    assert!(
+        ended.stderr.contains("no swarm matches none-*"),
+        "{ended:?}"
+    );
+    assert_eq!(
+        names(&daemon).await,
+        all,
+        "nothing is deleted if a pattern matches nothing"
+    );
+    for line in [
+        "delete test/* --yes",
+        "delete [a --yes",
+        "delete *** --yes",
+        "delete @* --yes",
+    ] {
+        assert_eq!(daemon.jostle(line).await.code, Some(2), "{line}");
+    }
+
+    let said = daemon.said("delete test-? --yes").await;
+    assert_eq!(said.lines().count(), 2, "{said}");
+    assert_eq!(
+        names(&daemon).await,
+        ["latest-1", "test", "test-22", "testing"]
+    );
+    // One that was named is not asked about, and one that is meant twice is deleted once.
+    let said = daemon.said("delete test-22 test-2* --yes").await;
+    assert_eq!(said.lines().count(), 1, "{said}");
+    daemon.said("delete test").await;
+    let said = daemon.said("delete * --yes").await;
+    assert_eq!(said.lines().count(), 2, "{said}");
+    assert_eq!(names(&daemon).await, [""; 0]);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn each_swarm_that_is_not_deleted_is_named_with_its_reason() {
+    let daemon = Daemon::start().await;
+    for name in ["a-1", "a-2", "a-3"] {
+        daemon.said(&format!("create {name} --n 3")).await;
+    }
+    daemon.said("step a-2").await;
+    let ended = daemon.jostle("delete a-* --yes --expect-step 0").await;
+    assert_eq!(ended.code, Some(4), "{ended:?}");
+    assert!(ended.stderr.contains("a-2 was not deleted: "), "{ended:?}");
+    assert!(
+        !ended.stderr.contains("a-1") && !ended.stderr.contains("a-3"),
+        "{ended:?}"
+    );
+    assert_eq!(names(&daemon).await, ["a-2"]);
+    let ended = daemon.jostle("--json delete b-1 b-2 a-2").await;
+    assert_eq!(ended.code, Some(3), "{ended:?}");
+    let errors: Vec<Value> = ended
+        .stderr
+        .lines()
+        .map(|it| serde_json::from_str(it).unwrap())
+        .collect();
+    let swarms: Vec<&Value> = errors.iter().map(|it| &it["details"]["swarm"]).collect();
+    assert_eq!(swarms, ["b-1", "b-2"]);
+    assert_eq!(errors[0]["code"], "not_found");
+    daemon.stop().await;
+}

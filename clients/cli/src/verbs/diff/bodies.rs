@@ -107,10 +107,10 @@ impl Bodies {
     /// In words.
     pub fn words(&self) -> String {
         let mut lines = vec![format!(
-            "{} of {} individuals differ; apart by {} body sizes at most{}, {} rms; turned by {} \
+            "{} of {} differ; apart by {} body sizes at most{}, {} rms; turned by {} \
              at most",
             self.differ,
-            self.common,
+            format::count(self.common as u64, "individual"),
             format::magnitude(Some(self.largest_distance)),
             match self.furthest {
                 Some(id) => format!(" (id {id})"),

@@ -3,8 +3,8 @@
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use jostle_proto::{
-    ErrorCode, Hello, Metrics, NodeReply, NodeStatus, Phase, SwarmSummary, Swarms, WIRE_VERSION,
-    keys,
+    ErrorCode, Hello, Metrics, NodeReply, NodeStatus, Phase, RecordingMetrics, SwarmSummary,
+    Swarms, WIRE_VERSION, keys,
 };
 use serde_json::json;
 
@@ -197,20 +197,80 @@ pub async fn swarms(bus: &Bus, node: &str) -> (Check, Vec<SwarmSummary>) {
     (Check::well(NAME, said).with(figures), swarms)
 }
 
+/// The daemon in numbers.
+///
+/// # Errors
+///
+/// Why there are none.
+pub async fn metrics(bus: &Bus, node: &str) -> Result<Metrics, Failure> {
+    let reply: NodeReply<Metrics> = get_node(bus, node, "metrics").await?.read()?;
+    Ok(reply.result)
+}
+
 /// Is the daemon itself well?
-pub async fn health(bus: &Bus, node: &str) -> Check {
+pub fn health(metrics: &Result<Metrics, Failure>) -> Check {
     const NAME: &str = "health";
     const REMEDY: &str = "see its log, and what docs/health.md says of /healthz";
-    let key = keys::node_get(bus.prefix(), node, "metrics");
-    let answer = bus.ask(Whom::Node(node), &key, None, PATIENCE).await;
-    match answer.and_then(|answer| answer.read::<NodeReply<Metrics>>()) {
-        Ok(reply) if reply.result.unwell.is_empty() => {
+    match metrics {
+        Ok(metrics) if metrics.unwell.is_empty() => {
             let said = "its threads are at work and its disk takes what it writes";
             Check::well(NAME, said.into())
         }
-        Ok(reply) => Check::wrong(NAME, "unwell", reply.result.unwell.join("; "), REMEDY),
-        Err(failure) => Check::failed(NAME, &failure),
+        Ok(metrics) => Check::wrong(NAME, "unwell", metrics.unwell.join("; "), REMEDY),
+        Err(failure) => Check::failed(NAME, failure),
     }
+}
+
+/// Has a recording of the daemon failed?
+pub fn recordings(metrics: &Result<Metrics, Failure>) -> Check {
+    const NAME: &str = "recordings";
+    const REMEDY: &str =
+        "copy what you need of recordings/NAME in its data directory before you delete one";
+    let metrics = match metrics {
+        Ok(metrics) => metrics,
+        Err(failure) => return Check::failed(NAME, failure),
+    };
+    let RecordingMetrics {
+        recording,
+        ended,
+        failed,
+    } = metrics.recordings;
+    let figures = json!({"recording": recording, "ended": ended, "failed": failed});
+    let check = if metrics.warnings.is_empty() {
+        let said = format!("{recording} being written, {ended} ended, {failed} failed");
+        Check::well(NAME, said)
+    } else {
+        Check::wrong(NAME, "unwell", metrics.warnings.join("; "), REMEDY)
+    };
+    check.with(figures)
+}
+
+/// Have the recordings of the daemon room to go on?
+pub fn recording_space(metrics: &Result<Metrics, Failure>) -> Check {
+    match metrics {
+        Ok(metrics) => space(metrics.recordings_bytes, metrics.recordings_quota_bytes),
+        Err(failure) => Check::failed("recording space", failure),
+    }
+}
+
+/// The check itself; daemons of earlier versions report no quota.
+fn space(bytes: u64, quota: u64) -> Check {
+    const NAME: &str = "recording space";
+    const REMEDY: &str = "delete what is fetched with `jostle record --delete NAME`, or raise \
+                          recordings_quota_mb: recordings that reach it end";
+    let said = match quota {
+        0 => return Check::untried(NAME, "the daemon is an earlier one, without a quota"),
+        _ => format!(
+            "recordings take {} of {}",
+            format::bytes(bytes),
+            format::bytes(quota)
+        ),
+    };
+    let check = match bytes.saturating_mul(10) < quota.saturating_mul(9) {
+        true => Check::well(NAME, said),
+        false => Check::wrong(NAME, "resource_exhausted", said, REMEDY),
+    };
+    check.with(json!({"bytes": bytes, "quota_bytes": quota}))
 }
 
 /// May this client ask a swarm?
@@ -399,6 +459,14 @@ mod tests {
 
     fn is_well(check: &Check) -> bool {
         check.to_json()["ok"] == true
+    }
+
+    #[test]
+    fn recordings_near_their_quota_are_wrong() {
+        for (bytes, quota, well) in [(0, 100, true), (89, 100, true), (90, 100, false)] {
+            assert_eq!(is_well(&space(bytes, quota)), well, "{bytes} of {quota}");
+        }
+        assert!(!is_well(&space(u64::MAX, u64::MAX)));
     }
 
     #[test]

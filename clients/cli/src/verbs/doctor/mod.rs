@@ -57,7 +57,10 @@ async fn examine(bus: &Bus, report: &mut Report) {
         report.add(checks::clock(hello, *asked));
     }
     report.add(checks::latency(bus, &node).await);
-    report.add(checks::health(bus, &node).await);
+    let metrics = checks::metrics(bus, &node).await;
+    report.add(checks::health(&metrics));
+    report.add(checks::recordings(&metrics));
+    report.add(checks::recording_space(&metrics));
     let (check, swarms) = checks::swarms(bus, &node).await;
     report.add(check);
     let swarm = swarms.first().map(|swarm| swarm.swarm.as_str());

@@ -136,7 +136,8 @@ fn show(
         ExperimentPhase::Running => String::new(),
         other => format!("{}, ", phase(other)),
     };
-    message.push_str(&format!("{} of {} runs", progress.finished, progress.runs));
+    let runs = format::count(progress.runs, "run");
+    message.push_str(&format!("{} of {runs}", progress.finished));
     if progress.faulted > 0 {
         message.push_str(&format!(", {} faulted", progress.faulted));
     }

@@ -10,7 +10,7 @@ use jostle_proto::{
 
 use crate::arguments::{ChangeExperimentArguments, Experiment, RunExperimentArguments};
 use crate::bus::{Answer, Bus};
-use crate::failure::Failure;
+use crate::failure::{Failure, is_unknown_name};
 use crate::file;
 use crate::format;
 use crate::interrupt;
@@ -24,6 +24,17 @@ use crate::verbs::print;
 ///
 /// Why it was not done.
 pub async fn experiment(bus: &Bus, output: Output, what: &Experiment) -> Result<(), Failure> {
+    let outcome = carry_out(bus, output, what).await;
+    match (outcome, what.name()) {
+        (Err(Failure::Refused { error, .. }), Some(name)) if is_unknown_name(&error) => {
+            let there = bus.experiments().await.unwrap_or_default();
+            Err(Failure::unknown("experiment", name, there, error))
+        }
+        (outcome, _) => outcome,
+    }
+}
+
+async fn carry_out(bus: &Bus, output: Output, what: &Experiment) -> Result<(), Failure> {
     match what {
         Experiment::Run(arguments) => run(bus, output, arguments).await,
         Experiment::Attach(arguments) => attach::attach(bus, output, &arguments.name).await,
@@ -55,7 +66,10 @@ pub async fn experiment(bus: &Bus, output: Output, what: &Experiment) -> Result<
 async fn run(bus: &Bus, output: Output, arguments: &RunExperimentArguments) -> Result<(), Failure> {
     let toml = file::read(&arguments.file).map_err(|problem| Failure::Argument {
         argument: "FILE".into(),
-        problem,
+        problem: format!(
+            "{problem}; `jostle experiment run --help` shows what such a file has in it, `jostle \
+             experiment list` shows the experiments of the daemon"
+        ),
     })?;
     let args = ExperimentArgs::Submit(SubmitArgs {
         toml,
@@ -145,8 +159,9 @@ fn line(progress: &Progress) -> String {
         ..
     } = progress;
     let mut text = format!(
-        "{name} is {}, {finished} of {runs} runs finished",
-        phase(progress.phase)
+        "{name} is {}, {finished} of {} finished",
+        phase(progress.phase),
+        format::count(*runs, "run")
     );
     if let Some(secs) = progress.left_secs {
         text.push_str(&format!(", {} left", format::duration(secs)));

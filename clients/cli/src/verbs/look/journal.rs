@@ -45,6 +45,7 @@ pub async fn sight(
     let rows = reply.result.entries.iter().map(|entry| {
         [
             entry.seq.to_string(),
+            format::when(entry.unix_secs),
             entry.epoch.to_string(),
             entry.step.to_string(),
             format::time(entry.time),
@@ -52,7 +53,7 @@ pub async fn sight(
             format::command(&entry.verb, &entry.args),
         ]
     });
-    let header = ["seq", "epoch", "step", "time", "client", "command"];
+    let header = ["seq", "when", "epoch", "step", "time", "client", "command"];
     Ok(Sight {
         data: Some(table::table(header, rows.collect())),
         note: lost.map(|seq| format!("the commands up to seq {seq} are no longer kept")),

@@ -7,7 +7,7 @@ use jostle_proto::{
 
 use crate::arguments::{RecordArguments, RecordedAs};
 use crate::bus::Bus;
-use crate::failure::Failure;
+use crate::failure::{Failure, is_unknown_name};
 use crate::format;
 use crate::output::Output;
 use crate::table;
@@ -38,12 +38,30 @@ pub async fn record(bus: &Bus, output: Output, arguments: &RecordArguments) -> R
                     Some(RecordedAs::Mcap) | None => RecordingFormat::Mcap,
                 },
                 every: arguments.every,
+                steps: arguments.steps,
+                drop_when_behind: arguments.drop_when_behind,
+                max_bytes: arguments.max_size,
+                temporary: false,
             };
             (RecordArgs::Begin(args), begun)
         }
         _ => return list(bus, output).await,
     };
-    let answer = bus.command_node("record", &args, &arguments.sender).await?;
+    let answer = bus.command_node("record", &args, &arguments.sender).await;
+    let answer = match (
+        answer,
+        arguments.stop.as_ref().or(arguments.delete.as_ref()),
+    ) {
+        (Err(Failure::Refused { error, .. }), Some(name)) if is_unknown_name(&error) => {
+            let there = bus.recordings().await.unwrap_or_default();
+            return Err(Failure::unknown("recording", name, there, error));
+        }
+        (Err(Failure::Refused { error, .. }), None) if is_unknown_name(&error) => {
+            let swarm = arguments.name.as_deref().unwrap_or_default();
+            return Err(bus.no_swarm(swarm).await);
+        }
+        (answer, _) => answer?,
+    };
     print(output, &answer, |reply: &NodeReply<Recording>| {
         tell(&reply.result)
     })
@@ -101,7 +119,7 @@ fn line(it: &Recording) -> String {
         format::bytes(it.bytes)
     );
     if it.missed > 0 {
-        text.push_str(&super::missed(it.missed));
+        text.push_str(&super::fetch::left_out(it.missed));
     }
     text
 }

@@ -1,21 +1,31 @@
-//! `record`: what a swarm publishes, to a file, until it is enough; or by the daemon.
+//! `record`: the daemon records every k-th state of a swarm, and a client may fetch the recording
+//! into a file; or the client records the published states.
 
 mod daemon;
+mod fetch;
 mod intake;
+mod recover;
 
+use std::fs::{self, File};
+use std::io;
 use std::path::Path;
 use std::pin::pin;
 use std::time::{Duration, SystemTime};
 
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use jostle_proto::{Event, EventKind, OrderSample, Reply, State, Status, keys};
-use jostle_results::recording::{About, Format, Frame, Moment, Recorder, RecordingError, Written};
+use jostle_results::recording::{
+    About, FROM_PUBLISHED, Format, Frame, Moment, Recorder, RecordingError, SOURCE, Written,
+    partial,
+};
 use serde_json::json;
 use serde_json::value::RawValue;
 use tokio::time::Instant;
 use zenoh::sample::Sample;
 
+pub use self::fetch::check_fetched;
 use self::intake::Intake;
+pub use self::recover::recover;
 use crate::arguments::RecordArguments;
 use crate::bus::{Answer, Bus, Samples};
 use crate::failure::Failure;
@@ -27,6 +37,13 @@ use crate::verbs::lookout::{BACK, GONE, Lookout, News, reach};
 /// How many samples may wait to be written before the oldest are dropped: seconds of them.
 const BACKLOG: usize = 512;
 
+/// How often received samples are flushed to the operating system and synced to the disk: a kill of
+/// this process or a power failure loses about as much.
+const FLUSH_INTERVAL: Duration = Duration::from_secs(2);
+
+/// The timeout of a query for the state, since nothing is flushed meanwhile.
+const STATE_TIMEOUT: Duration = Duration::from_secs(2);
+
 /// Records a swarm to a file, or does what is asked for with recordings of the daemon.
 ///
 /// # Errors
@@ -34,8 +51,8 @@ const BACKLOG: usize = 512;
 /// Why there is no recording, or why it ended before it should: it is whole even then, unless the
 /// message says otherwise.
 pub async fn record(bus: &Bus, output: Output, arguments: &RecordArguments) -> Result<(), Failure> {
-    match (&arguments.name, &arguments.out) {
-        (Some(name), Some(out)) => {
+    match (&arguments.name, &arguments.out, &arguments.fetch) {
+        (Some(name), Some(out), _) => {
             let take = Take {
                 name,
                 out,
@@ -44,7 +61,21 @@ pub async fn record(bus: &Bus, output: Output, arguments: &RecordArguments) -> R
                 steps: arguments.steps,
                 force: arguments.force,
             };
-            to_file(bus, output, &take).await
+            if arguments.published {
+                return to_file(bus, output, &take).await;
+            }
+            match fetch::record(bus, output, &take, arguments).await {
+                Err(fetch::Stop::NotPermitted(failure)) => {
+                    output.note(&format!("{failure}; recording what is published instead"));
+                    to_file(bus, output, &take).await
+                }
+                Err(fetch::Stop::Failed(failure)) => Err(failure),
+                Ok(()) => Ok(()),
+            }
+        }
+        (None, Some(out), Some(recording)) => {
+            let fetched = fetch::fetch(bus, output, recording, out, arguments.force);
+            interrupt::either(fetched).await
         }
         _ => interrupt::either(daemon::record(bus, output, arguments)).await,
     }
@@ -78,6 +109,10 @@ struct Recording<'a> {
     events: Samples,
     lookout: Lookout<'a>,
     end: Option<Instant>,
+    /// When to flush.
+    flush_due: Instant,
+    /// A sync under way, on a thread that may block on the disk.
+    syncing: Option<tokio::task::JoinHandle<io::Result<()>>>,
     bar: ProgressBar,
 }
 
@@ -103,8 +138,8 @@ impl<'a> Recording<'a> {
         let lookout = Lookout::begin(bus, name).await?;
         let about = about(bus, arguments).await?;
         let first = bus.state(name).await?;
-        let recorder =
-            Recorder::to_file(out, arguments.force, about).map_err(|error| explain(out, error))?;
+        let recorder = Recorder::to_file(out, arguments.force, about, decode)
+            .map_err(|error| explain(out, error))?;
         let mut recording = Recording {
             output,
             arguments,
@@ -117,6 +152,8 @@ impl<'a> Recording<'a> {
             end: arguments
                 .for_secs
                 .map(|secs| Instant::now() + Duration::from_secs_f64(secs)),
+            flush_due: Instant::now(),
+            syncing: None,
             bar: bar(output, arguments),
         };
         recording.state(&first)?;
@@ -135,6 +172,7 @@ impl<'a> Recording<'a> {
                 biased;
                 () = &mut interrupted => return Ok(Ended::Interrupted),
                 () = reach(self.end) => return Ok(Ended::Enough),
+                () = tokio::time::sleep_until(self.flush_due) => self.flush().await?,
                 state = self.states.recv_async() => self.state(&received(state)?)?,
                 order = next(self.orders.as_ref()) => self.order(&received(order)?)?,
                 event = self.events.recv_async() => {
@@ -149,8 +187,9 @@ impl<'a> Recording<'a> {
                         let said = if news == News::Gone { GONE } else { BACK };
                         self.bar.suspend(|| self.output.note(said));
                         // One that stands still publishes nothing.
+                        let now = bus.state(self.arguments.name);
                         if news != News::Gone
-                            && let Ok(state) = bus.state(self.arguments.name).await
+                            && let Ok(Ok(state)) = tokio::time::timeout(STATE_TIMEOUT, now).await
                         {
                             self.state(&state)?;
                         }
@@ -161,28 +200,40 @@ impl<'a> Recording<'a> {
         Ok(Ended::Enough)
     }
 
+    /// Flushes the received samples, and starts a sync unless one is under way.
+    async fn flush(&mut self) -> Result<(), Failure> {
+        self.flush_due = Instant::now() + FLUSH_INTERVAL;
+        let out = self.arguments.out;
+        let flushed = self.recorder.flush(&self.counts());
+        let file = flushed.map_err(|error| explain(out, error))?;
+        if let Some(syncing) = self.syncing.take_if(|it| it.is_finished()) {
+            let synced = syncing.await.map_err(Failure::defect)?;
+            synced.map_err(|error| file_failure(out, error))?;
+        }
+        if let (Some(file), None) = (file, &self.syncing) {
+            let sync = move || File::sync_data(&file);
+            self.syncing = Some(tokio::task::spawn_blocking(sync));
+        }
+        Ok(())
+    }
+
+    /// The metadata that counts recorded and missed states.
+    fn counts(&self) -> About {
+        About::from([
+            (
+                "frames".to_owned(),
+                self.recorder.written().frames.to_string(),
+            ),
+            ("missed".to_owned(), self.intake.missed.to_string()),
+        ])
+    }
+
     fn state(&mut self, answer: &Answer) -> Result<(), Failure> {
         let state: State = answer.read()?;
         if !self.intake.takes(&state) {
             return Ok(());
         }
-        let frame = Frame {
-            moment: moment(state.epoch, state.frame, state.time),
-            step: state.step,
-            origin: state.origin,
-            id: &state.id,
-            x: &state.x,
-            y: &state.y,
-            alpha: &state.alpha,
-            weight: &state.weight,
-            direction: &state.direction,
-            order: state.order.order,
-            worst_gap: state.certificate.worst_gap,
-            residual: state.certificate.residual,
-            contacts: state.certificate.contacts,
-            published: answer.bytes(),
-        };
-        let outcome = self.recorder.frame(&frame);
+        let outcome = self.recorder.frame(&frame(&state, answer.bytes()));
         outcome.map_err(|error| explain(self.arguments.out, error))?;
         if let Some(steps) = self.arguments.steps {
             self.bar.set_position(self.intake.steps.min(steps));
@@ -216,18 +267,24 @@ impl<'a> Recording<'a> {
     fn finish(self, ended: Result<Ended, Failure>) -> Result<(), Failure> {
         let Take { name, out, .. } = *self.arguments;
         let missed = self.intake.missed;
-        let frames = self.recorder.written().frames;
-        let closing = About::from([
-            ("frames".to_owned(), frames.to_string()),
-            ("missed".to_owned(), missed.to_string()),
-        ]);
+        let closing = self.counts();
         self.bar.finish_and_clear();
         let finished = self.recorder.finish(&closing);
         let written = match (finished, &ended) {
             (Ok(written), _) => written,
-            // What went wrong first is the reason.
-            (Err(_), Err(_)) => return ended.map(drop),
-            (Err(error), Ok(_)) => return Err(explain(out, error)),
+            (Err(error), _) => {
+                let partial = partial(out);
+                if fs::exists(&partial).unwrap_or(false) {
+                    self.output.note(&format!(
+                        "{} holds what was recorded: `jostle record --recover {}` makes a whole \
+                         file of it",
+                        partial.display(),
+                        out.display()
+                    ));
+                }
+                // What went wrong first is the reason.
+                return ended.and(Err(explain(out, error)));
+            }
         };
         if let Ok(Ended::Deleted) = ended {
             self.output.note(
@@ -262,6 +319,7 @@ async fn about(bus: &Bus, arguments: &Take<'_>) -> Result<About, Failure> {
             "began_unix_secs".to_owned(),
             began.unwrap_or_default().as_secs().to_string(),
         ),
+        (SOURCE.to_owned(), FROM_PUBLISHED.to_owned()),
     ]);
     if let Some(every) = arguments.every {
         about.insert("every".to_owned(), every.to_string());
@@ -280,11 +338,12 @@ fn tell(
     if output.json {
         let said = json!({
             "swarm": swarm, "file": file, "frames": frames, "missed": missed, "bytes": bytes,
+            "source": FROM_PUBLISHED,
         });
         return output.data(&said.to_string());
     }
     output.data(&format!(
-        "recorded {} of {swarm} to {file}, {}{}",
+        "recorded {} of {swarm} to {file}, {}, of those that it published{}",
         format::count(frames, "frame"),
         format::bytes(bytes),
         self::missed(missed)
@@ -295,7 +354,38 @@ fn tell(
 fn missed(missed: u64) -> String {
     match missed {
         0 => String::new(),
+        1 => "; 1 was published and did not come".into(),
         _ => format!("; {missed} were published and did not come"),
+    }
+}
+
+/// Reads a recorded state back.
+fn decode(published: &[u8], take: &mut dyn FnMut(&Frame<'_>)) -> Result<(), String> {
+    let state = State::from_cbor(published)?;
+    take(&frame(&state, published));
+    Ok(())
+}
+
+/// A state as it is recorded.
+fn frame<'a>(state: &'a State, published: &'a [u8]) -> Frame<'a> {
+    Frame {
+        swarm: &state.swarm,
+        moment: moment(state.epoch, state.frame, state.time),
+        phase: state.phase.name(),
+        step: state.step,
+        origin: state.origin,
+        id: &state.id,
+        x: &state.x,
+        y: &state.y,
+        alpha: &state.alpha,
+        weight: &state.weight,
+        direction: &state.direction,
+        order: state.order.order,
+        drift: state.order.drift,
+        worst_gap: state.certificate.worst_gap,
+        residual: state.certificate.residual,
+        contacts: state.certificate.contacts,
+        published,
     }
 }
 
@@ -328,19 +418,32 @@ fn explain(out: &Path, error: RecordingError) -> Failure {
     match error {
         RecordingError::UnknownKind { .. } => wrong("its name ends in neither .parquet nor .mcap"),
         RecordingError::Exists { .. } => wrong("is there already: --force replaces it"),
-        RecordingError::Unfinished { partial } => wrong(&format!(
-            "{} is there: another recording writes it, or was killed; then remove it",
-            partial.display()
+        RecordingError::Unfinished { path, partial } => wrong(&format!(
+            "{} is there, left by a recording that was killed: `jostle record --recover {}` \
+             turns it into a complete file; if you recovered it already, delete it",
+            partial.display(),
+            path.display()
         )),
-        RecordingError::Io { source, .. } => Failure::File {
-            path: out.display().to_string(),
-            error: source,
+        RecordingError::BeingWritten { path } => wrong(&format!(
+            "another recording writes {}: end that first, or choose another name",
+            path.display()
+        )),
+        RecordingError::Unreadable { path, reason } => Failure::Argument {
+            argument: path.display().to_string(),
+            problem: reason,
         },
+        RecordingError::Io { path, source } => file_failure(&path, source),
+        RecordingError::Unconverted { source, .. } => explain(out, *source),
         error @ RecordingError::Full { .. } => Failure::DiskFull {
             problem: error.to_string(),
         },
         error => Failure::defect(error),
     }
+}
+
+fn file_failure(path: &Path, error: io::Error) -> Failure {
+    let path = path.display().to_string();
+    Failure::File { path, error }
 }
 
 /// What goes on while it goes on; hidden unless stderr is a terminal.

@@ -5,6 +5,7 @@ mod link;
 mod terminal;
 
 use std::io::{BufRead, BufReader, Read, Write};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::thread;
@@ -90,6 +91,11 @@ impl Daemon {
             endpoint,
             folder,
         }
+    }
+
+    /// Its data directory.
+    pub fn folder(&self) -> &Path {
+        self.folder.path()
     }
 
     /// Stops it.

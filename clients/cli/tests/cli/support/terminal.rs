@@ -1,6 +1,7 @@
 //! A command line in a terminal of its own, which `script` provides.
 
 use std::io::{Read, Write};
+use std::path::Path;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::{Arc, Mutex};
 use std::thread;
@@ -22,13 +23,28 @@ impl Terminal {
     /// Starts a command line. The shell around it tells the process, how the line ended and the
     /// terminal's settings before and after it.
     pub fn begin(endpoint: &str, line: &str) -> Self {
-        let shell = format!(
-            "stty rows {ROWS} cols {COLUMNS}; echo before $(stty -g); \
-             sh -c 'echo process $$.; exec \"$JOSTLE\" {line}'; \
-             echo code $?.; echo after $(stty -g); echo over."
-        );
+        Self::of(
+            endpoint,
+            &format!(
+                "stty rows {ROWS} cols {COLUMNS}; echo before $(stty -g); \
+                 sh -c 'echo process $$.; exec \"$JOSTLE\" {line}'; \
+                 echo code $?.; echo after $(stty -g); echo over."
+            ),
+        )
+    }
+
+    /// Starts a bash that completes what is typed.
+    pub fn bash(endpoint: &str) -> Self {
+        let programs = Path::new(env!("CARGO_BIN_EXE_jostle")).parent().unwrap();
+        let mut terminal = Self::of(endpoint, "bash --norc --noprofile -i");
+        terminal.press(&format!("PATH={}:$PATH\r", programs.display()));
+        terminal.press("PS1=; source <(JOSTLE_COMPLETE=bash jostle); echo rea''dy\r");
+        terminal
+    }
+
+    fn of(endpoint: &str, shell: &str) -> Self {
         let mut child = Command::new("script")
-            .args(["-qfec", &shell, "/dev/null"])
+            .args(["-qfec", shell, "/dev/null"])
             .env("JOSTLE", env!("CARGO_BIN_EXE_jostle"))
             .env("JOSTLE_ENDPOINT", endpoint)
             .env("TERM", "xterm-256color")
@@ -87,6 +103,13 @@ impl Terminal {
         let of = |sequence: &str| seen.rfind(sequence);
         assert!(of("\x1b[?1049l") > of("\x1b[?1049h"), "the screen is back");
         assert!(of("\x1b[?25h") > of("\x1b[?25l"), "the cursor is back");
+        self.told("code ")
+    }
+
+    /// Waits until a command line that leaves the screen as it is ends; its exit code.
+    pub async fn code(mut self) -> String {
+        self.until_seen("over.").await;
+        self.child.wait().unwrap();
         self.told("code ")
     }
 

@@ -1,0 +1,440 @@
+//! Recordings that the daemon makes for a client, which fetches them into a file.
+
+use std::fs;
+use std::path::Path;
+
+use jostle_proto::{Role, State};
+use jostle_results::recording::{self, About};
+use jostled::rights::folder::Folder;
+use jostled::rights::issue;
+use serde_json::{Value, json};
+
+use crate::support::{Daemon, Ended, object, until};
+
+/// A folder, and the path of a file in it.
+fn file(name: &str) -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name).to_str().unwrap().to_owned();
+    (folder, path)
+}
+
+/// Waits until the daemon records, and returns the recording's name.
+async fn begun(daemon: &Daemon) -> String {
+    let mut name = String::new();
+    until("the recording has begun", async || {
+        let list = daemon.reply("record --list").await;
+        let mut recordings = list["result"]["recordings"].as_array().unwrap().iter();
+        let going = recordings.find(|it| it["phase"] == "recording");
+        name = going.map_or_else(String::new, |it| {
+            it["recording"].as_str().unwrap().to_owned()
+        });
+        !name.is_empty()
+    })
+    .await;
+    name
+}
+
+/// The names of the daemon's recordings.
+async fn listed(daemon: &Daemon) -> Vec<String> {
+    let list = daemon.reply("record --list").await;
+    let recordings = list["result"]["recordings"].as_array().unwrap().iter();
+    recordings
+        .map(|it| it["recording"].as_str().unwrap().to_owned())
+        .collect()
+}
+
+/// The steps of a recording in MCAP, and what it says of itself.
+fn read(path: &str) -> (Vec<u64>, About) {
+    let mut steps = Vec::new();
+    let about = recording::read(Path::new(path), |message| {
+        if message.topic == "state" {
+            steps.push(State::from_cbor(message.bytes).unwrap().step);
+        }
+        Ok(())
+    });
+    (steps, about.unwrap())
+}
+
+/// Whether a file of that kind was ended.
+fn is_whole(path: &str) -> bool {
+    let bytes = fs::read(path).unwrap();
+    let end: &[u8] = if path.ends_with(".mcap") {
+        b"\x89MCAP0\r\n"
+    } else {
+        b"PAR1"
+    };
+    bytes.starts_with(end) && bytes.ends_with(end) && bytes.len() > 100
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_recording_of_so_many_steps_is_a_whole_file() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10 --publish-every 1").await;
+    for name in ["take.parquet", "take.mcap"] {
+        let (folder, path) = file(name);
+        let recording = daemon.begin(&format!("--json record demo -o {path} --steps 20"));
+        begun(&daemon).await;
+        daemon.jostle("run demo").await;
+        let told = object(&recording.end().await);
+        daemon.jostle("pause demo").await;
+        assert_eq!(
+            (&told["swarm"], &told["file"]),
+            (&json!("demo"), &json!(path))
+        );
+        assert_eq!(told["frames"], 21, "{told}");
+        assert_eq!(told["bytes"], fs::metadata(&path).unwrap().len());
+        assert!(is_whole(&path));
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn ctrl_c_and_the_swarms_deletion_end_a_recording_whole() {
+    let daemon = Daemon::start().await;
+    for name in ["take.parquet", "take.mcap"] {
+        let (_folder, path) = file(name);
+        daemon.jostle("create demo --n 10").await;
+        let recording = daemon.begin(&format!("record demo -o {path}"));
+        begun(&daemon).await;
+        recording.interrupt();
+        let ended = recording.end().await;
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        assert!(ended.stderr.contains("fetching the rest"), "{ended:?}");
+        assert!(ended.stdout.contains("of demo to"), "{ended:?}");
+        assert!(is_whole(&path));
+
+        let recording = daemon.begin(&format!("record demo -o {path} --force"));
+        begun(&daemon).await;
+        daemon.jostle("delete demo").await;
+        let ended = recording.end().await;
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        let reason = "the recording has ended: its swarm was deleted";
+        assert!(ended.stderr.contains(reason), "{ended:?}");
+        assert!(is_whole(&path));
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_cannot_be_recorded_is_said_and_what_is_there_stays() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10").await;
+    let (folder, path) = file("take.mcap");
+    fs::write(&path, "old").unwrap();
+    let line = format!("record demo -o {path} --for 0.1");
+    let refusal = daemon.refusal(&line).await;
+    assert_eq!(refusal["code"], "invalid_argument");
+    assert!(refusal["message"].as_str().unwrap().contains("--force"));
+    assert_eq!(fs::read(&path).unwrap(), b"old");
+
+    fs::write(format!("{path}.partial"), "").unwrap();
+    let refusal = daemon.refusal(&format!("{line} --force")).await;
+    assert!(
+        refusal["message"]
+            .as_str()
+            .unwrap()
+            .contains(".partial is there")
+    );
+    fs::remove_file(format!("{path}.partial")).unwrap();
+
+    let ended = daemon.jostle(&format!("{line} --force")).await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(is_whole(&path));
+
+    for asked in [
+        "record nix --at-daemon".to_owned(),
+        line.replace("demo", "nix") + " --force",
+    ] {
+        let refusal = daemon.refusal(&asked).await;
+        assert_eq!(refusal["code"], "not_found");
+        let message = refusal["message"].as_str().unwrap();
+        assert!(message.contains("`jostle list`"), "{asked}: {refusal}");
+    }
+    let live = folder.path().join("live.mcap");
+    let (live, draft) = (live.display(), format!("{}.partial", live.display()));
+    let recording = daemon.begin(&format!("record demo --published -o {live}"));
+    until("it records", async || fs::exists(&draft).unwrap()).await;
+    let refusal = daemon.refusal(&format!("record demo -o {live}")).await;
+    let message = refusal["message"].as_str().unwrap();
+    assert!(message.contains("another recording writes"), "{refusal}");
+    recording.interrupt();
+    assert_eq!(recording.end().await.code, Some(0));
+
+    let refusal = daemon.refusal("record demo -o take.csv").await;
+    assert!(refusal["message"].as_str().unwrap().contains(".parquet"));
+    let nowhere = folder.path().join("nowhere/take.mcap");
+    let refusal = daemon
+        .refusal(&format!("record demo -o {}", nowhere.display()))
+        .await;
+    assert_eq!(refusal["code"], "internal");
+    let refusal = daemon
+        .refusal(&format!("record missing -o {path} --force"))
+        .await;
+    assert_eq!(refusal["code"], "not_found");
+    assert!(is_whole(&path));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whoever_is_asked_to_end_ends_the_file_whole() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10").await;
+    for signal in ["-TERM", "-HUP"] {
+        let (_folder, path) = file("take.parquet");
+        let recording = daemon.begin(&format!("record demo -o {path}"));
+        begun(&daemon).await;
+        recording.signal(signal);
+        let ended = recording.end().await;
+        assert_eq!(ended.code, Some(0), "{signal}: {ended:?}");
+        assert!(is_whole(&path), "{signal}");
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn at_rate_max_every_state_is_in_the_file_and_the_daemon_keeps_no_copy() {
+    let daemon = Daemon::start().await;
+    for name in ["take.mcap", "take.parquet"] {
+        daemon.jostle("create demo --n 10 --publish-every 1").await;
+        let (folder, path) = file(name);
+        let line = format!("--json record demo -o {path} --steps 2000");
+        let recording = daemon.begin(&line);
+        begun(&daemon).await;
+        daemon.said("run demo --rate max --until-step 2500").await;
+        let told = object(&recording.end().await);
+        assert_eq!(
+            (
+                &told["frames"],
+                &told["missed"],
+                &told["every"],
+                &told["source"]
+            ),
+            (&json!(2001), &json!(0), &json!(1), &json!("steps")),
+            "{told}"
+        );
+        assert_eq!(told["kept"], false);
+        assert!(is_whole(&path));
+        assert_eq!(
+            fs::read_dir(folder.path()).unwrap().count(),
+            1,
+            "no part is left"
+        );
+        assert!(listed(&daemon).await.is_empty());
+        if name == "take.mcap" {
+            let (steps, about) = read(&path);
+            assert!(steps.iter().copied().eq(0..=2000));
+            assert_eq!((&*about["source"], &*about["frames"]), ("steps", "2001"));
+            assert!(about["spec"].contains("\"n\":10"), "{about:?}");
+        }
+        daemon.said("delete demo").await;
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_is_killed_leaves_its_recording_with_the_daemon() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10 --publish-every 1").await;
+    let (folder, path) = file("take.mcap");
+    let recording = daemon.begin(&format!("record demo -o {path}"));
+    let name = begun(&daemon).await;
+    daemon.said("step demo 50").await;
+    recording.signal("-KILL");
+    recording.end().await;
+    daemon.said("step demo 50").await;
+    let fetch = format!("record --fetch {name} -o {path}");
+    for asked in [format!("record --recover {path}"), format!("replay {path}")] {
+        let ended = daemon.jostle(&asked).await;
+        assert!(
+            ended.stderr.contains(&format!("`jostle {fetch}`")),
+            "{ended:?}"
+        );
+    }
+    let refusal = daemon.refusal(&fetch).await;
+    let message = refusal["message"].as_str().unwrap();
+    assert!(message.contains(&format!("--stop {name}")), "{refusal}");
+    daemon.said(&format!("record --stop {name}")).await;
+    let told = daemon.reply(&fetch).await;
+    assert_eq!(
+        (&told["frames"], &told["kept"]),
+        (&json!(101), &json!(false))
+    );
+    assert!(read(&path).0.iter().copied().eq(0..=100));
+    assert_eq!(
+        fs::read_dir(folder.path()).unwrap().count(),
+        1,
+        "no part is left"
+    );
+    assert!(listed(&daemon).await.is_empty());
+    let refusal = daemon.refusal(&format!("{fetch} --force")).await;
+    assert!(
+        refusal["message"].as_str().unwrap().contains("--list"),
+        "{refusal}"
+    );
+    assert!(is_whole(&path));
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_recording_is_fetched_on_from_where_it_was_and_a_lasting_one_is_kept() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 50 --publish-every 1").await;
+    daemon
+        .said("record demo --at-daemon --as night --max-size 3MB")
+        .await;
+    daemon.said("step demo 1000").await;
+    until("it has its size", async || {
+        let list = daemon.reply("record --list").await;
+        list["result"]["recordings"][0]["phase"] == "ended"
+    })
+    .await;
+    let list = daemon.reply("record --list").await;
+    let night = &list["result"]["recordings"][0];
+    assert!(
+        night["reason"]
+            .as_str()
+            .unwrap()
+            .contains("max_bytes (3000000)"),
+        "{night}"
+    );
+    assert_eq!(night["temporary"], false);
+    let (folder, path) = file("night.mcap");
+    // What an earlier client had fetched: not what the daemon has, to show that it is not asked again.
+    let parts = format!("{path}.night-{}.parts", night["began_unix_secs"]);
+    fs::create_dir(&parts).unwrap();
+    let whole = daemon.folder().join("recordings/night/part-00000.mcap");
+    let whole = fs::read(whole).unwrap();
+    fs::write(format!("{parts}/part-00000.mcap"), &whole[..700_000]).unwrap();
+    let told = daemon
+        .reply(&format!("record --fetch night -o {path}"))
+        .await;
+    assert_eq!(
+        (&told["frames"], &told["kept"]),
+        (&night["frames"], &json!(true))
+    );
+    let (steps, _) = read(&path);
+    assert!(
+        steps
+            .iter()
+            .copied()
+            .eq(0..night["frames"].as_u64().unwrap())
+    );
+    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
+    assert_eq!(listed(&daemon).await, ["night"]);
+
+    // Damaged on its way, it is refused and the daemon still has it.
+    fs::create_dir(&parts).unwrap();
+    let mut damaged = whole[..700_000].to_vec();
+    damaged[350_000] ^= 1;
+    fs::write(format!("{parts}/part-00000.mcap"), damaged).unwrap();
+    let ended = daemon
+        .jostle(&format!("record --fetch night -o {path} --force"))
+        .await;
+    assert_ne!(ended.code, Some(0), "{ended:?}");
+    assert!(ended.stderr.contains("is damaged"), "{ended:?}");
+    assert_eq!(read(&path).0, steps, "the file that was there stays");
+    assert_eq!(listed(&daemon).await, ["night"]);
+    daemon
+        .said(&format!("record --fetch night -o {path} --force"))
+        .await;
+
+    daemon
+        .said("record demo --at-daemon --as table --format parquet")
+        .await;
+    daemon.said("record --stop table").await;
+    let refusal = daemon
+        .refusal(&format!("record --fetch table -o {path} --force"))
+        .await;
+    assert!(
+        refusal["message"]
+            .as_str()
+            .unwrap()
+            .contains("fetch_recording"),
+        "{refusal}"
+    );
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_recording_goes_on_over_a_restart_of_the_daemon_and_is_fetched_whole() {
+    let daemon = Daemon::start().await;
+    daemon.jostle("create demo --n 10 --publish-every 1").await;
+    let (_folder, path) = file("take.mcap");
+    let recording = daemon.begin(&format!("record demo -o {path}"));
+    begun(&daemon).await;
+    daemon.said("step demo 30").await;
+    let daemon = daemon.restart().await;
+    begun(&daemon).await;
+    daemon.said("step demo 30").await;
+    recording.interrupt();
+    let ended = recording.end().await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    let (steps, _) = read(&path);
+    let all: Vec<u64> = (0..=30).chain(30..=60).collect();
+    assert_eq!(steps, all, "step 30 is in both epochs");
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_may_not_record_gets_what_is_published_and_file_and_output_say_so() {
+    let base = tempfile::tempdir().unwrap();
+    let people = Folder::at(base.path().join("auth"));
+    let roles = [("vera", Role::Viewer), ("olga", Role::Operator)];
+    let named = roles.map(|(name, role)| (name.to_owned(), role));
+    issue::init(&people, &[], &named).unwrap();
+    let auth = people.path().to_str().unwrap().to_owned();
+    let daemon = Daemon::with(&[("auth_dir", auth.as_str())]).await;
+    let by =
+        |person: &str, line: &str| format!("--credentials {} {line}", people.of(person).display());
+    daemon
+        .said(&by("olga", "create demo --n 5 --publish-every 1"))
+        .await;
+    let (_folder, path) = file("take.mcap");
+    for line in [
+        by("vera", &format!("--json record demo -o {path} --for 0.3")),
+        by(
+            "olga",
+            &format!("--json record demo -o {path} --for 0.3 --published --force"),
+        ),
+    ] {
+        let ended = daemon.jostle(&line).await;
+        assert_eq!(ended.code, Some(0), "{ended:?}");
+        let told: Value = serde_json::from_str(ended.stdout.trim()).unwrap();
+        assert_eq!(
+            (&told["source"], &told["frames"]),
+            (&json!("published"), &json!(1))
+        );
+        assert_eq!(read(&path).1["source"], "published");
+    }
+    let line = by("vera", &format!("record demo -o {path} --for 0.1 --force"));
+    let Ended { stdout, stderr, .. } = daemon.jostle(&line).await;
+    assert!(
+        stderr.contains("you are vera, a viewer, and record takes an operator"),
+        "{stderr}"
+    );
+    assert!(
+        stderr.contains("recording what is published instead"),
+        "{stderr}"
+    );
+    assert!(stdout.contains("of those that it published"), "{stdout}");
+    // Operators have the daemon record, which says so; a viewer fetches none of it.
+    let line = by(
+        "olga",
+        &format!("--json record demo -o {path} --for 0.3 --force"),
+    );
+    assert_eq!(object(&daemon.jostle(&line).await)["source"], "steps");
+    daemon
+        .said(&by("olga", "record demo --at-daemon --as night"))
+        .await;
+    daemon.said(&by("olga", "record --stop night")).await;
+    let line = by("vera", &format!("record --fetch night -o {path} --force"));
+    let ended = daemon.jostle(&line).await;
+    assert_eq!(ended.code, Some(5), "{ended:?}");
+    assert_eq!(
+        read(&path).1["source"],
+        "steps",
+        "the file that was there stays"
+    );
+    daemon.stop().await;
+}
