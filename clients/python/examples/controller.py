@@ -1,13 +1,14 @@
 """A controller in lock-step: it looks, decides, and lets the swarm step.
 
     jostled &
-    python controller.py
+    python controller.py looped
 
 The swarm moves only when its controllers have advanced, the state comes back with the answer, and
 what was decided for one step is refused at any other. If the daemon is started again meanwhile,
 this goes on as if nothing had been.
 """
 
+import argparse
 import math
 
 import jostle
@@ -15,8 +16,23 @@ import jostle
 
 def main() -> None:
     """Steers a group of thirty round a corner by five informed individuals."""
-    with jostle.connect(client="controller.py") as client:
-        swarm = client.create("looped", jostle.Spec(n=30, seed=4))
+    parser = argparse.ArgumentParser(description="Steers a new swarm of thirty round a corner.")
+    parser.add_argument("name", nargs="?", default="looped", help="of the swarm to create")
+    parser.add_argument("--endpoint", help="of the daemon, such as tcp/127.0.0.1:7447")
+    args = parser.parse_args()
+
+    try:
+        client = jostle.connect(args.endpoint, client="controller.py")
+    except jostle.Unavailable as error:
+        raise SystemExit(f"{error}; here --endpoint names it") from None
+    with client:
+        try:
+            swarm = client.create(args.name, jostle.Spec(n=30, seed=4))
+        except jostle.AlreadyExists:
+            raise SystemExit(
+                f"there is a swarm {args.name}: delete it with `jostle delete {args.name}`, or "
+                "give another name as in `controller.py NAME`"
+            ) from None
         with swarm.join("pilot", jostle.ids(range(5)), on_timeout="free") as pilot:
             state = pilot.sync()
             for turn in range(200):

@@ -31,13 +31,20 @@ class Daemon:
     """A `jostled serve` of this test run's own."""
 
     def __init__(
-        self, folder: Path, listen: str = "tcp/127.0.0.1:0", failing: str | None = None
+        self,
+        folder: Path,
+        listen: str = "tcp/127.0.0.1:0",
+        failing: str | None = None,
+        node: str | None = None,
     ) -> None:
         self.data = folder / "data"
         self.log = folder / "jostled.log"
         with self.log.open("ab") as log:
             self.process = subprocess.Popen(
-                [JOSTLED, "serve", "--listen", listen, "--http", "", "--data-dir", self.data],
+                [
+                    *(JOSTLED, "serve", "--listen", listen, "--http", "", "--data-dir", self.data),
+                    *(() if node is None else ("--node", node)),
+                ],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -123,11 +130,12 @@ class Wire:
         """Ends every connection; those made from now on work."""
         with self._lock:
             ends, self._ends = self._ends, []
+            for end in ends:
+                with contextlib.suppress(OSError):
+                    end.shutdown(socket.SHUT_RDWR)
+                end.close()
+            # Only now: a reply that is under way must not pass.
             self._is_mute = False
-        for end in ends:
-            with contextlib.suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-            end.close()
 
     def unplug(self) -> None:
         """Ends every connection, and those made from now on at once."""

@@ -17,7 +17,7 @@ from jostle._events import Events, Journal
 from jostle._exchange import Controllers, Joined
 from jostle._messages import CreateResult, Parameters, SpecReply
 from jostle._node import Swarms
-from jostle._recordings import RecordingResult, Recordings
+from jostle._recordings import RecordingPiece, RecordingResult, Recordings
 from jostle._replay import ReplayResult
 from jostle._results import ExperimentResult, Experiments, ResultsPage
 
@@ -29,6 +29,7 @@ READ: dict[str, type[Any]] = {
     "controllers.reply": Controllers,
     "create.reply": CreateResult,
     "delete.reply": jostle.Reply,
+    "discard.reply": jostle.Reply,
     "fork.reply": CreateResult,
     "error": jostle.ErrorMessage,
     "event": jostle.Event,
@@ -45,6 +46,7 @@ READ: dict[str, type[Any]] = {
     "node.hello.reply": jostle.Hello,
     "node.metrics.reply": jostle.Metrics,
     "node.recordings.reply": Recordings,
+    "node.recording.reply": RecordingPiece,
     "node.schema.reply": jostle.Schemas,
     "node.status.reply": jostle.NodeStatus,
     "node.swarms.reply": Swarms,

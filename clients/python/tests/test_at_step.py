@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import numpy as np
@@ -205,6 +206,16 @@ def test_the_journal_is_what_was_applied_and_leads_to_the_same_state(create: Cre
     assert [entry.step for entry in entries] == [0, 20, 20, 20]
     assert (entries[1].request_id, entries[1].client) == ("first", "pytest")
     assert {entry.skipped for entry in entries} == {0}
+    now = datetime.now(UTC)
+    for record in (*entries, *swarm.history()):
+        assert record.when is not None
+        assert record.unix_secs == record.when.timestamp()
+        assert abs(now - record.when) < timedelta(seconds=PATIENCE_SECS)
+    # A notebook shows the time in words.
+    assert entries[0].when is not None
+    shown = entries._repr_html_()
+    assert entries[0].when.strftime("%Y-%m-%d %H:%M:%S.") in shown
+    assert "unix_secs" not in shown
     later = swarm.journal(after=2)
     assert [(entry.seq, entry.skipped) for entry in later] == [(4, 0), (5, 0)]
     assert swarm.journal(after=5) == []

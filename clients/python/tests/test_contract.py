@@ -53,7 +53,7 @@ RENAMED = {
     "deadline_secs": "deadline",  # As `timeout_secs` is `timeout`.
 }
 # The verbs that a daemon executes, and no swarm.
-OF_CLIENTS = {"create", "restore"}
+OF_CLIENTS = {"create", "restore", "discard"}
 # One of several things to be done, each a method of its own.
 OF_EXPERIMENTS = {"experiment", "replay"}
 OF_RECORDINGS = {"begin": "record", "stop": "stop_recording", "delete": "delete_recording"}

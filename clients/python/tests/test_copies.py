@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -71,6 +72,37 @@ def test_a_snapshot_is_restored_from_its_object_its_bytes_and_its_file(
     path.write_bytes(snapshot.data[:-1])
     with pytest.raises(jostle.InvalidArgument):
         client.restore(path, copies[0])
+
+
+@pytest.mark.parametrize(
+    "rubbish",
+    [
+        b"",
+        b"rubbish",
+        b"\x00\xff rubbish" * 99,
+        b"\xa1\x61\x61\x01",
+        # Lengths beyond the end of the data, and endlessly nested lists.
+        b"\x9b\xff\xff\xff\xff\xff\xff\xff\xff",
+        b"\x5b\x7f\xff\xff\xff\xff\xff\xff\xff",
+        b"\x81" * 100_000,
+        7,
+        None,
+    ],
+    ids=lambda rubbish: repr(rubbish)[:20],
+)
+def test_rubbish_is_not_a_snapshot(client: jostle.Client, tmp_path: Path, rubbish: Any) -> None:
+    with pytest.raises(jostle.InvalidArgument, match="not a snapshot") as raised:
+        client.restore(rubbish, "rubbish")
+    assert "daemon" not in str(raised.value)
+    assert raised.value.details["field"] == "snapshot"
+    with pytest.raises(jostle.InvalidArgument, match="not a snapshot"):
+        jostle.Snapshot.from_bytes(rubbish)
+    if isinstance(rubbish, bytes):
+        path = tmp_path / "rubbish.snapshot"
+        path.write_bytes(rubbish)
+        with pytest.raises(jostle.InvalidArgument, match="not a snapshot"):
+            client.restore(path, "rubbish")
+    assert "rubbish" not in [summary.swarm for summary in client.swarms()]
 
 
 def test_a_past_is_verified(create: Create) -> None:

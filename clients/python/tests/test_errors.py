@@ -19,6 +19,7 @@ import zenoh
 
 import jostle
 from conftest import PATIENCE_SECS, Daemon, eventually, zenoh_session
+from jostle._errors import read_error
 
 Create = Callable[..., jostle.Swarm]
 
@@ -123,6 +124,45 @@ def test_invalid_arguments_name_the_field(client: jostle.Client, create: Create)
     with pytest.raises(TypeError, match=r"^pause\(\) got an unexpected .*'expect_stop'"):
         swarm.pause(expect_stop=3)  # type: ignore[call-arg]
     assert swarm.status().seq == 0
+
+
+def test_none_is_called_none(client: jostle.Client, create: Create) -> None:
+    swarm: Any = create(n=6)
+    anyone = jostle.count(1)
+    nothing: Any = None
+    calls: dict[str, Callable[[], object]] = {
+        "rate": lambda: swarm.run(rate=-1),
+        "args": lambda: swarm.set(pi1=None),
+        "direction": lambda: swarm.inform(anyone, None),
+        "select": lambda: swarm.inform(None, 0.0),
+        "select.ids": lambda: swarm.inform(jostle.ids(nothing), 0.0),
+        "select.fraction": lambda: swarm.remove(jostle.fraction(nothing)),
+        "steps": lambda: swarm.step(None),
+        "commands": lambda: swarm.batch(None),
+        "commands[0].args.direction": lambda: swarm.batch([jostle.Inform(anyone, nothing)]),
+        "commands[0]": lambda: swarm.batch([None]),
+        "spec": lambda: client.create("none", nothing),
+        "spec.pi1": lambda: client.create("none", {"n": 3, "pi1": None}),
+        "spec.rate": lambda: client.create("none", {"n": 3, "rate": -1}),
+        "snapshot": lambda: client.restore(nothing, "none"),
+    }
+    for field, call in calls.items():
+        with pytest.raises(jostle.InvalidArgument, match=r"None|not a snapshot") as raised:
+            call()
+        assert raised.value.details["field"] == field
+        assert "null" not in f"{raised.value} {raised.value.details}"
+    with pytest.raises(TypeError, match="unexpected keyword argument 'x'"):
+        swarm.set(x=None)
+    # What a caller called null is still called so.
+    with pytest.raises(jostle.NotFound, match="null"):
+        client.swarm("null").status()
+    error = read_error(
+        b'{"code": "invalid_argument", "message": "x: invalid type: boolean `true`, expected a'
+        b' number: give null, or a \\"null\\"", "details": {"range": "null, or a \\"null\\""}}'
+    )
+    assert str(error) == (
+        'x: invalid type: boolean `True`, expected a number: give None, or a "null"'
+    )
 
 
 def test_a_step_of_a_running_swarm_is_an_incorrect_state(create: Create) -> None:

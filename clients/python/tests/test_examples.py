@@ -57,6 +57,28 @@ def test_the_controller_closes_its_loop(daemon: Daemon, client: jostle.Client) -
     assert "looped" not in [summary.swarm for summary in client.swarms()]
 
 
+def test_the_controllers_advice_names_what_its_help_has(
+    daemon: Daemon, client: jostle.Client
+) -> None:
+    offered = run("controller.py", "--help").stdout
+    taken = client.create("taken", jostle.Spec(n=30, seed=4))
+    for arguments, endpoint, advice in [
+        ([], "tcp/127.0.0.1:1", "--endpoint"),
+        (["taken"], daemon.endpoint, "NAME"),
+    ]:
+        ran = run("controller.py", *arguments, JOSTLE_ENDPOINT=endpoint)
+        assert ran.returncode != 0
+        assert advice in ran.stderr
+        assert advice.lower() in offered
+        # The advice names no option or argument of the package that the example does not offer.
+        for flag in re.findall(r"--[a-z-]+|exist_ok", ran.stderr):
+            assert flag in offered
+    assert "`jostle delete taken`" in ran.stderr
+    taken.delete()
+    ran = run("controller.py", "other", "--endpoint", daemon.endpoint)
+    assert (ran.returncode, ran.stderr) == (0, "")
+
+
 def test_a_repeated_experiment_is_the_same_to_the_bit(
     daemon: Daemon, client: jostle.Client
 ) -> None:

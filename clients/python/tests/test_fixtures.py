@@ -199,6 +199,7 @@ def test_every_field_of_an_answer_with_a_state_arrives() -> None:
     folder = contract.PROTO / "fixtures"
     message = json.loads((folder / "step.reply.state.json").read_bytes())
     result, state = read_step_reply((folder / "step.reply.state.cbor").read_bytes())
+    assert state is not None
     assert arrived(message["result"]["state"], plain(state)) == []
     assert arrived(flat("step.reply", message), msgspec.to_builtins(result)) == []
     assert state.state_hash == message["result"]["state_hash"]

@@ -17,7 +17,7 @@ Create = Callable[..., jostle.Swarm]
 
 COLUMNS = [
     *("swarm", "epoch", "frame", "step", "time", "phase", "id", "x", "y", "alpha", "weight"),
-    *("direction", "informed", "order", "drift"),
+    *("direction", "informed", "order", "drift", "worst_gap", "residual", "contacts"),
 ]
 
 
@@ -36,6 +36,10 @@ def test_a_state_has_a_row_for_each_individual(create: Create) -> None:
         assert table.direction.isna().sum() == 3
         assert (table.order == state.order.order).all()
         assert (table.drift == state.order.drift).all()
+        certificate = state.certificate
+        assert (table.worst_gap == certificate.worst_gap).all()
+        assert (table.residual == certificate.residual).all()
+        assert (table.contacts == certificate.contacts).all()
 
 
 def test_a_table_of_steps_misses_none_and_tells_the_same_future(create: Create) -> None:

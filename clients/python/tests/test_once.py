@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import json
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -117,6 +120,9 @@ def test_another_daemon_is_not_sent_what_the_first_may_have_done(tmp_path: Path)
             ThreadPoolExecutor(1) as pool,
         ):
             swarms = [each.create("same", jostle.Spec(n=3)) for each in (one, other)]
+            # The claims of the name are read once a connection: here, and not while it is muted, so
+            # that the connection does not reach the end of its lease.
+            assert client.swarm("same").status().seq == 0
             wire.mute()
             answer = pool.submit(client.swarm("same").inject, 1)
             eventually("it is carried out", lambda: swarms[0].status().seq == 1)
@@ -276,3 +282,81 @@ def test_what_stays_busy_is_told_at_the_deadline(
                 call()
             assert time.monotonic() - began < 2.0
             assert 2 < len(busy_daemon.heard) < 50
+
+
+def is_at_step(swarm: jostle.Swarm, step: int) -> bool:
+    return swarm.status().step == step
+
+
+def test_the_state_of_a_lost_reply_is_fetched_in_lock_step(wire: Wire, create: Create) -> None:
+    swarm, twin = create(n=200, seed=1), create(n=200, seed=1)
+    with jostle.connect(wire.endpoint) as client, ThreadPoolExecutor(1) as pool:
+        controller = client.swarm(swarm.name).join("ada", jostle.ids([0, 1, 2]), deadline=60)
+        for step in (2, 4):
+            wire.mute()
+            reached = pool.submit(controller.advance, 2, direction=0.5, state=True)
+            eventually("it is carried out", functools.partial(is_at_step, swarm, step))
+            wire.cut()
+            arrived = reached.result(PATIENCE_SECS)
+            state = swarm.state()
+            assert (arrived.steps, arrived.step, controller.step) == (2, step, step)
+            assert arrived.state.x.tobytes() == state.x.tobytes()
+            assert arrived.state.alpha.tobytes() == state.alpha.tobytes()
+            assert arrived.state.state_hash == arrived.state_hash == swarm.status().state_hash
+            # With its link the daemon has lost the controller, which held its directions.
+            controller.sync()
+    others = twin.join("ada", jostle.ids([0, 1, 2]), deadline=60)
+    others.advance(2, direction=0.5)
+    others.advance(2, direction=0.5)
+    assert twin.status().state_hash == swarm.status().state_hash
+
+
+def test_the_state_of_a_lost_reply_is_not_taken_from_a_changed_swarm(
+    wire: Wire, create: Create
+) -> None:
+    swarm = create(n=200)
+    with jostle.connect(wire.endpoint) as client, ThreadPoolExecutor(1) as pool:
+        wire.mute()
+        reached = pool.submit(client.swarm(swarm.name).step, 2, state=True)
+        eventually("it is carried out", lambda: swarm.status().step == 2)
+        swarm.inject(1)
+        wire.cut()
+        with pytest.raises(jostle.Conflict, match="led to step 2") as caught:
+            reached.result(PATIENCE_SECS)
+    assert caught.value.step == 2
+    assert swarm.status().step == 2
+
+
+def test_a_controller_killed_before_the_reply_comes_back_at_the_step_reached(
+    wire: Wire, create: Create
+) -> None:
+    swarm = create(n=200)
+    program = (
+        "import jostle, sys\n"
+        "controller = jostle.connect(sys.argv[1]).swarm(sys.argv[2]).join('ada', deadline=60)\n"
+        "print('joined', flush=True)\n"
+        "sys.stdin.readline()\n"
+        "controller.advance(3, state=True)\n"
+        "print('heard', flush=True)\n"
+    )
+    with subprocess.Popen(
+        [sys.executable, "-c", program, wire.endpoint, swarm.name],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as child:
+        assert child.stdin is not None
+        assert child.stdout is not None
+        assert child.stdout.readline() == "joined\n"
+        wire.mute()
+        child.stdin.write("\n")
+        child.stdin.flush()
+        eventually("it is carried out", lambda: swarm.status().step == 3)
+        child.kill()
+        assert child.stdout.read() == ""
+    wire.cut()
+    eventually("it has left", lambda: not swarm.controllers())
+    again = swarm.join("ada")
+    assert again.step == 3
+    arrived = again.advance(state=True)
+    assert (arrived.step, arrived.state.step) == (4, 4)

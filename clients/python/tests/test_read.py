@@ -92,6 +92,7 @@ def test_the_state_within_the_answer_to_step_bears_its_hash() -> None:
     within = {"steps": 2, "durable_step": 2, "state_hash": "abc", "state": state_map()}
     result, state = read_step_reply(cbor2.dumps({**ENVELOPE, "result": within}))
     assert (result.steps, result.seq, result.state_hash) == (2, 5, "abc")
+    assert state is not None
     assert (state.state_hash, state.n) == ("abc", 2)
 
 
@@ -135,6 +136,7 @@ def test_a_state_without_a_column_or_cut_short_is_refused() -> None:
         ("busy", jostle.Busy),
         ("conflict", jostle.Conflict),
         ("permission_denied", jostle.PermissionDenied),
+        ("contested", jostle.Contested),
         ("storage_full", jostle.StorageFull),
         ("deadline_exceeded", jostle.DeadlineExceeded),
         ("faulted", jostle.Faulted),

@@ -5,15 +5,19 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import subprocess
 from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import ase.io
 import mcap.reader
 import numpy as np
 import pandas as pd
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 
 import jostle
@@ -24,38 +28,42 @@ Create = Callable[..., jostle.Swarm]
 STEPS = 12
 NAMES = ("take.parquet", "take.mcap")
 COLUMNS = [
-    *("epoch", "frame", "step", "time", "id", "x", "y", "alpha", "weight", "direction"),
-    *("order", "worst_gap", "residual", "contacts"),
+    *("swarm", "epoch", "frame", "step", "time", "phase", "id", "x", "y", "alpha", "weight"),
+    *("direction", "informed", "order", "drift", "worst_gap", "residual", "contacts"),
 ]
+WORDS = ("swarm", "phase")
 
 Take = tuple[Path, list[jostle.State]]
 
 
 @pytest.fixture
-def take(daemon: Daemon, create: Create, tmp_path: Path) -> Take:
+def take(daemon: Daemon, create: Create, client: jostle.Client, tmp_path: Path) -> Take:
     """A folder with a recording of each format, and the states that are in it."""
     # Far from home, where absolute positions are coarser than those that are published.
     start = {"kind": "given", "x": [0.1, 5.0, 6e3], "y": [0.2, 5.0, -6e3], "alpha": [1, 2, 3]}
-    swarm = create(n=3, start=start, rate=None)
+    swarm = create(n=3, start=start, rate=None, publish_every=1)
     swarm.inform(jostle.ids([1]), direction=0.7, weight=1 / 3)
     begun = [
         begin(daemon, swarm, tmp_path / name, "--json", "--steps", str(STEPS)) for name in NAMES
     ]
-    for name in NAMES:
-        eventually("it records", (tmp_path / f"{name}.partial").exists)
-    states, published = [swarm.state()], swarm.states()
+    eventually("it records", lambda: len(going(client, swarm)) == len(NAMES))
+    states = [swarm.state()]
     for step in range(STEPS):
         # One more from the middle on: columns of different lengths.
         if step == STEPS // 2:
             swarm.inject(1)
         states.append(swarm.step(state=True))
-        # Of two that were published at once only the newer would be.
-        next(state for state in published if state.step == states[-1].step)
     for recorder in begun:
         told = json.loads(recorder.communicate(timeout=PATIENCE_SECS)[0])
         assert recorder.returncode == 0
         assert told["missed"] == 0
     return tmp_path, states
+
+
+def going(client: jostle.Client, swarm: jostle.Swarm) -> list[jostle.RecordingStatus]:
+    """The recordings of a swarm that go on."""
+    recordings = [it for it in client.recordings() if it.swarm == swarm.name]
+    return [it for it in recordings if it.phase == "recording"]
 
 
 def begin(daemon: Daemon, swarm: jostle.Swarm, path: Path, *more: str) -> subprocess.Popen[bytes]:
@@ -64,27 +72,24 @@ def begin(daemon: Daemon, swarm: jostle.Swarm, path: Path, *more: str) -> subpro
     return subprocess.Popen([*line, "-o", str(path), *more], stdout=subprocess.PIPE)
 
 
-def last_of_each_step(recording: jostle.Recording) -> list[jostle.RecordedFrame]:
-    """What was published twice of a step, because a command came between, only as it was last."""
-    return list({frame.step: frame for frame in recording}.values())
-
-
 @pytest.mark.parametrize("name", NAMES)
-def test_every_frame_is_the_state_that_was_published(take: Take, name: str) -> None:
+def test_every_frame_is_the_state_of_its_step(take: Take, name: str) -> None:
     folder, states = take
     recording = jostle.read_recording(folder / name)
-    frames = last_of_each_step(recording)
+    frames = list(recording)
     assert [frame.step for frame in frames] == [state.step for state in states]
     for frame, state in zip(frames, states, strict=True):
-        # The injected one was published before the step that follows.
-        if frame.n != state.n:
-            assert frame.step == STEPS // 2
-            continue
+        # The injected one is in the state of the step that follows.
+        assert frame.n == state.n
         assert frame.time == state.time
         assert np.array_equal(frame.id, state.id)
         assert np.array_equal(frame.position, state.position)
-        for column in ("alpha", "weight", "direction"):
+        for column in ("alpha", "weight", "informed"):
             assert np.array_equal(getattr(frame, column), getattr(state, column))
+        assert np.array_equal(frame.direction[frame.informed], state.direction[state.informed])
+        assert np.isnan(frame.direction[~frame.informed]).all()
+        assert (frame.swarm, frame.phase) == (state.swarm, "paused")
+        assert frame.drift == state.order.drift
         assert (frame.order, frame.residual) == (state.order.order, state.certificate.residual)
         assert frame.worst_gap == state.certificate.worst_gap
         assert frame.contacts == state.certificate.contacts
@@ -109,12 +114,32 @@ def test_both_formats_are_the_same_table(take: Take) -> None:
         assert table.dtypes["id"] == np.uint32
     one, other = tables
     pd.testing.assert_frame_equal(one, other, check_exact=True)
+    assert list(one.id[one.informed].unique()) == [1]
+    assert (one.direction[one.informed] == 0.7).all()
+    # An empty list of the other individuals would show nothing.
+    assert (~one.informed).sum() > 2 * STEPS
+    assert one.direction[~one.informed].isna().all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_recorded_table_has_the_columns_and_values_of_a_live_one(take: Take, name: str) -> None:
+    folder, states = take
+    recorded = jostle.read_recording(folder / name).frame()
+    live = jostle.frame(states)
+    assert (recorded.dtypes == live.dtypes).all()
+    last = states[-1].step
+    one, other = (table[table.step == last].reset_index(drop=True) for table in (recorded, live))
+    # A state that was asked for has the number of none that was published.
+    columns = [column for column in COLUMNS if column != "frame"]
+    assert len(one) == 4
+    pd.testing.assert_frame_equal(one[columns], other[columns], check_exact=True)
 
 
 def test_pandas_reads_parquet_as_it_is(take: Take) -> None:
     path = take[0] / "take.parquet"
     table = pd.read_parquet(path)
     expected = jostle.read_recording(path).frame()
+    expected = expected.astype(dict.fromkeys(WORDS, table.dtypes["swarm"]))
     pd.testing.assert_frame_equal(table, expected, check_exact=True, check_dtype=False)
     assert table.dtypes["id"] == np.uint32
     # A folder of parts is a table too, as it is while the next part is written.
@@ -146,6 +171,25 @@ def test_mcaps_own_reader_finds_what_was_published(take: Take) -> None:
             assert message.publish_time > 1e18
 
 
+def test_parquet_of_an_older_build_has_no_direction_for_the_uninformed(take: Take) -> None:
+    path = take[0] / "take.parquet"
+    table = pq.read_table(path)
+    uninformed = pc.invert(table["informed"])
+    zero = pc.if_else(uninformed, 0.0, table["direction"])
+    older = table.set_column(table.schema.get_field_index("direction"), "direction", zero)
+    pq.write_table(older.drop_columns(["swarm", "phase", "informed", "drift"]), path)
+    assert (pd.read_parquet(path).direction == 0.0).any()
+    rows = jostle.read_recording(path).frame()
+    expected = jostle.read_recording(take[0] / "take.mcap").frame()
+    known = [column for column in COLUMNS if column not in ("phase", "drift")]
+    pd.testing.assert_frame_equal(rows[known], expected[known], check_exact=True)
+    assert rows.phase.isna().all()
+    assert rows.drift.isna().all()
+    (first, *_) = jostle.read_recording(path)
+    assert (first.phase, first.drift) == (None, None)
+    assert list(np.isnan(first.direction)) == [True, False, True]
+
+
 @pytest.mark.parametrize("name", NAMES)
 def test_csv_is_the_same_table_to_the_bit(take: Take, name: str) -> None:
     recording = jostle.read_recording(take[0] / name)
@@ -154,10 +198,17 @@ def test_csv_is_the_same_table_to_the_bit(take: Take, name: str) -> None:
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))
     assert list(rows[0]) == COLUMNS
+    for name in WORDS:
+        assert [row[name] for row in rows] == list(table[name])
+    assert [row["informed"] for row in rows] == [str(it) for it in table.informed]
     for name in COLUMNS:
-        read = np.array([float(row[name] or "nan") for row in rows])
-        assert np.array_equal(read, table[name].to_numpy(float), equal_nan=True)
-    assert pd.read_csv(path).shape == table.shape
+        if name not in (*WORDS, "informed"):
+            read = np.array([float(row[name] or "nan") for row in rows])
+            assert np.array_equal(read, table[name].to_numpy(float), equal_nan=True)
+    again = pd.read_csv(path)
+    assert again.shape == table.shape
+    assert again["informed"].dtype == np.bool_
+    assert np.array_equal(again.direction.isna(), ~table.informed)
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -171,7 +222,8 @@ def test_ase_reads_extended_xyz_to_the_bit(take: Take, name: str) -> None:
         assert np.array_equal(atoms.positions[:, :2], frame.position)
         assert (atoms.positions[:, 2] == 0.0).all()
         for column in ("id", "alpha", "weight", "direction"):
-            assert np.array_equal(atoms.arrays[column], getattr(frame, column))
+            written = getattr(frame, column)
+            assert np.array_equal(atoms.arrays[column], written, equal_nan=True)
         assert (atoms.info["Time"], atoms.info["step"]) == (frame.time, frame.step)
         assert atoms.info["order"] == frame.order
         assert not atoms.pbc.any()
@@ -205,10 +257,46 @@ def test_what_is_no_recording_is_named(tmp_path: Path) -> None:
     (tmp_path / "take.csv").write_text("x\n1\n", encoding="utf-8")
     with pytest.raises(jostle.InvalidArgument, match="neither"):
         jostle.read_recording(tmp_path / "take.csv")
-    with pytest.raises(jostle.InvalidArgument, match="never ended"):
+    with pytest.raises(jostle.InvalidArgument, match="--recover"):
         jostle.read_recording(tmp_path / "take.mcap.partial")
     with pytest.raises(jostle.InvalidArgument, match="no part"):
         jostle.read_recording(tmp_path)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_killed_recording_names_what_recovers_it(
+    client: jostle.Client, daemon: Daemon, create: Create, tmp_path: Path, name: str
+) -> None:
+    path = tmp_path / name
+    partial = tmp_path / f"{name}.partial"
+    with create(n=5, rate=1, publish_every=1) as swarm:
+        swarm.run()
+        recorder = begin(daemon, swarm, path, "--published")
+        eventually("it has flushed", lambda: partial.exists() and partial.stat().st_size > 20_000)
+        recorder.kill()
+        recorder.communicate()
+    remedy = re.escape(f"`jostle record --recover {partial}`")
+    for file in (path, partial):
+        with pytest.raises(jostle.InvalidArgument, match=remedy):
+            jostle.read_recording(file)
+        if name == "take.mcap":
+            with pytest.raises(jostle.InvalidArgument, match=remedy):
+                client.replay(file)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(partial.read_bytes())
+    with pytest.raises(jostle.InvalidArgument, match=re.escape(f"--recover {cut}`")):
+        jostle.read_recording(cut)
+
+    line = [str(JOSTLED.with_name("jostle")), "--json", "record", "--recover", str(path)]
+    told = json.loads(subprocess.run(line, check=True, capture_output=True).stdout)
+    recording = jostle.read_recording(path)
+    frames = list(recording)
+    assert (len(frames), frames[-1].step) == (told["frames"], told["last_step"])
+    assert {frame.n for frame in frames} == {5}
+    about = recording.about
+    assert (about["recovered"], about["frames"]) == ("true", str(told["frames"]))
+    assert (about["missed"], about["swarm"]) == ("0", swarm.name)
+    assert not partial.exists()
 
 
 def test_a_recording_is_replayed_as_it_was_seen(take: Take, client: jostle.Client) -> None:
@@ -226,6 +314,13 @@ def test_a_recording_is_replayed_as_it_was_seen(take: Take, client: jostle.Clien
             assert np.array_equal(shown.id, state.id)
         with pytest.raises(jostle.IncorrectState, match="replay"):
             tape.inform(jostle.ids([1]), direction=0.0)
+        first, last = states[0].step, states[-1].step
+        for beyond in (first - 1, last + 1, 2**53 - 1):
+            if beyond >= 0:
+                with pytest.raises(jostle.InvalidArgument, match=f"to {last}, or a fraction"):
+                    tape.seek(step=beyond)
+        with pytest.raises(jostle.InvalidArgument, match="give a time from"):
+            tape.seek(time=states[-1].time + 1e-3)
         with pytest.raises(jostle.InvalidArgument, match="one of step"):
             tape.seek()
         with pytest.raises(jostle.AlreadyExists):
@@ -257,6 +352,7 @@ def test_a_folder_that_the_daemon_recorded_is_read(
     assert [frame.step for frame in recording] == [0, 3, 6, 9]
     np.testing.assert_array_equal(list(recording)[-1].x, state.x)
     assert recording.about["swarm"] == swarm.name
+    assert (recording.about["source"], recording.about["every"]) == ("steps", "3")
     assert client.delete_recording(begun.recording) == ended
     assert not (daemon.data / "recordings" / begun.recording).exists()
 
@@ -272,3 +368,49 @@ def test_a_damaged_recording_is_refused_and_never_read_wrong(take: Take) -> None
             list(jostle.read_recording(damaged))
     with pytest.raises(FileNotFoundError):
         jostle.read_recording(folder / "nowhere.mcap")
+
+
+@pytest.mark.parametrize("format_", ["mcap", "parquet"])
+def test_every_state_at_rate_max_is_recorded_and_fetched(
+    client: jostle.Client, create: Create, tmp_path: Path, format_: jostle.RecordingFormat
+) -> None:
+    swarm = create(n=4, rate=None, publish_every=50)
+    begun = client.record(swarm.name, format=format_, every=1, steps=1000, temporary=True)
+    assert (begun.max_bytes, begun.drop_when_behind, begun.temporary) == (2**30, False, True)
+    with pytest.raises(jostle.IncorrectState, match="stop_recording"):
+        client.fetch_recording(begun.recording, tmp_path / "take")
+    swarm.run(until=swarm.state().time + 30.0, rate=None, wait=True)
+    eventually("it has ended", lambda: not going(client, swarm))
+    (ended,) = [it for it in client.recordings() if it.recording == begun.recording]
+    assert (ended.phase, ended.missed, ended.frames) == ("ended", 0, 1001)
+    # What a killed process had fetched is not fetched again, but for what is of another recording.
+    folder = client.fetch_recording(begun.recording, tmp_path / "take", show=False)
+    (part,) = folder.iterdir()
+    whole = part.read_bytes()
+    assert len(whole) == ended.bytes
+    part.unlink()
+    (folder / f".{part.name}.partial").write_bytes(whole[: len(whole) // 2])
+    assert client.fetch_recording(begun.recording, folder) == folder
+    assert part.read_bytes() == whole
+    assert [it.name for it in folder.iterdir()] == [part.name]
+    assert client.fetch_recording(begun.recording, folder) == folder
+    recording = jostle.read_recording(folder)
+    assert [frame.step for frame in recording] == list(range(1001))
+    part.write_bytes(whole + b"more")
+    with pytest.raises(jostle.InvalidArgument, match="another recording"):
+        client.fetch_recording(begun.recording, folder)
+    with pytest.raises(jostle.NotFound, match="recordings"):
+        client.fetch_recording("nobodys", folder)
+    client.delete_recording(begun.recording)
+
+
+def test_a_recording_has_no_options_that_mean_nothing(
+    client: jostle.Client, create: Create
+) -> None:
+    swarm = create(n=2)
+    for field in ("every", "steps", "max_bytes"):
+        for value in (0, -1, 1.5, 2**53):
+            options: dict[str, Any] = {field: value}
+            with pytest.raises(jostle.InvalidArgument, match=field):
+                client.record(swarm.name, **options)
+    assert not going(client, swarm)

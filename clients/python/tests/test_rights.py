@@ -109,6 +109,40 @@ def test_whoever_is_not_let_in_hears_so_soon(lab: Daemon, auth: Path, tmp_path: 
         jostle.connect("tcp/192.0.2.1:7447", credentials=auth / "people" / "olga")
 
 
+def test_an_address_that_the_certificate_does_not_name_is_reported_with_the_remedy(
+    auth: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("JOSTLED_AUTH_DIR", str(auth))
+    daemon = Daemon(tmp_path, "tls/127.0.0.2:0")
+    try:
+        began = time.monotonic()
+        with pytest.raises(jostle.Unavailable) as caught:
+            enter(daemon, auth, "olga")
+        assert time.monotonic() - began < 5.0
+        told = str(caught.value)
+        assert "does not name 127.0.0.2; it names localhost, 127.0.0.1, ::1:" in told
+        assert "`jostled auth address --host 127.0.0.2`" in told
+        assert caught.value.details["host"] == "127.0.0.2"
+        assert caught.value.details["names"] == ["localhost", "127.0.0.1", "::1"]
+    finally:
+        daemon.stop()
+
+
+def test_set_points_bear_the_token(lab: Daemon, auth: Path) -> None:
+    with enter(lab, auth, "olga") as olga, enter(lab, auth, "cleo") as cleo:
+        swarm = olga.create("steered", {"n": 3, "seed": 1})
+        with olga._link.session.declare_subscriber("jostle/steered/ctl/*") as seen:
+            with cleo.swarm("steered").join(
+                "cleo", jostle.ids([0]), mode="free_running", deadline=10.0
+            ) as controller:
+                controller.put(direction=0.5)
+                sample = seen.recv()
+            token = json.loads((auth / "people/cleo/credentials.json").read_text())["token"]
+            assert sample.attachment is not None
+            assert sample.attachment.to_string() == token
+        swarm.delete()
+
+
 def test_the_environment_says_who_it_is_and_asyncio_too(
     lab: Daemon, auth: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -30,7 +31,18 @@ def test_recordings_of_an_earlier_build_are_read(build: Path) -> None:
         assert (one.step, one.time) == (other.step, other.time)
         assert (one.x == other.x).all()
         assert (one.y == other.y).all()
+        assert one.swarm == other.swarm
+        assert np.array_equal(one.informed, other.informed)
+        for recorded in (one, other):
+            assert np.isnan(recorded.direction[~recorded.informed]).all()
+        assert np.array_equal(one.direction, other.direction, equal_nan=True)
     assert film[-1].step == 1000
+    # An earlier build wrote 0 into the table for the uninformed, and neither phase nor drift.
+    rows = jostle.read_recording(recordings / "table").frame()
+    assert len(rows) > 0
+    assert not rows.informed.any()
+    for column in ("direction", "phase", "drift"):
+        assert rows[column].isna().all()
 
 
 @pytest.mark.parametrize("build", BUILDS, ids=lambda build: build.name)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import time
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 from conftest import JOSTLED
 
@@ -29,6 +33,43 @@ def test_the_tutorial_is_kept_without_what_one_run_put_out() -> None:
         assert cell.id == f"cell-{number + 1:02}"
         if cell.cell_type == "code":
             assert (cell.outputs, cell.execution_count) == ([], None)
+
+
+def installed_with(package: str, extra: str) -> dict[str, metadata.Distribution]:
+    """The distributions that `pip install package[extra]` brings, by their names."""
+    found: dict[str, metadata.Distribution] = {}
+    wanted, seen = [(package, extra)], set()
+    while wanted:
+        name, extra = wanted.pop()
+        if (canonicalize_name(name), extra) in seen:
+            continue
+        seen.add((canonicalize_name(name), extra))
+        distribution = metadata.distribution(name)
+        found[canonicalize_name(name)] = distribution
+        for line in distribution.requires or []:
+            requirement = Requirement(line)
+            if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
+                wanted += [(requirement.name, it) for it in ["", *requirement.extras]]
+    return found
+
+
+def test_the_notebook_extra_brings_what_opens_and_runs_the_tutorial() -> None:
+    found = installed_with("jostle", "notebook")
+    programs = {
+        entry.name
+        for distribution in found.values()
+        for entry in distribution.entry_points
+        if entry.group == "console_scripts"
+    }
+    text = TUTORIAL.read_text(encoding="utf-8")
+    (command,) = re.findall(r"    (jupyter \w+) clients/python/examples/tutorial.ipynb", text)
+    assert command.replace(" ", "-") in programs
+    assert "jupyter-nbconvert" in programs
+    # The kernel, what the cells import, and the tables of experiments.
+    code = "\n".join(cell.source for cell in read().cells if cell.cell_type == "code")
+    imported = set(re.findall(r"^(?:import|from) (\w+)", code, re.M)) | {"pandas", "ipykernel"}
+    assert imported <= found.keys(), imported - found.keys()
+    assert "pip install './clients/python[notebook]'" in text
 
 
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")

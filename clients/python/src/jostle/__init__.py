@@ -37,6 +37,7 @@ from ._errors import (
     AlreadyExists,
     Busy,
     Conflict,
+    Contested,
     DeadlineExceeded,
     ErrorMessage,
     Faulted,
@@ -87,7 +88,7 @@ from ._messages import (
     StepResult,
     Verified,
 )
-from ._metrics import Metrics, StoreMetrics, SwarmMetrics
+from ._metrics import Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
 from ._recording import RecordedFrame, Recording, read_recording
 from ._recordings import RecordingFormat, RecordingPhase, RecordingStatus
@@ -112,6 +113,7 @@ __all__ = [
     "Changed",
     "Client",
     "Conflict",
+    "Contested",
     "Controller",
     "ControllerSummary",
     "DeadlineExceeded",
@@ -157,6 +159,7 @@ __all__ = [
     "RecordedFrame",
     "Recording",
     "RecordingFormat",
+    "RecordingMetrics",
     "RecordingPhase",
     "RecordingStatus",
     "Region",

@@ -88,6 +88,11 @@ def ids(individuals: Iterable[SupportsIndex]) -> Ids:
     Raises:
         InvalidArgument: One of them is no whole number.
     """
+    if not isinstance(individuals, Iterable):
+        raise InvalidArgument(
+            f"select.ids is {individuals!r}, but must be several whole numbers, such as [1, 2]",
+            details={"field": "select.ids"},
+        )
     return {"ids": [whole("select.ids", individual) for individual in individuals]}
 
 
@@ -109,6 +114,21 @@ def within(x: float, y: float, radius: float) -> Within:
 def foremost(count: SupportsIndex, along: float) -> Foremost:
     """Selects the `count` individuals furthest along a direction, in radians from +x."""
     return {"foremost": {"count": whole("select.foremost.count", count), "along": along}}
+
+
+def check_select(select: Select) -> Select:
+    """Returns `select` if it may be a selection.
+
+    Raises:
+        InvalidArgument: It is none.
+    """
+    if not isinstance(select, Mapping):
+        raise InvalidArgument(
+            f"select is {select!r}, but must be a selection such as jostle.count(3) or "
+            "jostle.ids([1, 2])",
+            details={"field": "select"},
+        )
+    return select
 
 
 def disc(radius: float | None = None) -> Disc:

@@ -114,8 +114,13 @@ def commands(changes: Iterable[Change | Mapping[str, Any]]) -> list[dict[str, An
     """The changes of a `batch` as the wire has them.
 
     Raises:
-        InvalidArgument: One of them is no change.
+        InvalidArgument: They are not several, or one of them is no change.
     """
+    if not isinstance(changes, Iterable):
+        raise InvalidArgument(
+            f"commands is {changes!r}, but must be several changes, such as [jostle.Set(pi3=2)]",
+            details={"field": "commands"},
+        )
     written = []
     for index, change in enumerate(changes):
         if isinstance(change, Change):

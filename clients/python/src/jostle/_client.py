@@ -12,15 +12,15 @@ from typing import Any, Self, SupportsIndex, TypeVar
 
 from ._arguments import check_label, check_name, check_seconds, whole
 from ._credentials import Credentials, WhoAmI, read_credentials
-from ._errors import InvalidArgument, JostleError, Unavailable
+from ._errors import InvalidArgument, JostleError, NotFound, Unavailable
 from ._experiment import Experiment, Source, send, to_toml
 from ._link import GRACE_SECS, Link, open_session
-from ._messages import CreateResult
+from ._messages import CreateResult, Reply
 from ._metrics import Metrics
 from ._node import WIRE_VERSION, Hello, NodeStatus, Schemas, Swarms, SwarmSummary
 from ._reading import read_reply
-from ._recordings import RecordingFormat, Recordings, RecordingStatus, send_record
-from ._replay import open_replay, upload
+from ._recordings import RecordingFormat, Recordings, RecordingStatus, fetch, send_record
+from ._replay import check_finished, open_replay, upload
 from ._results import Experiments, Progress
 from ._show import Listed, trouble
 from ._snapshot import Snapshot
@@ -225,6 +225,11 @@ class Client:
             ResourceExhausted: It goes beyond a limit of the daemon.
         """
         swarm = Swarm(self._link, name)
+        if not isinstance(spec, Spec | Mapping):
+            raise InvalidArgument(
+                f"spec is {spec!r}, but must be a spec such as jostle.Spec(n=50)",
+                details={"field": "spec"},
+            )
         args = {"name": name, "spec": spec, "exist_ok": exist_ok}
         key = self._link.node_key(self._node, "cmd/create")
         payload = self._link.command(key, args, swarm=None, timeout=timeout, request_id=request_id)
@@ -255,12 +260,34 @@ class Client:
         swarm = Swarm(self._link, name)
         if isinstance(snapshot, str | os.PathLike):
             snapshot = Snapshot.load(snapshot)
-        data = snapshot.data if isinstance(snapshot, Snapshot) else snapshot
-        args = {"name": name, "snapshot": base64.b64encode(data).decode()}
+        if not isinstance(snapshot, Snapshot):
+            snapshot = Snapshot.from_bytes(snapshot)
+        args = {"name": name, "snapshot": base64.b64encode(snapshot.data).decode()}
         key = self._link.node_key(self._node, "cmd/restore")
         payload = self._link.command(key, args, swarm=None, timeout=timeout, request_id=request_id)
         read_reply(payload, CreateResult)
         return swarm
+
+    def discard(
+        self, name: str, *, timeout: float | None = None, request_id: str | None = None
+    ) -> Reply:
+        """Deletes this daemon's swarm of a name permanently, and no other daemon's.
+
+        `Swarm.delete` is rejected with `Contested` while two daemons have a swarm of one name:
+        `discard` deletes one of the two. The client must name the daemon: `connect(node=...)`.
+
+        Args:
+            name: The swarm's name.
+            timeout: Seconds it may take; None is the client's.
+            request_id: What to call it, see `Options`; None is a new one.
+
+        Raises:
+            NotFound: The daemon has no such swarm.
+        """
+        args = {"name": check_name("name", name)}
+        key = self._link.node_key(self._node, "cmd/discard")
+        payload = self._link.command(key, args, swarm=None, timeout=timeout, request_id=request_id)
+        return read_reply(payload, Reply)
 
     def replay(
         self,
@@ -285,12 +312,15 @@ class Client:
 
         Raises:
             AlreadyExists: The name is taken.
-            InvalidArgument: It is no recording in MCAP, or damaged.
+            InvalidArgument: It is no recording in MCAP, or damaged, or was killed: then the message
+                names `jostle record --recover FILE`, which makes a whole file of it.
             NotFound: The daemon has no such recording.
             OSError: The file cannot be read.
         """
         if (path is None) == (recording is None):
             raise InvalidArgument("give a file or the name of a recording, one of them")
+        if path is not None:
+            check_finished(path)
         if name is None:
             name = recording if path is None else Path(path).stem.lower()
         swarm = Swarm(self._link, check_name("name", str(name)))
@@ -344,26 +374,40 @@ class Client:
         *,
         format: RecordingFormat | None = None,
         every: SupportsIndex | None = None,
+        steps: SupportsIndex | None = None,
+        drop_when_behind: bool = False,
+        max_bytes: SupportsIndex | None = None,
+        temporary: bool = False,
         timeout: float | None = None,
         request_id: str | None = None,
     ) -> RecordingStatus:
-        """Has the daemon record a swarm into its data directory, whoever looks on.
+        """Has the daemon record a swarm into its data directory: every k-th state, at any rate.
 
-        It goes on until it is stopped or the swarm is deleted, also when the daemon starts anew;
-        `read_recording` reads the folder.
+        Unless `drop_when_behind` is set, the swarm waits for the daemon's disk, never for a
+        network. The recording ends when a client stops it, when it reaches `steps` or `max_bytes`,
+        or when the swarm is deleted; it resumes after a restart of the daemon. `fetch_recording`
+        fetches it, and `read_recording` reads the folder.
 
         Args:
             swarm: Whom.
             recording: What to call it; None is the swarm's name and a number.
             format: How to write it; None is as `mcap`.
-            every: Only states at least so many steps apart; None is all that are shown.
+            every: Record the states whose step is a multiple of this; None is the swarm's
+                `publish_every`.
+            steps: Stop after this many steps of the swarm; None is no limit.
+            drop_when_behind: Drop and count states while the disk is too slow.
+            max_bytes: Stop when the files reach this many bytes; None is 1 GiB.
+            temporary: Whether a client that fetches it, such as `jostle record --fetch`, is to
+                delete it then.
             timeout: Seconds it may take; None is the client's.
             request_id: What to call the request, see `Options`; None is a new one.
 
         Raises:
             AlreadyExists: The name is taken.
             NotFound: There is no such swarm.
-            ResourceExhausted: Too many go on: stop one.
+            PermissionDenied: It takes an operator.
+            ResourceExhausted: Too many go on: stop one. Or all recordings of the daemon have
+                reached its `recordings_quota_mb`: delete one.
             StorageFull: The daemon's disk is full.
         """
         args: dict[str, Any] = {"swarm": check_name("swarm", swarm)}
@@ -373,7 +417,43 @@ class Client:
             args["format"] = format
         if every is not None:
             args["every"] = whole("every", every)
+        if steps is not None:
+            args["steps"] = whole("steps", steps)
+        if max_bytes is not None:
+            args["max_bytes"] = whole("max_bytes", max_bytes)
+        if drop_when_behind:
+            args["drop_when_behind"] = True
+        if temporary:
+            args["temporary"] = True
         return send_record(self._link, self._node, {"begin": args}, timeout, request_id)
+
+    def fetch_recording(
+        self, recording: str, path: str | os.PathLike[str], *, show: bool | None = None
+    ) -> Path:
+        """Fetches an ended recording of the daemon into a folder, part by part.
+
+        Parts that are complete are not fetched again, so after a lost connection or a killed
+        process the same call resumes. The daemon keeps its copy until `delete_recording`.
+
+        Args:
+            recording: Which.
+            path: The folder, which is made; `read_recording` reads it.
+            show: Whether to show a progress bar; None shows it on a terminal or in a notebook.
+
+        Returns:
+            The folder.
+
+        Raises:
+            IncorrectState: It still records: stop it first.
+            NotFound: There is none of that name.
+            OSError: The folder cannot be written.
+            PermissionDenied: It takes an operator.
+        """
+        check_name("recording", recording)
+        found = [it for it in self.recordings() if it.recording == recording]
+        if not found:
+            raise NotFound(f"there is no recording {recording!r}: `recordings()` lists them")
+        return fetch(self._link, self._node, found[0], path, show)
 
     def stop_recording(
         self, recording: str, *, timeout: float | None = None, request_id: str | None = None

@@ -8,7 +8,7 @@ from typing import Any, Literal, SupportsIndex, TypedDict, TypeVar, Unpack, over
 
 from numpy.typing import ArrayLike
 
-from ._arguments import Region, Select, poses
+from ._arguments import Region, Select, check_select, poses
 from ._changes import Change, commands
 from ._errors import InvalidArgument
 from ._messages import (
@@ -24,7 +24,7 @@ from ._messages import (
 )
 from ._questions import Questions
 from ._reading import read_batch, read_reply, read_scheduled
-from ._state import State, read_step_reply
+from ._state import State, fetch_state, read_step_reply
 
 T = TypeVar("T")
 
@@ -185,6 +185,8 @@ class Commands(Questions):
         Raises:
             DeadlineExceeded: It takes longer than `timeout`; it goes on and can be waited for.
             IncorrectState: It runs or is faulted.
+            Conflict: The reply was lost, and when the daemon sent it again without its state
+                (more than 4 KiB are not remembered), the swarm had changed.
             Faulted: A step failed.
         """
         options.setdefault("timeout", PATIENT_SECS)
@@ -192,7 +194,10 @@ class Commands(Questions):
             return self._command("step", {"steps": steps}, StepResult, at_step, options)
         payload = self._send("step", {"steps": steps, "return": "state"}, at_step, options)
         scheduled = None if at_step is None else read_scheduled(payload)
-        return self._shaped(read_step_reply(payload)[1]) if scheduled is None else scheduled
+        if scheduled is not None:
+            return scheduled
+        result, reached = read_step_reply(payload)
+        return self._shaped(fetch_state(self._get, result) if reached is None else reached)
 
     @overload
     def reset(
@@ -278,6 +283,8 @@ class Commands(Questions):
     ) -> SetResult | Scheduled:
         """Changes the parameters named, and no others, between two steps.
 
+        A parameter that is None stays as it is.
+
         Args:
             pi1: Length over width of a body: 1 to 32.
             pi2: Weight of individuals informed without one; those informed keep theirs.
@@ -308,6 +315,13 @@ class Commands(Questions):
             noise=noise,
             publish_every=publish_every,
         )
+        _check_options("set", options)
+        if not args and not make_room:
+            raise InvalidArgument(
+                "nothing to set: give pi1, pi2, pi3, pi4, contacts, stepping, relinearise, "
+                "attraction, noise or publish_every; None leaves a parameter as it is",
+                details={"field": "args"},
+            )
         if make_room:
             args["make_room"] = True
         result = self._command("set", args, SetResult, at_step, options)
@@ -356,7 +370,7 @@ class Commands(Questions):
             at_step: Carry it out at this step, see `Swarm`.
             options: See `Options`.
         """
-        args = {"select": select, "direction": direction}
+        args = {"select": check_select(select), "direction": direction}
         args |= _named(weight=weight, for_time=for_time)
         return self._command("inform", args, IdsResult, at_step, options)
 
@@ -376,7 +390,9 @@ class Commands(Questions):
             at_step: Carry it out at this step, see `Swarm`.
             options: See `Options`.
         """
-        return self._command("uninform", {"select": select}, IdsResult, at_step, options)
+        return self._command(
+            "uninform", {"select": check_select(select)}, IdsResult, at_step, options
+        )
 
     @overload
     def inject(
@@ -454,7 +470,9 @@ class Commands(Questions):
             at_step: Carry it out at this step, see `Swarm`.
             options: See `Options`.
         """
-        return self._command("remove", {"select": select}, IdsResult, at_step, options)
+        return self._command(
+            "remove", {"select": check_select(select)}, IdsResult, at_step, options
+        )
 
     @overload
     def batch(
@@ -524,11 +542,20 @@ class Commands(Questions):
     def _send(
         self, verb: str, args: dict[str, Any], at_step: SupportsIndex | None, options: Options
     ) -> bytes:
-        for name in options:
-            if name not in Options.__annotations__:
-                raise TypeError(f"{verb}() got an unexpected keyword argument {name!r}")
+        _check_options(verb, options)
         key = self._link.swarm_key(self._name, f"cmd/{verb}")
         return self._link.command(key, args, swarm=self._name, at_step=at_step, **options)
+
+
+def _check_options(verb: str, options: Options) -> None:
+    """Refuses what no command takes.
+
+    Raises:
+        TypeError: One of them is unknown.
+    """
+    for name in options:
+        if name not in Options.__annotations__:
+            raise TypeError(f"{verb}() got an unexpected keyword argument {name!r}")
 
 
 def _named(**arguments: object) -> dict[str, Any]:

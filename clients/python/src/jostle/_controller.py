@@ -28,12 +28,22 @@ from ._errors import (
     PermissionDenied,
     Unavailable,
 )
-from ._exchange import Advanced, Arrived, Controllers, Joined, Mode, News, OnTimeout, read_advanced
+from ._exchange import (
+    Advanced,
+    Arrived,
+    Controllers,
+    Joined,
+    Mode,
+    News,
+    OnTimeout,
+    read_advanced,
+    with_state,
+)
 from ._link import Link
 from ._messages import Reply
 from ._patience import Patience
 from ._reading import read_reply
-from ._state import State, read_state
+from ._state import State, fetch_state, read_state
 
 # What a daemon that crashed may have forgotten. Of what it has on the disk nothing is kept, and it
 # is some milliseconds behind, so that there are so many only if the disk is full.
@@ -190,7 +200,9 @@ class Controller:
         Raises:
             Conflict: The swarm is not at `step`: it went on without this controller, or was
                 reset. The error's `step` is the right one; nothing has changed, and `sync` gets
-                in line again.
+                in line again. With `state` also when the reply was lost, the daemon sent it again
+                without the state (more than 4 KiB are not remembered), and the swarm had changed;
+                the advance was carried out then.
             DeadlineExceeded: The others take longer than `timeout`; the advance stands.
             InvalidArgument: A number is out of range, or somebody is not its own.
             NotFound: It has left: its link was cut or it was late, as the message says. `sync`
@@ -225,6 +237,10 @@ class Controller:
             self._answered.popleft()
         if advanced.steps > 0 and advanced.step > advanced.durable_step:
             self._answered.append(_Answered(request, advanced.step, advanced.state_hash))
+        if state and advanced.state is None:
+            # The reply was lost, and the one that the daemon remembered has no state. In lock-step
+            # the swarm waits for this controller.
+            return with_state(advanced, fetch_state(self._get, advanced))
         return advanced
 
     def put(

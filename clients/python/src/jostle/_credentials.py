@@ -47,6 +47,7 @@ class Credentials(msgspec.Struct, frozen=True):
     endpoint: str
     token: str
     password: str
+    page: str | None = None
 
     def __repr__(self) -> str:
         return f"Credentials({self.person!r}, {self.role!r})"

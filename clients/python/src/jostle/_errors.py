@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -91,6 +92,15 @@ class Conflict(JostleError):
     code = "conflict"
 
 
+class Contested(JostleError):
+    """Several daemons hold this name: all but one must be stopped or discard their swarm.
+
+    `details["nodes"]` names the daemons.
+    """
+
+    code = "contested"
+
+
 class PermissionDenied(JostleError):
     """Not with these rights; the daemon is there and does not answer."""
 
@@ -137,6 +147,7 @@ _BY_CODE: dict[str, type[JostleError]] = {
         ResourceExhausted,
         Busy,
         Conflict,
+        Contested,
         PermissionDenied,
         StorageFull,
         DeadlineExceeded,
@@ -144,6 +155,33 @@ _BY_CODE: dict[str, type[JostleError]] = {
         Internal,
     )
 }
+
+
+# How the daemon says which JSON value it got instead of another.
+_UNEXPECTED = re.compile(r"(?<=invalid type: )(null|boolean `(?:true|false)`)(?=, expected )")
+_WORDS = {"null": "None", "true": "True", "false": "False"}
+
+
+def _in_python(message: str, details: dict[str, Any]) -> tuple[str, dict[str, Any]]:
+    """The same with Python's words for JSON's: `None`, `True` and `False`.
+
+    Only the daemon's description of a value and the permitted range are translated, not names or
+    texts that the caller gave.
+    """
+
+    def translate(text: str) -> str:
+        # What stands in quotes is a text.
+        parts = re.split(r'("[^"]*")', text)
+        words = re.compile(r"\b(null|true|false)\b")
+        parts[::2] = [words.sub(lambda word: _WORDS[word[0]], part) for part in parts[::2]]
+        return "".join(parts)
+
+    message = _UNEXPECTED.sub(lambda it: translate(it[0]), message)
+    expected = details.get("range")
+    if isinstance(expected, str):
+        details = {**details, "range": translate(expected)}
+        message = message.replace(f": give {expected}", f": give {details['range']}")
+    return message, details
 
 
 def read_error(payload: bytes) -> JostleError | None:
@@ -157,6 +195,7 @@ def read_error(payload: bytes) -> JostleError | None:
     except msgspec.DecodeError:
         return None
     kind = _BY_CODE.get(said.code, JostleError)
-    error = kind(said.message, details=said.details, step=said.step)
+    message, details = _in_python(said.message, said.details)
+    error = kind(message, details=details, step=said.step)
     error.code = said.code
     return error

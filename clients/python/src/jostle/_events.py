@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 from ._errors import ErrorMessage
@@ -9,7 +10,29 @@ from ._messages import Phase, Reply
 from ._show import Shown
 
 
-class Event(Shown, frozen=True, kw_only=True):
+class Dated(Shown, frozen=True, kw_only=True):
+    """A message that says when something happened by the daemon's wall clock.
+
+    Attributes:
+        unix_secs: Seconds since 1970, UTC, to the millisecond; None if it is not known, as of what
+            older daemons journaled.
+    """
+
+    unix_secs: float | None = None
+
+    @property
+    def when(self) -> datetime | None:
+        """`unix_secs` as an aware datetime, UTC; None if it is not known or beyond year 9999."""
+        if self.unix_secs is None:
+            return None
+        try:
+            since = timedelta(milliseconds=round(self.unix_secs * 1000))
+            return datetime(1970, 1, 1, tzinfo=UTC) + since
+        except (OverflowError, ValueError):
+            return None
+
+
+class Event(Dated, frozen=True, kw_only=True):
     """Something that happened to a swarm.
 
     What it tells beside when it happened depends on its `kind`; the rest is None:
@@ -21,6 +44,8 @@ class Event(Shown, frozen=True, kw_only=True):
     - `refused`: one that waited was not carried out: `error, verb, args, client, request_id`.
     - `lapsed`: individuals informed for a time are uninformed again: `ids`.
     - `fault`: a step failed, the last good state is kept: `reason`.
+    - `recording_failed`: a recording of it by the daemon has failed, what was recorded before is
+      kept: `recording, reason`.
     - `deleted`: the swarm was deleted, which is the last event.
 
     A newer daemon may tell of other kinds.
@@ -32,6 +57,8 @@ class Event(Shown, frozen=True, kw_only=True):
         step: The step it happened at.
         time: `step · dt`.
         phase: What the swarm does from then on.
+        unix_secs: When it happened by the daemon's wall clock, seconds since 1970, UTC; None if it
+            is not known. `when` is the same as a datetime.
         kind: What happened, see above.
         reason: Why.
         seq: Counts the swarm's applied commands.
@@ -42,6 +69,7 @@ class Event(Shown, frozen=True, kw_only=True):
         request_id: What the sender called it.
         error: Why it was not carried out.
         ids: Whom it is about, ascending.
+        recording: The daemon's recording that it is about.
         skipped: How many events lie between the one before and this that could not be had any
             more: a daemon remembers the last thousand or so.
     """
@@ -62,6 +90,7 @@ class Event(Shown, frozen=True, kw_only=True):
     request_id: str | None = None
     error: ErrorMessage | None = None
     ids: list[int] | None = None
+    recording: str | None = None
     skipped: int = 0
 
 
@@ -79,7 +108,7 @@ class Events(Reply, frozen=True, kw_only=True):
     newest: int
 
 
-class JournalEntry(Shown, frozen=True, kw_only=True):
+class JournalEntry(Dated, frozen=True, kw_only=True):
     """A command that a swarm applied.
 
     Attributes:
@@ -88,6 +117,8 @@ class JournalEntry(Shown, frozen=True, kw_only=True):
         epoch: The epoch it was applied in.
         step: The step it was applied at.
         time: `step · dt`.
+        unix_secs: When it was applied by the daemon's wall clock, seconds since 1970, UTC; None if
+            it is not known, as of what older daemons journaled. `when` is the same as a datetime.
         verb: Its verb.
         args: Its arguments as they came.
         client: Who says to have sent it.

@@ -96,7 +96,8 @@ class Puts(Shown, frozen=True, kw_only=True):
         applied: Applied.
         stale: Not newer than one before, or of another epoch.
         overtaken: By a newer one before the next step.
-        refused: Unreadable, out of range, or about individuals that are not its own.
+        refused: Unreadable, out of range, not permitted, or about individuals that are not its
+            own.
     """
 
     applied: int
@@ -178,6 +179,12 @@ def read_advanced(payload: bytes) -> Advanced:
     if not isinstance(state, dict):
         raise Internal("the daemon's answer holds no state")
     return Arrived(**_fields(told), state=read_columns(state, told.result.state_hash))
+
+
+def with_state(advanced: Advanced, state: State) -> Arrived:
+    """The same answer with its state."""
+    fields = {name: getattr(advanced, name) for name in advanced.__struct_fields__}
+    return Arrived(**{**fields, "state": state})
 
 
 def _fields(told: _Envelope) -> dict[str, Any]:

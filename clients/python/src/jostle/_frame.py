@@ -16,17 +16,39 @@ from ._state import State
 if TYPE_CHECKING:
     import pandas
 
+Columns = dict[str, NDArray[Any]]
+
+# The columns of a table of states, live or recorded: of a frame, of each individual, of the group.
+OF_FRAME: dict[str, type[Any]] = {
+    "swarm": object,
+    **dict.fromkeys(["epoch", "frame", "step"], np.int64),
+    "time": np.float64,
+    "phase": object,
+}
+OF_EACH: dict[str, type[Any]] = {
+    "id": np.uint32,
+    **dict.fromkeys(["x", "y", "alpha", "weight", "direction"], np.float64),
+    "informed": np.bool_,
+}
+OF_GROUP: dict[str, type[Any]] = {
+    **dict.fromkeys(["order", "drift", "worst_gap", "residual"], np.float64),
+    "contacts": np.int64,
+}
+KINDS: dict[str, type[Any]] = {**OF_FRAME, **OF_EACH, **OF_GROUP}
+
 
 def frame(records: State | OrderSample | Iterable[State | OrderSample]) -> pandas.DataFrame:
     """Makes a table of states or orders.
 
         jostle.frame(itertools.islice(swarm.states(), 100))
 
-    Of states it has a row for each individual in each: `swarm, epoch, frame, step, time, phase,
-    id, x, y` (absolute), `alpha, weight, direction` (NaN for the uninformed), `informed, order,
-    drift` (of the group; NaN if there is no common direction). Of orders it has a row for each:
-    `swarm, epoch, frame, step, time, phase, n, informed, order, drift, mean_order, mean_drift,
-    velocity_x, velocity_y, worst_gap, residual`. Units are those of `State` and `Order`.
+    Of states it has a row for each individual in each, with the columns of a recording's table:
+    `swarm, epoch, frame, step, time, phase, id, x, y` (absolute), `alpha, weight, direction` (NaN
+    for the uninformed), `informed`, and of the group `order, drift` (NaN if there is no common
+    direction), `worst_gap` (NaN if no two bodies are near), `residual, contacts`. Of orders it has
+    a row for each: `swarm, epoch, frame, step, time, phase, n, informed, order, drift, mean_order,
+    mean_drift, velocity_x, velocity_y, worst_gap, residual`. Units are those of `State` and
+    `Order`.
 
     Args:
         records: One or any number, such as a list or what is left of a stream, to its end.
@@ -50,36 +72,51 @@ def frame(records: State | OrderSample | Iterable[State | OrderSample]) -> panda
 
 def of_states(states: Sequence[State]) -> pandas.DataFrame:
     """A row for each individual in each state."""
-    pd = need("pandas", "pandas")
+    return table_of([columns_of(states)], "pandas")
+
+
+def columns_of(states: Sequence[State]) -> Columns:
+    """The columns of a table of states, with a value for each individual in each."""
     counts = [state.n for state in states]
 
-    def each(values: list[Any], dtype: type[Any]) -> NDArray[Any]:
-        return np.repeat(np.array(values, dtype), counts)
+    def each(name: str, values: list[Any]) -> NDArray[Any]:
+        return np.repeat(np.array(values, KINDS[name]), counts)
 
-    def all_of(columns: list[NDArray[Any]], dtype: type[Any]) -> NDArray[Any]:
-        return np.concatenate([np.empty(0, dtype), *columns])
-
-    def words(values: list[str]) -> Any:
-        kinds = sorted(set(values))
-        return pd.Categorical.from_codes(each([kinds.index(it) for it in values], int), kinds)
+    def all_of(name: str, columns: list[NDArray[Any]]) -> NDArray[Any]:
+        return np.concatenate([np.empty(0, KINDS[name]), *columns])
 
     positions = [state.position for state in states]
-    informed = all_of([state.informed for state in states], bool)
-    direction = all_of([state.direction for state in states], float)
+    certificates = [state.certificate for state in states]
+    single = {
+        **{name: [getattr(state, name) for state in states] for name in OF_FRAME},
+        "order": [state.order.order for state in states],
+        "drift": [_number(state.order.drift) for state in states],
+        "worst_gap": [_number(it.worst_gap) for it in certificates],
+        "residual": [it.residual for it in certificates],
+        "contacts": [it.contacts for it in certificates],
+    }
+    informed = all_of("informed", [state.informed for state in states])
+    direction = all_of("direction", [state.direction for state in states])
     columns = {
-        "swarm": words([state.swarm for state in states]),
-        **_when(states, each),
-        "phase": words([state.phase for state in states]),
-        "id": all_of([state.id for state in states], np.uint32),
-        "x": all_of([position[:, 0] for position in positions], float),
-        "y": all_of([position[:, 1] for position in positions], float),
-        "alpha": all_of([state.alpha for state in states], float),
-        "weight": all_of([state.weight for state in states], float),
+        **{name: each(name, values) for name, values in single.items()},
+        "id": all_of("id", [state.id for state in states]),
+        "x": all_of("x", [position[:, 0] for position in positions]),
+        "y": all_of("y", [position[:, 1] for position in positions]),
+        "alpha": all_of("alpha", [state.alpha for state in states]),
+        "weight": all_of("weight", [state.weight for state in states]),
         "direction": np.where(informed, direction, np.nan),
         "informed": informed,
-        "order": each([state.order.order for state in states], float),
-        "drift": each([_number(state.order.drift) for state in states], float),
     }
+    return {name: columns[name] for name in KINDS}
+
+
+def table_of(parts: Sequence[Columns], extra: str) -> pandas.DataFrame:
+    """Concatenates the parts into a table; `extra` names the extra that installs pandas."""
+    pd = need("pandas", extra)
+    columns: dict[str, Any] = {}
+    for name, kind in KINDS.items():
+        column = np.concatenate([np.empty(0, kind), *(part[name] for part in parts)])
+        columns[name] = pd.Categorical(column) if kind is object else column
     table: pandas.DataFrame = pd.DataFrame(columns)
     return table
 

@@ -18,6 +18,7 @@ import zenoh
 
 from . import _cancel
 from ._arguments import check_label, check_seconds, to_json
+from ._claims import Claim, contest, read_claims, unserved
 from ._credentials import Credentials, WhoAmI, proofs, refusal
 from ._ends import forked, open_links, use_zenoh
 from ._errors import (
@@ -32,6 +33,7 @@ from ._errors import (
 )
 from ._patience import Patience
 from ._reading import read_reply
+from ._tls import wrong_name
 
 if TYPE_CHECKING:
     from ._controller import Controller
@@ -48,6 +50,10 @@ _LONGEST_LISTEN_SECS = 30.0
 _RETURN_SECS = 2.0
 _LOOK_AGAIN_SECS = 0.02
 _LIVELINESS_SECS = 2.0
+# How long two daemons that were just connected may both claim to serve a name: they settle it
+# within 0.4 s, and a busy machine may take longer.
+_YIELD_SECS = 1.0
+_MAX_LOOKED = 1024
 
 
 # What a client of zenoh says first (InitSyn), behind its length.
@@ -62,7 +68,8 @@ def open_session(
     Raises:
         InvalidArgument: It is no endpoint.
         PermissionDenied: Whoever listens there does not let this client in.
-        Unavailable: No daemon answers there, or zenoh cannot be used in this process.
+        Unavailable: No daemon answers there, its certificate names other addresses, or zenoh cannot
+            be used in this process.
     """
     use_zenoh()
     if identity is not None and not _may_be_told_secrets(endpoint):
@@ -77,7 +84,8 @@ def open_session(
     except zenoh.ZError:
         # zenoh's own error says no more than that, in more words.
         if _speaks_zenoh(endpoint):
-            raise _not_let_in(endpoint, identity) from None
+            mismatch = None if identity is None else wrong_name(endpoint, identity[1])
+            raise mismatch or _not_let_in(endpoint, identity) from None
         raise Unavailable(
             f"no daemon answers at {endpoint}: start one with `jostled serve`, "
             "or name another endpoint (argument `endpoint`, or JOSTLE_ENDPOINT)"
@@ -151,8 +159,8 @@ def _not_let_in(endpoint: str, identity: tuple[Credentials, Path] | None) -> Per
     else:
         who = identity[0].person
         remedy = (
-            "these credentials may be newer than the daemon's last start, out of date, or another "
-            "daemon's, or it knows no people and takes none"
+            "these credentials may be newer than the daemon's last start (restart it), out of "
+            "date, or another daemon's, or it knows no people and takes none"
         )
     return PermissionDenied(f"something listens at {endpoint} but does not let {who} in: {remedy}")
 
@@ -180,6 +188,8 @@ class Link:
         self.held: object = None
         self.streams: weakref.WeakSet[Stream[Any]] = weakref.WeakSet()
         self.controllers: weakref.WeakSet[Controller] = weakref.WeakSet()
+        # The swarms whose claims were checked, each with the zenoh nodes connected at that time.
+        self._looked: set[tuple[str, frozenset[str]]] = set()
         self._owner = os.getpid()
         open_links.add(self)
 
@@ -359,6 +369,8 @@ class Link:
         Raises:
             JostleError: The daemon's own error, or what its silence means.
         """
+        if swarm is not None:
+            self._check_contested(swarm, before, min(_YIELD_SECS, listen_secs))
         for answer in self.ask_all(selector, listen_secs, payload):
             return answer
         error = self.explain_silence(swarm, before, selector)
@@ -369,6 +381,30 @@ class Link:
         for answer in self.ask_all(selector, listen_secs, payload):
             return answer
         raise self.explain_silence(swarm, before, selector)
+
+    def _check_contested(self, swarm: str, connected: frozenset[str], yield_secs: float) -> None:
+        """Checks once per connection that no two daemons serve a swarm's name.
+
+        While the daemons can reach each other, they reject commands themselves.
+
+        Raises:
+            Contested: Several daemons serve the name for longer than `yield_secs`, and each would
+                execute a command.
+        """
+        looked = (swarm, connected)
+        if looked in self._looked:
+            return
+        deadline = time.monotonic() + yield_secs
+        while (error := contest(swarm, self._claims(swarm))) is not None:
+            if time.monotonic() >= deadline:
+                raise error
+            time.sleep(_LOOK_AGAIN_SECS)
+        if len(self._looked) >= _MAX_LOOKED:
+            self._looked.clear()
+        self._looked.add(looked)
+
+    def _claims(self, swarm: str) -> list[Claim]:
+        return read_claims(self.alive(self.swarm_key(swarm, "claim/*/*/*")))
 
     def ask_all(
         self, selector: str, listen_secs: float, payload: bytes | None = None
@@ -416,7 +452,10 @@ class Link:
         """
         self.check_ours()
         try:
-            self.session.put(key, payload, encoding=zenoh.Encoding.APPLICATION_JSON)
+            # A daemon that removed people since its start takes set-points with a token only.
+            self.session.put(
+                key, payload, encoding=zenoh.Encoding.APPLICATION_JSON, attachment=self._token
+            )
         except zenoh.ZError as error:
             raise self._broken(error) from error
 
@@ -475,6 +514,9 @@ class Link:
         The daemon tells whether the verb in `selector` is permitted, which it then never heard of.
         """
         nodes = self.nodes()
+        waiting = None if swarm is None else unserved(swarm, self._claims(swarm))
+        if waiting is not None and not self.alive(self.swarm_key(swarm or "", "alive/*")):
+            return waiting
         if not nodes or (before is not None and before != self.connected()):
             return self.gone()
         if swarm is None or self.alive(self.swarm_key(swarm, "alive/*")):

@@ -285,6 +285,8 @@ class Status(Reply, frozen=True, kw_only=True):
         history_from: Where the history begins that is kept of it; None while that cannot be
             read.
         replay: Where it is, if it is the replay of a recording.
+        verifying: The share of its history that a `verify` under way has replayed, 0 to 1; None if
+            none is under way.
     """
 
     reason: str | None = None
@@ -304,6 +306,7 @@ class Status(Reply, frozen=True, kw_only=True):
     certificate: Certificate
     history_from: HistoryFrom | None = None
     replay: Replay | None = None
+    verifying: float | None = None
 
 
 class Verified(Reply, frozen=True, kw_only=True):

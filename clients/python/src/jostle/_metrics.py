@@ -30,6 +30,20 @@ class StoreMetrics(Shown, frozen=True, kw_only=True):
     overrun: bool
 
 
+class RecordingMetrics(Shown, frozen=True, kw_only=True):
+    """A daemon's recordings, counted by what they do.
+
+    Attributes:
+        recording: Those that go on.
+        ended: Those that have ended.
+        failed: Those that have failed.
+    """
+
+    recording: int
+    ended: int
+    failed: int
+
+
 class SwarmMetrics(Shown, frozen=True, kw_only=True):
     """A swarm in numbers.
 
@@ -73,6 +87,8 @@ class Metrics(Shown, frozen=True, kw_only=True):
         node: Its name.
         uptime_secs: Seconds since it started.
         unwell: Why not all is well; empty if it is.
+        warnings: What is wrong without keeping it from its work, such as a recording that has
+            failed; empty if nothing is.
         cpu_secs: Seconds its threads have computed.
         cores: It may use.
         memory_bytes: In use.
@@ -84,13 +100,18 @@ class Metrics(Shown, frozen=True, kw_only=True):
         residual_max: The largest residual of a step, in body sizes.
         frames: States made to be published.
         frames_dropped: Those that gave way to a newer one before they were.
+        contested: Names of the daemon and its swarms that another daemon holds, too.
         store: How its memory on disk does.
+        recordings: Those that it has made or makes.
+        recordings_bytes: What all recordings take on disk.
+        recordings_quota_bytes: What they may take: those that go on end there, and none begins.
         swarms: Every swarm, ordered by name.
     """
 
     node: str
     uptime_secs: float
     unwell: list[str]
+    warnings: list[str]
     cpu_secs: float
     cores: int
     memory_bytes: int
@@ -102,5 +123,9 @@ class Metrics(Shown, frozen=True, kw_only=True):
     residual_max: float
     frames: int
     frames_dropped: int
+    contested: int
     store: StoreMetrics
+    recordings: RecordingMetrics
+    recordings_bytes: int
+    recordings_quota_bytes: int
     swarms: list[SwarmMetrics]

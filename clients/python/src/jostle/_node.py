@@ -42,6 +42,7 @@ class Hello(Shown, frozen=True, kw_only=True):
         wire_version: The version of the contract it speaks.
         unix_secs: Its clock: seconds since 1970, UTC.
         limits: What it refuses to go beyond.
+        http: Where it serves HTTP, such as `https://0.0.0.0:8443`; None if it serves none.
     """
 
     node: str
@@ -49,6 +50,7 @@ class Hello(Shown, frozen=True, kw_only=True):
     wire_version: int
     unix_secs: float
     limits: Limits
+    http: str | None = None
 
 
 class NodeStatus(Shown, frozen=True, kw_only=True):
@@ -78,7 +80,8 @@ class NodeStatus(Shown, frozen=True, kw_only=True):
 class SwarmSummary(Shown, frozen=True, kw_only=True):
     """A swarm in a list.
 
-    The fields mean what they mean in `Status`, `order` is that now, `replay` whether it is one.
+    The fields are as in `Status`. `order` is the current value; `replay` is true for a playback.
+    `contested_by` is another daemon that has a swarm of this name (see `Contested`), or None.
     """
 
     swarm: str
@@ -92,6 +95,7 @@ class SwarmSummary(Shown, frozen=True, kw_only=True):
     rate: float | None = None
     real_time_factor: float | None = None
     replay: bool
+    contested_by: str | None = None
 
 
 class Swarms(msgspec.Struct, frozen=True, kw_only=True):

@@ -1,36 +1,33 @@
-"""Recordings: what a swarm published, as `jostle record` wrote it, for other people's tools."""
+"""Recordings of a swarm, as `jostle record` wrote them, for other people's tools."""
 
 from __future__ import annotations
 
 import contextlib
+import csv
 import errno
 import itertools
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ._errors import Internal, InvalidArgument
 from ._extras import need
-from ._state import ORIGIN_UNIT, State, read_state
+from ._frame import KINDS, OF_EACH, OF_FRAME, OF_GROUP, Columns, columns_of, table_of
+from ._state import State, read_state
 
 if TYPE_CHECKING:
     import pandas
 
-_Columns = dict[str, NDArray[Any]]
+# Older builds recorded Parquet without these.
+_LATER = ("swarm", "phase", "informed", "drift")
 
-# The columns of a recording, in their order; those of a frame first, then those of its members.
-_OF_FRAME = {"epoch": np.int64, "frame": np.int64, "step": np.int64, "time": np.float64}
-_OF_EACH = {
-    "id": np.uint32,
-    **dict.fromkeys(["x", "y", "alpha", "weight", "direction"], np.float64),
-}
-_OF_GROUP = {"order": float, "worst_gap": float, "residual": float, "contacts": np.int64}
-_KINDS: dict[str, type[Any]] = {**_OF_FRAME, **_OF_EACH, **_OF_GROUP}
+# What MCAP begins and ends with.
+_MCAP = b"\x89MCAP0\r\n"
 
 # Rows of MCAP that are put together to one table, about.
 _ROWS = 64 * 1024
@@ -41,33 +38,43 @@ class RecordedFrame:
     """A swarm at one step, as it was recorded: n individuals as columns, ordered by id.
 
     Attributes:
+        swarm: The swarm's name.
         epoch: Grows whenever `step` does not continue what was before.
-        frame: The number of the published state.
+        frame: The number of the state in the recording; where `about["source"]` is `published`,
+            that of the published state.
         step: The number of steps since the start.
         time: `step · dt`.
+        phase: `paused`, `running` or `faulted`; None in Parquet of older builds.
         id: Shape (n,), uint32.
         x: Shape (n,), body sizes, absolute.
         y: Shape (n,), body sizes, absolute.
         alpha: Shape (n,), headings in radians, counter-clockwise from +x, never wrapped.
         weight: Shape (n,), of the preferred directions; 0 for the uninformed.
-        direction: Shape (n,), preferred directions in radians; 0 for the uninformed.
+        direction: Shape (n,), preferred directions in radians; NaN for the uninformed.
+        informed: Shape (n,), bool: who has a direction of its own.
         order: The polar order parameter of the group.
+        drift: The group's velocity along the informed individuals' common direction, free speeds;
+            None if there is none, and in Parquet of older builds.
         worst_gap: The smallest gap between two bodies; None if no two are near.
         residual: Of the step that led here.
         contacts: How many constrained it.
     """
 
+    swarm: str
     epoch: int
     frame: int
     step: int
     time: float
+    phase: str | None
     id: NDArray[np.uint32]
     x: NDArray[np.float64]
     y: NDArray[np.float64]
     alpha: NDArray[np.float64]
     weight: NDArray[np.float64]
     direction: NDArray[np.float64]
+    informed: NDArray[np.bool_]
     order: float
+    drift: float | None
     worst_gap: float | None
     residual: float
     contacts: int
@@ -91,7 +98,9 @@ class Recording:
     Attributes:
         path: The file, or the folder of parts.
         about: What it says of itself: `swarm`, `spec` and `parameters` as JSON, `version`,
-            `frames`, and `missed`, the number of states that were published and are not in it.
+            `frames`, and `missed`, the number of states that are not in it though they should be.
+            Where `source` is `steps`, it has every state whose step is a multiple of `every`; where
+            it is `published`, what was published and arrived.
     """
 
     path: Path
@@ -112,17 +121,13 @@ class Recording:
     def frame(self) -> pandas.DataFrame:
         """A table of all of it, with a row for each individual in each frame.
 
-        Its columns are those of `RecordedFrame`, in their order; `worst_gap` is NaN where it is
-        not known.
+        Its columns are those of `RecordedFrame`, in their order, and those of `jostle.frame` of
+        states; a number is NaN where it is not known.
 
         Raises:
             ImportError: pandas is missing; `pip install jostle[recording]` brings it.
         """
-        pd = need("pandas", "recording")
-        tables = [*self._tables(), {name: np.empty(0, kind) for name, kind in _KINDS.items()}]
-        columns = {name: np.concatenate([it[name] for it in tables]) for name in _KINDS}
-        table: pandas.DataFrame = pd.DataFrame(columns)
-        return table
+        return table_of(list(self._tables()), "recording")
 
     def to_csv(self, path: str | os.PathLike[str]) -> Path:
         """Writes the same table as comma-separated text, replacing what is there.
@@ -134,20 +139,21 @@ class Recording:
             The file.
         """
         with _draft(path) as file:
-            file.write(",".join(_KINDS) + "\n")
+            rows = csv.writer(file, lineterminator="\n")
+            rows.writerow(KINDS)
             for columns in self._tables():
-                lists = [columns[name].tolist() for name in _KINDS]
+                lists = [columns[name].tolist() for name in KINDS]
                 for row in zip(*lists, strict=True):
                     # Not a number is what is not known.
-                    file.write(",".join("" if it != it else repr(it) for it in row) + "\n")
+                    rows.writerow(None if it != it else it for it in row)
         return Path(path)
 
     def to_extxyz(self, path: str | os.PathLike[str]) -> Path:
         """Writes extended XYZ, as ASE and OVITO read it, replacing what is there.
 
         A frame after another, each body an `X` in the plane z = 0 with its `id`, `alpha`, `weight`
-        and `direction`; `Time`, `step`, `epoch`, `frame` and `order` stand in the comment. Nothing
-        is periodic.
+        and `direction`, `nan` for the uninformed; `Time`, `step`, `epoch`, `frame` and `order`
+        stand in the comment. Nothing is periodic.
 
         Returns:
             The file.
@@ -164,10 +170,13 @@ class Recording:
                     file.write(f"X {x!r} {y!r} 0.0 {' '.join(map(repr, others))}\n")
         return Path(path)
 
-    def _tables(self) -> Iterator[_Columns]:
+    def _tables(self) -> Iterator[Columns]:
         """All rows, some whole frames at a time."""
         for part in self._parts:
-            yield from _tables_of_mcap(part) if part.suffix == ".mcap" else _tables_of_parquet(part)
+            if part.suffix == ".mcap":
+                yield from _tables_of_mcap(part)
+            else:
+                yield from _tables_of_parquet(part, self.about.get("swarm", ""))
 
     def __repr__(self) -> str:
         return f"Recording({str(self.path)!r}, swarm={self.about.get('swarm')!r})"
@@ -187,7 +196,8 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     Raises:
         ImportError: Of Parquet pyarrow and of MCAP mcap is missing; `pip install
             jostle[recording]` brings both.
-        InvalidArgument: It is no recording, or one that was never ended.
+        InvalidArgument: It is no recording, or one that was killed: the message names
+            `jostle record --recover FILE`, which makes a whole file of it.
         OSError: It cannot be read.
     """
     return Recording(Path(path))
@@ -201,10 +211,12 @@ def _parts(path: Path) -> list[Path]:
             raise _wrong(path, "the folder has no part of a recording that is whole")
         return parts
     if path.suffix == ".partial":
-        raise _wrong(path, "this recording was never ended")
+        raise _unfinished(path)
     if path.suffix not in (".parquet", ".mcap") and path.exists():
         raise _wrong(path, "its name ends in neither .parquet nor .mcap")
     if not path.exists():
+        if (partial := path.with_name(f"{path.name}.partial")).exists():
+            raise _unfinished(partial)
         raise FileNotFoundError(errno.ENOENT, "there is no such recording", str(path))
     return [path]
 
@@ -213,6 +225,8 @@ def _about(part: Path) -> dict[str, str]:
     """What a file says of itself."""
     if part.suffix == ".mcap":
         reader = need("mcap.reader", "recording")
+        if is_unfinished(part):
+            raise _unfinished(part)
         with part.open("rb") as file, _whole(part):
             records = [
                 it
@@ -225,27 +239,44 @@ def _about(part: Path) -> dict[str, str]:
     parquet = need("pyarrow.parquet", "recording")
     with part.open("rb") as file, _whole(part):
         table = parquet.ParquetFile(file)
-        if missing := [name for name in _KINDS if name not in table.schema_arrow.names]:
+        there = (*table.schema_arrow.names, *_LATER)
+        if missing := [name for name in KINDS if name not in there]:
             raise ValueError(f"it has no column {missing[0]!r}")
         pairs = table.metadata.metadata or {}
         return {key.decode(): value.decode() for key, value in pairs.items()}
 
 
-def _tables_of_parquet(part: Path) -> Iterator[_Columns]:
+def _tables_of_parquet(part: Path, swarm: str) -> Iterator[Columns]:
     """The groups of rows of a file; each holds whole frames."""
     parquet = need("pyarrow.parquet", "recording")
     with part.open("rb") as file:
         reader = parquet.ParquetFile(file)
+        there = [name for name in KINDS if name in reader.schema_arrow.names]
         for index in range(reader.num_row_groups):
             with _whole(part):
-                group = reader.read_row_group(index, columns=list(_KINDS))
-                yield {
-                    name: np.asarray(group.column(name).to_numpy(), kind)
-                    for name, kind in _KINDS.items()
+                group = reader.read_row_group(index, columns=there)
+                columns = {
+                    name: np.asarray(group.column(name).to_numpy(), KINDS[name]) for name in there
                 }
+                yield _completed(columns, swarm)
 
 
-def _tables_of_mcap(part: Path) -> Iterator[_Columns]:
+def _completed(columns: Columns, swarm: str) -> Columns:
+    """The columns with those that older builds did not record, as far as they are known."""
+    informed = columns["weight"] > 0
+    rows = len(informed)
+    return {
+        "swarm": np.full(rows, swarm, object),
+        "phase": np.full(rows, None, object),
+        "informed": informed,
+        "drift": np.full(rows, np.nan),
+        **columns,
+        # Older builds have 0 for the uninformed.
+        "direction": np.where(informed, columns["direction"], np.nan),
+    }
+
+
+def _tables_of_mcap(part: Path) -> Iterator[Columns]:
     """The states of a file, some at a time."""
     reader = need("mcap.reader", "recording")
     states: list[State] = []
@@ -260,46 +291,23 @@ def _tables_of_mcap(part: Path) -> Iterator[_Columns]:
                     states.append(read_state(message.data))
             is_enough = sum(state.n for state in states[-1:]) * len(states) >= _ROWS
             if states and (message is None or is_enough):
-                yield _columns(states)
+                yield columns_of(states)
                 states = []
             if message is None:
                 return
 
 
-def _columns(states: list[State]) -> _Columns:
-    """The rows of states, as Parquet holds them."""
-    counts = [state.n for state in states]
-    origins = [state.origin for state in states]
-    single = {
-        **{name: [getattr(state, name) for state in states] for name in _OF_FRAME},
-        "order": [state.order.order for state in states],
-        "worst_gap": [
-            np.nan if state.certificate.worst_gap is None else state.certificate.worst_gap
-            for state in states
-        ],
-        "residual": [state.certificate.residual for state in states],
-        "contacts": [state.certificate.contacts for state in states],
-    }
-    columns = {
-        name: np.repeat(np.array(values, _KINDS[name]), counts) for name, values in single.items()
-    }
-    for name in _OF_EACH:
-        columns[name] = np.concatenate([getattr(state, name) for state in states])
-    for axis, name in enumerate(("x", "y")):
-        columns[name] += np.repeat([ORIGIN_UNIT * origin[axis] for origin in origins], counts)
-    return columns
-
-
-def _frames(columns: _Columns) -> Iterator[RecordedFrame]:
+def _frames(columns: Columns) -> Iterator[RecordedFrame]:
     """Takes rows apart where the frame changes."""
     epoch, number = columns["epoch"], columns["frame"]
     changes = np.flatnonzero((np.diff(epoch) != 0) | (np.diff(number) != 0)) + 1
     bounds = [0, *changes.tolist(), len(epoch)] if len(epoch) else [0]
     for first, end in itertools.pairwise(bounds):
-        one = {name: columns[name][first].item() for name in (*_OF_FRAME, *_OF_GROUP)}
-        each = {name: columns[name][first:end] for name in _OF_EACH}
-        gap = one["worst_gap"]
-        yield RecordedFrame(**{**one, **each, "worst_gap": None if np.isnan(gap) else gap})
+        names = (*OF_FRAME, *OF_GROUP)
+        one = {name: columns[name][first : first + 1].tolist()[0] for name in names}
+        each = {name: columns[name][first:end] for name in OF_EACH}
+        unknown = {name: None for name in ("drift", "worst_gap") if np.isnan(one[name])}
+        yield RecordedFrame(**{**one, **each, **unknown})
 
 
 @contextlib.contextmanager
@@ -327,6 +335,27 @@ def _whole(part: Path) -> Iterator[None]:
         if isinstance(error, ValueError | Internal) or type(error).__module__.startswith("mcap"):
             raise _wrong(part, str(error)) from error
         raise
+
+
+def is_unfinished(path: Path) -> bool:
+    """Whether a file is MCAP without an end: its recording was killed, or goes on."""
+    with path.open("rb") as file:
+        first = file.read(len(_MCAP))
+        length = file.seek(0, os.SEEK_END)
+        file.seek(max(0, length - len(_MCAP)))
+        return first == _MCAP != file.read()
+
+
+def unfinished(path: Path) -> str:
+    """What is wrong with such a file, and the remedy."""
+    return (
+        "it is incomplete: its recorder was killed or is still running; if it was killed, "
+        f"`jostle record --recover {path}` recovers it"
+    )
+
+
+def _unfinished(path: Path) -> InvalidArgument:
+    return _wrong(path, unfinished(path))
 
 
 def _wrong(path: Path, problem: str) -> InvalidArgument:

@@ -15,6 +15,7 @@ from ._link import Link
 from ._messages import Replay
 from ._progress import Bar
 from ._reading import read_reply
+from ._recording import is_unfinished, unfinished
 
 _PIECE_BYTES = 180 * 1024
 """In base64 it passes every daemon's limit."""
@@ -35,6 +36,16 @@ class ReplayResult(msgspec.Struct, frozen=True, kw_only=True):
     node: str
     uploaded: int | None = None
     replay: Replay | None = None
+
+
+def check_finished(path: str | os.PathLike[str]) -> None:
+    """Raises InvalidArgument, with the remedy, for a recording that has no end."""
+    path = Path(path)
+    partial = path.with_name(f"{path.name}.partial")
+    if not path.exists() and partial.exists():
+        path = partial
+    if path.suffix == ".partial" or (path.suffix != ".parquet" and is_unfinished(path)):
+        raise InvalidArgument(f"{path}: {unfinished(path)}", details={"field": "path"})
 
 
 def upload(

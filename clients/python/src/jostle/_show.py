@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from datetime import datetime
 from typing import Any, TypeVar
 
 import msgspec
@@ -77,7 +78,10 @@ def trouble(error: Exception) -> str:
 def _fields(item: object) -> dict[str, Any]:
     if not isinstance(item, msgspec.Struct):
         return {"": item}
-    fields = {name: getattr(item, name) for name in item.__struct_fields__}
+    # A time as people read it.
+    shown = {"unix_secs": "when"} if hasattr(item, "when") else {}
+    names = [shown.get(name, name) for name in item.__struct_fields__]
+    fields = {name: getattr(item, name) for name in names}
     # That nothing is missing goes without saying.
     if not fields.get("skipped"):
         fields.pop("skipped", None)
@@ -98,6 +102,8 @@ def _cell(value: object) -> str:
         return f"{value:.0f}" if 1e5 <= abs(value) < 1e15 else f"{value:.5g}"
     if isinstance(value, bool | int | str):
         return _text(str(value))
+    if isinstance(value, datetime):
+        return value.strftime("%Y-%m-%d %H:%M:%S.%f")[:-3] + "Z"
     if isinstance(value, list) and value and isinstance(value[0], msgspec.Struct):
         return Listed(value)._repr_html_()
     if isinstance(value, list | tuple) and not any(isinstance(it, list | dict) for it in value):

@@ -12,7 +12,7 @@ import cbor2
 import msgspec
 
 from ._errors import Internal, InvalidArgument
-from ._reading import convert, read_map
+from ._reading import read_map
 
 
 class _Head(msgspec.Struct, frozen=True, kw_only=True):
@@ -61,12 +61,30 @@ class Snapshot:
         Raises:
             InvalidArgument: These bytes are none, or not all of it.
         """
-        try:
-            head = convert(read_map(data), _Head)
-            n = len(head.id.value) // 4
-        except (Internal, AttributeError, TypeError) as error:
+        wrong = {"field": "snapshot"}
+        if not isinstance(data, bytes | bytearray | memoryview):
             raise InvalidArgument(
-                f"this is no whole snapshot: {error}", details={"field": "snapshot"}
+                f"not a snapshot: {type(data).__name__} instead of bytes", details=wrong
+            )
+        data = bytes(data)
+        try:
+            fields = cbor2.loads(data)
+            head = msgspec.convert(fields, _Head)
+            n = len(head.id.value) // 4
+        except (
+            cbor2.CBORDecodeError,
+            msgspec.ValidationError,
+            ValueError,
+            AttributeError,
+            TypeError,
+            OverflowError,
+            MemoryError,
+            RecursionError,
+        ) as error:
+            raise InvalidArgument(
+                f"not a snapshot, or not all of one ({error}): `Swarm.snapshot` and "
+                "`jostle snapshot` make one",
+                details=wrong,
             ) from error
         return cls(
             data=data,

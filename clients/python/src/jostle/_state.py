@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
 
 import cbor2
@@ -11,9 +11,12 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from ._errors import Internal
-from ._messages import Certificate, Order, OrderSample, Phase, StepResult
-from ._reading import convert, read_map
+from ._errors import Conflict, Internal
+from ._messages import Certificate, Order, OrderSample, Phase, Status, StepResult
+from ._reading import convert, read_map, read_reply
+
+# How often a state is fetched anew because commands came between.
+_MOST_TRIES = 10
 
 ORIGIN_UNIT = 1024.0
 """An origin counts in units of so many body sizes."""
@@ -127,18 +130,50 @@ def read_state(payload: bytes) -> State:
     return read_columns(read_map(payload))
 
 
-def read_step_reply(payload: bytes) -> tuple[StepResult, State]:
-    """Reads the CBOR answer to `step`, and the state within it.
+def read_step_reply(payload: bytes) -> tuple[StepResult, State | None]:
+    """Reads the answer to `step`, and the state within it.
+
+    The state is None where the daemon remembered the answer without it: the answer is then JSON.
 
     Raises:
         Internal: It is not what the contract says.
     """
+    if payload.startswith(b"{"):
+        return read_reply(payload, StepResult), None
     fields = read_map(payload)
     within = fields.pop("result", None)
     if not isinstance(within, dict) or not isinstance(within.get("state"), dict):
         raise Internal("the daemon's answer holds no state")
     result = convert({**within, **fields}, StepResult)
     return result, read_columns(within["state"], result.state_hash)
+
+
+def fetch_state(get: Callable[[str], bytes], result: StepResult) -> State:
+    """Queries the state that a remembered reply omits, if the swarm is still at it.
+
+    Args:
+        get: Queries the swarm, as `Questions._get`.
+        result: The reply.
+
+    Raises:
+        Conflict: The swarm has changed since.
+        Internal: It is not what the contract says.
+    """
+    # Where no command came between two statuses, the state between them is theirs.
+    for _ in range(_MOST_TRIES):
+        before = read_reply(get("get/status"), Status)
+        state = read_state(get("state"))
+        status = read_reply(get("get/status"), Status)
+        if before.seq == status.seq:
+            break
+    is_same = before.seq == status.seq and state.step == status.step == result.step
+    if not is_same or status.state_hash != result.state_hash:
+        raise Conflict(
+            f"the command was carried out and led to step {result.step}, but its reply with the "
+            f"state was lost, and the swarm is at step {status.step} now or was changed",
+            step=status.step,
+        )
+    return replace(state, state_hash=result.state_hash)
 
 
 def read_columns(fields: Mapping[str, Any], state_hash: str | None = None) -> State:

@@ -333,10 +333,12 @@ class Client:
 
     create = _made(jostle.Client.create, Swarm)
     restore = _made(jostle.Client.restore, Swarm)
+    discard = _awaited(jostle.Client.discard)
     replay = _made(jostle.Client.replay, Swarm)
     submit = _made(jostle.Client.submit, Experiment)
     experiments = _awaited(jostle.Client.experiments)
     record = _awaited(jostle.Client.record)
+    fetch_recording = _awaited(jostle.Client.fetch_recording)
     stop_recording = _awaited(jostle.Client.stop_recording)
     delete_recording = _awaited(jostle.Client.delete_recording)
     recordings = _awaited(jostle.Client.recordings)

@@ -111,16 +111,18 @@ def _frames(folder: Path) -> dict[str, Any]:
     """What a recording holds: from where to where in each epoch, and what is missing."""
     recording = jostle.read_recording(folder)
     frames = [(it.epoch, it.step, it.frame) for it in recording]
+    every = int(recording.about["every"])
     missing = back = 0
     for before, after in itertools.pairwise(frames):
         back += after[:2] < before[:2]
         if after[0] == before[0]:
-            missing += after[2] - before[2] - 1
+            missing += (after[1] - before[1]) // every - 1
     epochs: dict[int, list[int]] = {}
     for epoch, step, _ in frames:
         epochs.setdefault(epoch, [step, step])[1] = step
     return {
         "frames": len(frames),
+        "every": every,
         "missing": missing,
         "missed": int(recording.about.get("missed", 0)),
         "back": back,

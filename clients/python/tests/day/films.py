@@ -50,7 +50,7 @@ def parts(lab: Lab) -> tuple[bool, str]:
 
 
 def gaps(lab: Lab) -> tuple[bool, str]:
-    """Within an epoch frames are numbered without a gap, but for what is told as missed."""
+    """Within an epoch every k-th step is recorded, except those counted as missed."""
     wrong = []
     frames = missed = 0
     for name, read in lab.notes.read.items():
@@ -78,14 +78,14 @@ def full(lab: Lab) -> tuple[bool | None, str]:
 
 
 def stopped(lab: Lab) -> tuple[bool, str]:
-    """The last state that was shown before an orderly end is the last one recorded."""
+    """The last k-th step before an orderly end is the last one recorded."""
     read = lab.notes.read.get("film-3")
     if not isinstance(read, dict):
         return False, f"film-3: {read}"
     _, (_, recorded) = max(read["epochs"].items())
     last = max(lab.chronicle.pasts["film"].journal.values(), key=lambda entry: entry.seq)
     seen = f"film stood at {last.step}, recorded up to {recorded}"
-    return recorded == last.step, seen
+    return recorded == last.step - last.step % read["every"], seen
 
 
 def replay(lab: Lab) -> tuple[bool, str]:
