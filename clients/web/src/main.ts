@@ -10,7 +10,7 @@ import { icon } from "./parts/icons.ts";
 import { type Page, parseRoute } from "./parts/router.ts";
 import { Session } from "./parts/session.ts";
 import { isDark, onTheme, startTheme, switchTheme } from "./parts/theme.ts";
-import { openTokenDialog } from "./parts/token_dialog.ts";
+import { openTokenDialog, remedy } from "./parts/token_dialog.ts";
 import { findToken } from "./wire/token.ts";
 
 findToken();
@@ -26,7 +26,7 @@ const help = el(
   { type: "button", class: "plain", "aria-label": "help", title: "help (?)" },
   "?",
 );
-const away = el("p", { class: "away", role: "status", hidden: true });
+const away = el("div", { class: "away", role: "status", hidden: true });
 
 rights.addEventListener("click", () => openTokenDialog(session));
 theme.addEventListener("click", switchTheme);
@@ -88,15 +88,7 @@ function tellAway(): void {
   } else if (session.mayWatch) {
     say(away, "The daemon is away, trying again …");
   } else {
-    const open = el("button", { type: "button", class: "link" }, "paste your token");
-    open.addEventListener("click", () => openTokenDialog(session));
-    away.replaceChildren(
-      "This daemon shows itself to people it knows: open the link of ",
-      el("code", {}, "jostle auth link"),
-      ", or ",
-      open,
-      ".",
-    );
+    away.replaceChildren(...remedy(session));
   }
 }
 
@@ -123,6 +115,10 @@ function open(): void {
 /** Keys that belong to whatever has the focus. */
 function isTyped({ target, key }: KeyboardEvent): boolean {
   const element = target as Element;
+  // Esc ends a mode of the picture from a field of the page, too.
+  if (key === "Escape" && !element.closest("dialog")) {
+    return false;
+  }
   if (element.closest("input[type=range]") && !/^(Arrow|Home|End|Page)/.test(key)) {
     return false;
   }

@@ -1,5 +1,6 @@
 import assert from "node:assert/strict";
 import { test } from "node:test";
+import { bodyOf, halfLengthTime } from "../src/geometry/body.ts";
 import { Camera, extentOf } from "../src/stage/camera.ts";
 import { Motion } from "../src/stage/motion.ts";
 import { roundLength } from "../src/stage/overlays.ts";
@@ -99,9 +100,36 @@ test("the scale fits the group and stays for small changes", () => {
 test("the extent is about the centre of mass, and a stray body does not make all small", () => {
   const x = Float64Array.from({ length: 40 }, (_, i) => (i % 2 ? 1 : -1));
   x[0] = 500;
-  const extent = extentOf(x, new Float64Array(40));
+  const extent = extentOf(x, new Float64Array(40), false);
   assert(Math.abs(extent.x - (500 + 1) / 40) < 1e-12);
   assert(extent.half_width < 20);
+});
+
+test("asked to follow, the camera keeps every body whole in the picture", () => {
+  const x = Float64Array.from({ length: 40 }, (_, i) => (i % 2 ? 1 : -1));
+  const y = new Float64Array(40);
+  const it = camera();
+  const isWhole = (far: number) => {
+    const [left, top] = it.toScreen(far, 0);
+    return left + it.scale <= it.width && top > 0 && top < it.height;
+  };
+  for (const far of [50, 500, 1e6, 1e9]) {
+    x[0] = far;
+    it.track(extentOf(x, y, it.whole), true);
+    assert.equal(isWhole(far), false, "the picture's own scale lets one go");
+  }
+  it.follow();
+  for (const far of [1e9, 30, 31, 80, 1e7]) {
+    x[0] = far;
+    // Though the scale is still changing, all bodies are in this picture.
+    it.track(extentOf(x, y, it.whole), false);
+    assert(isWhole(far), `at ${far}`);
+  }
+  it.zoomAt(400, 300, 2);
+  assert.equal(it.whole, false, "zooming ends it");
+  it.follow();
+  it.pan(1, 0);
+  assert.equal(it.whole, false, "and so does panning");
 });
 
 test("another origin shifts by whole numbers of units, exactly", () => {
@@ -109,8 +137,8 @@ test("another origin shifts by whole numbers of units, exactly", () => {
   const far = 2 ** 40;
   assert.deepEqual(shift([far + 1, 0], [far, 1]), [1024, -1024]);
   const motion = new Motion();
-  motion.accept(state(1, [511.9]), 0, false);
-  const by = motion.accept(state(2, [-512.05], [1, 0]), 50, false);
+  motion.accept(state(1, [511.9]), 0, false, 0.8);
+  const by = motion.accept(state(2, [-512.05], [1, 0]), 50, false, 0.8);
   assert.deepEqual(by, [-1024, 0]);
   // Half way between 511.9 - 1024 = -512.1 and -512.05, though the origin has changed.
   const shown = motion.at(50 + 45).x[0]!;
@@ -119,9 +147,9 @@ test("another origin shifts by whole numbers of units, exactly", () => {
 
 test("between two states bodies are on their way, and arrive exactly", () => {
   const motion = new Motion();
-  motion.accept(state(1, [0, 1]), 1000, false);
+  motion.accept(state(1, [0, 1]), 1000, false, 0.8);
   assert.equal(motion.isMoving(), false);
-  motion.accept(state(6, [1, 3]), 1100, false);
+  motion.accept(state(6, [1, 3]), 1100, false, 0.8);
   assert.equal(motion.isMoving(), true);
   const half = motion.at(1150);
   assert(Math.abs(half.x[0]! - 0.5) < 1e-9 && Math.abs(half.x[1]! - 2) < 1e-9);
@@ -132,10 +160,37 @@ test("between two states bodies are on their way, and arrive exactly", () => {
 test("another group, an earlier step or another epoch is shown at once", () => {
   for (const next of [state(6, [1, 3, 5]), state(0, [9, 9]), state(9, [1, 3], [0, 0], 2)]) {
     const motion = new Motion();
-    motion.accept(state(5, [0, 1]), 1000, false);
-    motion.accept(next, 1050, false);
+    motion.accept(state(5, [0, 1]), 1000, false, 0.8);
+    motion.accept(next, 1050, false, 0.8);
     assert.deepEqual([...motion.at(1051).x], [...next.x]);
   }
+});
+
+test("states half a body length of free motion apart, or more, are shown without motion", () => {
+  // Elongated bodies of 4 widths reach 0.8 body sizes from their centre, discs 0.5.
+  assert.equal(halfLengthTime(bodyOf(4)), 0.8);
+  assert.equal(halfLengthTime(bodyOf(1)), 0.5);
+  for (const [steps, moves] of [
+    [39, true],
+    [40, false],
+    [1250, false],
+  ] as const) {
+    const motion = new Motion();
+    motion.accept(state(0, [0, 1]), 1000, false, 0.8);
+    motion.accept(state(steps, [1, 3]), 1020, false, 0.8);
+    assert.equal(motion.isMoving(), moves, `${steps} steps`);
+    assert.deepEqual([...motion.at(1021).x].join() === "1,3", !moves, `${steps} steps`);
+  }
+});
+
+test("what is shown is never further behind than the limit, though the state before is not", () => {
+  const motion = new Motion();
+  motion.accept(state(0, [0]), 1000, false, 0.8);
+  motion.accept(state(30, [0.6]), 1200, false, 0.8);
+  // Early: hardly anything of the way is done, and from there it would be 1.2 time units.
+  motion.accept(state(60, [1.2]), 1201, false, 0.8);
+  assert.equal(motion.isMoving(), true);
+  assert(motion.at(1202).x[0]! >= 0.6, "it begins at the state before");
 });
 
 test("the scale bar has a round length", () => {

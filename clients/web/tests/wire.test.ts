@@ -1,12 +1,22 @@
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { execFileSync } from "node:child_process";
+import { mkdtempSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
 import { test } from "node:test";
 import { describe } from "../src/panels/events.ts";
-import { History, MOST_POINTS } from "../src/panels/history.ts";
+import {
+  alone,
+  History,
+  MOST_POINTS,
+  momentOfOrder,
+  momentOfState,
+} from "../src/panels/history.ts";
 import { rangeOf } from "../src/panels/ranges.ts";
-import { degrees, fixed, short, signed } from "../src/parts/format.ts";
+import { degrees, fixed, rates, short, signed } from "../src/parts/format.ts";
 import { parseRoute } from "../src/parts/router.ts";
-import type { OrderMessage, Parameter, Reply, SwarmEvent } from "../src/wire/messages.ts";
+import { linkCommand } from "../src/parts/session.ts";
+import type { Hello, OrderMessage, Parameter, Reply, SwarmEvent } from "../src/wire/messages.ts";
 import { decodeState } from "../src/wire/state.ts";
 
 const FIXTURES = new URL("../../../../proto/fixtures/", import.meta.url);
@@ -50,7 +60,7 @@ test("every parameter has its range in words", () => {
 });
 
 test("the history is bounded, and goes back when time does", () => {
-  const message = json<OrderMessage>("order.json");
+  const message = momentOfOrder(json<OrderMessage>("order.json"));
   const history = new History();
   for (let k = 0; k < MOST_POINTS + 50; k += 1) {
     history.add({ ...message, time: k }, 1000 * k);
@@ -63,13 +73,67 @@ test("the history is bounded, and goes back when time does", () => {
   assert.equal(history.time.length, 51);
 });
 
-test("points that come too fast, or say the same, are left out", () => {
-  const message = json<OrderMessage>("order.json");
+test("of points that come too fast the newest is kept", () => {
+  const message = momentOfOrder(json<OrderMessage>("order.json"));
   const history = new History();
-  assert.equal(history.add({ ...message, time: 1 }, 0), true);
-  assert.equal(history.add({ ...message, time: 1.1 }, 20), false);
-  assert.equal(history.add({ ...message, time: 1.2 }, 140), true);
-  assert.equal(history.add({ ...message, time: 1.2 }, 900), false);
+  const times = [1, 1.1, 1.2, 1.3, 1.4];
+  times.forEach((time, k) => {
+    history.add({ ...message, time, order: k }, 40 * k);
+  });
+  assert.deepEqual(history.time, [1.2, 1.4]);
+  assert.deepEqual(history.columns.order, [2, 4]);
+});
+
+test("what changes while time stands still is the last point", () => {
+  const message = momentOfOrder(json<OrderMessage>("order.json"));
+  const history = new History();
+  history.add({ ...message, time: 1, drift: null }, 0);
+  history.add({ ...message, time: 2, drift: null }, 5000);
+  history.add({ ...message, time: 2, drift: -0.246 }, 5010);
+  assert.deepEqual(history.time, [1, 2]);
+  assert.deepEqual(history.columns.drift, [null, -0.246]);
+  history.add({ ...message, time: 2, drift: null }, 99_000);
+  assert.deepEqual(history.columns.drift, [null, null]);
+});
+
+test("a state and the order of the same frame are one moment", () => {
+  const state = decodeState(bytes("state.cbor"));
+  const moment = momentOfState(state, null);
+  assert.equal(moment.informed, [...state.weight].filter((it) => it > 0).length);
+  assert.equal(moment.n, state.id.length);
+  assert.equal(moment.drift, state.order.drift);
+  const message = json<OrderMessage>("order.json");
+  assert.deepEqual(Object.keys(momentOfOrder(message)).sort(), Object.keys(moment).sort());
+});
+
+test("values without a neighbour are found, to be drawn as dots", () => {
+  assert.deepEqual(alone([0.5]), [0]);
+  assert.deepEqual(alone([null, 0.5]), [1]);
+  assert.deepEqual(alone([0.1, 0.2, null, 0.3, null]), [3]);
+  assert.deepEqual(alone([]), []);
+});
+
+test("the command that prints the link quotes its path, and says when it takes root", () => {
+  const hello = { node: "lab", token_file: "/var/lib/jostle/jostle/lab/page-token" } as Hello;
+  const origin = "http://127.0.0.1:8080";
+  assert.equal(
+    linkCommand(origin, { ...hello, token_needs_root: true }),
+    'echo "http://127.0.0.1:8080/#token=$(sudo cat /var/lib/jostle/jostle/lab/page-token)"',
+  );
+  // Of a path that a shell would not take as it is the command is carried out.
+  const folder = mkdtempSync(join(tmpdir(), "a \"b's $(exit 3) `exit 4` "));
+  try {
+    const token_file = join(folder, "page-token");
+    writeFileSync(token_file, "c0ffee\n");
+    const command = linkCommand(origin, { ...hello, token_needs_root: false, token_file });
+    assert.equal(execFileSync("sh", ["-c", command]).toString(), `${origin}/#token=c0ffee\n`);
+  } finally {
+    rmSync(folder, { recursive: true });
+  }
+  assert.equal(
+    linkCommand(origin, { ...hello, token_file: null }),
+    `jostle --credentials FOLDER auth link --page ${origin}`,
+  );
 });
 
 test("addresses lead to pages", () => {
@@ -89,4 +153,10 @@ test("numbers read well", () => {
   assert.equal(short(9007199254740991), "9007199254740991");
   assert.equal(degrees(Math.PI), 180);
   assert.equal(degrees(-Math.PI / 2), -90);
+});
+
+test("one picture a second is not called pictures", () => {
+  assert.equal(rates(1.2, 0.9), "1 picture, 1 state a second");
+  assert.equal(rates(0.6, 0), "1 picture, 0 states a second");
+  assert.equal(rates(59.7, 1.6), "60 pictures, 2 states a second");
 });

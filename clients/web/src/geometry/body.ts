@@ -11,6 +11,14 @@ export function bodyOf(pi1: number): Body {
   return { half_length: (pi1 - 1) * radius, radius };
 }
 
+/** The free speed: lengths are in body sizes, times in body sizes over the free speed. */
+const FREE_SPEED = 1;
+
+/** The time units in which a body that nothing touches moves by half its length. */
+export function halfLengthTime({ half_length, radius }: Body): number {
+  return (half_length + radius) / FREE_SPEED;
+}
+
 /** The squared distance of the point (px, py) from the segment about (x, y) along (c, s). */
 export function squaredDistance(
   px: number,

@@ -1,5 +1,6 @@
 /** One animation at work, beside what to look for and its numbers. */
 import { touchingShare } from "../geometry/touching.ts";
+import { inform } from "../panels/inform.ts";
 import { Watch } from "../panels/watch.ts";
 import { announce, attempt } from "../parts/announce.ts";
 import { el, say } from "../parts/dom.ts";
@@ -82,10 +83,7 @@ export function animationPage(animation: Animation, session: Session): Page {
     catchUp: () => undefined,
     changed: () => undefined,
     directed: (direction) => {
-      const ids = [...watch.stage.selected];
-      if (session.mayCommand && ids.length > 0) {
-        void attempt(() => command(swarm, "inform", { select: { ids }, direction }));
-      }
+      void inform(swarm, session, [...watch.stage.selected], { direction });
     },
   });
   watch.stage.shows.preferences = animation.preferences;
@@ -93,7 +91,7 @@ export function animationPage(animation: Animation, session: Session): Page {
 
   const toggle = async () => {
     if (!session.mayCommand) {
-      announce("to command, open the link that jostled printed");
+      announce(session.refusal);
     } else if (!row) {
       await attempt(() => start(animation));
       session.live.look();

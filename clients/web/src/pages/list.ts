@@ -38,6 +38,7 @@ class Card {
     this.line.show(orders, LEAST_SHOWN);
     say(this.order, fixed(row.order, 2));
     const facts = [
+      row.contested_by ? `contested by daemon ${row.contested_by}` : "",
       row.replay ? "replay" : "",
       `n ${row.n}`,
       `informed ${row.informed}`,
@@ -54,10 +55,12 @@ export function listPage(session: Session): Page {
   const cards = new Map<string, Card>();
   const grid = el("div", { class: "cards" });
   const count = el("p", { class: "soft" });
+  const how = el("span", {});
   const empty = el(
     "p",
     { class: "empty", hidden: true },
-    "This daemon has no swarms. Create one, or see the ",
+    "This daemon has no swarms. ",
+    how,
     el("a", { href: "#/gallery" }, "gallery"),
     ".",
   );
@@ -111,6 +114,10 @@ export function listPage(session: Session): Page {
     session.onChange(() => {
       note.hidden = session.mayCommand;
       create.hidden = !session.mayCommand;
+      say(
+        how,
+        session.mayCommand ? "Create one, or see the " : "With a token you create one. See the ",
+      );
     }),
   ];
   return {

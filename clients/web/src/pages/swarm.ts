@@ -2,6 +2,7 @@
 import { Charts } from "../panels/charts.ts";
 import { Controls } from "../panels/controls.ts";
 import { Events } from "../panels/events.ts";
+import { type Moment, momentOfOrder, momentOfState } from "../panels/history.ts";
 import { Numbers } from "../panels/numbers.ts";
 import { Parameters } from "../panels/parameters.ts";
 import { Steering } from "../panels/steering.ts";
@@ -37,17 +38,24 @@ export function swarmPage(name: string, session: Session): Page {
   const informing = el("div", {});
   const informs = panel("Inform", "", true, informing);
 
+  let factor: number | null = null;
+  const show = (newest: Moment) => {
+    numbers.show(newest);
+    charts.take(newest);
+  };
+
   const watch = new Watch(name, session, {
     state: (state) => {
-      numbers.showState(state);
+      factor = state.phase === "running" ? factor : null;
+      show(momentOfState(state, factor));
       phase.show(state.phase);
-      if (state.phase !== "running") {
-        charts.take({ ...state, real_time_factor: null });
-      }
     },
     order: (message) => {
-      numbers.showOrder(message);
-      charts.take(message);
+      factor = message.real_time_factor;
+      // A tab that is not seen draws no states: its charts go on.
+      if (document.hidden) {
+        show(momentOfOrder(message));
+      }
     },
     row: (row) => {
       controls.show(row);
@@ -59,7 +67,6 @@ export function swarmPage(name: string, session: Session): Page {
       }
       phase.show(row.phase);
       say(reason, row.reason ?? "");
-      numbers.showRow(row);
     },
     parameters: (all) => parameters.show(all, session.mayCommand && !replay),
     event: (event) => {

@@ -2,9 +2,9 @@
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import { el, say } from "../parts/dom.ts";
-import { fixed } from "../parts/format.ts";
+import { fixed, signed } from "../parts/format.ts";
 import { onTheme } from "../parts/theme.ts";
-import { History, type Point, type Series } from "./history.ts";
+import { alone, History, type Moment, type Series } from "./history.ts";
 
 const HEIGHT = 132;
 /** Charts are drawn this often at most. */
@@ -14,7 +14,7 @@ interface Kind {
   series: Series;
   title: string;
   about: string;
-  digits: number;
+  said(value: number | null): string;
   range?: [number, number];
   colour: string;
   dash?: number[];
@@ -25,7 +25,7 @@ const KINDS: Kind[] = [
     series: "order",
     title: "order",
     about: "1 is all in one direction",
-    digits: 3,
+    said: (it) => fixed(it, 3),
     range: [0, 1],
     colour: "--chart-1",
   },
@@ -33,7 +33,7 @@ const KINDS: Kind[] = [
     series: "drift",
     title: "drift",
     about: "speed along the informed's direction",
-    digits: 3,
+    said: (it) => signed(it, 3),
     range: [-1, 1],
     colour: "--chart-2",
   },
@@ -41,14 +41,14 @@ const KINDS: Kind[] = [
     series: "contacts",
     title: "contacts",
     about: "pairs near enough to constrain",
-    digits: 0,
+    said: (it) => fixed(it, 0),
     colour: "--chart-3",
   },
   {
     series: "real_time_factor",
     title: "real-time factor",
     about: "time units a second",
-    digits: 1,
+    said: (it) => fixed(it, 2),
     colour: "--chart-4",
   },
 ];
@@ -63,6 +63,7 @@ export class Charts {
   private readonly charts: { kind: Kind; plot: uPlot; now: HTMLElement; none: HTMLElement }[] = [];
   private readonly ends: (() => void)[] = [];
   private timer: ReturnType<typeof setTimeout> | undefined;
+  private drawn = Number.NEGATIVE_INFINITY;
   private shown = false;
 
   constructor() {
@@ -88,10 +89,15 @@ export class Charts {
     );
   }
 
-  take(message: Point): void {
-    if (this.history.add(message, performance.now())) {
-      this.schedule();
+  /** Shows what is newest: the captions at once, the lines when they are next drawn. */
+  take(newest: Moment): void {
+    this.history.add(newest, performance.now());
+    for (const { kind, now, none } of this.charts) {
+      const value = newest[kind.series];
+      say(now, kind.said(value));
+      none.hidden = kind.series !== "drift" || this.history.columns.drift.some((it) => it !== null);
     }
+    this.schedule();
   }
 
   end(): void {
@@ -109,7 +115,7 @@ export class Charts {
     const none = el(
       "p",
       { class: "none", hidden: true },
-      "nobody is informed: no direction to drift in",
+      "no one is informed: there is no direction to drift in",
     );
     const caption = el("figcaption", { title: kind.about }, el("b", {}, kind.title), " ", now);
     const place = el("div", {
@@ -123,6 +129,12 @@ export class Charts {
       ticks: { show: false },
       font: "11px system-ui, sans-serif",
       gap: 2,
+    };
+    // A line takes two points: one alone is a dot.
+    const points: uPlot.Series.Points = {
+      size: 5,
+      fill: () => colour(kind.colour),
+      filter: (plot, series) => alone(plot.data[series] ?? []),
     };
     const options: uPlot.Options = {
       width: 240,
@@ -139,10 +151,7 @@ export class Charts {
         { ...axis, size: 22 },
         { ...axis, size: 36 },
       ],
-      series: [
-        {},
-        { stroke: () => colour(kind.colour), width: 1.6, points: { show: false }, spanGaps: false },
-      ],
+      series: [{}, { stroke: () => colour(kind.colour), width: 1.6, points, spanGaps: false }],
     };
     const plot = new uPlot(options, [[], []], place);
     this.charts.push({ kind, plot, now, none });
@@ -150,19 +159,17 @@ export class Charts {
 
   private schedule(): void {
     if (this.shown && !this.timer) {
-      this.timer = setTimeout(() => this.draw(), EVERY_MS);
+      const rest = this.drawn + EVERY_MS - performance.now();
+      this.timer = setTimeout(() => this.draw(), Math.max(0, rest));
     }
   }
 
   private draw(): void {
     this.timer = undefined;
+    this.drawn = performance.now();
     const { time, columns } = this.history;
-    for (const { kind, plot, now, none } of this.charts) {
-      const column = columns[kind.series];
-      plot.setData([time, column]);
-      say(now, fixed(column.at(-1), kind.digits));
-      none.hidden =
-        kind.series !== "drift" || column.some((it) => it !== null) || time.length === 0;
+    for (const { kind, plot } of this.charts) {
+      plot.setData([time, columns[kind.series]]);
     }
   }
 

@@ -117,7 +117,7 @@ export class Controls {
 
   async toggle(): Promise<void> {
     if (!this.session.mayCommand) {
-      announce("to command, open the link that jostled printed");
+      announce(this.session.refusal);
     } else if (this.phase === "running") {
       await attempt(() => command(this.swarm, "pause"), "paused");
     } else {
@@ -127,7 +127,7 @@ export class Controls {
 
   async step(): Promise<void> {
     if (!this.session.mayCommand) {
-      announce("to command, open the link that jostled printed");
+      announce(this.session.refusal);
       return;
     }
     const steps = Math.max(1, numberIn(this.steps.input) ?? 1);

@@ -1,6 +1,6 @@
 /** The event log: numbered, and caught up where the socket could not keep up. */
 import { el } from "../parts/dom.ts";
-import { short, time } from "../parts/format.ts";
+import { short, time, when } from "../parts/format.ts";
 import { get } from "../wire/http.ts";
 import type { EventsResult, SwarmEvent } from "../wire/messages.ts";
 
@@ -121,6 +121,7 @@ export class Events {
       return;
     }
     this.last = event.number;
+    const clock = when(event.unix_secs);
     const line = el(
       "li",
       { "data-kind": event.event.kind, "data-number": String(event.number) },
@@ -130,6 +131,7 @@ export class Events {
         { class: "when", title: `step ${event.step}, epoch ${event.epoch}` },
         `t ${time(event.time)}`,
       ),
+      el("span", { class: "clock", title: clock }, clock && `${clock.slice(11, 19)}Z`),
       el("span", { class: "what" }, describe(event)),
     );
     this.element.prepend(line);

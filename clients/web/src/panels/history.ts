@@ -1,5 +1,6 @@
 /** What the charts show: the newest numbers of a swarm over its time. */
 import type { OrderMessage } from "../wire/messages.ts";
+import type { State } from "../wire/state.ts";
 
 export const MOST_POINTS = 2000;
 /** Wall time between two points: states may come fifty times a second. */
@@ -8,11 +9,43 @@ const SPACING_MS = 100;
 export const SERIES = ["order", "drift", "contacts", "real_time_factor"] as const;
 export type Series = (typeof SERIES)[number];
 
-/** What a point is made of: an order message, or a state. */
-export type Point = Pick<
-  OrderMessage,
-  "epoch" | "time" | "order" | "certificate" | "real_time_factor"
->;
+/** A swarm at one moment: what the numbers and the charts show are the same values of the same one. */
+export interface Moment extends Record<Series, number | null> {
+  epoch: number;
+  step: number;
+  time: number;
+  n: number;
+  informed: number;
+}
+
+export function momentOfState(state: State, real_time_factor: number | null): Moment {
+  const informed = state.weight.reduce((sum, it) => sum + (it > 0 ? 1 : 0), 0);
+  return moment({ ...state, n: state.id.length, informed, real_time_factor });
+}
+
+export function momentOfOrder(message: OrderMessage): Moment {
+  return moment(message);
+}
+
+function moment(
+  it: Pick<
+    OrderMessage,
+    "epoch" | "step" | "time" | "n" | "informed" | "order" | "certificate" | "real_time_factor"
+  >,
+): Moment {
+  const { epoch, step, time, n, informed, real_time_factor } = it;
+  const { order, drift } = it.order;
+  const { contacts } = it.certificate;
+  return { epoch, step, time, n, informed, order, drift, contacts, real_time_factor };
+}
+
+/** The places of values without one before or after them. */
+export function alone(column: ArrayLike<number | null | undefined>): number[] {
+  const is = (k: number) => typeof column[k] === "number";
+  return Array.from({ length: column.length }, (_, k) => k).filter(
+    (k) => is(k) && !is(k - 1) && !is(k + 1),
+  );
+}
 
 export class History {
   readonly time: number[] = [];
@@ -23,25 +56,28 @@ export class History {
     real_time_factor: [],
   };
   private epoch = 0;
-  private noted = Number.NEGATIVE_INFINITY;
+  private began = Number.NEGATIVE_INFINITY;
 
-  /** Adds a point; returns whether there is anything new. */
-  add(message: Point, now: number): boolean {
+  /**
+   * Adds what is newest, which is the last point from then on. One that comes soon after the last
+   * point began replaces it, and so does one of the same time: a swarm that stands still changes, too.
+   */
+  add(newest: Moment, now: number): void {
     const last = this.time.at(-1);
-    if (message.epoch !== this.epoch || (last !== undefined && message.time < last)) {
+    if (newest.epoch !== this.epoch || (last !== undefined && newest.time <= last)) {
       // After a reset or a restart time goes back: what is told again replaces what was told.
-      this.dropFrom(message.time);
-      this.epoch = message.epoch;
-      this.noted = Number.NEGATIVE_INFINITY;
-    } else if (message.time === last || now - this.noted < SPACING_MS) {
-      return false;
+      this.dropFrom(newest.time);
+      this.epoch = newest.epoch;
+      this.began = now;
+    } else if (now - this.began < SPACING_MS) {
+      this.drop(this.time.length - 1);
+    } else {
+      this.began = now;
     }
-    this.noted = now;
-    this.time.push(message.time);
-    this.columns.order.push(message.order.order);
-    this.columns.drift.push(message.order.drift);
-    this.columns.contacts.push(message.certificate.contacts);
-    this.columns.real_time_factor.push(message.real_time_factor);
+    this.time.push(newest.time);
+    for (const name of SERIES) {
+      this.columns[name].push(newest[name]);
+    }
     const surplus = this.time.length - MOST_POINTS;
     if (surplus > 0) {
       this.time.splice(0, surplus);
@@ -49,16 +85,19 @@ export class History {
         this.columns[name].splice(0, surplus);
       }
     }
-    return true;
   }
 
   private dropFrom(time: number): void {
     const kept = this.time.findIndex((it) => it >= time);
     if (kept >= 0) {
-      this.time.length = kept;
-      for (const name of SERIES) {
-        this.columns[name].length = kept;
-      }
+      this.drop(kept);
+    }
+  }
+
+  private drop(kept: number): void {
+    this.time.length = kept;
+    for (const name of SERIES) {
+      this.columns[name].length = kept;
     }
   }
 }

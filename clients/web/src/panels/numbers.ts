@@ -1,8 +1,7 @@
 /** What a swarm is at now, in numbers. */
 import { el, say } from "../parts/dom.ts";
 import { fixed, signed, time } from "../parts/format.ts";
-import type { OrderMessage, SwarmRow } from "../wire/messages.ts";
-import type { State } from "../wire/state.ts";
+import type { Moment } from "./history.ts";
 
 const NAMES = {
   order: "alignment of the group, from 0 to 1",
@@ -29,22 +28,15 @@ export class Numbers {
     }
   }
 
-  showState(state: State): void {
-    this.put("order", fixed(state.order.order, 3));
-    this.put("drift", signed(state.order.drift, 3));
-    this.put("contacts", String(state.certificate.contacts));
-    this.put("n", String(state.id.length));
-    this.put("informed", String(state.weight.reduce((sum, it) => sum + (it > 0 ? 1 : 0), 0)));
-    this.put("time", time(state.time));
-    this.put("step", String(state.step));
-  }
-
-  showOrder(message: OrderMessage): void {
-    this.put("real-time factor", fixed(message.real_time_factor, 2));
-  }
-
-  showRow(row: SwarmRow): void {
-    this.put("real-time factor", fixed(row.real_time_factor, 2));
+  show(newest: Moment): void {
+    this.put("order", fixed(newest.order, 3));
+    this.put("drift", signed(newest.drift, 3));
+    this.put("contacts", fixed(newest.contacts, 0));
+    this.put("n", String(newest.n));
+    this.put("informed", String(newest.informed));
+    this.put("time", time(newest.time));
+    this.put("step", String(newest.step));
+    this.put("real-time factor", fixed(newest.real_time_factor, 2));
   }
 
   private put(name: Name, text: string): void {

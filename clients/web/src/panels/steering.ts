@@ -1,11 +1,12 @@
 /** Who is selected, and what they are told: a direction of their own, or none. */
-import { announce, attempt } from "../parts/announce.ts";
+import { attempt } from "../parts/announce.ts";
 import { el, say } from "../parts/dom.ts";
 import { form, numberField, numberIn } from "../parts/field.ts";
 import { degrees, plural } from "../parts/format.ts";
 import type { Session } from "../parts/session.ts";
 import type { Stage } from "../stage/stage.ts";
 import { command } from "../wire/http.ts";
+import { inform } from "./inform.ts";
 
 export class Steering {
   readonly element: HTMLElement;
@@ -101,23 +102,22 @@ export class Steering {
 
   /** Informs the selected; the direction in radians. */
   async inform(direction: number): Promise<void> {
-    const ids = this.ids();
-    if (ids.length === 0) {
-      announce("nobody is selected");
-      return;
-    }
-    if (!this.session.mayCommand) {
-      announce("to command, open the link that jostled printed");
-      return;
-    }
+    this.leave();
     this.direction.input.value = degrees(direction).toFixed(1);
     const weight = numberIn(this.weight.input);
-    const args = { select: { ids }, direction, ...(weight === undefined ? {} : { weight }) };
-    const said = `${plural(ids.length, "individual")} informed: ${degrees(direction).toFixed(0)}°`;
-    await attempt(() => command(this.swarm, "inform", args), said);
+    const preference = { direction, ...(weight === undefined ? {} : { weight }) };
+    await inform(this.swarm, this.session, this.ids(), preference);
+  }
+
+  /** A command ends the lasso or direction mode: the next drag pans. */
+  private leave(): void {
+    if (this.stage.mode !== "look") {
+      this.stage.mode = "look";
+    }
   }
 
   private async takeAway(): Promise<void> {
+    this.leave();
     const ids = this.ids();
     const said = `${plural(ids.length, "individual")} uninformed`;
     await attempt(() => command(this.swarm, "uninform", { select: { ids } }), said);

@@ -4,7 +4,7 @@
  */
 import { complain } from "../parts/announce.ts";
 import { el, say } from "../parts/dom.ts";
-import { fixed, plural } from "../parts/format.ts";
+import { fixed, plural, rates } from "../parts/format.ts";
 import type { Session } from "../parts/session.ts";
 import { Stage } from "../stage/stage.ts";
 import { get } from "../wire/http.ts";
@@ -40,14 +40,21 @@ export class Watch {
   /** Whether it is a recording, which nobody can change. */
   replay = false;
 
-  private readonly hint = el("p", { class: "hint", hidden: true });
+  private readonly hint = el("span", {});
+  private readonly mode = el("p", { class: "hint", role: "status", hidden: true });
   private readonly curtain = el("p", { class: "curtain", role: "status", hidden: true });
-  private readonly meter = el("span", { class: "meter", "data-fps": "0" });
+  private readonly meter = el("p", { class: "meter", "data-fps": "0" });
+  private readonly jumps = el("span", { class: "jumps", hidden: true });
+  private readonly rates = el("span", { class: "rates" });
   private readonly unlisten: () => void;
   private readonly timer: ReturnType<typeof setInterval>;
   private counted = { drawn: 0, states: 0, at: performance.now() };
   private states = 0;
+  /** The most time between two states that were shown without motion between them. */
+  private jumped = 0;
   private gone = false;
+  /** The other daemon that holds the name. */
+  private rival: string | null = null;
   private absent = 0;
   private described = 0;
   private connection: Connection = "connecting";
@@ -65,13 +72,21 @@ export class Watch {
       directed: (direction) => events.directed(direction),
       failed: complain,
     });
+    const leave = el("button", { type: "button" }, "Cancel (Esc)");
+    leave.addEventListener("mousedown", (event) => event.preventDefault());
+    leave.addEventListener("click", () => this.enter("look"));
+    this.mode.append(this.hint, " ", leave);
+    this.jumps.title =
+      "Between states so far apart bodies would be drawn where they never were: " +
+      "each state is drawn as it is. A lower rate shows the motion.";
+    this.meter.append(this.jumps, this.rates);
     this.toolbar = new Toolbar(this.stage, () => this.enter("lasso"));
     this.element = el(
       "figure",
       { class: "stage", "aria-label": `picture of ${swarm}` },
       this.stage.canvas,
       this.toolbar.element,
-      this.hint,
+      this.mode,
       this.curtain,
       this.meter,
     );
@@ -90,6 +105,7 @@ export class Watch {
       swarms: (rows) => {
         const row = rows.find((it) => it.swarm === swarm);
         this.replay = row?.replay ?? this.replay;
+        this.contest(row?.contested_by ?? null);
         // One list without it may be older than the swarm.
         this.absent = row ? 0 : this.absent + 1;
         if (row && this.gone) {
@@ -121,7 +137,6 @@ export class Watch {
 
   enter(mode: "look" | "lasso" | "direct"): void {
     this.stage.mode = this.stage.mode === mode ? "look" : mode;
-    this.changed();
   }
 
   /** What a key means for the picture; whether it means anything. */
@@ -134,8 +149,11 @@ export class Watch {
         this.enter("direct");
       }
     } else if (event.key === "Escape") {
+      const isTyping = (event.target as Element).closest("input, select, textarea");
       if (this.stage.mode !== "look") {
         this.enter("look");
+      } else if (isTyping) {
+        return false;
       } else {
         this.stage.change(() => this.stage.selected.clear());
       }
@@ -168,8 +186,23 @@ export class Watch {
   private takeState(state: State): void {
     this.find();
     this.veil();
+    if (this.stage.apart >= this.stage.limit) {
+      this.jumped = Math.max(this.jumped, this.stage.apart);
+    }
     this.describe(state);
     this.events.state(state);
+  }
+
+  /** Shows or hides the notice that another daemon holds the name. */
+  private contest(rival: string | null): void {
+    if (rival === this.rival) {
+      return;
+    }
+    this.rival = rival;
+    this.veil();
+    if (rival === null) {
+      this.session.live.look();
+    }
   }
 
   private miss(): void {
@@ -220,31 +253,36 @@ export class Watch {
     const count = plural(selected.size, "individual");
     const hints = {
       look: "",
-      lasso: "Draw around those you mean. Esc leaves.",
+      lasso: "Draw around the individuals to select.",
       direct: this.replay
-        ? "Selected. Nobody in a recording can be given a direction. Esc leaves."
+        ? "Selected. The individuals of a recording cannot be informed."
         : !this.session.mayCommand
-          ? "Selected. To give them a direction, open the link that jostled printed. Esc leaves."
+          ? `Selected. ${this.session.refusal}.`
           : selected.size === 0
-            ? "Click those you mean, then drag the direction they are to prefer. Esc leaves."
-            : `Drag the direction that ${count} ${selected.size === 1 ? "is" : "are"} to prefer. Esc leaves.`,
+            ? "Click the individuals to inform, then drag the direction."
+            : `Drag the direction that ${count} ${selected.size === 1 ? "is" : "are"} to prefer: one drag, one command.`,
     };
     say(this.hint, hints[mode]);
-    this.hint.hidden = mode === "look";
+    this.mode.hidden = mode === "look";
+    this.element.dataset.mode = mode;
     this.events.changed();
   }
 
   /** Dims the last picture while it is not the present one. */
   private veil(): void {
     const away = this.connection === "away";
-    const nobody = this.gone && !away;
-    this.element.classList.toggle("dimmed", away || nobody);
-    this.curtain.hidden = !away && !nobody && this.stage.state !== null;
-    const words = nobody
-      ? `There is no swarm ${this.swarm} now.`
-      : away
-        ? "The daemon is away, trying again …"
-        : "Asking the daemon …";
+    const missing = this.gone && !away;
+    const contested = this.rival !== null && !away;
+    const unserved = away || missing || contested;
+    this.element.classList.toggle("dimmed", unserved);
+    this.curtain.hidden = !unserved && this.stage.state !== null;
+    const words = contested
+      ? `Contested: daemon ${this.rival} has a swarm ${this.swarm}, too. This daemon executes no command on it now.`
+      : missing
+        ? `There is no swarm ${this.swarm} now.`
+        : away
+          ? "The daemon is away, trying again …"
+          : "Asking the daemon …";
     say(this.curtain, words);
   }
 
@@ -255,9 +293,13 @@ export class Watch {
     const states = (this.states - this.counted.states) / secs;
     this.counted = { drawn: this.stage.drawn, states: this.states, at: now };
     this.meter.dataset.fps = drawn.toFixed(1);
+    const jumped = this.jumped.toPrecision(2);
+    this.jumps.hidden = this.jumped === 0;
     say(
-      this.meter,
-      drawn < 0.5 ? "" : `${drawn.toFixed(0)} pictures, ${states.toFixed(0)} states a second`,
+      this.jumps,
+      this.jumped === 0 ? "" : `no motion drawn between states: ${Number(jumped)} time units apart`,
     );
+    this.jumped = 0;
+    say(this.rates, drawn < 0.5 ? "" : rates(drawn, states));
   }
 }

@@ -34,6 +34,12 @@ export function time(value: number): string {
   return value.toFixed(value < 1000 ? 2 : 1);
 }
 
+/** A wall-clock time in seconds since 1970 as RFC 3339, UTC; empty if it is not known. */
+export function when(unixSecs: number | null | undefined): string {
+  const date = new Date(Math.round((unixSecs ?? Number.NaN) * 1000));
+  return Number.isNaN(date.getTime()) ? "" : date.toISOString();
+}
+
 /** Degrees, counter-clockwise from +x, in (-180, 180]. */
 export function degrees(radians: number): number {
   const turned = ((radians * 180) / Math.PI) % 360;
@@ -42,4 +48,10 @@ export function degrees(radians: number): number {
 
 export function plural(count: number, one: string, many = `${one}s`): string {
   return `${count} ${count === 1 ? one : many}`;
+}
+
+/** How many pictures are drawn and how many states arrive in a second. */
+export function rates(pictures: number, states: number): string {
+  const [drawn, arrived] = [Math.round(pictures), Math.round(states)];
+  return `${plural(drawn, "picture")}, ${plural(arrived, "state")} a second`;
 }

@@ -5,16 +5,16 @@ import { el } from "./dom.ts";
 const KEYS: [string, string][] = [
   ["space", "run, pause"],
   ["s", "step"],
-  ["f", "follow the centre of mass, everybody in the picture"],
+  ["f", "follow the centre of mass, every body whole in the picture"],
   ["c", "contacts: a diamond where two bodies touch"],
   ["k", "clusters: bodies that hang together, numbered by size"],
   ["t", "trails"],
   ["p", "preference of everybody, a red line: direction of its own and attraction"],
   ["l", "lasso; with shift it adds to the selection"],
-  ["d", "drag a direction for the selected"],
+  ["d", "drag a direction for the selected: one drag, one command, which its message can undo"],
   ["+ −", "zoom; wheel and pinch, too"],
   ["arrows", "pan; dragging, too"],
-  ["Esc", "leave what was begun; then select nobody"],
+  ["Esc", "end the lasso or the drag of a direction; then clear the selection"],
   ["?", "this help"],
 ];
 

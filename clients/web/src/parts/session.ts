@@ -7,6 +7,20 @@ import { currentToken, keepToken } from "../wire/token.ts";
 /** Points of a sparkline: one or two a second. */
 const REMEMBERED = 240;
 
+/** Matches a path that needs no quoting in a shell. */
+const PLAIN = /^[\w./:@%+,-]+$/;
+
+/** The shell command that prints the link to the page at `origin`, with a token. */
+export function linkCommand(origin: string, hello: Hello | null): string {
+  const file = hello?.token_file;
+  if (!file) {
+    return `jostle --credentials FOLDER auth link --page ${origin}`;
+  }
+  const path = PLAIN.test(file) ? file : `'${file.replaceAll("'", "'\\''")}'`;
+  const reads = hello.token_needs_root ? "sudo cat" : "cat";
+  return `echo "${origin}/#token=$(${reads} ${path})"`;
+}
+
 export class Session {
   readonly live = new Live();
   hello: Hello | null = null;
@@ -44,6 +58,18 @@ export class Session {
   /** Whether the daemon knows people, and goes by whose token it is. */
   get knowsPeople(): boolean {
     return this.person !== null || !this.mayWatch;
+  }
+
+  /** Why this tab may not command, in a line. */
+  get refusal(): string {
+    return this.person === null
+      ? "this tab has no token, which commands need: the button ○ at the top says how to get one"
+      : `you are ${this.person}, ${this.hello?.role}: commanding takes an operator`;
+  }
+
+  /** What to type on the daemon's machine to print the link that opens this page with a token. */
+  get linkCommand(): string {
+    return linkCommand(location.origin, this.hello);
   }
 
   get hasToken(): boolean {

@@ -32,26 +32,15 @@ export function openTokenDialog(session: Session): void {
     void session.useToken("");
     dialog.close();
   });
-  const people = el(
-    "p",
-    {},
-    "This daemon knows its people: what this tab may do goes by whose token it has. Open the link " +
-      "that your command line prints, ",
-    el("code", {}, "jostle auth link"),
-    ", or paste your token here. It is kept in this tab only.",
-  );
   const dialog = openDialog(
     session.knowsPeople ? "Who you are" : "Commanding",
-    session.knowsPeople
-      ? people
-      : el(
-          "p",
-          {},
-          "Everybody on this machine may watch. To run, steer, create or delete swarms the page needs " +
-            "the token of the daemon: open the link that jostled printed when it started, ",
-          el("code", {}, "page on http://…/#token=…"),
-          ", or paste the token here. It is kept in this tab only.",
-        ),
+    el("p", {}, missing(session), " Run on ", machine(session), ":"),
+    shellCommand(session.linkCommand),
+    el(
+      "p",
+      {},
+      "Open the link that it prints, or paste the link here. It is kept in this tab only.",
+    ),
     entry,
     told,
     session.hasToken ? el("p", {}, words(session), forget) : "",
@@ -66,9 +55,43 @@ function words(session: Session): string {
   return session.mayCommand ? "This tab may command. " : "This tab has a token, but a wrong one. ";
 }
 
-/** The words in place of controls, for whoever may not use them. */
+/** What a tab without a token may do, and what it needs to do more. */
+function missing(session: Session): string {
+  if (session.knowsPeople) {
+    return "This daemon shows itself only to people that it knows, by their token.";
+  }
+  return session.hasToken
+    ? "You are watching: the token of this tab is not this daemon's."
+    : "You are watching: to run, steer, create or delete swarms this tab needs the daemon's token.";
+}
+
+/** Where the command that prints the link has to run. */
+function machine(session: Session): string {
+  if (session.knowsPeople) {
+    return "your machine, with your folder of credentials";
+  }
+  return session.hello ? `${session.hello.node}, the daemon's machine` : "the daemon's machine";
+}
+
+/** A command to run in a shell, and a button that copies it. */
+function shellCommand(text: string): HTMLElement {
+  const copy = el("button", { type: "button" }, "Copy");
+  copy.addEventListener("click", async () => {
+    try {
+      await navigator.clipboard.writeText(text);
+      say(copy, "Copied");
+    } catch {
+      getSelection()?.selectAllChildren(code);
+      say(copy, "Selected");
+    }
+  });
+  const code = el("code", {}, text);
+  return el("div", { class: "shell" }, code, copy);
+}
+
+/** A note shown in place of the controls if this tab may not send commands. */
 export function tokenNote(session: Session): HTMLElement {
-  const note = el("p", { class: "note token-note" });
+  const note = el("div", { class: "note token-note" });
   // Pages come and go, the session stays: it is not to keep their notes.
   const held = new WeakRef(note);
   const end = session.onChange(() => {
@@ -82,15 +105,20 @@ export function tokenNote(session: Session): HTMLElement {
   return note;
 }
 
-function remedy(session: Session): (string | HTMLElement)[] {
+/** Explains why this tab may not send commands, with the shell command that prints the link. */
+export function remedy(session: Session): HTMLElement[] {
   if (session.person !== null) {
-    return [`You are ${session.person}, ${session.hello?.role}: commanding takes an operator.`];
+    const said = `You are ${session.person}, ${session.hello?.role}: commanding takes an operator.`;
+    return [el("p", {}, said)];
   }
-  const which = session.knowsPeople ? "paste your token" : "paste its token";
-  const open = el("button", { type: "button", class: "link" }, which);
+  if (session.hello === null) {
+    return [el("p", {}, "Asking the daemon what this tab may do …")];
+  }
+  const open = el("button", { type: "button", class: "link" }, "paste the link");
   open.addEventListener("click", () => openTokenDialog(session));
-  if (session.knowsPeople) {
-    return ["This daemon does not know this tab: ", open, "."];
-  }
-  return ["You are watching. To command, open the link that jostled printed, or ", open, "."];
+  return [
+    el("p", {}, missing(session), " Run on ", machine(session), ":"),
+    shellCommand(session.linkCommand),
+    el("p", {}, "Open the link that it prints, or ", open, "."),
+  ];
 }

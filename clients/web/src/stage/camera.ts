@@ -18,6 +18,8 @@ const NEAREST_FIT = 80;
 /** A group that has become this much smaller than the picture is shown larger again. */
 const LOOSE = 0.55;
 const MARGIN_PX = 26;
+/** The side margin that keeps bodies clear of the buttons when every body is to be visible. */
+const BUTTONS_PX = 52;
 
 export class Camera {
   /** The point in the middle. */
@@ -31,6 +33,8 @@ export class Camera {
   following = true;
   /** Whether the scale is the page's to choose: until somebody zooms. */
   fitting = true;
+  /** Whether the scale fits every body, also one that has strayed far: from `follow` to a zoom or pan. */
+  whole = false;
 
   toScreen(x: number, y: number): [number, number] {
     return [
@@ -49,6 +53,7 @@ export class Camera {
   /** Zooms so that what is under (left, top) stays there; the centre stays while following. */
   zoomAt(left: number, top: number, factor: number): void {
     this.fitting = false;
+    this.whole = false;
     const [x, y] = this.toPlane(left, top);
     this.scale = Math.max(LEAST_SCALE, Math.min(MOST_SCALE, this.scale * factor));
     if (!this.following) {
@@ -61,14 +66,16 @@ export class Camera {
   /** Drags the plane by so many pixels, and no longer follows. */
   pan(right: number, down: number): void {
     this.following = false;
+    this.whole = false;
     this.x -= right / this.scale;
     this.y += down / this.scale;
   }
 
-  /** Follows again, with everybody in the picture. */
+  /** Follows again, with every body whole in the picture until the next zoom or pan. */
   follow(): void {
     this.following = true;
     this.fitting = true;
+    this.whole = true;
     this.fitted = 0;
   }
 
@@ -81,16 +88,22 @@ export class Camera {
     if (!this.following || !this.fitting) {
       return false;
     }
+    const side = this.whole ? BUTTONS_PX : MARGIN_PX;
     const fits = Math.min(
-      (this.width / 2 - MARGIN_PX) / extent.half_width,
-      (this.height / 2 - MARGIN_PX) / extent.half_height,
+      inside(this.width, side) / extent.half_width,
+      inside(this.height, MARGIN_PX) / extent.half_height,
     );
     if (!(LOOSE * fits <= this.fitted && this.fitted <= fits)) {
       const room = this.fitted === 0 ? 1 : 0.85;
-      this.fitted = Math.max(LEAST_SCALE, Math.min(fits * room, NEAREST_FIT));
+      const least = this.whole ? Number.MIN_VALUE : LEAST_SCALE;
+      this.fitted = Math.max(least, Math.min(fits * room, NEAREST_FIT));
     }
     const rest = this.fitted / this.scale;
-    if (at_once || Math.abs(Math.log(rest)) < 0.005) {
+    const cuts =
+      this.whole &&
+      (this.scale * extent.half_width > this.width / 2 ||
+        this.scale * extent.half_height > this.height / 2);
+    if (at_once || cuts || Math.abs(Math.log(rest)) < 0.005) {
       this.scale = this.fitted;
       return false;
     }
@@ -107,11 +120,17 @@ export class Camera {
   private fitted = 0;
 }
 
-/** Of a group this share is in the picture for certain: a few may have strayed far. */
+/** Half of what is left of a length between two margins, which take half of it at most. */
+function inside(length: number, margin: number): number {
+  return Math.max(length / 2 - margin, length / 4);
+}
+
+/** Until `follow` is called the picture fits this share of a group: a few may have strayed far. */
 const SHOWN_SHARE = 0.92;
 
-/** How far the bodies reach from their centre of mass, but for a few. */
-export function extentOf(x: Float64Array, y: Float64Array): Extent {
+/** How far the bodies reach from their centre of mass, all of them or all but a few. */
+export function extentOf(x: Float64Array, y: Float64Array, whole: boolean): Extent {
+  const share = whole ? 1 : SHOWN_SHARE;
   const n = x.length;
   let sum_x = 0;
   let sum_y = 0;
@@ -122,12 +141,12 @@ export function extentOf(x: Float64Array, y: Float64Array): Extent {
   const centre_x = n === 0 ? 0 : sum_x / n;
   const centre_y = n === 0 ? 0 : sum_y / n;
   // The longest body reaches one body size from its centre at most.
-  const half_width = 1 + reach(x, centre_x);
-  const half_height = 1 + reach(y, centre_y);
+  const half_width = 1 + reach(x, centre_x, share);
+  const half_height = 1 + reach(y, centre_y, share);
   return { x: centre_x, y: centre_y, half_width, half_height };
 }
 
-function reach(column: Float64Array, centre: number): number {
+function reach(column: Float64Array, centre: number, share: number): number {
   const far = column.map((it) => Math.abs(it - centre)).sort();
-  return far[Math.ceil(SHOWN_SHARE * far.length) - 1] ?? 0;
+  return far[Math.ceil(share * far.length) - 1] ?? 0;
 }

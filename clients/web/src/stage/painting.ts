@@ -1,5 +1,5 @@
 /** One picture, from below to above. */
-import type { Body } from "../geometry/body.ts";
+import { type Body, halfLengthTime } from "../geometry/body.ts";
 import type { Bodies } from "../geometry/touching.ts";
 import type { State } from "../wire/state.ts";
 import { drawBodies, inSight } from "./bodies.ts";
@@ -43,7 +43,7 @@ export function paint(
   g.fillRect(0, 0, camera.width, camera.height);
   overlays.drawGrid(g, camera, colours);
   if (shows.trails) {
-    picture.trails.draw(g, camera, colours.trail);
+    picture.trails.draw(g, camera, colours.trail, halfLengthTime(body));
   }
   if (shows.clusters) {
     overlays.drawClusters(g, camera, bodies, body, picture.clusters);

@@ -2,7 +2,7 @@
  * The picture of one swarm: takes states, draws when something has changed and the browser is
  * ready for it, and tells whom somebody has selected.
  */
-import { type Body, bodyOf } from "../geometry/body.ts";
+import { type Body, bodyOf, halfLengthTime } from "../geometry/body.ts";
 import { enclosed, nearest } from "../geometry/lasso.ts";
 import { preferences } from "../geometry/preference.ts";
 import { type Bodies, findClusters, findTouching } from "../geometry/touching.ts";
@@ -44,6 +44,8 @@ export class Stage {
   readonly selected = new Set<number>();
   /** Pictures drawn so far. */
   drawn = 0;
+  /** The swarm's time between the two newest states. */
+  apart = 0;
 
   private readonly g: CanvasRenderingContext2D;
   private readonly gestures: Gestures;
@@ -88,7 +90,7 @@ export class Stage {
   set mode(mode: Mode) {
     this.gestures.mode = mode;
     this.canvas.dataset.mode = mode;
-    this.dropDrafts();
+    this.gestures.abandon();
     this.change(() => undefined);
   }
 
@@ -96,6 +98,11 @@ export class Stage {
   setPi1(pi1: number): void {
     this.body = bodyOf(pi1);
     this.ask();
+  }
+
+  /** The time between two states from which on no motion is drawn between them. */
+  get limit(): number {
+    return halfLengthTime(this.body);
   }
 
   /** Draws when the browser is ready, the newest state if one has come. */
@@ -148,7 +155,7 @@ export class Stage {
     }
     const bodies = this.motion.at(now);
     const jumps = this.fresh || reduced.matches;
-    const zooms = camera.track(extentOf(bodies.x, bodies.y), jumps);
+    const zooms = camera.track(extentOf(bodies.x, bodies.y, camera.whole), jumps);
     this.fresh = false;
     this.tellScale();
     paint(this.g, camera, colours(isDark()), this.compose(state, bodies));
@@ -160,7 +167,8 @@ export class Stage {
 
   private accept(state: State, now: number): void {
     const before = this.state;
-    const [dx, dy] = this.motion.accept(state, now, document.hidden);
+    const [dx, dy] = this.motion.accept(state, now, document.hidden, this.limit);
+    this.apart = before?.epoch === state.epoch ? state.time - before.time : 0;
     if (dx !== 0 || dy !== 0) {
       this.camera.rebase(dx, dy);
       this.trails.rebase(dx, dy);
@@ -285,7 +293,8 @@ export class Stage {
     this.arrow = done ? null : [from, to];
     this.ask();
     if (done) {
-      // Downwards on the screen is -y.
+      // One drag is one command: the next one pans again. Downwards on the screen is -y.
+      this.mode = "look";
       this.events.directed(Math.atan2(from[1] - to[1], to[0] - from[0]));
     }
   }

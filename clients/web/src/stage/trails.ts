@@ -10,6 +10,7 @@ const BUDGET = 12_000;
 /** Trails fade in so many shades; those of many are of one, which is drawn four times as quickly. */
 const SHADES = 4;
 const MANY = 250;
+const DOT_PX = 1.5;
 
 interface Past {
   time: number;
@@ -45,9 +46,12 @@ export class Trails {
     }
   }
 
-  draw(g: CanvasRenderingContext2D, camera: Camera, colour: string): void {
+  /** Positions that are `limit` time units or more apart are dots, with no line between them. */
+  draw(g: CanvasRenderingContext2D, camera: Camera, colour: string, limit: number): void {
     const { past } = this;
     const n = past[0]?.x.length ?? 0;
+    const isNear = past.map((it, k) => k > 0 && Math.abs(it.time - past[k - 1]!.time) < limit);
+    g.lineCap = "round";
     g.strokeStyle = colour;
     g.lineWidth = 1;
     g.lineJoin = "bevel";
@@ -61,7 +65,14 @@ export class Trails {
         g.beginPath();
         for (let k = first; k <= last; k += 1) {
           const [left, top] = camera.toScreen(past[k]!.x[i]!, past[k]!.y[i]!);
-          k === first ? g.moveTo(left, top) : g.lineTo(left, top);
+          if (k > first && isNear[k]) {
+            g.lineTo(left, top);
+          } else {
+            g.moveTo(left, top);
+          }
+          if (!isNear[k] && !isNear[k + 1]) {
+            g.lineTo(left + DOT_PX, top);
+          }
         }
         g.stroke();
       }

@@ -29,6 +29,9 @@ export interface Hello {
   /** Who the token is of, where the daemon knows people. */
   person: string | null;
   role: string | null;
+  /** Where the page's own token is, and whether it takes root to read it; none with people. */
+  token_file?: string | null;
+  token_needs_root?: boolean | null;
 }
 
 /** A row of `@node/get/swarms`. */
@@ -45,6 +48,8 @@ export interface SwarmRow {
   real_time_factor: number | null;
   /** Whether it is the replay of a recording. */
   replay?: boolean;
+  /** Another daemon that holds the name; at most one of the two serves it. */
+  contested_by?: string | null;
 }
 
 /** Where a replay is. */
@@ -115,6 +120,8 @@ export interface SwarmEvent {
   step: number;
   time: number;
   phase: Phase;
+  /** The daemon's wall clock, seconds since 1970; older daemons send none. */
+  unix_secs?: number | null;
   event: { kind: string } & Record<string, unknown>;
 }
 

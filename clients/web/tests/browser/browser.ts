@@ -2,6 +2,7 @@
 import assert from "node:assert/strict";
 import { readFileSync } from "node:fs";
 import { extname, join } from "node:path";
+import { after, afterEach, before } from "node:test";
 import { type Browser, type BrowserContextOptions, chromium, type Page } from "playwright-core";
 
 const ARGS = [
@@ -54,6 +55,29 @@ export async function openTab(browser: Browser, options = WIDE): Promise<Tab> {
     });
   });
   return { page, complaints, close: () => context.close() };
+}
+
+/** A browser for the tests of a file. Returns what opens a tab in it; it is closed after its test, in
+ * which nothing may have been complained of. */
+export function tabsOfEachTest(): (options?: BrowserContextOptions) => Promise<Tab> {
+  let browser: Browser;
+  const tabs: Tab[] = [];
+  before(async () => {
+    browser = await launch();
+  });
+  afterEach(async () => {
+    for (const tab of tabs.splice(0)) {
+      const { complaints } = tab;
+      await tab.close();
+      assert.deepEqual(complaints, []);
+    }
+  });
+  after(() => browser.close());
+  return async (options) => {
+    const tab = await openTab(browser, options);
+    tabs.push(tab);
+    return tab;
+  };
 }
 
 /** Serves a newer build than the one inside the daemon, under the daemon's policy. */

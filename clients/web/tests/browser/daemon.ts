@@ -1,7 +1,16 @@
 /** A daemon of its own for each test: the binary that JOSTLED names, on ports of its own. */
 import assert from "node:assert/strict";
-import { type ChildProcess, execFile, spawn } from "node:child_process";
-import { mkdtempSync, readFileSync, rmSync } from "node:fs";
+import { type ChildProcess, execFile, execFileSync, spawn } from "node:child_process";
+import {
+  chmodSync,
+  chownSync,
+  copyFileSync,
+  mkdirSync,
+  mkdtempSync,
+  readFileSync,
+  rmSync,
+  writeFileSync,
+} from "node:fs";
 import { tmpdir } from "node:os";
 import { dirname, join } from "node:path";
 import { promisify } from "node:util";
@@ -11,6 +20,11 @@ export interface Told {
   http: string;
   token: string;
 }
+
+/** A user such as systemd allocates for a unit with DynamicUser. */
+export const DYNAMIC_USER = 61_200;
+
+export const isRoot = process.getuid?.() === 0;
 
 export class Daemon {
   told: Told = { zenoh: "", http: "", token: "" };
@@ -23,6 +37,47 @@ export class Daemon {
     const daemon = new Daemon();
     daemon.auth = auth;
     await daemon.begin("tcp/127.0.0.1:0", "127.0.0.1:0");
+    return daemon;
+  }
+
+  /**
+   * One that runs as packaging/jostled.service runs it, as far as that takes no systemd: `serve` with
+   * the settings of the package, its data below $STATE_DIRECTORY, nothing of it for others to read,
+   * and, where the tests are root's, a user of its own.
+   */
+  static async startAsService(): Promise<Daemon> {
+    const daemon = new Daemon();
+    const { folder } = daemon;
+    const state = join(folder, "jostle");
+    mkdirSync(state, { mode: 0o700 });
+    const config = join(folder, "jostled.toml");
+    writeFileSync(config, execFileSync(binary(), ["config", "default"]));
+    const user = isRoot ? { uid: DYNAMIC_USER, gid: DYNAMIC_USER } : {};
+    let program = binary();
+    if (isRoot) {
+      // Every user may enter the folder itself, as /var/lib.
+      chmodSync(folder, 0o755);
+      chownSync(state, DYNAMIC_USER, DYNAMIC_USER);
+      // The checkout may be in a folder that only root may enter.
+      program = join(folder, "jostled");
+      copyFileSync(binary(), program);
+    }
+    const child = spawn(
+      "sh",
+      ["-c", 'umask 0077; exec "$0" "$@"', program, "serve", "--config", config],
+      {
+        ...user,
+        stdio: ["ignore", "pipe", "pipe"],
+        cwd: "/",
+        env: {
+          PATH: process.env.PATH,
+          STATE_DIRECTORY: state,
+          JOSTLED_LISTEN: "tcp/127.0.0.1:0",
+          JOSTLED_HTTP: "127.0.0.1:0",
+        },
+      },
+    );
+    await daemon.hear(child);
     return daemon;
   }
 
@@ -82,11 +137,13 @@ export class Daemon {
   }
 
   private begin(listen: string, http: string): Promise<void> {
-    const binary = process.env.JOSTLED;
-    assert(binary, "JOSTLED names the daemon's binary");
     const people = this.auth === null ? [] : ["--auth-dir", this.auth];
     const args = ["--listen", listen, "--http", http, "--data-dir", this.folder, ...people];
-    const child = spawn(binary, args, { stdio: ["ignore", "pipe", "pipe"] });
+    return this.hear(spawn(binary(), args, { stdio: ["ignore", "pipe", "pipe"] }));
+  }
+
+  /** Waits until it says where it listens. */
+  private hear(child: ChildProcess): Promise<void> {
     this.process = child;
     let said = "";
     return new Promise((resolve, reject) => {
@@ -107,4 +164,10 @@ export class Daemon {
       child.once("exit", (code) => reject(new Error(`jostled ended with ${code}: ${said}`)));
     });
   }
+}
+
+function binary(): string {
+  const binary = process.env.JOSTLED;
+  assert(binary, "JOSTLED names the daemon's binary");
+  return binary;
 }

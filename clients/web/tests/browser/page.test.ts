@@ -3,11 +3,11 @@ import assert from "node:assert/strict";
 import { execFileSync } from "node:child_process";
 import { mkdtempSync, readFileSync, rmSync } from "node:fs";
 import { tmpdir } from "node:os";
-import { join } from "node:path";
-import { after, afterEach, before, test } from "node:test";
-import type { Browser, Page } from "playwright-core";
-import { launch, openTab, type Tab, until } from "./browser.ts";
-import { Daemon } from "./daemon.ts";
+import { dirname, join } from "node:path";
+import { after, before, test } from "node:test";
+import type { Page } from "playwright-core";
+import { type Tab, tabsOfEachTest, until } from "./browser.ts";
+import { Daemon, DYNAMIC_USER, isRoot } from "./daemon.ts";
 
 interface StateJson {
   step: number;
@@ -22,33 +22,18 @@ interface Rows {
   result: { swarms: { swarm: string; phase: string; step: number; n: number }[] };
 }
 
-let browser: Browser;
+const openTab = tabsOfEachTest();
 let daemon: Daemon;
-const tabs: Tab[] = [];
 
 before(async () => {
   daemon = await Daemon.start();
-  browser = await launch();
   await daemon.create("school", { n: 40, seed: 3, rate: 5, publish_every: 5 });
 });
 
-/** Nothing may have been complained of, in any tab of a test. */
-afterEach(async () => {
-  for (const tab of tabs.splice(0)) {
-    const { complaints } = tab;
-    await tab.close();
-    assert.deepEqual(complaints, []);
-  }
-});
-
-after(async () => {
-  await browser.close();
-  await daemon.end();
-});
+after(() => daemon.end());
 
 async function open(hash: string, token = true): Promise<Page> {
-  const tab = await openTab(browser);
-  tabs.push(tab);
+  const tab = await openTab();
   await tab.page.goto(token ? `${daemon.link}&${hash}` : `${daemon.told.http}/#${hash}`);
   return tab.page;
 }
@@ -140,7 +125,7 @@ test("without a token nothing can be commanded, and the daemon refuses it, too",
     assert.equal(await button.isDisabled(), true, name);
   }
   assert.equal(await page.locator(".parameters button").count(), 0);
-  await page.getByText("open the link that jostled printed").first().waitFor();
+  await page.getByText("this tab needs the daemon's token").first().waitFor();
   await page.keyboard.press(" ");
   for (const token of [null, "0".repeat(32)]) {
     const refused = await daemon.post("/api/cmd/school/pause", {}, token);
@@ -160,6 +145,52 @@ test("a token can be pasted, with the link around it", async () => {
   await until("rights after all", async () => !(await page.locator("button.wide").isDisabled()));
 });
 
+test("a page without a token says what is missing, and the command that prints the link", async () => {
+  const service = await Daemon.startAsService();
+  try {
+    const { http, token } = service.told;
+    const { page } = await visit(http);
+    await page.getByText("You are watching: to run, steer, create or delete swarms").waitFor();
+    await page.getByText("This daemon has no swarms.").waitFor();
+    assert.equal(await page.getByRole("button", { name: "Create a swarm" }).isVisible(), false);
+    const command = (await page.locator(".shell code").textContent()) ?? "";
+    // What belongs to a service takes root; for root `sudo` is nothing.
+    assert.equal(command.includes("$(sudo cat "), isRoot, command);
+    const line = isRoot ? command.replace("sudo ", "") : command;
+    const printed = execFileSync("sh", ["-c", line]).toString();
+    assert.equal(printed, `${http}/#token=${token}\n`);
+    if (isRoot) {
+      // Another user of the machine reads nothing.
+      const other = { uid: DYNAMIC_USER + 1, gid: DYNAMIC_USER + 1, stdio: "pipe" } as const;
+      assert.equal(execFileSync("sh", ["-c", line], other).toString(), `${http}/#token=\n`);
+    }
+
+    // What it prints may be pasted, also with what a terminal puts around it.
+    await page.getByRole("button", { name: "paste the link" }).click();
+    assert.equal(await page.locator("dialog .shell code").textContent(), command);
+    await page.locator("dialog input").fill(` ${printed}`);
+    await page.locator("dialog button.primary").click();
+    await page.getByRole("button", { name: "Create a swarm" }).waitFor();
+    assert.equal(await page.locator(".shell").filter({ visible: true }).count(), 0);
+
+    const opened = await visit(printed.trim());
+    await opened.page.getByRole("button", { name: "Create a swarm" }).waitFor();
+
+    // A link that was printed for another daemon.
+    const stale = await visit(`${http}/#token=${"0".repeat(32)}`);
+    await stale.page.getByText("the token of this tab is not this daemon's").waitFor();
+    assert.equal(await stale.page.locator(".shell code").textContent(), command);
+  } finally {
+    await service.end();
+  }
+});
+
+async function visit(address: string): Promise<Tab> {
+  const tab = await openTab();
+  await tab.page.goto(address);
+  return tab;
+}
+
 test("where people are known each sees and may what their role says", async () => {
   const folder = mkdtempSync(join(tmpdir(), "jostle-people-"));
   const auth = join(folder, "auth");
@@ -176,16 +207,26 @@ test("where people are known each sees and may what their role says", async () =
     const created = await lab.post("/api/node/create", spec, token("olga"));
     assert.equal(created.status, 200);
 
-    const stranger = await openTab(browser);
+    const stranger = await openTab();
     await stranger.page.goto(lab.told.http);
-    await stranger.page.getByText("shows itself to people it knows").waitFor();
+    await stranger.page.getByText("shows itself only to people that it knows").first().waitFor();
     assert.equal(await stranger.page.getByText("school").count(), 0);
-    // Whoever is not let in is told so in the console, too.
-    await stranger.close();
+    // The command that it names is carried out, as vera would with her folder.
+    const command = (await stranger.page.locator(".shell code").first().textContent()) ?? "";
+    assert.match(command, /^jostle --credentials FOLDER auth link --page http:\/\/127/);
+    const vera_link = execFileSync("sh", ["-c", command.replace("FOLDER", `${auth}/people/vera`)], {
+      env: {
+        ...process.env,
+        PATH: `${dirname(jostled)}:${process.env.PATH}`,
+        JOSTLE_ENDPOINT: lab.told.zenoh,
+      },
+    });
+    assert.equal(vera_link.toString().trim(), `${lab.told.http}/#token=${token("vera")}`);
+    // The console has the rejected requests, too.
+    stranger.complaints.splice(0);
 
     const enter = async (person: string): Promise<Page> => {
-      const tab = await openTab(browser);
-      tabs.push(tab);
+      const tab = await openTab();
       await tab.page.goto(`${lab.told.http}/#token=${token(person)}&/swarm/school`);
       await tab.page.getByText(`${person}, `).first().waitFor();
       return tab.page;
@@ -294,7 +335,12 @@ test("a parameter is set, and a refusal is said in the daemon's words", async ()
   await field.fill("0");
   await page.getByRole("button", { name: "set pi3" }).click();
   await page.locator(".errors", { hasText: "pi3" }).waitFor();
-  await page.locator(".events li", { hasText: "set pi3 1.5" }).waitFor();
+  const applied = page.locator(".events li", { hasText: "set pi3 1.5" });
+  await applied.waitFor();
+  const clock = applied.locator(".clock");
+  const at = await clock.getAttribute("title");
+  assert.ok(Math.abs(Date.parse(at ?? "") - Date.now()) < 60_000, `the event has the time ${at}`);
+  assert.equal(await clock.textContent(), `${at?.slice(11, 19)}Z`);
 });
 
 test("a swarm is created, forked and deleted, the last after a question", async () => {
@@ -328,6 +374,39 @@ test("a swarm that goes is missed, and another of its name is shown", async () =
   await until("no veil", async () => (await page.locator(".stage.dimmed").count()) === 0);
   await until("its events", async () => (await page.locator(".events li").count()) === 1);
   await daemon.command("brief", "delete");
+});
+
+test("a swarm is shown as contested while another daemon holds its name", async () => {
+  await daemon.create("held", { n: 12 });
+  const tab = await openTab();
+  let rival: string | null = "lab-2";
+  // Forwards the daemon's messages, with `contested_by` set as if another daemon held the name.
+  await tab.page.routeWebSocket(/.*/, (socket) => {
+    const server = socket.connectToServer();
+    server.onMessage((message) => {
+      if (typeof message !== "string") {
+        return socket.send(message);
+      }
+      const told: { swarms?: { swarm: string; contested_by: string | null }[] } =
+        JSON.parse(message);
+      for (const it of told.swarms ?? []) {
+        it.contested_by = it.swarm === "held" ? rival : null;
+      }
+      socket.send(JSON.stringify(told));
+    });
+  });
+  await tab.page.goto(`${daemon.link}&/`);
+  const card = tab.page.locator('[data-swarm="held"]');
+  await until("the card says it", async () =>
+    (await card.textContent())?.includes("contested by daemon lab-2"),
+  );
+  await card.click();
+  await tab.page.getByText("Contested: daemon lab-2 has a swarm held, too.").waitFor();
+  assert.equal(await tab.page.locator(".stage.dimmed").count(), 1);
+  rival = null;
+  await until("no veil", async () => (await tab.page.locator(".stage.dimmed").count()) === 0);
+  assert.equal(await number(tab.page, "n").textContent(), "12");
+  await daemon.command("held", "delete");
 });
 
 test("light and dark are the system's, until they are switched", async () => {
@@ -373,8 +452,7 @@ test("the daemon's end dims the picture, and its return goes on by itself", asyn
 
 test("on a phone nothing is wider than the screen", async () => {
   for (const hash of ["/", "/swarm/school", "/gallery", "/gallery/animation-1"]) {
-    const tab = await openTab(browser, { viewport: { width: 360, height: 740 }, hasTouch: true });
-    tabs.push(tab);
+    const tab = await openTab({ viewport: { width: 360, height: 740 }, hasTouch: true });
     await tab.page.goto(`${daemon.link}&${hash}`);
     await tab.page.locator("h1").first().waitFor();
     await tab.page.waitForTimeout(300);

@@ -1,0 +1,68 @@
+/** Gives individuals a direction of their own, and offers to undo exactly that. */
+import { announce, attempt } from "../parts/announce.ts";
+import { degrees, fixed, plural } from "../parts/format.ts";
+import type { Session } from "../parts/session.ts";
+import { command, currentState } from "../wire/http.ts";
+import type { Reply } from "../wire/messages.ts";
+
+interface Chosen {
+  ids: number[];
+  n: number;
+}
+
+export interface Preference {
+  /** Radians, counter-clockwise from +x. */
+  direction: number;
+  /** The parameter pi2 if left out. */
+  weight?: number;
+}
+
+/** Informs individuals; the message offers to uninform those of them who were not informed before. */
+export async function inform(
+  swarm: string,
+  session: Session,
+  ids: number[],
+  preference: Preference,
+): Promise<void> {
+  if (ids.length === 0) {
+    announce("no one is selected");
+    return;
+  }
+  if (!session.mayCommand) {
+    announce(session.refusal);
+    return;
+  }
+  await attempt(async () => {
+    const before = await currentState(swarm);
+    const had = new Set(before.id.filter((_, i) => before.weight[i]! > 0));
+    const args = { select: { ids }, ...preference };
+    const reply = await command<Chosen>(swarm, "inform", args);
+    const fresh = reply.result.ids.filter((id) => !had.has(id));
+    const informed = plural(reply.result.ids.length, "individual");
+    const direction = fixed(degrees(preference.direction), 0);
+    const replaced = reply.result.ids.length - fresh.length;
+    announce(`${informed} informed: ${direction}°${changed(replaced)}`, {
+      label: replaced > 0 ? `Undo for ${fresh.length}` : "Undo",
+      act: fresh.length > 0 ? () => undo(swarm, reply, fresh) : undefined,
+    });
+  });
+}
+
+/** Replaced directions cannot be undone: a state does not contain when they were to lapse. */
+function changed(count: number): string {
+  return count === 0 ? "" : `, ${count} of them in place of a direction that they had`;
+}
+
+/** Uninforms individuals; fails after a reset, which assigns the ids to other individuals. */
+async function undo(swarm: string, { epoch }: Reply<Chosen>, ids: number[]): Promise<void> {
+  await attempt(async () => {
+    const there = new Set((await currentState(swarm)).id);
+    const left = ids.filter((id) => there.has(id));
+    if (left.length === 0) {
+      announce("none of them is in the swarm any more");
+      return;
+    }
+    await command(swarm, "uninform", { select: { ids: left } }, { expect_epoch: epoch });
+    announce(`undone: ${plural(left.length, "individual")} uninformed`);
+  });
+}
