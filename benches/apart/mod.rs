@@ -1,6 +1,6 @@
 //! What a bench measures: processes of their own, and clients of them.
 
-use std::io::{BufRead, BufReader, Lines, Write};
+use std::io::{BufRead, BufReader, Lines};
 use std::process::{Child, ChildStdout, Command, Stdio};
 use std::time::Duration;
 
@@ -10,7 +10,7 @@ use zenoh::Session;
 
 /// A process that ends when this does.
 pub struct Process {
-    child: Child,
+    pub child: Child,
     said: Lines<BufReader<ChildStdout>>,
 }
 
@@ -29,12 +29,6 @@ impl Process {
         let mut found =
             lines.filter_map(|line| line.unwrap().strip_prefix(word).map(str::to_owned));
         found.next().unwrap()
-    }
-
-    /// Writes a line to it.
-    #[allow(dead_code, reason = "not every bench does")]
-    pub fn tell(&mut self, line: &str) {
-        writeln!(self.child.stdin.as_ref().unwrap(), "{line}").unwrap();
     }
 }
 

@@ -24,7 +24,8 @@ pub async fn publish(daemon: &str, swarm: &str, clients: usize, (hz, every): (f6
 
     let listen = ["tcp/127.0.0.1:0".to_owned()];
     let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody, clients);
-    let session = session.await.unwrap();
+    let opened = session.await.unwrap();
+    let session = &opened.session;
     let publisher = session
         .declare_publisher(key)
         .congestion_control(CongestionControl::Drop)

@@ -1,11 +1,8 @@
-//! Many sessions in one process that follow one swarm, what came to each and when, and what the
-//! daemon counted of itself meanwhile.
+//! Many sessions in one process that follow one swarm, and what came to each and when.
 
-use std::collections::BTreeSet;
-use std::io::{Read, Write};
-use std::net::TcpStream;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use jostle_proto::{State, keys};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
@@ -14,7 +11,6 @@ use serde_json::json;
 use tokio::sync::Semaphore;
 use zenoh::Session;
 use zenoh::pubsub::Subscriber;
-use zenoh::sample::Sample;
 
 /// Sessions that are being opened at once.
 const AT_ONCE: usize = 32;
@@ -27,8 +23,8 @@ const UNDER_WAY: usize = 3;
 pub struct Report {
     /// How many there are.
     pub sessions: usize,
-    /// Milliseconds from when the daemon handed a state to zenoh, whose time stamp it bears, to
-    /// when a session had it: the median, the 99th and the 99.9th percentile.
+    /// Milliseconds from when the first session had a state to when another had it: the median, the
+    /// 99th and the 99.9th percentile.
     pub delivery_ms: [f64; 3],
     /// States that each should have had, of the swarm's steps: whoever left them out, they are lost.
     pub states: u64,
@@ -41,8 +37,8 @@ pub struct Report {
 struct Follower {
     _session: Session,
     _subscriber: Subscriber<()>,
-    /// The step of each state, and how long it was under way.
-    came: Arc<Mutex<Vec<(u64, Duration)>>>,
+    /// The step of each state, and when it came.
+    came: Arc<Mutex<Vec<(u64, Instant)>>>,
 }
 
 /// Follows a swarm's states with so many sessions, prints `connected` and the seconds that took;
@@ -94,9 +90,9 @@ impl Follower {
         let came = Arc::new(Mutex::new(Vec::new()));
         let coming = came.clone();
         let subscriber = session.declare_subscriber(key).callback(move |sample| {
-            let took = under_way(&sample);
+            let came_at = Instant::now();
             let state = State::from_cbor(&sample.payload().to_bytes()).unwrap();
-            lock(&coming).push((state.step, took));
+            lock(&coming).push((state.step, came_at));
         });
         Follower {
             _subscriber: subscriber.await.unwrap(),
@@ -105,7 +101,7 @@ impl Follower {
         }
     }
 
-    fn taken(&self) -> Vec<(u64, Duration)> {
+    fn taken(&self) -> Vec<(u64, Instant)> {
         std::mem::take(&mut *lock(&self.came))
     }
 }
@@ -114,14 +110,7 @@ fn lock<T>(of: &Mutex<T>) -> std::sync::MutexGuard<'_, T> {
     of.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// How long since the daemon handed it to zenoh. Both ends read the clock of one machine.
-fn under_way(sample: &Sample) -> Duration {
-    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap();
-    let sent = sample.timestamp().unwrap().get_time().to_duration();
-    now.saturating_sub(sent)
-}
-
-fn report(came: &[Vec<(u64, Duration)>]) -> Report {
+fn report(came: &[Vec<(u64, Instant)>]) -> Report {
     let seen: BTreeSet<u64> = came.iter().flatten().map(|(step, _)| *step).collect();
     let seen: Vec<u64> = seen.into_iter().collect();
     assert!(
@@ -137,7 +126,13 @@ fn report(came: &[Vec<(u64, Duration)>]) -> Report {
         1.0 - there.count() as f64 / states as f64
     });
     let lost: Vec<f64> = lost.collect();
-    let mut took: Vec<Duration> = came.iter().flatten().map(|(_, took)| *took).collect();
+    let mut first = BTreeMap::new();
+    for (step, came_at) in came.iter().flatten() {
+        let first = first.entry(*step).or_insert(*came_at);
+        *first = (*first).min(*came_at);
+    }
+    let took = came.iter().flatten().map(|(step, at)| *at - first[step]);
+    let mut took: Vec<Duration> = took.collect();
     took.sort_unstable();
     Report {
         sessions: came.len(),
@@ -148,65 +143,5 @@ fn report(came: &[Vec<(u64, Duration)>]) -> Report {
         states,
         most_lost: lost.iter().copied().fold(0.0, f64::max),
         lost: lost.iter().sum::<f64>() / lost.len() as f64,
-    }
-}
-
-/// What a daemon counted of itself, as it tells at `/metrics`.
-#[derive(Debug)]
-pub struct Counted {
-    at: Instant,
-    cpu_secs: f64,
-    pub resident_mb: f64,
-    /// Steps that were late by no more than so many milliseconds.
-    late: Vec<(f64, f64)>,
-}
-
-impl Counted {
-    /// Asks who serves HTTP at this address.
-    pub fn by(http: &str) -> Self {
-        let mut stream = TcpStream::connect(http).unwrap();
-        write!(
-            stream,
-            "GET /metrics HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n"
-        )
-        .unwrap();
-        let mut text = String::new();
-        stream.read_to_string(&mut text).unwrap();
-        let values = |name: &str| -> Vec<(String, f64)> {
-            let lines = text.lines().filter_map(|line| line.strip_prefix(name));
-            let words = lines.filter_map(|rest| rest.rsplit_once(' '));
-            words
-                .map(|(label, value)| (label.to_owned(), value.parse().unwrap()))
-                .collect()
-        };
-        let late = values("jostle_step_lateness_seconds_bucket").into_iter();
-        let late = late.map(|(label, count)| {
-            let bound = label.trim_start_matches("{le=\"").trim_end_matches("\"}");
-            (1e3 * bound.parse::<f64>().unwrap(), count)
-        });
-        Counted {
-            at: Instant::now(),
-            cpu_secs: values("jostle_cpu_seconds_total")[0].1,
-            resident_mb: values("jostle_resident_memory_bytes")[0].1 / 1e6,
-            late: late.collect(),
-        }
-    }
-
-    /// The share of a core since.
-    pub fn cores_since(&self, before: &Counted) -> f64 {
-        (self.cpu_secs - before.cpu_secs) / (self.at - before.at).as_secs_f64()
-    }
-
-    /// By how many milliseconds at most 99.9 % of the steps since were late, as the bounds of the
-    /// daemon's histogram allow to say: less or equal the second, more than the first.
-    pub fn lateness_since(&self, before: &Counted) -> [f64; 2] {
-        let since = self.late.iter().zip(&before.late);
-        let since: Vec<(f64, f64)> = since.map(|(now, then)| (now.0, now.1 - then.1)).collect();
-        let all = since.last().unwrap().1;
-        assert!(all > 0.0, "no step was due");
-        let at = since.iter().position(|(_, count)| *count >= 0.999 * all);
-        let at = at.unwrap();
-        let below = at.checked_sub(1).map_or(0.0, |below| since[below].0);
-        [below, since[at].0]
     }
 }

@@ -1,7 +1,7 @@
 //! What a thousand clients cost that follow one swarm: the daemon, and the steps of the swarm.
 //!
 //! ```sh
-//! cargo bench --bench load                                  # a table
+//! cargo bench --bench load                                  # a table and the limits
 //! cargo bench --bench load -- --json                        # an object
 //! cargo bench --bench load -- --sessions 4000 --seconds 60
 //! ```
@@ -9,24 +9,28 @@
 //! The daemon is a process of its own and all the clients another, each with a session of its own.
 //! A swarm of 50 steps 100 times a second and is published 20 times, first with nobody there, then
 //! with all of them. Then as many follow a bare process, which only puts such states as often. A
-//! thread of the bench's own wakes as often as the swarm and does nothing.
+//! thread of the bench's own wakes as often as the swarm and does nothing. The exit code is 1 if a limit
+//! is missed; all cores must be idle otherwise.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 
 #[path = "../apart/mod.rs"]
 mod apart;
 mod bare;
+mod counted;
 mod crowd;
 mod sleeper;
 
-use std::process::Command;
+use std::io::Write;
+use std::process::{Command, ExitCode};
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
 use serde_json::json;
 
 use apart::{Process, ask, open, settle};
-use crowd::{Counted, Report};
+use counted::Counted;
+use crowd::Report;
 use sleeper::Sleeper;
 
 const SWARM: &str = "bench";
@@ -44,18 +48,20 @@ const FOLLOW: &str = "JOSTLE_BENCH_FOLLOW";
 const BARE: &str = "JOSTLE_BENCH_BARE";
 
 #[tokio::main(flavor = "multi_thread", worker_threads = 2)]
-async fn main() {
+async fn main() -> ExitCode {
     if let Ok(asked) = std::env::var(FOLLOW) {
         let (endpoint, sessions) = asked.split_once(' ').unwrap();
-        return crowd::follow(endpoint, SWARM, sessions.parse().unwrap()).await;
+        crowd::follow(endpoint, SWARM, sessions.parse().unwrap()).await;
+        return ExitCode::SUCCESS;
     }
     if let Ok(asked) = std::env::var(BARE) {
         let (daemon, sessions) = asked.split_once(' ').unwrap();
-        return bare::publish(daemon, SWARM, sessions.parse().unwrap(), (HZ, EVERY)).await;
+        bare::publish(daemon, SWARM, sessions.parse().unwrap(), (HZ, EVERY)).await;
+        return ExitCode::SUCCESS;
     }
     let arguments: Vec<String> = std::env::args().collect();
     if arguments.iter().any(|argument| argument == "--test") {
-        return;
+        return ExitCode::SUCCESS;
     }
     let number = |name: &str, default: usize| {
         let at = arguments.iter().position(|argument| argument == name);
@@ -88,7 +94,7 @@ async fn main() {
     tokio::time::sleep(Duration::from_secs(1)).await;
     let before = Counted::by(&http);
     sleeper.late_ms();
-    clients.tell(&seconds.to_string());
+    tell(&mut clients, &seconds.to_string());
     let report: Report = serde_json::from_str(&clients.find("report ")).unwrap();
     let after = Counted::by(&http);
     let sleeper = [sleeper_alone, sleeper.late_ms()];
@@ -119,6 +125,29 @@ async fn main() {
     }
     drop(daemon);
     std::fs::remove_dir_all(folder).unwrap();
+    let missed = missed(&report, &after, cores[1], [late[0], late[2]]);
+    missed.iter().for_each(|limit| eprintln!("missed: {limit}"));
+    ExitCode::from(u8::from(!missed.is_empty()))
+}
+
+/// The limits that were missed; they are for a thousand clients.
+fn missed(report: &Report, daemon: &Counted, cores: f64, late: [[f64; 2]; 2]) -> Vec<&'static str> {
+    let limits = [
+        (cores <= 0.4, "40 % of a core"),
+        (daemon.resident_mb <= 150.0, "150 MB"),
+        (
+            report.delivery_ms[1] < 100.0,
+            "delivery within 100 ms, 99 of 100",
+        ),
+        (report.most_lost == 0.0, "no state lost"),
+        // The daemon counts lateness in buckets: compare their upper bounds.
+        (
+            late[1][1] <= late[0][1] + 1.0,
+            "99.9 % of the steps at most 1 ms later than alone",
+        ),
+    ];
+    let missed = limits.into_iter().filter(|(is_within, _)| !is_within);
+    missed.map(|(_, limit)| limit).collect()
 }
 
 /// Has so many clients follow whatever listens there, and says in how many seconds they connected.
@@ -135,14 +164,19 @@ async fn follow_bare(mut bare: Process, sessions: usize, seconds: usize) -> (f64
     let (mut clients, _) = follow(&bare.find("listening on "), sessions);
     tokio::time::sleep(Duration::from_secs(1)).await;
     let mut cpu_secs = || {
-        bare.tell("");
+        tell(&mut bare, "");
         bare.find("cpu ").parse::<f64>().unwrap()
     };
     let (before, began) = (cpu_secs(), Instant::now());
-    clients.tell(&seconds.to_string());
+    tell(&mut clients, &seconds.to_string());
     let report = serde_json::from_str(&clients.find("report ")).unwrap();
     let spent = cpu_secs() - before;
     (spent / began.elapsed().as_secs_f64(), report)
+}
+
+/// Writes a line to the standard input of a process.
+fn tell(process: &mut Process, line: &str) {
+    writeln!(process.child.stdin.as_ref().unwrap(), "{line}").unwrap();
 }
 
 fn print(

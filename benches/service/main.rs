@@ -275,9 +275,10 @@ async fn bare() {
     let (bytes, hz) = told.split_once(' ').unwrap();
     let (bytes, hz): (usize, u32) = (bytes.parse().unwrap(), hz.parse().unwrap());
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody, 100)
+    let opened = jostled::server::session::open(&listen, "jostle", &Rights::Everybody, 100)
         .await
         .unwrap();
+    let session = &opened.session;
     let publisher = session
         .declare_publisher(keys::state("jostle", SWARM))
         .congestion_control(CongestionControl::Drop)
