@@ -91,26 +91,6 @@ impl Process {
         let pages: u64 = statm.split(' ').nth(1).unwrap().parse().unwrap();
         pages * 4096
     }
-
-    /// Time its threads have computed.
-    pub fn cpu_time(&self) -> Duration {
-        let path = format!("/proc/{}/stat", self.0.id());
-        let stat = std::fs::read_to_string(path).unwrap();
-        // The name, in brackets, may hold anything; user and system time are fields 14 and 15.
-        let (_, fields) = stat.rsplit_once(')').unwrap();
-        let ticks = fields.split_whitespace().skip(11).take(2);
-        let ticks: u64 = ticks.map(|ticks| ticks.parse::<u64>().unwrap()).sum();
-        Duration::from_millis(10 * ticks)
-    }
 }
 
 const SERVE: [&str; 5] = ["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"];
-
-/// Time that all cores have worked, for anybody.
-pub fn busy_time() -> Duration {
-    let stat = std::fs::read_to_string("/proc/stat").unwrap();
-    let fields = stat.lines().next().unwrap().split_whitespace().skip(1);
-    let ticks: Vec<u64> = fields.map(|ticks| ticks.parse().unwrap()).collect();
-    // User, nice, system, idle, waiting for a disk, interrupts.
-    Duration::from_millis(10 * (ticks[0] + ticks[1] + ticks[2] + ticks[5] + ticks[6]))
-}

@@ -5,14 +5,18 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 27] = [
-    ("model", &[]),
+const MAY_USE: [(&str, &[&str]); 29] = [
+    ("plural", &[]),
+    ("model", &["plural"]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
     ("process", &[]),
     ("meter", &[]),
-    ("swarm", &["meter", "model", "stepper", "observables"]),
-    ("host", &["model", "swarm"]),
+    (
+        "swarm",
+        &["meter", "model", "stepper", "observables", "plural"],
+    ),
+    ("host", &["model", "plural", "swarm"]),
     ("store", &["meter"]),
     ("health", &["meter", "swarm", "host", "store"]),
     ("rights", &[]),
@@ -51,7 +55,8 @@ const MAY_USE: [(&str, &[&str]); 27] = [
     ("lab", &["experiment"]),
     ("replay", &["model", "swarm", "wire"]),
     ("recording", &["swarm", "wire"]),
-    ("batch", &["experiment"]),
+    ("backup", &["store"]),
+    ("batch", &["experiment", "plural"]),
     ("config", &["host"]),
     (
         "server",
@@ -72,11 +77,12 @@ const MAY_USE: [(&str, &[&str]); 27] = [
             "gateway",
         ],
     ),
-    ("supervisor", &["health", "host"]),
+    ("supervisor", &["health", "host", "plural"]),
     ("demo", &["swarm", "host", "command", "server"]),
     (
         "main",
         &[
+            "backup",
             "batch",
             "config",
             "demo",
@@ -117,6 +123,7 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
     (
         "serde",
         &[
+            "backup",
             "batch",
             "command",
             "demo",
@@ -143,7 +150,14 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
     ("prometheus_client::", &["gateway"]),
     (
         "tokio::",
-        &["demo", "gateway", "main", "server", "supervisor"],
+        &[
+            "demo",
+            "gateway",
+            "main",
+            "rights/live",
+            "server",
+            "supervisor",
+        ],
     ),
     ("sd_notify::", &["supervisor"]),
     ("clap::", &["main", "people"]),
@@ -151,6 +165,7 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
     (
         "std::thread",
         &[
+            "backup",
             "batch",
             "experiment/execute",
             "health",
@@ -167,6 +182,7 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
     (
         "std::time",
         &[
+            "backup",
             "batch",
             "command",
             "demo",
@@ -189,6 +205,7 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
     (
         "std::fs",
         &[
+            "backup",
             "batch",
             "config",
             "experiment/folder",
@@ -219,6 +236,7 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
             "publish",
             "recording",
             "replay",
+            "rights/live",
             "server",
             "store",
             "supervisor",

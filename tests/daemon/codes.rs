@@ -37,8 +37,9 @@ async fn provoke(client: &Client, code: ErrorCode) -> Option<Answer> {
         ErrorCode::DeadlineExceeded => ("step", long),
         ErrorCode::Faulted => ("step", json!({"timeout_secs": 30, "args": {"steps": 1000}})),
         ErrorCode::Internal => ("set", json!({"pi3": 2})),
-        // These take a full disk and people: `crash::disk` and `rights` have them.
-        ErrorCode::StorageFull | ErrorCode::PermissionDenied => return None,
+        // These take a full disk, people and two daemons: `crash::disk`, `rights` and `contested`
+        // have them.
+        ErrorCode::StorageFull | ErrorCode::PermissionDenied | ErrorCode::Contested => return None,
     };
     Some(client.cmd("a", verb, request).await)
 }
@@ -78,6 +79,7 @@ async fn every_code_that_can_occur_is_provoked() {
         ErrorCode::Conflict,
         ErrorCode::PermissionDenied,
         ErrorCode::StorageFull,
+        ErrorCode::Contested,
         ErrorCode::Internal,
         ErrorCode::IncorrectState,
         ErrorCode::DeadlineExceeded,
@@ -96,10 +98,10 @@ async fn every_code_that_can_occur_is_provoked() {
         })
         .await;
     }
-    // As many as the schema lists, less the two.
+    // As many as the schema lists, less the three.
     let schema = &jostle_proto::contract::schemas()["error"]
         .clone()
         .to_value();
     let listed = schema["$defs"]["ErrorCode"]["oneOf"].as_array().unwrap();
-    assert_eq!(provoked.len() + 2, listed.len(), "{provoked:#?}");
+    assert_eq!(provoked.len() + 3, listed.len(), "{provoked:#?}");
 }

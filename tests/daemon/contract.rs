@@ -35,6 +35,14 @@ fn channels(swarm: &str) -> Vec<Channel> {
         .collect()
 }
 
+/// The key of a token; wildcards replace a claim's instance and standing.
+fn of_any_run(key: &str) -> String {
+    match key.rsplitn(3, '/').collect::<Vec<_>>()[..] {
+        [_, _, claim] if claim.contains("/claim") => format!("{claim}/*/*"),
+        _ => key.to_owned(),
+    }
+}
+
 /// The experiment of the fixtures.
 const EXPERIMENT: &str = "small";
 
@@ -43,6 +51,7 @@ fn filled(address: &Value, swarm: &str) -> String {
     let address = address.as_str().unwrap().replace("{prefix}", PREFIX);
     let address = address.replace("{swarm}", swarm).replace("{node}", NODE);
     let address = address.replace("{controller}", "*");
+    let address = address.replace("{instance}/{standing}", "*/*");
     address.replace("{experiment}", EXPERIMENT)
 }
 
@@ -185,7 +194,11 @@ async fn every_channel_of_the_document_is_served() {
         ("event", event),
         ("progress", progress),
     ];
+    let begin = json!({"begin": {"swarm": "a", "recording": "take"}});
+    send_again(client, "", "record", &begin).await.unwrap();
     client.ok("a", "step", json!({"steps": 10})).await;
+    let stop = json!({"stop": {"recording": "take"}});
+    send_again(client, "", "record", &stop).await.unwrap();
     finish_experiment(client).await;
 
     let mut verbs = Vec::new();
@@ -205,12 +218,15 @@ async fn every_channel_of_the_document_is_served() {
             assert!(sample.attachment().is_none(), "{key}");
         }
         if kind == "liveliness" {
-            assert_eq!(tokens(&client.session, &key).await, [key]);
+            let tokens = tokens(&client.session, &key).await;
+            let tokens: Vec<String> = tokens.iter().map(|it| of_any_run(it)).collect();
+            assert_eq!(tokens, [key]);
         } else if key.contains("/cmd/") {
             verbs.push(last.to_owned());
         } else if kind.contains("queryable") {
             let parameters = match last {
                 "wait" => "?step=0",
+                "recording" => "?name=take",
                 "order" => "?run=n=2 #0",
                 _ => "",
             };
@@ -239,6 +255,11 @@ async fn every_channel_of_the_document_is_served() {
                 prepare_recording(client, &args).await;
             }
             let answer = match &*verb {
+                "discard" => {
+                    let _ = client.cmd("school", "delete", json!({})).await;
+                    create(client, "school").await;
+                    send_again(client, &swarm, &verb, &args).await
+                }
                 "replay" => {
                     prepare_replay(&daemon, &args, &take).await;
                     send(client, &swarm, &verb, &args).await
@@ -252,7 +273,7 @@ async fn every_channel_of_the_document_is_served() {
             let reply = answer.unwrap_or_else(|error| panic!("{fixture}: {error:?}"));
             check_reply(&format!("{verb}.reply"), &reply);
             let later = json!({"at_step": 1_000_000, "args": args});
-            let is_of_none = ["experiment", "record", "replay"].contains(&&*verb);
+            let is_of_none = ["discard", "experiment", "record", "replay"].contains(&&*verb);
             if MAKING.contains(&&*verb) || is_of_none || verb == "seek" {
                 let error = send_again(client, &swarm, &verb, &later).await.unwrap_err();
                 assert_eq!(error.details["field"], "at_step", "{verb}");
@@ -297,11 +318,12 @@ async fn tokens(session: &Session, key: &str) -> Vec<String> {
     tokens
 }
 
-/// A peer of the daemon, which is told of all that the daemon declares.
+/// A router session that is connected to the daemon, which forwards all its declarations to it.
 async fn peer(daemon: &Daemon) -> Session {
     let mut config = zenoh::Config::default();
     for (key, value) in [
-        ("mode", json!("peer")),
+        ("mode", json!("router")),
+        ("scouting/delay", json!(0)),
         ("connect/endpoints", json!(daemon.server.endpoints())),
         ("listen/endpoints", json!([])),
         ("scouting/multicast/enabled", json!(false)),
@@ -315,7 +337,7 @@ async fn peer(daemon: &Daemon) -> Session {
 
 /// The keys of a kind that `peer` was told of; those below `@node` are not shown to anyone.
 async fn declared(peer: &Session, kind: &str) -> BTreeSet<String> {
-    let start = format!("@/{}/peer/{kind}/", peer.zid());
+    let start = format!("@/{}/router/{kind}/", peer.zid());
     let replies = peer.get(format!("{start}**")).await.unwrap();
     let mut declared = BTreeSet::new();
     while let Ok(reply) = replies.recv_async().await {
@@ -360,10 +382,13 @@ async fn whatever_the_daemon_declares_is_in_the_document() {
     })
     .await;
     assert_eq!(declared(&peer, "queryable").await, queryable);
-    assert_eq!(declared(&peer, "token").await, token);
+    let declared_tokens = declared(&peer, "token").await;
+    let declared_tokens = declared_tokens.iter().map(|it| of_any_run(it));
+    assert_eq!(BTreeSet::from_iter(declared_tokens), token);
     let controls = BTreeSet::from([keys::ctl(PREFIX, "*", "*")]);
     assert_eq!(declared(&peer, "subscriber").await, controls);
     let of_nodes = tokens(&client.session, "**/@node/**").await;
+    let of_nodes = of_nodes.iter().map(|it| of_any_run(it));
     assert_eq!(
         BTreeSet::from_iter(of_nodes),
         documented("liveliness", true)

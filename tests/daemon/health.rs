@@ -30,13 +30,13 @@ pub fn get(address: &str, path: &str) -> (u16, String, String) {
     send(address, &request)
 }
 
-fn health(address: &str) -> (u16, Value) {
+pub fn health(address: &str) -> (u16, Value) {
     let (status, _, body) = get(address, "/healthz");
     (status, serde_json::from_str(&body).unwrap())
 }
 
 /// Every series of an answer by its name and labels, read as strictly as the format allows.
-fn series(address: &str) -> BTreeMap<String, f64> {
+pub fn series(address: &str) -> BTreeMap<String, f64> {
     let (status, head, body) = get(address, "/metrics");
     assert_eq!(status, 200);
     assert!(head.contains("content-type: application/openmetrics-text; version=1.0.0"));

@@ -1,9 +1,9 @@
 //! Idle and slow HTTP connections: they are closed, and do not keep other clients out.
 
-use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
-use std::net::{SocketAddr, TcpStream};
-use std::process::{Command, Stdio};
-use std::thread::sleep;
+use std::io::{BufRead, BufReader, ErrorKind};
+use std::net::SocketAddr;
+use std::path::Path;
+use std::process::{Command, Output, Stdio};
 use std::time::{Duration, Instant};
 
 use futures_util::{SinkExt, StreamExt};
@@ -12,14 +12,15 @@ use jostled::rights::folder::Folder;
 use jostled::rights::issue;
 use rustix::process::{Pid, Resource, Rlimit, prlimit};
 use tempfile::TempDir;
-use tokio::time::timeout;
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::net::TcpStream;
+use tokio::time::{sleep, timeout};
 use tokio_tungstenite::tungstenite::Message;
 
 use crate::apart::Process;
-use crate::health::{get, of_daemon};
 use crate::page::tab;
-use crate::rights::secrets::https;
-use crate::support::{Client, Daemon, NODE, PATIENCE, beside_others, until};
+use crate::rights::secrets::connect_tls;
+use crate::support::{Client, NODE, PATIENCE, alone, beside_others, until};
 
 /// The descriptor limit of the daemon: it keeps a quarter of them as HTTP connections.
 const DESCRIPTORS: usize = 512;
@@ -30,23 +31,38 @@ const FLOOD: usize = 600;
 /// The maximum response time of `/healthz` during the flood.
 const HEALTHZ_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// The maximum time to open a zenoh session and get a reply during the flood.
+/// The maximum time of `jostle status` during the flood, from the start of its process to its end.
 const STATUS_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// A daemon process with few descriptors.
+/// The time without progress after which a write is taken to be blocked.
+const WRITE_TIMEOUT: Duration = Duration::from_millis(500);
+
+/// A connection over TCP or TLS.
+trait Duplex: AsyncRead + AsyncWrite + Send + Unpin {}
+
+impl<T: AsyncRead + AsyncWrite + Send + Unpin> Duplex for T {}
+
+type Connection = Box<dyn Duplex>;
+
+/// A daemon process with few descriptors, which hosts the swarm `a`.
 struct Few {
     process: Process,
-    /// Where it listens for zenoh.
+    /// Where it listens for zenoh: over TLS, if it serves HTTP over TLS.
     endpoint: String,
     /// Where it serves HTTP.
-    address: String,
-    /// Who may do what, if it serves HTTP over TLS.
-    auth: TempDir,
+    address: SocketAddr,
+    /// The token of an operator, or of the page.
+    token: String,
+    /// The folder of people, if it serves HTTP over TLS.
+    people: Option<Folder>,
+    _auth: TempDir,
 }
 
 impl Few {
     fn serve(scheme: &str, failpoints: &str) -> Self {
         let (data, auth) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        let is_secure = scheme == "https";
+        let protocol = if is_secure { "tls" } else { "tcp" };
         let mut command = Command::new("sh");
         command
             .args([
@@ -54,125 +70,194 @@ impl Few {
                 &format!("ulimit -n {DESCRIPTORS} && exec \"$0\" \"$@\""),
             ])
             .arg(env!("CARGO_BIN_EXE_jostled"))
-            .args(["--listen", "tcp/127.0.0.1:0", "--node", NODE, "--data-dir"])
+            .args(["--listen", &format!("{protocol}/127.0.0.1:0")])
+            .args(["--node", NODE, "--data-dir"])
             .arg(data.path())
             .args(["--http", &format!("{scheme}://127.0.0.1:0")]);
-        if scheme == "https" {
-            let people = [("vera".to_owned(), Role::Viewer)];
-            issue::init(&Folder::at(auth.path().join("auth")), &[], &people).unwrap();
-            command.arg("--auth-dir").arg(auth.path().join("auth"));
-        }
+        let people = is_secure.then(|| {
+            let folder = Folder::at(auth.path().join("auth"));
+            let operator = [("olga".to_owned(), Role::Operator)];
+            issue::init(&folder, &[], &operator).unwrap();
+            command.arg("--auth-dir").arg(folder.path());
+            folder
+        });
         command
             .env("FAILPOINTS", failpoints)
             .stdin(Stdio::null())
             .stderr(Stdio::null())
             .stdout(Stdio::piped());
-        let mut process = Process(command.spawn().unwrap(), data);
-        let mut lines = BufReader::new(process.0.stdout.take().unwrap()).lines();
+        let mut child = command.spawn().unwrap();
+        let mut lines = BufReader::new(child.stdout.take().unwrap()).lines();
         let mut after = |start: &str| {
             let mut found = lines.by_ref().map(Result::unwrap);
             found.find_map(|line| Some(line.strip_prefix(start)?.to_owned()))
         };
-        Few {
-            endpoint: after("listening on ").unwrap(),
-            address: after(&format!("http on {scheme}://")).unwrap(),
-            process,
-            auth,
+        let endpoint = after("listening on ").unwrap();
+        let address = after(&format!("http on {scheme}://")).unwrap();
+        let token = match &people {
+            Some(folder) => folder.credentials("olga").unwrap().token,
+            None => std::fs::read_to_string(data.path().join("page-token")).unwrap(),
+        };
+        let few = Few {
+            process: Process(child, data),
+            endpoint,
+            address: address.parse().unwrap(),
+            token: token.trim().to_owned(),
+            people,
+            _auth: auth,
+        };
+        let created = few.jostle(&["create", "a", "--n", "3"]);
+        assert!(created.status.success(), "{created:?}");
+        few
+    }
+
+    /// Runs the command line.
+    fn jostle(&self, arguments: &[&str]) -> Output {
+        let jostle = Path::new(env!("CARGO_BIN_EXE_jostled")).with_file_name("jostle");
+        assert!(
+            jostle.exists(),
+            "missing: cargo build --release --workspace"
+        );
+        let mut command = Command::new(jostle);
+        if let Some(folder) = &self.people {
+            command.arg("--credentials").arg(folder.of("olga"));
+        }
+        let command = command.args(["-e", &self.endpoint]).args(arguments);
+        command.stdin(Stdio::null()).output().unwrap()
+    }
+
+    async fn connect(&self) -> Connection {
+        match &self.people {
+            Some(folder) => Box::new(connect_tls(self.address, folder).await.unwrap()),
+            None => Box::new(TcpStream::connect(self.address).await.unwrap()),
         }
     }
 
-    fn plain() -> Self {
-        Few::serve("http", "")
+    /// The status and body of a `GET` of an operator.
+    async fn get(&self, path: &str) -> (u16, String) {
+        let (address, token) = (self.address, &self.token);
+        let request = format!(
+            "GET {path} HTTP/1.1\r\nHost: {address}\r\nAuthorization: Bearer {token}\r\n\
+             Connection: close\r\n\r\n"
+        );
+        let mut stream = self.connect().await;
+        stream.write_all(request.as_bytes()).await.unwrap();
+        let answer = read_to_close(&mut stream).await;
+        let status = answer.split(' ').nth(1).unwrap().parse().unwrap();
+        let (_, body) = answer.split_once("\r\n\r\n").unwrap();
+        (status, body.to_owned())
     }
-}
 
-/// A connection that sends half a header.
-fn half_header(address: &str) -> TcpStream {
-    let mut stream = TcpStream::connect(address).unwrap();
-    // An error if it is evicted already.
-    let _ = stream.write_all(b"GET /healthz HTTP/1.1\r\nHost: ");
-    stream
-}
+    /// The value of a metric.
+    async fn metric(&self, name: &str) -> f64 {
+        let (status, text) = self.get("/metrics").await;
+        assert_eq!(status, 200, "{text}");
+        let line = text.lines().find_map(|line| line.strip_prefix(name));
+        let line = line.unwrap_or_else(|| panic!("no {name}: {text}"));
+        line.trim().parse().unwrap()
+    }
 
-/// The status of `/healthz`, or `None` if it is not answered in time.
-fn healthz(address: &str) -> Option<u16> {
-    let mut stream = TcpStream::connect(address).ok()?;
-    stream.set_read_timeout(Some(HEALTHZ_TIMEOUT)).unwrap();
-    let request = format!("GET /healthz HTTP/1.1\r\nHost: {address}\r\nConnection: close\r\n\r\n");
-    stream.write_all(request.as_bytes()).ok()?;
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).ok()?;
-    answer.split(' ').nth(1)?.parse().ok()
-}
+    /// The connections that the daemon has closed for a reason.
+    async fn closed(&self, reason: &str) -> f64 {
+        let name = format!("jostle_http_closed_total{{reason=\"{reason}\"}}");
+        self.metric(&name).await
+    }
 
-/// Sends requests until a write fails or blocks, and reads no response.
-fn write_until_error(stream: &mut TcpStream, address: &str) -> ErrorKind {
-    let request = format!("GET / HTTP/1.1\r\nHost: {address}\r\n\r\n").repeat(100);
-    loop {
-        if let Err(error) = stream.write_all(request.as_bytes()) {
-            return error.kind();
+    /// A connection that sends half a header.
+    async fn half_header(&self) -> Connection {
+        let mut stream = self.connect().await;
+        // An error if it is evicted already.
+        let _ = stream.write_all(b"GET /healthz HTTP/1.1\r\nHost: ").await;
+        let _ = stream.flush().await;
+        stream
+    }
+
+    /// Sends requests until a write fails, or `None` once one blocks, and reads no response.
+    async fn write_until_error(&self, stream: &mut Connection) -> Option<ErrorKind> {
+        let address = self.address;
+        let request = format!("GET / HTTP/1.1\r\nHost: {address}\r\n\r\n").repeat(100);
+        loop {
+            match timeout(WRITE_TIMEOUT, stream.write_all(request.as_bytes())).await {
+                Ok(Ok(())) => {}
+                Ok(Err(error)) => return Some(error.kind()),
+                Err(_) => return None,
+            }
         }
     }
-}
 
-/// A connection whose client has sent all that the daemon takes, and reads no response.
-fn never_reading(address: &str) -> TcpStream {
-    let mut stream = TcpStream::connect(address).unwrap();
-    let timeout = Some(Duration::from_millis(500));
-    stream.set_write_timeout(timeout).unwrap();
-    let error = write_until_error(&mut stream, address);
-    assert_eq!(error, ErrorKind::WouldBlock);
-    stream
+    /// The longest of twenty `/healthz` and of twenty `jostle status`, each after ten more connections
+    /// of the flood.
+    async fn worst(&self, more: impl AsyncFn() -> Connection) -> (Duration, Duration) {
+        let (mut flood, mut worst) = (Vec::new(), (Duration::ZERO, Duration::ZERO));
+        for attempt in 0..20 {
+            for _ in 0..10 {
+                flood.push(more().await);
+            }
+            let start = Instant::now();
+            let answer = timeout(HEALTHZ_TIMEOUT, self.get("/healthz")).await;
+            assert_eq!(answer.expect("no response in time").0, 200, "{attempt}");
+            worst.0 = worst.0.max(start.elapsed());
+            let start = Instant::now();
+            let status = self.jostle(&["status", "a"]);
+            worst.1 = worst.1.max(start.elapsed());
+            assert!(status.status.success(), "{attempt}: {status:?}");
+        }
+        worst
+    }
 }
 
 /// Reads until the daemon closes the connection.
-fn read_to_close(mut stream: TcpStream) -> String {
-    stream.set_read_timeout(Some(PATIENCE)).unwrap();
+async fn read_to_close(stream: &mut Connection) -> String {
     let mut answer = Vec::new();
-    let mut piece = [0; 1024];
-    loop {
-        match stream.read(&mut piece) {
-            Ok(0) => break,
-            Ok(length) => answer.extend_from_slice(&piece[..length]),
-            Err(error) if error.kind() == ErrorKind::ConnectionReset => break,
-            Err(error) => panic!("it is still open: {error}"),
+    let reading = async {
+        let mut piece = [0; 1024];
+        loop {
+            match stream.read(&mut piece).await {
+                Ok(0) => break,
+                Ok(length) => answer.extend_from_slice(&piece[..length]),
+                // Over TLS the daemon closes without a close_notify alert.
+                Err(error) => {
+                    let expected = [ErrorKind::ConnectionReset, ErrorKind::UnexpectedEof];
+                    assert!(expected.contains(&error.kind()), "{error}");
+                    break;
+                }
+            }
         }
-    }
+    };
+    timeout(PATIENCE, reading).await.expect("it is still open");
     String::from_utf8(answer).unwrap()
+}
+
+/// A flood of half headers, beside a connection whose client reads nothing.
+async fn flood_of_half_headers(daemon: &Few) {
+    let mut unread = daemon.connect().await;
+    assert_eq!(daemon.write_until_error(&mut unread).await, None);
+    let mut flood = Vec::new();
+    for _ in 0..FLOOD {
+        flood.push(daemon.half_header().await);
+    }
+    let (healthz, status) = daemon.worst(async || daemon.half_header().await).await;
+    println!("worst of 20: healthz {healthz:?}, jostle status {status:?}");
+    assert!(healthz < HEALTHZ_TIMEOUT, "{healthz:?}");
+    assert!(status < STATUS_TIMEOUT, "{status:?}");
+    // The connection whose client reads nothing was evicted: its next write does not block.
+    let error = daemon.write_until_error(&mut unread).await;
+    let expected = [ErrorKind::ConnectionReset, ErrorKind::BrokenPipe];
+    assert!(error.is_some_and(|it| expected.contains(&it)), "{error:?}");
+    let (status, body) = daemon.get("/api/hello").await;
+    assert_eq!(status, 200, "{body}");
+    let evicted = daemon.closed("evicted").await;
+    assert!(evicted > (FLOOD / 2) as f64, "{evicted}");
+    let open = daemon.metric("jostle_http_connections").await;
+    assert!((1.0..=(DESCRIPTORS / 4) as f64).contains(&open), "{open}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_flood_of_half_headers_keeps_no_client_out() {
-    let _machine = beside_others().await;
-    let daemon = Few::plain();
-    let address = daemon.address.clone();
-    let mut socket = tab(&address, "/api/ws").await;
-    let mut unread = never_reading(&address);
-    let mut flood: Vec<_> = (0..FLOOD).map(|_| half_header(&address)).collect();
-    let (mut worst, mut worst_status) = (Duration::ZERO, Duration::ZERO);
-    for attempt in 0..20 {
-        flood.extend((0..10).map(|_| half_header(&address)));
-        let start = Instant::now();
-        assert_eq!(healthz(&address), Some(200), "attempt {attempt}");
-        worst = worst.max(start.elapsed());
-        let start = Instant::now();
-        let client = Client::open(&daemon.endpoint).await;
-        client.node("status").await;
-        worst_status = worst_status.max(start.elapsed());
-        client.session.close().await.unwrap();
-    }
-    println!("worst of 20: healthz {worst:?}, session and status {worst_status:?}");
-    assert!(worst < HEALTHZ_TIMEOUT, "{worst:?}");
-    assert!(worst_status < STATUS_TIMEOUT, "{worst_status:?}");
-    // The connection whose client reads nothing was evicted: its next write does not block.
-    let error = write_until_error(&mut unread, &address);
-    assert!(
-        matches!(error, ErrorKind::ConnectionReset | ErrorKind::BrokenPipe),
-        "{error:?}"
-    );
-    let (status, _, body) = get(&address, "/api/hello");
-    assert_eq!(status, 200, "{body}");
-
+    let _alone = alone().await;
+    let daemon = Few::serve("http", "");
+    let mut socket = tab(&daemon.address.to_string(), "/api/ws").await;
+    flood_of_half_headers(&daemon).await;
     socket.send(Message::Ping("flood".into())).await.unwrap();
     let pong =
         async { while !matches!(socket.next().await.unwrap().unwrap(), Message::Pong(_)) {} };
@@ -182,35 +267,38 @@ async fn a_flood_of_half_headers_keeps_no_client_out() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_flood_of_half_headers_over_tls_keeps_no_client_out() {
+    let _alone = alone().await;
+    flood_of_half_headers(&Few::serve("https", "")).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_flood_of_unfinished_handshakes_keeps_no_client_out() {
-    let _machine = beside_others().await;
+    let _alone = alone().await;
     let daemon = Few::serve("https", "");
-    let folder = Folder::at(daemon.auth.path().join("auth"));
-    let address: SocketAddr = daemon.address.parse().unwrap();
     let began = Instant::now();
-    let silent = || TcpStream::connect(address).unwrap();
-    let mut flood: Vec<_> = (0..FLOOD).map(|_| silent()).collect();
-    let request = "GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n";
-    let mut worst = Duration::ZERO;
-    let mut attempts = 0;
-    // Two probes of its own listener that fail would turn it unhealthy within this time.
-    while attempts < 20 || began.elapsed() < Duration::from_secs(9) {
-        flood.extend((0..10).map(|_| silent()));
-        let start = Instant::now();
-        let answer = timeout(HEALTHZ_TIMEOUT, https(address, &folder, request)).await;
-        let answer = answer.expect("no response in time").unwrap();
-        assert!(answer.starts_with("HTTP/1.1 200 "), "{answer}");
-        worst = worst.max(start.elapsed());
-        attempts += 1;
-        tokio::time::sleep(Duration::from_millis(200)).await;
+    let silent = async || Box::new(TcpStream::connect(daemon.address).await.unwrap()) as Connection;
+    let mut flood = Vec::new();
+    for _ in 0..FLOOD {
+        flood.push(silent().await);
     }
-    println!("worst of {attempts}: {worst:?}");
+    let (healthz, status) = daemon.worst(&silent).await;
+    println!("worst of 20: healthz {healthz:?}, jostle status {status:?}");
+    assert!(healthz < HEALTHZ_TIMEOUT, "{healthz:?}");
+    assert!(status < STATUS_TIMEOUT, "{status:?}");
+    // Two probes of its own listener that fail would turn it unhealthy within this time.
+    while began.elapsed() < Duration::from_secs(9) {
+        flood.push(silent().await);
+        assert_eq!(daemon.get("/healthz").await.0, 200);
+        sleep(Duration::from_millis(100)).await;
+    }
+    assert!(daemon.closed("evicted").await > 0.0);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn without_a_free_descriptor_a_connection_waits_and_is_served() {
     let _machine = beside_others().await;
-    let daemon = Few::plain();
+    let daemon = Few::serve("http", "");
     let pid = i32::try_from(daemon.process.0.id()).unwrap();
     let limit = |descriptors| {
         let limit = Rlimit {
@@ -219,14 +307,18 @@ async fn without_a_free_descriptor_a_connection_waits_and_is_served() {
         };
         prlimit(Pid::from_raw(pid), Resource::Nofile, limit).unwrap();
     };
+    let failures = "jostle_http_accept_failures_total";
+    assert_eq!(daemon.metric(failures).await, 0.0);
     // All that are free now are above the limit.
     limit(3);
-    let address = daemon.address.clone();
-    let waiting = std::thread::spawn(move || healthz(&address));
-    sleep(Duration::from_millis(500));
-    assert!(!waiting.is_finished());
+    let mut waiting = std::pin::pin!(daemon.get("/healthz"));
+    let early = timeout(Duration::from_millis(500), waiting.as_mut()).await;
+    assert!(early.is_err(), "{early:?}");
     limit(DESCRIPTORS as u64);
-    assert_eq!(waiting.join().unwrap(), Some(200));
+    assert_eq!(timeout(PATIENCE, waiting).await.unwrap().0, 200);
+    // One try each 100 ms.
+    let failed = daemon.metric(failures).await;
+    assert!((2.0..20.0).contains(&failed), "{failed}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -245,37 +337,82 @@ async fn a_daemon_whose_http_listener_is_closed_is_unhealthy() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_header_that_is_not_completed_times_out() {
-    let daemon = Daemon::start().await;
-    let stream = half_header(&of_daemon(&daemon));
+    let _machine = beside_others().await;
+    for scheme in ["http", "https"] {
+        let daemon = Few::serve(scheme, "");
+        let mut stream = daemon.half_header().await;
+        let start = Instant::now();
+        read_to_close(&mut stream).await;
+        assert!(start.elapsed() > Duration::from_secs(4), "{scheme}");
+        assert_eq!(daemon.closed("header_timeout").await, 1.0, "{scheme}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_header_that_comes_byte_by_byte_times_out() {
+    let _machine = beside_others().await;
+    for scheme in ["http", "https"] {
+        let daemon = Few::serve(scheme, "");
+        let (mut reader, mut writer) = tokio::io::split(daemon.half_header().await);
+        let start = Instant::now();
+        let writing = async {
+            while writer.write_all(b"x").await.is_ok() && writer.flush().await.is_ok() {
+                sleep(Duration::from_millis(200)).await;
+            }
+        };
+        let mut answer = Vec::new();
+        let reading = reader.read_to_end(&mut answer);
+        tokio::select! {
+            () = writing => {}
+            _ = reading => {}
+        }
+        let took = start.elapsed();
+        assert!(
+            (Duration::from_secs(4)..PATIENCE).contains(&took),
+            "{scheme}: {took:?}"
+        );
+        assert_eq!(daemon.closed("header_timeout").await, 1.0, "{scheme}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_handshake_that_is_not_completed_times_out() {
+    let _machine = beside_others().await;
+    let daemon = Few::serve("https", "");
+    let stream = TcpStream::connect(daemon.address).await.unwrap();
     let start = Instant::now();
-    read_to_close(stream);
+    read_to_close(&mut (Box::new(stream) as Connection)).await;
     assert!(start.elapsed() > Duration::from_secs(4));
-    daemon.stop().await;
+    assert_eq!(daemon.closed("handshake_timeout").await, 1.0);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slow_body_times_out() {
-    let daemon = Daemon::start().await;
-    let address = of_daemon(&daemon);
-    let mut stream = TcpStream::connect(&address).unwrap();
-    let link = daemon.server.page().unwrap();
-    let (_, token) = link.split_once("/#token=").unwrap();
-    let head = format!("POST /api/cmd/a/step HTTP/1.1\r\nHost: {address}\r\n");
-    let head = format!("{head}Authorization: Bearer {token}\r\n");
-    // It would take more than a minute.
-    let head = format!("{head}Content-Length: 200\r\n\r\n");
-    stream.write_all(head.as_bytes()).unwrap();
-    let reader = stream.try_clone().unwrap();
-    let writer = std::thread::spawn(move || {
-        for _ in 0..200 {
-            if stream.write_all(b" ").is_err() {
-                break;
+    let _machine = beside_others().await;
+    for scheme in ["http", "https"] {
+        let daemon = Few::serve(scheme, "");
+        let (address, token) = (daemon.address, &daemon.token);
+        // It would take more than a minute.
+        let head = format!(
+            "POST /api/cmd/a/step HTTP/1.1\r\nHost: {address}\r\nAuthorization: Bearer {token}\r\n\
+             Content-Length: 200\r\n\r\n"
+        );
+        let mut stream = daemon.connect().await;
+        stream.write_all(head.as_bytes()).await.unwrap();
+        let (mut reader, mut writer) = tokio::io::split(stream);
+        let writing = tokio::spawn(async move {
+            for _ in 0..200 {
+                if writer.write_all(b" ").await.is_err() || writer.flush().await.is_err() {
+                    break;
+                }
+                sleep(Duration::from_millis(500)).await;
             }
-            sleep(Duration::from_millis(500));
-        }
-    });
-    let answer = read_to_close(reader);
-    assert!(answer.starts_with("HTTP/1.1 408 "), "{answer}");
-    writer.join().unwrap();
-    daemon.stop().await;
+        });
+        let mut answer = vec![0; 12];
+        let read = timeout(PATIENCE, reader.read_exact(&mut answer)).await;
+        read.expect("it is still open").unwrap();
+        assert_eq!(answer, b"HTTP/1.1 408", "{scheme}");
+        assert_eq!(daemon.closed("body_timeout").await, 1.0, "{scheme}");
+        writing.abort();
+    }
 }

@@ -1,4 +1,4 @@
-//! Many swarms, many orders, slow clients: nobody holds up anybody.
+//! Many swarms, many commands, slow clients: none keeps another from its steps, replies or memory.
 
 mod clients;
 mod flood;
@@ -6,98 +6,56 @@ mod followers;
 
 use std::io::{BufRead, BufReader, Lines};
 use std::process::{ChildStdout, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
-use crate::apart::{Process, busy_time};
+use crate::apart::Process;
 use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, alone, until};
 
-/// How many are to keep their rate, where the cores can step so many.
-const SWARMS: usize = 1000;
-/// How many tell what one takes of the cores.
-const FIRST: usize = 150;
-/// The share of the cores that is asked for.
-const ASKED: f64 = 0.8;
-const CORES: f64 = 2.0;
-
 #[tokio::test(flavor = "multi_thread")]
-async fn a_thousand_swarms_of_twenty_keep_their_rate() {
+async fn of_three_hundred_swarms_none_starves() {
+    const SWARMS: usize = 300;
     let _alone = alone().await;
-    let (daemon, endpoint) = Process::serve();
+    let (_daemon, endpoint) = Process::serve();
     let client = Client::open(&endpoint).await;
-    let host = async |numbers: std::ops::Range<usize>| {
-        for i in numbers {
-            let name = format!("s{i}");
-            client
-                .create(&name, json!({"n": 20, "seed": i, "rate": 1}))
-                .await;
-            // Groups that push are what takes time.
-            let request = json!({"timeout_secs": 60, "args": {"steps": 500}});
-            client.ok(&name, "step", request).await;
-            client.ok(&name, "run", json!({})).await;
-        }
-    };
-    host(0..FIRST).await;
-    let (spent, began) = (daemon.cpu_time(), Instant::now());
-    tokio::time::sleep(Duration::from_secs(4)).await;
-    let spent = (daemon.cpu_time() - spent).as_secs_f64() / began.elapsed().as_secs_f64();
-    let each = spent / FIRST as f64;
-    let can_step = |&swarms: &usize| swarms as f64 * each <= ASKED * CORES;
-    let swarms = (0..=SWARMS).rev().find(can_step).unwrap();
-    println!(
-        "{:.2} % of a core each: {swarms} swarms of {SWARMS}",
-        100.0 * each
-    );
-    assert!(swarms >= 300, "a swarm of twenty takes {each} of a core");
-    host(FIRST..swarms).await;
-    let times = async || -> Vec<f64> {
-        let swarms = client.node("swarms").await["swarms"].take();
-        let times = swarms.as_array().unwrap().iter();
-        times.map(|swarm| swarm["time"].as_f64().unwrap()).collect()
-    };
-    let (before, began) = (times().await, Instant::now());
-    let (spent, busy) = (daemon.cpu_time(), busy_time());
-    tokio::time::sleep(Duration::from_secs(10)).await;
-    let (after, elapsed) = (times().await, began.elapsed().as_secs_f64());
-    let spent = (daemon.cpu_time() - spent).as_secs_f64() / elapsed;
-    let others = (busy_time() - busy).as_secs_f64() / elapsed - spent;
-    let rates = before.iter().zip(&after).map(|(a, b)| (b - a) / elapsed);
-    let mut rates: Vec<f64> = rates.collect();
-    rates.sort_by(f64::total_cmp);
-    let slowest = rates[0];
-    println!(
-        "slowest of {swarms} swarms: {slowest:.3} time units a second of 1; {:.0} % of {CORES} \
-         cores are left",
-        100.0 * (1.0 - spent / CORES)
-    );
-    assert_eq!(after.len(), swarms);
-    // Whoever else takes the cores, nobody starves.
-    assert!(slowest > 0.1, "{:?}", &rates[..20]);
-    // Beside others who take what it needs the rest says nothing.
-    if others < 0.2 {
-        assert!(slowest > 0.95, "{:?}", &rates[..20]);
-    } else {
-        println!("not judged: other work took {others:.1} cores meanwhile");
+    for i in 0..SWARMS {
+        let name = format!("s{i}");
+        client
+            .create(&name, json!({"n": 20, "seed": i, "rate": 1}))
+            .await;
+        // A group that pushes takes most of the time.
+        let request = json!({"timeout_secs": 60, "args": {"steps": 500}});
+        client.ok(&name, "step", request).await;
+        client.ok(&name, "run", json!({})).await;
     }
-
-    let began = Instant::now();
-    client.get("s50", "status").await;
-    assert!(
-        began.elapsed() < Duration::from_millis(500),
-        "{:?}",
-        began.elapsed()
+    let steps = async || -> Vec<u64> {
+        let swarms = client.node("swarms").await["swarms"].take();
+        let steps = swarms.as_array().unwrap().iter();
+        steps.map(|it| it["step"].as_u64().unwrap()).collect()
+    };
+    let before = steps().await;
+    tokio::time::sleep(Duration::from_secs(5)).await;
+    let after = steps().await;
+    assert_eq!((before.len(), after.len()), (SWARMS, SWARMS));
+    let mut taken: Vec<u64> = before.iter().zip(&after).map(|(a, b)| b - a).collect();
+    taken.sort_unstable();
+    let mean = taken.iter().sum::<u64>() as f64 / SWARMS as f64;
+    println!(
+        "{} to {} steps, {mean:.1} in the mean",
+        taken[0],
+        taken[SWARMS - 1]
     );
+    assert!(taken[0] > 0 && taken[0] as f64 > 0.5 * mean, "{taken:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn twenty_swarms_a_second_are_created_and_deleted() {
+async fn swarms_that_are_created_and_deleted_leave_no_thread_and_no_memory() {
     let _alone = alone().await;
     let daemon = Daemon::for_measuring().await;
     let client = &daemon.client;
     let threads = || std::fs::read_dir("/proc/self/task").unwrap().count();
-    let began = Instant::now();
     let before = threads();
     for i in 0..60 {
         let name = format!("s{i}");
@@ -105,9 +63,6 @@ async fn twenty_swarms_a_second_are_created_and_deleted() {
         client.ok(&name, "step", json!({"steps": 5})).await;
         client.ok(&name, "delete", json!({})).await;
     }
-    let rate = 60.0 / began.elapsed().as_secs_f64();
-    println!("{rate:.0} swarms a second created, stepped and deleted");
-    assert!(rate > 20.0, "{rate}");
     until("the swarms' threads end", async || threads() <= before + 2).await;
     assert_eq!(client.node("status").await["memory_bytes"], 0);
     daemon.stop().await;
@@ -162,29 +117,24 @@ async fn a_flood_is_answered_and_neither_memory_nor_others_suffer() {
     let before = resident_bytes();
     let flooder = daemon.another_client().await;
     let flooding = tokio::spawn(async move { flood(&flooder, 60_000).await });
-    let (began, mut slowest) = (Instant::now(), Duration::ZERO);
-    let time = async || {
-        client.get("other", "status").await["time"]
-            .as_f64()
+    let step = async || {
+        client.get("other", "status").await["step"]
+            .as_u64()
             .unwrap()
     };
-    let first = time().await;
+    let first = step().await;
     let mut last = first;
     while !flooding.is_finished() {
-        let asked = Instant::now();
-        last = time().await;
-        slowest = slowest.max(asked.elapsed());
+        last = step().await;
     }
-    let rate = (last - first) / began.elapsed().as_secs_f64();
     let (answered, busy) = flooding.await.unwrap();
     let grown = resident_bytes().saturating_sub(before) >> 20;
     println!(
-        "{answered} answered, {busy} turned away in {:?}; the other swarm ran at {rate:.2}, its \
-         slowest answer took {slowest:?}; {grown} MiB more",
-        began.elapsed()
+        "{answered} answered, {busy} rejected; the other swarm took {} steps; {grown} MiB more",
+        last - first
     );
     assert_eq!(answered + busy, 60_000);
-    assert!(slowest < Duration::from_secs(2), "{slowest:?}");
+    assert!(last > first, "the other swarm stood still");
     assert!(grown < 150, "{grown} MiB");
     daemon.stop().await;
 }

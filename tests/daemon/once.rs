@@ -5,7 +5,7 @@ use std::time::Duration;
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
-use crate::support::{Daemon, NODE, PREFIX};
+use crate::support::{Client, Daemon, NODE, PREFIX, until};
 
 fn named(id: &str, args: Value) -> Value {
     let mut request = json!({"client": "me", "request_id": id});
@@ -161,5 +161,108 @@ async fn a_reply_with_a_state_and_the_fault_of_a_step_are_given_again() {
     let again = client.cmd("faulting", "step", request).await.unwrap_err();
     assert_eq!(again, first);
     assert_eq!(client.get("faulting", "status").await["step"], 0);
+    daemon.stop().await;
+}
+
+/// Has `client` inform everybody of `crowd` under ids `flood-N`, one request after the other.
+async fn flood(client: &Client, numbers: impl Iterator<Item = u32>) {
+    for number in numbers {
+        let request = json!({
+            "client": "flood",
+            "request_id": format!("flood-{number}"),
+            "args": {"direction": 0.0, "select": {"fraction": 1.0}},
+        });
+        client.ok("crowd", "inform", request).await;
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_clients_many_replies_evict_its_own_and_no_others() {
+    const FLOOD: u32 = 8000;
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 5})).await;
+    client.create("crowd", json!({"n": 2000})).await;
+    let mine = named("1", json!({"count": 1}));
+    let injected = client.ok("a", "inject", mine.clone()).await;
+    let theirs = json!({"client": "flood", "request_id": "b", "args": {"count": 1}});
+    client.create("b", json!({"n": 2})).await;
+    client.ok("b", "inject", theirs.clone()).await;
+    // Each reply lists 2000 ids in 9 kB: together more than the 64 MiB that are remembered.
+    flood(client, 0..1).await;
+    let part = |k: u32| flood(client, (1..FLOOD).filter(move |number| number % 8 == k));
+    tokio::join!(
+        part(0),
+        part(1),
+        part(2),
+        part(3),
+        part(4),
+        part(5),
+        part(6),
+        part(7)
+    );
+    assert_eq!(client.ok("a", "inject", mine.clone()).await, injected);
+    assert_eq!(client.get("a", "status").await["result"]["n"], 6);
+    // The flood has lost its own oldest reply, so the total was exceeded.
+    let seq = client.get("crowd", "status").await["seq"].as_u64().unwrap();
+    flood(client, 0..1).await;
+    assert_eq!(client.get("crowd", "status").await["seq"], seq + 1);
+    flood(client, FLOOD - 1..FLOOD).await;
+    assert_eq!(client.get("crowd", "status").await["seq"], seq + 1);
+    // The same holds for the replies in the store. Recovery must not take evicted replies for lost
+    // ones: it would replay the swarm from an older checkpoint to recompute them.
+    for _ in 0..10 {
+        client.ok("b", "step", json!({"steps": 10_000})).await;
+    }
+    let daemon = daemon.restart().await;
+    let client = &daemon.client;
+    client.ok("b", "inject", theirs).await;
+    assert_eq!(client.get("b", "status").await["result"]["n"], 4);
+    assert_eq!(client.ok("a", "inject", mine).await, injected);
+    assert_eq!(client.get("a", "status").await["result"]["n"], 6);
+    flood(client, FLOOD - 1..FLOOD).await;
+    assert_eq!(client.get("crowd", "status").await["seq"], seq + 1);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_large_reply_is_remembered_without_its_state_which_the_swarm_still_has() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 200})).await;
+    client
+        .ok(
+            "a",
+            "join",
+            json!({"controller": "ada", "select": {"fraction": 1.0}}),
+        )
+        .await;
+    let mut request = named("1", json!({"controller": "ada", "return": "state"}));
+    request["expect_step"] = json!(0);
+    // The controller's session ends between the request and the reply.
+    let key = keys::cmd(PREFIX, "a", "advance");
+    let killed = daemon.another_client().await;
+    let payload = request.to_string();
+    let unheard = killed.ask(&key, Some(payload.as_bytes()));
+    _ = tokio::time::timeout(Duration::ZERO, unheard).await;
+    drop(killed);
+    until("it is carried out", async || {
+        client.get("a", "status").await["step"] == 1
+    })
+    .await;
+    let seq = client.get("a", "status").await["seq"].clone();
+    let again = client.ok("a", "advance", request.clone()).await;
+    assert_eq!((&again["step"], &again["seq"]), (&json!(1), &seq));
+    assert_eq!(again["result"].get("state"), None);
+    assert_eq!(again["result"]["state_hash"], client.hash("a").await);
+    assert_eq!(client.ok("a", "advance", request).await, again);
+    // The first reply has the state, and the reply to a retry omits it.
+    let mut next = named("2", json!({"controller": "ada", "return": "state"}));
+    next["expect_step"] = json!(1);
+    let first = client.ok("a", "advance", next.clone()).await;
+    assert_eq!(first["result"]["state"]["step"], 2);
+    let mut short = first.clone();
+    short["result"].as_object_mut().unwrap().remove("state");
+    assert_eq!(client.ok("a", "advance", next).await, short);
     daemon.stop().await;
 }

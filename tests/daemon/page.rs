@@ -145,14 +145,18 @@ async fn nothing_is_changed_without_the_token() {
             address: address.clone(),
             token,
         };
-        assert_eq!(watching.get("/api/hello").1["may_command"], false);
+        let (_, hello) = watching.get("/api/hello");
+        assert_eq!(hello["may_command"], false);
+        let file = hello["token_file"].as_str().unwrap();
+        let kept = std::fs::read_to_string(file).unwrap();
+        assert_eq!(Some(kept.trim()), steering.token.as_deref(), "{file}");
         for verb in [
             "run", "step", "set", "inform", "inject", "reset", "fork", "delete", "nothing",
         ] {
             let (status, error) = watching.post(&format!("/api/cmd/a/{verb}"), "{}");
             assert_eq!(status, 401, "{verb}: {error}");
             assert_eq!(error["code"], "permission_denied");
-            assert!(error["message"].as_str().unwrap().contains("token"));
+            assert!(error["message"].as_str().unwrap().contains(file), "{error}");
         }
         let (status, _) = watching.post("/api/node/create", r#"{"name": "b", "spec": {"n": 3}}"#);
         assert_eq!(status, 401);
@@ -460,4 +464,29 @@ async fn the_token_is_printed_once_and_in_no_log() {
         let text = String::from_utf8_lossy(&text);
         assert_eq!(text.contains(&token), is_its_own, "{}", path.display());
     }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_recording_is_fetched_with_the_token_only() {
+    let daemon = Daemon::start().await;
+    daemon.client.create("school", json!({"n": 3})).await;
+    let operator = Browser::of(&daemon);
+    let begin = json!({"begin": {"swarm": "school", "recording": "take"}});
+    let stop = json!({"stop": {"recording": "take"}});
+    for request in [begin, stop] {
+        let (status, said) = operator.post("/api/node/record", &request.to_string());
+        assert_eq!(status, 200, "{said}");
+    }
+    let watcher = Browser {
+        address: operator.address.clone(),
+        token: None,
+    };
+    assert_eq!(watcher.get("/api/get/@node/get/recordings").0, 200);
+    let take = "/api/get/@node/get/recording?name=take";
+    let (status, said) = watcher.get(take);
+    assert!([401, 403].contains(&status), "{status}: {said}");
+    let (status, piece) = operator.get(take);
+    assert_eq!(status, 200, "{piece}");
+    assert!(piece["result"]["length"].as_u64() > Some(1000), "{piece}");
+    daemon.stop().await;
 }

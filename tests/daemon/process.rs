@@ -247,3 +247,26 @@ async fn a_defect_in_reading_a_query_is_told_and_the_daemon_goes_on() {
     assert_eq!(error.code, ErrorCode::Internal);
     assert!(client.one(&key, None).await.is_ok());
 }
+
+#[test]
+fn the_manual_is_written_and_a_setting_without_effect_is_refused() {
+    let run = |line: &str| {
+        let words: Vec<&str> = line.split(' ').collect();
+        jostled(&words).stderr(Stdio::piped()).output().unwrap()
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let pages = folder.path().join("pages");
+    let written = run(&format!("man -o {}", pages.display()));
+    assert!(written.status.success(), "{written:?}");
+    let page = |name: &str| std::fs::read_to_string(pages.join(name)).unwrap();
+    assert!(page("jostled.1").contains(r"\-\-listen"));
+    assert!(page("jostled-demo.1").contains(r"\-\-listen"));
+    let run_page = page("jostled-run.1");
+    assert!(!run_page.contains(r"\-\-listen") && run_page.contains(r"\-\-threads"));
+    for line in ["--listen tcp/127.0.0.1:0 man", "run a.toml -o b --log info"] {
+        let refused = run(line);
+        assert_eq!(refused.status.code(), Some(2), "{refused:?}");
+        let said = String::from_utf8(refused.stderr).unwrap();
+        assert!(said.contains("has no effect on `jostled "), "{said}");
+    }
+}

@@ -30,7 +30,7 @@ async fn record(client: &Client, path: &Path) -> Vec<State> {
             status["result"]["parameters"].to_string(),
         ),
     ]);
-    let mut recorder = Recorder::to_file(path, true, about).unwrap();
+    let mut recorder = Recorder::to_file(path, true, about, |_, _| Ok(())).unwrap();
     let (mut states, mut told) = (Vec::new(), 0);
     for number in 0..52 {
         match number {
@@ -61,7 +61,9 @@ async fn record(client: &Client, path: &Path) -> Vec<State> {
         }
         recorder
             .frame(&Frame {
+                swarm: &state.swarm,
                 moment: moment(number, &state),
+                phase: state.phase.name(),
                 step: state.step,
                 origin: state.origin,
                 id: &state.id,
@@ -71,6 +73,7 @@ async fn record(client: &Client, path: &Path) -> Vec<State> {
                 weight: &state.weight,
                 direction: &state.direction,
                 order: state.order.order,
+                drift: state.order.drift,
                 worst_gap: state.certificate.worst_gap,
                 residual: state.certificate.residual,
                 contacts: state.certificate.contacts,
@@ -144,6 +147,15 @@ pub async fn show(client: &Client, name: &str, file: &[u8]) -> Answer {
     replay(client, json!({"open": {"name": name}})).await
 }
 
+async fn seek_error(client: &Client, args: &Value) -> Error {
+    let key = keys::cmd(PREFIX, "tape", "seek");
+    let payload = json!({ "args": args }).to_string();
+    client
+        .one(&key, Some(payload.as_bytes()))
+        .await
+        .unwrap_err()
+}
+
 /// Whether a state shows what another one did, under another name.
 fn assert_shows(shown: &State, recorded: &State) {
     let as_recorded = State {
@@ -179,7 +191,7 @@ async fn a_recording_is_shown_to_the_bit_and_goes_wherever_it_is_sought() {
     for (to, frame) in [
         (json!({"step": 52}), 10),
         (json!({"time": 2.0}), 20),
-        (json!({"step": 1_000_000}), 40),
+        (json!({"step": 200}), 40),
         (json!({"fraction": 1.0}), 51),
         (json!({"step": 0}), 41),
         (json!({"time": 0.55}), 46),
@@ -195,6 +207,43 @@ async fn a_recording_is_shown_to_the_bit_and_goes_wherever_it_is_sought() {
         // The shape is the one it had then.
         let pi1 = if (20..41).contains(&frame) { 3.0 } else { 4.0 };
         assert_eq!(status["result"]["parameters"]["pi1"], pi1, "frame {frame}");
+    }
+    for (run, beyond, range) in [
+        (0.0, json!({"step": 201}), "give a step from 0 to 200"),
+        (
+            0.0,
+            json!({"step": 9_007_199_254_740_991_u64}),
+            "give a step from 0 to 200",
+        ),
+        (0.0, json!({"time": 4.001}), "give a time from 0 to 4"),
+        (0.0, json!({"time": 1e12}), "give a time from 0 to 4"),
+        (1.0, json!({"step": 51}), "give a step from 0 to 50"),
+        (1.0, json!({"time": 1.5}), "give a time from 0 to 1"),
+    ] {
+        client.ok("tape", "seek", json!({"fraction": run})).await;
+        let before = client.get("tape", "status").await;
+        let error = seek_error(client, &beyond).await;
+        assert_eq!(
+            error.code,
+            ErrorCode::InvalidArgument,
+            "{beyond}: {error:?}"
+        );
+        assert!(error.message.contains(range), "{beyond}: {error:?}");
+        let field = beyond.as_object().unwrap().keys().next().unwrap();
+        assert_eq!(error.details["field"], **field);
+        assert!(error.details["range"].is_string(), "{error:?}");
+        let after = client.get("tape", "status").await;
+        assert_eq!(after, before, "{beyond}: it stays where it is");
+    }
+    client.ok("tape", "seek", json!({"fraction": 0})).await;
+    // The last frame itself is not beyond the end, and a rounded time is as good.
+    for last in [
+        json!({"time": 4.0}),
+        json!({"time": 3.999_999_999_9}),
+        json!({"time": 4.000_000_000_1}),
+    ] {
+        let sought = client.ok("tape", "seek", last.clone()).await;
+        assert_eq!(sought["step"], 200, "{last}");
     }
     client.ok("tape", "seek", json!({"step": 100})).await;
     for past in [json!({"until_step": 99}), json!({"until_time": 1.0})] {
@@ -265,15 +314,20 @@ async fn whoever_watches_a_replay_sees_and_hears_what_there_was() {
         epochs.is_sorted() && epochs.first() < epochs.last(),
         "{epochs:?}"
     );
-    let events = client.get("tape", "events?limit=1000").await["result"]["events"].clone();
-    let verbs: Vec<&str> = events
-        .as_array()
-        .unwrap()
-        .iter()
-        .filter_map(|it| it["event"]["verb"].as_str())
-        .filter(|verb| ["inform", "set", "reset"].contains(verb))
-        .collect();
+    // The verb and the wall-clock time of each command event.
+    let told_by = async |swarm: &str| -> Vec<(String, f64)> {
+        let events = client.get(swarm, "events?limit=1000").await["result"]["events"].take();
+        let told = events.as_array().unwrap().iter().filter_map(|it| {
+            let verb = it["event"]["verb"].as_str()?;
+            let is_change = ["inform", "set", "reset"].contains(&verb);
+            is_change.then(|| (verb.to_owned(), it["unix_secs"].as_f64().unwrap()))
+        });
+        told.collect()
+    };
+    let told = told_by("tape").await;
+    let verbs: Vec<&str> = told.iter().map(|(verb, _)| verb.as_str()).collect();
     assert_eq!(verbs, ["inform", "set", "reset"]);
+    assert_eq!(told, told_by("live").await);
 
     // At its end it begins anew; as fast as possible is a frame at a time.
     client.ok("tape", "run", json!({"rate": null})).await;
@@ -405,7 +459,7 @@ async fn pieces_that_do_not_fit_and_files_that_are_no_recordings_are_refused() {
     damaged[middle] ^= 1;
     let without_spec = {
         let path = folder.path().join("other.mcap");
-        let recorder = Recorder::to_file(&path, false, About::new()).unwrap();
+        let recorder = Recorder::to_file(&path, false, About::new(), |_, _| Ok(())).unwrap();
         recorder.finish(&About::new()).unwrap();
         fs::read(&path).unwrap()
     };

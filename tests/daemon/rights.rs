@@ -1,6 +1,9 @@
 //! Many people, each with their rights: what each may, over TLS and within the machine.
 
+mod address;
+mod blocked;
 mod forgery;
+mod live;
 mod matrix;
 pub mod secrets;
 mod start;
@@ -121,6 +124,10 @@ impl Proof {
     }
 
     async fn open(&self, endpoint: &str) -> zenoh::Result<Session> {
+        self.open_as("client", endpoint).await
+    }
+
+    async fn open_as(&self, mode: &str, endpoint: &str) -> zenoh::Result<Session> {
         let mut tls = json!({"root_ca_certificate": self.authority});
         if let Some([certificate, key]) = &self.certificate {
             tls["enable_mtls"] = json!(true);
@@ -128,7 +135,8 @@ impl Proof {
             tls["connect_private_key"] = json!(key);
         }
         let mut settings = vec![
-            ("mode", json!("client")),
+            ("mode", json!(mode)),
+            ("listen/endpoints", json!([])),
             ("connect/endpoints", json!([endpoint])),
             ("scouting/multicast/enabled", json!(false)),
             ("scouting/gossip/enabled", json!(false)),

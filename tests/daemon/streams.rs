@@ -199,7 +199,7 @@ async fn swarms_and_the_node_are_alive_exactly_while_they_are() {
     let tokens = watcher
         .session
         .liveliness()
-        .declare_subscriber("jostle/**")
+        .declare_subscriber(keys::alive(PREFIX, "*", "*"))
         .history(true)
         .with(zenoh::handlers::FifoChannel::new(100))
         .await

@@ -36,7 +36,7 @@ pub fn fail(command: &mut Command, faults: &str) {
 async fn writes_and_syncs_that_fail_are_never_taken_for_done() {
     let _alone = alone().await;
     if !Path::new(FIU).exists() {
-        println!("skipped: needs libfiu, `apt-get install fiu-utils`");
+        crate::support::skip("needs libfiu, `apt-get install fiu-utils`");
         return;
     }
     let lives = if std::env::var_os("JOSTLE_LONG").is_some() {
@@ -138,7 +138,7 @@ impl Drop for Small {
 async fn on_a_full_disk_swarms_step_on_and_commands_hear_of_it_at_once() {
     let _alone = alone().await;
     let Some(disk) = Small::mount(8) else {
-        println!("skipped: mounting a small disk is not permitted here");
+        crate::support::skip("mounting a small disk is not permitted here");
         return;
     };
     let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
@@ -276,7 +276,7 @@ async fn on_a_full_disk_swarms_step_on_and_commands_hear_of_it_at_once() {
 async fn an_orderly_end_on_a_full_disk_says_that_not_all_is_written() {
     let _alone = alone().await;
     let Some(disk) = Small::mount(8) else {
-        println!("skipped: mounting a small disk is not permitted here");
+        crate::support::skip("mounting a small disk is not permitted here");
         return;
     };
     let logs = tempfile::tempdir().unwrap();
@@ -312,7 +312,7 @@ async fn an_orderly_end_on_a_full_disk_says_that_not_all_is_written() {
 async fn on_a_full_disk_swarms_can_be_deleted_and_what_cannot_be_told_yet_is_said() {
     let _alone = alone().await;
     let Some(disk) = Small::mount(8) else {
-        println!("skipped: mounting a small disk is not permitted here");
+        crate::support::skip("mounting a small disk is not permitted here");
         return;
     };
     let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);

@@ -115,7 +115,7 @@ impl Twin {
                     self.step_to(row.step);
                     self.carry_out(at_step, &sender, answers);
                 }
-                Record::Became { input, seq } => {
+                Record::Became { input, seq, .. } => {
                     // A step's line says itself; so early a line was told before the last kill.
                     if let Some(became) = self.became.get(&input) {
                         assert_eq!(*became, seq, "{}: line {input}", self.name);

@@ -2,12 +2,12 @@
 
 use std::time::Duration;
 
-use jostle_proto::keys;
+use jostle_proto::{ErrorCode, keys};
 use serde_json::json;
 use zenoh::Wait;
 use zenoh::sample::Sample;
 
-use super::{Lab, Visitor};
+use super::{Lab, Proof, Visitor};
 use crate::support::{NODE, PREFIX, until};
 
 /// Every message that only the daemon sends is tried by everybody who may least to most.
@@ -75,9 +75,12 @@ async fn forged_states_answers_and_tokens_never_arrive() {
             keys::alive(PREFIX, "another", NODE),
             keys::node_alive(PREFIX, "another"),
             keys::ctl_alive(PREFIX, "s", "carl"),
+            keys::claim(PREFIX, "s", "another", "0", "changed"),
+            keys::node_claim(PREFIX, NODE, "0", "changed"),
         ];
-        // An operator may hold the token of any controller.
-        let alive = &alive[..if name == "olga" { 2 } else { 3 }];
+        // An operator may hold the token of any controller, and a router that connects as one
+        // brings the claims of other daemons.
+        let alive = &alive[..if name == "olga" { 2 } else { 5 }];
         for key in alive {
             tokens.push(
                 forger
@@ -185,4 +188,44 @@ async fn set_points_are_taken_from_whom_the_controller_is() {
         until("set-points are taken", async || taken().await == number - 1).await;
     }
     lab.close(vec![vera, cleo, carl, olga]).await;
+}
+
+/// A router brings the claims of other daemons, and a client can connect as a router.
+#[tokio::test(flavor = "multi_thread")]
+async fn only_a_router_of_an_operator_brings_claims() {
+    let lab = Lab::open().await;
+    let olga = lab.enter("olga").await;
+    olga.create("s").await;
+    for name in ["vera", "cleo", "olga"] {
+        let proof = Proof::of(&lab.folder, name);
+        let router = proof.open_as("router", lab.endpoint("tls")).await.unwrap();
+        let mut tokens = Vec::new();
+        for key in [
+            keys::claim(PREFIX, "s", "another", "0", "changed"),
+            keys::node_claim(PREFIX, NODE, "0", "changed"),
+        ] {
+            let token = router.liveliness().declare_token(key);
+            tokens.push(token.await.unwrap());
+        }
+        let key = keys::node_get(PREFIX, NODE, "metrics");
+        let mut contested = 0;
+        for _ in 0..100 {
+            for answer in olga.ask(&key, None).await {
+                match answer {
+                    Ok(reply) => contested += reply["result"]["contested"].as_u64().unwrap(),
+                    Err(error) => {
+                        assert_eq!(error.code, ErrorCode::Contested);
+                        contested += 1;
+                    }
+                }
+            }
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+        assert_eq!(contested > 0, name == "olga", "{name}: {contested}");
+        if name != "olga" {
+            olga.cmd("s", "step", json!({"steps": 1})).await;
+        }
+        router.close().await.unwrap();
+    }
+    lab.close(vec![olga]).await;
 }

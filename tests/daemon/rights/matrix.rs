@@ -70,6 +70,7 @@ async fn deeds(olga: &Visitor, cleo: &Visitor) -> Vec<Deed> {
         });
     }
     olga.create("source").await;
+    olga.create("discarded").await;
     let spec = json!({"n": 3});
     let toml = "name = \"small\"\nduration = 1\n[[grid]]\nn = [2]\n";
     for (verb, args) in [
@@ -80,6 +81,7 @@ async fn deeds(olga: &Visitor, cleo: &Visitor) -> Vec<Deed> {
             "replay",
             json!({"upload": {"name": "piece", "offset": 0, "length": 8, "bytes": "iU1DQVAwDQo="}}),
         ),
+        ("discard", json!({"name": "discarded"})),
         (
             "restore",
             json!({"name": "restored", "snapshot": snapshot_of(olga, "source").await}),
@@ -220,7 +222,10 @@ async fn gets(everybody: &[&Visitor]) -> usize {
         gets.push(keys::get(PREFIX, "source", noun) + parameters);
     }
     for noun in keys::NODE_GETS {
-        gets.push(keys::node_get(PREFIX, NODE, noun));
+        // What operators alone may look at has a test of its own.
+        if noun != "recording" {
+            gets.push(keys::node_get(PREFIX, NODE, noun));
+        }
     }
     gets.push(keys::experiment(PREFIX, NODE, "small", "progress"));
     for key in &gets {
@@ -238,6 +243,53 @@ async fn gets(everybody: &[&Visitor]) -> usize {
         }
     }
     gets.len() * everybody.len()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn recordings_are_fetched_by_operators_alone() {
+    let lab = Lab::open().await;
+    let (vera, cleo, olga) = (
+        lab.enter("vera").await,
+        lab.enter("cleo").await,
+        lab.enter("olga").await,
+    );
+    record_and_open(&olga, "tape").await;
+    let key = keys::node_get(PREFIX, NODE, "recording");
+    let film = format!("{key}?name=film");
+    let piece = olga.ok(&film, None).await["result"].take();
+    assert!(piece["length"].as_u64() > Some(1000), "{piece}");
+    // zenoh stops the sessions of others, whatever token comes along.
+    let stolen = lab
+        .enter_with("vera", Some(&lab.credentials("olga").token))
+        .await;
+    for who in [&vera, &cleo, &stolen] {
+        let answers = who.ask(&film, None).await;
+        assert!(answers.is_empty(), "{answers:?}");
+    }
+    // The daemon stops what comes over an operator's session with another's token, or none.
+    let vera_token = lab.credentials("vera").token;
+    let lent = lab.enter_with("olga", Some(&vera_token)).await;
+    let silent = lab.enter_with("olga", None).await;
+    for who in [&lent, &silent] {
+        let answers = who.ask(&film, None).await;
+        let [Err(error)] = &answers[..] else {
+            panic!("{answers:?}");
+        };
+        assert_eq!(error.code, ErrorCode::PermissionDenied, "{error:?}");
+        assert!(error.message.contains("takes an operator"), "{error:?}");
+    }
+    // A wildcard does not reach it for anybody.
+    for who in [&vera, &stolen, &olga] {
+        for wild in ["*", "recording$*", "**"] {
+            let key = keys::node_get(PREFIX, NODE, wild);
+            let answers = who.ask(&format!("{key}?name=film"), None).await;
+            let told = answers.iter().flatten();
+            let has_piece = |answer: &Value| answer["result"].get("length").is_some();
+            assert!(!told.into_iter().any(has_piece), "{wild}: {answers:?}");
+        }
+    }
+    lab.close(vec![vera, cleo, olga, stolen, lent, silent])
+        .await;
 }
 
 /// A wildcard executes nothing, whoever sends it.

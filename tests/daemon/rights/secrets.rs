@@ -13,6 +13,7 @@ use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio_rustls::TlsConnector;
+use tokio_rustls::client::TlsStream;
 use tokio_rustls::rustls::{self, RootCertStore};
 use tokio_tungstenite::client_async;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
@@ -23,7 +24,7 @@ use crate::health::send;
 use crate::support::{NODE, PREFIX, until};
 
 /// Asks over HTTP with a token, or without.
-fn http(address: &str, request: &str, token: Option<&str>, body: &str) -> (u16, Value) {
+pub fn http(address: &str, request: &str, token: Option<&str>, body: &str) -> (u16, Value) {
     let token = token.map(|token| format!("Authorization: Bearer {token}\r\n"));
     let (status, _, body) = send(
         address,
@@ -100,6 +101,7 @@ async fn over_http_everybody_shows_their_own_token() {
             (&hello["may_watch"], &hello["role"]),
             (&json!(false), &json!(null))
         );
+        assert_eq!(hello["token_file"], json!(null));
         assert_eq!(http(&address, "GET /healthz", token, "").0, 200);
     }
     for (token, name, may) in [
@@ -127,8 +129,17 @@ async fn over_http_everybody_shows_their_own_token() {
     lab.close(Vec::new()).await;
 }
 
-/// Asks over TLS, by the name `lab.example`; nothing if the other side is not trusted.
-pub async fn https(address: SocketAddr, trusted: &Folder, request: &str) -> Option<String> {
+/// A connection over TLS, by the name `localhost`; nothing if the other side is not trusted.
+pub async fn connect_tls(address: SocketAddr, trusted: &Folder) -> Option<TlsStream<TcpStream>> {
+    connect_tls_by("localhost", address, trusted).await
+}
+
+/// A connection over TLS, by this name; nothing if the other side is not trusted.
+async fn connect_tls_by(
+    name: &'static str,
+    address: SocketAddr,
+    trusted: &Folder,
+) -> Option<TlsStream<TcpStream>> {
     let mut roots = RootCertStore::empty();
     let [authority, _] = trusted.authority();
     roots
@@ -142,8 +153,23 @@ pub async fn https(address: SocketAddr, trusted: &Folder, request: &str) -> Opti
         .with_no_client_auth();
     let connector = TlsConnector::from(std::sync::Arc::new(config));
     let stream = TcpStream::connect(address).await.unwrap();
-    let name = ServerName::try_from("localhost").unwrap();
-    let mut stream = connector.connect(name, stream).await.ok()?;
+    let name = ServerName::try_from(name).unwrap();
+    connector.connect(name, stream).await.ok()
+}
+
+/// Asks over TLS, by the name `localhost`; nothing if the other side is not trusted.
+pub async fn https(address: SocketAddr, trusted: &Folder, request: &str) -> Option<String> {
+    https_by("localhost", address, trusted, request).await
+}
+
+/// Asks over TLS, by this name; nothing if the other side is not trusted.
+pub async fn https_by(
+    name: &'static str,
+    address: SocketAddr,
+    trusted: &Folder,
+    request: &str,
+) -> Option<String> {
+    let mut stream = connect_tls_by(name, address, trusted).await?;
     stream.write_all(request.as_bytes()).await.unwrap();
     let mut answer = String::new();
     // Whether it says goodbye is of no interest.

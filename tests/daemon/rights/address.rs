@@ -1,0 +1,341 @@
+//! Where a daemon is reached: what `jostled auth init` and `auth address` make of it.
+
+use std::fs::{self, File};
+use std::net::{SocketAddr, TcpListener};
+use std::path::Path;
+use std::process::Output;
+
+use jostle_proto::{Credentials, keys};
+use jostled::rights::folder::Folder;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+
+use super::secrets::https_by;
+use crate::apart::{Process, jostled};
+use crate::support::{NODE, PREFIX, until};
+
+/// Runs `jostled auth`, with nothing in the environment that says where to listen.
+fn auth(folder: &Path, arguments: &[&str]) -> Output {
+    let mut command = jostled(&["auth"]);
+    command
+        .args(arguments)
+        .arg("--auth-dir")
+        .arg(folder)
+        .env_remove("JOSTLED_HTTP");
+    command
+        .stderr(std::process::Stdio::piped())
+        .output()
+        .unwrap()
+}
+
+fn done(folder: &Path, arguments: &[&str]) -> String {
+    let ended = auth(folder, arguments);
+    assert!(ended.status.success(), "{arguments:?}: {ended:?}");
+    String::from_utf8(ended.stdout).unwrap()
+}
+
+/// A port of this address that is free.
+fn free(address: &str) -> u16 {
+    let listener = TcpListener::bind((address, 0)).unwrap();
+    listener.local_addr().unwrap().port()
+}
+
+struct Lab {
+    folder: Folder,
+    base: TempDir,
+}
+
+impl Lab {
+    fn new() -> Self {
+        let base = tempfile::tempdir().unwrap();
+        Lab {
+            folder: Folder::at(base.path().join("auth")),
+            base,
+        }
+    }
+
+    /// Starts a daemon with the settings in the folder and nothing else.
+    async fn serve(&self) -> Process {
+        let out = self.base.path().join("out");
+        let mut command = jostled(&["serve", "--node", NODE, "--config"]);
+        command
+            .arg(self.folder.settings_file())
+            .env_remove("JOSTLED_HTTP")
+            .arg("--data-dir")
+            .arg(self.base.path().join("data"))
+            .stdout(File::create(&out).unwrap());
+        let process = Process::of(&mut command);
+        until("it serves", async || {
+            fs::read_to_string(&out).unwrap().contains("http on")
+        })
+        .await;
+        process
+    }
+
+    /// Whether a client with nothing but `zenoh.json5` reaches the daemon, and a browser the page.
+    async fn reach(&self, person: &str, host: &'static str) -> [bool; 2] {
+        let config = self.folder.of(person).join("zenoh.json5");
+        let config = zenoh::Config::from_file(config).unwrap();
+        let is_reached = match zenoh::open(config).await {
+            Ok(session) => {
+                let hello = session
+                    .get(keys::node_get(PREFIX, NODE, "hello"))
+                    .await
+                    .unwrap();
+                let is_answered = hello.recv_async().await.is_ok_and(|it| it.result().is_ok());
+                session.close().await.unwrap();
+                is_answered
+            }
+            Err(_) => false,
+        };
+        let page = self.credentials(person).page.unwrap();
+        let address: SocketAddr = page.strip_prefix("https://").unwrap().parse().unwrap();
+        let request = format!("GET /healthz HTTP/1.1\r\nHost: {host}\r\nConnection: close\r\n\r\n");
+        let answer = https_by(host, address, &self.folder, &request).await;
+        [
+            is_reached,
+            answer.is_some_and(|it| it.starts_with("HTTP/1.1 ")),
+        ]
+    }
+
+    fn credentials(&self, person: &str) -> Credentials {
+        self.folder.credentials(person).unwrap()
+    }
+
+    fn shown(&self) -> Value {
+        let told = done(self.folder.path(), &["address", "--json"]);
+        serde_json::from_str(&told).unwrap()
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn addresses_that_init_is_given_are_those_of_the_daemon_and_of_people() {
+    let lab = Lab::new();
+    let path = lab.folder.path();
+    let [first, second] = ["127.0.0.2", "127.0.0.3"];
+    let ports = [first, first, second, second].map(free);
+    let listen = format!("tls/{first}:{}", ports[0]);
+    let http = format!("https://{first}:{}", ports[1]);
+    let people = ["vera=viewer", "olga=operator"];
+    done(
+        path,
+        &[&["init", "--listen", &listen, "--http", &http], &people[..]].concat(),
+    );
+    let before = lab.credentials("olga");
+    assert_eq!(
+        (&before.endpoint, before.page.as_ref()),
+        (&listen, Some(&http))
+    );
+    assert_eq!(
+        lab.shown(),
+        json!({"endpoint": listen, "page": http, "hosts": []})
+    );
+    let mut process = lab.serve().await;
+    assert_eq!(lab.reach("olga", first).await, [true, true]);
+    process.signal("-TERM");
+    process.end();
+
+    // What a person has written into the settings stays there.
+    let settings = lab.folder.settings_file();
+    let written = fs::read_to_string(&settings).unwrap() + "# As agreed.\nmax_swarms = 7\n";
+    fs::write(&settings, written).unwrap();
+    fs::remove_dir_all(lab.folder.of("vera")).unwrap();
+    let moved = format!("tls/{second}:{}", ports[2]);
+    let page = format!("https://{second}:{}", ports[3]);
+    let told = done(path, &["address", "--listen", &moved, "--http", &page]);
+    for expected in [
+        "restart the daemon",
+        &moved,
+        &page,
+        lab.folder.of("olga").to_str().unwrap(),
+        "the folders of vera",
+        "JOSTLE_ENDPOINT",
+    ] {
+        assert!(told.contains(expected), "{expected}: {told}");
+    }
+    let after = lab.credentials("olga");
+    assert_eq!(
+        (&after.endpoint, after.page.as_ref()),
+        (&moved, Some(&page))
+    );
+    assert_eq!(
+        (&after.token, &after.password),
+        (&before.token, &before.password)
+    );
+    let written = fs::read_to_string(&settings).unwrap();
+    assert!(
+        written.contains("# As agreed.\nmax_swarms = 7\n"),
+        "{written}"
+    );
+    let mut process = lab.serve().await;
+    assert_eq!(lab.reach("olga", second).await, [true, true]);
+    // Who is added afterwards is told the same.
+    done(path, &["add", "nora=viewer"]);
+    assert_eq!(lab.credentials("nora").endpoint, moved);
+    process.signal("-TERM");
+    process.end();
+    // `init` of an existing folder changes the address, too, and prints the change.
+    let told = done(
+        path,
+        &[
+            "init",
+            "--listen",
+            &listen,
+            "vera=viewer",
+            "carl=controller",
+        ],
+    );
+    let carl = lab.folder.of("carl");
+    for expected in [
+        "restart the daemon",
+        &listen,
+        "hand each folder",
+        carl.to_str().unwrap(),
+    ] {
+        assert!(told.contains(expected), "{expected}: {told}");
+    }
+    assert_eq!(lab.credentials("olga").endpoint, listen);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_address_changes_and_the_others_stay() {
+    let lab = Lab::new();
+    let path = lab.folder.path();
+    let init = [
+        "init",
+        "--host",
+        "lab.example",
+        "--listen",
+        "tls/0.0.0.0:7448",
+        "olga=operator",
+    ];
+    done(path, &init);
+    let people = |lab: &Lab| {
+        let credentials = lab.credentials("olga");
+        (credentials.endpoint, credentials.page.unwrap_or_default())
+    };
+    let local = "http://127.0.0.1:8080".to_owned();
+    assert_eq!(people(&lab), ("tls/lab.example:7448".into(), local.clone()));
+    // HTTP alone.
+    done(path, &["address", "--http", "https://0.0.0.0:8444"]);
+    let page = "https://lab.example:8444".to_owned();
+    assert_eq!(people(&lab), ("tls/lab.example:7448".into(), page.clone()));
+    // Names alone: the first one is what people use.
+    let told = done(
+        path,
+        &["address", "--host", "10.0.0.5", "--host", "lab.example"],
+    );
+    assert!(
+        told.contains("names localhost, 127.0.0.1, ::1, 10.0.0.5, lab.example"),
+        "{told}"
+    );
+    assert_eq!(
+        people(&lab),
+        ("tls/10.0.0.5:7448".into(), "https://10.0.0.5:8444".into())
+    );
+    // Endpoints alone; one within the machine is not what people use.
+    done(
+        path,
+        &["address", "--listen", "tcp/127.0.0.1:7447,tls/[::]:7449"],
+    );
+    assert_eq!(
+        people(&lab),
+        ("tls/10.0.0.5:7449".into(), "https://10.0.0.5:8444".into())
+    );
+    let settings = fs::read_to_string(lab.folder.settings_file()).unwrap();
+    let settings: toml::Table = settings.parse().unwrap();
+    assert_eq!(settings["listen"].as_array().unwrap().len(), 2);
+    assert_eq!(settings["http"].as_str(), Some("https://0.0.0.0:8444"));
+    // No HTTP.
+    done(path, &["address", "--http", ""]);
+    assert_eq!(people(&lab).1, "");
+    // Names, while the daemon listens within its own machine alone.
+    done(path, &["address", "--listen", "tls/127.0.0.1:7447"]);
+    let told = done(path, &["address", "--host", "lab.example"]);
+    assert!(told.contains("--listen tls/0.0.0.0:7447"), "{told}");
+}
+
+#[test]
+fn an_address_that_people_could_not_use_is_refused_and_changes_nothing() {
+    let lab = Lab::new();
+    let path = lab.folder.path();
+    let everywhere = ["--listen", "tls/0.0.0.0:7447"];
+    let ended = auth(
+        path,
+        &[&["init"], &everywhere[..], &["olga=operator"]].concat(),
+    );
+    assert_eq!(ended.status.code(), Some(2), "{ended:?}");
+    assert!(!path.exists());
+    done(path, &["init", "olga=operator"]);
+    let files = [
+        "people.json",
+        "jostled.toml",
+        "daemon.pem",
+        "people/olga/credentials.json",
+    ];
+    let read = || files.map(|file| fs::read_to_string(path.join(file)).unwrap());
+    let before = read();
+    for (arguments, told) in [
+        (&everywhere[..], "--host lab.example"),
+        (&["--http", "https://[::]:8443"], "--host lab.example"),
+        (&["--listen", "tls/127.0.0.1:0"], "give a port"),
+        (&["--http", "127.0.0.1:0"], "give a port"),
+        (&["--listen", "tls/10.0.0.1"], "has no port"),
+        (&["--listen", "tcp/0.0.0.0:7447"], "is not encrypted"),
+        (&["--http", "0.0.0.0:8080"], "is not encrypted"),
+        (&["--http", "lab"], "is no address"),
+        (&["--listen", " , "], "at least one endpoint"),
+        (
+            &["--host", "no such host"],
+            "is neither a name nor an address",
+        ),
+    ] {
+        let ended = auth(path, &[&["address"], arguments].concat());
+        let said = String::from_utf8(ended.stderr).unwrap();
+        assert!(
+            matches!(ended.status.code(), Some(1 | 2)),
+            "{arguments:?}: {said}"
+        );
+        assert!(said.contains(told), "{arguments:?}: {said}");
+        assert!(read() == before, "{arguments:?}");
+    }
+    // The authority's key may be elsewhere.
+    let [_, key] = lab.folder.authority();
+    let aside = lab.base.path().join("key");
+    fs::rename(&key, &aside).unwrap();
+    let ended = auth(path, &["address", "--listen", "tls/127.0.0.1:7448"]);
+    let said = String::from_utf8(ended.stderr).unwrap();
+    assert!(said.contains("put it back"), "{said}");
+    fs::rename(aside, key).unwrap();
+    assert!(read() == before);
+
+    // A folder of an earlier version, which did not record names.
+    let forget = |endpoint: &str| {
+        let mut people: Value = serde_json::from_str(&before[0]).unwrap();
+        let fields = people.as_object_mut().unwrap();
+        fields.remove("hosts");
+        fields.remove("page");
+        fields.insert("endpoint".into(), json!(endpoint));
+        fs::write(lab.folder.people_file(), people.to_string()).unwrap();
+    };
+    forget("tls/lab.example:7447");
+    let ended = auth(path, &["address", "--listen", "tls/0.0.0.0:7448"]);
+    let said = String::from_utf8(ended.stderr).unwrap();
+    assert!(
+        said.contains("give all of them, --host lab.example"),
+        "{said}"
+    );
+    assert_eq!(lab.shown()["hosts"], Value::Null);
+    let both = [
+        "address",
+        "--host",
+        "lab.example",
+        "--listen",
+        "tls/0.0.0.0:7448",
+    ];
+    done(path, &both);
+    assert_eq!(lab.credentials("olga").endpoint, "tls/lab.example:7448");
+    forget("tls/127.0.0.1:7447");
+    done(path, &["address", "--listen", "tls/127.0.0.1:7450"]);
+    assert_eq!(lab.credentials("olga").endpoint, "tls/127.0.0.1:7450");
+}

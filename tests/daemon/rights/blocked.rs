@@ -1,0 +1,171 @@
+//! A session with many subscriptions is closed: commands are blocked meanwhile (docs/security.md).
+
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader};
+use std::process::Stdio;
+use std::time::{Duration, Instant};
+
+use jostled::rights::folder::Folder;
+use jostled::rights::issue;
+use serde_json::{Value, json};
+use tokio::time::sleep;
+
+use super::{PEOPLE, Proof, Visitor};
+use crate::apart::{Process, jostled};
+use crate::health::send;
+use crate::support::{NODE, alone, until};
+
+/// Subscriptions that take zenoh some seconds to remove: a time that grows with their cube.
+const SUBSCRIPTIONS: u32 = 1500;
+
+/// How long the block may last, and be waited for, on a machine that others use.
+const LONGEST: Duration = Duration::from_secs(120);
+
+/// Distinct keys that all match `jostle/a/state`: `$*` matches nothing, too.
+fn key(k: u32) -> String {
+    let mut key = String::new();
+    for (bit, letter) in "jostlestate".chars().enumerate() {
+        if bit == 6 {
+            key += "/a/";
+        }
+        key.push(letter);
+        if k >> bit & 1 == 1 {
+            key += "$*";
+        }
+    }
+    key
+}
+
+fn get(address: &str, path: &str, token: &str) -> (u16, String) {
+    let request = format!(
+        "GET {path} HTTP/1.1\r\nHost: {address}\r\nAuthorization: Bearer {token}\r\n\
+         Connection: close\r\n\r\n"
+    );
+    let (status, _, body) = send(address, &request);
+    (status, body)
+}
+
+fn metric(text: &str, name: &str) -> f64 {
+    let line = text.lines().find_map(|line| line.strip_prefix(name));
+    line.unwrap_or_else(|| panic!("no {name}"))
+        .trim()
+        .parse()
+        .unwrap()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn while_commands_are_blocked_health_says_so_and_then_the_log_says_by_whom() {
+    let _alone = alone().await;
+    let base = tempfile::tempdir().unwrap();
+    let folder = Folder::at(base.path().join("auth"));
+    let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
+    issue::init(&folder, &[], &people).unwrap();
+    let log = base.path().join("log");
+    let mut command = jostled(&["--listen", "tcp/127.0.0.1:0", "--node", NODE]);
+    command
+        .args(["--http", "127.0.0.1:0", "--data-dir"])
+        .arg(base.path().join("data"))
+        .arg("--auth-dir")
+        .arg(folder.path())
+        .stderr(File::create(&log).unwrap())
+        .stdout(Stdio::piped());
+    let mut process = Process(command.spawn().unwrap(), tempfile::tempdir().unwrap());
+    let mut lines = BufReader::new(process.0.stdout.take().unwrap()).lines();
+    let mut after = |start: &str| {
+        let line = lines.next().unwrap().unwrap();
+        line.strip_prefix(start).expect(&line).to_owned()
+    };
+    let endpoint = after("listening on ");
+    let http = after("http on http://");
+    let open = async |name: &str| Visitor {
+        session: Proof::of(&folder, name).open(&endpoint).await.unwrap(),
+        token: Some(folder.credentials(name).unwrap().token),
+    };
+    let olga = open("olga").await;
+    olga.create("a").await;
+    olga.cmd("a", "run", json!({"rate": 1})).await;
+    let token = olga.token.clone().unwrap();
+    let (status, body) = get(&http, "/healthz", &token);
+    assert_eq!(status, 200, "{body}");
+    let (_, metrics) = get(&http, "/metrics", &token);
+    assert_eq!(metric(&metrics, "jostle_bus_blocked_seconds"), 0.0);
+    let before = metric(&metrics, "jostle_bus_blocks_total");
+
+    let vera = open("vera").await;
+    let zid = vera.session.zid().to_string();
+    let mut subscribers = Vec::new();
+    for k in 0..SUBSCRIPTIONS {
+        let subscriber = vera.session.declare_subscriber(key(k)).callback(|_| {});
+        subscribers.push(subscriber.await.unwrap());
+    }
+    // All of them are there once a query behind them is answered.
+    olga.cmd("a", "set", json!({"args": {"pi2": 0.7}})).await;
+    sleep(Duration::from_secs(1)).await;
+    let closing = tokio::spawn(async move { vera.session.close().await.unwrap() });
+    let began = Instant::now();
+    let asking = tokio::spawn(async move {
+        sleep(Duration::from_millis(300)).await;
+        let asked = Instant::now();
+        olga.cmd("a", "set", json!({"args": {"pi2": 0.8}})).await;
+        (olga, asked.elapsed())
+    });
+
+    // While it lasts, over HTTP.
+    let mut seen = Value::Null;
+    while seen.is_null() {
+        assert!(began.elapsed() < LONGEST, "it was never unhealthy");
+        let asked = Instant::now();
+        let (_, body) = get(&http, "/healthz", &token);
+        assert!(
+            asked.elapsed() < Duration::from_secs(5),
+            "{:?}",
+            asked.elapsed()
+        );
+        let told: Value = serde_json::from_str(&body).unwrap();
+        let reasons = told["reasons"].as_array().unwrap().iter();
+        let mut found = reasons.filter(|reason| reason["code"] == "bus_blocked");
+        seen = found.next().cloned().unwrap_or_default();
+        sleep(Duration::from_millis(50)).await;
+    }
+    let after_secs = began.elapsed();
+    assert!(!asking.is_finished(), "commands are blocked");
+    let (_, metrics) = get(&http, "/metrics", &token);
+    assert!(metric(&metrics, "jostle_bus_blocked_seconds") >= 2.0);
+    assert_eq!(metric(&metrics, "jostle_bus_blocks_total"), before + 1.0);
+    let message = seen["message"].as_str().unwrap();
+    assert!(message.contains(&format!("vera (zid {zid}")), "{message}");
+
+    let (olga, took) = asking.await.unwrap();
+    println!("seen after {after_secs:?}: {message}; a command took {took:?}");
+    until("it is healthy again", async || {
+        let (status, body) = get(&http, "/healthz", &token);
+        status == 200 || panic_unless_passing(&body)
+    })
+    .await;
+    let (_, metrics) = get(&http, "/metrics", &token);
+    assert_eq!(metric(&metrics, "jostle_bus_blocked_seconds"), 0.0);
+    let log = fs::read_to_string(&log).unwrap();
+    let line = log
+        .lines()
+        .find(|line| line.contains("commands were blocked for"));
+    let line = line.unwrap_or_else(|| panic!("{log}"));
+    println!("{line}");
+    assert!(
+        line.contains(&format!(
+            "while zenoh closed the session of vera (zid {zid}, tcp/127.0.0.1:"
+        )),
+        "{line}"
+    );
+    closing.await.unwrap();
+    olga.session.close().await.unwrap();
+}
+
+/// Whether what is wrong ends by itself.
+fn panic_unless_passing(body: &str) -> bool {
+    let told: Value = serde_json::from_str(body).unwrap();
+    for reason in told["reasons"].as_array().unwrap() {
+        let code = reason["code"].as_str().unwrap();
+        assert!(["bus_blocked", "thread_stuck"].contains(&code), "{body}");
+    }
+    false
+}
