@@ -26,6 +26,10 @@ JOSTLED = Path(os.environ.get("JOSTLED", ROOT / "target" / "release" / "jostled"
 # How long anything may take that is expected to happen; generous, since the machine is shared.
 PATIENCE_SECS = 20.0
 
+# A shell starts background jobs with SIGINT ignored, which child processes inherit: without this
+# the programs that the tests interrupt would ignore it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
+
 
 class Daemon:
     """A `jostled serve` of this test run's own."""
