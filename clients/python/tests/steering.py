@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import sys
 import time
 
 import jostle
@@ -23,11 +24,12 @@ def directions(controller: jostle.Controller) -> list[float]:
     return [math.sin(0.1 * controller.step + one) for one in controller.ids]
 
 
-def steer(controller: jostle.Controller, until: int, pause: float) -> None:
-    """Advances until a step, and gets in line again when it is out."""
+def steer(controller: jostle.Controller, until: int, waits: bool) -> None:
+    """Advances until a step, each time it is told to if it waits; gets in line again when out."""
     is_back = False
     while controller.step < until:
-        time.sleep(0.0 if is_back else pause)
+        if waits and not is_back:
+            sys.stdin.readline()
         try:
             advanced = controller.advance(direction=directions(controller), weight=2.0)
         except (jostle.Conflict, jostle.NotFound) as error:
@@ -54,9 +56,10 @@ def main() -> None:
     parser.add_argument("--until", type=int, required=True)
     parser.add_argument("--deadline", type=float, default=30.0)
     parser.add_argument("--on-timeout", default="hold")
-    parser.add_argument("--pause", type=float, default=0.0)
+    parser.add_argument("--timeout", type=float, default=60.0)
+    parser.add_argument("--waits", action="store_true", help="for a line before it advances")
     asked = parser.parse_args()
-    with jostle.connect(asked.endpoint, client=asked.name, timeout=20.0) as client:
+    with jostle.connect(asked.endpoint, client=asked.name, timeout=asked.timeout) as client:
         swarm = client.swarm(asked.swarm)
         with swarm.join(
             asked.name,
@@ -68,7 +71,7 @@ def main() -> None:
             # Nobody begins before all are there.
             while swarm.status().controllers < 2:
                 time.sleep(0.01)
-            steer(controller, asked.until, asked.pause)
+            steer(controller, asked.until, asked.waits)
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -20,6 +21,7 @@ import zenoh
 import jostle
 from conftest import PATIENCE_SECS, Daemon, eventually, zenoh_session
 from jostle._errors import read_error
+from recorder import Recorder
 
 Create = Callable[..., jostle.Swarm]
 
@@ -30,9 +32,9 @@ def test_no_daemon_is_told_at_once_with_a_remedy() -> None:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
         began = time.monotonic()
         with pytest.raises(jostle.Unavailable, match="jostled serve") as caught:
-            jostle.connect(endpoint)
+            jostle.connect(endpoint, timeout=10 * PATIENCE_SECS)
     assert endpoint in caught.value.message
-    assert time.monotonic() - began < 2.0
+    assert time.monotonic() - began < PATIENCE_SECS
 
 
 def test_something_else_that_listens_does_not_hold_the_caller_up() -> None:
@@ -42,7 +44,8 @@ def test_something_else_that_listens_does_not_hold_the_caller_up() -> None:
         began = time.monotonic()
         with pytest.raises(jostle.Unavailable):
             jostle.connect(f"tcp/127.0.0.1:{mute.getsockname()[1]}", timeout=0.3)
-    assert time.monotonic() - began < 3.0
+    # By itself zenoh waits for 10 s.
+    assert time.monotonic() - began < 8.0
 
 
 def test_the_endpoint_is_the_environments(daemon: Daemon, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -360,22 +363,28 @@ def test_a_closed_client_says_so(daemon: Daemon) -> None:
         client.swarm("any").states()
 
 
-def test_ctrl_c_interrupts_a_wait(daemon: Daemon, create: Create) -> None:
-    swarm = create(n=2)
+def test_ctrl_c_interrupts_a_wait(free_endpoint: str) -> None:
+    recorder = Recorder(free_endpoint)
+    recorder.is_mute = lambda key: key.endswith("/get/wait")
     code = (
-        "import jostle, sys\n"
-        f"swarm = jostle.connect({daemon.endpoint!r}).swarm({swarm.name!r})\n"
-        "print('waiting', flush=True)\n"
+        "import jostle\n"
+        f"swarm = jostle.connect({free_endpoint!r}).swarm('school')\n"
         "swarm.wait(phase='running')\n"
     )
     process = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     )
-    assert process.stdout is not None
-    assert process.stdout.readline() == "waiting\n"
-    process.send_signal(2)
-    _, said = process.communicate(timeout=PATIENCE_SECS)
+    try:
+        # Only then it waits for the daemon, and for nothing else.
+        assert recorder.holds(1)
+        process.send_signal(signal.SIGINT)
+        _, said = process.communicate(timeout=PATIENCE_SECS)
+    finally:
+        process.kill()
+        process.communicate()
+        recorder.close()
     assert "KeyboardInterrupt" in said
+    assert process.returncode == -signal.SIGINT
 
 
 def test_one_client_serves_many_threads(client: jostle.Client, create: Create) -> None:

@@ -31,8 +31,8 @@ def is_running(pid: int) -> bool:
     return state != "Z"
 
 
-def keepers() -> int:
-    """How many shells look after a daemon, of whoever's."""
+def keepers(data: Path) -> int:
+    """How many shells look after the daemon of this temporary folder."""
     count = 0
     for folder in Path("/proc").iterdir():
         if folder.name.isdigit():
@@ -40,7 +40,8 @@ def keepers() -> int:
                 command = (folder / "cmdline").read_bytes()
             except (FileNotFoundError, ProcessLookupError):
                 continue
-            count += command.startswith(b"/bin/sh\0-c\0\nexec 3<&0")
+            is_keeper = command.startswith(b"/bin/sh\0-c\0\nexec 3<&0")
+            count += is_keeper and bytes(data) in command.split(b"\0")
     return count
 
 
@@ -63,9 +64,9 @@ def said(program: subprocess.Popen[str]) -> tuple[int, Path]:
 
 
 def test_it_serves_and_leaves_nothing_behind() -> None:
-    before = keepers()
     with jostle.local() as client:
         pid, folder = client.pid, client.folder
+        assert keepers(folder) == 1
         assert client.endpoint.startswith("tcp/127.0.0.1:")
         assert client.create("school", jostle.Spec(n=3)).step(5).step == 5
         assert "serving" in client.log.read_text(encoding="utf-8")
@@ -74,7 +75,7 @@ def test_it_serves_and_leaves_nothing_behind() -> None:
         assert is_running(pid)
     assert not is_running(pid)
     assert not folder.exists()
-    eventually("its keeper ends", lambda: keepers() == before)
+    eventually("its keeper ends", lambda: keepers(folder) == 0)
     client.close()
     with pytest.raises(jostle.Unavailable, match="closed"):
         client.swarms()
@@ -132,8 +133,10 @@ def test_nothing_to_start_is_said_with_a_remedy(
     jostle.local().close()
 
 
-def test_why_it_did_not_start_is_said(tmp_path: Path) -> None:
-    before = set(Path("/tmp").glob("jostle-*"))
+def test_why_it_did_not_start_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(temporary))
     with pytest.raises(jostle.Unavailable, match=r"ended with 2.*\n.*max_individuals"):
         jostle.local(max_individuals=-1)
     with pytest.raises(jostle.Unavailable, match="unexpected argument '--nonsense'"):
@@ -148,7 +151,7 @@ def test_why_it_did_not_start_is_said(tmp_path: Path) -> None:
     liar.write_bytes(b"\x7fELF and no more")
     with pytest.raises(jostle.Unavailable, match="ended with 12"):
         jostle.local(jostled=liar)
-    assert set(Path("/tmp").glob("jostle-*")) <= before
+    assert list(temporary.iterdir()) == []
 
 
 def test_it_outlives_the_thread_that_started_it() -> None:
@@ -197,7 +200,7 @@ def test_it_ends_with_a_program_that_closes_nothing(ends: str) -> None:
 def test_it_ends_with_a_program_that_is_killed(blow: signal.Signals, has_child: bool) -> None:
     # A process forked from it, such as one of multiprocessing, holds what it held.
     fork = (
-        "pid = os.fork()\nif pid == 0:\n    import time; time.sleep(60)\nprint(pid, flush=True)\n"
+        "pid = os.fork()\nif pid == 0:\n    import signal; signal.pause()\nprint(pid, flush=True)\n"
     )
     program = start((fork if has_child else "") + "sys.stdin.read()\n")
     pid, folder = said(program)
@@ -270,7 +273,7 @@ def test_ctrl_c_is_for_the_program_alone() -> None:
             "-c",
             "import jostle, time\n"
             "c = jostle.local()\n"
-            "try:\n    print(c.pid, c.folder, flush=True); time.sleep(60)\n"
+            "try:\n    print(c.pid, c.folder, flush=True); time.sleep(600)\n"
             "except KeyboardInterrupt:\n    print(c.create('x', {'n': 2}).step().step)\n",
         ],
         stdout=subprocess.PIPE,

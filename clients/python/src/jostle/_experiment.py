@@ -73,7 +73,7 @@ class Experiment:
         Raises:
             NotFound: There is none of that name.
         """
-        return read_reply(self._get("progress"), Progress)
+        return self._progress(None)
 
     def wait(self, timeout: float | None = None, *, show: bool | None = None) -> Self:
         """Waits until it is finished, also when the daemon is away for a moment.
@@ -92,8 +92,9 @@ class Experiment:
         lost: float | None = None
         with Bar(self._name, show) as bar:
             while True:
+                left = None if seconds is None else began + seconds - time.monotonic()
                 try:
-                    progress = self.progress()
+                    progress = self._progress(left)
                     lost = None
                 except Unavailable:
                     lost = lost or time.monotonic()
@@ -195,9 +196,15 @@ class Experiment:
     def _command(self, what: Literal["pause", "resume", "cancel", "delete"]) -> Progress:
         return send(self._link, self._node, {what: {"name": self._name}}).progress
 
-    def _get(self, rest: str) -> bytes:
+    def _progress(self, timeout: float | None) -> Progress:
+        """How far it is; the reply takes no longer than `timeout` seconds, or the client's."""
+        if timeout is not None:
+            timeout = min(max(timeout, 0.001), self._link.timeout)
+        return read_reply(self._get("progress", timeout), Progress)
+
+    def _get(self, rest: str, timeout: float | None = None) -> bytes:
         key = self._link.node_key(self._node, f"experiment/{self._name}/{rest}")
-        return self._link.get(key, swarm=None)
+        return self._link.get(key, swarm=None, timeout=timeout)
 
 
 def send(

@@ -1,0 +1,170 @@
+"""Tables about arguments: which calls take which, and which are not sent, each with the reason."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from rows import File, Take, take
+from rows_of_swarms import POSES, WIRE_POSES
+
+ENVELOPE: dict[str, list[Any]] = {
+    "at_step": [41, 0],
+    "expect_step": [40, 0],
+    "expect_epoch": [3, 0],
+    "timeout": [2.25, 3600],
+    "request_id": ["mine"],
+}
+"""The options around the arguments of a command, and values to send: none may be lost, nor a 0."""
+
+_ALL = ("at_step", "expect_step", "expect_epoch", "timeout", "request_id")
+_EXPECTING = ("expect_step", "expect_epoch", "timeout", "request_id")
+_PLAIN = ("timeout", "request_id")
+
+TAKEN: dict[str, tuple[str, ...]] = {
+    "Swarm.run": _ALL,
+    "Swarm.pause": _ALL,
+    "Swarm.step": _ALL,
+    "Swarm.reset": _ALL,
+    "Swarm.set": _ALL,
+    "Swarm.inform": _ALL,
+    "Swarm.uninform": _ALL,
+    "Swarm.inject": _ALL,
+    "Swarm.remove": _ALL,
+    "Swarm.batch": _ALL,
+    "Swarm.delete": _ALL,
+    "Swarm.join": _EXPECTING,
+    "Controller.leave": _EXPECTING,
+    "Controller.advance": ("timeout",),
+    "Swarm.fork": _PLAIN,
+    "Swarm.seek": _PLAIN,
+    "Client.create": _PLAIN,
+    "Client.restore": _PLAIN,
+    "Client.discard": _PLAIN,
+    "Client.record": _PLAIN,
+    "Client.stop_recording": _PLAIN,
+    "Client.delete_recording": _PLAIN,
+    "Client.submit": _PLAIN,
+    "Client.replay": ("timeout",),
+}
+"""Which of them each call takes."""
+
+SHOWN: dict[str, Take] = {
+    "Swarm.run": take(until=3.0, wait=True),
+    "Swarm.wait": take(step=60),
+    "Swarm.frame": take(2),
+    "Client.fetch_recording": take("night", File("new")),
+    "Client.replay": take(File("tape.mcap")),
+    "Experiment.wait": take(),
+}
+"""The calls that show a bar."""
+
+VALUES: list[tuple[str, Take, Any]] = [
+    ("ids", take([3, np.uint32(1)]), {"ids": [3, 1]}),
+    ("count", take(np.int64(2)), {"count": 2}),
+    ("fraction", take(0.25), {"fraction": 0.25}),
+    ("within", take(1.5, y=-2.0, radius=3.0), {"within": {"x": 1.5, "y": -2.0, "radius": 3.0}}),
+    ("foremost", take(2, along=0.75), {"foremost": {"count": 2, "along": 0.75}}),
+    ("disc", take(), {"kind": "disc"}),
+    ("disc", take(9.5), {"kind": "disc", "radius": 9.5}),
+    (
+        "given",
+        take([0, 1], y=[2, 3], alpha=np.array([0.5, 1.5])),
+        {"kind": "given", "x": [0.0, 1.0], "y": [2.0, 3.0], "alpha": [0.5, 1.5]},
+    ),
+    ("poses", take(POSES), WIRE_POSES),
+]
+"""What makes arguments, and what is sent of it."""
+
+_FILE = "reads a file of this machine"
+_PICTURE = "draws on this machine"
+
+NOT_SENT: dict[tuple[str, str], str] = {
+    ("Client.swarm", "name"): "is in the key of every row of Swarm",
+    ("Client.experiment", "name"): "is in the key of every row of Experiment",
+    ("Experiment.wait", "timeout"): "ends the wait on this machine: test_timeouts.py",
+    ("Swarm.states", "timeout"): "ends the wait on this machine: test_timeouts.py",
+    ("Swarm.orders", "timeout"): "ends the wait on this machine: test_timeouts.py",
+    ("Swarm.events", "timeout"): "ends the wait on this machine: test_timeouts.py",
+    ("Swarm.verify", "timeout"): "ends the wait on this machine: test_timeouts.py",
+    ("local", "show"): _PICTURE,
+    ("View.wait", "timeout"): _PICTURE,
+    ("Swarm.view", "seconds"): _PICTURE,
+    ("Swarm.view", "hz"): _PICTURE,
+    ("Snapshot.from_bytes", "data"): "reads bytes of this machine",
+    ("Snapshot.load", "path"): _FILE,
+    ("Snapshot.save", "path"): "writes a file of this machine",
+    ("Snapshot.save", "force"): "writes a file of this machine",
+    ("Recording.to_csv", "path"): "writes a file of this machine",
+    ("Recording.to_extxyz", "path"): "writes a file of this machine",
+    ("read_recording", "path"): _FILE,
+    ("frame", "records"): "makes a table on this machine",
+    ("WhoAmI.may", "verb"): "looks into a reply",
+    ("env.ParallelEnv", "neighbours"): "is about what agents observe: test_env.py",
+    ("env.ParallelEnv", "sight"): "is about what agents observe: test_env.py",
+    ("env.ParallelEnv.action_space", "agent"): "is about the environment's spaces: test_env.py",
+    ("env.ParallelEnv.observation_space", "agent"): "is about the environment's spaces",
+    ("env.ParallelEnv.reset", "options"): "there are none",
+    ("env.ShepherdEnv.reset", "options"): "there are none",
+    **{
+        (f"env.{name}", argument): "is about the episode on this machine: test_env.py"
+        for name in ("ParallelEnv", "ShepherdEnv")
+        for argument in ("max_steps", "render_mode")
+    },
+}
+"""The arguments of which nothing is sent, and why."""
+
+NO_REQUEST: dict[str, str] = {
+    "Client.close": "ends the connection",
+    "Local.close": "ends the daemon",
+    "Swarm.close": "ends its streams",
+    "Stream.close": "ends it",
+    "Recording.frame": "makes a table of a file",
+    "View.show": _PICTURE,
+    "View.stop": _PICTURE,
+    "env.ParallelEnv.render": _PICTURE,
+    "env.ShepherdEnv.render": _PICTURE,
+    "env.ParallelEnv.state": "is what the last step led to",
+}
+"""The calls without arguments that send nothing that could be compared, and why."""
+
+NOT_OFFERED: dict[tuple[str, str], str] = {
+    ("control", ".epoch"): "a controller has one epoch, and `sync` renews it",
+    ("step", ".return=none"): "is left out, since it is the default",
+    ("advance", ".return=none"): "is left out, since it is the default",
+}
+"""What the contract's arguments have and this package does not send, and why."""
+
+_NO_STEP = "is about the daemon, which has no step"
+_NO_EPOCH = "is about the daemon, which has no epoch"
+_OWN = "a controller makes and remembers its own, so that an advance is carried out once"
+
+NOT_AROUND: dict[tuple[str, str], str] = {
+    **{
+        (call, name): _NO_STEP if "step" in name else _NO_EPOCH
+        for call, taken in TAKEN.items()
+        if call.startswith("Client.")
+        for name in ("at_step", "expect_step", "expect_epoch")
+        if name not in taken
+    },
+    **{
+        (call, "at_step"): "a controller joins and leaves when its program runs"
+        for call in ("Swarm.join", "Controller.leave")
+    },
+    ("Controller.advance", "at_step"): "it is made for the step that the controller is at",
+    ("Controller.advance", "expect_step"): _OWN,
+    ("Controller.advance", "expect_epoch"): "`expect_step` does: an epoch begins at another step",
+    ("Controller.advance", "request_id"): _OWN,
+    ("Client.replay", "request_id"): "a replay that is opened again is `already_exists`",
+    **{
+        ("Swarm.fork", name): "its `step` says which state is meant, also one that has passed"
+        for name in ("at_step", "expect_step", "expect_epoch")
+    },
+    **{
+        ("Swarm.seek", name): "what a replay shows at a place is always the same"
+        for name in ("at_step", "expect_step", "expect_epoch")
+    },
+    **{(call, "client"): "is the connection's" for call in TAKEN},
+}
+"""What the envelope of the contract has and a call does not take, and why."""

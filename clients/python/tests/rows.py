@@ -1,0 +1,121 @@
+"""What the tables of arguments are made of."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from recorder import FRESH, NODE, SNAPSHOT, TOKEN, Sent
+
+CLIENT, TIMEOUT_SECS = "ada@lab", 7.5
+"""What every client of the tables is called, and its timeout."""
+
+
+@dataclass(frozen=True)
+class Take:
+    """The arguments of a call."""
+
+    args: tuple[Any, ...]
+    kwargs: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A call, and what must leave the client.
+
+    Attributes:
+        call: The class and the method, or the function.
+        take: Its arguments.
+        sent: Every message, in order.
+        joined: What a controller had joined with.
+        name: The name of that controller.
+    """
+
+    call: str
+    take: Take
+    sent: list[Sent]
+    joined: dict[str, Any] = field(default_factory=dict)
+    name: str = "ada"
+
+
+@dataclass(frozen=True)
+class File:
+    """Stands for a path, which each test makes."""
+
+    name: str
+
+    def make(self, folder: Path) -> Path:
+        """Makes it in a folder that is empty."""
+        path = folder / self.name
+        match self.name:
+            case "half":
+                path.mkdir()
+                (path / "part-00000.mcap").write_bytes(b"MCAP")
+                (path / ".part-00001.mcap.partial").write_bytes(b"MC")
+            case "tape.mcap":
+                path.write_bytes(TAPE)
+            case "long.mcap":
+                path.write_bytes(LONG)
+            case "plan.toml":
+                path.write_text(PLAN, encoding="utf-8")
+            case "school.snapshot":
+                path.write_bytes(SNAPSHOT)
+        return path
+
+
+_MCAP = b"\x89MCAP0\r\n"
+TAPE = _MCAP + b"tape" + _MCAP
+LONG = _MCAP + bytes(200_000) + _MCAP
+PLAN = 'name = "small"\nduration = 10\n'
+
+
+@dataclass(frozen=True)
+class AtMost:
+    """A selector that ends in a number of seconds, at most as many and more than half of it."""
+
+    start: str
+    seconds: float
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, str) or not other.startswith(self.start):
+            return False
+        return self.seconds / 2 < float(other.removeprefix(self.start)) <= self.seconds
+
+    def __hash__(self) -> int:
+        return hash(self.start)
+
+
+def take(*args: Any, **kwargs: Any) -> Take:
+    """The arguments of a call."""
+    return Take(args, kwargs)
+
+
+def cmd(verb: str, args: dict[str, Any], swarm: str = "school", **envelope: Any) -> Sent:
+    """A command to a swarm."""
+    return Sent(f"jostle/{swarm}/cmd/{verb}", _request(args, envelope))
+
+
+def node_cmd(verb: str, args: dict[str, Any], **envelope: Any) -> Sent:
+    """A command to the daemon itself."""
+    return Sent(f"jostle/@node/{NODE}/cmd/{verb}", _request(args, envelope))
+
+
+def get(rest: str) -> Sent:
+    """A query of a swarm."""
+    return Sent(f"jostle/school/{rest}")
+
+
+def node_get(rest: str) -> Sent:
+    """A query of the daemon itself."""
+    return Sent(f"jostle/@node/{NODE}/{rest}")
+
+
+def put(points: dict[str, Any]) -> Sent:
+    """Set-points that nobody replies to."""
+    return Sent("jostle/school/ctl/ada", {"sequence": FRESH, "set": points}, TOKEN)
+
+
+def _request(args: dict[str, Any], envelope: dict[str, Any]) -> dict[str, Any]:
+    request = {"request_id": FRESH, "client": CLIENT, "timeout_secs": TIMEOUT_SECS, "args": args}
+    return {**request, **envelope}

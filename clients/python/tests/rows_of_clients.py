@@ -1,0 +1,240 @@
+"""Every call of a client and of an experiment, and what must leave the client."""
+
+from __future__ import annotations
+
+import base64
+from typing import Any
+
+import numpy as np
+
+import jostle
+from recorder import SNAPSHOT, Sent
+from rows import LONG, PLAN, TAPE, File, Row, node_cmd, node_get, take
+from rows_of_swarms import ATTRACTIONS
+
+DEFAULTS: dict[str, Any] = {
+    "n": 4,
+    "pi1": 4.0,
+    "pi2": 0.5,
+    "pi3": 1.0,
+    "pi4": 10.0,
+    "dt": 0.02,
+    "contacts": "endpoints",
+    "stepping": "position",
+    "relinearise": 0,
+    "seed": 0,
+    "start": {"kind": "disc"},
+    "attraction": {"kind": "all"},
+    "noise": 0.0,
+    "publish_every": 5,
+    "rate": 1.0,
+}
+OTHERS: dict[str, Any] = {
+    "n": 3,
+    "pi1": 6.0,
+    "pi2": 0.75,
+    "pi3": 2.0,
+    "pi4": 8.0,
+    "dt": 0.01,
+    "contacts": "closest",
+    "stepping": "velocity",
+    "relinearise": 1,
+    "seed": 9,
+    "attraction": {"kind": "voronoi"},
+    "noise": 0.125,
+    "publish_every": 2,
+    "rate": None,
+}
+GIVEN = {"kind": "given", "x": [0.0, 2.0, 4.0], "y": [1.0, 1.5, 2.0], "alpha": [0.0, 0.5, 1.0]}
+
+
+def _create(spec: Any, sent: dict[str, Any], exist_ok: bool = False) -> Row:
+    taken = take("school", spec, exist_ok=True) if exist_ok else take("school", spec)
+    args = {"name": "school", "spec": sent, "exist_ok": exist_ok}
+    return Row("Client.create", taken, [node_cmd("create", args)])
+
+
+CREATIONS = [
+    _create({"n": 4}, {"n": 4}),
+    _create({"n": np.int64(4), "seed": 3}, {"n": 4, "seed": 3}, exist_ok=True),
+    _create(jostle.Spec(n=4), DEFAULTS),
+    _create(
+        jostle.Spec(**OTHERS, start=jostle.given([0, 2, 4], [1, 1.5, 2], np.array([0, 0.5, 1]))),
+        {**OTHERS, "start": GIVEN},
+    ),
+    _create(
+        jostle.Spec(n=4, start=jostle.disc(9.5), contacts="clamped"),
+        {**DEFAULTS, "start": {"kind": "disc", "radius": 9.5}, "contacts": "clamped"},
+    ),
+    *(
+        _create(jostle.Spec(n=4, attraction=it), {**DEFAULTS, "attraction": it})
+        for it in ATTRACTIONS
+    ),
+    *(
+        _create({"n": 4, **it}, {"n": 4, **it})
+        for it in ({"contacts": "endpoints"}, {"stepping": "position"}, {"rate": None})
+    ),
+]
+
+_SNAPSHOT = base64.b64encode(SNAPSHOT).decode()
+
+
+def _restored(name: str) -> list[Sent]:
+    return [node_cmd("restore", {"name": name, "snapshot": _SNAPSHOT})]
+
+
+def _record(taken: Any, **args: Any) -> Row:
+    return Row("Client.record", taken, [node_cmd("record", {"begin": {"swarm": "school", **args}})])
+
+
+def _uploaded(name: str, content: bytes, start: int, end: int) -> Sent:
+    piece = base64.b64encode(content[start:end]).decode()
+    args = {"name": name, "offset": start, "length": len(content), "bytes": piece}
+    return node_cmd("replay", {"upload": args})
+
+
+def _opened(name: str, **args: Any) -> Sent:
+    return node_cmd("replay", {"open": {"name": name, **args}}, timeout_secs=60.0)
+
+
+def _pieces(*pieces: tuple[int, int]) -> list[Sent]:
+    """The queries of pieces of a recording: the part, and from where on."""
+    return [
+        node_get("get/recordings"),
+        *(
+            node_get(f"get/recording?name=night;part={part};offset={offset}")
+            for part, offset in pieces
+        ),
+    ]
+
+
+CLIENTS = [
+    *CREATIONS,
+    Row("Client.restore", take(SNAPSHOT, "twin"), _restored("twin")),
+    Row(
+        "Client.restore",
+        take(snapshot=jostle.Snapshot.from_bytes(SNAPSHOT), name="twin"),
+        _restored("twin"),
+    ),
+    Row("Client.restore", take(File("school.snapshot"), "other"), _restored("other")),
+    Row("Client.discard", take("school"), [node_cmd("discard", {"name": "school"})]),
+    Row("Client.discard", take(name="other"), [node_cmd("discard", {"name": "other"})]),
+    _record(take("school")),
+    _record(take("school", "night"), recording="night"),
+    _record(take(swarm="school", recording="night"), recording="night"),
+    *(_record(take("school", format=it), format=it) for it in ("mcap", "parquet")),
+    _record(take("school", every=np.int64(50)), every=50),
+    _record(take("school", steps=1000), steps=1000),
+    _record(take("school", drop_when_behind=True), drop_when_behind=True),
+    _record(take("school", max_bytes=1 << 20), max_bytes=1 << 20),
+    _record(take("school", temporary=True), temporary=True),
+    _record(
+        take(
+            "school",
+            "night",
+            format="parquet",
+            every=3,
+            steps=10,
+            drop_when_behind=True,
+            max_bytes=5000,
+            temporary=True,
+        ),
+        recording="night",
+        format="parquet",
+        every=3,
+        steps=10,
+        drop_when_behind=True,
+        max_bytes=5000,
+        temporary=True,
+    ),
+    Row(
+        "Client.stop_recording",
+        take("night"),
+        [node_cmd("record", {"stop": {"recording": "night"}})],
+    ),
+    Row(
+        "Client.delete_recording",
+        take("night"),
+        [node_cmd("record", {"delete": {"recording": "night"}})],
+    ),
+    # It has three parts of four bytes each.
+    Row("Client.fetch_recording", take("night", File("new")), _pieces((0, 0), (1, 0), (2, 0))),
+    Row(
+        "Client.fetch_recording",
+        take(recording="night", path=File("half")),
+        _pieces((0, 4), (1, 2), (2, 0)),
+    ),
+    Row(
+        "Client.replay",
+        take(recording="night"),
+        [_opened("night", recording="night")],
+    ),
+    Row(
+        "Client.replay",
+        take(name="shown", recording="night"),
+        [_opened("shown", recording="night")],
+    ),
+    Row(
+        "Client.replay",
+        take(File("tape.mcap")),
+        [_uploaded("tape", TAPE, 0, 20), _opened("tape")],
+    ),
+    Row(
+        "Client.replay",
+        take(path=File("long.mcap"), name="shown"),
+        [
+            _uploaded("shown", LONG, 0, 184_320),
+            _uploaded("shown", LONG, 184_320, 200_016),
+            _opened("shown"),
+        ],
+    ),
+    Row("Client.submit", take(PLAN), [node_cmd("experiment", {"submit": {"toml": PLAN}})]),
+    Row(
+        "Client.submit",
+        take({"name": "small", "grid": [{"n": np.array([3, 8])}]}),
+        [
+            node_cmd(
+                "experiment",
+                {"submit": {"toml": '"name" = "small"\n"grid" = [{ "n" = [3, 8] }]\n'}},
+            )
+        ],
+    ),
+    Row(
+        "Client.submit",
+        take(source=File("plan.toml"), name="other"),
+        [node_cmd("experiment", {"submit": {"toml": PLAN, "name": "other"}})],
+    ),
+    *(
+        Row(f"Client.{noun}", take(), [node_get(f"get/{noun}")])
+        for noun in (
+            "experiments",
+            "recordings",
+            "swarms",
+            "hello",
+            "whoami",
+            "status",
+            "schema",
+            "metrics",
+        )
+    ),
+]
+
+_RESULTS = [node_get(f"experiment/small/results?after={after};limit=1000") for after in (0, 2)]
+
+EXPERIMENTS = [
+    Row("Experiment.progress", take(), [node_get("experiment/small/progress")]),
+    Row("Experiment.wait", take(), [node_get("experiment/small/progress")]),
+    *(
+        Row(f"Experiment.{verb}", take(), [node_cmd("experiment", {verb: {"name": "small"}})])
+        for verb in ("pause", "resume", "cancel", "delete")
+    ),
+    Row("Experiment.rows", take(), _RESULTS),
+    Row("Experiment.frame", take(), _RESULTS),
+    Row(
+        "Experiment.order",
+        take("n=5 #0"),
+        [node_get(f"experiment/small/order?run=n=5 #0;after={after}") for after in (0, 3)],
+    ),
+]
+
+ROWS = [*CLIENTS, *EXPERIMENTS]

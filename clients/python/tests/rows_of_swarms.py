@@ -1,0 +1,451 @@
+"""Every call of a swarm and of a controller, and what must leave the client."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+import jostle
+from recorder import Sent
+from rows import AtMost, Row, cmd, get, put, take
+
+HOUR: dict[str, Any] = {"timeout_secs": 3600.0}
+STATE = [get("state"), get("get/status")]
+"""How a state is queried: it has not the length of the bodies, and the status does."""
+
+SELECTS: list[tuple[Any, dict[str, Any]]] = [
+    (jostle.ids(np.array([3, 1])), {"ids": [3, 1]}),
+    (jostle.count(np.int64(2)), {"count": 2}),
+    (jostle.fraction(0.25), {"fraction": 0.25}),
+    (jostle.within(1.5, -2.0, 3.0), {"within": {"x": 1.5, "y": -2.0, "radius": 3.0}}),
+    (jostle.foremost(2, 0.75), {"foremost": {"count": 2, "along": 0.75}}),
+]
+ATTRACTIONS: list[dict[str, Any]] = [
+    {"kind": "all", "accuracy": 1e-6},
+    {"kind": "voronoi"},
+    {"kind": "metric", "radius": 3.0},
+    {"kind": "topological", "neighbours": 7},
+    {"kind": "power", "exponent": -1.0},
+]
+POSES = [(1.0, 2.0, 0.5), (-1.0, 0.0, 3.0)]
+WIRE_POSES = [{"x": 1.0, "y": 2.0, "alpha": 0.5}, {"x": -1.0, "y": 0.0, "alpha": 3.0}]
+ALL_SET: dict[str, Any] = {
+    "pi1": 6.0,
+    "pi2": 0.75,
+    "pi3": 2.0,
+    "pi4": 8.0,
+    "contacts": "closest",
+    "stepping": "velocity",
+    "relinearise": 1,
+    "attraction": {"kind": "voronoi"},
+    "noise": 0.125,
+    "publish_every": 2,
+    "make_room": True,
+}
+
+
+def _changes() -> list[tuple[Any, dict[str, Any]]]:
+    """Every change of a batch, and how it is sent."""
+    anyone, one = jostle.count(1), {"count": 1}
+    changes: list[tuple[Any, dict[str, Any]]] = [
+        (jostle.Set(pi3=2.0), {"verb": "set", "args": {"pi3": 2.0}}),
+        (jostle.Set(**ALL_SET), {"verb": "set", "args": ALL_SET}),
+        *(
+            (jostle.Set(attraction=it), {"verb": "set", "args": {"attraction": it}})
+            for it in ATTRACTIONS
+        ),
+        *(
+            (jostle.Set(contacts=it), {"verb": "set", "args": {"contacts": it}})
+            for it in ("endpoints", "clamped")
+        ),
+        (
+            jostle.Set(stepping="position", noise=0.0),
+            {"verb": "set", "args": {"stepping": "position", "noise": 0.0}},
+        ),
+        (
+            jostle.Inform(anyone, 0.5),
+            {"verb": "inform", "args": {"select": one, "direction": 0.5}},
+        ),
+        (
+            jostle.Inform(anyone, 0.0, weight=2.0, for_time=4.0),
+            {
+                "verb": "inform",
+                "args": {"select": one, "direction": 0.0, "weight": 2.0, "for_time": 4.0},
+            },
+        ),
+        (jostle.Inject(2), {"verb": "inject", "args": {"count": 2}}),
+        (
+            jostle.Inject(2, within={"x": 0.0, "y": 1.0, "radius": 4.0}, direction=0.0, weight=1.5),
+            {
+                "verb": "inject",
+                "args": {
+                    "count": 2,
+                    "within": {"x": 0.0, "y": 1.0, "radius": 4.0},
+                    "direction": 0.0,
+                    "weight": 1.5,
+                },
+            },
+        ),
+        (
+            jostle.Inject(at=jostle.poses(POSES)),
+            {"verb": "inject", "args": {"at": WIRE_POSES}},
+        ),
+    ]
+    for select, sent in SELECTS:
+        changes += [
+            (
+                jostle.Inform(select, 1.0),
+                {"verb": "inform", "args": {"select": sent, "direction": 1.0}},
+            ),
+            (jostle.Uninform(select), {"verb": "uninform", "args": {"select": sent}}),
+            (jostle.Remove(select), {"verb": "remove", "args": {"select": sent}}),
+        ]
+    return changes
+
+
+def _set(**args: Any) -> Row:
+    return Row("Swarm.set", take(**args), [cmd("set", args)])
+
+
+def _selecting() -> list[Row]:
+    """The calls that take a selection, with every kind of it."""
+    rows = []
+    for select, sent in SELECTS:
+        rows += [
+            Row(
+                "Swarm.inform",
+                take(select, 0.5),
+                [cmd("inform", {"select": sent, "direction": 0.5})],
+            ),
+            Row("Swarm.uninform", take(select), [cmd("uninform", {"select": sent})]),
+            Row("Swarm.remove", take(select), [cmd("remove", {"select": sent})]),
+            _join(take("ada", select), select=sent),
+        ]
+    return rows
+
+
+def _join(taken: Any, **terms: Any) -> Row:
+    defaults = {
+        "mode": "lockstep",
+        "deadline_secs": 5.0,
+        "on_timeout": "hold",
+        "driving": False,
+        "again": False,
+    }
+    return Row("Swarm.join", taken, [cmd("join", {"controller": "ada", **defaults, **terms})])
+
+
+QUESTIONS = [
+    Row("Swarm.status", take(), [get("get/status")]),
+    Row("Swarm.spec", take(), [get("get/spec")]),
+    Row("Swarm.state", take(), STATE),
+    Row("Swarm.parameters", take(), [get("get/parameters")]),
+    Row("Swarm.controllers", take(), [get("get/controllers")]),
+    Row("Swarm.snapshot", take(), [get("get/snapshot")]),
+    Row("Swarm.verify", take(), [get("get/verify")]),
+    # A page has two events, of the numbers 3 to 7, or two entries, 1 to 3.
+    Row(
+        "Swarm.history",
+        take(),
+        [get(f"get/events?after={after};limit=1000") for after in (0, 4, 6)],
+    ),
+    Row(
+        "Swarm.history",
+        take(after=5),
+        [get("get/events?after=5;limit=1000")],
+    ),
+    Row(
+        "Swarm.journal",
+        take(),
+        [get(f"get/journal?after={after};limit=1000") for after in (0, 2)],
+    ),
+    Row("Swarm.journal", take(after=2), [get("get/journal?after=2;limit=1000")]),
+    Row(
+        "Swarm.wait",
+        take(step=60),
+        [get("get/wait?step=60;timeout_secs=30.000")],
+    ),
+    Row("Swarm.wait", take(step=0), [get("get/wait?step=0;timeout_secs=30.000")]),
+    # With a bar the daemon is queried more often.
+    Row("Swarm.wait", take(step=60, show=True), [get("get/wait?step=60;timeout_secs=0.250")]),
+    Row(
+        "Swarm.wait",
+        take(phase="paused"),
+        [get("get/wait?phase=paused;timeout_secs=30.000")],
+    ),
+    Row(
+        "Swarm.wait",
+        take(phase="running", timeout=20.0),
+        [Sent(AtMost("jostle/school/get/wait?phase=running;timeout_secs=", 20.0))],
+    ),
+    Row("Swarm.states", take(), STATE),
+    Row("Swarm.orders", take(), [get("get/status")]),
+    Row("Swarm.events", take(), [get("get/events?after=9007199254740991;limit=1000")]),
+    Row("Swarm.events", take(after=5), [get("get/events?after=5;limit=1000")]),
+    Row(
+        "Swarm.events",
+        take(after=0),
+        [get(f"get/events?after={after};limit=1000") for after in (0, 4, 6)],
+    ),
+]
+
+
+def _stepped(steps: int, expect_step: int) -> Sent:
+    args = {"steps": steps, "return": "state"}
+    return cmd("step", args, expect_step=expect_step, expect_epoch=1, **HOUR)
+
+
+FRAMES = [
+    Row("Swarm.frame", take(), STATE),
+    Row(
+        "Swarm.frame",
+        take(3),
+        [*STATE, _stepped(1, 40), _stepped(1, 41), _stepped(1, 42)],
+    ),
+    Row(
+        "Swarm.frame",
+        take(np.int64(5), every=2),
+        [*STATE, _stepped(2, 40), _stepped(2, 42), _stepped(1, 44)],
+    ),
+]
+
+COMMANDS = [
+    Row("Swarm.run", take(), [cmd("run", {})]),
+    Row("Swarm.run", take(12.5), [cmd("run", {"until_time": 12.5})]),
+    Row("Swarm.run", take(until_step=151), [cmd("run", {"until_step": 151})]),
+    Row(
+        "Swarm.run",
+        take(until=0.0, until_step=0),
+        [cmd("run", {"until_time": 0.0, "until_step": 0})],
+    ),
+    Row("Swarm.run", take(rate=2.0), [cmd("run", {"rate": 2.0})]),
+    Row("Swarm.run", take(rate=None), [cmd("run", {"rate": None})]),
+    Row("Swarm.run", take(rate=..., at_step=41), [cmd("run", {}, at_step=41)]),
+    Row(
+        "Swarm.run",
+        take(until_step=151, rate=None, wait=True, expect_step=40),
+        [
+            cmd("run", {"until_step": 151, "rate": None}, expect_step=40),
+            get("get/wait?step=151;timeout_secs=30.000"),
+        ],
+    ),
+    Row(
+        "Swarm.run",
+        take(until=3.0, wait=True, show=True),
+        [cmd("run", {"until_time": 3.0}), get("get/wait?step=151;timeout_secs=0.250")],
+    ),
+    Row("Swarm.pause", take(), [cmd("pause", {})]),
+    Row("Swarm.step", take(), [cmd("step", {"steps": 1}, **HOUR)]),
+    Row("Swarm.step", take(np.int64(50)), [cmd("step", {"steps": 50}, **HOUR)]),
+    Row(
+        "Swarm.step",
+        take(state=True),
+        [cmd("step", {"steps": 1, "return": "state"}, **HOUR), get("get/status")],
+    ),
+    Row(
+        "Swarm.step",
+        take(3, state=True, at_step=41),
+        [cmd("step", {"steps": 3, "return": "state"}, at_step=41, **HOUR)],
+    ),
+    Row(
+        "Swarm.step",
+        take(3, state=True, expect_step=0, expect_epoch=2, timeout=2.5, request_id="mine"),
+        [
+            cmd(
+                "step",
+                {"steps": 3, "return": "state"},
+                expect_step=0,
+                expect_epoch=2,
+                timeout_secs=2.5,
+                request_id="mine",
+            ),
+            get("get/status"),
+        ],
+    ),
+    Row("Swarm.reset", take(), [cmd("reset", {})]),
+    Row("Swarm.reset", take(np.uint64(7)), [cmd("reset", {"seed": 7})]),
+    Row("Swarm.reset", take(seed=0), [cmd("reset", {"seed": 0})]),
+    _set(pi3=2.0),
+    *(_set(**{name: value}) for name, value in ALL_SET.items() if name != "make_room"),
+    *(_set(attraction=it) for it in ATTRACTIONS),
+    *(_set(contacts=it) for it in ("endpoints", "closest", "clamped")),
+    *(_set(stepping=it) for it in ("position", "velocity")),
+    _set(pi2=0.0, noise=0.0, relinearise=0),
+    _set(pi1=6.0, make_room=True),
+    _set(**ALL_SET),
+    Row(
+        "Swarm.inform",
+        take(jostle.count(2), direction=0.0, weight=2.0, for_time=4.0),
+        [
+            cmd(
+                "inform",
+                {"select": {"count": 2}, "direction": 0.0, "weight": 2.0, "for_time": 4.0},
+            )
+        ],
+    ),
+    Row(
+        "Swarm.inform",
+        take(jostle.count(2), np.float64(0.5), weight=2.0),
+        [cmd("inform", {"select": {"count": 2}, "direction": 0.5, "weight": 2.0})],
+    ),
+    Row(
+        "Swarm.inform",
+        take(select=jostle.count(2), direction=0.5, for_time=4.0),
+        [cmd("inform", {"select": {"count": 2}, "direction": 0.5, "for_time": 4.0})],
+    ),
+    Row("Swarm.inject", take(3), [cmd("inject", {"count": 3})]),
+    Row("Swarm.inject", take(at=POSES), [cmd("inject", {"at": WIRE_POSES})]),
+    Row(
+        "Swarm.inject",
+        take(3, within=(1.0, -2.0, 4.0)),
+        [cmd("inject", {"count": 3, "within": {"x": 1.0, "y": -2.0, "radius": 4.0}})],
+    ),
+    Row(
+        "Swarm.inject",
+        take(3, within={"x": 1.0, "y": -2.0, "radius": 4.0}),
+        [cmd("inject", {"count": 3, "within": {"x": 1.0, "y": -2.0, "radius": 4.0}})],
+    ),
+    Row(
+        "Swarm.inject",
+        take(count=3, direction=0.0),
+        [cmd("inject", {"count": 3, "direction": 0.0})],
+    ),
+    Row(
+        "Swarm.inject",
+        take(np.int64(3), direction=0.5, weight=1.5),
+        [cmd("inject", {"count": 3, "direction": 0.5, "weight": 1.5})],
+    ),
+    *_selecting(),
+    Row(
+        "Swarm.batch",
+        take([change for change, _ in _changes()]),
+        [cmd("batch", {"commands": [sent for _, sent in _changes()]})],
+    ),
+    Row(
+        "Swarm.batch",
+        take([{"verb": "set", "args": {"pi3": 2.0}}]),
+        [cmd("batch", {"commands": [{"verb": "set", "args": {"pi3": 2.0}}]})],
+    ),
+    Row("Swarm.delete", take(), [cmd("delete", {})]),
+    Row("Swarm.fork", take("twin"), [cmd("fork", {"name": "twin"})]),
+    Row(
+        "Swarm.fork",
+        take("twin", np.int64(50)),
+        [cmd("fork", {"name": "twin", "step": 50}, **HOUR)],
+    ),
+    Row(
+        "Swarm.fork",
+        take("twin", step=0, timeout=2.5),
+        [cmd("fork", {"name": "twin", "step": 0}, timeout_secs=2.5)],
+    ),
+    Row("Swarm.seek", take(step=50), [cmd("seek", {"step": 50})]),
+    Row("Swarm.seek", take(time=2.5), [cmd("seek", {"time": 2.5})]),
+    Row("Swarm.seek", take(fraction=0.5), [cmd("seek", {"fraction": 0.5})]),
+    Row("Swarm.seek", take(step=0), [cmd("seek", {"step": 0})]),
+    Row("Swarm.seek", take(time=0.0), [cmd("seek", {"time": 0.0})]),
+    Row("Swarm.seek", take(fraction=0.0), [cmd("seek", {"fraction": 0.0})]),
+    _join(take("ada")),
+    _join(
+        take(
+            "ada",
+            jostle.ids([1, 2]),
+            mode="free_running",
+            deadline=0.25,
+            on_timeout="free",
+            driving=True,
+            again=True,
+        ),
+        select={"ids": [1, 2]},
+        mode="free_running",
+        deadline_secs=0.25,
+        on_timeout="free",
+        driving=True,
+        again=True,
+    ),
+    _join(take("ada", mode="lockstep", on_timeout="hold"), mode="lockstep", on_timeout="hold"),
+    *(_join(take("ada", mode=it), mode=it) for it in ("free_running",)),
+    *(_join(take("ada", on_timeout=it), on_timeout=it) for it in ("free", "pause")),
+    _join(take("ada", deadline=np.float64(60.0)), deadline_secs=60.0),
+    _join(take("ada", driving=True), driving=True),
+    _join(take("ada", again=True), again=True),
+]
+
+
+def _advance(taken: Any, **args: Any) -> Row:
+    sent = cmd("advance", {"controller": "ada", **args}, expect_step=40, **HOUR)
+    return Row("Controller.advance", taken, [sent])
+
+
+NAN = math.nan
+BOTH = {"ids": [1, 2], "direction": [0.5, 0.5]}
+"""One direction for the two that the controller steers."""
+
+DRIVEN: dict[str, Any] = {
+    "ids": [2, 1],
+    "direction": [0.5, -0.5],
+    "weight": [2.0, 0.0],
+    "turn": [0.25, None],
+    "speed": [None, 0.5],
+}
+DRIVE: dict[str, Any] = {
+    "ids": np.array([2, 1]),
+    "direction": np.array([0.5, -0.5]),
+    "weight": [2.0, 0.0],
+    "turn": [0.25, NAN],
+    "speed": [NAN, 0.5],
+}
+_POINTS: list[tuple[dict[str, Any], dict[str, Any]]] = [
+    ({"direction": 0.5}, BOTH),
+    ({"direction": 0.0}, {"ids": [1, 2], "direction": [0.0, 0.0]}),
+    ({"direction": 0.5, "ids": [2]}, {"ids": [2], "direction": [0.5]}),
+    ({"direction": 0.5, "weight": 2.0}, {**BOTH, "weight": [2.0, 2.0]}),
+    ({"direction": 0.5, "weight": 0.0}, {**BOTH, "weight": [0.0, 0.0]}),
+    ({"direction": 0.5, "turn": 0.25}, {**BOTH, "turn": [0.25, 0.25]}),
+    ({"direction": 0.5, "speed": 0.0}, {**BOTH, "speed": [0.0, 0.0]}),
+    (DRIVE, DRIVEN),
+]
+"""Set-points, and how they are sent."""
+
+CONTROLLERS = [
+    _advance(take()),
+    _advance(take(np.int64(5)), steps=5),
+    _advance(take(state=True), **{"return": "state"}),
+    *(_advance(take(**given), set=sent) for given, sent in _POINTS),
+    _advance(take(5, **DRIVE, state=True), steps=5, set=DRIVEN, **{"return": "state"}),
+    *(Row("Controller.put", take(**given), [put(sent)]) for given, sent in _POINTS),
+    Row("Controller.leave", take(), [cmd("leave", {"controller": "ada"})]),
+    Row("Controller.sync", take(), [get("get/controllers"), get("state")]),
+    # One that has left joins again, on the terms it had, for those it had.
+    Row(
+        "Controller.sync",
+        take(),
+        [
+            get("get/controllers"),
+            get("state"),
+            cmd(
+                "join",
+                {
+                    "controller": "zoe",
+                    "select": {"ids": [1, 2]},
+                    "mode": "free_running",
+                    "deadline_secs": 0.25,
+                    "on_timeout": "pause",
+                    "driving": True,
+                    "again": True,
+                },
+            ),
+            get("state"),
+        ],
+        joined={
+            "mode": "free_running",
+            "deadline": 0.25,
+            "on_timeout": "pause",
+            "driving": True,
+        },
+        name="zoe",
+    ),
+]
+
+ROWS = [*QUESTIONS, *FRAMES, *COMMANDS, *CONTROLLERS]

@@ -1,0 +1,230 @@
+"""Every argument of every call arrives: what leaves the client is compared with literal tables.
+
+The client and the connection are real; a `Recorder` stands in for the daemon. Each row is called
+blocking and awaited. `test_arguments_complete.py` checks that no argument is without a row.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import inspect
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import jostle
+import rows_of_clients
+import rows_of_swarms
+from arguments import ENVELOPE, SHOWN, TAKEN, VALUES
+from conftest import find_free_endpoint
+from jostle import aio
+from jostle._arguments import to_json
+from recorder import Recorder, Sent, credentials, fixture
+from rows import CLIENT, TIMEOUT_SECS, File, Row, Take
+
+ROWS = [*rows_of_swarms.ROWS, *rows_of_clients.ROWS]
+FIRST = {row.call: row for row in reversed(ROWS)}
+"""The first row of each call."""
+
+Perform = Callable[[Row, Path], object]
+
+
+class Clients:
+    """A recorder, and a client of either kind that is connected with it."""
+
+    def __init__(self, folder: Path, is_known: bool) -> None:
+        passwords = folder / "passwords" if is_known else None
+        self.recorder = Recorder(find_free_endpoint(), passwords)
+        proof = credentials(folder / "credentials") if is_known else None
+        settings: dict[str, Any] = {
+            "client": CLIENT,
+            "timeout": TIMEOUT_SECS,
+            "credentials": proof,
+        }
+        self.blocking = jostle.connect(self.recorder.endpoint, **settings)
+
+        async def connect() -> aio.Client:
+            return await aio.connect(self.recorder.endpoint, **settings)
+
+        self.awaited = asyncio.run(connect())
+
+    def close(self) -> None:
+        """Closes them."""
+        self.blocking.close()
+        asyncio.run(self.awaited.close())
+        self.recorder.close()
+
+    def perform(self, form: str, row: Row, folder: Path) -> list[Sent]:
+        """Calls what the row says, and returns what was sent."""
+        self.recorder.clear()
+        taken = Take(
+            tuple(_made(it, folder) for it in row.take.args),
+            {name: _made(it, folder) for name, it in row.take.kwargs.items()},
+        )
+        if form == "blocking":
+            self._call(row, taken)
+        else:
+            asyncio.run(self._await(row, taken))
+        return self.recorder.sent(1)
+
+    def _call(self, row: Row, taken: Take) -> None:
+        owner, method = row.call.split(".")
+        target: Any = self.blocking
+        if owner == "Experiment":
+            target = self.blocking.experiment("small")
+        elif owner != "Client":
+            target = self.blocking.swarm("school")
+        if owner == "Controller":
+            target = target.join(row.name, jostle.ids([1, 2]), **row.joined)
+            self.recorder.clear()
+        result = getattr(target, method)(*taken.args, **taken.kwargs)
+        if isinstance(result, jostle.Stream):
+            result.close()
+
+    async def _await(self, row: Row, taken: Take) -> None:
+        owner, method = row.call.split(".")
+        target: Any = self.awaited
+        if owner == "Experiment":
+            target = self.awaited.experiment("small")
+        elif owner != "Client":
+            target = self.awaited.swarm("school")
+        if owner == "Controller":
+            target = await target.join(row.name, jostle.ids([1, 2]), **row.joined)
+            self.recorder.clear()
+        result = await getattr(target, method)(*taken.args, **taken.kwargs)
+        if isinstance(result, aio.Stream):
+            await result.close()
+
+
+def _made(value: Any, folder: Path) -> Any:
+    return value.make(folder) if isinstance(value, File) else value
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Clients]:
+    """Clients with credentials."""
+    clients = Clients(tmp_path_factory.mktemp("known"), is_known=True)
+    yield clients
+    clients.close()
+
+
+@pytest.fixture(scope="module")
+def unknown(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Clients]:
+    """Clients without."""
+    clients = Clients(tmp_path_factory.mktemp("unknown"), is_known=False)
+    yield clients
+    clients.close()
+
+
+def _named(rows: list[Row]) -> list[Any]:
+    return [pytest.param(row, id=f"{row.call}-{index}") for index, row in enumerate(rows)]
+
+
+@pytest.mark.parametrize("form", ["blocking", "awaited"])
+@pytest.mark.parametrize("row", _named(ROWS))
+def test_each_call_sends_what_its_row_says(
+    row: Row, form: str, known: Clients, tmp_path: Path
+) -> None:
+    assert known.perform(form, row, tmp_path) == row.sent
+
+
+def _options() -> Iterator[Any]:
+    for call, names in TAKEN.items():
+        cases: dict[str, dict[str, Any]] = {"all": {name: ENVELOPE[name][0] for name in names}}
+        for name in names:
+            cases |= {f"{name}={value}": {name: value} for value in ENVELOPE[name]}
+        for case, options in cases.items():
+            yield pytest.param(call, options, id=f"{call}-{case}")
+
+
+@pytest.mark.parametrize("form", ["blocking", "awaited"])
+@pytest.mark.parametrize(("call", "options"), list(_options()))
+def test_each_call_sends_the_options_that_it_takes(
+    call: str, options: dict[str, Any], form: str, known: Clients, tmp_path: Path
+) -> None:
+    first = FIRST[call]
+    taken = Take(first.take.args, {**first.take.kwargs, **options})
+    added = {"timeout_secs" if it == "timeout" else it: value for it, value in options.items()}
+    (sent,) = first.sent
+    expected = Sent(sent.selector, {**sent.body, **added}, sent.attachment)
+    row = Row(call, taken, [expected])
+    assert known.perform(form, row, tmp_path) == row.sent
+
+
+def _without_one() -> Iterator[Any]:
+    """Each row with each of its arguments that may be left out left out."""
+    for index, row in enumerate(ROWS):
+        owner, method = row.call.split(".")
+        signature = inspect.signature(getattr(getattr(jostle, owner), method))
+        bound = signature.bind(None, *row.take.args, **row.take.kwargs)
+        given = {**bound.arguments, **bound.arguments.get("options", {})}
+        given = {it: value for it, value in given.items() if it not in ("self", "options")}
+        for name, value in given.items():
+            parameter = signature.parameters.get(name)
+            default = None if parameter is None else parameter.default
+            if default is inspect.Parameter.empty or _is_same(value, default):
+                continue
+            rest = {it: value for it, value in given.items() if it != name}
+            yield pytest.param(row, Take((), rest), id=f"{row.call}-{index}-{name}")
+
+
+def _is_same(one: Any, other: Any) -> bool:
+    return one is other or (type(one) is type(other) and bool(np.all(one == other)))
+
+
+@pytest.mark.parametrize(("row", "rest"), list(_without_one()))
+def test_an_argument_left_out_changes_what_is_sent(
+    row: Row, rest: Take, known: Clients, tmp_path: Path
+) -> None:
+    # So no row can be the copy of what a client sends that drops an argument.
+    changed = Row(row.call, rest, [], row.joined, row.name)
+    try:
+        sent = known.perform("blocking", changed, tmp_path)
+    except (jostle.InvalidArgument, TypeError):
+        return
+    assert sent != row.sent
+
+
+@pytest.mark.parametrize("form", ["blocking", "awaited"])
+@pytest.mark.parametrize(
+    "call",
+    [
+        "Swarm.status",
+        "Swarm.pause",
+        "Swarm.join",
+        "Controller.put",
+        "Client.create",
+        "Client.hello",
+    ],
+)
+def test_a_client_without_credentials_proves_nothing(
+    call: str, form: str, unknown: Clients, tmp_path: Path
+) -> None:
+    row = FIRST[call]
+    anonymous = [Sent(it.selector, it.body, None) for it in row.sent]
+    assert unknown.perform(form, row, tmp_path) == anonymous
+
+
+@pytest.mark.parametrize("form", ["blocking", "awaited"])
+@pytest.mark.parametrize("call", SHOWN)
+def test_a_bar_is_shown_if_it_is_wanted(
+    call: str, form: str, known: Clients, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for show in (True, False):
+        folder = tmp_path / str(show)
+        folder.mkdir()
+        taken = Take(SHOWN[call].args, {**SHOWN[call].kwargs, "show": show})
+        # What waits shows a bar when the daemon has replied that it takes longer.
+        known.recorder.late = [{**fixture("error.deadline_exceeded"), "step": 45}]
+        known.perform(form, Row(call, taken, []), folder)
+        known.recorder.late = []
+        assert bool(capsys.readouterr().err) == show
+
+
+@pytest.mark.parametrize(("call", "taken", "value"), VALUES)
+def test_each_helper_makes_what_is_sent(call: str, taken: Take, value: Any) -> None:
+    made = getattr(jostle, call)(*taken.args, **taken.kwargs)
+    assert to_json({"args": made}) == to_json({"args": value})
