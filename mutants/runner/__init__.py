@@ -1,0 +1,1 @@
+"""What `mutants/run` is made of."""

@@ -1,0 +1,173 @@
+"""The suites that judge mutants: how each is built and run, and how its output is read."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from .place import Place
+
+
+class Outcome(Enum):
+    """How a run of one test ended."""
+
+    PASSED = "passed"
+    # By an assertion or a panic of the test that was asked for.
+    FAILED = "failed"
+    # Not run at all, or ended without either.
+    OTHER = "neither passed nor failed"
+
+
+def _outcome(output: str, passed: str, failed: str) -> Outcome:
+    has_passed = re.search(passed, output, re.MULTILINE) is not None
+    has_failed = re.search(failed, output, re.MULTILINE) is not None
+    if has_passed == has_failed:
+        return Outcome.OTHER
+    return Outcome.PASSED if has_passed else Outcome.FAILED
+
+
+@dataclass(frozen=True)
+class Suite:
+    """Where the tests of a suite are, and which code they judge."""
+
+    name: str
+    # Folders of the files that have the tests.
+    tests: tuple[str, ...]
+    # Folders whose files a mutant of this suite may change.
+    judges: tuple[str, ...]
+    # Whether a mutant of this suite makes cargo compile the daemon.
+    compiles_daemon: bool = False
+
+    def has_test(self, test: str, sources: dict[str, str]) -> bool:
+        """Returns whether a source of this suite has a test of this name."""
+        raise NotImplementedError
+
+    def build(self, place: Place) -> str | None:
+        """Compiles the tests. Returns the compiler's output if that fails."""
+        raise NotImplementedError
+
+    def judge(self, place: Place, test: str) -> tuple[Outcome, str]:
+        """Runs one test. Returns how it ended, and its output."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Cargo(Suite):
+    """Test executables of the workspace."""
+
+    targets: str = ""
+
+    def has_test(self, test: str, sources: dict[str, str]) -> bool:
+        """Whether the sources declare the test."""
+        *modules, name = test.split("::")
+        declared = re.compile(
+            # In a file in which a macro declares tests also by a name among its arguments.
+            rf"\bfn {re.escape(name)}\(|fn \$.*^\w+!\([^)]*\b{re.escape(name)}\b",
+            re.DOTALL | re.MULTILINE,
+        )
+        for path, text in sources.items():
+            if path.startswith(self.tests) and declared.search(text):
+                known = {*re.findall(r"\bmod (\w+)", text), *re.split(r"[/.]", path)}
+                if known.issuperset(modules):
+                    return True
+        return False
+
+    def build(self, place: Place) -> str | None:
+        """Compiles the tests; returns the output if that fails."""
+        status, output = place.run(self._command("--no-run"), limited=False)
+        return output if status else None
+
+    def judge(self, place: Place, test: str) -> tuple[Outcome, str]:
+        """Runs one test; returns its outcome and the output."""
+        _, output = place.run(self._command("--", "--exact", test))
+        begin = rf"^test {re.escape(test)}(?: - should panic)? \.\.\. "
+        outcome = _outcome(output, f"{begin}ok$", f"{begin}FAILED$")
+        if outcome is Outcome.FAILED and "panicked at" not in output:
+            outcome = Outcome.OTHER
+        return outcome, output
+
+    def _command(self, *more: str) -> list[str]:
+        return ["cargo", "test", "--release", "--locked", *self.targets.split(), *more]
+
+
+class Pytest(Suite):
+    """Tests of the Python package, with the daemon that was built before."""
+
+    def has_test(self, test: str, sources: dict[str, str]) -> bool:
+        """Whether the sources declare the test."""
+        path, _, name = test.partition("::")
+        text = sources.get(f"clients/python/{path}", "")
+        return re.search(rf"^(?:async )?def {re.escape(name)}\(", text, re.MULTILINE) is not None
+
+    def build(self, place: Place) -> str | None:
+        """Compiles the tests; returns the output if that fails."""
+        del place
+        return None
+
+    def judge(self, place: Place, test: str) -> tuple[Outcome, str]:
+        """Runs one test; returns its outcome and the output."""
+        command = [place.python, "-m", "pytest", "-q", "-rA", "-p", "no:cacheprovider", test]
+        package = place.tree / "clients/python"
+        environment = {
+            "PYTHONPATH": str(package / "src"),
+            "PYTHONDONTWRITEBYTECODE": "1",
+            "JOSTLED": os.environ.get("JOSTLED", str(place.built / "jostled")),
+        }
+        _, output = place.run(command, cwd=package, environment=environment)
+        # A test with parameters has failed if one case has.
+        failed = rf"^FAILED {re.escape(test)}(?:\[| |$)"
+        if re.search(failed, output, re.MULTILINE):
+            return Outcome.FAILED, output
+        return _outcome(output, rf"^PASSED {re.escape(test)}(?:\[| |$)", failed), output
+
+
+class Page(Suite):
+    """Tests beside the page's code, in Node."""
+
+    def has_test(self, test: str, sources: dict[str, str]) -> bool:
+        """Whether the sources declare the test."""
+        path, _, title = test.partition(": ")
+        return f'test("{title}"' in sources.get(f"clients/web/{path}", "")
+
+    def build(self, place: Place) -> str | None:
+        """Compiles the tests; returns the output if that fails."""
+        status, output = place.run(
+            ["npm", "run", "--silent", "test:build"], cwd=place.tree / "clients/web", limited=False
+        )
+        return output if status else None
+
+    def judge(self, place: Place, test: str) -> tuple[Outcome, str]:
+        """Runs one test; returns its outcome and the output."""
+        path, _, title = test.partition(": ")
+        pattern = "^" + re.sub(r"[.*+?^${}()|[\]\\/]", r"\\\g<0>", title) + "$"
+        built = f"build/{path.removesuffix('.ts')}.js"
+        command = ["node", "--test", "--test-reporter=tap", "--test-name-pattern", pattern, built]
+        _, output = place.run(command, cwd=place.tree / "clients/web")
+        line = rf"ok \d+ - {re.escape(title)}$"
+        return _outcome(output, rf"^\s*{line}", rf"^\s*not {line}"), output
+
+
+_DAEMON = ("src/", "proto/src/", "results/src/")
+_ALL = [
+    Cargo("lib", ("src/",), ("src/",), True, targets="--lib"),
+    Cargo("daemon", ("tests/daemon",), _DAEMON, True, targets="--test daemon"),
+    Cargo("physics", ("tests/physics",), ("src/",), True, targets="--test physics"),
+    # Alone, since the daemon is made from them, too.
+    Cargo(
+        "proto",
+        ("proto/src/", "proto/tests/"),
+        ("proto/src/",),
+        targets="-p jostle-proto --lib --test contract",
+    ),
+    Cargo("results", ("results/src/",), ("results/src/",), targets="-p jostle-results --lib"),
+    # With all of the workspace, whose dependencies are compiled already.
+    Cargo("cli-unit", ("clients/cli/src/",), ("clients/cli/src/",), targets="--bin jostle"),
+    Cargo("cli", ("clients/cli/tests/",), ("clients/cli/src/",), targets="--test cli"),
+    Pytest("python", ("clients/python/tests/",), ("clients/python/src/",)),
+    Page("page", ("clients/web/tests/",), ("clients/web/src/",)),
+]
+SUITES: dict[str, Suite] = {suite.name: suite for suite in _ALL}

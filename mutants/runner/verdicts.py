@@ -1,0 +1,105 @@
+"""What the last run of each mutant gave, in the checked-in file `mutants/verdicts.toml`."""
+
+from __future__ import annotations
+
+import subprocess
+import tomllib
+from datetime import UTC, datetime
+
+from .texts import ROOT, VERDICTS, Mutant
+
+# How many commits to the sources a verdict may lie back.
+MAX_COMMITS = 100
+_SOURCES = [
+    "src",
+    "proto/src",
+    "results/src",
+    "clients/cli/src",
+    "clients/python/src",
+    "clients/web/src",
+]
+_HEAD = """\
+# Written by `mutants/run --record`; not by hand. For each mutant the verdict of its last run: `red`
+# if the test that it names failed. The commit is the one that the run changed.
+"""
+
+
+def _git(*arguments: str) -> str | None:
+    """Returns the output of a git command, or nothing if it fails or there is no repository."""
+    done = subprocess.run(
+        ["git", *arguments], cwd=ROOT, text=True, capture_output=True, check=False
+    )
+    return done.stdout.strip() if done.returncode == 0 else None
+
+
+def read() -> dict[str, dict[str, str]]:
+    """Returns the verdict of each mutant that has one, by its name."""
+    if not VERDICTS.exists():
+        return {}
+    return tomllib.loads(VERDICTS.read_text(encoding="utf-8"))
+
+
+def commit_to_record() -> str:
+    """Returns the commit that a run of the tree as it is judges.
+
+    Raises:
+        ValueError: If there is none.
+    """
+    commit, changed = _git("rev-parse", "HEAD"), _git("status", "--porcelain", "--", ".")
+    if commit is None or changed is None:
+        raise ValueError("--record needs a clone of the repository")
+    own = VERDICTS.relative_to(ROOT).as_posix()
+    if [line for line in changed.splitlines() if line[3:] != own]:
+        raise ValueError("--record needs a tree without uncommitted changes")
+    return commit
+
+
+def record(mutant: Mutant, verdict: str, commit: str, known: list[Mutant]) -> None:
+    """Writes a verdict, and drops those of mutants that are gone."""
+    names = {it.name for it in known}
+    verdicts = {name: it for name, it in read().items() if name in names}
+    date = datetime.now(UTC).date().isoformat()
+    verdicts[mutant.name] = {"verdict": verdict, "commit": commit, "date": date}
+    tables = [
+        f"[{name}]\n" + "".join(f'{key} = "{value}"\n' for key, value in sorted(it.items()))
+        for name, it in sorted(verdicts.items())
+    ]
+    spare = VERDICTS.with_suffix(".spare")
+    spare.write_text("\n".join([_HEAD, *tables]), encoding="utf-8")
+    spare.replace(VERDICTS)
+
+
+def faults(mutants: list[Mutant]) -> tuple[list[str], list[str]]:
+    """Returns what is wrong with the verdicts, and what is to be said about them."""
+    if not VERDICTS.exists():
+        return [], [f"no verdicts: no run of all mutants was recorded ({VERDICTS.name} is missing)"]
+    verdicts = read()
+    ours = {it.name: verdicts[it.name] for it in mutants if it.name in verdicts}
+    found = [
+        f"{name}: its last verdict is {it['verdict']!r}"
+        for name, it in ours.items()
+        if it["verdict"] != "red"
+    ]
+    said = []
+    if missing := len(mutants) - len(ours):
+        said.append(f"{missing} of {len(mutants)} mutants have no verdict yet")
+    if _git("rev-parse", "HEAD") is None:
+        return found, [*said, "no clone of the repository: the age of the verdicts is not checked"]
+    ages = {commit: _age(commit) for commit in {it["commit"] for it in ours.values()}}
+    for commit, age in ages.items():
+        if age is None:
+            found.append(f"verdicts of an unknown commit: {commit}")
+        elif age > MAX_COMMITS:
+            found.append(
+                f"verdicts {age} commits to the sources old, at most {MAX_COMMITS} are allowed: "
+                "run ./check --long, or mutants/run --record"
+            )
+    said.append(
+        f"the oldest verdict lies {max(filter(None, ages.values()), default=0)} commits back"
+    )
+    return found, said
+
+
+def _age(commit: str) -> int | None:
+    count = _git("rev-list", "--count", f"{commit}..HEAD", "--", *_SOURCES)
+    return None if count is None else int(count)
