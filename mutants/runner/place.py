@@ -55,7 +55,7 @@ class Place:
             for name, _, files in os.walk(self.built / folder):
                 inner = Path(name).relative_to(self.built)
                 (release / inner).mkdir(parents=True, exist_ok=True)
-                # Test executables are linked anew.
+                # Test executables are linked again.
                 is_wanted = folder != "deps"
                 for file in files:
                     source, copy = Path(name, file), release / inner / file

@@ -30,7 +30,7 @@ class Edit:
     replace: str
 
     def pattern(self) -> re.Pattern[str]:
-        """The text to find; white space matches any white space, so code may be indented anew."""
+        """The text to find; white space matches any white space, so code may be re-indented."""
         return re.compile(r"\s+".join(re.escape(word) for word in self.find.split()))
 
 

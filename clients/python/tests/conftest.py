@@ -259,7 +259,7 @@ def eventually(what: str, holds: Callable[[], bool]) -> None:
 
 
 def find_free_endpoint() -> str:
-    """An endpoint that nobody listens on yet."""
+    """An endpoint on which no process listens."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         return f"tcp/127.0.0.1:{free.getsockname()[1]}"
@@ -267,7 +267,7 @@ def find_free_endpoint() -> str:
 
 @pytest.fixture
 def free_endpoint() -> str:
-    """An endpoint that nobody listens on yet."""
+    """An endpoint on which no process listens."""
     return find_free_endpoint()
 
 

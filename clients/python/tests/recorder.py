@@ -82,7 +82,7 @@ class Recorder:
 
     Attributes:
         is_mute: Whether it holds every query whose key this is true of, and never replies.
-        late: Errors with which it replies first to whoever waits for a step.
+        late: Errors that it sends first in reply to a `wait` for a step.
         phase: The phase of every experiment.
         controller: The name of the controller that is listed.
         step: The step that its swarms are at.
@@ -160,7 +160,7 @@ class Recorder:
         self._record(Sent(selector, _freshened(body), _text(query.attachment)), key, body)
         with self._changed:
             if self.is_mute(key):
-                # A query that is dropped ends as if there were nobody to reply.
+                # A query that is dropped ends as if no queryable matched it.
                 self._held.append(query)
                 self._changed.notify_all()
                 return

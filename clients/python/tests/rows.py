@@ -112,7 +112,7 @@ def node_get(rest: str) -> Sent:
 
 
 def put(points: dict[str, Any]) -> Sent:
-    """Set-points that nobody replies to."""
+    """Set-points, which have no reply."""
     return Sent("jostle/school/ctl/ada", {"sequence": FRESH, "set": points}, TOKEN)
 
 

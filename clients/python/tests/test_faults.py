@@ -26,7 +26,7 @@ Start = Callable[..., "Program"]
 
 STEERING = Path(__file__).with_name("steering.py")
 
-# The longest deadline that there is. Whoever waits less has not waited for it.
+# The longest deadline that there is. An exchange that takes less did not wait for it.
 LONG_SECS = 60
 NOT_LONG_SECS = LONG_SECS / 2
 # Long beside what an exchange takes on a busy machine, and short enough to be missed three times.
@@ -134,7 +134,7 @@ class Ada:
         self.others = others
         self.longest = 0.0
         self.told: list[jostle.Advanced] = []
-        # What to do when somebody has missed so many deadlines in a row.
+        # What to do when a controller has missed so many deadlines in a row.
         self.on_miss: dict[int, Callable[[], None]] = {}
 
     def with_(self, other: Program) -> None:
@@ -210,7 +210,7 @@ def test_one_that_is_killed_has_left_at_once(create: Create, daemon: Daemon, sta
     ada.with_(bob)
     bob.process.kill()
     ada.until("bob is lost", lambda: ada.left == ["lost"])
-    assert ada.longest < NOT_LONG_SECS, "nobody waited for its deadline"
+    assert ada.longest < NOT_LONG_SECS, "no exchange waited for the deadline"
     goes_on = len(ada.told) + 50
     ada.until("it goes on", lambda: len(ada.told) >= goes_on)
     assert ada.missed == []

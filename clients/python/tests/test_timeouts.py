@@ -1,4 +1,4 @@
-"""Every `timeout` acts: a daemon that never replies holds nobody up for longer."""
+"""Every `timeout` acts: a call to a daemon that never replies ends then."""
 
 from __future__ import annotations
 
