@@ -153,17 +153,86 @@ impl Credentials {
 mod tests {
     use super::*;
 
+    /// Every verb of the contract, and the least role that may have it executed. `docs/security.md`
+    /// has the same table.
+    const LEAST: [(&str, Role); 22] = [
+        ("delete", Role::Operator),
+        ("run", Role::Operator),
+        ("pause", Role::Operator),
+        ("step", Role::Operator),
+        ("reset", Role::Operator),
+        ("set", Role::Operator),
+        ("inform", Role::Operator),
+        ("uninform", Role::Operator),
+        ("inject", Role::Operator),
+        ("remove", Role::Operator),
+        ("batch", Role::Operator),
+        ("fork", Role::Operator),
+        ("join", Role::Controller),
+        ("advance", Role::Controller),
+        ("leave", Role::Controller),
+        ("seek", Role::Operator),
+        ("create", Role::Operator),
+        ("restore", Role::Operator),
+        ("discard", Role::Operator),
+        ("experiment", Role::Operator),
+        ("replay", Role::Operator),
+        ("record", Role::Operator),
+    ];
+
     #[test]
-    fn each_role_may_what_the_one_before_may_and_more() {
-        for verb in keys::SWARM_VERBS.iter().chain(&keys::NODE_VERBS) {
-            assert!(!Role::Viewer.may(verb), "{verb}");
-            assert!(Role::Operator.may(verb), "{verb}");
+    fn the_table_has_every_verb_of_the_contract() {
+        let verbs = keys::SWARM_VERBS.iter().chain(&keys::NODE_VERBS);
+        let verbs: Vec<_> = verbs.copied().collect();
+        assert_eq!(LEAST.map(|(verb, _)| verb)[..], verbs[..]);
+    }
+
+    #[test]
+    fn each_role_may_what_the_table_says() {
+        for (verb, least) in LEAST {
+            let [viewer, controller, operator] = match least {
+                Role::Viewer => [true, true, true],
+                Role::Controller => [false, true, true],
+                Role::Operator => [false, false, true],
+            };
+            assert_eq!(Role::least(verb), least, "{verb}");
+            assert_eq!(Role::Viewer.may(verb), viewer, "viewer, {verb}");
+            assert_eq!(Role::Controller.may(verb), controller, "controller, {verb}");
+            assert_eq!(Role::Operator.may(verb), operator, "operator, {verb}");
         }
-        for verb in CONTROLLER_VERBS {
-            assert!(keys::SWARM_VERBS.contains(&verb), "{verb}");
-            assert!(Role::Controller.may(verb), "{verb}");
+        // What is no verb takes the greatest role.
+        for verb in ["", "*", "**", "get", "Join", "join/now"] {
+            assert!(!Role::Viewer.may(verb), "viewer, {verb:?}");
+            assert!(!Role::Controller.may(verb), "controller, {verb:?}");
+            assert!(Role::Operator.may(verb), "operator, {verb:?}");
         }
-        assert!(!Role::Controller.may("delete"));
+    }
+
+    #[test]
+    fn a_refusal_names_the_person_and_the_least_role() {
+        for (person, verb, expected) in [
+            (
+                Some(("vera", Role::Viewer)),
+                "join",
+                "you are vera, a viewer, and join takes a controller",
+            ),
+            (
+                Some(("cleo", Role::Controller)),
+                "reset",
+                "you are cleo, a controller, and reset takes an operator",
+            ),
+            (
+                None,
+                "create",
+                "no token came along that belongs to a person here, and create takes an operator",
+            ),
+        ] {
+            let error = refused(person, verb);
+            assert_eq!(error.code, ErrorCode::PermissionDenied);
+            assert!(error.message.starts_with(expected), "{}", error.message);
+            assert_eq!(error.details["verb"], verb);
+            assert_eq!(error.details["person"], json!(person.map(|(name, _)| name)));
+        }
     }
 
     #[test]

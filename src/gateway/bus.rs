@@ -44,8 +44,8 @@ impl Bus {
         }
     }
 
-    /// Asks under one key, with the parameters behind its `?`, a request in JSON if there is one,
-    /// and the token of whoever asks.
+    /// Asks under one key, with the parameters of a selector behind its `?`, a request in JSON if
+    /// there is one, and the token of whoever asks.
     ///
     /// # Errors
     ///
@@ -65,7 +65,7 @@ impl Bus {
         }
         let selector = match parameters {
             "" => key,
-            parameters => format!("{key}?{}", parameters.replace('&', ";")),
+            parameters => format!("{key}?{parameters}"),
         };
         let (session, token) = (self.session.clone(), token.map(str::to_owned));
         let sending = move || {

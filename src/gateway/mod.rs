@@ -12,6 +12,7 @@ mod bus;
 mod connections;
 mod feed;
 mod page;
+mod parameters;
 mod pass;
 mod past;
 mod secure;
@@ -309,7 +310,10 @@ async fn look(
         let told = format!("{rest:?} is nothing to look at: SWARM/get/… or @node/get/…");
         return refuse(&told_of(ErrorCode::NotFound, told));
     }
-    let parameters = parameters.unwrap_or_default();
+    let parameters = match parameters::selector(&parameters.unwrap_or_default()) {
+        Ok(parameters) => parameters,
+        Err(message) => return refuse(&told_of(ErrorCode::InvalidArgument, message)),
+    };
     let token = seen.pass.token(&headers);
     match seen.bus.ask(&rest, &parameters, None, token).await {
         Ok(answer) => answer.into_response(),

@@ -104,7 +104,19 @@ fn roles(prefix: &str) -> Vec<Value> {
             &EVERYTHING.map(str::to_owned),
         ),
         rule("get", "ingress", &["query"], &gets),
-        denial("no_recording", &keys::node_get(prefix, "*", "recording")),
+        denial(
+            "no_recording",
+            "ingress",
+            "query",
+            &keys::node_get(prefix, "*", "recording"),
+        ),
+        // Set-points have the token of their sender as an attachment.
+        denial(
+            "no_set_points",
+            "egress",
+            "put",
+            &keys::ctl(prefix, "*", "*"),
+        ),
         rule("control", "ingress", &["query"], &controllers),
         rule("operate", "ingress", &["query"], &everything),
     ]
@@ -115,11 +127,11 @@ fn rules_of(prefix: &str, person: &Person, rules: &mut Vec<Value>) -> Vec<String
     let mut names = vec!["the_daemon_tells", "watch", "get"];
     let controllers = match person.role {
         Role::Viewer => {
-            names.push("no_recording");
+            names.extend(["no_recording", "no_set_points"]);
             Vec::new()
         }
         Role::Controller => {
-            names.extend(["no_recording", "control"]);
+            names.extend(["no_recording", "no_set_points", "control"]);
             vec![person.name.clone(), format!("{}-$*", person.name)]
         }
         Role::Operator => {
@@ -183,9 +195,9 @@ fn steering(prefix: &str, id: &str, controllers: &[String]) -> [Value; 2] {
     ]
 }
 
-/// Denies queries on a key that another rule allows.
-fn denial(id: &str, key: &str) -> Value {
-    let mut rule = rule(id, "ingress", &["query"], &[key.to_owned()]);
+/// Denies messages on a key that another rule allows.
+fn denial(id: &str, flow: &str, message: &str, key: &str) -> Value {
+    let mut rule = rule(id, flow, &[message], &[key.to_owned()]);
     rule["permission"] = json!("deny");
     rule
 }

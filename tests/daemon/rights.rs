@@ -5,8 +5,10 @@ mod blocked;
 mod forgery;
 mod live;
 mod matrix;
+mod requests;
 pub mod secrets;
 mod start;
+mod table;
 
 use std::path::PathBuf;
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
+import re
 import subprocess
 import time
 from collections.abc import Iterator
@@ -14,9 +15,22 @@ import zenoh
 
 import jostle
 from conftest import JOSTLED, Daemon
+from contract import PROTO
 from jostle import aio
 
 PEOPLE = {"vera": "viewer", "cleo": "controller", "olga": "operator"}
+
+OF_CONTROLLERS = ["join", "advance", "leave"]
+"""The verbs that controllers may have executed, by the table in `docs/security.md`."""
+
+SWARM_VERBS = [
+    *("delete", "run", "pause", "step", "reset", "set", "inform", "uninform", "inject", "remove"),
+    *("batch", "fork", "join", "advance", "leave", "seek"),
+]
+"""The verbs that operators may have swarms execute."""
+
+NODE_VERBS = ["create", "restore", "discard", "experiment", "replay", "record"]
+"""The verbs that operators may have the daemon execute."""
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +88,28 @@ def test_each_person_may_what_their_role_may_and_hears_what_it_may_not(
     ]
     for client in clients.values():
         client.close()
+
+
+def test_the_lists_of_verbs_are_those_of_the_contract() -> None:
+    document = (PROTO / "asyncapi.yaml").read_text(encoding="utf-8")
+    keys = set(re.findall(r"\{prefix\}/(\S+)/cmd/(\w+)", document))
+    expected = {("{swarm}", verb) for verb in SWARM_VERBS}
+    assert keys == expected | {("@node/{node}", verb) for verb in NODE_VERBS}
+
+
+def test_whoami_lists_what_each_role_may(lab: Daemon, auth: Path) -> None:
+    permitted: dict[str, tuple[list[str], list[str]]] = {
+        "vera": ([], []),
+        "cleo": (OF_CONTROLLERS, []),
+        "olga": (SWARM_VERBS, NODE_VERBS),
+    }
+    for name, (verbs, node_verbs) in permitted.items():
+        with enter(lab, auth, name) as client:
+            who = client.whoami()
+        assert (who.person, who.role) == (name, PEOPLE[name])
+        assert (who.verbs, who.node_verbs) == (verbs, node_verbs)
+        for verb in [*SWARM_VERBS, *NODE_VERBS]:
+            assert who.may(verb) == (verb in verbs or verb in node_verbs), verb
 
 
 def test_states_and_events_reach_a_viewer(lab: Daemon, auth: Path) -> None:

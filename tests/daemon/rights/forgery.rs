@@ -1,14 +1,254 @@
 //! What only a daemon may say never arrives when somebody else says it.
 
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use jostle_proto::{ErrorCode, keys};
 use serde_json::json;
-use zenoh::Wait;
-use zenoh::sample::Sample;
+use zenoh::bytes::Encoding;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::pubsub::Subscriber;
+use zenoh::query::{ConsolidationMode, QueryTarget, Queryable};
+use zenoh::sample::{Sample, SampleKind};
+use zenoh::{Session, Wait};
 
+use super::table::{COLUMNS, cells};
 use super::{Lab, Proof, Visitor};
-use crate::support::{NODE, PREFIX, until};
+use crate::support::{NODE, PATIENCE, PREFIX, until};
+
+/// What a client sends or declares that only the daemon may, and what shows that it arrived.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Forgery {
+    /// A subscriber receives the put.
+    Put,
+    /// A subscriber receives the delete.
+    Delete,
+    /// The queryable receives a query.
+    Query,
+    /// A client that queries receives the reply of the queryable.
+    Reply,
+    /// A query of liveliness tokens finds the token.
+    Token,
+}
+
+/// What arrived, of which kind and by which key.
+type Arrived = Arc<Mutex<BTreeSet<(Forgery, String)>>>;
+
+/// How many samples arrived, by key.
+type Counts = Arc<Mutex<BTreeMap<String, usize>>>;
+
+/// The keys that clients put and delete on.
+fn published() -> Vec<String> {
+    vec![
+        keys::state(PREFIX, "s"),
+        keys::order(PREFIX, "s"),
+        keys::event(PREFIX, "s"),
+        keys::state(PREFIX, "another"),
+        keys::alive(PREFIX, "s", NODE),
+        keys::experiment(PREFIX, NODE, "e", "progress"),
+        keys::get(PREFIX, "s", "status"),
+        keys::cmd(PREFIX, "s", "pause"),
+        keys::node_alive(PREFIX, NODE),
+        format!("{}/@adv/pub/0/0/_", keys::event(PREFIX, "s")),
+    ]
+}
+
+/// The keys of queryables of clients. The last one receives what the first three receive.
+fn answered() -> Vec<String> {
+    vec![
+        keys::state(PREFIX, "s"),
+        keys::get(PREFIX, "s", "status"),
+        keys::cmd(PREFIX, "s", "pause"),
+        keys::node_get(PREFIX, NODE, "hello"),
+        keys::node_cmd(PREFIX, NODE, "create"),
+        "jostle/**".to_owned(),
+    ]
+}
+
+/// The liveliness tokens that clients declare. An operator may hold those of any controller, and a
+/// router that connects as one brings the claims of other daemons.
+fn tokens(is_operator: bool) -> Vec<String> {
+    let mut tokens = vec![
+        keys::alive(PREFIX, "another", NODE),
+        keys::node_alive(PREFIX, "another"),
+    ];
+    if !is_operator {
+        tokens.push(keys::ctl_alive(PREFIX, "s", "carl"));
+        tokens.push(keys::claim(PREFIX, "s", "another", "0", "changed"));
+        tokens.push(keys::node_claim(PREFIX, NODE, "0", "changed"));
+    }
+    tokens
+}
+
+/// Everything that [`forge`] does.
+fn everything(is_operator: bool) -> BTreeSet<(Forgery, String)> {
+    let mut everything = BTreeSet::new();
+    for key in published() {
+        everything.insert((Forgery::Put, key.clone()));
+        everything.insert((Forgery::Delete, key));
+    }
+    for key in answered() {
+        everything.insert((Forgery::Query, key.clone()));
+        everything.insert((Forgery::Reply, key));
+    }
+    let tokens = tokens(is_operator).into_iter();
+    everything.extend(tokens.map(|key| (Forgery::Token, key)));
+    everything
+}
+
+/// What a forger has declared, until it is dropped.
+type Declared = (Vec<Queryable<()>>, Vec<LivelinessToken>);
+
+/// Sends and declares everything from a session. Its queryables note what they receive.
+async fn forge(forger: &Session, is_operator: bool, arrived: &Arrived) -> Declared {
+    for key in published() {
+        forger.put(&key, FORGED).await.unwrap();
+        forger.delete(&key).await.unwrap();
+    }
+    let mut queryables = Vec::new();
+    for key in answered() {
+        let (declared, arrived) = (key.clone(), arrived.clone());
+        let queryable = forger.declare_queryable(&key).callback(move |query| {
+            note(&arrived, Forgery::Query, &declared);
+            let key = query.key_expr().clone();
+            let _ = query.reply(key, format!("{FORGED}{declared}")).wait();
+        });
+        queryables.push(queryable.await.unwrap());
+    }
+    let mut held = Vec::new();
+    for key in tokens(is_operator) {
+        held.push(forger.liveliness().declare_token(key).await.unwrap());
+    }
+    (queryables, held)
+}
+
+/// The beginning of each payload that is forged.
+const FORGED: &str = "forged ";
+
+fn note(arrived: &Arrived, forgery: Forgery, key: &str) {
+    arrived.lock().unwrap().insert((forgery, key.to_owned()));
+}
+
+/// A client that looks for what is forged, and counts what the daemon publishes, by key.
+struct Witness {
+    arrived: Arrived,
+    genuine: Counts,
+    _subscribers: Vec<Subscriber<()>>,
+}
+
+impl Witness {
+    async fn of(session: &Session) -> Self {
+        let (arrived, genuine) = (Arrived::default(), Counts::default());
+        let mut subscribers = Vec::new();
+        for key in ["jostle/**", "jostle/@node/**", "jostle/*/event/@adv/**"] {
+            let (arrived, genuine) = (arrived.clone(), genuine.clone());
+            let receive = move |sample: Sample| {
+                let key = sample.key_expr().as_str();
+                let is_forged = sample.payload().to_bytes().starts_with(FORGED.as_bytes());
+                // The daemon deletes nothing.
+                match sample.kind() {
+                    SampleKind::Delete => note(&arrived, Forgery::Delete, key),
+                    SampleKind::Put if is_forged => note(&arrived, Forgery::Put, key),
+                    SampleKind::Put => {
+                        let mut genuine = genuine.lock().unwrap();
+                        *genuine.entry(key.to_owned()).or_default() += 1;
+                    }
+                }
+            };
+            let subscriber = session.declare_subscriber(key).callback(receive);
+            subscribers.push(subscriber.await.unwrap());
+        }
+        Witness {
+            arrived,
+            genuine,
+            _subscribers: subscribers,
+        }
+    }
+
+    fn count(&self, key: &str) -> usize {
+        let genuine = self.genuine.lock().unwrap();
+        genuine.get(key).copied().unwrap_or_default()
+    }
+
+    /// Queries every key of the forged queryables, and every forged token; how many genuine replies
+    /// there are to each query.
+    async fn query(&self, session: &Session, is_operator: bool) -> Vec<usize> {
+        let mut counts = Vec::new();
+        for key in answered().iter().filter(|key| !key.contains('*')) {
+            let query = session.get(key).target(QueryTarget::All);
+            let query = query.consolidation(ConsolidationMode::None);
+            let replies = query.timeout(2 * PATIENCE).await.unwrap();
+            let mut count = 0;
+            while let Ok(reply) = replies.recv_async().await {
+                let text = reply.result().map(|sample| sample.payload().to_bytes());
+                let text = text.map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+                match text.as_ref().map(|text| text.strip_prefix(FORGED)) {
+                    Ok(Some(declared)) => note(&self.arrived, Forgery::Reply, declared),
+                    _ => count += 1,
+                }
+            }
+            counts.push(count);
+        }
+        for key in tokens(is_operator) {
+            let tokens = session.liveliness().get(&key).timeout(PATIENCE);
+            let tokens = tokens.await.unwrap();
+            while tokens.recv_async().await.is_ok() {
+                note(&self.arrived, Forgery::Token, &key);
+            }
+        }
+        counts
+    }
+}
+
+/// A router without access control, as a client of a daemon would find it if nothing stopped
+/// forgeries: each of them arrives there, so that the test of the daemon can fail.
+#[tokio::test(flavor = "multi_thread")]
+async fn without_access_control_every_forgery_arrives() {
+    let router = open_bare("router", "listen/endpoints", "tcp/127.0.0.1:0").await;
+    let endpoint = router.info().locators().await[0].to_string();
+    let [forger, session] = [
+        open_bare("client", "connect/endpoints", &endpoint).await,
+        open_bare("client", "connect/endpoints", &endpoint).await,
+    ];
+    let witness = Witness::of(&session).await;
+    until("the router knows the subscriptions", async || {
+        for key in published() {
+            router.put(key, "genuine").await.unwrap();
+        }
+        published().iter().all(|key| witness.count(key) > 0)
+    })
+    .await;
+    let declared = forge(&forger, false, &witness.arrived).await;
+    let mut replies = Vec::new();
+    until("every forgery arrives", async || {
+        replies = witness.query(&session, false).await;
+        *witness.arrived.lock().unwrap() == everything(false)
+    })
+    .await;
+    assert_eq!(replies, [0; 5]);
+    drop(declared);
+    for session in [forger, session, router] {
+        session.close().await.unwrap();
+    }
+}
+
+/// A session of zenoh without access control, which finds nothing by itself.
+async fn open_bare(mode: &str, kind: &str, endpoint: &str) -> Session {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", json!(mode)),
+        ("listen/endpoints", json!([])),
+        ("connect/endpoints", json!([])),
+        (kind, json!([endpoint])),
+        ("scouting/multicast/enabled", json!(false)),
+        ("scouting/gossip/enabled", json!(false)),
+        ("adminspace/enabled", json!(false)),
+    ] {
+        config.insert_json5(key, &value.to_string()).unwrap();
+    }
+    zenoh::open(config).await.unwrap()
+}
 
 /// Every message that only the daemon sends is tried by everybody who may least to most.
 #[tokio::test(flavor = "multi_thread")]
@@ -16,178 +256,188 @@ async fn forged_states_answers_and_tokens_never_arrive() {
     let lab = Lab::open().await;
     let victor = lab.enter("victor").await;
     let olga = lab.enter("olga").await;
+    // An operator's session, so that its queries of commands pass; without a token, so that the
+    // daemon rejects them.
+    let asker = lab.enter_with("olga", None).await;
     olga.create("s").await;
-    let (heard, hearing) = flume();
-    let keys_heard = ["jostle/**", "jostle/@node/**", "jostle/*/event/@adv/**"];
-    let mut listening = Vec::new();
-    for key in keys_heard {
-        let heard = heard.clone();
-        let subscriber = victor
-            .session
-            .declare_subscriber(key)
-            .callback(move |sample: Sample| {
-                let text = sample.payload().to_bytes().into_owned();
-                if text.starts_with(b"forged") {
-                    heard.lock().unwrap().push(sample.key_expr().to_string());
-                }
-            });
-        listening.push(subscriber.await.unwrap());
-    }
-    let mut cells = 0;
+    let witness = Witness::of(&victor.session).await;
+    let whoami = keys::node_get(PREFIX, NODE, "whoami");
+    victor.ok(&whoami, None).await;
+    // The subscriptions receive what the daemon publishes on the keys that are forged below.
+    let toml = "name = \"e\"\nduration = 1\n[[grid]]\nn = [2]\n";
+    olga.node_cmd("experiment", json!({"submit": {"toml": toml}}))
+        .await;
+    let progress = keys::experiment(PREFIX, NODE, "e", "progress");
+    hears(&witness, &olga, &[&progress]).await;
     for name in ["vera", "cleo", "olga"] {
+        let is_operator = name == "olga";
         let forger = lab.enter(name).await;
-        let told = [
-            keys::state(PREFIX, "s"),
-            keys::order(PREFIX, "s"),
-            keys::event(PREFIX, "s"),
-            keys::state(PREFIX, "another"),
-            keys::alive(PREFIX, "s", NODE),
-            keys::experiment(PREFIX, NODE, "e", "progress"),
-            keys::get(PREFIX, "s", "status"),
-            keys::cmd(PREFIX, "s", "pause"),
-            keys::node_alive(PREFIX, NODE),
-            format!("{}/@adv/pub/0/0/_", keys::event(PREFIX, "s")),
-        ];
-        for key in &told {
-            forger.session.put(key, "forged").await.unwrap();
-            forger.session.delete(key).await.unwrap();
-            cells += 2;
-        }
-        let answered = [
-            keys::state(PREFIX, "s"),
-            keys::get(PREFIX, "s", "status"),
-            keys::cmd(PREFIX, "s", "pause"),
-            keys::node_get(PREFIX, NODE, "hello"),
-            keys::node_cmd(PREFIX, NODE, "create"),
-            "jostle/**".to_owned(),
-        ];
-        let mut posing = Vec::new();
-        for key in &answered {
-            let posed = forger.session.declare_queryable(key).callback(|query| {
-                let key = query.key_expr().clone();
-                let _ = query.reply(key, "forged").wait();
-            });
-            posing.push(posed.await.unwrap());
-            cells += 1;
-        }
-        let mut tokens = Vec::new();
-        let alive = [
-            keys::alive(PREFIX, "another", NODE),
-            keys::node_alive(PREFIX, "another"),
-            keys::ctl_alive(PREFIX, "s", "carl"),
-            keys::claim(PREFIX, "s", "another", "0", "changed"),
-            keys::node_claim(PREFIX, NODE, "0", "changed"),
-        ];
-        // An operator may hold the token of any controller, and a router that connects as one
-        // brings the claims of other daemons.
-        let alive = &alive[..if name == "olga" { 2 } else { 5 }];
-        for key in alive {
-            tokens.push(
-                forger
-                    .session
-                    .liveliness()
-                    .declare_token(key)
-                    .await
-                    .unwrap(),
-            );
-            cells += 1;
-        }
-        // What is sent in order over one session has come to its end when this is answered, which
-        // the forger itself would not.
-        forger
-            .ok(&keys::node_get(PREFIX, NODE, "status"), None)
-            .await;
-        for key in &answered[..4] {
-            let answers = victor
-                .session
-                .get(key)
-                .timeout(Duration::from_secs(5))
-                .await
-                .unwrap();
-            while let Ok(answer) = answers.recv_async().await {
-                if let Ok(sample) = answer.result() {
-                    let text = sample.payload().to_bytes();
-                    assert!(!text.starts_with(b"forged"), "{name} answers {key}");
-                }
-            }
-        }
-        for key in alive {
-            let there = victor.session.liveliness().get(key).await.unwrap();
-            assert!(there.recv_async().await.is_err(), "{name} holds {key}");
-        }
+        let declared = forge(&forger.session, is_operator, &witness.arrived).await;
+        // What a session sends arrives in order: all of it before this query is answered.
+        forger.ok(&whoami, None).await;
+        let replies = witness.query(&asker.session, is_operator).await;
+        assert_eq!(replies, [1; 5], "the daemon replies to each query once");
+        // What the daemon publishes after all that arrives, over the same subscriptions.
+        hears(&witness, &olga, &[]).await;
+        let arrived = witness.arrived.lock().unwrap().clone();
+        assert_eq!(arrived, BTreeSet::new(), "forged by {name}");
+        drop(declared);
         forger.session.close().await.unwrap();
     }
-    // By now whatever arrives would have: what the daemon says after it does.
-    let before = frames(&victor).await;
+    let alive = keys::alive(PREFIX, "s", NODE);
+    let tokens = victor.session.liveliness().get(&alive).await.unwrap();
+    assert!(tokens.recv_async().await.is_ok(), "the daemon's own token");
+    lab.close(vec![victor, olga, asker]).await;
+}
+
+/// Waits until a witness has received a new state, order and event of a swarm that steps, and
+/// something on each of `others`.
+async fn hears(witness: &Witness, olga: &Visitor, others: &[&str]) {
+    let keys = [keys::state, keys::order, keys::event].map(|key| key(PREFIX, "s"));
+    let before = keys.each_ref().map(|key| witness.count(key));
+    olga.cmd("s", "set", json!({"pi3": 1.1})).await;
     olga.cmd("s", "step", json!({"steps": 2})).await;
-    until("the daemon's own states arrive", async || {
-        frames(&victor).await > before
+    until("what the daemon publishes arrives", async || {
+        let mut counts = keys.iter().zip(before);
+        counts.all(|(key, before)| witness.count(key) > before)
+            && others.iter().all(|key| witness.count(key) > 0)
     })
     .await;
-    assert_eq!(*hearing.lock().unwrap(), Vec::<String>::new());
-    println!("{cells} cells");
-    drop(listening);
-    lab.close(vec![victor, olga]).await;
 }
 
-type Heard = std::sync::Arc<std::sync::Mutex<Vec<String>>>;
-
-fn flume() -> (Heard, Heard) {
-    let heard = Heard::default();
-    (heard.clone(), heard)
-}
-
-async fn frames(visitor: &Visitor) -> u64 {
-    let key = keys::state(PREFIX, "s") + "?format=json";
-    visitor.ok(&key, None).await["step"].as_u64().unwrap()
+/// Who sends set-points of the controller `cleo`, or holds its token, and whether they may by the
+/// table.
+fn steering(key: &str) -> Vec<(&'static str, bool)> {
+    let cells = cells(key);
+    // A controller with another name.
+    let mut senders = vec![("carl", cells[1] == "yes")];
+    let columns = COLUMNS.into_iter().zip(cells);
+    senders.extend(columns.map(|((_, person), cell)| (person, cell != "no")));
+    senders
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn set_points_are_taken_from_whom_the_controller_is() {
     let lab = Lab::open().await;
-    let (vera, cleo, carl, olga) = (
-        lab.enter("vera").await,
-        lab.enter("cleo").await,
-        lab.enter("carl").await,
-        lab.enter("olga").await,
-    );
+    let (cleo, olga) = (lab.enter("cleo").await, lab.enter("olga").await);
     olga.create("s").await;
     let join = json!({"controller": "cleo", "select": {"ids": [1]}, "mode": "free_running",
         "deadline_secs": 10.0});
     cleo.cmd("s", "join", join).await;
     olga.cmd("s", "run", json!({"rate": 1.0})).await;
     let key = keys::ctl(PREFIX, "s", "cleo");
-    let put = |sequence: u64| {
-        let set = json!({"ids": [1], "direction": [0.5], "weight": [1.0]});
-        json!({"sequence": sequence, "set": set}).to_string()
-    };
     let taken = async || {
         let told = olga.ok(&keys::get(PREFIX, "s", "controllers"), None).await;
         let puts = told["result"]["controllers"][0]["puts"].clone();
         let counts = puts.as_object().unwrap().values();
         counts.map(|count| count.as_u64().unwrap()).sum::<u64>()
     };
-    let json = zenoh::bytes::Encoding::APPLICATION_JSON;
-    for stranger in [&vera, &carl] {
-        stranger
-            .session
-            .put(&key, put(1))
-            .encoding(json.clone())
-            .await
-            .unwrap();
-        stranger
-            .ok(&keys::node_get(PREFIX, NODE, "hello"), None)
-            .await;
+    let mut visitors = vec![cleo];
+    let (mut sequence, mut expected) = (0, 0);
+    for (person, may) in steering("{swarm}/ctl/{controller}") {
+        let visitor = lab.enter(person).await;
+        sequence += 1;
+        let set = json!({"ids": [1], "direction": [0.5], "weight": [1.0]});
+        let payload = json!({"sequence": sequence, "set": set}).to_string();
+        let put = visitor.session.put(&key, payload);
+        put.encoding(Encoding::APPLICATION_JSON).await.unwrap();
+        // What a session sends arrives in order.
+        let whoami = keys::node_get(PREFIX, NODE, "whoami");
+        visitor.ok(&whoami, None).await;
+        expected += u64::from(may);
+        until("the permitted set-points are taken", async || {
+            taken().await >= expected
+        })
+        .await;
+        assert_eq!(taken().await, expected, "{person}");
+        visitors.push(visitor);
     }
-    for (number, own) in [(2, &cleo), (3, &olga)] {
-        own.session
-            .put(&key, put(number))
-            .encoding(json.clone())
-            .await
-            .unwrap();
-        until("set-points are taken", async || taken().await == number - 1).await;
+    assert_eq!(expected, 2);
+    visitors.push(olga);
+    lab.close(visitors).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_controllers_token_is_held_by_whom_it_is() {
+    let lab = Lab::open().await;
+    let (victor, olga) = (lab.enter("victor").await, lab.enter("olga").await);
+    olga.create("s").await;
+    let key = keys::ctl_alive(PREFIX, "s", "cleo-2");
+    let is_held = async || {
+        let tokens = victor.session.liveliness().get(&key).await.unwrap();
+        tokens.recv_async().await.is_ok()
+    };
+    let mut visitors = Vec::new();
+    for (person, may) in steering("{swarm}/ctl/{controller}/alive") {
+        let visitor = lab.enter(person).await;
+        let token = visitor.session.liveliness().declare_token(&key);
+        let token = token.await.unwrap();
+        let whoami = keys::node_get(PREFIX, NODE, "whoami");
+        visitor.ok(&whoami, None).await;
+        if may {
+            until("the token is there", async || is_held().await).await;
+        }
+        assert_eq!(is_held().await, may, "{person}");
+        token.undeclare().await.unwrap();
+        until("the token is gone", async || !is_held().await).await;
+        visitors.push(visitor);
     }
-    lab.close(vec![vera, cleo, carl, olga]).await;
+    visitors.extend([victor, olga]);
+    lab.close(visitors).await;
+}
+
+/// Set-points bring the token of their sender along, which alone lets its bearer command over HTTP.
+#[tokio::test(flavor = "multi_thread")]
+async fn only_operators_receive_set_points() {
+    let lab = Lab::open().await;
+    let cleo = lab.enter("cleo").await;
+    let mut visitors = Vec::new();
+    let mut heard = Vec::new();
+    for person in ["vera", "carl", "olga"] {
+        let visitor = lab.enter(person).await;
+        let counts = Counts::default();
+        let mut subscribers = Vec::new();
+        for key in ["jostle/**", "jostle/*/ctl/*"] {
+            let counts = counts.clone();
+            let receive = move |sample: Sample| {
+                let mut counts = counts.lock().unwrap();
+                *counts.entry(sample.key_expr().to_string()).or_default() += 1;
+            };
+            let subscriber = visitor.session.declare_subscriber(key).callback(receive);
+            subscribers.push(subscriber.await.unwrap());
+        }
+        let whoami = keys::node_get(PREFIX, NODE, "whoami");
+        visitor.ok(&whoami, None).await;
+        heard.push((person, counts, subscribers));
+        visitors.push(visitor);
+    }
+    let olga = visitors.last().unwrap();
+    olga.create("s").await;
+    let (ctl, event) = (keys::ctl(PREFIX, "s", "cleo"), keys::event(PREFIX, "s"));
+    let token = cleo.token.clone().unwrap();
+    cleo.session
+        .put(&ctl, "{}")
+        .attachment(token)
+        .await
+        .unwrap();
+    let count = |counts: &Counts, key: &str| counts.lock().unwrap().get(key).copied();
+    let (_, operator, _) = heard.last().unwrap();
+    until("the operator receives the set-point", async || {
+        count(operator, &ctl).is_some()
+    })
+    .await;
+    // What the daemon publishes later arrives later.
+    olga.cmd("s", "set", json!({"pi3": 1.1})).await;
+    for (person, counts, _) in &heard {
+        until("the event arrives", async || {
+            count(counts, &event).is_some()
+        })
+        .await;
+        assert_eq!(count(counts, &ctl).is_some(), *person == "olga", "{person}");
+    }
+    drop(heard);
+    visitors.push(cleo);
+    lab.close(visitors).await;
 }
 
 /// A router brings the claims of other daemons, and a client can connect as a router.

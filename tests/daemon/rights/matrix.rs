@@ -1,248 +1,228 @@
-//! Roles, verbs and keys: whoever may is answered, whoever may not changes nothing.
+//! Roles, verbs and keys: whoever may is answered, whoever may not changes nothing. What each may is
+//! in `table.rs`, and nothing here asks the program for it.
 
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
-use jostle_proto::{ErrorCode, Reply, Role, Snapshot, keys};
+use std::collections::BTreeMap;
+
+use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
+use super::requests::{RECORDING, Request, SWARM, furnish, record};
+use super::secrets::http;
+use super::table::{COLUMNS, TABLE, cells, least, may};
 use super::{Lab, Visitor};
-use crate::support::{Answer, NODE, PREFIX, until};
+use crate::support::{Answer, NODE, PREFIX};
 
-/// The cells that must at least be tried.
-const CELLS: usize = 150;
+/// Who sends a request over zenoh: the person of the session, and whose token they send.
+const SENDERS: [(&str, Token); 8] = [
+    ("vera", Token::Of("vera")),
+    ("cleo", Token::Of("cleo")),
+    ("olga", Token::Of("olga")),
+    // A session that may less than the token: only zenoh's access control can reject it.
+    ("vera", Token::Of("olga")),
+    // Sessions that may more than the token: only the daemon can reject it.
+    ("olga", Token::Of("vera")),
+    ("olga", Token::Of("cleo")),
+    ("olga", Token::None),
+    ("olga", Token::Forged),
+];
 
-/// A request that succeeds, once.
-struct Deed {
-    verb: &'static str,
-    key: String,
-    args: Value,
-    /// The swarm whose number of applied commands it would raise, if it is one that is there.
-    swarm: Option<String>,
+/// Whose token is sent over HTTP, where it is all that says who sends.
+const HTTP_SENDERS: [Token; 5] = [
+    Token::Of("vera"),
+    Token::Of("cleo"),
+    Token::Of("olga"),
+    Token::None,
+    Token::Forged,
+];
+
+const FORGED: &str = "0123456789abcdef0123456789abcdef";
+
+#[derive(Clone, Copy, Debug)]
+enum Token {
+    Of(&'static str),
+    Forged,
+    None,
 }
 
-/// Everything that changes something, each made ready to succeed by an operator.
-async fn deeds(olga: &Visitor, cleo: &Visitor) -> Vec<Deed> {
-    let anybody = json!({"select": {"count": 1}});
-    let informed = json!({"select": {"count": 1}, "direction": 0.5});
-    let mut deeds = Vec::new();
-    for (verb, args) in [
-        ("delete", json!({})),
-        ("run", json!({"until_step": 3})),
-        ("pause", json!({})),
-        ("step", json!({"steps": 1})),
-        ("reset", json!({})),
-        ("set", json!({"pi3": 1.1})),
-        ("inform", informed),
-        ("uninform", anybody.clone()),
-        ("inject", json!({"count": 1})),
-        ("remove", anybody.clone()),
-        (
-            "batch",
-            json!({"commands": [{"verb": "set", "args": {"pi3": 1.2}}]}),
-        ),
-        ("fork", json!({"name": "copy"})),
-        (
-            "join",
-            json!({"controller": "cleo", "select": {"count": 1}}),
-        ),
-        ("advance", json!({"controller": "cleo", "steps": 1})),
-        ("leave", json!({"controller": "cleo"})),
-        ("seek", json!({"fraction": 0.0})),
-    ] {
-        let swarm = format!("for-{verb}");
-        match verb {
-            "seek" => record_and_open(olga, &swarm).await,
-            _ => olga.create(&swarm).await,
+impl Token {
+    fn person(self) -> Option<&'static str> {
+        match self {
+            Token::Of(name) => Some(name),
+            Token::Forged | Token::None => None,
         }
-        if verb == "uninform" {
-            let all = json!({"select": {"fraction": 1.0}, "direction": 0.5});
-            olga.cmd(&swarm, "inform", all).await;
+    }
+
+    fn text(self, lab: &Lab) -> Option<String> {
+        match self {
+            Token::Of(name) => Some(lab.credentials(name).token),
+            Token::Forged => Some(FORGED.to_owned()),
+            Token::None => None,
         }
-        if ["advance", "leave"].contains(&verb) {
-            let join = json!({"controller": "cleo", "select": {"count": 1}});
-            cleo.cmd(&swarm, "join", join).await;
+    }
+}
+
+/// What becomes of a request.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Fate {
+    /// It is carried out and answered.
+    Carried,
+    /// zenoh's access control drops it: no answer.
+    Dropped,
+    /// The daemon rejects it: `permission_denied`, and over HTTP the status 403.
+    Denied,
+    /// HTTP rejects whoever sends no valid token: `permission_denied` and the status 401.
+    Unknown,
+}
+
+/// What must become of a request over zenoh.
+fn fate_by_zenoh(cells: [&str; 3], session: &str, token: Token) -> Fate {
+    let takes_token = cells.contains(&"no");
+    if !may(cells, Some(session)) {
+        Fate::Dropped
+    } else if takes_token && !may(cells, token.person()) {
+        Fate::Denied
+    } else {
+        Fate::Carried
+    }
+}
+
+/// What must become of a request over HTTP.
+fn fate_by_http(cells: [&str; 3], token: Token) -> Fate {
+    match token.person() {
+        None => Fate::Unknown,
+        person if may(cells, person) => Fate::Carried,
+        _ => Fate::Denied,
+    }
+}
+
+/// What became of a request, by its answers over zenoh.
+fn fate_of(answers: &[Answer], cells: [&str; 3]) -> Fate {
+    match answers {
+        [] => Fate::Dropped,
+        [Ok(_)] => Fate::Carried,
+        [Err(error)] if error.code == ErrorCode::PermissionDenied => {
+            let takes = format!("takes {}", least(cells));
+            assert!(error.message.contains(&takes), "{error:?}");
+            Fate::Denied
         }
-        deeds.push(Deed {
-            verb,
-            key: keys::cmd(PREFIX, &swarm, verb),
-            args,
-            swarm: Some(swarm),
-        });
+        _ => panic!("{answers:?}"),
     }
-    olga.create("source").await;
-    olga.create("discarded").await;
-    let spec = json!({"n": 3});
-    let toml = "name = \"small\"\nduration = 1\n[[grid]]\nn = [2]\n";
-    for (verb, args) in [
-        ("create", json!({"name": "created", "spec": spec})),
-        ("experiment", json!({"submit": {"toml": toml}})),
-        ("record", json!({"begin": {"swarm": "source"}})),
-        (
-            "replay",
-            json!({"upload": {"name": "piece", "offset": 0, "length": 8, "bytes": "iU1DQVAwDQo="}}),
-        ),
-        ("discard", json!({"name": "discarded"})),
-        (
-            "restore",
-            json!({"name": "restored", "snapshot": snapshot_of(olga, "source").await}),
-        ),
-    ] {
-        deeds.push(Deed {
-            verb,
-            key: keys::node_cmd(PREFIX, NODE, verb),
-            args,
-            swarm: None,
-        });
-    }
-    let verbs: Vec<_> = deeds.iter().map(|deed| deed.verb).collect();
-    for verb in keys::SWARM_VERBS.iter().chain(&keys::NODE_VERBS) {
-        assert!(verbs.contains(verb), "{verb} is not tried");
-    }
-    deeds
 }
 
-/// A snapshot as `restore` takes it.
-async fn snapshot_of(olga: &Visitor, swarm: &str) -> String {
-    let query = olga.session.get(keys::get(PREFIX, swarm, "snapshot"));
-    let reply = query.await.unwrap().recv_async().await.unwrap();
-    let sample = reply.into_result().unwrap();
-    let reply: Reply<Snapshot> = ciborium::from_reader(&*sample.payload().to_bytes()).unwrap();
-    STANDARD.encode(jostle_proto::to_cbor(&reply.result))
+/// What became of a request, by its answer over HTTP.
+fn fate_of_http(answer: (u16, Option<String>)) -> Fate {
+    let (status, code) = answer;
+    match (status, code.as_deref()) {
+        (200, None) => Fate::Carried,
+        (403, Some("permission_denied")) => Fate::Denied,
+        (401, Some("permission_denied")) => Fate::Unknown,
+        _ => panic!("{status}: {code:?}"),
+    }
 }
 
-/// A swarm that is the replay of a recording.
-async fn record_and_open(olga: &Visitor, swarm: &str) {
-    olga.create("filmed").await;
-    olga.node_cmd(
-        "record",
-        json!({"begin": {"swarm": "filmed", "recording": "film"}}),
-    )
-    .await;
-    olga.cmd("filmed", "step", json!({"steps": 20})).await;
-    olga.node_cmd("record", json!({"stop": {"recording": "film"}}))
-        .await;
-    let recordings = keys::node_get(PREFIX, NODE, "recordings");
-    until("the recording ends", async || {
-        let told = olga.ok(&recordings, None).await;
-        told["result"]["recordings"][0]["phase"] == "ended"
-    })
-    .await;
-    olga.node_cmd(
-        "replay",
-        json!({"open": {"name": swarm, "recording": "film"}}),
-    )
-    .await;
+/// The requests of one row, each made ready once it is needed.
+struct Row<'a> {
+    key: &'static str,
+    olga: &'a Visitor,
+    made: usize,
+    /// Made ready, and not carried out yet.
+    ready: Option<Request>,
 }
 
-/// How many commands a swarm has applied; none that is not there.
-async fn applied(olga: &Visitor, swarm: &str) -> Option<Value> {
-    let status = olga.ask(&keys::get(PREFIX, swarm, "status"), None).await;
-    let status = status.into_iter().next()?.ok()?;
-    Some(json!([status["seq"], status["step"], status["phase"]]))
+impl Row<'_> {
+    /// Sends a request; fails unless its fate is `expected`, and it changes something just if it is
+    /// a command that is carried out.
+    async fn send(
+        &mut self,
+        expected: Fate,
+        sender: &str,
+        send: impl AsyncFnOnce(&Request) -> Fate,
+    ) {
+        let request = match self.ready.take() {
+            Some(request) => request,
+            None => {
+                self.made += 1;
+                let name = self.key.rsplit_once('/').unwrap().1;
+                let name = format!("{name}-{}", self.made);
+                Request::of(self.key, &name, self.olga).await
+            }
+        };
+        let told = format!("{} by {sender}", self.key);
+        if request.args.is_none() {
+            assert_eq!(send(&request).await, expected, "{told}");
+            self.ready = Some(request);
+            return;
+        }
+        let before = request.effect(self.olga).await;
+        assert_eq!(send(&request).await, expected, "{told}");
+        let after = request.effect(self.olga).await;
+        if expected == Fate::Carried {
+            assert_ne!(after, before, "{told} has no effect");
+        } else {
+            assert_eq!(after, before, "{told} has an effect");
+            self.ready = Some(request);
+        }
+    }
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_role_may_what_it_may_and_nothing_else() {
     let lab = Lab::open().await;
-    let (vera, cleo, olga) = (
-        lab.enter("vera").await,
-        lab.enter("cleo").await,
-        lab.enter("olga").await,
-    );
-    // Sessions that may more than the tokens that come over them: the daemon alone stands there.
-    let tokens = ["vera", "cleo"].map(|name| lab.credentials(name).token);
-    let lent = lab.enter_with("olga", Some(&tokens[0])).await;
-    let lent_further = lab.enter_with("olga", Some(&tokens[1])).await;
-    let silent = lab.enter_with("olga", None).await;
-    let forged = lab.enter_with("olga", Some("0123456789abcdef")).await;
-    // And one that may less: zenoh's access control stands there.
-    let stolen = lab
-        .enter_with("vera", Some(&lab.credentials("olga").token))
-        .await;
-    let mut cells = 0;
-    for deed in deeds(&olga, &cleo).await {
-        let before = match &deed.swarm {
-            Some(swarm) => applied(&olga, swarm).await,
-            None => None,
-        };
-        // By the session, by the token.
-        for (who, link, token) in [
-            (&vera, Role::Viewer, Some(Role::Viewer)),
-            (&stolen, Role::Viewer, Some(Role::Operator)),
-            (&cleo, Role::Controller, Some(Role::Controller)),
-            (&lent, Role::Operator, Some(Role::Viewer)),
-            (&lent_further, Role::Operator, Some(Role::Controller)),
-            (&silent, Role::Operator, None),
-            (&forged, Role::Operator, None),
-        ] {
-            if link.may(deed.verb) && token.is_some_and(|role| role.may(deed.verb)) {
-                continue;
-            }
-            let answers = who.ask(&deed.key, Some(&deed.args)).await;
-            let told = format!("{} by {link}, {token:?}: {answers:?}", deed.verb);
-            if link.may(deed.verb) {
-                let [Err(error)] = &answers[..] else {
-                    panic!("{told}");
-                };
-                assert_eq!(error.code, ErrorCode::PermissionDenied, "{told}");
-                let takes = format!("{} takes", deed.verb);
-                assert!(error.message.contains(&takes), "{told}");
-            } else {
-                assert!(answers.is_empty(), "{told}");
-            }
-            cells += 1;
-        }
-        if let Some(swarm) = &deed.swarm {
-            assert_eq!(applied(&olga, swarm).await, before, "{}", deed.verb);
-        }
-        // The very same call, by whoever has the least role that may, or the greatest.
-        let who = match Role::Controller.may(deed.verb) {
-            true => &cleo,
-            false => &olga,
-        };
-        who.ok(&deed.key, Some(&deed.args)).await;
-        cells += 1;
+    let olga = lab.enter("olga").await;
+    furnish(&olga).await;
+    let address = lab.server.http().unwrap().to_string();
+    let mut visitors = Vec::new();
+    for (session, token) in SENDERS {
+        let token = token.text(&lab);
+        visitors.push(lab.enter_with(session, token.as_deref()).await);
     }
-    cells += gets(&[&vera, &cleo, &olga]).await;
-    cells += wildcards(&[&vera, &cleo, &olga, &lent, &silent]).await;
-    println!("{cells} cells");
-    assert!(cells >= CELLS, "{cells}");
-    let visitors = vec![vera, cleo, olga, lent, lent_further, silent, forged, stolen];
-    lab.close(visitors).await;
-}
-
-/// Everybody may look at everything.
-async fn gets(everybody: &[&Visitor]) -> usize {
-    let mut gets = vec![
-        keys::state(PREFIX, "source"),
-        keys::get(PREFIX, "*", "status"),
+    let whoami = keys::node_get(PREFIX, NODE, "whoami");
+    let mut fates = BTreeMap::<Fate, usize>::new();
+    for (key, cells) in TABLE {
+        // Set-points and tokens are no requests with an answer: `forgery.rs` judges them.
+        if key.contains("/ctl/") {
+            continue;
+        }
+        let mut row = Row {
+            key,
+            olga: &olga,
+            made: 0,
+            ready: None,
+        };
+        for ((session, token), visitor) in SENDERS.into_iter().zip(&visitors) {
+            let expected = fate_by_zenoh(cells, session, token);
+            let sender = format!("the session of {session} with the token {token:?}");
+            row.send(expected, &sender, async |request| {
+                let answers = visitor.ask(&request.selector, request.args.as_ref()).await;
+                // What a session sends arrives in order: a dropped request has no effect after this.
+                visitor.ok(&whoami, None).await;
+                fate_of(&answers, cells)
+            })
+            .await;
+            *fates.entry(expected).or_default() += 1;
+        }
+        for token in HTTP_SENDERS {
+            let expected = fate_by_http(cells, token);
+            let sender = format!("HTTP with the token {token:?}");
+            let text = token.text(&lab);
+            row.send(expected, &sender, async |request| {
+                fate_of_http(request.send(&address, text.as_deref()))
+            })
+            .await;
+            *fates.entry(expected).or_default() += 1;
+        }
+    }
+    println!("{fates:?}");
+    // Of 22 commands 3 are a controller's; of 22 queries 1 is an operator's.
+    let expected = [
+        (Fate::Carried, 197 + 89),
+        (Fate::Dropped, 66),
+        (Fate::Denied, 89 + 43),
+        (Fate::Unknown, 88),
     ];
-    for noun in keys::SWARM_GETS {
-        let parameters = if noun == "wait" { "?step=0" } else { "" };
-        gets.push(keys::get(PREFIX, "source", noun) + parameters);
-    }
-    for noun in keys::NODE_GETS {
-        // What operators alone may look at has a test of its own.
-        if noun != "recording" {
-            gets.push(keys::node_get(PREFIX, NODE, noun));
-        }
-    }
-    gets.push(keys::experiment(PREFIX, NODE, "small", "progress"));
-    for key in &gets {
-        for who in everybody {
-            let answers = who.ask(key, None).await;
-            // One that was deleted a moment ago says that it is not there.
-            let is_told = |answer: &Answer| match answer {
-                Ok(_) => true,
-                Err(error) => error.code == ErrorCode::NotFound && key.contains('*'),
-            };
-            assert!(
-                answers.iter().any(Result::is_ok) && answers.iter().all(is_told),
-                "{key}: {answers:?}"
-            );
-        }
-    }
-    gets.len() * everybody.len()
+    assert_eq!(fates, BTreeMap::from(expected));
+    visitors.push(olga);
+    lab.close(visitors).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -253,9 +233,9 @@ async fn recordings_are_fetched_by_operators_alone() {
         lab.enter("cleo").await,
         lab.enter("olga").await,
     );
-    record_and_open(&olga, "tape").await;
+    record(&olga, RECORDING).await;
     let key = keys::node_get(PREFIX, NODE, "recording");
-    let film = format!("{key}?name=film");
+    let film = format!("{key}?name={RECORDING}");
     let piece = olga.ok(&film, None).await["result"].take();
     assert!(piece["length"].as_u64() > Some(1000), "{piece}");
     // zenoh stops the sessions of others, whatever token comes along.
@@ -282,7 +262,7 @@ async fn recordings_are_fetched_by_operators_alone() {
     for who in [&vera, &stolen, &olga] {
         for wild in ["*", "recording$*", "**"] {
             let key = keys::node_get(PREFIX, NODE, wild);
-            let answers = who.ask(&format!("{key}?name=film"), None).await;
+            let answers = who.ask(&format!("{key}?name={RECORDING}"), None).await;
             let told = answers.iter().flatten();
             let has_piece = |answer: &Value| answer["result"].get("length").is_some();
             assert!(!told.into_iter().any(has_piece), "{wild}: {answers:?}");
@@ -292,28 +272,42 @@ async fn recordings_are_fetched_by_operators_alone() {
         .await;
 }
 
-/// A wildcard executes nothing, whoever sends it.
-async fn wildcards(everybody: &[&Visitor]) -> usize {
-    let mut cells = 0;
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wildcard_executes_nothing_whoever_sends_it() {
+    let lab = Lab::open().await;
+    let mut everybody = Vec::new();
+    for (_, person) in COLUMNS {
+        everybody.push(lab.enter(person).await);
+    }
+    everybody.push(lab.enter_with("olga", None).await);
+    let olga = &everybody[2];
+    olga.create(SWARM).await;
+    let state = async || {
+        let status = olga.ok(&keys::get(PREFIX, SWARM, "status"), None).await;
+        ["seq", "epoch", "step", "phase"].map(|field| status[field].clone())
+    };
+    let before = state().await;
     for key in [
         "jostle/**",
         "jostle/*/cmd/delete",
         "**",
         "jostle/source/cmd/*",
+        "jostle/source/cmd/r$*",
+        "jostle/@node/*/cmd/*",
     ] {
-        for who in everybody {
+        for who in &everybody {
             who.ask(key, Some(&json!({}))).await;
-            let status = keys::get(PREFIX, "source", "status");
-            let there = everybody[0].ok(&status, None).await;
-            assert_eq!(
-                (&there["seq"], &there["phase"]),
-                (&json!(0), &json!("paused")),
-                "{key}"
-            );
-            cells += 1;
+            assert_eq!(state().await, before, "{key}");
         }
     }
-    cells
+    // A query of every swarm's status is answered for each.
+    for who in &everybody {
+        let answers = who.ask(&keys::get(PREFIX, "*", "status"), None).await;
+        assert!(matches!(answers[..], [Ok(_)]), "{answers:?}");
+    }
+    // By its own key the command is executed.
+    olga.cmd(SWARM, "delete", json!({})).await;
+    lab.close(everybody).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -365,21 +359,27 @@ async fn a_controller_speaks_for_its_own_and_the_journal_says_who() {
 async fn whoever_asks_is_told_who_they_are_and_what_they_may() {
     let lab = Lab::open().await;
     let key = keys::node_get(PREFIX, NODE, "whoami");
+    let address = lab.server.http().unwrap().to_string();
     let mut visitors = Vec::new();
-    for (name, role) in super::PEOPLE {
-        let visitor = lab.enter(name).await;
-        let told = visitor.ok(&key, None).await["result"].take();
-        assert_eq!(
-            (&told["person"], &told["role"]),
-            (&json!(name), &json!(role))
-        );
-        for (field, verbs) in [
-            ("verbs", &keys::SWARM_VERBS[..]),
-            ("node_verbs", &keys::NODE_VERBS[..]),
-        ] {
-            let may = verbs.iter().filter(|verb| role.may(verb));
-            assert_eq!(told[field], json!(may.collect::<Vec<_>>()));
-        }
+    for (role, person) in COLUMNS {
+        let may = |kind: &str, verbs: &[&str]| -> Vec<String> {
+            let verbs = verbs.iter().filter(|verb| {
+                let cells = cells(&format!("{kind}/cmd/{verb}"));
+                may(cells, Some(person))
+            });
+            verbs.map(|verb| (*verb).to_owned()).collect()
+        };
+        let expected = json!({
+            "person": person,
+            "role": role,
+            "verbs": may("{swarm}", &keys::SWARM_VERBS),
+            "node_verbs": may("@node/{node}", &keys::NODE_VERBS),
+        });
+        let visitor = lab.enter(person).await;
+        assert_eq!(visitor.ok(&key, None).await["result"], expected);
+        let get = "GET /api/get/@node/get/whoami";
+        let (status, answer) = http(&address, get, visitor.token.as_deref(), "");
+        assert_eq!((status, &answer["result"]), (200, &expected));
         visitors.push(visitor);
     }
     let nobody = lab.enter_with("vera", Some("no token")).await;

@@ -30,6 +30,58 @@ async fn lab(base: &Path) -> (Daemon, impl Fn(&str, &str) -> String) {
     (daemon, line)
 }
 
+/// What `auth whoami` prints, by the table in `docs/security.md`.
+const WHOAMI: [(&str, &str); 3] = [
+    (
+        "vera",
+        "vera, viewer on test\nof swarms: watch\nof the daemon: nothing\n",
+    ),
+    (
+        "cleo",
+        "cleo, controller on test\nof swarms: watch, join, advance, leave\nof the daemon: nothing\n",
+    ),
+    (
+        "olga",
+        "olga, operator on test\nof swarms: watch, delete, run, pause, step, reset, set, inform, \
+         uninform, inject, remove, batch, fork, join, advance, leave, seek\nof the daemon: create, \
+         restore, discard, experiment, replay, record\n",
+    ),
+];
+
+/// Whether vera, cleo and olga may, by the same table.
+const CAN: [(&str, [bool; 3]); 4] = [
+    ("advance", [false, true, true]),
+    ("reset", [false, false, true]),
+    ("seek", [false, false, true]),
+    ("create", [false, false, true]),
+];
+
+#[tokio::test(flavor = "multi_thread")]
+async fn whoami_and_can_say_what_each_role_may() {
+    let base = tempfile::tempdir().unwrap();
+    let (daemon, by) = lab(base.path()).await;
+    for (column, (name, expected)) in WHOAMI.into_iter().enumerate() {
+        assert_eq!(
+            daemon.said(&by(name, "auth whoami")).await,
+            expected.trim_end()
+        );
+        let whoami = daemon.reply(&by(name, "auth whoami")).await;
+        for (verb, may) in CAN {
+            let ended = daemon.jostle(&by(name, &format!("auth can {verb}"))).await;
+            let told = format!("{name} {verb}: {ended:?}");
+            match may[column] {
+                true => assert_eq!(ended.stdout, format!("you may {verb}"), "{told}"),
+                false => assert!(ended.stderr.contains(&format!("{verb} takes")), "{told}"),
+            }
+            assert_eq!(ended.code, Some(if may[column] { 0 } else { 5 }), "{told}");
+            let verbs = ["verbs", "node_verbs"].map(|field| &whoami["result"][field]);
+            let mut verbs = verbs.into_iter().flat_map(|it| it.as_array().unwrap());
+            assert_eq!(verbs.any(|it| it == verb), may[column], "{whoami}");
+        }
+    }
+    daemon.stop().await;
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn each_may_what_their_role_may_and_hears_what_it_may_not() {
     let base = tempfile::tempdir().unwrap();
