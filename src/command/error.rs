@@ -377,6 +377,7 @@ impl CommandError {
                 | OrderError::TooManyScheduled { .. } => ErrorCode::ResourceExhausted,
                 OrderError::Unsafe(_) => ErrorCode::StorageFull,
                 OrderError::RefusedBefore => ErrorCode::Conflict,
+                OrderError::Displaced { .. } => ErrorCode::DeadlineExceeded,
                 OrderError::Busy => ErrorCode::Busy,
                 OrderError::Faulted(_) => ErrorCode::Faulted,
                 OrderError::Gone => ErrorCode::NotFound,
@@ -469,6 +470,9 @@ impl CommandError {
             }
             CommandError::Order(OrderError::Overtaken { at_step }) => {
                 json!({"field": "at_step", "at_step": at_step})
+            }
+            CommandError::Order(OrderError::Displaced { after_secs, limit }) => {
+                json!({"after_secs": after_secs, "limit": limit})
             }
             CommandError::Order(OrderError::TooManyScheduled { limit }) => {
                 json!({"field": "at_step", "limit": limit})

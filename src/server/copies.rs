@@ -175,54 +175,51 @@ impl Clerk {
         if handle.summary().is_some_and(|it| it.is_replay) {
             return promise.refuse(&OrderError::Recorded.into(), handle.step());
         }
-        let Some(verification) = self.verifications.begin(swarm) else {
-            return promise.refuse(&CommandError::Busy, handle.step());
-        };
         promise.keep_within(PATIENCE_WITH_HISTORY, CommandError::deadline, || None);
         let (store, name, keeper) = (
             self.store.clone(),
             swarm.clone(),
             Keeper::new(promise.clone()),
         );
-        let spawned = thread::Builder::new().name("verify".into()).spawn(move || {
-            let seen = present(&handle);
-            let to = match &seen {
-                Some((place, _)) if !place.phase.is_moving() => To::Place(place.epoch, place.step),
-                _ => To::LastHash,
-            };
-            let verification = Arc::new(verification);
-            let progress = verification.clone();
-            let told =
-                recovery::told_again(&store, &name, to, move |share| progress.advance(share));
-            drop(verification);
-            match told {
-                Ok(told) => {
-                    let now = seen.and_then(|(place, hash)| is_as_now(&told, &place, hash));
-                    let here = (told.checkpoint.epoch, told.checkpoint.state.step);
-                    let differs_at = told.differs_at.or((now == Some(false)).then_some(here));
-                    let verified = Verified {
-                        from_step: told.from,
-                        to_step: here.1,
-                        hashes: told.same
-                            + u64::from(told.differs_at.is_some())
-                            + u64::from(now.is_some()),
-                        differs_at: differs_at.map(|(_, step)| step),
-                        differs_in_epoch: differs_at.map(|(epoch, _)| epoch),
-                    };
-                    handle.send(Ticket::Look(Box::new(move |answered| match answered {
-                        Ok((place, _)) => keeper
-                            .0
-                            .keep(move || Ok(Payload::json(&wire::reply(&name, &place, verified)))),
-                        Err(Refusal { step, error }) => {
-                            keeper.0.refuse(&error.into(), step);
-                        }
-                    })));
+        let here = handle.step();
+        let begun = self.verifications.begin(
+            swarm,
+            Box::new(move |verification| {
+                // Its deadline may have passed while it was queued.
+                if keeper.0.is_kept() {
+                    return;
                 }
-                Err(error) => keeper.0.refuse(&error, handle.step()),
-            }
-        });
-        if spawned.is_err() {
-            promise.refuse(&CommandError::Busy, None);
+                let seen = present(&handle);
+                let to = match &seen {
+                    Some((place, _)) if !place.phase.is_moving() => {
+                        To::Place(place.epoch, place.step)
+                    }
+                    _ => To::LastHash,
+                };
+                let progress = verification.clone();
+                let told =
+                    recovery::told_again(&store, &name, to, move |share| progress.advance(share));
+                drop(verification);
+                match told {
+                    Ok(told) => {
+                        let verified = verified(&told, seen);
+                        handle.send(Ticket::Look(Box::new(move |answered| match answered {
+                            Ok((place, _)) => keeper.0.keep(move || {
+                                Ok(Payload::json(&wire::reply(&name, &place, verified)))
+                            }),
+                            Err(Refusal { step, error }) => {
+                                keeper.0.refuse(&error.into(), step);
+                            }
+                        })));
+                    }
+                    Err(error) => keeper.0.refuse(&error, handle.step()),
+                }
+            }),
+        );
+        if let Err(work) = begun {
+            promise.refuse(&CommandError::Busy, here);
+            // It holds the keeper, which would refuse otherwise.
+            drop(work);
         }
     }
 
@@ -264,6 +261,20 @@ fn is_as_now(told: &Retold, place: &Place, hash: [u8; 32]) -> Option<bool> {
     let told_to = (checkpoint.epoch, checkpoint.state.step, checkpoint.seq);
     let is_there = told_to == (place.epoch, place.step, place.seq);
     is_there.then(|| checkpoint.state.hash() == hash)
+}
+
+/// What a history that was told again says, beside where its swarm was then and its hash.
+fn verified(told: &Retold, seen: Option<(Place, [u8; 32])>) -> Verified {
+    let now = seen.and_then(|(place, hash)| is_as_now(told, &place, hash));
+    let here = (told.checkpoint.epoch, told.checkpoint.state.step);
+    let differs_at = told.differs_at.or((now == Some(false)).then_some(here));
+    Verified {
+        from_step: told.from,
+        to_step: here.1,
+        hashes: told.same + u64::from(told.differs_at.is_some()) + u64::from(now.is_some()),
+        differs_at: differs_at.map(|(_, step)| step),
+        differs_in_epoch: differs_at.map(|(epoch, _)| epoch),
+    }
 }
 
 /// A copy that is to be made.

@@ -107,6 +107,7 @@ impl Dispatcher {
                 Ok(Intake::Ended(swarm, ended)) => self.ended(&swarm, ended),
                 Err(RecvTimeoutError::Timeout) => {}
                 Ok(Intake::Stop) | Err(RecvTimeoutError::Disconnected) => {
+                    self.clerk.verifications.stop();
                     return self.pulse.rest();
                 }
             }

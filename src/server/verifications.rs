@@ -1,13 +1,36 @@
-//! The verifications under way: at most so many at once, and how far each has come.
+//! The verifications under way: at most so many at once, the next ones queued, and how far each
+//! has come.
 
+use std::collections::VecDeque;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+
+use tracing::error;
 
 /// Verifications at once. Each replays a history on one core.
-const MAX_VERIFICATIONS: usize = 4;
+const MAX_RUNNING: usize = 4;
+/// Verifications that are queued behind those; further ones are rejected.
+const MAX_QUEUED: usize = 64;
+
+/// Replays a history and replies.
+pub type Work = Box<dyn FnOnce(Arc<Verification>) + Send>;
 
 /// The verifications under way.
 #[derive(Default)]
-pub struct Verifications(Mutex<Vec<Entry>>);
+pub struct Verifications(Mutex<State>);
+
+#[derive(Default)]
+struct State {
+    /// Those that run and those that are queued.
+    entries: Vec<Entry>,
+    /// Those that no thread has begun, the oldest first.
+    queue: VecDeque<(Arc<Verification>, Work)>,
+    /// Threads that take from the queue.
+    threads: usize,
+    /// The number of the next one.
+    number: u64,
+}
 
 struct Entry {
     number: u64,
@@ -22,33 +45,91 @@ pub struct Verification {
 }
 
 impl Verifications {
-    /// Begins one, unless too many are under way.
-    pub fn begin(self: &Arc<Self>, swarm: &Arc<str>) -> Option<Verification> {
-        let mut entries = self.lock();
-        if entries.len() >= MAX_VERIFICATIONS {
-            return None;
+    /// Begins a verification on a thread of its own, or queues it if [`MAX_RUNNING`] are running.
+    ///
+    /// # Errors
+    ///
+    /// Gives `work` back when the queue is full or no thread can be started.
+    pub fn begin(self: &Arc<Self>, swarm: &Arc<str>, work: Work) -> Result<(), Work> {
+        let mut state = self.lock();
+        if state.entries.len() >= MAX_RUNNING + MAX_QUEUED {
+            return Err(work);
         }
-        let number = entries.last().map_or(0, |entry| entry.number + 1);
-        entries.push(Entry {
+        let number = state.number;
+        state.number += 1;
+        state.entries.push(Entry {
             number,
             swarm: swarm.clone(),
             share: 0.0,
         });
-        Some(Verification {
+        let verification = Arc::new(Verification {
             all: self.clone(),
             number,
-        })
+        });
+        state.queue.push_back((verification, work));
+        if state.threads == MAX_RUNNING {
+            return Ok(());
+        }
+        state.threads += 1;
+        drop(state);
+        let all = self.clone();
+        let spawned = thread::Builder::new()
+            .name("verify".into())
+            .spawn(move || all.work());
+        match spawned {
+            Ok(_) => Ok(()),
+            Err(_) => self.without_thread(number),
+        }
     }
 
     /// How far the verification of a swarm has come, from 0 to 1; the one that is furthest, if
     /// there are several.
     pub fn share(&self, swarm: &str) -> Option<f64> {
-        let entries = self.lock();
-        let of_swarm = entries.iter().filter(|entry| &*entry.swarm == swarm);
+        let state = self.lock();
+        let of_swarm = state.entries.iter().filter(|entry| &*entry.swarm == swarm);
         of_swarm.map(|entry| entry.share).max_by(f64::total_cmp)
     }
 
-    fn lock(&self) -> MutexGuard<'_, Vec<Entry>> {
+    /// Drops what is queued, because the daemon stops.
+    pub fn stop(&self) {
+        let queue = std::mem::take(&mut self.lock().queue);
+        // Dropping a verification takes the lock.
+        drop(queue);
+    }
+
+    /// Runs what is queued until nothing is.
+    fn work(&self) {
+        loop {
+            let mut state = self.lock();
+            let Some((verification, work)) = state.queue.pop_front() else {
+                state.threads -= 1;
+                return;
+            };
+            drop(state);
+            if catch_unwind(AssertUnwindSafe(|| work(verification))).is_err() {
+                error!("a defect: a verification panicked");
+            }
+        }
+    }
+
+    /// Gives a verification's work back when no thread could be started, unless another thread has
+    /// taken it or will.
+    fn without_thread(&self, number: u64) -> Result<(), Work> {
+        let mut state = self.lock();
+        state.threads -= 1;
+        if state.threads > 0 {
+            return Ok(());
+        }
+        let mut queue = state.queue.iter();
+        let Some(at) = queue.position(|(queued, _)| queued.number == number) else {
+            return Ok(());
+        };
+        let taken = state.queue.remove(at);
+        drop(state);
+        taken.map_or(Ok(()), |(_, work)| Err(work))
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -56,8 +137,8 @@ impl Verifications {
 impl Verification {
     /// Records how far it has come.
     pub fn advance(&self, share: f64) {
-        let mut entries = self.all.lock();
-        let mut own = entries.iter_mut();
+        let mut state = self.all.lock();
+        let mut own = state.entries.iter_mut();
         if let Some(entry) = own.find(|entry| entry.number == self.number) {
             entry.share = share;
         }
@@ -66,7 +147,8 @@ impl Verification {
 
 impl Drop for Verification {
     fn drop(&mut self) {
-        self.all.lock().retain(|entry| entry.number != self.number);
+        let number = self.number;
+        self.all.lock().entries.retain(|it| it.number != number);
     }
 }
 
@@ -74,25 +156,108 @@ impl Drop for Verification {
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
+    use std::sync::mpsc::{Receiver, Sender, channel};
+    use std::time::{Duration, Instant};
+
     use super::*;
+
+    const PATIENCE: Duration = Duration::from_secs(20);
+
+    /// Begins a verification that advances to each share that is sent, and ends when the sender is
+    /// dropped; the receiver gets its number when it runs.
+    fn begin(all: &Arc<Verifications>, swarm: &Arc<str>) -> Option<(Sender<f64>, Receiver<u64>)> {
+        let (shares, to_take) = channel();
+        let (running, runs) = channel();
+        let work = Box::new(move |own: Arc<Verification>| {
+            // Some tests do not ask when it runs.
+            let _ = running.send(own.number);
+            while let Ok(share) = to_take.recv() {
+                own.advance(share);
+            }
+        });
+        all.begin(swarm, work).is_ok().then_some((shares, runs))
+    }
+
+    fn until(what: &str, holds: impl Fn() -> bool) {
+        let deadline = Instant::now() + PATIENCE;
+        while !holds() {
+            assert!(Instant::now() < deadline, "{what}");
+            thread::sleep(Duration::from_millis(1));
+        }
+    }
 
     #[test]
     fn each_swarm_has_its_share_until_its_verification_ends() {
         let all = Arc::new(Verifications::default());
         let (a, b): (Arc<str>, Arc<str>) = ("a".into(), "b".into());
         assert_eq!(all.share("a"), None);
-        let first = all.begin(&a).unwrap();
-        let second = all.begin(&a).unwrap();
-        let other = all.begin(&b).unwrap();
-        first.advance(0.5);
-        other.advance(0.25);
-        assert_eq!((all.share("a"), all.share("b")), (Some(0.5), Some(0.25)));
+        let (first, _) = begin(&all, &a).unwrap();
+        let (second, _) = begin(&all, &a).unwrap();
+        let (other, _) = begin(&all, &b).unwrap();
+        first.send(0.5).unwrap();
+        other.send(0.25).unwrap();
+        until("both advance", || {
+            (all.share("a"), all.share("b")) == (Some(0.5), Some(0.25))
+        });
         drop(first);
-        assert_eq!(all.share("a"), Some(0.0), "the second one is under way");
-        let more: Vec<_> = std::iter::from_fn(|| all.begin(&b)).collect();
-        assert_eq!(more.len(), MAX_VERIFICATIONS - 2);
-        drop((second, other, more));
-        assert_eq!((all.share("a"), all.share("b")), (None, None));
-        assert!(all.begin(&a).is_some());
+        until("the second one is under way", || {
+            all.share("a") == Some(0.0)
+        });
+        drop((second, other));
+        until("all end", || {
+            (all.share("a"), all.share("b")) == (None, None)
+        });
+    }
+
+    #[test]
+    fn those_beyond_four_are_queued_and_run_in_their_order() {
+        let all = Arc::new(Verifications::default());
+        let a: Arc<str> = "a".into();
+        let begun = std::iter::from_fn(|| begin(&all, &a));
+        let mut begun: VecDeque<_> = begun.take(2 * (MAX_RUNNING + MAX_QUEUED)).collect();
+        // No more than these: the queue is bounded.
+        assert_eq!(begun.len(), MAX_RUNNING + MAX_QUEUED);
+        let mut running: Vec<_> = begun.drain(..MAX_RUNNING).collect();
+        for (_, runs) in &running {
+            assert!(runs.recv_timeout(PATIENCE).unwrap() < MAX_RUNNING as u64);
+        }
+        let mut expected = MAX_RUNNING as u64;
+        while let Some(next) = begun.pop_front() {
+            assert!(next.1.try_recv().is_err(), "more than {MAX_RUNNING} run");
+            drop(running.pop());
+            assert_eq!(next.1.recv_timeout(PATIENCE), Ok(expected));
+            expected += 1;
+            running.push(next);
+        }
+        drop(running);
+        until("all end", || all.share("a").is_none());
+        assert!(begin(&all, &a).is_some(), "there is room again");
+    }
+
+    #[test]
+    fn one_that_panics_keeps_its_place_from_nobody() {
+        let all = Arc::new(Verifications::default());
+        let a: Arc<str> = "a".into();
+        for _ in 0..=MAX_RUNNING {
+            let begun = all.begin(&a, Box::new(|_| panic!("a defect")));
+            assert!(begun.is_ok());
+        }
+        let (_shares, runs) = begin(&all, &a).unwrap();
+        assert!(runs.recv_timeout(PATIENCE).is_ok());
+    }
+
+    #[test]
+    fn what_is_queued_is_dropped_at_the_end() {
+        let all = Arc::new(Verifications::default());
+        let a: Arc<str> = "a".into();
+        let running: Vec<_> = (0..MAX_RUNNING).map(|_| begin(&all, &a).unwrap()).collect();
+        let (_shares, queued) = begin(&all, &a).unwrap();
+        for (_, runs) in &running {
+            runs.recv_timeout(PATIENCE).unwrap();
+        }
+        all.stop();
+        drop(running);
+        until("all end", || all.share("a").is_none());
+        assert!(queued.recv().is_err(), "it was never run");
     }
 }

@@ -281,7 +281,18 @@ pub enum OrderError {
     /// A recording cannot be shown.
     #[error("the recording cannot be shown: {0}")]
     Film(String),
-    /// Too many orders or waiters at once.
+    /// More than `limit` waited for the swarm, and this one had waited longest.
+    #[error(
+        "not yet so after {after_secs:.3} s, and more than {limit} wait for this swarm, of which \
+         this one has waited longest: ask again in a moment"
+    )]
+    Displaced {
+        /// How long it was waited for.
+        after_secs: f64,
+        /// How many may wait.
+        limit: usize,
+    },
+    /// Too many orders at once.
     #[error("too much at once for this swarm: try again in a moment")]
     Busy,
     /// A step failed while the order ran.

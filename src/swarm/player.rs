@@ -235,10 +235,11 @@ impl Player {
         match ticket {
             Ticket::Look(answer) => answer(Ok((self.place(), Outcome::Seen(self.frame())))),
             Ticket::Wait(waiter) => {
-                if let Some(waiter) = self.waiters.add(waiter) {
-                    (waiter.answer)(Err(self.refusal(OrderError::Busy)));
-                }
+                self.waiters.add(waiter);
                 self.answer_waiters();
+                if let Some((answer, error)) = self.waiters.displace() {
+                    answer(Err(self.refusal(error)));
+                }
             }
             Ticket::Copy(answer) => answer(Err(self.refusal(OrderError::Recorded))),
             Ticket::Seek(seek, sender, answer) => match self.sought(seek) {

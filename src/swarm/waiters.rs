@@ -1,11 +1,14 @@
 //! Answers that wait for a swarm to get somewhere.
 
+use std::collections::VecDeque;
+use std::time::Instant;
+
 use crate::swarm::order::Awaited;
-use crate::swarm::outcome::{Answer, Answered};
+use crate::swarm::outcome::{Answer, Answered, OrderError};
 use crate::swarm::phase::Phase;
 
 /// Answers that may wait at once.
-const MOST: usize = 1024;
+const MAX_WAITERS: usize = 1024;
 
 /// An answer that waits for something to come about.
 pub struct Waiter {
@@ -17,32 +20,44 @@ pub struct Waiter {
     pub answer: Answer,
 }
 
-/// All that wait for one swarm.
+/// All that wait for one swarm, with the time since when; the one that has waited longest first.
 #[derive(Default)]
-pub struct Waiters(Vec<Waiter>);
+pub struct Waiters(VecDeque<(Instant, Waiter)>);
 
 impl Waiters {
-    /// Takes one more in; gives it back when too many wait already.
-    pub fn add(&mut self, waiter: Waiter) -> Option<Waiter> {
-        self.0.retain(|waiter| !(waiter.is_abandoned)());
-        if self.0.len() == MOST {
-            return Some(waiter);
+    /// Adds a waiter.
+    pub fn add(&mut self, waiter: Waiter) {
+        self.0.retain(|(_, waiter)| !(waiter.is_abandoned)());
+        self.0.push_back((Instant::now(), waiter));
+    }
+
+    /// If too many wait, removes the one that has waited longest and returns its answer with the
+    /// error to send. A `get/wait` does not name its client, so the limit cannot apply to each
+    /// client, and one client must not keep the others from waiting.
+    pub fn displace(&mut self) -> Option<(Answer, OrderError)> {
+        if self.0.len() <= MAX_WAITERS {
+            return None;
         }
-        self.0.push(waiter);
-        None
+        let (since, longest) = self.0.pop_front()?;
+        let error = OrderError::Displaced {
+            after_secs: since.elapsed().as_secs_f64(),
+            limit: MAX_WAITERS,
+        };
+        Some((longest.answer, error))
     }
 
     /// Answers those for whom it has come about at `step` in `phase`.
     pub fn answer(&mut self, step: u64, phase: &Phase, look: impl Fn() -> Answered) {
-        let mut waiting = Vec::new();
-        if !self.0.iter().any(|it| has_come(it.awaited, step, phase)) {
+        let has_come = |waiter: &Waiter| has_come(waiter.awaited, step, phase);
+        if !self.0.iter().any(|(_, waiter)| has_come(waiter)) {
             return;
         }
-        for waiter in std::mem::take(&mut self.0) {
-            if has_come(waiter.awaited, step, phase) {
+        let mut waiting = VecDeque::new();
+        for (since, waiter) in std::mem::take(&mut self.0) {
+            if has_come(&waiter) {
                 (waiter.answer)(look());
             } else {
-                waiting.push(waiter);
+                waiting.push_back((since, waiter));
             }
         }
         self.0 = waiting;
@@ -50,7 +65,7 @@ impl Waiters {
 
     /// Answers everyone, whatever they wait for.
     pub fn answer_all(&mut self, look: impl Fn() -> Answered) {
-        for waiter in self.0.drain(..) {
+        for (_, waiter) in self.0.drain(..) {
             (waiter.answer)(look());
         }
     }

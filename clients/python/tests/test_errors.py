@@ -217,26 +217,35 @@ def test_a_deadline_is_told_and_the_work_goes_on(create: Create) -> None:
     assert swarm.wait(phase="paused").step == 2000
 
 
-def test_too_much_at_once_is_busy(daemon: Daemon, create: Create) -> None:
+def test_a_wait_that_gives_way_to_others_is_asked_again(
+    daemon: Daemon, create: Create, monkeypatch: pytest.MonkeyPatch
+) -> None:
     swarm = create(n=2)
-    selector = f"jostle/{swarm.name}/get/wait?phase=running;timeout_secs=20"
+    link = swarm._link
+    get = link.get
+    asked: list[str] = []
 
-    def is_busy() -> bool:
-        try:
-            swarm.wait(phase="running", timeout=0.05)
-        except jostle.Busy:
-            return True
-        except jostle.DeadlineExceeded:
-            pass
-        held.extend(session.get(selector) for _ in range(100))
-        return False
+    def spy(selector: str, *, swarm: str | None, timeout: float | None = None) -> bytes:
+        if "/get/wait?" in selector:
+            asked.append(selector)
+        return get(selector, swarm=swarm, timeout=timeout)
 
-    with zenoh_session(daemon.endpoint) as session:
+    monkeypatch.setattr(link, "get", spy)
+    selector = f"jostle/{swarm.name}/get/wait?phase=running;timeout_secs=30"
+    with zenoh_session(daemon.endpoint) as session, ThreadPoolExecutor(1) as pool:
         held: list[zenoh.Handler[zenoh.Reply]] = []
-        eventually("more wait for one swarm than may", is_busy)
-        # Whoever was let in is answered, and what is no waiting goes on meanwhile.
+
+        def is_asked_again() -> bool:
+            held.extend(session.get(selector) for _ in range(100))
+            swarm.status()
+            return len(asked) >= 2
+
+        # It could wait for longer than this test may take: it was answered early.
+        waiting = pool.submit(swarm.wait, phase="running", timeout=10 * PATIENCE_SECS)
+        eventually("the wait gives way and is asked again", is_asked_again)
+        assert len(held) > 1024, "more wait than may"
         swarm.run()
-        assert any(reply.ok for replies in held for reply in replies)
+        assert waiting.result(PATIENCE_SECS).phase == "running"
 
 
 def test_a_fault_is_told_and_reset_goes_on(create: Create) -> None:

@@ -395,10 +395,11 @@ impl Worker {
                 None
             }
             Ticket::Wait(waiter) => {
-                if let Some(waiter) = self.waiters.add(waiter) {
-                    (waiter.answer)(Err(self.refusal(OrderError::Busy)));
-                }
+                self.waiters.add(waiter);
                 self.answer_waiters();
+                if let Some((answer, error)) = self.waiters.displace() {
+                    answer(Err(self.refusal(error)));
+                }
                 None
             }
             Ticket::Copy(answer) => {

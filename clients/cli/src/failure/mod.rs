@@ -254,6 +254,14 @@ pub enum Failure {
     /// A table or a picture cannot be made.
     #[error("{0}")]
     Results(String),
+    /// The results were measured, and lie outside their bands.
+    #[error("{outside} of {count} means lie outside their bands")]
+    OutsideBands {
+        /// How many.
+        outside: usize,
+        /// Of how many.
+        count: usize,
+    },
     /// A file cannot be written.
     #[error("{path}: {error}")]
     File {
@@ -364,7 +372,7 @@ impl Failure {
             Failure::Stopped { .. } => "incorrect_state",
             Failure::StartedAnew { .. } => "conflict",
             Failure::Faulted { .. } => "faulted",
-            Failure::Mismatch { .. } => "mismatch",
+            Failure::Mismatch { .. } | Failure::OutsideBands { .. } => "mismatch",
             Failure::Interrupted { .. } | Failure::Declined => "interrupted",
             Failure::Pipe => "broken_pipe",
             Failure::DiskFull { .. } => "storage_full",

@@ -94,6 +94,7 @@ async fn reached(
     let mut epoch = started.epoch;
     let (mut lost, mut missing): (Option<Instant>, Option<Instant>) = (None, None);
     loop {
+        let asked = Instant::now();
         match bus.wait(swarm, &what, HELD).await {
             Ok(answer) => {
                 let reply: Reply<Status> = answer.read()?;
@@ -107,7 +108,10 @@ async fn reached(
             }
             Err(Failure::Refused { error, .. }) if error.code == ErrorCode::DeadlineExceeded => {
                 (lost, missing) = (None, None);
-                continue;
+                // Early if too many wait for the swarm: then others wait, too, and ask again.
+                if asked.elapsed() >= HELD {
+                    continue;
+                }
             }
             Err(failure) if failure.is_passing() => {
                 let since = *lost.get_or_insert_with(|| {

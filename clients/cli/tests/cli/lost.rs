@@ -1,5 +1,7 @@
 //! Answers that are lost, daemons that are busy or gone: a command is carried out once.
 
+use std::time::{Duration, Instant};
+
 use serde_json::{Value, json};
 
 use crate::support::{Daemon, Impostor, Link, Running, object, until};
@@ -53,6 +55,40 @@ async fn a_busy_daemon_is_sent_the_same_request_again() {
     assert!(
         never.lock().unwrap().len() > 1,
         "it was asked again for half a second"
+    );
+    impostor.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_wait_that_is_answered_early_is_asked_again_after_a_rest() {
+    let fixture = |text: &str| -> Value {
+        let mut reply: Value = serde_json::from_str(text).unwrap();
+        (reply["swarm"], reply["epoch"]) = (json!("demo"), json!(1));
+        reply
+    };
+    let mut runs = fixture(include_str!("../../../../proto/fixtures/run.reply.json"));
+    (runs["step"], runs["result"]["until_step"]) = (json!(0), json!(100));
+    let mut there = fixture(include_str!("../../../../proto/fixtures/status.reply.json"));
+    there["step"] = json!(100);
+    let impostor = Impostor::start(&["jostle/demo/alive/a"], "jostle/x", "jostle/y").await;
+    impostor.answer("jostle/demo/cmd/run", vec![Ok(runs)]).await;
+    let early = || {
+        let details = json!({"after_secs": 0.1, "limit": 1024});
+        Err(json!({"code": "deadline_exceeded", "message": "ask again", "details": details}))
+    };
+    let asked = impostor
+        .answer("jostle/demo/get/wait", vec![early(), early(), Ok(there)])
+        .await;
+    let began = Instant::now();
+    let line = "--json run demo --until-step 100 --wait --timeout 60";
+    let answer = object(&impostor.jostle(line).await);
+    assert_eq!(answer["step"], 100);
+    assert_eq!(asked.lock().unwrap().len(), 3, "early, early, there");
+    // Two rests of half a second.
+    assert!(
+        began.elapsed() >= Duration::from_secs(1),
+        "{:?}",
+        began.elapsed()
     );
     impostor.stop().await;
 }

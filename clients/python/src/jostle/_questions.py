@@ -7,6 +7,7 @@ import time
 from dataclasses import replace
 from typing import SupportsIndex, overload
 
+from . import _cancel
 from ._arguments import check_name, check_seconds, whole, whole_from_0
 from ._errors import DeadlineExceeded, Faulted, IncorrectState, InvalidArgument, JostleError
 from ._events import Event, Journal, JournalEntry
@@ -23,6 +24,8 @@ from ._state import State, read_state
 
 # The daemon holds a `get/wait` no longer than this; it is asked again until the caller's deadline.
 _HOLD_SECS = 30.0
+# So long after an answer that came early, because too many wait for the swarm, it is asked again.
+_DISPLACED_SECS = 0.5
 # With somebody looking on it is asked so often.
 _LOOK_SECS = 0.25
 # Longer than the daemon tells a past before it says that it takes longer.
@@ -104,7 +107,9 @@ class Questions:
         return Listed(read_reply(self._get("get/controllers"), Controllers).controllers)
 
     def snapshot(self) -> Snapshot:
-        """All that its future depends on, to be kept and restored by any daemon.
+        """All that its future depends on, to be kept and restored.
+
+        A daemon of the same `model_version` restores it, if one message holds it.
 
             swarm.snapshot().save("school.snapshot")
             other.restore("school.snapshot", "school")
@@ -181,12 +186,16 @@ class Questions:
             hold = longest if deadline is None else min(longest, deadline - time.monotonic())
             hold = max(hold, 0.001)
             selector = f"get/wait?{condition};timeout_secs={hold:.3f}"
+            over = time.monotonic() + hold
             try:
                 return read_reply(self._get(selector, timeout=hold), Status)
             except DeadlineExceeded as error:
                 if deadline is not None and time.monotonic() >= deadline:
                     raise
                 step = error.step
+            # Early if too many wait for the swarm: then others wait, too, and ask again.
+            if (early := over - time.monotonic()) > 0.0:
+                _cancel.rest(min(early, _DISPLACED_SECS))
             if bar.is_wanted and step is not None:
                 first = step if first is None else first
                 share = (step - first) / max(target - first, 1)
