@@ -18,7 +18,7 @@ use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::control::{self, Membership};
 use crate::swarm::frame;
 use crate::swarm::journal::Record;
-use crate::swarm::order::{Order, Sender};
+use crate::swarm::order::{Order, Recipe, Sender};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
 use crate::wire::{self, WireError, from_proto, to_proto};
@@ -168,6 +168,69 @@ pub fn checkpoint(
             return Err(DurableError::Version { what, found, known });
         }
     }
+    let (recipe, state) = state(snapshot)?;
+    if to_proto::hexadecimal(&state.hash()) != snapshot.state_hash {
+        return Err(DurableError::Hash);
+    }
+    let scheduled = snapshot.scheduled.iter().map(|waiting| {
+        let sender = sender(&waiting.sent)?;
+        let order = read(&sender).map_err(DurableError::Unreadable)?;
+        let input = waiting.line;
+        let scheduled = Scheduled {
+            input,
+            order,
+            sender,
+        };
+        Ok((waiting.at_step, scheduled))
+    });
+    let pending = snapshot.pending.as_ref();
+    Ok(Checkpoint {
+        publish_every: snapshot.parameters.publish_every,
+        epoch: snapshot.epoch,
+        seq: snapshot.seq,
+        means: RunningMeans {
+            count: snapshot.sums.count,
+            order: snapshot.sums.order,
+            velocity: snapshot.sums.velocity,
+            directed: snapshot.sums.directed,
+            drift: snapshot.sums.drift,
+        },
+        exactness: frame::Exactness {
+            residual: snapshot.exactness.residual,
+            degraded: snapshot.exactness.degraded,
+            contacts: from_proto::count(snapshot.exactness.contacts),
+            iterations: from_proto::count(snapshot.exactness.iterations),
+        },
+        phase: match &snapshot.doing {
+            Doing::Paused { reason } => Phase::Paused(pause_reason(reason)?),
+            Doing::Running { until } => Phase::Running { until: *until },
+            Doing::Stepping { until } => Phase::Stepping { until: *until },
+            Doing::Faulted { reason } => Phase::Faulted(reason.clone()),
+        },
+        rate: snapshot.rate,
+        scheduled: scheduled.collect::<Result<_, _>>()?,
+        pending: pending
+            .map(|pending| Ok((pending.from, sender(&pending.sent)?)))
+            .transpose()?,
+        controllers: snapshot
+            .controllers
+            .iter()
+            .map(membership)
+            .collect::<Result<_, _>>()?,
+        events: snapshot.events,
+        lines: snapshot.lines,
+        is_last: snapshot.is_last,
+        recipe,
+        state,
+    })
+}
+
+/// What a snapshot's swarm was made from, and its state, whatever hash the snapshot names.
+///
+/// # Errors
+///
+/// [`DurableError`].
+pub fn state(snapshot: &proto::Snapshot) -> Result<(Recipe, State), DurableError> {
     let unreadable = |problem: &str| DurableError::Unreadable(problem.to_owned());
     let recipe = from_proto::recipe(&snapshot.spec, from_proto::count(snapshot.spec.n))
         .map_err(|error| unreadable(&error.to_string()))?;
@@ -234,60 +297,7 @@ pub fn checkpoint(
             order_age: memory.order_age,
         },
     };
-    if to_proto::hexadecimal(&state.hash()) != snapshot.state_hash {
-        return Err(DurableError::Hash);
-    }
-    let scheduled = snapshot.scheduled.iter().map(|waiting| {
-        let sender = sender(&waiting.sent)?;
-        let order = read(&sender).map_err(DurableError::Unreadable)?;
-        let input = waiting.line;
-        let scheduled = Scheduled {
-            input,
-            order,
-            sender,
-        };
-        Ok((waiting.at_step, scheduled))
-    });
-    let pending = snapshot.pending.as_ref();
-    Ok(Checkpoint {
-        publish_every: snapshot.parameters.publish_every,
-        epoch: snapshot.epoch,
-        seq: snapshot.seq,
-        means: RunningMeans {
-            count: snapshot.sums.count,
-            order: snapshot.sums.order,
-            velocity: snapshot.sums.velocity,
-            directed: snapshot.sums.directed,
-            drift: snapshot.sums.drift,
-        },
-        exactness: frame::Exactness {
-            residual: snapshot.exactness.residual,
-            degraded: snapshot.exactness.degraded,
-            contacts: from_proto::count(snapshot.exactness.contacts),
-            iterations: from_proto::count(snapshot.exactness.iterations),
-        },
-        phase: match &snapshot.doing {
-            Doing::Paused { reason } => Phase::Paused(pause_reason(reason)?),
-            Doing::Running { until } => Phase::Running { until: *until },
-            Doing::Stepping { until } => Phase::Stepping { until: *until },
-            Doing::Faulted { reason } => Phase::Faulted(reason.clone()),
-        },
-        rate: snapshot.rate,
-        scheduled: scheduled.collect::<Result<_, _>>()?,
-        pending: pending
-            .map(|pending| Ok((pending.from, sender(&pending.sent)?)))
-            .transpose()?,
-        controllers: snapshot
-            .controllers
-            .iter()
-            .map(membership)
-            .collect::<Result<_, _>>()?,
-        events: snapshot.events,
-        lines: snapshot.lines,
-        is_last: snapshot.is_last,
-        recipe,
-        state,
-    })
+    Ok((recipe, state))
 }
 
 fn parameters_kept(

@@ -9,6 +9,9 @@ pub mod life;
 mod recovery;
 pub mod twin;
 
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::Path;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
@@ -21,7 +24,7 @@ use crate::crash::clients::{Role, Sender, Traffic};
 use crate::crash::dice::Dice;
 use crate::crash::life::{Left, Life};
 use crate::crash::twin::Twin;
-use crate::support::{Client, PREFIX, alone};
+use crate::support::{Client, PATIENCE, PREFIX, alone};
 
 /// Kills, one world after the other; with `JOSTLE_LONG=1` the second.
 const KILLS: [usize; 2] = [30, 1000];
@@ -30,20 +33,51 @@ const KILLS_PER_WORLD: usize = 100;
 /// The seed of the first world. `JOSTLE_SEED` repeats another one.
 const SEED: u64 = 1;
 
-/// Points in the code where the process dies, and how often at most it passes there before.
-const POINTS: [(&str, u64); 12] = [
-    ("store-begin", 60),
-    ("store-written", 60),
-    ("store-synced", 60),
-    ("store-done", 60),
-    ("store-keep", 20),
-    ("swarm-safe", 60),
-    ("swarm-applied", 60),
-    ("swarm-stepped", 60),
-    ("swarm-kept", 20),
-    ("swarm-retold", 40),
-    ("swarm-resumed", 6),
-    ("swarm-ended", 4),
+/// A point in the code where the process dies.
+#[derive(Clone, Copy, Debug)]
+struct Point {
+    name: &'static str,
+    /// How often the process passes it before it dies there, the first time that the point is armed.
+    passes: u64,
+    /// An upper bound of that for the kills at random.
+    most: u64,
+    /// Whether the process also passes it when it serves, and so meets it sooner or later.
+    serves: bool,
+}
+
+impl Point {
+    const fn serving(name: &'static str, passes: u64, most: u64) -> Self {
+        Point {
+            name,
+            passes,
+            most,
+            serves: true,
+        }
+    }
+
+    const fn recovering(name: &'static str, passes: u64, most: u64) -> Self {
+        Point {
+            name,
+            passes,
+            most,
+            serves: false,
+        }
+    }
+}
+
+const POINTS: [Point; 12] = [
+    Point::serving("store-begin", 30, 60),
+    Point::serving("store-written", 30, 60),
+    Point::serving("store-synced", 30, 60),
+    Point::serving("store-done", 30, 60),
+    Point::serving("store-keep", 6, 20),
+    Point::serving("swarm-safe", 20, 60),
+    Point::serving("swarm-applied", 20, 60),
+    Point::serving("swarm-stepped", 10, 60),
+    Point::serving("swarm-kept", 6, 20),
+    Point::recovering("swarm-retold", 2, 40),
+    Point::recovering("swarm-resumed", 2, 6),
+    Point::serving("swarm-ended", 1, 4),
 ];
 
 /// The swarms whose past is told: their size, and how many steps they settle before.
@@ -67,6 +101,8 @@ struct Tally {
     compared: usize,
     /// Ends by itself, because the disk failed.
     ended: usize,
+    /// The points at which a daemon was killed.
+    met: BTreeSet<&'static str>,
 }
 
 /// A folder, the daemons on it, whoever talks to them, and what must come of it.
@@ -76,6 +112,8 @@ struct World {
     dice: Dice,
     twins: Vec<(Twin, String)>,
     senders: Vec<Sender>,
+    /// The points at which no daemon was killed yet, the next one last.
+    due: Vec<Point>,
     /// What goes wrong with the disk, in libfiu's words.
     faults: Option<String>,
     tally: Tally,
@@ -100,9 +138,35 @@ async fn killed_anywhere_it_loses_nothing_that_it_answered_and_repeats_nothing()
         seed += 1;
     }
     println!("{total:#?} in {:?}", began.elapsed());
+    let points: BTreeSet<_> = POINTS.map(|point| point.name).into();
+    assert_eq!(total.met, points);
     let enough = kills / 20;
     assert!(total.with_unanswered >= enough && total.with_just_answered >= enough);
     assert!(total.at_points > kills / 4 && total.compared > kills);
+}
+
+/// A point that the code has and this test does not would never be armed.
+#[test]
+fn every_point_of_the_code_is_armed() {
+    fn read(folder: &Path, points: &mut BTreeSet<String>) {
+        for entry in fs::read_dir(folder).unwrap() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                read(&path, points);
+            } else if path.extension().is_some_and(|it| it == "rs") {
+                let text = fs::read_to_string(path).unwrap();
+                let calls = text.split("crash::point(\"").skip(1);
+                points.extend(calls.map(|it| it.split('"').next().unwrap().to_owned()));
+            }
+        }
+    }
+    let mut points = BTreeSet::new();
+    read(
+        &Path::new(env!("CARGO_MANIFEST_DIR")).join("src"),
+        &mut points,
+    );
+    let armed: BTreeSet<_> = POINTS.map(|point| point.name.to_owned()).into();
+    assert_eq!(points, armed);
 }
 
 impl World {
@@ -136,6 +200,7 @@ impl World {
             dice: Dice::new(seed),
             twins,
             senders,
+            due: POINTS.into_iter().rev().collect(),
             faults: None,
             tally: Tally::default(),
         };
@@ -143,21 +208,39 @@ impl World {
         world
     }
 
-    /// Where the next daemon is to die; anywhere, if nowhere in particular.
-    fn choose_point(&mut self) -> String {
-        if self.dice.below(2) == 0 {
-            return String::new();
+    /// Where the next daemon is to die, and after how many passes: first at each point once, then
+    /// at a random one or, half of the time, at any moment.
+    fn choose_point(&mut self) -> Option<(Point, u64)> {
+        if self.faults.is_none()
+            && let Some(point) = self.due.last()
+        {
+            return Some((*point, point.passes));
         }
-        let (name, most) = *self.dice.pick(&POINTS);
-        match self.dice.below(most) {
-            0 => format!("{name}=return"),
-            passes => format!("{name}={passes}*off->return"),
+        if self.dice.below(2) == 0 {
+            return None;
+        }
+        let point = *self.dice.pick(&POINTS);
+        Some((point, self.dice.below(point.most)))
+    }
+
+    /// Takes in that a daemon died at the point that was armed.
+    fn met(&mut self, armed: Option<(Point, u64)>) {
+        self.tally.at_points += 1;
+        if let (Some((point, _)), None) = (armed, &self.faults) {
+            self.tally.met.insert(point.name);
+            self.due.retain(|due| due.name != point.name);
         }
     }
 
     /// A daemon comes back, is what it must be, is kept busy, and dies.
     async fn live_and_die(&mut self) {
-        let point = self.choose_point();
+        let armed = self.choose_point();
+        let point = match armed {
+            Some((point, 0)) => format!("{}=return", point.name),
+            Some((point, passes)) => format!("{}={passes}*off->return", point.name),
+            None => String::new(),
+        };
+        let must_be_met = self.faults.is_none() && armed.is_some_and(|(point, _)| point.serves);
         let told = format!("seed {}, kill {}, {point:?}", self.seed, self.tally.kills);
         println!("{told}");
         let mut command = life::daemon(self.folder.path());
@@ -172,15 +255,15 @@ impl World {
         let Ok(mut life) = begun else {
             assert!(self.is_death(begun.err().flatten()), "{told}");
             self.tally.kills += 1;
-            self.tally.at_points += 1;
             self.tally.in_recovery += 1;
+            self.met(armed);
             return self.check_answers(&new_traffic());
         };
         let traffic = new_traffic();
         let Ok(clients) = tokio::try_join!(connect(&life), connect(&life)) else {
             assert!(self.is_death(life.end()), "{told}");
             self.tally.kills += 1;
-            self.tally.at_points += 1;
+            self.met(armed);
             return self.check_answers(&new_traffic());
         };
         let clients = [clients.0, clients.1];
@@ -193,10 +276,11 @@ impl World {
                 sender
             });
         }
-        let patience = if point.is_empty() {
-            Duration::from_millis(1 + self.dice.below(150))
-        } else {
-            Duration::from_millis(700)
+        let patience = match armed {
+            None => Duration::from_millis(1 + self.dice.below(150)),
+            Some(_) if must_be_met => PATIENCE,
+            // Where little is replayed it may be passed too seldom.
+            Some(_) => Duration::from_millis(700),
         };
         let began = Instant::now();
         let mut is_dead = false;
@@ -208,7 +292,9 @@ impl World {
             let code = life.end();
             assert!(self.is_death(code), "{told}: {code:?}");
             self.tally.ended += usize::from(code.is_some());
+            self.met(armed);
         }
+        assert!(is_dead || !must_be_met, "{told}: the point is never met");
         // Where the machine is slow a process takes long to be gone.
         let killed = Instant::now();
         life.kill();
@@ -219,7 +305,6 @@ impl World {
         }
         self.senders.sort_by(|a, b| a.name.cmp(&b.name));
         self.tally.kills += 1;
-        self.tally.at_points += usize::from(is_dead);
         let unanswered = traffic.under_way.load(Ordering::Relaxed);
         self.tally.with_unanswered += usize::from(unanswered > 0);
         self.tally.with_just_answered += usize::from(answered < Duration::from_millis(3));
@@ -325,6 +410,7 @@ impl Tally {
         self.steps_not_safe += other.steps_not_safe;
         self.compared += other.compared;
         self.ended += other.ended;
+        self.met.extend(&other.met);
     }
 }
 

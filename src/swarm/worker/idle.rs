@@ -13,7 +13,12 @@ use crate::swarm::worker::Worker;
 
 /// The longest that is computed here, by the length of the last step: whoever does it reads what
 /// everybody sends.
-const MOMENT: Duration = Duration::from_micros(100);
+///
+/// Unit tests judge on which thread a step is taken, not how long a busy machine takes for it.
+const MOMENT: Duration = match cfg!(test) {
+    true => Duration::from_secs(3600),
+    false => Duration::from_micros(100),
+};
 
 /// The most individuals of whom something is changed here.
 const FEW: usize = 256;
@@ -133,5 +138,146 @@ impl<Back: FnOnce(Box<Worker>, bool)> Drop for Underway<Back> {
     /// Nobody told whether it is safe.
     fn drop(&mut self) {
         self.end(Err(WriteFault::Failed("the daemon is stopping".into())));
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+    use std::sync::mpsc::{Receiver, channel};
+
+    use super::*;
+    use crate::model::parameters::Parameters;
+    use crate::model::selection::Selection;
+    use crate::swarm::control::{Mode, OnTimeout, Terms};
+    use crate::swarm::handle::Handle;
+    use crate::swarm::journal::to_nowhere;
+    use crate::swarm::order::{Recipe, Sender, Start, When};
+    use crate::swarm::outcome::Answered;
+    use crate::swarm::shelf::Shelf;
+    use crate::swarm::simulation::Simulation;
+
+    /// A swarm that lies on its shelf. No thread of its own takes it from there: what would wake
+    /// one is counted.
+    struct Idle {
+        shelf: Arc<Shelf>,
+        wakes: Arc<AtomicUsize>,
+    }
+
+    impl Idle {
+        fn new(prepare: impl FnOnce(&mut Worker)) -> Self {
+            let recipe = Recipe {
+                n: 4,
+                parameters: Parameters::default(),
+                seed: 1,
+                start: Start::Disc(None),
+                publish_every: 1,
+                rate: None,
+            };
+            let handle = Handle::alone(recipe.clone());
+            let simulation = Simulation::new(recipe, Box::new(|_| Ok(()))).unwrap();
+            let mut worker = Worker::new(simulation, &handle, Duration::ZERO, to_nowhere());
+            // As after a first step.
+            worker.step_took = Duration::ZERO;
+            prepare(&mut worker);
+            handle.shelf.put(Box::new(worker));
+            Idle {
+                shelf: handle.shelf,
+                wakes: Arc::default(),
+            }
+        }
+
+        /// Has the shelf execute a command. Returns where its reply goes.
+        fn send(&self, order: Order) -> Receiver<Answered> {
+            let (answer, answered) = channel();
+            let command = Command {
+                order,
+                when: When::default(),
+                sender: Arc::new(Sender::default()),
+                answer: Box::new(move |it| answer.send(it).unwrap()),
+            };
+            let wakes = self.wakes.clone();
+            let wake = move || {
+                wakes.fetch_add(1, Ordering::Relaxed);
+            };
+            assert!(self.shelf.carry_out(command, wake).is_ok());
+            answered
+        }
+
+        fn wakes(&self) -> usize {
+            self.wakes.load(Ordering::Relaxed)
+        }
+
+        /// Looks at the swarm, or changes it as its thread does.
+        fn with<T>(&self, look: impl FnOnce(&mut Worker) -> T) -> T {
+            let mut worker = self.shelf.take();
+            let seen = look(&mut worker);
+            self.shelf.put(worker);
+            seen
+        }
+    }
+
+    fn step(answered: &Receiver<Answered>) -> u64 {
+        let (place, _) = answered.try_recv().unwrap().unwrap();
+        place.step
+    }
+
+    #[test]
+    fn a_thousand_short_steps_wake_no_thread() {
+        let idle = Idle::new(|_| {});
+        for k in 1..=1000 {
+            assert_eq!(step(&idle.send(Order::Step(1))), k);
+            assert_eq!(idle.wakes(), 0, "after step {k}");
+        }
+    }
+
+    #[test]
+    fn a_thousand_exchanges_of_two_controllers_wake_its_thread_for_the_first_deadline_alone() {
+        let controllers = ["ada", "bob"];
+        let idle = Idle::new(|worker| {
+            for (controller, id) in controllers.into_iter().zip(0..) {
+                let terms = Terms {
+                    controller: controller.to_owned(),
+                    selection: Some(Selection::Ids(vec![id])),
+                    mode: Mode::Lockstep,
+                    deadline: Duration::from_secs(60),
+                    on_timeout: OnTimeout::Hold,
+                    driving: false,
+                    again: false,
+                };
+                worker.join(&terms).unwrap();
+            }
+        });
+        let advance = |controller: &str| Order::Advance {
+            controller: controller.to_owned(),
+            steps: 1,
+            set: None,
+        };
+        for k in 1..=1000 {
+            let waiting = idle.send(advance("ada"));
+            assert!(
+                waiting.try_recv().is_err(),
+                "exchange {k}: one has advanced"
+            );
+            if k == 1 {
+                // The thread sleeps without end: it is to wake at the deadline of the other.
+                assert_eq!(idle.wakes(), 1);
+                idle.with(|worker| worker.wakes_at = worker.controllers.due());
+            }
+            let last = idle.send(advance("bob"));
+            assert_eq!([step(&last), step(&waiting)], [k, k]);
+            assert_eq!(idle.wakes(), 1, "after exchange {k}");
+        }
+    }
+
+    #[test]
+    fn a_step_that_takes_long_is_left_to_the_thread() {
+        let idle = Idle::new(|worker| worker.step_took = 2 * MOMENT);
+        let answered = idle.send(Order::Step(1));
+        assert_eq!(idle.wakes(), 1);
+        assert!(answered.try_recv().is_err());
+        assert!(idle.with(|worker| worker.phase.is_moving()));
     }
 }

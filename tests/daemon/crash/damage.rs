@@ -193,6 +193,108 @@ async fn whatever_byte_is_damaged_no_state_is_a_wrong_one() {
     }
 }
 
+/// Flips a bit in the middle of a blob of the table that has this condition.
+fn flip(folder: &Path, table: &str, column: &str, condition: &str) {
+    let database = rusqlite::Connection::open(folder.join(FILE)).unwrap();
+    let select = format!("SELECT {column} FROM {table} WHERE {condition}");
+    let mut bytes: Vec<u8> = database
+        .query_row(&select, [], |row| row.get(0))
+        .unwrap_or_else(|error| panic!("{select}: {error}"));
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 4;
+    let update = format!("UPDATE {table} SET {column} = ? WHERE {condition}");
+    assert_eq!(database.execute(&update, [bytes]).unwrap(), 1);
+}
+
+/// The numbers of a swarm's records in a table.
+fn numbers(folder: &Path, table: &str, swarm: &str) -> Vec<u64> {
+    let database = rusqlite::Connection::open(folder.join(FILE)).unwrap();
+    let select = format!(
+        "SELECT number FROM {table} WHERE swarm = (SELECT id FROM swarm WHERE name = '{swarm}')
+         ORDER BY number"
+    );
+    let mut select = database.prepare(&select).unwrap();
+    let numbers = select.query_map([], |row| row.get::<_, i64>(0)).unwrap();
+    numbers
+        .map(|number| number.unwrap().cast_unsigned())
+        .collect()
+}
+
+/// Damage to the journal or a checkpoint of a swarm costs at most that swarm.
+#[tokio::test(flavor = "multi_thread")]
+async fn damage_to_the_records_of_one_swarm_leaves_every_other_usable() {
+    let _machine = beside_others().await;
+    let killed = tempfile::tempdir().unwrap();
+    let mut life = Life::begin(&mut life::daemon(killed.path())).unwrap();
+    fill(&Client::open(&life.endpoint).await).await;
+    life.kill();
+    let expected = hashes(killed.path());
+    let (mut faulted, mut left_out) = (0, 0);
+    for (swarm, _) in SWARMS {
+        let rows = numbers(killed.path(), "row", swarm);
+        let few = rows.len() / 4;
+        let rows = rows.into_iter().rev().step_by(few);
+        let rows = rows.map(|number| ("row", number));
+        let checkpoints = numbers(killed.path(), "checkpoint", swarm);
+        let checkpoints = checkpoints.into_iter().map(|number| ("checkpoint", number));
+        for (table, number) in rows.chain(checkpoints) {
+            let folder = tempfile::tempdir().unwrap();
+            life::copy(killed.path(), folder.path());
+            let of_swarm = format!("swarm = (SELECT id FROM swarm WHERE name = '{swarm}')");
+            let condition = format!("{of_swarm} AND number = {number}");
+            flip(folder.path(), table, "body", &condition);
+            let what = format!("{table} {number} of {swarm}");
+            let begun = Life::begin(&mut life::daemon(folder.path()));
+            let life = begun.unwrap_or_else(|code| panic!("{what}: refused with {code:?}"));
+            let client = Client::open(&life.endpoint).await;
+            for (name, passed, last) in &expected {
+                let answers = client.ask(&keys::get(PREFIX, name, "status"), None).await;
+                let status = answers.into_iter().next().map(Result::unwrap);
+                if *name == swarm {
+                    match status {
+                        Some(status) => {
+                            let hash = status["result"]["state_hash"].as_str().unwrap();
+                            assert!(passed.contains(hash), "{what}: {status}");
+                            faulted += usize::from(status["phase"] == "faulted");
+                        }
+                        None => left_out += 1,
+                    }
+                    continue;
+                }
+                let status = status.unwrap_or_else(|| panic!("{what}: {name} is missing"));
+                assert_eq!(status["result"]["state_hash"], *last, "{what}: {status}");
+                assert_eq!(status["phase"], "paused", "{what}: {status}");
+                client.ok(name, "inject", json!({"count": 1})).await;
+                client.ok(name, "step", json!({"steps": 3})).await;
+            }
+        }
+    }
+    println!("{faulted} faulted, {left_out} left out");
+    // At least the last row of each swarm is read when the swarm is restored.
+    assert!(faulted >= SWARMS.len(), "{faulted}");
+
+    // Which swarms there are must be known: damage to that is refused, and named.
+    for (table, column, condition) in [
+        ("swarm", "about", "name = 'b'"),
+        (
+            "extent",
+            "seal",
+            "id = (SELECT id FROM swarm WHERE name = 'b')",
+        ),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        life::copy(killed.path(), folder.path());
+        flip(folder.path(), table, column, condition);
+        let begun = Life::begin(&mut life::daemon(folder.path()));
+        let Err(code) = begun else {
+            panic!("{table}: the daemon starts");
+        };
+        let log = life::log(folder.path());
+        assert_eq!(code, Some(1), "{table}: {log}");
+        assert!(log.contains(FILE) && log.contains("swarm \"b\""), "{log}");
+    }
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_journal_damaged_in_the_middle_faults_its_swarm_which_goes_on_after_a_reset() {
     let _machine = beside_others().await;

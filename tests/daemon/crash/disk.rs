@@ -13,6 +13,7 @@ use crate::apart::jostled;
 use crate::crash::life::{self, Left, Life};
 use crate::crash::twin::{Answers, Twin};
 use crate::crash::{Tally, World};
+use crate::harness;
 use crate::support::{Client, PREFIX, alone, beside_others, until};
 
 /// libfiu's libraries, of the Debian package fiu-utils.
@@ -36,7 +37,7 @@ pub fn fail(command: &mut Command, faults: &str) {
 async fn writes_and_syncs_that_fail_are_never_taken_for_done() {
     let _alone = alone().await;
     if !Path::new(FIU).exists() {
-        crate::support::skip("needs libfiu, `apt-get install fiu-utils`");
+        harness::LIBFIU.is_missing();
         return;
     }
     let lives = if std::env::var_os("JOSTLE_LONG").is_some() {
@@ -91,6 +92,8 @@ pub struct Small(
 );
 
 impl Small {
+    /// A disk of this size. Where the machine permits no mount, the test fails or may be skipped.
+    #[track_caller]
     pub fn mount(megabytes: u64) -> Option<Self> {
         let folder = tempfile::tempdir().unwrap();
         let size = format!("size={megabytes}m");
@@ -99,9 +102,11 @@ impl Small {
             .args(["-t", "tmpfs", "-o", &size, "none"])
             .arg(&path)
             .output();
-        mount
-            .is_ok_and(|mount| mount.status.success())
-            .then_some(Small(path, folder))
+        if mount.is_ok_and(|mount| mount.status.success()) {
+            return Some(Small(path, folder));
+        }
+        harness::MOUNT.is_missing();
+        None
     }
 
     pub fn path(&self) -> &Path {
@@ -134,11 +139,19 @@ impl Drop for Small {
     }
 }
 
+/// Whether the daemon says that its disk is full, and nothing else that is wrong.
+async fn is_full(client: &Client) -> bool {
+    let reasons = client.node("metrics").await["unwell"].take();
+    let reasons: Vec<String> = serde_json::from_value(reasons).unwrap();
+    let full = "the disk is full: free some space, and the journal goes on by itself";
+    assert!(reasons.iter().all(|reason| reason == full), "{reasons:?}");
+    !reasons.is_empty()
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn on_a_full_disk_swarms_step_on_and_commands_hear_of_it_at_once() {
     let _alone = alone().await;
     let Some(disk) = Small::mount(8) else {
-        crate::support::skip("mounting a small disk is not permitted here");
         return;
     };
     let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
@@ -177,6 +190,7 @@ async fn on_a_full_disk_swarms_step_on_and_commands_hear_of_it_at_once() {
         answer.is_err_and(|error| error.code == ErrorCode::StorageFull)
     })
     .await;
+    assert!(is_full(&client).await);
     for k in 0..20 {
         let began = Instant::now();
         for swarm in ["still", "moving"] {
@@ -228,6 +242,7 @@ async fn on_a_full_disk_swarms_step_on_and_commands_hear_of_it_at_once() {
     })
     .await;
     println!("normal {:?} after there was room", began.elapsed());
+    assert!(!is_full(&client).await);
     assert!(began.elapsed() < Duration::from_secs(5));
     let last = client.get("still", "status").await;
 
@@ -239,28 +254,28 @@ async fn on_a_full_disk_swarms_step_on_and_commands_hear_of_it_at_once() {
         twin.tell(left.rows(name, twin.line), &Answers::new());
     }
     let begun = Life::begin(&mut command);
-    match begun {
-        Ok(mut life) => {
-            let client = Client::open(&life.endpoint).await;
-            let status = client.get("still", "status").await;
-            assert_eq!(status["result"]["state_hash"], last["result"]["state_hash"]);
-            println!("starts on a full disk");
-            disk.make_room();
-            until("there is room", async || {
-                client
-                    .cmd("still", "set", named("room", json!({"pi3": 1.0})))
-                    .await
-                    .is_ok()
-            })
-            .await;
-            life.kill();
-        }
-        Err(code) => {
-            println!("does not start on a full disk: {code:?}");
-            assert!(code.is_some());
-            disk.make_room();
-        }
-    }
+    let mut life = begun.unwrap_or_else(|code| panic!("ended with {code:?} on a full disk"));
+    let client = Client::open(&life.endpoint).await;
+    let status = client.get("still", "status").await;
+    assert_eq!(status["result"]["state_hash"], last["result"]["state_hash"]);
+    let (code, _) = client
+        .err("still", "set", named("full-again", json!({"pi3": 1.0})))
+        .await;
+    assert_eq!(code, ErrorCode::StorageFull);
+    assert!(is_full(&client).await);
+    let before = client.get("moving", "status").await["step"]
+        .as_u64()
+        .unwrap();
+    client.reach("moving", before + 10).await;
+    disk.make_room();
+    until("there is room", async || {
+        let request = named("room", json!({"pi3": 1.0}));
+        client.cmd("still", "set", request).await.is_ok()
+    })
+    .await;
+    assert!(!is_full(&client).await);
+    assert!(life.child.try_wait().unwrap().is_none());
+    life.kill();
     let left = Left::on(&disk.0);
     for (twin, name) in twins.iter_mut().zip(["moving", "still"]) {
         twin.tell(left.rows(name, twin.line), &Answers::new());
@@ -276,7 +291,6 @@ async fn on_a_full_disk_swarms_step_on_and_commands_hear_of_it_at_once() {
 async fn an_orderly_end_on_a_full_disk_says_that_not_all_is_written() {
     let _alone = alone().await;
     let Some(disk) = Small::mount(8) else {
-        crate::support::skip("mounting a small disk is not permitted here");
         return;
     };
     let logs = tempfile::tempdir().unwrap();
@@ -312,7 +326,6 @@ async fn an_orderly_end_on_a_full_disk_says_that_not_all_is_written() {
 async fn on_a_full_disk_swarms_can_be_deleted_and_what_cannot_be_told_yet_is_said() {
     let _alone = alone().await;
     let Some(disk) = Small::mount(8) else {
-        crate::support::skip("mounting a small disk is not permitted here");
         return;
     };
     let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", "test"]);
