@@ -44,6 +44,12 @@ fn carry_out(arguments: Arguments, output: Output) -> Result<(), Failure> {
         .enable_all()
         .build()
         .map_err(Failure::Output)?;
+    let context = runtime.enter();
+    interrupt::catch_interrupts();
+    if verbs::records_to_file(&arguments.verb) {
+        interrupt::catch_endings();
+    }
+    drop(context);
     let grace = verbs::grace(&arguments.verb);
     let outcome = runtime.block_on(interrupt::watched(grace, verbs::execute(arguments, output)));
     verbs::give_back_the_terminal();

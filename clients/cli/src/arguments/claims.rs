@@ -17,7 +17,7 @@ pub struct ClaimsArguments {
     /// Write a page of it all, its figures in a folder of the same name beside it
     #[arg(long, value_name = "FILE.md", value_hint = ValueHint::FilePath)]
     pub page: Option<PathBuf>,
-    /// Hold means against these bands instead; one outside is a failure
+    /// Hold means against these bands instead; exit code 9 if one lies outside
     #[arg(long, value_name = "FILE.csv", value_hint = ValueHint::FilePath, conflicts_with_all = ["page", "animations"])]
     pub bands: Option<PathBuf>,
     /// Make such bands of what these results measured

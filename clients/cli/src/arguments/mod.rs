@@ -63,8 +63,9 @@ Exit codes:
     6  no daemon, or no answer in time (unreachable, deadline_exceeded, timeout)
     7  too much (busy, resource_exhausted)
     8  the disk is full, the daemon's or here (storage_full)
-    9  the past comes out otherwise when it is told again (mismatch)
-  130  interrupted";
+    9  a replay has other hashes, or a mean lies outside its band (mismatch)
+  130  interrupted by Ctrl-C; `record` to a file takes SIGTERM and SIGHUP as Ctrl-C, ends the file
+       and then ends with 0";
 
 /// Watches and steers swarms hosted by a daemon, `jostled`
 #[derive(Debug, Parser)]
@@ -134,7 +135,7 @@ pub enum Verb {
     Diff(DiffArguments),
     /// Writes a swarm with all that its future depends on to a file
     Snapshot(SnapshotArguments),
-    /// Makes a swarm from such a file, on any daemon, paused
+    /// Makes a swarm from such a file, on a daemon of the same model version, paused
     Restore(RestoreArguments),
     /// Tells a swarm's kept history again and says whether it comes out the same
     Verify(VerifyArguments),

@@ -85,8 +85,8 @@ pub struct CreateArguments {
     /// power=EXPONENT of the distance [default: all]
     #[arg(long, value_name = "LAW", value_parser = values::law, add = ArgValueCompleter::new(completion::laws))]
     pub attraction: Option<Law>,
-    /// How far off the attraction to all may be, 1e-9 to 1e-3; quicker from some thousand
-    /// individuals on [default: exact to rounding]
+    /// About how far off the attraction to all may be, 1e-9 to 1e-3 (measured, no bound); quicker
+    /// from some thousand individuals on [default: exact to rounding]
     #[arg(
         long,
         value_name = "ERROR",

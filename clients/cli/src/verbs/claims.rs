@@ -32,7 +32,7 @@ const FIGURES: [Kind; 4] = [Kind::Order, Kind::Intervals, Kind::Clusters, Kind::
 ///
 /// # Errors
 ///
-/// What cannot be read or written, or a mean outside its band.
+/// What cannot be read or written, or [`Failure::OutsideBands`].
 pub fn judge(output: Output, arguments: &ClaimsArguments) -> Result<(), Failure> {
     let mut runs = Vec::new();
     for place in &arguments.results {
@@ -123,11 +123,15 @@ fn against_bands(
         let header = ["quantity", "pi1", "n", "low", "mean", "high", ""];
         output.data(&columns(header, rows.collect()))?;
     }
-    if outside > 0 {
+    let count = judged.len();
+    let unmeasured = judged.iter().filter(|it| it.mean.is_none()).count();
+    if unmeasured > 0 {
         return Err(wrong(format!(
-            "{outside} of {} means lie outside their bands",
-            judged.len()
+            "for {unmeasured} of {count} bands the results have no run"
         )));
+    }
+    if outside > 0 {
+        return Err(Failure::OutsideBands { outside, count });
     }
     Ok(())
 }

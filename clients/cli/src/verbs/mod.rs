@@ -30,7 +30,7 @@ use jostle_proto::Reply;
 use jostle_proto::verbs::Scheduled;
 use serde::de::DeserializeOwned;
 
-use crate::arguments::{Arguments, RecordArguments, Verb};
+use crate::arguments::{Arguments, GlobalArguments, RecordArguments, Verb};
 use crate::bus::{Answer, Bus};
 use crate::failure::Failure;
 use crate::format;
@@ -62,6 +62,25 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
         }
         verb => verb,
     };
+    let records = records_to_file(&verb);
+    match connected(global, output, verb).await {
+        Err(Failure::Interrupted { left: None }) if records => Err(Failure::Interrupted {
+            left: Some("nothing was recorded".into()),
+        }),
+        outcome => outcome,
+    }
+}
+
+/// Whether a verb makes a recording in a file, which it completes before it ends.
+pub fn records_to_file(verb: &Verb) -> bool {
+    let Verb::Record(arguments) = verb else {
+        return false;
+    };
+    arguments.name.is_some() && arguments.out.is_some()
+}
+
+/// Does what needs a connection, and says goodbye.
+async fn connected(global: GlobalArguments, output: Output, verb: Verb) -> Result<(), Failure> {
     let bus = Arc::new(interrupt::either(Bus::open(global)).await?);
     let outcome = match verb {
         // These have something to say when interrupted.

@@ -35,8 +35,13 @@ pub async fn replay(bus: &Bus, output: Output, arguments: &ReplayArguments) -> R
         check_finished(file)?;
     }
     let name = name(arguments)?;
+    // A request has its name alone; the one that begins the replay has the name given.
+    let unnamed = SenderArguments {
+        request_id: None,
+        ..arguments.sender.clone()
+    };
     if let Some(file) = &arguments.file {
-        upload(bus, output, file, &name, &arguments.sender).await?;
+        upload(bus, output, file, &name, &unnamed).await?;
     }
     let open = ReplayArgs::Open(OpenArgs {
         name: name.clone(),
@@ -50,7 +55,10 @@ pub async fn replay(bus: &Bus, output: Output, arguments: &ReplayArguments) -> R
             rate: arguments.rate.map(|Rate(rate)| rate),
             ..RunArgs::default()
         };
-        let sending = SendingArguments::default();
+        let sending = SendingArguments {
+            sender: unnamed,
+            ..SendingArguments::default()
+        };
         let answer = match bus.command(&name, "run", &args, &sending).await {
             Ok(answer) => answer,
             Err(failure) => {

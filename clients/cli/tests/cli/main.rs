@@ -2,8 +2,10 @@
 
 #![expect(clippy::unwrap_used, reason = "tests")]
 
+mod claims;
 mod copies;
 mod doctor;
+mod exits;
 mod experiments;
 mod fetching;
 mod live;
@@ -11,9 +13,11 @@ mod looking;
 mod lost;
 mod options;
 mod recording;
+mod requests;
 mod rights;
 mod sending;
 mod shell;
+mod signals;
 mod support;
 mod terminal;
 mod top;

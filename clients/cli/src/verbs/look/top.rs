@@ -177,6 +177,8 @@ fn table(now: &Metrics, earlier: &Metrics, sort: Sort) -> String {
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
+    use clap::ValueEnum as _;
+
     use super::*;
 
     /// The fixture: a school that runs and a shoal that stands.
@@ -226,29 +228,89 @@ mod tests {
         );
     }
 
+    /// Names of swarms, the first column of a table.
+    fn names(table: &str) -> Vec<&str> {
+        let lines = table.lines().skip(1);
+        lines
+            .map(|line| line.split_whitespace().next().unwrap())
+            .collect()
+    }
+
+    /// Five swarms of which each key gives another order, none the order they come in or its
+    /// reverse: name, seconds of computing in the two seconds, rate, real-time factor.
+    const SWARMS: [(&str, f64, Option<f64>, Option<f64>); 5] = [
+        ("birch", 0.1, Some(4.0), Some(4.0)),
+        ("elm", 0.4, Some(1.0), Some(0.2)),
+        ("ash", 0.5, None, Some(3.0)),
+        ("dogwood", 0.7, Some(2.0), None),
+        ("cedar", 0.3, Some(10.0), Some(5.0)),
+    ];
+
     #[test]
-    fn swarms_come_in_the_order_asked_for() {
-        let mut now = later();
-        let mut behind = now.swarms[0].clone();
-        behind.swarm = "behind".into();
-        (behind.rate, behind.real_time_factor) = (Some(4.0), Some(2.0));
-        now.swarms.push(behind);
-        let first = |sort| {
-            let table = table(&now, &metrics(), sort);
-            let line = table.lines().nth(1).unwrap().to_owned();
-            line.split_whitespace().next().unwrap().to_owned()
+    fn swarms_come_in_the_order_of_each_key() {
+        let expected = [
+            (Sort::Cost, ["dogwood", "ash", "elm", "cedar", "birch"]),
+            (Sort::Factor, ["elm", "cedar", "birch", "ash", "dogwood"]),
+            (Sort::Name, ["ash", "birch", "cedar", "dogwood", "elm"]),
+        ];
+        let keys = expected.map(|(sort, _)| sort);
+        assert_eq!(Sort::value_variants(), keys, "each key has an order");
+        let (mut earlier, mut now) = (metrics(), later());
+        let school = &earlier.swarms[0];
+        let swarm = |(name, _, rate, factor): (&str, f64, _, _)| SwarmMetrics {
+            swarm: name.into(),
+            rate,
+            real_time_factor: factor,
+            ..school.clone()
         };
-        // It was not there before: all it ever cost is new.
-        assert_eq!(first(Sort::Cost), "behind");
-        assert_eq!(first(Sort::Factor), "behind");
-        assert_eq!(first(Sort::Name), "behind");
-        now.swarms[2].swarm = "zebra".into();
-        now.swarms[2].step_secs = 0.0;
-        let table = table(&now, &metrics(), Sort::Factor);
-        assert!(
-            table.lines().nth(1).unwrap().starts_with("zebra"),
-            "{table}"
-        );
+        let swarms = SWARMS.map(swarm).to_vec();
+        now.swarms.clone_from(&swarms);
+        for (swarm, (_, secs, ..)) in now.swarms.iter_mut().zip(SWARMS) {
+            swarm.step_secs += secs;
+            swarm.steps += 100;
+        }
+        // The cost before does not count, and would give the order of the names.
+        earlier.swarms = swarms;
+        let mut offset = 0.0;
+        earlier.swarms.sort_by(|a, b| b.swarm.cmp(&a.swarm));
+        for before in &mut earlier.swarms {
+            offset += 1.0;
+            let after = now.swarms.iter_mut().find(|it| it.swarm == before.swarm);
+            before.step_secs += offset;
+            after.unwrap().step_secs += offset;
+        }
+        for (sort, order) in expected {
+            let table = table(&now, &earlier, sort);
+            assert_eq!(names(&table), order, "{sort:?}:\n{table}");
+        }
+    }
+
+    #[test]
+    fn equal_swarms_come_by_name() {
+        let mut now = later();
+        let swarm = |name: &str| SwarmMetrics {
+            swarm: name.into(),
+            ..now.swarms[0].clone()
+        };
+        now.swarms = ["b", "c", "a"].map(swarm).to_vec();
+        let earlier = Metrics {
+            swarms: now.swarms.clone(),
+            ..metrics()
+        };
+        for sort in Sort::value_variants() {
+            let table = table(&now, &earlier, *sort);
+            assert_eq!(names(&table), ["a", "b", "c"], "{sort:?}");
+        }
+    }
+
+    #[test]
+    fn what_a_new_swarm_ever_cost_is_new() {
+        let mut now = later();
+        let mut new = now.swarms[0].clone();
+        new.swarm = "zebra".into();
+        now.swarms.push(new);
+        let table = table(&now, &metrics(), Sort::Cost);
+        assert_eq!(names(&table), ["zebra", "school", "shoal"], "{table}");
     }
 
     #[test]

@@ -38,6 +38,13 @@ const POLL_INTERVAL: Duration = Duration::from_millis(200);
 /// How long requests are retried if the daemon does not reply while the rest is fetched.
 const MAX_SILENCE: Duration = Duration::from_secs(60);
 
+/// How long an interrupted client waits for the reply to the request that begins a recording.
+const BEGIN_GRACE: Duration = Duration::from_secs(5);
+
+/// What an interrupted client prints if that reply does not come.
+const NO_REPLY: &str = "the daemon did not reply in time; if it records the swarm, \
+                        `jostle record --list` names the recording";
+
 /// Why nothing was recorded by the daemon, or not to the end.
 pub enum Stop {
     /// This client may not have the daemon record.
@@ -75,7 +82,9 @@ pub async fn record(
         temporary: true,
     });
     let sender = SenderArguments::default();
-    let begun = interrupt::either(bus.command_node("record", &begin, &sender)).await;
+    // Without the name in the reply the recording cannot be stopped.
+    let begun = bus.command_node("record", &begin, &sender);
+    let begun = interrupt::after_grace(BEGIN_GRACE, NO_REPLY, begun).await;
     let begun: NodeReply<Recording> = match begun {
         Ok(answer) => answer.read()?,
         Err(failure) if failure.code() == "permission_denied" => {
@@ -512,9 +521,13 @@ fn check(out: &Path, force: bool) -> Result<(), Failure> {
         };
         return Err(explain(out, error));
     }
-    // The folder must be there and writable.
+    // The folder must be there and writable. A client that was killed here has left its probe.
     let probe = beside(out, "parts");
-    let made = fs::create_dir(&probe).and_then(|()| fs::remove_dir(&probe));
+    let made = match fs::create_dir(&probe) {
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(()),
+        made => made,
+    };
+    let made = made.and_then(|()| fs::remove_dir(&probe));
     made.map_err(|error| Failure::File {
         path: out.display().to_string(),
         error,

@@ -22,6 +22,14 @@ struct Wire {
     /// A request has passed.
     is_mute: AtomicBool,
     streams: Mutex<Vec<TcpStream>>,
+    /// What to do when a request with these bytes passes.
+    watched: Mutex<Option<Watched>>,
+}
+
+struct Watched {
+    bytes: Vec<u8>,
+    is_met: Arc<AtomicBool>,
+    action: Box<dyn Fn() + Send>,
 }
 
 impl Link {
@@ -34,6 +42,7 @@ impl Link {
             loses_answers: AtomicBool::new(false),
             is_mute: AtomicBool::new(false),
             streams: Mutex::new(Vec::new()),
+            watched: Mutex::new(None),
         });
         let address = listener.local_addr().unwrap();
         let accepting = wire.clone();
@@ -46,6 +55,18 @@ impl Link {
             endpoint: format!("tcp/{address}"),
             wire,
         }
+    }
+
+    /// Calls `action` once, when a request that contains `bytes` comes, and passes the request on
+    /// after that; whether it has come.
+    pub fn on(&self, bytes: &[u8], action: impl Fn() + Send + 'static) -> Arc<AtomicBool> {
+        let is_met = Arc::new(AtomicBool::new(false));
+        *self.wire.watched.lock().unwrap() = Some(Watched {
+            bytes: bytes.to_owned(),
+            is_met: is_met.clone(),
+            action: Box::new(action),
+        });
+        is_met
     }
 
     /// Loses the daemon's answers from the next request on, until it is cut.
@@ -91,7 +112,7 @@ impl Wire {
     fn pass_requests(&self, mut client: TcpStream, mut daemon: TcpStream) {
         const REQUEST: &[u8] = b"request_id";
         // What came last, since a request may come in two pieces.
-        let (mut buffer, mut tail) = ([0; 65_536], Vec::new());
+        let (mut buffer, mut tail, mut seen) = ([0; 65_536], Vec::new(), Vec::new());
         while let Ok(length @ 1..) = client.read(&mut buffer) {
             tail.extend_from_slice(&buffer[..length]);
             let is_request = tail.windows(REQUEST.len()).any(|window| window == REQUEST);
@@ -99,11 +120,27 @@ impl Wire {
                 self.is_mute.store(true, Ordering::SeqCst);
             }
             tail.drain(..tail.len().saturating_sub(REQUEST.len()));
+            self.watch(&mut seen, &buffer[..length]);
             if daemon.write_all(&buffer[..length]).is_err() {
                 break;
             }
         }
         let _ = daemon.shutdown(Shutdown::Both);
+    }
+
+    /// Looks for the bytes of [`Link::on`] in what came, of which `seen` are the last.
+    fn watch(&self, seen: &mut Vec<u8>, more: &[u8]) {
+        let watched = self.watched.lock().unwrap();
+        let Some(watched) = &*watched else {
+            return;
+        };
+        seen.extend_from_slice(more);
+        let length = watched.bytes.len();
+        let is_met = seen.windows(length).any(|window| window == watched.bytes);
+        seen.drain(..seen.len().saturating_sub(length));
+        if is_met && !watched.is_met.swap(true, Ordering::SeqCst) {
+            (watched.action)();
+        }
     }
 
     fn pass_answers(&self, mut daemon: TcpStream, mut client: TcpStream) {

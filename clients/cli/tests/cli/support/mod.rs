@@ -1,5 +1,6 @@
 //! A daemon in this process, and command lines in theirs.
 
+pub mod canned;
 mod impostor;
 mod link;
 mod terminal;
@@ -15,6 +16,7 @@ use jostled::config::{self, Config};
 use jostled::server::{self, Server};
 use serde_json::Value;
 
+pub use self::canned::Canned;
 pub use self::impostor::Impostor;
 pub use self::link::Link;
 pub use self::terminal::Terminal;
@@ -210,6 +212,11 @@ impl Running {
         let pid = self.child.id().to_string();
         let status = Command::new("kill").args([signal, &pid]).status().unwrap();
         assert!(status.success());
+    }
+
+    /// Whether it has not ended yet.
+    pub fn is_running(&mut self) -> bool {
+        self.child.try_wait().unwrap().is_none()
     }
 
     /// Waits until it ends.

@@ -1,0 +1,302 @@
+//! A row of the table: a command line, what it sends, and what it prints and writes.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::time::Duration;
+
+use serde_json::{Value, json};
+
+use crate::support::canned::{Change, Sent};
+use crate::support::{Canned, Ended, Running};
+
+/// When a command line that does not end by itself is interrupted.
+#[derive(Clone, Copy)]
+enum Until {
+    /// It ends by itself.
+    End,
+    /// So many queries have come.
+    Sent(usize),
+    /// It has printed a line with this.
+    Printed(&'static str),
+}
+
+/// A command line and what is expected of it.
+#[derive(Clone)]
+pub struct Row {
+    /// The command line. A positional argument has its name before it, as in `<name>demo`; `{}` is
+    /// a folder with files.
+    pub line: &'static str,
+    /// The queries in order: a key without the prefix and, after a space, the arguments of a
+    /// command. A query that is the same as the one before it is not repeated.
+    pub sends: Vec<String>,
+    /// Queries of these do not have the request id that is given.
+    unnamed: &'static [&'static str],
+    says: Vec<&'static str>,
+    says_not: Vec<&'static str>,
+    writes: Vec<&'static str>,
+    lists: Vec<&'static str>,
+    changes: Vec<Change>,
+    until: Until,
+    apart: Duration,
+    pub code: i32,
+}
+
+/// What is given with a command line besides what stands in the table.
+#[derive(Clone, Default)]
+pub struct Added {
+    /// More options.
+    pub options: String,
+    /// The prefix, if it is another.
+    pub prefix: Option<&'static str>,
+    /// The node, if it is another.
+    pub node: Option<&'static str>,
+    /// The attachment of each query.
+    pub token: Option<&'static str>,
+    /// Fields of the envelope of each command.
+    pub envelope: Vec<(&'static str, Value)>,
+}
+
+/// A row with nothing but its queries.
+pub fn row(line: &'static str, sends: &[&str]) -> Row {
+    Row {
+        line,
+        sends: sends.iter().map(|it| (*it).to_owned()).collect(),
+        unnamed: &[],
+        says: Vec::new(),
+        says_not: Vec::new(),
+        writes: Vec::new(),
+        lists: Vec::new(),
+        changes: Vec::new(),
+        until: Until::End,
+        apart: Duration::ZERO,
+        code: 0,
+    }
+}
+
+impl Row {
+    /// A request id that is given does not name the queries that contain one of these.
+    pub fn with_unnamed(mut self, queries: &'static [&'static str]) -> Self {
+        self.unnamed = queries;
+        self
+    }
+
+    /// It prints this.
+    pub fn says(mut self, text: &'static str) -> Self {
+        self.says.push(text);
+        self
+    }
+
+    /// It does not print this.
+    pub fn says_not(mut self, text: &'static str) -> Self {
+        self.says_not.push(text);
+        self
+    }
+
+    /// It writes this file into the folder.
+    pub fn writes(mut self, file: &'static str) -> Self {
+        self.writes.push(file);
+        self
+    }
+
+    /// The reply differs from the fixture: the end of its key, a JSON pointer, what stands there.
+    pub fn with(mut self, end: &'static str, pointer: &'static str, value: Value) -> Self {
+        self.changes.push((end, pointer, value));
+        self
+    }
+
+    /// It prints lines that begin with these words, in this order, as its last.
+    pub fn lists(mut self, words: &[&'static str]) -> Self {
+        self.lists = words.to_vec();
+        self
+    }
+
+    /// The reply says that the command waits for its step, so nothing else is printed.
+    pub fn scheduled(mut self) -> Self {
+        self.says = vec!["will be applied at step 71"];
+        self.says_not.clear();
+        self
+    }
+
+    /// It ends with this exit code.
+    pub fn ends_with(mut self, code: i32) -> Self {
+        self.code = code;
+        self
+    }
+
+    /// It queries again, at least `secs` after the first query, until it is interrupted.
+    pub fn again_after(mut self, queries: usize, secs: f64) -> Self {
+        self.until = Until::Sent(queries);
+        self.apart = Duration::from_secs_f64(secs);
+        self.code = 130;
+        self
+    }
+
+    /// The last query comes at least `secs` after the first.
+    pub fn lasts(mut self, secs: f64) -> Self {
+        self.apart = Duration::from_secs_f64(secs);
+        self
+    }
+
+    /// It goes on after it has printed this, until it is interrupted.
+    pub fn goes_on_after(mut self, text: &'static str) -> Self {
+        self.until = Until::Printed(text);
+        self.code = 130;
+        self
+    }
+
+    /// The arguments that it has, as `surface.txt` names them.
+    pub fn arguments(&self) -> BTreeSet<String> {
+        let name = |word: &str| match word.split_once('>') {
+            Some((name, _)) if word.starts_with('<') => Some(format!("{name}>")),
+            _ if word.starts_with("--") => Some(word.split('=').next()?.to_owned()),
+            _ if is_short(word) => Some(word.to_owned()),
+            _ => None,
+        };
+        self.line.split(' ').filter_map(name).collect()
+    }
+
+    /// The command line as it is typed.
+    pub fn typed(&self, folder: &Path) -> String {
+        let bare = |word: &str| match word.split_once('>') {
+            Some((_, value)) if word.starts_with('<') => value.to_owned(),
+            _ => word.to_owned(),
+        };
+        let words: Vec<String> = self.line.split(' ').map(bare).collect();
+        words.join(" ").replace("{}", folder.to_str().unwrap())
+    }
+
+    /// Runs the command line and compares all that is expected of it.
+    pub async fn check(&self, canned: &Canned, folder: &Path, added: &Added) {
+        canned.reply_with(&self.changes);
+        canned.take();
+        let line = format!("{}{}", self.typed(folder), added.options);
+        let line = line.replace("{}", folder.to_str().unwrap());
+        let mut running = Running::begin(&canned.endpoint, &line, "");
+        let mut printed = String::new();
+        match self.until {
+            Until::End => {}
+            Until::Sent(count) => {
+                canned.until_sent(count, &mut running).await;
+                running.interrupt();
+            }
+            Until::Printed(text) => {
+                while !printed.contains(text) {
+                    printed.push_str(&running.lines(1)[0]);
+                    printed.push('\n');
+                }
+                running.interrupt();
+            }
+        }
+        let ended = running.end().await;
+        let sent = canned.take();
+        self.judge(&line, folder, &printed, &ended, &sent);
+        let expected: Vec<_> = self
+            .sends
+            .iter()
+            .map(|it| self.expected(it, folder, added))
+            .collect();
+        let sent: Vec<_> = sent.iter().map(seen).collect();
+        let mut sent_once = sent.clone();
+        sent_once.dedup();
+        if let Until::Sent(_) = self.until {
+            // More may come before it is interrupted.
+            sent_once.truncate(expected.len());
+        }
+        assert_eq!(sent_once, expected, "{line}: {ended:?}");
+    }
+
+    /// A query as the table has it.
+    fn expected(&self, send: &str, folder: &Path, added: &Added) -> Query {
+        let (key, args) = send.split_once(' ').unwrap_or((send, ""));
+        let prefix = added.prefix.unwrap_or("jostle");
+        let key = match added.node {
+            Some(node) => key.replace("@node/test/", &format!("@node/{node}/")),
+            None => key.to_owned(),
+        };
+        let payload = match args {
+            "" => Value::Null,
+            args => {
+                let args = args.replace("<snapshot>", &snapshot(folder));
+                let mut payload = json!({
+                    "request_id": "<new>", "client": "tester@<host>", "timeout_secs": 5.0,
+                });
+                payload["args"] = serde_json::from_str(&args).unwrap();
+                let is_named = !self.unnamed.iter().any(|it| send.contains(it));
+                for (field, value) in &added.envelope {
+                    if is_named || *field != "request_id" {
+                        payload[*field] = value.clone();
+                    }
+                }
+                payload
+            }
+        };
+        let token = added.token.map(str::to_owned);
+        (format!("{prefix}/{key}"), payload, token)
+    }
+
+    fn judge(&self, line: &str, folder: &Path, printed: &str, ended: &Ended, sent: &[Sent]) {
+        assert_eq!(ended.code, Some(self.code), "{line}: {ended:?}");
+        let said = format!("{printed}{}\n{}", ended.stdout, ended.stderr);
+        for text in &self.says {
+            let text = text.replace("{}", folder.to_str().unwrap());
+            assert!(said.contains(&text), "{line} does not say {text}: {said}");
+        }
+        for text in &self.says_not {
+            assert!(!said.contains(text), "{line} says {text}: {said}");
+        }
+        let lines = ended.stdout.lines();
+        let firsts: Vec<_> = lines
+            .filter_map(|it| it.split_whitespace().next())
+            .collect();
+        let listed = &firsts[firsts.len().saturating_sub(self.lists.len())..];
+        assert!(
+            self.lists.is_empty() || listed == self.lists,
+            "{line}: {said}"
+        );
+        for file in &self.writes {
+            let length = folder.join(file).metadata().map_or(0, |it| it.len());
+            assert!(length > 0, "{line} does not write {file}");
+        }
+        if let (Some(first), Some(last)) = (sent.first(), sent.last()) {
+            let apart = last.at - first.at;
+            assert!(
+                apart >= self.apart,
+                "{line}: {apart:?} from first to last query"
+            );
+        }
+    }
+}
+
+fn is_short(word: &str) -> bool {
+    word.len() == 2 && word.starts_with('-') && word.as_bytes()[1].is_ascii_alphabetic()
+}
+
+/// A query: its selector, its payload and its attachment.
+type Query = (String, Value, Option<String>);
+
+/// A query as it came, without what differs from run to run.
+fn seen(sent: &Sent) -> Query {
+    let mut payload = sent.payload.clone().unwrap_or_default();
+    if let Some(id) = payload["request_id"].as_str() {
+        // A new one is the session's id and a number.
+        let is_new = id
+            .rsplit_once('-')
+            .is_some_and(|(session, number)| session.len() > 16 && number.parse::<u64>().is_ok());
+        if is_new {
+            payload["request_id"] = "<new>".into();
+        }
+    }
+    if let Some(client) = payload["client"].as_str()
+        && client.starts_with("tester@")
+        && client.len() > "tester@".len()
+    {
+        payload["client"] = "tester@<host>".into();
+    }
+    (sent.selector.clone(), payload, sent.token.clone())
+}
+
+fn snapshot(folder: &Path) -> String {
+    use base64::Engine as _;
+    let bytes = std::fs::read(folder.join("demo.snapshot")).unwrap_or_default();
+    base64::engine::general_purpose::STANDARD.encode(bytes)
+}

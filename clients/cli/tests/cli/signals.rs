@@ -1,0 +1,259 @@
+//! `record` when a signal comes in its first moments: nothing is lost and nothing is left behind.
+
+use std::fs;
+use std::os::unix::process::ExitStatusExt;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use jostle_results::recording;
+use serde_json::Value;
+
+use crate::support::{Daemon, Link, PATIENCE};
+
+/// The signals, with their numbers.
+const SIGNALS: [(&str, i32); 3] = [("INT", 2), ("TERM", 15), ("HUP", 1)];
+
+/// How often each signal is sent at no particular moment.
+const TIMES: usize = 50;
+
+/// How many clients run at once.
+const AT_ONCE: usize = 6;
+
+/// How a client ended.
+struct Outcome {
+    status: ExitStatus,
+    stderr: String,
+    folder: tempfile::TempDir,
+    file: PathBuf,
+}
+
+/// Starts `jostle record demo` to a file of its own.
+fn begin(endpoint: &str, options: &str) -> (Child, tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("take.mcap");
+    let child = Command::new(env!("CARGO_BIN_EXE_jostle"))
+        .args(["record", "demo", "-o"])
+        .arg(&file)
+        .args(options.split_whitespace())
+        .env("JOSTLE_ENDPOINT", endpoint)
+        .stdin(Stdio::null())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    (child, folder, file)
+}
+
+fn send(signal: &str, pid: u32) {
+    let kill = Command::new("kill")
+        .args(["-s", signal, &pid.to_string()])
+        .status();
+    assert!(kill.unwrap().success(), "{signal}");
+}
+
+/// Waits until a client has ended, for up to [`PATIENCE`].
+fn end((mut child, folder, file): (Child, tempfile::TempDir, PathBuf)) -> Outcome {
+    let deadline = Instant::now() + PATIENCE;
+    while child.try_wait().unwrap().is_none() {
+        if Instant::now() > deadline {
+            child.kill().unwrap();
+            panic!("the signal was lost: the client records on");
+        }
+        thread::sleep(Duration::from_millis(5));
+    }
+    let output = child.wait_with_output().unwrap();
+    Outcome {
+        status: output.status,
+        stderr: String::from_utf8(output.stderr).unwrap(),
+        folder,
+        file,
+    }
+}
+
+/// The number of states in a file, which must be complete and readable.
+fn states(file: &Path) -> u64 {
+    let mut states = 0;
+    let about = recording::read(file, |message| {
+        states += u64::from(message.topic == "state");
+        Ok(())
+    });
+    let about = about.unwrap_or_else(|error| panic!("{}: {error}", file.display()));
+    assert_eq!(about["frames"], states.to_string(), "{about:?}");
+    states
+}
+
+impl Outcome {
+    fn names(&self) -> Vec<String> {
+        let entries = fs::read_dir(self.folder.path()).unwrap();
+        entries
+            .map(|it| it.unwrap().file_name().into_string().unwrap())
+            .collect()
+    }
+
+    /// The client ended a file, and left nothing else.
+    fn assert_recorded(&self, context: &str) {
+        assert_eq!(self.status.code(), Some(0), "{context}: {}", self.stderr);
+        assert_eq!(self.names(), ["take.mcap"], "{context}: {}", self.stderr);
+        states(&self.file);
+    }
+
+    /// The client has no file, left nothing and said so.
+    fn assert_interrupted(&self, context: &str) {
+        assert_eq!(self.status.code(), Some(130), "{context}: {}", self.stderr);
+        assert!(self.names().is_empty(), "{context}: {:?}", self.names());
+        let said = "interrupted: nothing was recorded";
+        assert!(self.stderr.contains(said), "{context}: {}", self.stderr);
+    }
+
+    /// One of both, or the signal came before the process could handle any.
+    fn assert_one_of_all(&self, number: i32, context: &str) {
+        match self.status.code() {
+            Some(0) => self.assert_recorded(context),
+            Some(_) => self.assert_interrupted(context),
+            None => {
+                assert_eq!(self.status.signal(), Some(number), "{context}");
+                assert!(self.names().is_empty(), "{context}: {:?}", self.names());
+                assert_eq!(self.stderr, "", "{context}");
+            }
+        }
+    }
+}
+
+/// A daemon with a swarm that runs.
+async fn daemon() -> Daemon {
+    let daemon = Daemon::start().await;
+    daemon
+        .said("create demo --n 5 --publish-every 1 --rate 1")
+        .await;
+    daemon.said("run demo").await;
+    daemon
+}
+
+/// No recording is left on the daemon.
+async fn assert_none_left(daemon: &Daemon, context: &str) {
+    let list = daemon.reply("record --list").await;
+    let left = &list["result"]["recordings"];
+    assert_eq!(left, &Value::Array(vec![]), "{context}");
+}
+
+/// Sends each signal [`TIMES`] times, the n-th after `pause(n)`; how many clients handled it.
+async fn often(options: &'static str, pause: fn(usize) -> Duration) -> usize {
+    let daemon = daemon().await;
+    let mut handled = 0;
+    for (signal, number) in SIGNALS {
+        let next = Arc::new(AtomicUsize::new(0));
+        let threads: Vec<_> = (0..AT_ONCE)
+            .map(|_| {
+                let (next, endpoint) = (next.clone(), daemon.endpoint.clone());
+                thread::spawn(move || {
+                    let mut handled = 0;
+                    loop {
+                        let time = next.fetch_add(1, Ordering::SeqCst);
+                        if time >= TIMES {
+                            return handled;
+                        }
+                        let running = begin(&endpoint, options);
+                        thread::sleep(pause(time));
+                        send(signal, running.0.id());
+                        let outcome = end(running);
+                        outcome.assert_one_of_all(number, &format!("{signal} {time}"));
+                        handled += usize::from(outcome.status.code().is_some());
+                    }
+                })
+            })
+            .collect();
+        for thread in threads {
+            handled += thread.join().unwrap();
+        }
+        assert!(next.load(Ordering::SeqCst) >= TIMES);
+    }
+    assert_none_left(&daemon, "after all signals").await;
+    daemon.stop().await;
+    handled
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_signal_right_after_the_start_ends_a_recording() {
+    often("", |_| Duration::ZERO).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_signal_right_after_the_start_ends_a_recording_of_published_states() {
+    often("--published", |_| Duration::ZERO).await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_signal_at_any_early_moment_ends_a_recording() {
+    // From before the handlers are installed to well after the recording has begun.
+    let handled = often("", |time| Duration::from_millis(4 * time as u64)).await;
+    assert!(handled > TIMES / 2, "only {handled} clients got so far");
+}
+
+/// Sends a signal when the client sends a request that contains `moment`, before the daemon gets it.
+fn signal_at(
+    moment: &'static str,
+    options: &str,
+    signal: &'static str,
+    daemon: &Daemon,
+) -> Outcome {
+    let pid = Arc::new(AtomicU32::new(0));
+    let (link, to) = (Link::to(&daemon.endpoint), pid.clone());
+    let is_met = link.on(moment.as_bytes(), move || {
+        while to.load(Ordering::SeqCst) == 0 {
+            thread::sleep(Duration::from_millis(1));
+        }
+        send(signal, to.load(Ordering::SeqCst));
+    });
+    let running = begin(&link.endpoint, options);
+    pid.store(running.0.id(), Ordering::SeqCst);
+    let outcome = end(running);
+    let is_met = is_met.load(Ordering::SeqCst);
+    assert!(is_met, "no request with {moment}: {}", outcome.stderr);
+    outcome
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_signal_while_the_daemon_begins_a_recording_ends_it_there_too() {
+    let daemon = daemon().await;
+    for (signal, _) in SIGNALS {
+        for moment in ["cmd/record", "get/recordings"] {
+            let context = format!("{signal} at {moment}");
+            let outcome = signal_at(moment, "", signal, &daemon);
+            outcome.assert_recorded(&context);
+            assert_none_left(&daemon, &context).await;
+        }
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn a_signal_before_the_first_published_state_leaves_no_file() {
+    let daemon = daemon().await;
+    for (signal, _) in SIGNALS {
+        for moment in ["demo/get/status", "demo/get/spec"] {
+            let outcome = signal_at(moment, "--published", signal, &daemon);
+            outcome.assert_interrupted(&format!("{signal} at {moment}"));
+        }
+    }
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_a_client_that_was_killed_left_beside_its_file_is_no_obstacle() {
+    let daemon = daemon().await;
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("take.mcap");
+    // A client tries with it whether it may write there.
+    fs::create_dir(folder.path().join("take.mcap.parts")).unwrap();
+    let line = format!("record demo -o {} --steps 5", file.display());
+    let ended = daemon.jostle(&line).await;
+    assert_eq!(ended.code, Some(0), "{ended:?}");
+    assert!(states(&file) > 0);
+    let left = fs::read_dir(folder.path()).unwrap().count();
+    assert_eq!(left, 1, "only the file");
+    daemon.stop().await;
+}
