@@ -38,7 +38,18 @@ macro_rules! targets {
 }
 
 targets!(
-    messages, names, orders, requests, selectors, sequences, settings, states
+    experiments,
+    messages,
+    names,
+    orders,
+    recordings,
+    requests,
+    rows,
+    selectors,
+    sequences,
+    settings,
+    snapshots,
+    states
 );
 
 #[test]

@@ -1,0 +1,6 @@
+#![no_main]
+
+#[path = "../../tests/daemon/targets/recordings.rs"]
+mod target;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| target::hold(data));

@@ -1,0 +1,39 @@
+//! A recording in MCAP, as it is shown again.
+
+use std::path::PathBuf;
+use std::process;
+use std::thread;
+
+use jostled::replay::Reel;
+use jostled::swarm::film::Film as _;
+
+/// A file is refused in words, or each of its frames can be read, in their order.
+pub fn hold(data: &[u8]) {
+    // One file for each thread that does this at the same time.
+    let path: PathBuf = std::env::temp_dir().join(format!(
+        "jostled-recording-{}-{:?}.mcap",
+        process::id(),
+        thread::current().id()
+    ));
+    std::fs::write(&path, data).expect("the temporary folder takes a file");
+    let opened = Reel::open(std::slice::from_ref(&path), &|_, _| {
+        Err("commands are fuzzed as `orders`".to_owned())
+    });
+    match opened {
+        Ok(mut reel) => {
+            let frames = reel.marks().len();
+            assert!(frames > 0);
+            let positions = reel.marks().iter().map(|mark| mark.position);
+            assert!(positions.is_sorted());
+            for frame in 0..frames {
+                let shot = reel
+                    .shot(frame)
+                    .expect("it was looked at when it was opened");
+                assert!(shot.configuration.n() <= reel.most_individuals());
+            }
+            assert!(reel.told().iter().all(|told| told.after <= frames));
+        }
+        Err(error) => assert!(!error.to_string().is_empty()),
+    }
+    std::fs::remove_file(&path).expect("it was just written");
+}

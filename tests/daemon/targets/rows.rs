@@ -1,0 +1,33 @@
+//! A row of a swarm's journal.
+
+use jostle_proto::Request;
+use jostled::command;
+use jostled::swarm::journal::Record;
+use jostled::wire::durable::{read_record, record};
+use serde_json::value::RawValue;
+
+/// A row is read or refused in words. One that is read is written as the same row, and the command
+/// in it is read or refused as on recovery.
+pub fn hold(data: &[u8]) {
+    let read = match read_record(data) {
+        Ok(read) => read,
+        Err(error) => return assert!(!error.to_string().is_empty()),
+    };
+    let (kind, written) = record(&read);
+    let again = read_record(&written).expect("what was written can be read");
+    // The bytes are compared, since NaN is not equal to itself.
+    assert_eq!(record(&again), (kind, written));
+    let Record::Input { sender, .. } = read else {
+        return;
+    };
+    let Ok(args) = RawValue::from_string(sender.args.clone()) else {
+        return;
+    };
+    let request = Request {
+        args: Some(args),
+        ..Request::default()
+    };
+    if let Err(error) = command::read_again(sender.verb, &request) {
+        assert!(!error.to_wire(None).message.is_empty());
+    }
+}
