@@ -19,6 +19,7 @@ import pytest
 import zenoh
 
 import jostle
+from needs import pytest_sessionfinish as pytest_sessionfinish
 
 ROOT = Path(__file__).resolve().parents[3]
 JOSTLED = Path(os.environ.get("JOSTLED", ROOT / "target" / "release" / "jostled"))

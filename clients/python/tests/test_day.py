@@ -6,17 +6,21 @@ The day itself is a stage of `./check`, see `day/__init__.py`.
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import ANY
 
 import pytest
 
 import jostle
-from day import answers, company, films, meter, plan
-from day.chronicle import Past
+from day import answers, company, crashes, films, meter, plan, promises
+from day.chronicle import Chronicle, Past
 from day.controllers import Exchange
+from day.finding import Finding
 from day.lab import Full, Notes, Recorded
 from day.ledger import Asked, Ledger
+from day.scientists import Nameless
 from day.viewers import Seen
 
 
@@ -75,16 +79,17 @@ def test_what_was_refused_must_not_be_there() -> None:
         {"ran": 0},
         {"taken": 9.0},
         {"others": ["busy"]},
-        {"refusals": 0},
     ):
         it.notes.full = Full(**{**fine, **wrong}, stepped=(3, 0))
         assert not answers.full(it)[0], wrong
+    it.notes.full = Full(**{**fine, "refusals": 0}, stepped=(3, 0))
+    assert answers.full(it).cases == 0
     silent = asked("set", 3, None, silences=2)
     assert not answers.silence(lab([silent], Past()))[0]
 
 
 def test_a_step_must_begin_where_one_ended_and_behind_nothing_safe() -> None:
-    def steps(*told: tuple[int, int, int]) -> bool:
+    def steps(*told: tuple[int, int, int]) -> bool | None:
         results = [
             {"step": end, "result": {"steps": end - base, "durable_step": safe}}
             for base, end, safe in told
@@ -126,7 +131,7 @@ def test_a_step_that_a_viewer_saw_go_back_is_told() -> None:
 
 
 def test_nobody_may_wait_longer_than_a_deadline() -> None:
-    def waits(*times: tuple[float, float]) -> bool:
+    def waits(*times: tuple[float, float]) -> bool | None:
         exchanges = [Exchange(sent, at, 1, 1, [], []) for sent, at in times]
         ada = SimpleNamespace(exchanges=lambda: exchanges)
         node = SimpleNamespace(down=lambda: [(100.0, 101.0)])
@@ -137,7 +142,7 @@ def test_nobody_may_wait_longer_than_a_deadline() -> None:
 
 
 def test_a_recording_may_lose_a_minute_and_must_go_on() -> None:
-    def crashes(epochs: dict[int, list[int]]) -> bool:
+    def crashes(epochs: dict[int, list[int]]) -> bool | None:
         it = lab([], Past())
         it.notes.recorded = {"take": Recorded("film", 0.0, 0)}
         it.notes.recordings = {"take": SimpleNamespace(phase="recording")}
@@ -148,6 +153,77 @@ def test_a_recording_may_lose_a_minute_and_must_go_on() -> None:
     assert crashes({1: [0, 3000], 2: [4990, 9000]})
     assert not crashes({1: [0, 1000], 2: [4990, 9000]}), "more than a minute is gone"
     assert not crashes({1: [0, 4900]}), "it did not go on"
+
+
+def test_twins_are_held_against_each_other() -> None:
+    def twins(one: dict[int, int], other: dict[int, int]) -> Finding:
+        it = lab([], Past(), seen=[Seen(twins={"twin-1": one}), Seen(twins={"twin-2": other})])
+        it.notes.again = {"twin-1": ("hash", "hash"), "twin-2": ("hash", "hash")}
+        return crashes.twins(it)
+
+    assert twins({5: 1, 10: 2}, {5: 1, 15: 3}) == Finding(True, ANY, 1)
+    assert not twins({5: 1, 10: 2}, {5: 1, 10: 3}).holds
+    assert twins({5: 1}, {10: 2}).cases == 0, "no step was seen of both"
+
+
+def test_a_past_that_is_told_again_is_held_against_the_one_before() -> None:
+    def told_again(*entries: jostle.JournalEntry) -> tuple[int, list[int]]:
+        past = Past(journal={seq: entry(seq, seq) for seq in (1, 2, 3)})
+        Chronicle._compare(past, list(entries))
+        return past.compared, past.forgotten
+
+    assert told_again(entry(1, 1), entry(2, 2), entry(3, 3)) == (3, [])
+    assert told_again(entry(1, 1), entry(3, 3)) == (2, [2])
+    assert told_again() == (0, []), "nothing was held against anything"
+
+
+def nothing() -> Any:
+    """A day on which nothing was seen."""
+    drawn = plan.draw(7, 300.0, 20, 100)
+    pasts = {name: Past() for name in drawn.specs}
+    breeder = SimpleNamespace(alive=set(), gone=set())
+    careless = SimpleNamespace(nameless=Nameless(), swarm="nameless")
+    return SimpleNamespace(
+        plan=drawn,
+        began=0.0,
+        ledger=Ledger(),
+        chronicle=SimpleNamespace(pasts=pasts, health=[], faulted=set()),
+        notes=Notes(ended=0),
+        seen=[Seen()],
+        controllers={},
+        people=SimpleNamespace(breeder=breeder, careless=careless),
+        node=SimpleNamespace(lives=[], data=Path("/nowhere"), down=list),
+        meter=SimpleNamespace(life=None),
+    )
+
+
+def test_where_nothing_was_seen_no_promise_holds() -> None:
+    verdicts = promises.judge(nothing())
+    assert sum(it.seen.startswith("shown by") for it in verdicts) < 20 < len(verdicts)
+    # No recording has failed, since the disk was never full.
+    idle = {"a full disk ends one as failed; what it had stays"}
+    for verdict in verdicts:
+        if not verdict.seen.startswith("shown by") and verdict.promise not in idle:
+            assert verdict.holds is False, verdict
+
+
+def test_a_promise_that_was_seen_too_seldom_does_not_hold(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def verdict(holds: bool | None, count: int) -> promises.Verdict:
+        def judge(lab: Any) -> Finding:
+            return Finding(holds, f"{count} seen", count)
+
+        judged = promises.Judged(judge, lambda plan: plan.seconds / 60.0)
+        monkeypatch.setattr(promises, "_PROMISES", [("a part", "a promise", judged)])
+        (only,) = promises.judge(nothing())
+        return only
+
+    assert verdict(True, 5).holds is True
+    assert verdict(True, 4).holds is False
+    assert verdict(True, 4).seen == "4 seen: too few to judge, 4 of 5"
+    assert verdict(False, 5).holds is False
+    assert verdict(None, 0).holds is None
 
 
 def test_the_same_seed_is_the_same_day() -> None:

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 
 import jostle
 
+from .finding import Finding
 from .lab import Lab
 from .ledger import Asked
 
@@ -38,7 +39,7 @@ def _is_ahead(asked: Asked) -> bool:
     return "applies_at_step" in result or "applies_at_step" in asked.reply
 
 
-def durable(lab: Lab) -> tuple[bool, str]:
+def durable(lab: Lab) -> Finding:
     """Each is in the journal, once, under the number it was answered."""
     count = 0
     wrong = []
@@ -48,10 +49,11 @@ def durable(lab: Lab) -> tuple[bool, str]:
         count += 1
         if [entry.seq for entry in entries] != [asked.reply["seq"]]:
             wrong.append(f"{asked.swarm} {asked.verb} {asked.request_id}")
-    return count > 0 and not wrong, f"{count} answered, {len(wrong)} not once there {wrong[:3]}"
+    seen = f"{count} answered, {len(wrong)} not once there {wrong[:3]}"
+    return Finding(not wrong, seen, count)
 
 
-def steps(lab: Lab) -> tuple[bool, str]:
+def steps(lab: Lab) -> Finding:
     """Each `step` begins where one before ended, and not before what was said to be safe."""
     ends = {0}
     safe = back = count = 0
@@ -68,10 +70,10 @@ def steps(lab: Lab) -> tuple[bool, str]:
         ends.add(reply["step"])
         safe = max(safe, reply["result"]["durable_step"])
     seen = f"{count} steps, safe up to {safe}, {back} taken back whole {wrong[:3]}"
-    return count > 0 and not wrong, seen
+    return Finding(not wrong, seen, count)
 
 
-def ahead(lab: Lab) -> tuple[bool, str]:
+def ahead(lab: Lab) -> Finding:
     """Each is in the journal at its step, or was dropped by a reset."""
     resets: dict[str, list[float]] = {}
     for asked in lab.ledger.all():
@@ -95,17 +97,17 @@ def ahead(lab: Lab) -> tuple[bool, str]:
         else:
             wrong.append(f"{asked.swarm} {asked.verb} for {asked.at_step}")
     seen = f"{count} acknowledged, {dropped} dropped by a reset, {waiting} still to come"
-    return count > 0 and not wrong, f"{seen}, {len(wrong)} wrong {wrong[:3]}"
+    return Finding(not wrong, f"{seen}, {len(wrong)} wrong {wrong[:3]}", count)
 
 
-def births(lab: Lab) -> tuple[bool, str]:
+def births(lab: Lab) -> Finding:
     """Who was created is there, and who was deleted is not."""
     there = set(lab.notes.verified)
     breeder = lab.people.breeder
     lost = (breeder.alive | set(lab.plan.specs)) - there
     back = breeder.gone & there
     seen = f"{len(there)} there, {len(breeder.gone)} deleted; lost {lost or 0}, back {back or 0}"
-    return not lost and not back and bool(breeder.gone), seen
+    return Finding(not lost and not back, seen, len(breeder.gone))
 
 
 def _refused(lab: Lab, is_full: bool) -> tuple[int, list[str]]:
@@ -121,13 +123,13 @@ def _refused(lab: Lab, is_full: bool) -> tuple[int, list[str]]:
     return count, wrong
 
 
-def errors(lab: Lab) -> tuple[bool, str]:
+def errors(lab: Lab) -> Finding:
     """None that was refused is in the journal."""
     count, wrong = _refused(lab, is_full=False)
-    return not wrong, f"{count} refused, {len(wrong)} carried out {wrong[:3]}"
+    return Finding(not wrong, f"{count} refused, {len(wrong)} carried out {wrong[:3]}", count)
 
 
-def full(lab: Lab) -> tuple[bool, str]:
+def full(lab: Lab) -> Finding:
     """None refused for want of room is in the journal; the rest went on."""
     count, wrong = _refused(lab, is_full=True)
     it = lab.notes.full
@@ -137,27 +139,28 @@ def full(lab: Lab) -> tuple[bool, str]:
         f"{it.changed} changed it; another ran {it.ran} steps; a `step` reached, and safe: "
         f"{it.stepped}; normal after {room:.2f} s {it.others[:3] or ''}"
     )
-    holds = it.refusals > 0 and not (wrong or it.changed or it.others) and it.ran > 0
-    return holds and room < _ROOM_SECS and bool(it.stepped), seen.strip()
+    holds = not (wrong or it.changed or it.others) and it.ran > 0
+    holds = holds and room < _ROOM_SECS and bool(it.stepped)
+    return Finding(holds, seen.strip(), min(count, it.refusals))
 
 
-def silence(lab: Lab) -> tuple[bool, str]:
+def silence(lab: Lab) -> Finding:
     """Whoever heard nothing has had an answer in the end."""
     silent = [asked for asked in lab.ledger.all() if asked.silences]
     without = [asked for asked in silent if asked.answer is None and not asked.refusals]
     seen = f"{len(silent)} met with silence and were asked again, {len(without)} in vain"
-    return not without, seen
+    return Finding(not without, seen, len(silent))
 
 
-def again(lab: Lab) -> tuple[bool, str]:
+def again(lab: Lab) -> Finding:
     """Each that was sent again had the answer it had the first time."""
     sent = [asked for asked in lab.ledger.all() if asked.again]
     wrong = [f"{it.swarm} {it.verb} {it.request_id}" for it in sent if not all(it.again)]
     times = sum(len(asked.again) for asked in sent)
-    return bool(sent) and not wrong, f"{times} sendings, {len(wrong)} otherwise {wrong[:3]}"
+    return Finding(not wrong, f"{times} sendings, {len(wrong)} otherwise {wrong[:3]}", times)
 
 
-def tried_again(lab: Lab) -> tuple[bool, str]:
+def tried_again(lab: Lab) -> Finding:
     """What was refused for want of room and asked for again was carried out once."""
     count = 0
     wrong = []
@@ -166,10 +169,11 @@ def tried_again(lab: Lab) -> tuple[bool, str]:
             count += 1
             if len(entries) != 1 and asked.verb != "fork":
                 wrong.append(f"{asked.swarm} {asked.verb} {asked.request_id}")
-    return not wrong, f"{count} refused and carried out later, {len(wrong)} not once {wrong[:3]}"
+    seen = f"{count} refused and carried out later, {len(wrong)} not once {wrong[:3]}"
+    return Finding(not wrong, seen, count)
 
 
-def nameless(lab: Lab) -> tuple[bool, str]:
+def nameless(lab: Lab) -> Finding:
     """Each is in the journal once if it was answered, never if refused, else at most once."""
     told = lab.people.careless.nameless
     past = lab.chronicle.pasts[lab.people.careless.swarm]
@@ -185,10 +189,10 @@ def nameless(lab: Lab) -> tuple[bool, str]:
         if not least <= count <= most:
             wrong.append(f"{direction}: {count}")
     seen = f"{len(told.sent)} sent, {len(told.answered)} answered, {sum(found.values())} there"
-    return bool(told.answered) and not wrong, f"{seen}, {len(wrong)} wrong {wrong[:3]}"
+    return Finding(not wrong, f"{seen}, {len(wrong)} wrong {wrong[:3]}", len(told.answered))
 
 
-def events(lab: Lab) -> tuple[bool, str]:
+def events(lab: Lab) -> Finding:
     """Within a life each number follows the one before, but for one jump to the next block.
 
     What was told between the last look and a kill is missed, and the numbers say so.
@@ -206,24 +210,26 @@ def events(lab: Lab) -> tuple[bool, str]:
                 continue
             wrong.append(f"{name}: {before}, then {number} in life {life}")
     seen = f"{count} events, {len(wrong)} missing without a kill {wrong[:3]}"
-    return count > 0 and not wrong, seen
+    return Finding(not wrong, seen, count)
 
 
-def numbers(lab: Lab) -> tuple[bool, str]:
+def numbers(lab: Lab) -> Finding:
     """No number was told of two different events."""
     twice = [(name, number) for name, past in lab.chronicle.pasts.items() for number in past.twice]
     count = sum(len(past.told) for past in lab.chronicle.pasts.values())
-    return not twice, f"{count} events, {len(twice)} numbers given twice {twice[:3]}"
+    seen = f"{count} events, {len(twice)} numbers given twice {twice[:3]}"
+    return Finding(not twice, seen, count)
 
 
-def journal(lab: Lab) -> tuple[bool, str]:
+def journal(lab: Lab) -> Finding:
     """What was told before a restart is told after it."""
     gone = [(name, seq) for name, past in lab.chronicle.pasts.items() for seq in past.forgotten]
-    count = sum(len(past.journal) for past in lab.chronicle.pasts.values())
-    return not gone, f"{count} entries, {len(gone)} left out after a restart {gone[:3]}"
+    count = sum(past.compared for past in lab.chronicle.pasts.values())
+    seen = f"{count} entries told again, {len(gone)} left out after a restart {gone[:3]}"
+    return Finding(not gone, seen, count)
 
 
-def order(lab: Lab) -> tuple[bool, str]:
+def order(lab: Lab) -> Finding:
     """Whoever asked one after the other has ascending numbers."""
     last: dict[tuple[str, str], int] = {}
     count = 0
@@ -236,4 +242,4 @@ def order(lab: Lab) -> tuple[bool, str]:
         if seq <= last.get(key, 0):
             wrong.append(f"{asked.swarm} {asked.verb} {seq} after {last[key]}")
         last[key] = seq
-    return count > 0 and not wrong, f"{count} in order, {len(wrong)} not {wrong[:3]}"
+    return Finding(not wrong, f"{count} in order, {len(wrong)} not {wrong[:3]}", count)

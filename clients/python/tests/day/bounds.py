@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from .finding import Finding
 from .lab import Lab
 
 # What buffers, pools and the allocator may still come to need: as in tests/daemon/soak.rs.
@@ -29,7 +30,7 @@ def _lives(lab: Lab) -> list[dict[str, Any]]:
     return [life for life in lives if "threads" in life]
 
 
-def memory(lab: Lab) -> tuple[bool, str]:
+def memory(lab: Lab) -> Finding:
     """By how much it grew over the last two thirds of each life."""
     said = []
     holds = True
@@ -44,24 +45,25 @@ def memory(lab: Lab) -> tuple[bool, str]:
         said.append(
             f"{life['grown_mb']:+.1f} of {bound:.0f} MB at {life['slope_mb_per_hour']:+.0f} MB/h"
         )
-    return holds, "; ".join(said)
+    return Finding(holds, "; ".join(said), len(said))
 
 
-def descriptors(lab: Lab) -> tuple[bool, str]:
+def descriptors(lab: Lab) -> Finding:
     """Never more than there are sessions and its own; at the end, when all have gone, its own."""
     lives = _lives(lab)
-    most = max(it["descriptors"]["max"] for it in lives)
-    last = lives[-1]["descriptors"]["last"]
+    most = max((it["descriptors"]["max"] for it in lives), default=0)
+    last = lives[-1]["descriptors"]["last"] if lives else 0
     bound = lab.plan.viewers + _OTHER_SESSIONS + _OWN_DESCRIPTORS
     seen = f"at most {most:.0f} of {bound}, {last:.0f} of {_OWN_DESCRIPTORS} when all had gone"
-    return most <= bound and last <= _OWN_DESCRIPTORS, seen
+    return Finding(most <= bound and last <= _OWN_DESCRIPTORS, seen, len(lives))
 
 
-def threads(lab: Lab) -> tuple[bool, str]:
+def threads(lab: Lab) -> Finding:
     """Never more than one for each swarm, its own, and those of handshakes, which go."""
     lives = _lives(lab)
-    most, last = max(it["threads"]["max"] for it in lives), lives[-1]["threads"]["last"]
+    most = max((it["threads"]["max"] for it in lives), default=0)
+    last = lives[-1]["threads"]["last"] if lives else 0
     left = len(lab.plan.specs) + _OTHER_SWARMS + _OWN_THREADS
     bound = left + _HANDSHAKES
     seen = f"at most {most:.0f} of {bound}, {last:.0f} of {left} when all had gone"
-    return most <= bound and last <= left, seen
+    return Finding(most <= bound and last <= left, seen, len(lives))

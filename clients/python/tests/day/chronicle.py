@@ -20,20 +20,24 @@ class Past:
 
     Attributes:
         journal: The commands it applied, by number, as they were last told.
+        compared: How many commands told before a restart were told again after it.
         forgotten: Numbers that were told before a restart, and after it only those around them.
         events: In which life of the daemon which event was first told.
         told: What each event was, by number.
         twice: Numbers under which two different events were told.
         epochs: The epoch at the first look in each life.
+        looks: How often two controllers or more were looked at.
         owners: Whoever was told to steer somebody whom another one steered.
     """
 
     journal: dict[int, jostle.JournalEntry] = field(default_factory=dict)
+    compared: int = 0
     forgotten: list[int] = field(default_factory=list)
     events: list[tuple[int, int]] = field(default_factory=list)
     told: dict[int, tuple[object, ...]] = field(default_factory=dict)
     twice: list[int] = field(default_factory=list)
     epochs: dict[int, int] = field(default_factory=dict)
+    looks: int = 0
     owners: list[str] = field(default_factory=list)
 
     @property
@@ -115,7 +119,9 @@ class Chronicle(threading.Thread):
                 past.events.append((life, event.number))
         if has_several:
             owned: set[int] = set()
-            for one in swarm.controllers():
+            controllers = swarm.controllers()
+            past.looks += len(controllers) > 1
+            for one in controllers:
                 if owned & set(one.ids):
                     past.owners.append(one.controller)
                 owned |= set(one.ids)
@@ -126,6 +132,7 @@ class Chronicle(threading.Thread):
         told = {entry.seq: entry for entry in entries}
         for seq, before in list(past.journal.items()):
             after = told.get(seq)
+            past.compared += after is not None
             if seq > max(told, default=0):
                 # It was on no disk yet. Whether somebody was answered that it is, shows later.
                 del past.journal[seq]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 
 from .controllers import Exchange
+from .finding import Finding
 from .lab import Lab
 from .plan import DEADLINE_SECS
 
@@ -16,7 +17,7 @@ _GREEN_SECS = 10.0
 _LOOPS = ("loop-1", "loop-2")
 
 
-def viewers(lab: Lab) -> tuple[bool, str]:
+def viewers(lab: Lab) -> Finding:
     """What all of them saw."""
     visits, failed, states, missed, epochs = (
         sum(getattr(seen, name) for seen in lab.seen)
@@ -24,13 +25,16 @@ def viewers(lab: Lab) -> tuple[bool, str]:
     )
     back = [one for seen in lab.seen for one in seen.back]
     told = f"{visits} visits ({failed} found nobody), {states} states, {missed} missed"
-    return states > 0 and not back, f"{told}, {epochs} new epochs, {len(back)} back {back[:3]}"
+    told = f"{told}, {epochs} new epochs, {len(back)} back {back[:3]}"
+    return Finding(not back, told, states)
 
 
-def owners(lab: Lab) -> tuple[bool, str]:
+def owners(lab: Lab) -> Finding:
     """Nobody was ever told to be steered by two."""
-    wrong = [one for past in lab.chronicle.pasts.values() for one in past.owners]
-    return not wrong, f"{len(wrong)} times one of another's"
+    pasts = lab.chronicle.pasts.values()
+    wrong = [one for past in pasts for one in past.owners]
+    looks = sum(past.looks for past in pasts)
+    return Finding(not wrong, f"of {looks} looks {len(wrong)} times one of another's", looks)
 
 
 def _exchanges(lab: Lab) -> dict[str, list[Exchange]]:
@@ -41,7 +45,7 @@ def _is_in(exchange: Exchange, begin: float, end: float) -> bool:
     return exchange.sent < end and exchange.answered > begin
 
 
-def waits(lab: Lab) -> tuple[bool, str]:
+def waits(lab: Lab) -> Finding:
     """How long an advance took while there was a daemon, the one that stood still left out."""
     longest, who = 0.0, ""
     count = 0
@@ -55,10 +59,10 @@ def waits(lab: Lab) -> tuple[bool, str]:
             if exchange.answered - exchange.sent > longest:
                 longest, who = exchange.answered - exchange.sent, name
     seen = f"{count} exchanges, the longest {longest:.2f} s ({who}), deadline {DEADLINE_SECS} s"
-    return count > 0 and longest < DEADLINE_SECS + _SLACK_SECS, seen
+    return Finding(longest < DEADLINE_SECS + _SLACK_SECS, seen, count)
 
 
-def journalled(lab: Lab) -> tuple[bool, str]:
+def journalled(lab: Lab) -> Finding:
     """Whom the others did not wait for any more is in the journal."""
     found = Counter(
         (entry.verb, entry.args.get("controller"))
@@ -67,10 +71,11 @@ def journalled(lab: Lab) -> tuple[bool, str]:
         if entry.verb in ("deadline", "lost")
     )
     said = ", ".join(f"{verb} {who} {count}" for (verb, who), count in sorted(found.items()))
-    return ("lost", "bob") in found and any(who == "dan" for _, who in found), said
+    holds = ("lost", "bob") in found and any(who == "dan" for _, who in found)
+    return Finding(holds, said, found.total())
 
 
-def members(lab: Lab) -> tuple[bool, str]:
+def members(lab: Lab) -> Finding:
     """After each kill each goes on where it was, and does not join again."""
     count = went_on = 0
     wrong = []
@@ -88,10 +93,10 @@ def members(lab: Lab) -> tuple[bool, str]:
             else:
                 wrong.append(f"{name}: {first}")
     seen = f"{went_on} of {count} went on in lock-step by themselves {wrong[:3]}"
-    return count > 0 and not wrong, seen
+    return Finding(not wrong, seen, count)
 
 
-def advances(lab: Lab) -> tuple[bool, str]:
+def advances(lab: Lab) -> Finding:
     """No advance is in the journal twice."""
     found = Counter(
         (name, entry.client, entry.request_id)
@@ -100,10 +105,11 @@ def advances(lab: Lab) -> tuple[bool, str]:
         if entry.verb == "advance"
     )
     twice = [key for key, count in found.items() if count > 1]
-    return bool(found) and not twice, f"{len(found)} told, {len(twice)} twice {twice[:3]}"
+    seen = f"{len(found)} told, {len(twice)} twice {twice[:3]}"
+    return Finding(not twice, seen, len(found))
 
 
-def answered(lab: Lab) -> tuple[bool, str]:
+def answered(lab: Lab) -> Finding:
     """Each advances up to the end."""
     end = lab.began + lab.plan.seconds
     late = {
@@ -115,10 +121,10 @@ def answered(lab: Lab) -> tuple[bool, str]:
     said = "".join(one.errors() for one in lab.controllers.values())[:200]
     met = ", ".join(f"{code} {count}" for code, count in sorted(errors.items())) or "nothing"
     seen = f"{len(late) - len(wrong)} of {len(late)} advanced up to the end and met with {met}"
-    return not wrong and not said, f"{seen} {wrong or ''} {said}".strip()
+    return Finding(not wrong and not said, f"{seen} {wrong or ''} {said}".strip(), len(late))
 
 
-def health(lab: Lab) -> tuple[bool, str]:
+def health(lab: Lab) -> Finding:
     """When it was red, and for how long after each trouble."""
     full = lab.notes.full
     said = [it for it in lab.chronicle.health if it[1] is not None]
@@ -135,4 +141,4 @@ def health(lab: Lab) -> tuple[bool, str]:
     reds = {code for _, codes in said for code in codes or ()}
     holds = max(green) < _GREEN_SECS and last == [] and "store_full" in while_full
     seen = f"{len(said)} looks, red for {sorted(reds)}, green after {max(green):.1f} s at most"
-    return holds, seen
+    return Finding(holds, seen, len(said))

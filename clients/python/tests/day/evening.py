@@ -20,7 +20,7 @@ from .node import Node
 _PATIENCE_SECS = 600.0
 _IDLE_SECS = 12.0
 # Those that nobody steers but by commands: carried out again they come to the same.
-_NOT_RETOLD = ("loop-", "brood-", "still", "vault")
+NOT_RETOLD = ("loop-", "brood-", "still", "vault")
 _MUST_NOT_BE = re.compile(r"panick|thread '.*' has overflowed|corrupt|damaged|ERROR")
 
 
@@ -104,6 +104,7 @@ def _read(lab: Lab) -> None:
         except (jostle.JostleError, OSError) as error:
             lab.notes.read[name] = str(error)
     lines = lab.node.log.read_text(errors="replace").splitlines()
+    lab.notes.log_lines = len(lines)
     lab.notes.log = [line for line in lines if _MUST_NOT_BE.search(line)]
 
 
@@ -139,7 +140,7 @@ def _go_elsewhere(lab: Lab, there: dict[str, jostle.Status]) -> None:
     try:
         with jostle.connect(other.endpoint, client="elsewhere", timeout=60.0) as client:
             for name, status in there.items():
-                if name.startswith(_NOT_RETOLD):
+                if name.startswith(NOT_RETOLD):
                     continue
                 journal = lab.chronicle.pasts[name].journal.values()
                 spec = lab.plan.specs[name]

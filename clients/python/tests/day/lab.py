@@ -78,6 +78,7 @@ class Notes:
         read: What was read of the recordings' files.
         ended: How the daemon ended.
         log: Lines of its log that must not be there.
+        log_lines: How many lines its log has.
     """
 
     kills: list[float] = field(default_factory=list)
@@ -95,6 +96,7 @@ class Notes:
     read: dict[str, Any] = field(default_factory=dict)
     ended: int | None = None
     log: list[str] = field(default_factory=list)
+    log_lines: int = 0
 
 
 @dataclass

@@ -124,6 +124,9 @@ class Scientist(Person):
                 # What cannot be refused when its step comes: it was carried out, or dropped.
                 if verb in ("inform", "set"):
                     self._note(swarm, verb, args, ahead=self.dice.randint(20, 600))
+            case 6:
+                # Out of its bounds: refused, and nothing may have changed.
+                self._note(swarm, "set", {"pi3": -1.0})
             case _:
                 self._note(swarm, *change(self.dice))
 

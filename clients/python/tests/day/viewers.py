@@ -36,7 +36,7 @@ class Seen:
         missed: States that their numbers say were published and not received.
         epochs: How often a viewer saw an epoch begin while it looked on.
         back: Where steps or epochs went back: swarm, epoch and step before and after.
-        twins: The bodies of twins: step and a check sum of all columns.
+        twins: The bodies of each twin: step and a check sum of all columns.
         apart: Steps at which twins were seen with different bodies.
     """
 
@@ -46,7 +46,7 @@ class Seen:
     missed: int = 0
     epochs: int = 0
     back: list[list[Any]] = field(default_factory=list)
-    twins: dict[int, int] = field(default_factory=dict)
+    twins: dict[str, dict[int, int]] = field(default_factory=dict)
     apart: list[int] = field(default_factory=list)
 
 
@@ -81,7 +81,7 @@ class Visit:
         if self._swarm.startswith("twin-"):
             columns = (state[name].value for name in ("id", "x", "y", "alpha", "weight"))
             bodies = zlib.crc32(b"".join(columns))
-            if seen.twins.setdefault(step, bodies) != bodies:
+            if seen.twins.setdefault(self._swarm, {}).setdefault(step, bodies) != bodies:
                 seen.apart.append(step)
 
 
@@ -159,7 +159,10 @@ def _read(told: Path) -> Seen:
     text = told.read_text()
     assert text, told.with_suffix(".err").read_text()
     fields = json.loads(text)
-    fields["twins"] = {int(step): bodies for step, bodies in fields["twins"].items()}
+    fields["twins"] = {
+        swarm: {int(step): bodies for step, bodies in steps.items()}
+        for swarm, steps in fields["twins"].items()
+    }
     return Seen(**fields)
 
 
