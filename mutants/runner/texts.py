@@ -65,6 +65,41 @@ class Mutant:
         return changed
 
 
+def apply_all(mutants: list[Mutant], sources: dict[str, str]) -> dict[str, str]:
+    """Returns the changed text of each file that these mutants change together.
+
+    Raises:
+        ValueError: If a text to find does not occur exactly once.
+    """
+    changed: dict[str, str] = {}
+    for mutant in mutants:
+        changed |= mutant.apply({**sources, **changed})
+    return changed
+
+
+def groups(mutants: list[Mutant], sources: dict[str, str], size: int) -> list[list[Mutant]]:
+    """Splits mutants into groups of at most `size` that are compiled together.
+
+    Two mutants of a group have different tests and change different files. One that does not
+    compile the daemon is alone.
+    """
+    found: list[list[Mutant]] = []
+    taken: list[set[str]] = []
+    for mutant in mutants:
+        own = {mutant.test, *mutant.apply(sources)}
+        is_alone = not SUITES[mutant.suite].compiles_daemon
+        for group, its in zip(found, taken, strict=True):
+            if not is_alone and len(group) < size and not its & own:
+                group.append(mutant)
+                its |= own
+                break
+        else:
+            found.append([mutant])
+            # No further one fits into the group of one that is alone.
+            taken.append(own if not is_alone else {it.test for it in mutants})
+    return found
+
+
 def _return(replacement: str, _found: re.Match[str]) -> str:
     return replacement
 

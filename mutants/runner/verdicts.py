@@ -20,7 +20,8 @@ _SOURCES = [
 ]
 _HEAD = """\
 # Written by `mutants/run --record`; not by hand. For each mutant the verdict of its last run: `red`
-# if the test that it names failed. The commit is the one that the run changed.
+# if the test that it names failed. The commit is the one that the run changed, and `changes` the
+# number of mutants that the program had.
 """
 
 
@@ -54,12 +55,17 @@ def commit_to_record() -> str:
     return commit
 
 
-def record(mutant: Mutant, verdict: str, commit: str, known: list[Mutant]) -> None:
-    """Writes a verdict, and drops those of mutants that are gone."""
+def record(mutant: Mutant, verdict: str, commit: str, changes: int, known: list[Mutant]) -> None:
+    """Writes the verdict of a mutant that was run as one of `changes`, and drops old ones."""
     names = {it.name for it in known}
     verdicts = {name: it for name, it in read().items() if name in names}
     date = datetime.now(UTC).date().isoformat()
-    verdicts[mutant.name] = {"verdict": verdict, "commit": commit, "date": date}
+    verdicts[mutant.name] = {
+        "verdict": verdict,
+        "commit": commit,
+        "date": date,
+        "changes": str(changes),
+    }
     tables = [
         f"[{name}]\n" + "".join(f'{key} = "{value}"\n' for key, value in sorted(it.items()))
         for name, it in sorted(verdicts.items())
