@@ -4,6 +4,8 @@ use std::path::PathBuf;
 
 use clap::Parser;
 
+use jostled::model::lanes::Level;
+
 use super::backend::Backend;
 use super::rapier;
 use super::settled::Case;
@@ -30,6 +32,9 @@ pub struct Arguments {
     /// How often rapier sweeps over its contacts in a step
     #[arg(long, value_name = "COUNT", default_value_t = rapier::SWEEPS)]
     pub sweeps: usize,
+    /// Hold our kernels to the vectors that every x86-64 has (SSE2), as the outsiders are
+    #[arg(long)]
+    pub baseline: bool,
     /// Also draws cost against n at pi1 = 4
     #[arg(long, value_name = "FILE")]
     pub svg: Option<PathBuf>,
@@ -65,6 +70,14 @@ impl Arguments {
             cases.extend(counts.into_iter().map(|n| Case { pi1, n }));
         }
         cases
+    }
+
+    /// Which version of our kernels is measured.
+    pub fn level(&self) -> Level {
+        if self.baseline {
+            return Level::BASELINE;
+        }
+        Level::default()
     }
 
     /// Whether `backend` was asked for.

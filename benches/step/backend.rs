@@ -3,6 +3,7 @@
 use std::f64::consts::TAU;
 
 use clap::ValueEnum;
+use jostled::model::lanes::Level;
 use jostled::model::{State, body};
 use jostled::stepper::qp::Qp;
 use jostled::stepper::solve;
@@ -51,12 +52,15 @@ pub struct Ours {
 }
 
 impl Solver {
-    /// The solver of `backend`, if it lives in this process and solves programs.
-    pub fn new(backend: Backend) -> Option<Self> {
+    /// The solver of `backend`, if it lives in this process and solves programs; ours with the
+    /// kernels of `level`.
+    pub fn new(backend: Backend, level: Level) -> Option<Self> {
         let ours = |backend| {
+            let mut workspace = solve::Workspace::default();
+            workspace.exact.level = level;
             Self::Ours(Box::new(Ours {
                 backend,
-                workspace: solve::Workspace::default(),
+                workspace,
                 solution: solve::Solution::default(),
             }))
         };

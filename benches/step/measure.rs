@@ -7,6 +7,7 @@
 use std::time::Duration;
 
 use jostled::model::State;
+use jostled::model::lanes::Level;
 use jostled::stepper::Stepper;
 use rustix::time::{ClockId, clock_gettime};
 
@@ -69,13 +70,14 @@ pub fn measure(case: Case, arguments: &Arguments) -> Vec<Row> {
     let truth = exact_displacements(records);
 
     let mut rows: Vec<Row> = Vec::new();
-    let mut tasks = phases(records, &start);
+    let level = arguments.level();
+    let mut tasks = phases(records, &start, level);
     for backend in [Backend::Exact, Backend::Referee, Backend::Clarabel] {
         // Ours is always measured: the whole step of the others is its, but for the program.
         if !arguments.wants(backend) && backend != Backend::Exact {
             continue;
         }
-        let mut solver = Solver::new(backend).expect("it lives in this process");
+        let mut solver = Solver::new(backend, level).expect("it lives in this process");
         if arguments.wants(backend) {
             rows.push(Row::new(
                 &start,
@@ -146,9 +148,9 @@ impl<'a> Task<'a> {
 }
 
 /// Attraction; all that comes between it and the program; and the step without attraction.
-fn phases<'a>(records: &'a [Recorded], start: &'a State) -> Vec<Task<'a>> {
-    let (mut one, mut other) = (Phases::default(), Phases::default());
-    let mut stepper = Stepper::new();
+fn phases<'a>(records: &'a [Recorded], start: &'a State, level: Level) -> Vec<Task<'a>> {
+    let (mut one, mut other) = (Phases::at(level), Phases::at(level));
+    let mut stepper = Stepper::with_level(level);
     vec![
         Task::of(None, move || {
             records
@@ -204,7 +206,8 @@ fn sample(tasks: &mut [Task], quick: bool) {
 }
 
 fn exact_displacements(records: &[Recorded]) -> Vec<Vec<[f64; 3]>> {
-    let mut solver = Solver::new(Backend::Exact).expect("it lives in this process");
+    let mut solver =
+        Solver::new(Backend::Exact, Level::default()).expect("it lives in this process");
     let mut displacement = Vec::new();
     records
         .iter()

@@ -2,6 +2,7 @@
 
 use jostled::model::State;
 use jostled::model::attraction::Social;
+use jostled::model::lanes::Level;
 use jostled::stepper::Stepper;
 use jostled::stepper::qp::Qp;
 
@@ -15,6 +16,16 @@ pub struct Phases {
 }
 
 impl Phases {
+    /// The phases with one version of our kernels.
+    pub fn at(level: Level) -> Self {
+        let mut phases = Self {
+            stepper: Stepper::with_level(level),
+            ..Self::default()
+        };
+        phases.social.level = level;
+        phases
+    }
+
     /// Attraction alone.
     pub fn attraction(&mut self, state: &State) {
         let law = state.parameters.attraction;

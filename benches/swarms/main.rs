@@ -6,7 +6,8 @@
 //! ```
 //!
 //! The daemon is a process of its own. First there are more swarms than the cores can step, then as
-//! many as take 80 % of the cores, then swarms that are created, stepped and deleted one by one. All
+//! many as take 80 % of the cores, then swarms that are created, stepped and deleted one by one, then
+//! one that steps while a client reads the metrics. All
 //! cores must be idle otherwise: what else runs takes its share.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
@@ -14,6 +15,7 @@
 #[path = "../apart/mod.rs"]
 mod apart;
 mod fitting;
+mod metrics;
 mod overload;
 
 use std::collections::BTreeMap;
@@ -138,6 +140,7 @@ async fn main() -> ExitCode {
     let mut rows = overload::measure().await;
     rows.extend(fitting::measure().await);
     rows.push(created_and_deleted().await);
+    rows.push(metrics::measure().await);
     if arguments.iter().any(|argument| argument == "--json") {
         let values = rows
             .iter()
