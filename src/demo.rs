@@ -38,6 +38,8 @@ const RATE: f64 = 20.0;
 const INFORMED_AT: f64 = 50.0;
 /// How many learn of it.
 const INFORMED: u64 = 10;
+/// How long to wait after a displaced wait before asking again.
+const BETWEEN_WAITS: Duration = Duration::from_millis(500);
 /// The span at the end that the last line averages over.
 const LAST: f64 = 200.0;
 
@@ -177,13 +179,20 @@ async fn run_on(swarm: &Handle, until_time: Option<f64>) -> Result<u64, DemoErro
 
 /// The swarm at the moment it reaches a step.
 async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
-    let (answer, answered) = oneshot::channel();
-    swarm.send(Ticket::Wait(Waiter {
-        awaited: Awaited::Reached(step),
-        is_abandoned: Box::new(|| false),
-        answer: Box::new(move |it| drop(answer.send(it))),
-    }));
-    seen(outcome(answered).await?)
+    loop {
+        let (answer, answered) = oneshot::channel();
+        swarm.send(Ticket::Wait(Waiter {
+            awaited: Awaited::Reached(step),
+            is_abandoned: Box::new(|| false),
+            answer: Box::new(move |it| drop(answer.send(it))),
+        }));
+        match outcome(answered).await {
+            Err(DemoError::Command(CommandError::Order(OrderError::Displaced { .. }))) => {
+                tokio::time::sleep(BETWEEN_WAITS).await;
+            }
+            answered => return seen(answered?),
+        }
+    }
 }
 
 async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {

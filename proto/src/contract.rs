@@ -140,7 +140,8 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "{swarm}/get/snapshot",
             Get("snapshot.reply"),
-            "All that the swarm's future depends on, as CBOR: any daemon restores it.",
+            "All that the swarm's future depends on, as CBOR: a daemon of the same model version \
+             restores it.",
         ),
         plain(
             "{swarm}/get/verify",
@@ -158,7 +159,8 @@ pub const CHANNELS: &[Channel] = &{
                 ),
                 (
                     "timeout_secs",
-                    "a number above 0: `deadline_exceeded` after this; at most 30",
+                    "a number above 0: `deadline_exceeded` after this, or earlier if more than \
+                     1024 wait for the swarm; at most 30",
                 ),
             ],
             doc: "The status, when something has come about; one of step and phase.",

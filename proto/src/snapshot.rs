@@ -1,4 +1,5 @@
-//! A swarm as a whole, to be kept in a file and brought back by any daemon.
+//! A swarm as a whole, to be kept in a file and brought back by a daemon of the same model
+//! version.
 
 use std::io;
 

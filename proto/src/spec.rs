@@ -153,8 +153,10 @@ pub enum Stepping {
 pub enum Attraction {
     /// The mean of the unit vectors to all the others, eq. (4).
     All {
-        /// How far off that mean may be, its largest length being 1: 1e-9 to 1e-3. Worth it
-        /// from some thousand individuals on. Exact to rounding if left out.
+        /// About how far off that mean may be, its largest length being 1: 1e-9 to 1e-3. It is
+        /// measured and no bound: in one group the largest error is at most this, in several
+        /// flocks far apart up to ten times as much. Worth it from some thousand individuals on.
+        /// Exact to rounding if left out.
         #[serde(default, skip_serializing_if = "Option::is_none")]
         #[schemars(range(min = 1e-9, max = 1e-3))]
         accuracy: Option<f64>,

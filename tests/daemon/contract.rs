@@ -112,10 +112,15 @@ async fn finish_experiment(client: &Client) {
 /// Has an experiment of the fixtures' name be there, such that `args` can be carried out.
 async fn prepare_experiment(client: &Client, args: &Value) {
     let send = async |args: Value| send_again(client, "", "experiment", &args).await;
-    // Whatever there was before.
+    // Whatever there was before, also of the name at its bound.
+    let named = args.as_object().unwrap().values();
+    let named = named.filter_map(|it| it["name"].as_str());
+    for name in named.chain([EXPERIMENT]) {
+        let name = json!({"name": name});
+        let _ = send(json!({"cancel": name})).await;
+        let _ = send(json!({"delete": name})).await;
+    }
     let name = json!({"name": EXPERIMENT});
-    let _ = send(json!({"cancel": name})).await;
-    let _ = send(json!({"delete": name})).await;
     if args.get("submit").is_some() {
         return;
     }

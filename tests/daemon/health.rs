@@ -4,13 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::Stdio;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use jostle_proto::{Metrics, NodeReply, keys};
 use serde_json::{Value, json};
 
 use crate::apart::{Process, jostled};
-use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, alone, beside_others, until};
+use crate::support::{Client, Daemon, NODE, PATIENCE, PREFIX, beside_others, until};
 
 /// The answer to a request as it came: status, head and body.
 pub fn send(address: &str, request: &str) -> (u16, String, String) {
@@ -340,41 +340,4 @@ async fn an_address_that_cannot_be_served_on_is_refused_with_the_flag_to_change(
         assert_eq!(refused.status.code(), Some(code), "{address}: {text}");
         assert!(text.contains(named), "{address}: {text}");
     }
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn a_hundred_scrapes_do_not_slow_steps() {
-    let _alone = alone().await;
-    let daemon = Daemon::for_measuring().await;
-    let (client, http) = (&daemon.client, of_daemon(&daemon));
-    client.create("a", json!({"n": 20, "seed": 1})).await;
-    client.ok("a", "step", json!({"steps": 1000})).await;
-    let secs = || {
-        let name = "jostle_swarm_step_seconds_total{swarm=\"a\"}";
-        series(&http)[name]
-    };
-    let step = async || {
-        let before = secs();
-        client.ok("a", "step", json!({"steps": 5000})).await;
-        secs() - before
-    };
-    let (mut quiet, mut scraped) = (f64::INFINITY, f64::INFINITY);
-    for _ in 0..8 {
-        quiet = quiet.min(step().await);
-        let address = http.clone();
-        let scraping = std::thread::spawn(move || {
-            for _ in 0..100 {
-                series(&address);
-            }
-        });
-        scraped = scraped.min(step().await);
-        scraping.join().unwrap();
-    }
-    let (quiet, scraped) = (
-        Duration::from_secs_f64(quiet),
-        Duration::from_secs_f64(scraped),
-    );
-    println!("5000 steps: {quiet:?}, with 100 scrapes {scraped:?}");
-    assert!(scraped < quiet * 5 / 4, "{quiet:?} {scraped:?}");
-    daemon.stop().await;
 }

@@ -22,9 +22,12 @@ async fn of_three_hundred_swarms_none_starves() {
     let client = Client::open(&endpoint).await;
     for i in 0..SWARMS {
         let name = format!("s{i}");
-        client
-            .create(&name, json!({"n": 20, "seed": i, "rate": 1}))
-            .await;
+        // What else runs on the machine may take the cores for long.
+        let spec = json!({"n": 20, "seed": i, "rate": 1});
+        let request = json!({"timeout_secs": 60, "args": {"name": name, "spec": spec}});
+        let key = keys::node_cmd(PREFIX, NODE, "create");
+        let request = request.to_string();
+        client.one(&key, Some(request.as_bytes())).await.unwrap();
         // A group that pushes takes most of the time.
         let request = json!({"timeout_secs": 60, "args": {"steps": 500}});
         client.ok(&name, "step", request).await;
@@ -136,39 +139,6 @@ async fn a_flood_is_answered_and_neither_memory_nor_others_suffer() {
     assert_eq!(answered + busy, 60_000);
     assert!(last > first, "the other swarm stood still");
     assert!(grown < 150, "{grown} MiB");
-    daemon.stop().await;
-}
-
-#[tokio::test(flavor = "multi_thread")]
-async fn too_many_at_once_are_turned_away_at_once_and_the_rest_are_served() {
-    let daemon = Daemon::start().await;
-    let client = &daemon.client;
-    client.create("a", json!({"n": 3})).await;
-    let mut waiting = Vec::new();
-    for sent in 0..1100 {
-        if sent % 100 == 0 {
-            // What was sent before this has arrived before it: no queue on the way runs over.
-            client.get("a", "status").await;
-        }
-        let selector = "jostle/a/get/wait?phase=running";
-        let query = client.session.get(selector).timeout(2 * PATIENCE);
-        waiting.push(query.await.unwrap());
-    }
-    // 1024 of them may wait.
-    client.get("a", "status").await;
-    client.ok("a", "run", json!({})).await;
-    let (mut served, mut busy) = (0, 0);
-    for replies in waiting {
-        match replies.recv_async().await.unwrap().into_result() {
-            Ok(_) => served += 1,
-            Err(error) => {
-                let error: Value = serde_json::from_slice(&error.payload().to_bytes()).unwrap();
-                assert_eq!(error["code"], "busy", "{error}");
-                busy += 1;
-            }
-        }
-    }
-    assert_eq!((served, busy), (1024, 76));
     daemon.stop().await;
 }
 

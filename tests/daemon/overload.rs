@@ -11,6 +11,7 @@ use zenoh_ext::{AdvancedSubscriberBuilderExt, HistoryConfig};
 
 use crate::apart::{Process, jostled};
 use crate::crash::twin::Twin;
+use crate::harness;
 use crate::support::{Client, PATIENCE, PREFIX, alone};
 
 const SWARMS: u64 = 40;
@@ -154,7 +155,7 @@ async fn when_the_clock_jumps_swarms_neither_stall_nor_burst() {
     const RATE: f64 = 4.0;
     let _alone = alone().await;
     let Some(library) = libfaketime() else {
-        crate::support::skip("needs libfaketime, `apt-get install faketime`");
+        harness::FAKETIME.is_missing();
         return;
     };
     let folder = tempfile::tempdir().unwrap();

@@ -329,12 +329,17 @@ async fn whoever_watches_a_replay_sees_and_hears_what_there_was() {
     assert_eq!(verbs, ["inform", "set", "reset"]);
     assert_eq!(told, told_by("live").await);
 
-    // At its end it begins anew; as fast as possible is a frame at a time.
+    // At its end it begins anew, which is an epoch, and so is the reset on the way; as fast as
+    // possible is a frame at a time.
+    let ended_in = paused["epoch"].as_u64().unwrap();
     client.ok("tape", "run", json!({"rate": null})).await;
     let paused = client
         .get("tape", "wait?phase=paused;timeout_secs=20")
         .await;
-    assert_eq!(paused["step"], 50);
+    assert_eq!(
+        (&paused["step"], paused["epoch"].as_u64()),
+        (&json!(50), Some(ended_in + 2))
+    );
     client.ok("tape", "seek", json!({"fraction": 0})).await;
     client
         .ok("tape", "run", json!({"rate": 1000.0, "until_step": 77}))

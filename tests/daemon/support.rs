@@ -1,7 +1,5 @@
 //! A daemon in this process, and clients with sessions of their own.
 
-use std::fs::File;
-use std::io::Write as _;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
@@ -31,22 +29,6 @@ pub async fn alone() -> RwLockWriteGuard<'static, ()> {
 /// Waits until no test runs that must be alone.
 pub async fn beside_others() -> RwLockReadGuard<'static, ()> {
     MACHINE.read().await
-}
-
-/// Reports that the current test cannot judge anything on this machine, past the test runner's capture
-/// of output, and in the file that `./check` prints at its end.
-pub fn skip(reason: &str) {
-    let test = std::thread::current().name().unwrap_or("a test").to_owned();
-    let line = format!("skipped: {test}: {reason}\n");
-    std::io::stderr().write_all(line.as_bytes()).unwrap();
-    if let Some(path) = std::env::var_os("JOSTLE_SKIPPED") {
-        let mut file = File::options()
-            .create(true)
-            .append(true)
-            .open(path)
-            .unwrap();
-        file.write_all(line.as_bytes()).unwrap();
-    }
 }
 
 pub struct Daemon {

@@ -52,7 +52,8 @@ class Spec(Shown, frozen=True, kw_only=True):
         seed: The seed of every draw: 0 to 2⁵³ - 1.
         start: Where the individuals begin.
         attraction: What an individual turns towards: `{"kind": "all"}`, and if wanted an
-            `"accuracy"` from 1e-9 to 1e-3, quicker from some thousand individuals on;
+            `"accuracy"` from 1e-9 to 1e-3, quicker from some thousand individuals on (measured,
+            no bound: in several flocks far apart the error is up to ten times as much);
             `{"kind": "voronoi"}`, `{"kind": "metric", "radius": 3.0}`,
             `{"kind": "topological", "neighbours": 7}` or `{"kind": "power", "exponent": -1.0}`.
         noise: Intensity of white noise on the turning rate, squared angle over time: 0 or more.
