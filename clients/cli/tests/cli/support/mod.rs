@@ -234,8 +234,21 @@ impl Running {
         };
         Ended {
             code: status.code(),
-            stdout: self.stdout.map_or_else(String::new, |lines| rest(&lines)),
+            stdout: self
+                .stdout
+                .take()
+                .map_or_else(String::new, |lines| rest(&lines)),
             stderr: rest(&self.stderr),
+        }
+    }
+}
+
+impl Drop for Running {
+    /// A test that fails leaves no process.
+    fn drop(&mut self) {
+        if let Ok(None) = self.child.try_wait() {
+            let _ = self.child.kill();
+            let _ = self.child.wait();
         }
     }
 }
