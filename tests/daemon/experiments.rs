@@ -29,12 +29,12 @@ async fn send(client: &Client, args: &Value) -> Answer {
     client.one(&key, Some(args.to_string().as_bytes())).await
 }
 
-async fn ok(client: &Client, args: Value) -> Value {
+pub async fn ok(client: &Client, args: Value) -> Value {
     let answer = send(client, &args).await;
     answer.unwrap_or_else(|error| panic!("{args}: {error:?}"))["result"].take()
 }
 
-async fn submit(client: &Client, toml: &str) -> Value {
+pub async fn submit(client: &Client, toml: &str) -> Value {
     ok(client, json!({"submit": {"toml": toml}})).await
 }
 
@@ -49,12 +49,12 @@ async fn get(client: &Client, name: &str, noun: &str) -> Answer {
         .await
 }
 
-async fn progress(client: &Client, name: &str) -> Value {
+pub async fn progress(client: &Client, name: &str) -> Value {
     get(client, name, "progress").await.unwrap()
 }
 
 /// Waits until an experiment is in a phase.
-async fn reach(client: &Client, name: &str, phase: &str) -> Value {
+pub async fn reach(client: &Client, name: &str, phase: &str) -> Value {
     let deadline = Instant::now() + 6 * PATIENCE;
     loop {
         let progress = progress(client, name).await;
@@ -67,7 +67,7 @@ async fn reach(client: &Client, name: &str, phase: &str) -> Value {
 }
 
 /// Every row, asked for so many at a time.
-async fn rows(client: &Client, name: &str, limit: usize) -> Vec<Value> {
+pub async fn rows(client: &Client, name: &str, limit: usize) -> Vec<Value> {
     let (mut rows, mut after) = (Vec::new(), json!(0));
     while !after.is_null() {
         let page = get(

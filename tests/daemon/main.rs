@@ -36,6 +36,7 @@ mod replay;
 mod rights;
 mod schedule;
 mod soak;
+mod states;
 mod stored;
 mod streams;
 mod supervisor;

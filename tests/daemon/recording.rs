@@ -23,7 +23,7 @@ async fn send(client: &Client, request: &Value) -> Answer {
     client.one(&key, Some(request.to_string().as_bytes())).await
 }
 
-async fn ok(client: &Client, request: Value) -> Value {
+pub async fn ok(client: &Client, request: Value) -> Value {
     let answer = send(client, &request).await;
     answer.unwrap_or_else(|error| panic!("{request}: {error:?}"))["result"].take()
 }
@@ -38,12 +38,12 @@ async fn begin(client: &Client, swarm: &str, recording: &str) -> Value {
     ok(client, json!({"begin": begin})).await
 }
 
-async fn stop(client: &Client, recording: &str) -> Value {
+pub async fn stop(client: &Client, recording: &str) -> Value {
     ok(client, json!({"stop": {"recording": recording}})).await
 }
 
 /// How a recording stands, as the list has it.
-async fn standing(client: &Client, recording: &str) -> Value {
+pub async fn standing(client: &Client, recording: &str) -> Value {
     let mut list = client.node("recordings").await;
     let list = list["recordings"].as_array_mut().unwrap();
     let found = list.iter_mut().find(|it| it["recording"] == recording);
@@ -51,7 +51,7 @@ async fn standing(client: &Client, recording: &str) -> Value {
 }
 
 /// Waits until so much is recorded: `frames` or `parts`.
-async fn has(client: &Client, recording: &str, what: &str, count: u64) -> Value {
+pub async fn has(client: &Client, recording: &str, what: &str, count: u64) -> Value {
     let mut last = Value::Null;
     until(&format!("{count} {what} of {recording}"), async || {
         last = standing(client, recording).await;
@@ -68,7 +68,7 @@ async fn run(client: &Client, swarm: &str, n: u64) {
     client.ok(swarm, "run", json!({})).await;
 }
 
-fn folder_of(data: &Path, recording: &str) -> PathBuf {
+pub fn folder_of(data: &Path, recording: &str) -> PathBuf {
     data.join("recordings").join(recording)
 }
 
