@@ -2,11 +2,13 @@
 //! cells are what the documentation promises and not what the daemon does.
 
 mod experiments;
+mod page;
 mod playback;
 mod recordings;
 mod swarms;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
 use std::io::{BufRead, BufReader};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -40,7 +42,18 @@ pub struct Table {
     wrong: Vec<String>,
 }
 
+/// The text of a file of this repository, kept for the whole test.
+fn text_of(path: &str) -> &'static str {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join(path);
+    fs::read_to_string(path).unwrap().leak()
+}
+
 impl Table {
+    /// The table of a kind of thing, in the file of its name beside this one.
+    pub fn of(kind: &str) -> Self {
+        Self::read(text_of(&format!("tests/daemon/states/{kind}.txt")))
+    }
+
     /// Reads a Markdown table and the numbered notes below it. Each cell must say something, and a
     /// note must give a reason.
     pub fn read(text: &'static str) -> Self {
@@ -257,15 +270,6 @@ impl Served {
 pub enum End {
     Stop,
     Kill,
-}
-
-/// The cells of a Markdown table in a page, by row and column, below this heading.
-fn page_table(page: &'static str, heading: &str) -> Table {
-    let (_, below) = page.split_once(&format!("\n{heading}\n")).expect(heading);
-    let start = below.find('|').unwrap();
-    let table = &below[start..];
-    let end = table.find("\n\n").unwrap_or(table.len());
-    Table::read(&table[..end])
 }
 
 #[test]

@@ -9,26 +9,6 @@ use crate::replay::{show, take};
 use crate::streams::subscribe;
 use crate::support::{Answer, Client, PREFIX, beside_others, until};
 
-/// The recording has 41 frames, five steps apart, and then eleven after a reset.
-const TABLE: &str = r#"
-| observable           | pause                  | pause, run             | seek                   | pause, seek            | to the end            | to the end, run        | reset              | daemon stops, starts |
-|----------------------|------------------------|------------------------|------------------------|------------------------|-----------------------|------------------------|--------------------|----------------------|
-| phase                | ["paused","requested"] | still ["running",null] | still ["running",null] | ["paused","requested"] | ["paused","finished"] | still ["running",null] | ["paused","reset"] | absent               |
-| frame shown          | still 11               | still 11               | 21                     | 21                     | 52                    | 1                      | 1                  | absent               |
-| position             | unchanged              | unchanged              | 2                      | 2                      | n/a 1                 | 0                      | 0                  | absent               |
-| rate                 | unchanged              | unchanged              | unchanged              | unchanged              | unchanged             | unchanged              | unchanged          | absent               |
-| until_step           | absent                 | absent                 | unchanged              | absent                 | absent                | absent                 | absent             | absent               |
-| epoch                | unchanged              | unchanged              | +1                     | +1                     | +1                    | +2                     | +1                 | absent               |
-| step                 | unchanged              | unchanged              | 100                    | 100                    | still 50              | 0                      | 0                  | absent               |
-| seq                  | +1                     | +2                     | +1                     | +2                     | +2                    | +3                     | +1                 | absent               |
-| published frames     | goes on                | goes on                | goes on                | goes on                | goes on               | goes on                | goes on            | absent               |
-| event number         | goes on                | goes on                | goes on                | goes on                | goes on               | goes on                | goes on            | absent               |
-| get/wait for a fault | still "waits"          | still "waits"          | still "waits"          | still "waits"          | still "waits"         | still "waits"          | still "waits"      | "no reply"           |
-| listed               | still true             | still true             | still true             | still true             | still true            | still true             | still true         | false                |
-
-1: its last frame is at five time units less a rounding, which another test has
-"#;
-
 async fn look(client: &Client) -> Look {
     let listed = client.node("swarms").await;
     let mut listed = listed["swarms"].as_array().unwrap().iter();
@@ -75,7 +55,7 @@ async fn waited(waiter: JoinHandle<Vec<Answer>>, has_ended: bool) -> Value {
 #[tokio::test(flavor = "multi_thread")]
 async fn after_each_change_of_a_playback_what_starts_over_does_and_what_goes_on_does() {
     let _machine = beside_others().await;
-    let mut table = Table::read(TABLE);
+    let mut table = Table::of("playback");
     for change in [
         "pause",
         "pause, run",

@@ -12,23 +12,6 @@ use crate::crash::disk::Small;
 use crate::recording::{folder_of, has, ok, standing, stop};
 use crate::support::{Client, beside_others, until};
 
-const TABLE: &str = r#"
-| observable         | swarm paused      | swarm paused, run | swarm reset       | swarm forked      | swarm faulted     | swarm deleted            | stopped      | disk full          | room again               | daemon stops, starts | daemon killed, starts |
-|--------------------|-------------------|-------------------|-------------------|-------------------|-------------------|--------------------------|--------------|--------------------|--------------------------|----------------------|-----------------------|
-| phase              | still "recording" | still "recording" | still "recording" | still "recording" | still "recording" | "ended"                  | "ended"      | "failed"           | still "failed"           | still "recording"    | still "recording"     |
-| reason             | still null        | still null        | still null        | still null        | still null        | "its swarm was deleted"  | "stopped"    | "the disk is full" | still "the disk is full" | still null           | still null            |
-| frames             | goes on           | goes on           | goes on           | goes on           | goes on           | goes on                  | goes on      | goes on            | unchanged                | goes on              | n/a 1                 |
-| bytes              | goes on           | goes on           | goes on           | goes on           | goes on           | goes on                  | goes on      | goes on            | unchanged                | goes on              | n/a 1                 |
-| whole parts        | goes on           | goes on           | goes on           | goes on           | goes on           | goes on                  | goes on      | goes on            | unchanged                | goes on              | goes on               |
-| missed             | still 0           | still 0           | still 0           | still 0           | still 0           | still 0                  | still 0      | still 0            | still 0                  | still 0              | still 0               |
-| began_unix_secs    | unchanged         | unchanged         | unchanged         | unchanged         | unchanged         | unchanged                | unchanged    | unchanged          | unchanged                | unchanged            | unchanged             |
-| recordings         | still 1           | still 1           | still 1           | still 1           | still 1           | still 1                  | still 1      | still 1            | still 1                  | still 1              | still 1               |
-| steps in the files | still "even"      | still "even"      | still "even"      | still "even"      | still "even"      | still "even"             | still "even" | still "even"       | still "even"             | still "even"         | still "even"          |
-| frames in the files| still "all"       | still "all"       | still "all"       | still "all"       | still "all"       | still "all"              | still "all"  | still "all"        | still "all"              | still "all"          | still "all"           |
-
-1: a kill loses what was recorded since the last part was ended
-"#;
-
 /// Steps between two recorded states.
 const EVERY: u64 = 5;
 
@@ -126,7 +109,7 @@ async fn begin(data: &Path, points: &str) -> (Served, Look, Look) {
 #[tokio::test(flavor = "multi_thread")]
 async fn after_each_change_of_a_recording_what_starts_over_does_and_what_goes_on_does() {
     let _machine = beside_others().await;
-    let mut table = Table::read(TABLE);
+    let mut table = Table::of("recordings");
     for change in [
         "swarm paused",
         "swarm paused, run",

@@ -8,13 +8,11 @@ use jostle_proto::{ErrorCode, Reply, Snapshot, keys};
 use serde_json::{Value, json};
 use tokio::task::JoinHandle;
 
-use super::{End, Look, Served, Table, page_table};
+use super::{End, Look, Served, Table};
 use crate::crash::disk::Small;
 use crate::health::health;
 use crate::streams::{Subscriber, subscribe};
 use crate::support::{Answer, Client, NODE, PREFIX, beside_others, until};
-
-const TABLE: &str = include_str!("swarms.txt");
 
 /// Steps that the swarm which stands has taken when a change comes.
 const STEPS: u64 = 60;
@@ -232,7 +230,7 @@ async fn begin(folder: &Path, points: &str, names: &[&str]) -> Served {
     client.create("model", spec).await;
     let mut model = snapshot(client, "model").await;
     model.exactness.degraded = 3;
-    let model = model.with_digest();
+    let model = model.sealed();
     for name in names {
         restore(client, name, &model).await.unwrap();
     }
@@ -359,7 +357,7 @@ async fn judge(
 #[tokio::test(flavor = "multi_thread")]
 async fn after_each_change_of_a_swarm_what_starts_over_does_and_what_goes_on_does() {
     let _machine = beside_others().await;
-    let mut table = Table::read(TABLE);
+    let mut table = Table::of("swarms");
     let folder = || tempfile::tempdir().unwrap();
 
     let data = folder();
@@ -402,9 +400,10 @@ async fn after_each_change_of_a_swarm_what_starts_over_does_and_what_goes_on_doe
     table.finish();
 }
 
-/// A swarm that faults in the step after those that it has taken, and is reset.
+/// A swarm that faults in the step after those that it has taken, and is reset. The first `verify` has
+/// taken the same steps again.
 async fn faults(table: &mut Table, data: &Path) {
-    let points = format!("step={STEPS}*off->1*panic->off");
+    let points = format!("step={}*off->1*panic->off", 2 * STEPS);
     let daemon = begin(data, &points, &["school"]).await;
     let _states = subscribe(&daemon.client, keys::state(PREFIX, "*")).await;
     let mut swarm = prepare(&daemon, "school", Kind::Stands).await;
