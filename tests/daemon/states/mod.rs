@@ -30,7 +30,8 @@ pub type Look = BTreeMap<&'static str, Value>;
 /// - `as made`: as when the thing was made, which differs from before the change
 /// - `+N`: greater by N than before the change
 /// - `goes on`: a number that has not decreased, or a list or map that has what it had before
-/// - `anew`: a list with nothing of what it had before
+/// - `anew`: a map with nothing under the names that it had before
+/// - `agrees`: a map that has under the names that it had before what it had, or nothing
 /// - `starts over`: a number that is 0 or 1, and was greater
 /// - `absent`: `null`, and was something
 /// - `refused CODE`: what was answered before is refused with this code
@@ -167,10 +168,13 @@ fn holds(cell: &str, made: &Value, before: &Value, after: &Value) -> Result<(), 
         "unchanged" => shows(!same(before, made)).and(is(same(before, after))),
         "as made" => shows(!same(before, made)).and(is(same(after, made))),
         "absent" => shows(!before.is_null()).and(is(after.is_null())),
-        "anew" => {
-            let [before, after] = [before, after].map(|it| it.as_array().unwrap());
+        "anew" | "agrees" => {
+            let [before, after] = [before, after].map(|it| it.as_object().unwrap());
             shows(!before.is_empty() && !after.is_empty())?;
-            is(after.iter().all(|it| !before.contains(it)))
+            is(after.iter().all(|(name, it)| match before.get(name) {
+                Some(before) => cell == "agrees" && before == it,
+                None => true,
+            }))
         }
         "starts over" => {
             shows(before.as_f64() > Some(1.0))?;
@@ -290,7 +294,13 @@ fn a_cell_that_is_wrong_or_shows_nothing_is_reported() {
             &json!({"a": 1}),
             &json!({"b": 2, "a": 1}),
         ),
-        ("anew", &json!([]), &json!([1]), &json!([2])),
+        ("anew", &json!({}), &json!({"1": 1}), &json!({"2": 1})),
+        (
+            "agrees",
+            &json!({}),
+            &json!({"1": 1}),
+            &json!({"2": 1, "1": 1}),
+        ),
         ("+1", &null, &one, &two),
         ("still 1", &null, &one, &one),
         ("2", &null, &one, &json!(2.0)),
@@ -311,8 +321,14 @@ fn a_cell_that_is_wrong_or_shows_nothing_is_reported() {
         ("goes on", &zero, &one, &null),
         ("goes on", &json!([]), &json!([1, 2]), &json!([1])),
         ("goes on", &json!({}), &json!({"a": 1}), &json!({"a": 2})),
-        ("anew", &json!([]), &json!([1]), &json!([1, 2])),
-        ("anew", &json!([]), &json!([1]), &json!([])),
+        (
+            "anew",
+            &json!({}),
+            &json!({"1": 1}),
+            &json!({"1": 1, "2": 1}),
+        ),
+        ("agrees", &json!({}), &json!({"1": 1}), &json!({"1": 2})),
+        ("anew", &json!({}), &json!({"1": 1}), &json!({})),
         ("+1", &null, &one, &one),
         ("still 1", &null, &two, &one),
         ("still 1", &null, &one, &two),

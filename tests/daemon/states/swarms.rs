@@ -98,6 +98,11 @@ async fn look(daemon: &Served, name: &str, runs: Option<&str>) -> Look {
     let metrics = metrics["swarms"].as_array().unwrap();
     let metrics = metrics.iter().find(|it| it["swarm"] == name).unwrap();
     let history = &result["history_from"];
+    let kept = events["result"]["events"].as_array().unwrap().iter();
+    let of_number = |it: &Value| {
+        let event = json!([it["epoch"], it["step"], it["event"]]);
+        (it["number"].to_string(), event)
+    };
     let mut look = Look::from([
         ("epoch", status["epoch"].clone()),
         ("step", status["step"].clone()),
@@ -130,10 +135,7 @@ async fn look(daemon: &Served, name: &str, runs: Option<&str>) -> Look {
         ("phase", json!([status["phase"], result["reason"]])),
         ("published frames", state["frame"].clone()),
         ("event number", events["result"]["newest"].clone()),
-        (
-            "kept events",
-            brief(&events["result"]["events"], &["epoch", "step", "number"]),
-        ),
+        ("kept events", Value::Object(kept.map(of_number).collect())),
         (
             "journal",
             brief(journal, &["seq", "epoch", "step", "verb", "unix_secs"]),
