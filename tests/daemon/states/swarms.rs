@@ -93,7 +93,7 @@ async fn look(daemon: &Served, name: &str, runs: Option<&str>) -> Look {
     let verify = client.one(&keys::get(PREFIX, name, "verify"), None).await;
     let recordings = client.node("recordings").await;
     let recordings = recordings["recordings"].as_array().unwrap();
-    let recording = recordings.iter().find(|it| it["swarm"] == name);
+    let recording = recordings.iter().find(|it| it["recording"] == name);
     let metrics = client.node("metrics").await;
     let metrics = metrics["swarms"].as_array().unwrap();
     let metrics = metrics.iter().find(|it| it["swarm"] == name).unwrap();
@@ -292,7 +292,7 @@ async fn prepare(daemon: &Served, name: &'static str, kind: Kind) -> Prepared {
         let frame = client.one(&state, None).await.unwrap()["frame"].as_u64();
         let list = client.node("recordings").await;
         let mut list = list["recordings"].as_array().unwrap().iter();
-        let recorded = list.any(|it| it["swarm"] == name && it["frames"].as_u64() >= Some(13));
+        let recorded = list.any(|it| it["recording"] == name && it["frames"].as_u64() >= Some(13));
         recorded && frame > Some(5)
     })
     .await;
@@ -321,8 +321,8 @@ struct World {
     _states: Subscriber,
 }
 
-async fn world(folder: &Path) -> World {
-    let daemon = begin(folder, "", &["school", "moving"]).await;
+async fn world(data: &Path) -> World {
+    let daemon = begin(data, "", &["school", "moving"]).await;
     let states = subscribe(&daemon.client, keys::state(PREFIX, "*")).await;
     let mut stands = prepare(&daemon, "school", Kind::Stands).await;
     let runs = prepare(&daemon, "moving", Kind::Runs).await;
@@ -437,6 +437,19 @@ async fn copies(table: &mut Table, data: &Path) {
     judge(table, "restore", &it.daemon, &mut it.stands, names).await;
     let names = ("school", Some("moving"));
     judge(table, "fork: origin", &it.daemon, &mut it.stands, names).await;
+
+    // What was written down of a copy.
+    let data = tempfile::tempdir().unwrap();
+    let mut it = world(data.path()).await;
+    for (name, copy) in [("school", "fork"), ("moving", "fork-of-moving")] {
+        let args = json!({"name": copy});
+        it.daemon.client.ok(name, "fork", args).await;
+    }
+    it.daemon.kill();
+    it.daemon = Served::on(data.path(), "").await;
+    let names = ("fork", Some("fork-of-moving"));
+    let change = "fork: copy, kill, start";
+    judge(table, change, &it.daemon, &mut it.stands, names).await;
 }
 
 /// A disk that is full, and has room again.
