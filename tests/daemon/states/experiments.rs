@@ -10,7 +10,7 @@ use crate::experiments::{ok, progress, reach, rows, submit};
 use crate::support::{Client, beside_others, until};
 
 fn many() -> String {
-    "name = \"many\"\nseed = 3\nreplicates = 200\nduration = 60\n[[grid]]\nn = [3, 4]\n".to_owned()
+    "name = \"many\"\nseed = 3\nreplicates = 2000\nduration = 60\n[[grid]]\nn = [3, 4]\n".to_owned()
 }
 
 async fn look(client: &Client) -> Look {

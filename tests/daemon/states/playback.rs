@@ -82,8 +82,8 @@ async fn after_each_change_of_a_playback_what_starts_over_does_and_what_goes_on_
         let run = json!({"rate": 1000, "until_step": 50});
         client.ok("tape", "run", run).await;
         ends().await;
-        // A frame in ten seconds: it stays where it is while it runs.
-        let run = json!({"rate": 0.01, "until_step": 190});
+        // A frame in a hundred seconds: it stays where it is while it runs.
+        let run = json!({"rate": 0.001, "until_step": 190});
         client.ok("tape", "run", run).await;
         until("the frames are published", async || {
             look(client).await["published frames"].as_u64() > Some(2)
@@ -112,9 +112,9 @@ async fn after_each_change_of_a_playback_what_starts_over_does_and_what_goes_on_
                 drop(client.ok("tape", "seek", json!({"step": 100})).await);
             }
             "to the end, run" => {
-                let slow = json!({"rate": 0.01});
+                let slow = json!({"rate": 0.001});
                 drop(client.ok("tape", "run", slow).await);
-                before.insert("rate", json!(0.01));
+                before.insert("rate", json!(0.001));
             }
             "reset" => drop(client.ok("tape", "reset", json!({})).await),
             "daemon stops, starts" => {
