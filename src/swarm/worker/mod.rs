@@ -392,6 +392,9 @@ impl Worker {
             Ticket::Lost(controller) => self.lost(controller),
             Ticket::RecordingFailed(recording, reason) => {
                 self.tell(EventKind::RecordingFailed(recording, reason));
+                // The journal has no line of it: without a checkpoint the events after it would have
+                // other numbers when they are told again.
+                self.keep();
                 None
             }
             Ticket::Wait(waiter) => {

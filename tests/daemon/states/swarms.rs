@@ -1,5 +1,6 @@
 //! Swarms: what a change of state does to each thing that can be observed of them.
 
+use std::fs;
 use std::path::Path;
 
 use base64::Engine as _;
@@ -11,6 +12,7 @@ use tokio::task::JoinHandle;
 use super::{End, Look, Served, Table};
 use crate::crash::disk::Small;
 use crate::health::health;
+use crate::recording::{folder_of, has, stop};
 use crate::streams::{Subscriber, subscribe};
 use crate::support::{Answer, Client, NODE, PREFIX, beside_others, until};
 
@@ -242,7 +244,7 @@ async fn begin(folder: &Path, points: &str, names: &[&str]) -> Served {
 }
 
 /// Changes everything of a swarm that can be changed.
-async fn prepare(daemon: &Served, name: &'static str, kind: Kind) -> Prepared {
+async fn prepare(daemon: &Served, data: &Path, name: &'static str, kind: Kind) -> Prepared {
     let client = &daemon.client;
     let runs = (kind == Kind::Runs).then_some(name);
     let mut made = look(daemon, name, runs).await;
@@ -250,6 +252,14 @@ async fn prepare(daemon: &Served, name: &'static str, kind: Kind) -> Prepared {
     made.insert("verify", Value::Null);
     let begin = json!({"begin": {"swarm": name, "recording": name, "every": 5}});
     node(client, "record", begin).await.unwrap();
+    // An event that the journal does not have.
+    let lost = format!("{name}-lost");
+    let begin = json!({"begin": {"swarm": name, "recording": lost}});
+    node(client, "record", begin).await.unwrap();
+    has(client, &lost, "frames", 1).await;
+    fs::remove_dir_all(folder_of(data, &lost)).unwrap();
+    let failed = stop(client, &lost).await;
+    assert_eq!(failed["phase"], "failed", "{failed}");
     client
         .ok(name, "run", json!({"rate": 50, "until_step": 40}))
         .await;
@@ -324,8 +334,8 @@ struct World {
 async fn world(data: &Path) -> World {
     let daemon = begin(data, "", &["school", "moving"]).await;
     let states = subscribe(&daemon.client, keys::state(PREFIX, "*")).await;
-    let mut stands = prepare(&daemon, "school", Kind::Stands).await;
-    let runs = prepare(&daemon, "moving", Kind::Runs).await;
+    let mut stands = prepare(&daemon, data, "school", Kind::Stands).await;
+    let runs = prepare(&daemon, data, "moving", Kind::Runs).await;
     for (row, value) in &runs.before {
         if row.ends_with("of one that runs") {
             stands.before.insert(row, value.clone());
@@ -408,7 +418,7 @@ async fn faults(table: &mut Table, data: &Path) {
     let points = format!("step={}*off->1*panic->off", 2 * STEPS);
     let daemon = begin(data, &points, &["school"]).await;
     let _states = subscribe(&daemon.client, keys::state(PREFIX, "*")).await;
-    let mut swarm = prepare(&daemon, "school", Kind::Stands).await;
+    let mut swarm = prepare(&daemon, data, "school", Kind::Stands).await;
     let request = json!({"expect_step": STEPS, "args": {"controller": "ada"}});
     let (code, _) = daemon.client.err("school", "advance", request).await;
     assert_eq!(code, ErrorCode::Faulted);
