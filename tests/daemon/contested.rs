@@ -1,6 +1,6 @@
 //! Two daemons behind one router: no name is served by both, and no command is executed twice.
 
-mod fleet;
+pub mod fleet;
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;

@@ -14,6 +14,7 @@ use crate::replay;
 use crate::support::{Answer, Client, Daemon, NODE, PREFIX, until};
 
 mod bounds;
+mod recorded;
 #[path = "../../proto/tests/contract/types.rs"]
 mod types;
 

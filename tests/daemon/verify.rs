@@ -16,7 +16,7 @@ use crate::support::{Client, PATIENCE, beside_others};
 
 /// What is altered in the journal of swarm `a`.
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Alteration {
+pub enum Alteration {
     Nothing,
     /// The hash that is journaled for this epoch and step.
     Hash(u64, u64),
@@ -29,7 +29,7 @@ const LAST: u64 = 1150;
 
 /// Runs `a` and `b` to the step [`LAST`] of epoch 2 and stops the daemon. Hashes are journaled at
 /// the steps 500 and 1000 of both epochs; commands are executed at the steps 600 and 1100.
-async fn fill(folder: &Path) -> [String; 2] {
+pub async fn fill(folder: &Path) -> [String; 2] {
     let mut life = Life::begin(&mut life::daemon(folder)).unwrap();
     let client = Client::open(&life.endpoint).await;
     let mut hashes = Vec::new();
@@ -58,7 +58,7 @@ async fn fill(folder: &Path) -> [String; 2] {
 /// Copies the database of a stopped daemon and writes swarm `a` again with the alteration, by the
 /// store, which seals every row. Without `keeps_checkpoints` only the first checkpoint is kept, with
 /// it also those of the reset and of the stop.
-fn altered(folder: &Path, alteration: Alteration, keeps_checkpoints: bool) -> TempDir {
+pub fn altered(folder: &Path, alteration: Alteration, keeps_checkpoints: bool) -> TempDir {
     let copy = tempfile::tempdir().unwrap();
     life::copy(folder, copy.path());
     let settings = Settings {

@@ -18,10 +18,16 @@ use serde_json::Value;
 
 /// Reads a message into its type and writes it back.
 pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
+    let text = written_back_as_text(message, text)?;
+    serde_json::from_str(&text).map_err(|it| it.to_string())
+}
+
+/// Reads a message into its type and writes it back as text, in the order of the type's fields.
+pub fn written_back_as_text(message: &str, text: &str) -> Result<String, String> {
     match message {
         "request" => {
             let request = Request::from_json(text.as_bytes()).map_err(|it| it.to_string())?;
-            serde_json::to_value(request).map_err(|it| it.to_string())
+            written(&request)
         }
         "error" => told::<Error>(text),
         "scheduled.reply" => told::<Reply<Scheduled>>(text),
@@ -93,14 +99,18 @@ pub fn written_back(message: &str, text: &str) -> Result<Value, String> {
 }
 
 /// As a daemon reads arguments.
-fn asked<T: DeserializeOwned + Serialize>(text: &str) -> Result<Value, String> {
+fn asked<T: DeserializeOwned + Serialize>(text: &str) -> Result<String, String> {
     let request = Request::from_json(text.as_bytes()).map_err(|it| it.to_string())?;
     let args: T = request.args().map_err(|it| it.to_string())?;
-    serde_json::to_value(args).map_err(|it| it.to_string())
+    written(&args)
 }
 
 /// As a client reads an answer or a sample.
-fn told<T: DeserializeOwned + Serialize>(text: &str) -> Result<Value, String> {
+fn told<T: DeserializeOwned + Serialize>(text: &str) -> Result<String, String> {
     let message: T = serde_json::from_str(text).map_err(|it| it.to_string())?;
-    serde_json::to_value(message).map_err(|it| it.to_string())
+    written(&message)
+}
+
+fn written(message: &impl Serialize) -> Result<String, String> {
+    serde_json::to_string_pretty(message).map_err(|it| it.to_string())
 }

@@ -1,0 +1,218 @@
+//! A daemon process of the scenario, and a client of it that records what it is sent.
+
+use std::fs;
+use std::path::PathBuf;
+
+use jostle_proto::keys;
+use serde_json::{Value, json};
+use tempfile::TempDir;
+use zenoh::bytes::Encoding;
+use zenoh::handlers::FifoChannelHandler;
+use zenoh::query::Reply;
+
+use super::documents::{Document, Recorded};
+use crate::apart::jostled;
+use crate::contract::proto;
+use crate::crash::life::Life;
+use crate::streams::{Subscriber, subscribe};
+use crate::support::{Client, PATIENCE, PREFIX};
+
+/// The node of the fixtures.
+pub const LAB: &str = "lab";
+
+/// A client of a daemon of the node [`LAB`], which ends when dropped.
+pub struct Lab<'a> {
+    pub client: Client,
+    pub endpoint: String,
+    /// The daemon's data folder.
+    pub data: PathBuf,
+    token: Option<String>,
+    recorded: &'a Recorded,
+    _daemon: Option<(Life, TempDir)>,
+}
+
+/// The replies to a query that was sent.
+pub type Pending = FifoChannelHandler<Reply>;
+
+/// The arguments that a fixture has.
+pub fn args(fixture: &str) -> Value {
+    let path = proto().join("fixtures").join(format!("{fixture}.json"));
+    serde_json::from_slice(&fs::read(path).unwrap()).unwrap()
+}
+
+/// A request that does not time out while the machine is busy, unless it says when it does.
+fn patient(request: Value) -> Value {
+    let mut request = match request.get("args") {
+        Some(_) => request,
+        None => json!({"args": request}),
+    };
+    if request.get("timeout_secs").is_none() {
+        request["timeout_secs"] = json!(PATIENCE.as_secs_f64());
+    }
+    request
+}
+
+impl<'a> Lab<'a> {
+    pub async fn start(recorded: &'a Recorded) -> Self {
+        Self::with(recorded, "", &[]).await
+    }
+
+    /// A daemon that fails at these points.
+    pub async fn failing(recorded: &'a Recorded, points: &str) -> Self {
+        Self::with(recorded, points, &[]).await
+    }
+
+    /// A daemon with further arguments.
+    pub async fn with(recorded: &'a Recorded, points: &str, arguments: &[&str]) -> Self {
+        let (life, folder) = Self::life(points, arguments);
+        let client = Client::open(&life.endpoint).await;
+        Self::of(recorded, life, client, folder)
+    }
+
+    /// A daemon process, and its data folder.
+    pub fn life(points: &str, arguments: &[&str]) -> (Life, TempDir) {
+        let folder = tempfile::tempdir().unwrap();
+        let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", LAB]);
+        command.args(arguments).arg("--data-dir").arg(folder.path());
+        let life = Life::begin(command.env("FAILPOINTS", points)).unwrap();
+        (life, folder)
+    }
+
+    /// A daemon on a data folder, and its client.
+    pub fn of(recorded: &'a Recorded, life: Life, client: Client, folder: TempDir) -> Self {
+        let data = folder.path().to_owned();
+        let mut lab = Self::client(recorded, client, None, data);
+        lab.endpoint.clone_from(&life.endpoint);
+        lab._daemon = Some((life, folder));
+        lab
+    }
+
+    /// A client that sends this token to a daemon that goes on without it.
+    pub fn client(
+        recorded: &'a Recorded,
+        client: Client,
+        token: Option<String>,
+        data: PathBuf,
+    ) -> Self {
+        Lab {
+            client,
+            endpoint: String::new(),
+            data,
+            token,
+            recorded,
+            _daemon: None,
+        }
+    }
+
+    pub async fn stop(self) {
+        self.client.session.close().await.unwrap();
+    }
+
+    /// Sends a query and does not wait for its replies.
+    pub async fn send(&self, selector: &str, request: Option<&Value>) -> Pending {
+        let mut query = self.client.session.get(selector).timeout(3 * PATIENCE);
+        if let Some(request) = request {
+            let payload = request.to_string();
+            query = query.payload(payload).encoding(Encoding::APPLICATION_JSON);
+        }
+        if let Some(token) = &self.token {
+            query = query.attachment(token);
+        }
+        query.await.unwrap()
+    }
+
+    /// Records the reply to a query under a name, unless that is empty. The name says whether an
+    /// error is expected.
+    pub async fn take(&self, name: &str, pending: &Pending) -> Value {
+        let document = self.receive(name, pending).await;
+        if !name.is_empty() {
+            self.recorded.keep(name, &document, &self.data);
+        }
+        serde_json::from_slice(&document.bytes).unwrap_or(Value::Null)
+    }
+
+    /// The reply to a query, which is not recorded.
+    pub async fn receive(&self, name: &str, pending: &Pending) -> Document {
+        let reply = pending.recv_async().await;
+        let reply = reply.unwrap_or_else(|_| panic!("{name}: no reply"));
+        let is_error = name.starts_with("error.");
+        let (is_meant, payload, encoding) = match reply.result() {
+            Ok(sample) => (!is_error, sample.payload(), sample.encoding()),
+            Err(error) => (is_error, error.payload(), error.encoding()),
+        };
+        let bytes = payload.to_bytes().into_owned();
+        assert!(is_meant, "{name}: {}", String::from_utf8_lossy(&bytes));
+        let encoding = encoding.clone();
+        Document { encoding, bytes }
+    }
+
+    /// Records a document that was sent.
+    pub fn keep(&self, name: &str, document: &Document) {
+        self.recorded.keep(name, document, &self.data);
+    }
+
+    pub async fn ask(&self, name: &str, selector: &str, request: Option<&Value>) -> Value {
+        let pending = self.send(selector, request).await;
+        self.take(name, &pending).await
+    }
+
+    /// A command to a swarm.
+    pub async fn cmd(&self, name: &str, swarm: &str, verb: &str, request: Value) -> Value {
+        let (key, request) = (keys::cmd(PREFIX, swarm, verb), patient(request));
+        self.ask(name, &key, Some(&request)).await
+    }
+
+    /// A query to a swarm.
+    pub async fn get(&self, name: &str, swarm: &str, noun: &str) -> Value {
+        let key = keys::get(PREFIX, swarm, noun);
+        self.ask(name, &key, None).await
+    }
+
+    /// A command to the daemon.
+    pub async fn node_cmd(&self, name: &str, verb: &str, request: Value) -> Value {
+        let (key, request) = (keys::node_cmd(PREFIX, LAB, verb), patient(request));
+        self.ask(name, &key, Some(&request)).await
+    }
+
+    /// A query to the daemon.
+    pub async fn node_get(&self, name: &str, noun: &str) -> Value {
+        let key = keys::node_get(PREFIX, LAB, noun);
+        self.ask(name, &key, None).await
+    }
+
+    pub async fn create(&self, name: &str, spec: Value) -> Value {
+        let request = json!({"name": name, "spec": spec});
+        self.node_cmd("", "create", request).await
+    }
+
+    pub async fn subscribe(&self, key: String) -> Subscriber {
+        subscribe(&self.client, key).await
+    }
+
+    /// Records the first sample that is meant.
+    pub async fn sample(
+        &self,
+        name: &str,
+        samples: &Subscriber,
+        is_meant: impl Fn(&Value) -> bool,
+    ) -> Value {
+        loop {
+            let sample = tokio::time::timeout(PATIENCE, samples.recv_async()).await;
+            let sample = sample.unwrap_or_else(|_| panic!("{name} is not published"));
+            let sample = sample.unwrap();
+            let bytes = sample.payload().to_bytes().into_owned();
+            let value: Value = serde_json::from_slice(&bytes).unwrap();
+            if is_meant(&value) {
+                let encoding = sample.encoding().clone();
+                self.keep(name, &Document { encoding, bytes });
+                return value;
+            }
+        }
+    }
+
+    /// Records the next event of a kind.
+    pub async fn event(&self, name: &str, samples: &Subscriber, kind: &str) -> Value {
+        let is_meant = |event: &Value| event["event"]["kind"] == kind;
+        self.sample(name, samples, is_meant).await
+    }
+}
