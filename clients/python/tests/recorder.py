@@ -28,6 +28,8 @@ FRESH = "(fresh)"
 _FRESH_ID = re.compile(r"[0-9a-f]{32}(-[0-9]+)?")
 # Reply pages have so many entries, so that a client has to request several.
 _PAGE = 2
+# Recordings have so many parts.
+_PARTS = 3
 _FIRST_STEP = 40
 
 
@@ -201,6 +203,11 @@ class Recorder:
         match rest.split("/"):
             case ["get", "recording"]:
                 return _piece(int(parameters["part"]), int(parameters["offset"]))
+            case ["get", "recordings"]:
+                reply = fixture("node.recordings.reply")
+                for recording in reply["result"]["recordings"]:
+                    recording["parts"] = _PARTS
+                return reply
             case ["get", noun]:
                 return fixture(f"node.{noun}.reply")
             case ["cmd", "replay"] if "upload" in body["args"]:
@@ -240,6 +247,8 @@ class Recorder:
                     return reply
                 reply["result"]["state"] = self._state()
                 return cbor2.dumps(reply)
+            case ["cmd", "join"]:
+                return self._placed(fixture("join.reply"))
             case ["cmd", verb]:
                 return fixture(f"{verb}.reply")
             case ["get", "wait"]:
@@ -281,7 +290,7 @@ def _piece(part: int, offset: int) -> dict[str, Any]:
     """A piece of a recording whose every part is four bytes."""
     reply = fixture("node.recording.reply")
     content = base64.b64encode(b"MCAP"[offset:]).decode()
-    reply["result"].update(part=part, parts=3, offset=offset, length=4, bytes=content)
+    reply["result"].update(part=part, parts=_PARTS, offset=offset, length=4, bytes=content)
     return reply
 
 

@@ -55,10 +55,7 @@ const FIXED: &[(&str, &str, &str)] = &[
         "/details/instances",
         r#"["01919f5dc9f2-5f0e2b1c", "01919f5dd3a1-a41c09d7"]"#,
     ),
-    ("experiment.progress", "/share", "0.25"),
     ("experiment.progress", "/elapsed_secs", "3.5"),
-    ("experiment.progress", "/left_secs", "10.5"),
-    ("experiment.progress", "/running/*/share", "0.25"),
     (
         "node.experiments.reply",
         "/result/experiments/*/elapsed_secs",

@@ -59,6 +59,7 @@ pub async fn play(recorded: &Recorded) {
     reach(&lab, "small", "finished").await;
     reach(&lab, "odd", "failed").await;
     let key = |noun: &str| keys::experiment(PREFIX, LAB, "small", noun);
+    lab.ask("experiment.progress", &key("progress"), None).await;
     lab.ask("experiment.results", &key("results"), None).await;
     let order = format!("{}?run=n=2 #0;limit=3", key("order"));
     lab.ask("experiment.order", &order, None).await;
@@ -70,8 +71,6 @@ pub async fn play(recorded: &Recorded) {
         progress(&lab, "long").await["left_secs"].is_number()
     })
     .await;
-    let long = keys::experiment(PREFIX, LAB, "long", "progress");
-    lab.ask("experiment.progress", &long, None).await;
     lab.node_get("node.experiments.reply", "experiments").await;
     lab.stop().await;
 }

@@ -18,6 +18,13 @@ pub async fn play(recorded: &Recorded) {
     lab.create("school", spec).await;
     lab.node_cmd("record.reply", "record", args("record.args"))
         .await;
+    // It is fetched and deleted by its client, unlike the one before it.
+    let name = json!({"recording": "school-1"});
+    for verb in ["stop", "delete"] {
+        lab.node_cmd("", "record", json!({verb: name})).await;
+    }
+    let begin = json!({"begin": {"swarm": "school", "temporary": true}});
+    lab.node_cmd("", "record", begin).await;
     let take = args("record.args.named");
     lab.node_cmd("", "record", take).await;
     for name in ["night", "demo"] {
@@ -38,9 +45,11 @@ pub async fn play(recorded: &Recorded) {
     lab.node_cmd("", "record", stop).await;
     lab.event("event.recording_failed", &events, "recording_failed")
         .await;
-    lab.node_get("node.recordings.reply", "recordings").await;
     piece(&lab).await;
     shown(&lab).await;
+    let delete = json!({"delete": {"recording": "demo"}});
+    lab.node_cmd("", "record", delete).await;
+    lab.node_get("node.recordings.reply", "recordings").await;
     lab.stop().await;
 }
 

@@ -32,7 +32,7 @@ pub async fn play(recorded: &Recorded) {
     errors(&lab).await;
     verifying(&lab).await;
     lab.stop().await;
-    verified(recorded).await;
+    altered(recorded).await;
 }
 
 /// A crowd at step 30 with a command that waits for step 100.
@@ -86,8 +86,10 @@ async fn errors(lab: &Lab<'_>) {
         .await;
 }
 
-/// The status of a swarm whose history is verified.
+/// A history that leads to what there is, and the status of a swarm whose history is verified.
 async fn verifying(lab: &Lab<'_>) {
+    lab.cmd("", "school", "step", json!({"steps": 1000})).await;
+    lab.get("verify.reply", "school", "verify").await;
     lab.create("long", json!({"n": 20, "seed": 1})).await;
     lab.cmd("", "long", "step", json!({"steps": 5000})).await;
     let status = keys::get(PREFIX, "long", "status");
@@ -111,15 +113,14 @@ async fn verifying(lab: &Lab<'_>) {
     }
 }
 
-/// A history that leads to what there is, and one of which a hash was altered on the disk.
-async fn verified(recorded: &Recorded) {
+/// A history of which a hash was altered on the disk.
+async fn altered(recorded: &Recorded) {
     let folder = tempfile::tempdir().unwrap();
     verify::fill(folder.path()).await;
     let altered = verify::altered(folder.path(), Alteration::Hash(1, 1000), true);
     let life = Life::begin(&mut life::daemon(altered.path())).unwrap();
     let client = Client::open(&life.endpoint).await;
     let lab = Lab::of(recorded, life, client, altered);
-    lab.get("verify.reply", "b", "verify").await;
     lab.get("verify.reply.differs", "a", "verify").await;
     lab.stop().await;
 }

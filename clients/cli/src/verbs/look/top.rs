@@ -178,15 +178,21 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use clap::ValueEnum as _;
+    use jostle_proto::Phase;
 
     use super::*;
 
-    /// The fixture: a school that runs and a shoal that stands.
+    /// The fixture, in which a school and a shoal stand; but here the school runs.
     fn metrics() -> Metrics {
         let text = include_str!("../../../../../proto/fixtures/node.metrics.reply.json");
-        serde_json::from_str::<NodeReply<Metrics>>(text)
+        let mut metrics = serde_json::from_str::<NodeReply<Metrics>>(text)
             .unwrap()
-            .result
+            .result;
+        let school = &mut metrics.swarms[0];
+        assert_eq!(school.swarm, "school");
+        (school.phase, school.real_time_factor) = (Phase::Running, Some(0.998));
+        (school.rate, school.residual) = (Some(1.0), 3.5e-13);
+        metrics
     }
 
     /// The same two seconds later, in which the school took 100 steps of 200 µs.
@@ -222,7 +228,7 @@ mod tests {
         assert_eq!(
             lines[1..],
             [
-                "school running 180012 50 1 1.00 1.0 200.0 0.5 61 3.5e-13",
+                "school running 110 50 1 1.00 1.0 200.0 0.5 39 3.5e-13",
                 "shoal paused 0 20 max - 0.0 - - 0 0.0e0"
             ]
         );

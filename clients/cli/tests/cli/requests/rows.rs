@@ -578,7 +578,7 @@ fn experiments() -> Vec<Row> {
             ],
         ),
         row("experiment list", &["@node/test/get/experiments"]).says("small"),
-        row("experiment status <name>small", &[progress]).says("small is finished, 1 of 4"),
+        row("experiment status <name>small", &[progress]).says("small is finished, 4 of 4"),
         row("experiment attach <name>small", &[progress]).says("; took 3"),
         row(
             "experiment pause <name>small",
