@@ -6,8 +6,27 @@ use jostle_proto::keys;
 use serde_json::{Value, json};
 
 use super::documents::Recorded;
-use super::lab::{LAB, Lab, args};
+use super::lab::{LAB, Lab};
 use crate::support::{PREFIX, until};
+
+/// An experiment of four short runs, two of them with an informed individual.
+const SMALL: &str = r#"
+name = "small"
+seed = 1
+replicates = 2
+duration = 1.0
+spec = { pi1 = 4.0 }
+
+[[grid]]
+n = [2]
+
+[[grid]]
+n = [5]
+informed = [1]
+
+[measure]
+order_every = 10
+"#;
 
 /// An experiment of one run that takes longer than the test.
 fn endless(name: &str) -> Value {
@@ -45,7 +64,7 @@ pub async fn play(recorded: &Recorded) {
 
     lab.node_cmd("", "experiment", endless("still")).await;
     reach(&lab, "still", "running").await;
-    let small = args("experiment.args");
+    let small = json!({"submit": {"toml": SMALL}});
     lab.node_cmd("experiment.reply", "experiment", small).await;
     for name in ["odd", "half"] {
         lab.node_cmd("", "experiment", endless(name)).await;
@@ -61,7 +80,7 @@ pub async fn play(recorded: &Recorded) {
     let key = |noun: &str| keys::experiment(PREFIX, LAB, "small", noun);
     lab.ask("experiment.progress", &key("progress"), None).await;
     lab.ask("experiment.results", &key("results"), None).await;
-    let order = format!("{}?run=n=2 #0;limit=3", key("order"));
+    let order = format!("{}?run=n=5 informed=1 #0;limit=3", key("order"));
     lab.ask("experiment.order", &order, None).await;
 
     for name in ["long", "next"] {

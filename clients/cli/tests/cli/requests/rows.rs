@@ -609,7 +609,7 @@ fn experiments() -> Vec<Row> {
             "experiment results <name>small --order n=5",
             &["@node/test/experiment/small/order?run=n=5;after=0"],
         )
-        .says("time,order,drift\n0,0.25,0.125"),
+        .says("time,order,drift\n0,0.5821452720313459,-0.4931628207017643"),
         row(
             "figure <kind>snapshot <of>demo --out {}/demo.svg",
             &["demo/get/status", "demo/state"],
