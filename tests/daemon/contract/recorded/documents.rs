@@ -193,9 +193,10 @@ impl Recorded {
 
     fn insert(&self, file: String, bytes: Vec<u8>) {
         let mut files = self.files.lock().unwrap();
-        if let Some(before) = files.insert(file.clone(), bytes.clone()) {
-            assert_eq!(difference(&before, &bytes), None, "{file} came twice");
+        if let Some(before) = files.get(&file) {
+            assert_eq!(difference(before, &bytes), None, "{file} came twice");
         }
+        files.insert(file, bytes);
     }
 
     /// Replaces what differs from run to run.
@@ -328,23 +329,23 @@ fn difference(there: &[u8], recorded: &[u8]) -> Option<String> {
     let parsed = |bytes| serde_json::from_slice::<Value>(bytes);
     match (parsed(there), parsed(recorded)) {
         (Ok(there), Ok(recorded)) => {
-            let found = first_difference(&there, &recorded, String::new());
+            let found = first_difference(&there, &recorded, "");
             Some(found.unwrap_or_else(|| "the same values are written otherwise".to_owned()))
         }
         _ => Some(format!("{there:02x?} and {recorded:02x?}")),
     }
 }
 
-fn first_difference(there: &Value, recorded: &Value, place: String) -> Option<String> {
+fn first_difference(there: &Value, recorded: &Value, place: &str) -> Option<String> {
     match (there, recorded) {
         (Value::Object(a), Value::Object(b)) if a.keys().eq(b.keys()) => a
             .iter()
-            .find_map(|(name, a)| first_difference(a, &b[name], format!("{place}/{name}"))),
+            .find_map(|(name, a)| first_difference(a, &b[name], &format!("{place}/{name}"))),
         (Value::Array(a), Value::Array(b)) if a.len() == b.len() => a
             .iter()
             .zip(b)
             .enumerate()
-            .find_map(|(i, (a, b))| first_difference(a, b, format!("{place}/{i}"))),
+            .find_map(|(i, (a, b))| first_difference(a, b, &format!("{place}/{i}"))),
         _ if there == recorded => None,
         _ => Some(format!("{place} is {there}, and a daemon sent {recorded}")),
     }

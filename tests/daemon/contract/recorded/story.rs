@@ -16,7 +16,7 @@ pub async fn play(recorded: &Recorded) {
     let orders = lab.subscribe(keys::order(PREFIX, "school")).await;
     let spec = json!({"n": 4, "seed": 1, "start": {"kind": "disc", "radius": 4.0}});
     let create = json!({"name": "school", "spec": spec});
-    lab.node_cmd("create.reply", "create", create.clone()).await;
+    lab.node_cmd("create.reply", "create", create).await;
     let existing = json!({"name": "school", "spec": spec, "exist_ok": true});
     lab.node_cmd("create.reply.existing", "create", existing)
         .await;
