@@ -17,8 +17,8 @@ const PREFIXES: [&str; 2] = ["jostle", "other"];
 /// The swarms that it claims to have.
 const SWARMS: [&str; 5] = ["demo", "twin", "test-1", "test-2", "pair"];
 
-/// What differs from the fixtures: a fixture or the end of a key, the place in the reply, the value. The
-/// fixtures show pages of which there are more, and a status of another step than the state.
+/// What differs from the fixtures: a fixture or the end of a key, the place in the reply, the value.
+/// The fixtures show pages of which there are more, and a status of another step than the state.
 const CHANGES: [(&str, &str, &str); 4] = [
     ("get/journal", "/result/newest", "3"),
     ("get/events", "/result/newest", "7"),
