@@ -35,6 +35,7 @@ mod repeat;
 mod replay;
 mod rights;
 mod schedule;
+mod settings;
 mod soak;
 mod states;
 mod stored;
