@@ -24,6 +24,7 @@ mod history;
 mod idle_http;
 mod limits;
 mod load;
+mod memory;
 mod once;
 mod overload;
 mod page;

@@ -36,7 +36,8 @@ it comes to in that time. Bounds:
 
 - Memory grows by less than 8 MB, half a megabyte a swarm and 671 bytes an answer: what buffers and
   pools may come to need, as in `tests/daemon/soak.rs`; the 256 KiB each of journal and of events
-  that are kept; and of 100,000 answers the 64 MiB that are.
+  that are kept; and of 100,000 answers the 64 MiB that are. Whether memory grows after all this is
+  full is judged by `memory::two_thousand_swarms` of [guarantees.md](guarantees.md), not by a day.
 - Descriptors: one for each session that there may be at once, and 64 of its own, which is also
   all that may be left when everybody has gone.
 - Threads: one for each swarm that there may be at once, and 28 of its own, which is also all that

@@ -186,7 +186,7 @@ _PROMISES: list[tuple[str, str, Judged | str]] = [
         "red while the disk is full, green after each trouble",
         Judged(company.health, _a_minute(40)),
     ),
-    ("health", "memory does not grow", Judged(bounds.memory, _times(3))),
+    ("health", "memory grows by less than its bound", Judged(bounds.memory, _times(3))),
     (
         "health",
         "descriptors are bounded, and go with who had them",
