@@ -88,6 +88,7 @@ class Recorder:
         phase: The phase of every experiment.
         controller: The name of the controller that is listed.
         step: The step that its swarms are at.
+        repeats: The requests that it was sent again under the same id.
     """
 
     def __init__(self, endpoint: str, passwords: Path | None = None) -> None:
@@ -95,6 +96,7 @@ class Recorder:
         self.late: list[dict[str, Any]] = []
         self.trouble: list[Exception] = []
         self._changed = threading.Condition()
+        self.repeats: list[Sent] = []
         self._sent: list[Sent] = []
         self._seen: set[tuple[str, str]] = set()
         self._held: list[zenoh.Query] = []
@@ -125,6 +127,7 @@ class Recorder:
         """Forgets what was sent, and replies to everything as at the beginning."""
         with self._changed:
             self._sent.clear()
+            self.repeats.clear()
             self._seen.clear()
         self.phase = "finished"
         self.controller = "ada"
@@ -184,6 +187,7 @@ class Recorder:
             if body is not None and "request_id" in body:
                 # On a slow machine a client sends the same request again.
                 if (key, body["request_id"]) in self._seen:
+                    self.repeats.append(sent)
                     return
                 self._seen.add((key, body["request_id"]))
             self._sent.append(sent)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 import inspect
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +20,11 @@ import jostle
 import rows_of_clients
 import rows_of_swarms
 from arguments import ENVELOPE, SHOWN, TAKEN, VALUES
-from conftest import find_free_endpoint
+from conftest import PATIENCE_SECS, find_free_endpoint
 from jostle import aio
 from jostle._arguments import to_json
 from recorder import Recorder, Sent, credentials, fixture
-from rows import CLIENT, TIMEOUT_SECS, File, Row, Take
+from rows import CLIENT, TIMEOUT_SECS, File, Row, Take, cmd
 
 ROWS = [*rows_of_swarms.ROWS, *rows_of_clients.ROWS]
 FIRST = {row.call: row for row in reversed(ROWS)}
@@ -206,6 +207,29 @@ def test_a_client_without_credentials_proves_nothing(
     row = FIRST[call]
     anonymous = [Sent(it.selector, it.body, None) for it in row.sent]
     assert unknown.perform(form, row, tmp_path) == anonymous
+
+
+def test_a_command_sent_again_is_the_same_but_for_its_timeout(known: Clients) -> None:
+    recorder = known.recorder
+    recorder.clear()
+    recorder.is_mute = lambda key: key.endswith("/cmd/pause")
+    options: dict[str, Any] = {"at_step": 41, "expect_step": 40, "expect_epoch": 3}
+    with ThreadPoolExecutor(1) as pool:
+        try:
+            pause = known.blocking.swarm("school").pause
+            reply = pool.submit(pause, **options, timeout=3600)
+            assert recorder.holds(2)
+        finally:
+            recorder.release()
+        reply.result(PATIENCE_SECS)
+    # A client that is not replied to asks more than that.
+    first = recorder.sent(1)[0]
+    assert first == cmd("pause", {}, **options, timeout_secs=3600.0)
+    assert recorder.repeats != []
+    for repeat in recorder.repeats:
+        assert 0 < repeat.body["timeout_secs"] < 3600
+        body = {**repeat.body, "timeout_secs": 3600.0}
+        assert Sent(repeat.selector, body, repeat.attachment) == first
 
 
 @pytest.mark.parametrize("form", ["blocking", "awaited"])

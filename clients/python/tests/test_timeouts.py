@@ -164,3 +164,32 @@ def test_a_wait_for_an_experiment_that_goes_on_ends(form: str, silent: Recorder)
             )
     assert error is jostle.DeadlineExceeded
     assert TIMEOUT_SECS <= seconds < TOLERANCE_SECS
+
+
+@pytest.mark.parametrize("form", ["blocking", "awaited"])
+@pytest.mark.parametrize("stream", ["states", "orders", "events"])
+def test_the_timeout_of_the_client_ends_the_opening_of_a_stream(
+    stream: str, form: str, silent: Recorder
+) -> None:
+    # Its own limits only how long an item may take.
+    with (
+        jostle.connect(silent.endpoint, timeout=TIMEOUT_SECS) as client,
+        ThreadPoolExecutor(1) as pool,
+    ):
+        silent.is_mute = lambda key: True
+        swarm = client.swarm("school")
+        target: Any = swarm if form == "blocking" else aio.Swarm(swarm)
+
+        def open_() -> Any:
+            return getattr(target, stream)(timeout=CLIENT_SECS)
+
+        try:
+            if form == "blocking":
+                work = pool.submit(_time, open_)
+                error, seconds = _ended(work, time.monotonic() + 2 * TOLERANCE_SECS)
+            else:
+                error, seconds = asyncio.run(_time_awaited(open_))
+        finally:
+            silent.release()
+    assert error is jostle.Unavailable
+    assert TIMEOUT_SECS + GRACE_SECS <= seconds < TIMEOUT_SECS + GRACE_SECS + TOLERANCE_SECS

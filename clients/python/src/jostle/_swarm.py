@@ -181,7 +181,8 @@ class Swarm(Commands):
 
         Args:
             timeout: Raise `DeadlineExceeded` when none comes for so many seconds; the stream may
-                be iterated on after that. None waits for ever.
+                be iterated on after that. None waits for ever. The stream is opened within the
+                client's `timeout`.
 
         Raises:
             NotFound: No such swarm. On the way `Unavailable` is raised if the daemon goes away.
@@ -218,7 +219,8 @@ class Swarm(Commands):
                 daemon remembers: 0 is the whole history, `event.number` goes on where a reader
                 ended. None begins with what happens from now on.
             timeout: Raise `DeadlineExceeded` when none comes for so many seconds; the stream may
-                be iterated on after that. None waits for ever.
+                be iterated on after that. None waits for ever. The stream is opened within the
+                client's `timeout`.
 
         Raises:
             NotFound: No such swarm. On the way `Unavailable` is raised if the daemon goes away.
