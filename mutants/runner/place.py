@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import shutil
 import signal
 import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -30,6 +32,7 @@ class Place:
     def prepare(self) -> None:
         """Brings the copy up to date, and what cargo has compiled from the tree."""
         self.tree.mkdir(parents=True, exist_ok=True)
+        self._lock()
         wanted = set(project_files(ROOT))
         for path in wanted:
             self._copy(path)
@@ -38,6 +41,14 @@ class Place:
         modules = self.tree / "clients/web/node_modules"
         if not modules.is_symlink():
             modules.symlink_to(ROOT / "clients/web/node_modules")
+
+    def _lock(self) -> None:
+        """Ends this program if another one uses the copy. Its end releases the lock."""
+        self._held = (_FOLDER / "lock").open("w")
+        try:
+            fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            sys.exit(f"another mutants/run uses {_FOLDER}: wait for its end")
 
     def _copy(self, path: Path) -> None:
         source, copy = ROOT / path, self.tree / path

@@ -156,15 +156,21 @@ _ALL = [
     Cargo("lib", ("src/",), ("src/",), True, targets="--lib"),
     Cargo("daemon", ("tests/daemon",), _DAEMON, True, targets="--test daemon"),
     Cargo("physics", ("tests/physics",), ("src/",), True, targets="--test physics"),
-    # Alone, since the daemon is made from them, too.
+    # Without the daemon, which is made from them, too. The command line is named so that cargo
+    # selects the features that it does for all of the workspace, whose dependencies are compiled.
     Cargo(
         "proto",
         ("proto/src/", "proto/tests/"),
         ("proto/src/",),
-        targets="-p jostle-proto --lib --test contract",
+        targets="-p jostle-proto -p jostle-cli --lib --test contract",
     ),
-    Cargo("results", ("results/src/",), ("results/src/",), targets="-p jostle-results --lib"),
-    # With all of the workspace, whose dependencies are compiled already.
+    Cargo(
+        "results",
+        ("results/src/",),
+        ("results/src/",),
+        targets="-p jostle-results -p jostle-cli --lib",
+    ),
+    # The daemon's library is one of its dependencies and stays as it is.
     Cargo("cli-unit", ("clients/cli/src/",), ("clients/cli/src/",), targets="--bin jostle"),
     Cargo("cli", ("clients/cli/tests/",), ("clients/cli/src/",), targets="--test cli"),
     Pytest("python", ("clients/python/tests/",), ("clients/python/src/",)),
