@@ -207,6 +207,26 @@ mod tests {
     }
 
     #[test]
+    fn a_band_of_contacts_is_of_the_runs_of_its_size_and_shape() {
+        let n = sample().n;
+        let touch = |pi1: f64, n: u64, pushing: f64| Touch {
+            pi1,
+            n,
+            pushing,
+            ..Touch::default()
+        };
+        let pi1 = sample().pi1;
+        let touches = [
+            touch(pi1, n, 0.5),
+            touch(pi1, n + 1, 7.0),
+            touch(pi1 + 1.0, n, 9.0),
+        ];
+        let bands = make(&[sample()], &touches, 4);
+        let band = bands.iter().find(|it| it.quantity == "pushing").unwrap();
+        assert!((band.low - 0.5).abs() < 1.1e-6 && (band.high - 0.5).abs() < 1.1e-6);
+    }
+
+    #[test]
     fn bands_survive_a_file_and_nonsense_is_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("bands.csv");

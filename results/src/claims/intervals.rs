@@ -206,6 +206,37 @@ fn saturates(evidence: &Evidence) -> Answer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Run;
+    use crate::run::sample;
+    use crate::statistics::summarise;
+
+    /// The evidence of runs whose time without order grows by e each 10 individuals.
+    fn growing(sizes: &[u64]) -> Evidence {
+        let run = |pi1: f64, n: u64| Run {
+            pi1,
+            n,
+            informed: 0,
+            unordered_time: (n as f64 / 10.0).exp(),
+            unordered_intervals: 1,
+            ordered_intervals: 1,
+            ..sample()
+        };
+        let of_shape = |pi1: &f64| sizes.iter().map(|n| run(*pi1, *n)).collect::<Vec<_>>();
+        let runs: Vec<Run> = ELONGATED.iter().flat_map(of_shape).collect();
+        Evidence {
+            summaries: summarise(&runs),
+            touches: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn three_sizes_are_enough_for_a_line_and_two_are_not() {
+        let of = |sizes: &[u64]| build_up_grows(&growing(sizes)).verdict;
+        assert_eq!(of(&[10, 20, 50]), Verdict::Holds);
+        assert_eq!(of(&[10, 50]), Verdict::Fails);
+        // Smaller groups do not count.
+        assert_eq!(of(&[5, 10, 50]), Verdict::Fails);
+    }
 
     #[test]
     fn a_line_explains_what_is_straight() {

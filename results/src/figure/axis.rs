@@ -133,6 +133,16 @@ mod tests {
     }
 
     #[test]
+    fn over_many_decades_only_these_have_labels() {
+        let mut axis = Axis::around("", true, [1.0]);
+        axis.ends = (0.5, 5000.0);
+        let (with, without) = axis.ticks();
+        let labels: Vec<String> = with.into_iter().map(tick_label).collect();
+        assert_eq!(labels, ["1", "10", "100", "1000"]);
+        assert!(without.contains(&2000.0));
+    }
+
+    #[test]
     fn linear_ticks_are_round() {
         let mut axis = Axis::around("", false, [0.0, 1.0]);
         axis.ends = (-0.05, 1.0);
