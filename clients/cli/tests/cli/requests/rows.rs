@@ -599,8 +599,8 @@ fn experiments() -> Vec<Row> {
         .says("deleted small"),
         row("experiment results <name>small", &[results])
             .says("v_pd")
-            .says_not("n=5 #0"),
-        row("experiment results <name>small --csv", &[results]).says("n=5 #0,"),
+            .says_not("n=5 informed=1 #0"),
+        row("experiment results <name>small --csv", &[results]).says("n=5 informed=1 #0,"),
         row("experiment results <name>small --out {}/tables", &[results])
             .writes("tables/results.csv")
             .writes("tables/results.parquet"),
