@@ -7,13 +7,10 @@ import type { Browser } from "playwright-core";
 import { launch, openTab, until } from "./browser.ts";
 import { Daemon } from "./daemon.ts";
 
-/** For how long a thousand bodies are looked at. */
-const SECONDS = 30;
-/** Of the states published this part reaches the page at least, and of those this part is drawn. */
-const RECEIVED = 0.98;
-const DRAWN = 0.95;
-/** Pictures for each state, of 25 a second: motion is drawn between them. */
-const PICTURES = 1.6;
+/** 60 is what the browser asks for; others may use the machine beside, but not all the time. */
+const LEAST_FPS = 50;
+const SECONDS = 3;
+const PATIENCE_SECS = 30;
 
 let browser: Browser;
 let daemon: Daemon;
@@ -28,110 +25,49 @@ after(async () => {
   await daemon.end();
 });
 
-interface Status {
-  result: { step: number; phase: string; real_time_factor: number | null };
-}
-
-const status = async (swarm: string) => (await daemon.get<Status>(`${swarm}/get/status`)).result;
-
-/** What a page has received and drawn so far. */
-interface Count {
-  received: number;
-  drawn: number;
-  pictures: number;
-}
-
-/** Runs in the page: counts states that its socket brings, states whose numbers are shown, which are
- * those that are drawn, and pictures, each of which begins with the canvas filled. */
-function countStates(): void {
-  const count: Count = { received: 0, drawn: 0, pictures: 0 };
-  Object.assign(globalThis, { count });
-  const Socket = globalThis.WebSocket;
-  globalThis.WebSocket = class extends Socket {
-    constructor(address: string | URL, protocols?: string | string[]) {
-      super(address, protocols);
-      this.addEventListener("message", ({ data }) => {
-        count.received += typeof data === "string" ? 0 : 1;
-      });
-    }
-  };
-  const { fillRect } = CanvasRenderingContext2D.prototype;
-  CanvasRenderingContext2D.prototype.fillRect = function (x, y, width, height) {
-    count.pictures += this.canvas.className === "picture" && x === 0 && y === 0 ? 1 : 0;
-    fillRect.call(this, x, y, width, height);
-  };
-  let last: string | null = null;
-  const look = () => {
-    const step = document.querySelector('dd[data-number="step"]')?.textContent ?? null;
-    count.drawn += step !== last ? 1 : 0;
-    last = step;
-  };
-  addEventListener("DOMContentLoaded", () => {
-    new MutationObserver(look).observe(document.body, {
-      characterData: true,
-      childList: true,
-      subtree: true,
-    });
-  });
-}
-
-test("of a thousand bodies every state is drawn, and motion between them, without a GPU", async (t) => {
+test("a thousand bodies are drawn sixty times a second, without a GPU", async (t) => {
   await daemon.create("thousand", { n: 1000, seed: 1, rate: 0.5, publish_every: 1 });
   await daemon.command("thousand", "run");
   const tab = await openTab(browser);
-  await tab.page.addInitScript(countStates);
   await tab.page.goto(`${daemon.told.http}/#/swarm/thousand`);
-  const count = () => tab.page.evaluate<Count>("({ ...count })");
-  await until("pictures", async () => (await count()).drawn > 25);
-  const [first, begin] = [(await status("thousand")).step, await count()];
-  const seconds: Count[] = [];
-  let before = begin;
-  for (let k = 0; k < SECONDS; k += 1) {
+  const meter = tab.page.locator(".meter");
+  await until("pictures", async () => Number(await meter.getAttribute("data-fps")) > 5);
+  const seen: number[] = [];
+  const enough = () =>
+    seen.length >= SECONDS && seen.slice(-SECONDS).every((it) => it >= LEAST_FPS);
+  while (!enough() && seen.length < PATIENCE_SECS) {
     await tab.page.waitForTimeout(1000);
-    const now = await count();
-    seconds.push(less(now, before));
-    before = now;
+    seen.push(Number(await meter.getAttribute("data-fps")));
   }
-  const [published, all] = [(await status("thousand")).step - first, less(before, begin)];
+  const told = await meter.textContent();
   await tab.close();
   await daemon.command("thousand", "delete");
-  const each = seconds.map((it) => `${it.drawn}/${it.received} ${it.pictures}`).join(", ");
-  t.diagnostic(`of ${published} states ${JSON.stringify(all)}; load ${loadavg()[0]?.toFixed(1)}`);
-  t.diagnostic(`states drawn/received and pictures of each second: ${each}`);
-  assert(published > 20 * SECONDS, `${published} states in ${SECONDS} s`);
-  assert(all.received >= RECEIVED * published, `${all.received} of ${published} states received`);
-  assert(all.drawn >= DRAWN * all.received, `${all.drawn} of ${all.received} states drawn`);
-  const { pictures } = all;
-  assert(pictures >= PICTURES * all.received, `${pictures} pictures of ${all.received} states`);
+  t.diagnostic(`pictures a second: ${seen.join(" ")}; ${told}; load ${loadavg()[0]?.toFixed(1)}`);
+  assert(enough(), `never ${SECONDS} s with ${LEAST_FPS} pictures each`);
 });
 
-function less(now: Count, before: Count): Count {
-  return {
-    received: now.received - before.received,
-    drawn: now.drawn - before.drawn,
-    pictures: now.pictures - before.pictures,
-  };
-}
-
-test("fifty tabs receive every state at once, and one that reads nothing holds up nobody", async (t) => {
-  const STATES = 300;
+test("fifty tabs watch at once, and one that reads nothing holds up nobody", async (t) => {
   await daemon.create("crowd", { n: 50, seed: 1, rate: 2, publish_every: 2 });
+  await daemon.command("crowd", "run");
   const asleep = await deaf("crowd");
   const tab = await openTab(browser);
   await tab.page.goto(`${daemon.told.http}/#/`);
   await tab.page.evaluate(openSockets, 50);
   const counts = () => tab.page.evaluate<number[]>("states");
-  // The state that stands comes first.
-  await until("a state in each", async () => (await counts()).every((it) => it > 0));
+  await until("a state in each", async () => (await counts()).every((it) => it > 5));
   const began = await counts();
-  await daemon.command("crowd", "run", { until_step: 2 * STATES });
-  await until("the last step", async () => (await status("crowd")).phase === "paused", 60_000);
-  assert.equal((await status("crowd")).step, 2 * STATES);
-  const least = async () => Math.min(...(await counts()).map((it, k) => it - began[k]!));
-  await until("every state in each", async () => (await least()) >= RECEIVED * STATES);
-  const each = (await counts()).map((it, k) => it - began[k]!);
-  t.diagnostic(`of ${STATES} states ${Math.min(...each)} to ${Math.max(...each)}`);
-  assert.equal(asleep.bytesRead, 0);
+  await new Promise((resolve) => setTimeout(resolve, 3000));
+  const each = (await counts()).map((it, k) => (it - began[k]!) / 3);
+  t.diagnostic(
+    `states a second: ${Math.min(...each).toFixed(0)} to ${Math.max(...each).toFixed(0)}`,
+  );
+  assert(Math.min(...each) > 5);
+  interface Rows {
+    result: { swarms: { real_time_factor: number | null }[] };
+  }
+  const factor = async () =>
+    (await daemon.get<Rows>("@node/get/swarms")).result.swarms[0]!.real_time_factor;
+  await until("the swarm's rate of 2", async () => ((await factor()) ?? 0) > 1.8);
   await tab.close();
   asleep.destroy();
   await daemon.command("crowd", "delete");
@@ -153,8 +89,8 @@ function openSockets(count: number): void {
 async function deaf(swarm: string): Promise<Socket> {
   const { hostname, port } = new URL(daemon.told.http);
   const socket = connect(Number(port), hostname);
-  socket.pause();
   await new Promise((resolve) => socket.once("connect", resolve));
+  socket.pause();
   const lines = [
     `GET /api/ws?swarm=${swarm} HTTP/1.1`,
     `Host: ${hostname}:${port}`,
