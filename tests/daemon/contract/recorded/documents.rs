@@ -131,7 +131,7 @@ const FIXED: &[(&str, &str, &str)] = &[
 ];
 
 /// The schemas that the fixture of `get/schema` shows; a daemon sends all of them.
-const SCHEMAS: [&str; 3] = ["pause.args", "reset.args", "set.args"];
+const SCHEMAS: [&str; 3] = ["pause.args", "reset.args", "run.args"];
 
 /// The fixtures that are in CBOR as well, as it was sent.
 const IN_CBOR: [&str; 3] = ["snapshot.reply", "state", "step.reply.state"];
