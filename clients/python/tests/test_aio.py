@@ -54,7 +54,7 @@ def run(main: Callable[[], Coroutine[Any, Any, None]]) -> None:
 
     asyncio.run(watched())
     # Nothing here takes less than a second where it would be waited for.
-    assert gap < 0.9
+    assert gap < 0.5
     gc.collect()
     eventually("its threads end", lambda: workers() <= before)
 

@@ -336,6 +336,6 @@ async fn what_is_done_without_a_daemon_has_its_codes_too() {
     let mut unread = Running::begin(&canned.endpoint, "list --watch 0.05 --json", "");
     unread.lines(1);
     unread.stop_reading();
-    assert_eq!(unread.end().await.code, Some(0), "nobody reads on");
+    assert_eq!(unread.end().await.code, Some(0), "its stdout is closed");
     canned.stop().await;
 }

@@ -225,7 +225,7 @@ def journal(lab: Lab) -> Finding:
     """What was told before a restart is told after it."""
     gone = [(name, seq) for name, past in lab.chronicle.pasts.items() for seq in past.forgotten]
     count = sum(past.compared for past in lab.chronicle.pasts.values())
-    seen = f"{count} entries told again, {len(gone)} left out after a restart {gone[:3]}"
+    seen = f"{count} entries reported again, {len(gone)} left out after a restart {gone[:3]}"
     return Finding(not gone, seen, count)
 
 

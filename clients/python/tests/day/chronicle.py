@@ -20,7 +20,7 @@ class Past:
 
     Attributes:
         journal: The commands it applied, by number, as they were last told.
-        compared: How many commands told before a restart were told again after it.
+        compared: How many commands reported before a restart were reported again after it.
         forgotten: Numbers that were told before a restart, and after it only those around them.
         events: In which life of the daemon which event was first told.
         told: What each event was, by number.

@@ -353,7 +353,7 @@ fn looking() -> Vec<Row> {
         row("top --count 1", &["@node/test/get/metrics"]).says("cores"),
         row("top -n 2 --interval 2 --json", &["@node/test/get/metrics"]).lasts(1.5),
     ];
-    // Looks again after 1 s, unless it is told another interval.
+    // Looks again after 1 s, unless another interval is given.
     let again = [
         ("list -w 2", "@node/test/get/swarms"),
         ("status <name>demo --watch 2", "demo/get/status"),
