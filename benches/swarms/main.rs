@@ -7,13 +7,14 @@
 //!
 //! The daemon is a process of its own. First there are more swarms than the cores can step, then as
 //! many as take 80 % of the cores, then swarms that are created, stepped and deleted one by one, then
-//! one that steps while a client reads the metrics. All
-//! cores must be idle otherwise: what else runs takes its share.
+//! one that steps while a client reads the metrics, then, in this process, what counting a step costs.
+//! All cores must be idle otherwise: what else runs takes its share.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 
 #[path = "../apart/mod.rs"]
 mod apart;
+mod counting;
 mod fitting;
 mod metrics;
 mod overload;
@@ -141,6 +142,7 @@ async fn main() -> ExitCode {
     rows.extend(fitting::measure().await);
     rows.push(created_and_deleted().await);
     rows.push(metrics::measure().await);
+    rows.push(counting::measure());
     if arguments.iter().any(|argument| argument == "--json") {
         let values = rows
             .iter()

@@ -112,8 +112,6 @@ impl Totals {
 mod tests {
     #![expect(clippy::float_cmp, reason = "exact")]
 
-    use std::time::Instant;
-
     use super::*;
 
     fn report(residual: f64) -> StepReport {
@@ -149,26 +147,5 @@ mod tests {
         let mut both = totals;
         both.add(&totals);
         assert_eq!(both.step_time.count(), 4);
-    }
-
-    #[test]
-    fn counting_a_step_costs_less_than_two_percent_of_the_shortest() {
-        // A step of 20 individuals takes 5 to 10 microseconds.
-        const MOST: Duration = Duration::from_nanos(100);
-        let (tally, report) = (Tally::default(), report(1e-12));
-        let steps = 100_000;
-        let costs = (0..20).map(|_| {
-            let began = Instant::now();
-            for i in 0..steps {
-                let took = Duration::from_nanos(5000 + u64::from(i % 64) * 100);
-                tally.pulse.beat();
-                tally.pulse.beat();
-                tally.stepped(took, Some(took), std::hint::black_box(&report));
-            }
-            began.elapsed() / steps
-        });
-        let cost = costs.min().unwrap_or(Duration::MAX);
-        println!("counting a step takes {cost:?}");
-        assert!(cost < MOST, "{cost:?}");
     }
 }

@@ -239,6 +239,30 @@ mod tests {
     }
 
     #[test]
+    fn fifty_are_clusters_of_about_ten_neither_fewer_nor_more() {
+        let of_clusters = |clusters: u64| {
+            let v = crate::disorder::v_ind(clusters);
+            let pair = |pi1: &f64| {
+                [-1e-4, 1e-4].map(|by| Run {
+                    pi1: *pi1,
+                    n: 50,
+                    v: v + by,
+                    ..sample()
+                })
+            };
+            let runs: Vec<Run> = ELONGATED.iter().flat_map(pair).collect();
+            ten_of_fifty(&Evidence {
+                summaries: summarise(&runs),
+                touches: Vec::new(),
+            })
+        };
+        assert_eq!(of_clusters(5).verdict, Verdict::Holds);
+        // Of 25 and of 4.
+        assert_eq!(of_clusters(2).verdict, Verdict::Fails);
+        assert_eq!(of_clusters(12).verdict, Verdict::Fails);
+    }
+
+    #[test]
     fn a_line_explains_what_is_straight() {
         let (fit, slope) = line(&[(1.0, 2.0), (2.0, 4.0), (4.0, 8.0)]);
         assert!((fit - 1.0).abs() < 1e-12 && (slope - 2.0).abs() < 1e-12);

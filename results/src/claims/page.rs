@@ -263,3 +263,47 @@ fn summary(rules: &[Rule], rows: &[Row]) -> String {
     text.push('\n');
     text
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::claims::Answer;
+
+    #[test]
+    fn the_summary_has_each_verdict_the_sums_and_what_the_rule_decides() {
+        let rules = ["endpoints", "closest"].map(|contacts| Rule {
+            contacts: contacts.to_owned(),
+            dt: 0.02,
+        });
+        let claims = claims();
+        let of = |verdicts: [Verdict; 2]| {
+            let answer = |verdict| Answer {
+                measured: String::new(),
+                verdict,
+            };
+            verdicts.map(answer).to_vec()
+        };
+        let verdicts = [
+            [Verdict::Holds, Verdict::Holds],
+            [Verdict::InPart, Verdict::Fails],
+            [Verdict::Undecided, Verdict::Holds],
+        ];
+        let rows: Vec<Row> = claims.iter().zip(verdicts.map(of)).collect();
+        let text = summary(&rules, &rows);
+        let row = |index: usize, verdicts: &str| {
+            let claim = &claims[index];
+            format!("\n| {} {} | {verdicts} |\n", claim.name, claim.says)
+        };
+        let lines = [
+            row(0, "**holds** | **holds**"),
+            row(1, "holds in part | does not hold"),
+            row(2, "undecided | **holds**"),
+            "`endpoints`, dt = 0.02: 1 hold, 1 in part, 0 do not, 1 are undecided.\n".to_owned(),
+            "`closest`, dt = 0.02: 2 hold, 0 in part, 1 do not, 0 are undecided.\n".to_owned(),
+            format!("2 of 3 claims: {}, {}.\n", claims[1].name, claims[2].name),
+        ];
+        for line in lines {
+            assert!(text.contains(&line), "{line:?} is not in {text}");
+        }
+    }
+}

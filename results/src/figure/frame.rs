@@ -181,14 +181,19 @@ impl<'a> Frame<'a> {
             draw_mark(canvas, (begin + 4.0, y), style);
             canvas.text((begin + 17.0, y + 4.5), Anchor::Start, 13.0, INK, text);
             if let Some(pi1) = body {
-                let radius = BODY_SIZE / (1.0 + pi1);
-                let half_length = (pi1 - 1.0) * radius;
+                let (half_length, radius) = sample_body(pi1);
                 let at = (self.right + 97.0, y);
                 let outline = Stroke::solid(GREY, 1.2);
                 canvas.capsule(at, 0.0, (half_length, radius), "none", outline);
             }
         }
     }
+}
+
+/// The half length and the radius of a body beside its label: `pi1` times as long as wide.
+fn sample_body(pi1: f64) -> (f64, f64) {
+    let radius = BODY_SIZE / (1.0 + pi1);
+    ((pi1 - 1.0) * radius, radius)
 }
 
 /// Moves `heights`, which ascend, until they are `distance` apart, and within `ends` if that is
@@ -214,6 +219,16 @@ fn spread_apart(heights: &[f64], distance: f64, ends: (f64, f64)) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn sample_bodies_have_their_shape_and_one_size() {
+        for pi1 in [1.0, 1.5, 4.0, 8.0] {
+            let (half_length, radius) = sample_body(pi1);
+            let (length, width) = (2.0 * (half_length + radius), 2.0 * radius);
+            assert!((length - pi1 * width).abs() < 1e-12, "{pi1}");
+            assert!((length + width - 2.0 * BODY_SIZE).abs() < 1e-12, "{pi1}");
+        }
+    }
 
     #[test]
     fn labels_keep_their_distance_and_stay_within() {
