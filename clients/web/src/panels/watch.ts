@@ -224,10 +224,11 @@ export class Watch {
   private takeEvent(event: SwarmEvent): void {
     const { kind, verb } = event.event;
     if (kind === "deleted") {
+      // A state that is not drawn yet is of the swarm that was deleted.
+      this.session.live.takeState();
       this.miss();
       this.events.row(undefined);
-    }
-    if (kind !== "command" || CHANGES.includes(String(verb))) {
+    } else if (kind !== "command" || CHANGES.includes(String(verb))) {
       void this.readParameters();
     }
     this.events.event(event);

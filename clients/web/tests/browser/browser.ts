@@ -1,9 +1,15 @@
 /** Chromium without a GPU, and what it complains of. */
 import assert from "node:assert/strict";
-import { readFileSync } from "node:fs";
+import { existsSync, readFileSync } from "node:fs";
 import { extname, join } from "node:path";
 import { after, afterEach, before } from "node:test";
-import { type Browser, type BrowserContextOptions, chromium, type Page } from "playwright-core";
+import {
+  type Browser,
+  type BrowserContext,
+  type BrowserContextOptions,
+  chromium,
+  type Page,
+} from "playwright-core";
 
 const ARGS = [
   "--headless",
@@ -21,14 +27,81 @@ const BROUGHT = process.env.PAGE_DIST ? ["--disable-features=LocalNetworkAccessC
 
 export function launch(): Promise<Browser> {
   const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium";
+  assert(
+    existsSync(executablePath),
+    `this test needs chromium: apt-get install chromium, or set CHROMIUM; no ${executablePath} here`,
+  );
   return chromium.launch({ executablePath, args: [...ARGS, ...BROUGHT] });
 }
 
-export interface Tab {
-  page: Page;
-  /** What the console called an error; refusals, and a daemon that is away, are none. */
-  complaints: string[];
-  close(): Promise<void>;
+/** A complaint that a test expects, and how often. */
+interface Expected {
+  pattern: RegExp;
+  least: number;
+  most: number;
+}
+
+export class Tab {
+  /** Errors of the console and of scripts, and replies with a status of 400 or more. */
+  readonly complaints: string[] = [];
+  private readonly expected: Expected[] = [];
+
+  constructor(
+    readonly page: Page,
+    private readonly context: BrowserContext,
+  ) {
+    page.on("console", (message) => {
+      if (message.type() === "error") {
+        this.takeConsole(message.text(), message.location().url);
+      }
+    });
+    page.on("response", (response) => {
+      if (response.status() >= 400) {
+        const method = response.request().method();
+        this.complaints.push(`${response.status()} ${method} ${pathOf(response.url())}`);
+      }
+    });
+    page.on("pageerror", (error) => this.complaints.push(String(error)));
+  }
+
+  /** Declares a complaint that the test causes: once, or up to `most` times. */
+  provokes(pattern: RegExp, most = 1): void {
+    this.expected.push({ pattern, least: 1, most });
+  }
+
+  /** Declares a complaint that the test may cause, depending on timing. */
+  tolerates(pattern: RegExp): void {
+    this.expected.push({ pattern, least: 0, most: Number.POSITIVE_INFINITY });
+  }
+
+  /** Closes the tab. Fails if the page complained of anything that the test did not declare, or not
+   * of what it declared. */
+  async close(): Promise<void> {
+    await this.context.close();
+    const others = this.complaints.filter(
+      (it) => !this.expected.some(({ pattern }) => pattern.test(it)),
+    );
+    assert.deepEqual(others, [], "the page complained");
+    for (const { pattern, least, most } of this.expected) {
+      const count = this.complaints.filter((it) => pattern.test(it)).length;
+      const bounds = `expected ${least} to ${most} complaints ${pattern}`;
+      assert(least <= count && count <= most, `${bounds}, got ${count}`);
+    }
+  }
+
+  private takeConsole(text: string, url: string): void {
+    if (/the server responded with a status of/.test(text)) {
+      // The response itself is recorded, with its method and path.
+      return;
+    }
+    const resource = /^Failed to load resource/.test(text) ? ` ${pathOf(url)}` : "";
+    this.complaints.push(text + resource);
+  }
+}
+
+function pathOf(url: string): string {
+  const { pathname, search } = new URL(url);
+  return pathname + search;
 }
 
 const WIDE: BrowserContextOptions = { viewport: { width: 1280, height: 800 } };
@@ -36,29 +109,16 @@ const WIDE: BrowserContextOptions = { viewport: { width: 1280, height: 800 } };
 export async function openTab(browser: Browser, options = WIDE): Promise<Tab> {
   const context = await browser.newContext(options);
   await serveFrom(process.env.PAGE_DIST, context);
-  const page = await context.newPage();
-  const complaints: string[] = [];
-  page.on("console", (message) => {
-    const text = message.text();
-    const expected =
-      /ERR_CONNECTION_(REFUSED|RESET)|ERR_EMPTY_RESPONSE|WebSocket connection to|status of 4\d\d/.test(
-        text,
-      );
-    if (message.type() === "error" && !expected) {
-      complaints.push(text);
-    }
-  });
-  page.on("pageerror", (error) => complaints.push(String(error)));
-  await page.addInitScript(() => {
+  const tab = new Tab(await context.newPage(), context);
+  await tab.page.addInitScript(() => {
     addEventListener("securitypolicyviolation", (event) => {
       console.error(`violation of ${event.violatedDirective}: ${event.blockedURI}`);
     });
   });
-  return { page, complaints, close: () => context.close() };
+  return tab;
 }
 
-/** A browser for the tests of a file. Returns what opens a tab in it; it is closed after its test, in
- * which nothing may have been complained of. */
+/** A browser for the tests of a file. Returns what opens a tab in it; it is closed after its test. */
 export function tabsOfEachTest(): (options?: BrowserContextOptions) => Promise<Tab> {
   let browser: Browser;
   const tabs: Tab[] = [];
@@ -66,10 +126,10 @@ export function tabsOfEachTest(): (options?: BrowserContextOptions) => Promise<T
     browser = await launch();
   });
   afterEach(async () => {
-    for (const tab of tabs.splice(0)) {
-      const { complaints } = tab;
-      await tab.close();
-      assert.deepEqual(complaints, []);
+    const closed = await Promise.allSettled(tabs.splice(0).map((tab) => tab.close()));
+    const failed = closed.find((it) => it.status === "rejected");
+    if (failed) {
+      throw failed.reason;
     }
   });
   after(() => browser.close());

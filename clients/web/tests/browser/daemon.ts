@@ -26,6 +26,9 @@ export const DYNAMIC_USER = 61_200;
 
 export const isRoot = process.getuid?.() === 0;
 
+/** The daemon closes a connection that was idle for 5 s, which on a busy machine meets a request. */
+const CLOSE = { Connection: "close" };
+
 export class Daemon {
   told: Told = { zenoh: "", http: "", token: "" };
   private process: ChildProcess | null = null;
@@ -106,12 +109,12 @@ export class Daemon {
   }
 
   async get<T>(path: string): Promise<T> {
-    const response = await fetch(`${this.told.http}/api/get/${path}`);
+    const response = await fetch(`${this.told.http}/api/get/${path}`, { headers: CLOSE });
     return (await response.json()) as T;
   }
 
   post(path: string, args: object, token: string | null = this.told.token): Promise<Response> {
-    const headers: Record<string, string> = { "Content-Type": "application/json" };
+    const headers: Record<string, string> = { ...CLOSE, "Content-Type": "application/json" };
     if (token !== null) {
       headers.Authorization = `Bearer ${token}`;
     }

@@ -2,7 +2,7 @@
 import assert from "node:assert/strict";
 import { after, before, test } from "node:test";
 import type { Page } from "playwright-core";
-import { tabsOfEachTest, until } from "./browser.ts";
+import { type Tab, tabsOfEachTest, until } from "./browser.ts";
 import { Daemon } from "./daemon.ts";
 
 interface StateJson {
@@ -31,13 +31,15 @@ before(async () => {
 
 after(() => daemon.end());
 
-async function open(swarm: string): Promise<Page> {
+async function openTabOf(swarm: string): Promise<Tab> {
   const tab = await openTab();
   await tab.page.addInitScript(recordBodies);
   await tab.page.goto(`${daemon.link}&/swarm/${swarm}`);
   await until("a picture", async () => (await drawn(tab.page)).length > 0);
-  return tab.page;
+  return tab;
 }
+
+const open = async (swarm: string) => (await openTabOf(swarm)).page;
 
 /** Runs in the page: keeps the axes of the bodies of each picture, from the calls to the canvas. */
 function recordBodies(): void {
@@ -214,7 +216,10 @@ test("Esc ends a mode, from a field and in the middle of a drag, and so does its
 test("undo uninforms exactly those whom the command informed", async () => {
   await daemon.create("undo", { n: 20, seed: 8 });
   await daemon.command("undo", "inform", { select: { ids: [2, 5] }, direction: 1 });
-  const page = await open("undo");
+  const tab = await openTabOf("undo");
+  // The undo after the reset.
+  tab.provokes(/^409 POST \/api\/cmd\/undo\/uninform$/);
+  const { page } = tab;
   const words = page.locator(".words");
   const select = async (ids: string) => {
     await page.getByLabel("ids", { exact: true }).fill(ids);
