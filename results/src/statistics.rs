@@ -196,6 +196,31 @@ mod tests {
     use crate::run::sample;
 
     #[test]
+    fn runs_that_differ_in_any_parameter_are_of_two_conditions() {
+        let changes: [(&str, fn(&mut Run)); 8] = [
+            ("n", |run| run.n = 20),
+            ("pi1", |run| run.pi1 = 2.0),
+            ("pi2", |run| run.pi2 = 2.0),
+            ("pi3", |run| run.pi3 = 2.0),
+            ("pi4", |run| run.pi4 = 2.0),
+            ("informed", |run| run.informed = 2),
+            ("contacts", |run| run.contacts = "closest".to_owned()),
+            ("dt", |run| run.dt = 0.01),
+        ];
+        for (name, change) in changes {
+            let one = Run {
+                informed: 1,
+                ..sample()
+            };
+            let mut other = one.clone();
+            change(&mut other);
+            let runs = [one.clone(), other.clone(), one, other];
+            let counts: Vec<_> = summarise(&runs).iter().map(|it| it.runs).collect();
+            assert_eq!(counts, [2, 2], "{name}");
+        }
+    }
+
+    #[test]
     fn runs_are_grouped_by_all_but_their_seed() {
         let with = |change: fn(&mut Run)| {
             let mut run = sample();

@@ -437,6 +437,9 @@ mod tests {
         };
         assert_eq!(person.signed(None), "anna");
         assert_eq!(person.signed(Some("ben")), "anna:ben");
+        // Nor does a claim replace the name that begins like it.
+        assert_eq!(person.signed(Some("anna")), "anna:anna");
+        assert_eq!(person.signed(Some("anna2")), "anna:anna2");
         assert_eq!(person.permit_controller("anna-2"), Ok(()));
         assert!(person.permit_controller("ben").is_err());
         person.role = Role::Operator;

@@ -417,6 +417,26 @@ async fn joining_stops_a_swarm_that_runs_and_what_was_told_survives_the_daemon()
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn after_a_restart_a_controller_that_leaves_frees_those_it_steered_and_no_others() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 6})).await;
+    join(client, "ada", &[0, 1, 2, 3], json!({"on_timeout": "free"})).await;
+    let set = json!({"set": {"ids": [0], "direction": [0.1], "weight": [1.0]}});
+    advance(client, "ada", 0, set).await.unwrap();
+    let inform = json!({"select": {"ids": [3]}, "direction": 0.5, "weight": 2.0});
+    client.ok("a", "inform", inform).await;
+    assert_eq!(weights(client).await, [1.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
+    let daemon = daemon.restart().await;
+    let client = &daemon.client;
+    let step = client.get("a", "status").await["step"].clone();
+    client.ok("a", "leave", json!({"controller": "ada"})).await;
+    assert_eq!(weights(client).await, [0.0, 0.0, 0.0, 2.0, 0.0, 0.0]);
+    assert_eq!(client.get("a", "status").await["step"], step);
+    daemon.stop().await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn set_points_reach_a_swarm_that_runs_and_lapse_with_their_lease() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;

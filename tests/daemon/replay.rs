@@ -340,6 +340,22 @@ async fn whoever_watches_a_replay_sees_and_hears_what_there_was() {
         (&paused["step"], paused["epoch"].as_u64()),
         (&json!(50), Some(ended_in + 2))
     );
+    // Sought back while it plays, it goes on from there by the clock: its frames are a second apart.
+    let frame = async || {
+        let status = client.get("tape", "status").await;
+        status["result"]["replay"]["frame"].as_u64().unwrap()
+    };
+    client.ok("tape", "seek", json!({"fraction": 0.9})).await;
+    client.ok("tape", "run", json!({"rate": 0.1})).await;
+    client.ok("tape", "seek", json!({"fraction": 0})).await;
+    let first = frame().await;
+    until("another frame", async || frame().await != first).await;
+    let next = frame().await;
+    assert!(
+        (first + 1..26).contains(&next),
+        "{first}, then {next} of 52"
+    );
+    client.ok("tape", "pause", json!({})).await;
     client.ok("tape", "seek", json!({"fraction": 0})).await;
     client
         .ok("tape", "run", json!({"rate": 1000.0, "until_step": 77}))

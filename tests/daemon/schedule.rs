@@ -325,3 +325,34 @@ async fn a_batch_for_later_happens_whole_between_two_steps_of_a_running_swarm() 
     assert_eq!(steps[1..], [("batch", step), ("pause", step + 10)]);
     daemon.stop().await;
 }
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_that_arrives_after_others_were_carried_out_replaces_none_that_waits() {
+    let daemon = Daemon::start().await;
+    let client = &daemon.client;
+    client.create("a", json!({"n": 3})).await;
+    let later = async |at_step: u64, publish_every: u64| {
+        let set = json!({"publish_every": publish_every});
+        client.ok("a", "set", at(at_step, set)).await;
+    };
+    later(5, 2).await;
+    later(10, 3).await;
+    client.ok("a", "step", json!({"steps": 6})).await;
+    later(10, 4).await;
+    assert_eq!(client.get("a", "status").await["result"]["scheduled"], 2);
+    client.ok("a", "step", json!({"steps": 6})).await;
+    let journal = client.get("a", "journal").await;
+    let entries = journal["result"]["entries"].as_array().unwrap();
+    let set = entries.iter().filter(|entry| entry["verb"] == "set");
+    let set: Vec<_> = set
+        .map(|entry| (&entry["step"], &entry["args"]["publish_every"]))
+        .collect();
+    let expected = [(5, 2), (10, 3), (10, 4)].map(|(step, every)| (json!(step), json!(every)));
+    assert!(
+        set.iter()
+            .copied()
+            .eq(expected.iter().map(|(step, every)| (step, every))),
+        "{set:?}"
+    );
+    daemon.stop().await;
+}

@@ -364,6 +364,13 @@ async fn set_points_that_a_removed_person_could_have_sent_take_a_token() {
     put(&cleo, "cleo", 0, None).await;
     expect("cleo", [2, 1]).await;
 
+    // Another change of the people gives nobody who was removed before their rights again.
+    lab.auth(&["add", "dora=viewer"]);
+    let added = lab.token("dora");
+    soon("dora's token", async || lab.command(&added) == 403).await;
+    put(&carl, "carl", 1, None).await;
+    expect("carl", [0, 3]).await;
+
     // An operator is removed, whose session may put anybody's: a token tells who it is.
     let gone = lab.token("otto");
     lab.auth(&["remove", "otto"]);

@@ -311,3 +311,38 @@ fn heading(order: &Order) -> Option<f64> {
     let [x, y] = order.velocity;
     (x != 0.0 || y != 0.0).then(|| y.atan2(x))
 }
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use serde_json::json;
+
+    use super::*;
+
+    fn side(swarm: &str, direction: f64) -> Side {
+        let order = json!({"order": 1, "mean_order": null, "velocity": [direction.cos(), direction.sin()],
+            "mean_velocity": null, "direction": direction, "drift": 1, "mean_drift": null});
+        Side {
+            swarm: swarm.to_owned(),
+            epoch: 1,
+            step: 5,
+            time: 0.1,
+            seq: 0,
+            n: 3,
+            informed: 1,
+            state_hash: None,
+            order: serde_json::from_value(order).unwrap(),
+        }
+    }
+
+    #[test]
+    fn angles_differ_by_the_shorter_way_round() {
+        let text = sides(&side("a", 3.1), &side("b", -3.1), None);
+        for name in ["direction", "heading"] {
+            let row = text.lines().find(|line| line.contains(name)).unwrap();
+            // 2π - 6.2
+            assert!(row.contains("0.083") && !row.contains("6.2"), "{text}");
+        }
+    }
+}
