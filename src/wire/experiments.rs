@@ -144,3 +144,54 @@ pub fn order_page(
         next: (end < count).then_some(end as u64),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn run(number: u64) -> (u64, Run) {
+        let run = Run {
+            run: format!("n=10 #{number}"),
+            seed: number,
+            n: 10,
+            pi1: 4.0,
+            pi2: 0.0,
+            pi3: 1.0,
+            pi4: 10.0,
+            informed: 0,
+            contacts: "endpoints".to_owned(),
+            dt: 0.02,
+            time: 1.0,
+            v: 0.9,
+            v_pd: None,
+            ordered_intervals: 1,
+            ordered_time: 0.5,
+            unordered_intervals: 1,
+            unordered_time: 0.5,
+            worst_overlap: 0.0,
+            crossed_share: 0.0,
+            worst_residual: 1e-9,
+            degraded: 0,
+            fallbacks: 0,
+            steps: 50,
+            state_hash: "00ff".to_owned(),
+        };
+        (number, run)
+    }
+
+    #[test]
+    fn pages_that_end_by_number_or_by_size_lead_to_every_row() {
+        let rows: Vec<_> = (0..20).map(run).collect();
+        for (limit, most_bytes) in [(3, usize::MAX), (20, 5000), (1000, 5000), (3, 5000), (7, 0)] {
+            let (mut seen, mut left) = (Vec::new(), &rows[..]);
+            loop {
+                let page = results_page("order".to_owned(), left, limit, most_bytes, 20);
+                assert!(!page.rows.is_empty() && page.rows.len() <= limit);
+                seen.extend(page.rows.iter().map(|row| row.seed));
+                let Some(next) = page.next else { break };
+                left = &rows[rows.partition_point(|(number, _)| *number <= next)..];
+            }
+            assert!(seen.into_iter().eq(0..20), "{limit} {most_bytes}");
+        }
+    }
+}

@@ -286,6 +286,29 @@ async fn what_was_recorded_and_what_was_left_out_are_all_the_steps() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn what_was_left_out_is_still_counted_after_a_kill() {
+    let _alone = alone().await;
+    let data = tempfile::tempdir().unwrap();
+    let points = "recording-frame=sleep(5);recording-part=return(50)";
+    let (mut alive, client) = life(data.path(), points).await;
+    client.create("school", json!({"n": 5, "rate": null})).await;
+    let args =
+        json!({"swarm": "school", "recording": "take", "every": 1, "drop_when_behind": true});
+    begin(&client, args).await;
+    client.ok("school", "step", json!({"steps": 2000})).await;
+    let before = has(&client, "take", "parts", 2).await["missed"].as_u64();
+    assert!(before > Some(0), "{before:?}");
+    alive.kill();
+    let (_alive, client) = life(data.path(), "").await;
+    client.ok("school", "step", json!({"steps": 5})).await;
+    let stopped = stop(&client, "take").await;
+    assert!(
+        stopped["missed"].as_u64() >= before,
+        "{stopped}, {before:?}"
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn a_full_disk_ends_a_lossless_recording_and_its_swarm_steps_on() {
     let _alone = alone().await;
     let Some(disk) = Small::mount(16) else {
