@@ -1,4 +1,4 @@
-//! What it costs to count a step: its time, its lateness and its certificate.
+//! What it costs to record the metrics of a step: its duration, lateness, contacts and residual.
 
 use std::time::{Duration, Instant};
 
@@ -7,7 +7,7 @@ use jostled::swarm::tally::Tally;
 
 use crate::{Limit, Row};
 
-/// Of so many rounds the quickest counts.
+/// Rounds, of which the fastest is reported.
 const ROUNDS: usize = 20;
 const STEPS: u32 = 100_000;
 
@@ -26,7 +26,7 @@ pub fn measure() -> Row {
     let cost = costs.min().unwrap_or(Duration::MAX);
     Row {
         key: "counting_nanoseconds",
-        what: "counting a step, of which one of 20 individuals takes 5 to 10 us".into(),
+        what: "recording the metrics of a step (one of 20 individuals takes 5,000 ns)".into(),
         value: cost.as_secs_f64() * 1e9,
         limit: Limit::AtMost(100.0),
         unit: "ns",

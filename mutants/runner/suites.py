@@ -60,9 +60,9 @@ class Cargo(Suite):
     """Test executables of the workspace."""
 
     targets: str = ""
-    # Packages and the opt-level that they are compiled at, which is quicker than 3: `jostled=0`.
-    # Arithmetic is the same to the bit.
-    levels: tuple[str, ...] = ()
+    # Packages and their opt-level, such as `jostled=0`, which compiles faster than 3. Results of
+    # arithmetic are the same to the bit.
+    opt_levels: tuple[str, ...] = ()
 
     def has_test(self, test: str, sources: dict[str, str]) -> bool:
         """Whether the sources declare the test."""
@@ -96,7 +96,7 @@ class Cargo(Suite):
     def _command(self, *more: str) -> list[str]:
         levels = [
             f"--config=profile.release.package.{package}.opt-level={level}"
-            for package, level in (it.split("=") for it in self.levels)
+            for package, level in (it.split("=") for it in self.opt_levels)
         ]
         return ["cargo", *levels, "test", "--release", "--locked", *self.targets.split(), *more]
 
@@ -160,9 +160,14 @@ class Page(Suite):
 
 _DAEMON = ("src/", "proto/src/", "results/src/")
 _ALL = [
-    Cargo("lib", ("src/",), ("src/",), True, targets="--lib", levels=("jostled=0",)),
+    Cargo("lib", ("src/",), ("src/",), True, targets="--lib", opt_levels=("jostled=0",)),
     Cargo(
-        "daemon", ("tests/daemon",), _DAEMON, True, targets="--test daemon", levels=("jostled=0",)
+        "daemon",
+        ("tests/daemon",),
+        _DAEMON,
+        True,
+        targets="--test daemon",
+        opt_levels=("jostled=0",),
     ),
     Cargo(
         "physics",
@@ -170,7 +175,7 @@ _ALL = [
         ("src/",),
         True,
         targets="--test physics",
-        levels=("jostled=1",),
+        opt_levels=("jostled=1",),
     ),
     # Without the daemon, which is made from them, too. The command line is named so that cargo
     # selects the features that it does for all of the workspace, whose dependencies are compiled.
@@ -179,14 +184,14 @@ _ALL = [
         ("proto/src/", "proto/tests/"),
         ("proto/src/",),
         targets="-p jostle-proto -p jostle-cli --lib --test contract",
-        levels=("jostle-proto=1",),
+        opt_levels=("jostle-proto=1",),
     ),
     Cargo(
         "results",
         ("results/src/",),
         ("results/src/",),
         targets="-p jostle-results -p jostle-cli --lib",
-        levels=("jostle-results=1",),
+        opt_levels=("jostle-results=1",),
     ),
     # The daemon's library is one of its dependencies and stays as it is.
     Cargo(
@@ -194,14 +199,14 @@ _ALL = [
         ("clients/cli/src/",),
         ("clients/cli/src/",),
         targets="--bin jostle",
-        levels=("jostle-cli=0",),
+        opt_levels=("jostle-cli=0",),
     ),
     Cargo(
         "cli",
         ("clients/cli/tests/",),
         ("clients/cli/src/",),
         targets="--test cli",
-        levels=("jostle-cli=0",),
+        opt_levels=("jostle-cli=0",),
     ),
     Pytest("python", ("clients/python/tests/",), ("clients/python/src/",)),
     Page("page", ("clients/web/tests/",), ("clients/web/src/",)),

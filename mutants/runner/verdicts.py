@@ -20,8 +20,8 @@ _SOURCES = [
 ]
 _HEAD = """\
 # Written by `mutants/run --record`; not by hand. For each mutant the verdict of its last run: `red`
-# if the test that it names failed. The commit is the one that the run changed, and `changes` the
-# number of mutants that the program had.
+# if the test that it names passes without it and fails with it. `commit` is the commit that was
+# changed, and `changes` the number of mutants in the same build.
 """
 
 
@@ -78,7 +78,7 @@ def record(mutant: Mutant, verdict: str, commit: str, changes: int, known: list[
 def faults(mutants: list[Mutant]) -> tuple[list[str], list[str]]:
     """Returns what is wrong with the verdicts, and what is to be said about them."""
     if not VERDICTS.exists():
-        return [], [f"no verdicts: no run of all mutants was recorded ({VERDICTS.name} is missing)"]
+        return [f"no verdicts: run mutants/run --record ({VERDICTS.name} is missing)"], []
     verdicts = read()
     ours = {it.name: verdicts[it.name] for it in mutants if it.name in verdicts}
     found = [
@@ -86,9 +86,9 @@ def faults(mutants: list[Mutant]) -> tuple[list[str], list[str]]:
         for name, it in ours.items()
         if it["verdict"] != "red"
     ]
-    said = []
+    said: list[str] = []
     if missing := len(mutants) - len(ours):
-        said.append(f"{missing} of {len(mutants)} mutants have no verdict yet")
+        found.append(f"{missing} of {len(mutants)} mutants have no verdict: run them with --record")
     if _git("rev-parse", "HEAD") is None:
         return found, [*said, "no clone of the repository: the age of the verdicts is not checked"]
     ages = {commit: _age(commit) for commit in {it["commit"] for it in ours.values()}}

@@ -437,7 +437,7 @@ mod tests {
         };
         assert_eq!(person.signed(None), "anna");
         assert_eq!(person.signed(Some("ben")), "anna:ben");
-        // Nor does a claim replace the name that begins like it.
+        // Also where the client calls itself as the person, or begins with that name.
         assert_eq!(person.signed(Some("anna")), "anna:anna");
         assert_eq!(person.signed(Some("anna2")), "anna:anna2");
         assert_eq!(person.permit_controller("anna-2"), Ok(()));

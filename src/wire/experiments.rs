@@ -180,7 +180,7 @@ mod tests {
     }
 
     #[test]
-    fn pages_that_end_by_number_or_by_size_lead_to_every_row() {
+    fn pages_limited_by_rows_or_by_bytes_cover_every_row() {
         let rows: Vec<_> = (0..20).map(run).collect();
         for (limit, most_bytes) in [(3, usize::MAX), (20, 5000), (1000, 5000), (3, 5000), (7, 0)] {
             let (mut seen, mut left) = (Vec::new(), &rows[..]);

@@ -33,6 +33,10 @@ const KILLS_PER_WORLD: usize = 100;
 /// The seed of the first world. `JOSTLE_SEED` repeats another one.
 const SEED: u64 = 1;
 
+/// The exit code of a daemon whose disk fails, and of one that cannot open its data therefore.
+const DISK_FAILED: i32 = 8;
+const CANNOT_OPEN: i32 = 2;
+
 /// A point in the code where the process dies.
 #[derive(Clone, Copy, Debug)]
 struct Point {
@@ -99,6 +103,8 @@ struct Tally {
     answers: usize,
     steps_not_safe: usize,
     compared: usize,
+    /// Commands that were rejected because a write failed.
+    refused_as_full: usize,
     /// Ends by itself, because the disk failed.
     ended: usize,
     /// The points at which a daemon was killed.
@@ -143,6 +149,7 @@ async fn killed_anywhere_it_loses_nothing_that_it_answered_and_repeats_nothing()
     let enough = kills / 20;
     assert!(total.with_unanswered >= enough && total.with_just_answered >= enough);
     assert!(total.at_points > kills / 4 && total.compared > kills);
+    assert!(total.answers > 10 * kills, "{}", total.answers);
 }
 
 /// A point that the code has and this test does not would never be armed.
@@ -204,7 +211,7 @@ impl World {
             faults: None,
             tally: Tally::default(),
         };
-        world.check_answers(&new_traffic());
+        world.check_answers(&new_traffic(false));
         world
     }
 
@@ -253,21 +260,29 @@ impl World {
         }
         let begun = Life::begin(&mut command);
         let Ok(mut life) = begun else {
-            assert!(self.is_death(begun.err().flatten()), "{told}");
+            let code = begun.err().flatten();
+            assert!(
+                may_end(code, armed, self.failures(&[CANNOT_OPEN, DISK_FAILED])),
+                "{told}: {code:?}"
+            );
             self.tally.kills += 1;
             self.tally.in_recovery += 1;
             self.met(armed);
-            return self.check_answers(&new_traffic());
+            return self.check_answers(&new_traffic(false));
         };
-        let traffic = new_traffic();
+        let traffic = new_traffic(self.faults.is_some());
         let Ok(clients) = tokio::try_join!(connect(&life), connect(&life)) else {
-            assert!(self.is_death(life.end()), "{told}");
+            let code = life.end();
+            assert!(
+                may_end(code, armed, self.failures(&[DISK_FAILED])),
+                "{told}: {code:?}"
+            );
             self.tally.kills += 1;
             self.met(armed);
-            return self.check_answers(&new_traffic());
+            return self.check_answers(&new_traffic(false));
         };
         let clients = [clients.0, clients.1];
-        self.compare(&clients[0], Some(&mut life)).await;
+        self.compare(&clients[0], Some((&mut life, armed))).await;
         let mut tasks = tokio::task::JoinSet::new();
         for (k, mut sender) in self.senders.drain(..).enumerate() {
             let (client, traffic) = (clients[k % 2].clone(), traffic.clone());
@@ -290,7 +305,10 @@ impl World {
         }
         if is_dead {
             let code = life.end();
-            assert!(self.is_death(code), "{told}: {code:?}");
+            assert!(
+                may_end(code, armed, self.failures(&[DISK_FAILED])),
+                "{told}: {code:?}"
+            );
             self.tally.ended += usize::from(code.is_some());
             self.met(armed);
         }
@@ -311,9 +329,9 @@ impl World {
         self.check_answers(&traffic);
     }
 
-    /// Whether a daemon that ended with this code was killed, or had every reason to end.
-    fn is_death(&self, code: Option<i32>) -> bool {
-        code.is_none() || self.faults.is_some()
+    /// The exit codes that a failing disk may cause: none where it does not fail.
+    fn failures(&self, codes: &'static [i32]) -> &'static [i32] {
+        if self.faults.is_some() { codes } else { &[] }
     }
 
     /// The last daemon answers everybody and is what it must be.
@@ -321,7 +339,7 @@ impl World {
         let mut life = Life::begin(&mut life::daemon(self.folder.path())).unwrap();
         let client = connect(&life).await.unwrap();
         self.compare(&client, None).await;
-        let traffic = new_traffic();
+        let traffic = new_traffic(false);
         for sender in &mut self.senders {
             assert!(sender.send(&client, &traffic).await);
         }
@@ -348,12 +366,17 @@ impl World {
     }
 
     /// Holds every swarm, as it has just come back, against its twin. Dying meanwhile is let.
-    async fn compare(&mut self, client: &Client, mut life: Option<&mut Life>) {
+    async fn compare(
+        &mut self,
+        client: &Client,
+        mut life: Option<(&mut Life, Option<(Point, u64)>)>,
+    ) {
+        let failures = self.failures(&[DISK_FAILED]);
         for (twin, name) in &mut self.twins {
             let key = keys::get(PREFIX, name, "status");
             let answer = tokio::select! {
                 mut answers = client.ask(&key, None) => answers.pop(),
-                () = death(life.as_deref_mut()) => None,
+                () = death(life.as_mut().map(|(life, _)| &mut **life)) => None,
             };
             match answer {
                 Some(Ok(status)) => {
@@ -361,9 +384,9 @@ impl World {
                     self.tally.compared += 1;
                 }
                 other => match &mut life {
-                    Some(life) => {
+                    Some((life, armed)) => {
                         let code = life.end();
-                        assert!(code.is_none() || self.faults.is_some(), "{other:?}");
+                        assert!(may_end(code, *armed, failures), "{other:?}, {code:?}");
                     }
                     None => panic!("{name}: {other:?}"),
                 },
@@ -392,6 +415,7 @@ impl World {
             assert!(may_be_lost, "lost {id:?}: {answer}");
             self.tally.steps_not_safe += 1;
         }
+        self.tally.refused_as_full += traffic.refused_as_full.load(Ordering::Relaxed);
         for id in traffic.refused.lock().unwrap().iter() {
             let has = self.twins.iter().any(|(twin, _)| twin.has(id));
             assert!(!has, "{id:?} was refused, and carried out");
@@ -409,17 +433,20 @@ impl Tally {
         self.answers += other.answers;
         self.steps_not_safe += other.steps_not_safe;
         self.compared += other.compared;
+        self.refused_as_full += other.refused_as_full;
         self.ended += other.ended;
         self.met.extend(&other.met);
     }
 }
 
-fn new_traffic() -> Arc<Traffic> {
+fn new_traffic(disk_fails: bool) -> Arc<Traffic> {
     Arc::new(Traffic {
         is_over: false.into(),
         under_way: 0.into(),
         answered: Mutex::new(Instant::now()),
         answers: Mutex::default(),
+        disk_fails,
+        refused_as_full: 0.into(),
         refused: Mutex::default(),
     })
 }
@@ -429,6 +456,15 @@ async fn connect(life: &Life) -> zenoh::Result<Arc<Client>> {
 }
 
 /// Waits until a daemon is dead; without one, for ever.
+/// Whether a daemon may end by itself with this code: killed at the point that is armed, or because
+/// the disk fails.
+fn may_end(code: Option<i32>, armed: Option<(Point, u64)>, failures: &[i32]) -> bool {
+    match code {
+        None => armed.is_some(),
+        Some(code) => failures.contains(&code),
+    }
+}
+
 async fn death(life: Option<&mut Life>) {
     let Some(life) = life else {
         return std::future::pending().await;

@@ -340,7 +340,7 @@ async fn whoever_watches_a_replay_sees_and_hears_what_there_was() {
         (&paused["step"], paused["epoch"].as_u64()),
         (&json!(50), Some(ended_in + 2))
     );
-    // Sought back while it plays, it goes on from there by the clock: its frames are a second apart.
+    // After a seek backwards playback goes on from there, at this rate with a frame a second.
     let frame = async || {
         let status = client.get("tape", "status").await;
         status["result"]["replay"]["frame"].as_u64().unwrap()

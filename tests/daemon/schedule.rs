@@ -327,7 +327,7 @@ async fn a_batch_for_later_happens_whole_between_two_steps_of_a_running_swarm() 
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_command_that_arrives_after_others_were_carried_out_replaces_none_that_waits() {
+async fn a_command_scheduled_after_others_ran_replaces_none_that_is_pending() {
     let daemon = Daemon::start().await;
     let client = &daemon.client;
     client.create("a", json!({"n": 3})).await;

@@ -35,8 +35,8 @@ def workers() -> int:
     return sum(it.name in ("jostle-worker", "jostle-listener") for it in threading.enumerate())
 
 
-def starved_secs() -> float:
-    """For how long this process's threads have been ready to run, without a processor."""
+def run_delay_secs() -> float:
+    """For how long the threads of this process have been ready to run and waited for a CPU."""
     total = 0
     for task in Path("/proc/self/task").iterdir():
         with suppress(FileNotFoundError, ProcessLookupError):
@@ -53,13 +53,13 @@ def run(main: Callable[[], Coroutine[Any, Any, None]]) -> None:
         async def watch() -> None:
             nonlocal gap
             while True:
-                began, starved = time.monotonic(), starved_secs()
+                began, delay = time.monotonic(), run_delay_secs()
                 await asyncio.sleep(0.005)
                 took = time.monotonic() - began
                 if took > gap:
-                    # On a busy machine the loop's thread, or the one that has the interpreter's
-                    # lock, waits for a processor.
-                    gap = max(gap, took - (starved_secs() - starved))
+                    # On a busy machine the thread of the loop, or the one that holds the
+                    # interpreter's lock, waits for a CPU: that time does not count.
+                    gap = max(gap, took - (run_delay_secs() - delay))
 
         watching = asyncio.create_task(watch())
         try:

@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[test]
-    fn fifty_are_clusters_of_about_ten_neither_fewer_nor_more() {
+    fn clusters_of_fifty_must_have_about_ten_members() {
         let of_clusters = |clusters: u64| {
             let v = crate::disorder::v_ind(clusters);
             let pair = |pi1: &f64| {
@@ -257,7 +257,7 @@ mod tests {
             })
         };
         assert_eq!(of_clusters(5).verdict, Verdict::Holds);
-        // Of 25 and of 4.
+        // n_eff = 25, and about 4.
         assert_eq!(of_clusters(2).verdict, Verdict::Fails);
         assert_eq!(of_clusters(12).verdict, Verdict::Fails);
     }

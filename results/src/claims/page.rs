@@ -270,7 +270,7 @@ mod tests {
     use crate::claims::Answer;
 
     #[test]
-    fn the_summary_has_each_verdict_the_sums_and_what_the_rule_decides() {
+    fn the_summary_lists_verdicts_totals_and_claims_that_depend_on_the_rule() {
         let rules = ["endpoints", "closest"].map(|contacts| Rule {
             contacts: contacts.to_owned(),
             dt: 0.02,

@@ -190,7 +190,8 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// The half length and the radius of a body beside its label: `pi1` times as long as wide.
+/// Half the axis and the radius of the capsule beside a label. It is `pi1` times as long as wide, and
+/// length plus width is the same for all.
 fn sample_body(pi1: f64) -> (f64, f64) {
     let radius = BODY_SIZE / (1.0 + pi1);
     ((pi1 - 1.0) * radius, radius)

@@ -11,6 +11,9 @@ use crate::crash::dice::Dice;
 use crate::crash::twin::Answers;
 use crate::support::{Client, NODE, PREFIX};
 
+/// Why commands are rejected on a healthy disk: their step is in the past, or the swarm was paused.
+const EXPECTED: [ErrorCode; 2] = [ErrorCode::Conflict, ErrorCode::IncorrectState];
+
 /// What the clients share.
 pub struct Traffic {
     /// Set when the daemon was killed: who waits need not wait on.
@@ -21,7 +24,11 @@ pub struct Traffic {
     pub answered: Mutex<Instant>,
     /// Answers to commands, since they were last taken.
     pub answers: Mutex<Answers>,
-    /// Commands that were refused since.
+    /// Whether writes of the disk fail, which rejects commands.
+    pub disk_fails: bool,
+    /// How many were rejected therefore, since they were last counted.
+    pub refused_as_full: AtomicUsize,
+    /// Commands that were rejected since.
     pub refused: Mutex<Vec<(String, String)>>,
 }
 
@@ -135,7 +142,15 @@ impl Sender {
                 self.learn(&sent, &reply);
                 traffic.answers.lock().unwrap().insert(name, reply);
             }
-            Err(_) => traffic.refused.lock().unwrap().push(name),
+            Err(error) => {
+                let may_be_full = traffic.disk_fails && error.code == ErrorCode::StorageFull;
+                let is_expected = may_be_full || EXPECTED.contains(&error.code);
+                assert!(is_expected, "{sent:?}: {error:?}");
+                traffic
+                    .refused_as_full
+                    .fetch_add(usize::from(may_be_full), Ordering::Relaxed);
+                traffic.refused.lock().unwrap().push(name);
+            }
         }
         true
     }

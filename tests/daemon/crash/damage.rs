@@ -185,11 +185,22 @@ async fn whatever_byte_is_damaged_no_state_is_a_wrong_one() {
             let what = format!("{file}, byte {place}");
             judge(folder.path(), &expected, must_tell, &what, &mut tally).await;
         }
-        println!(
-            "{} of {} bytes of {file}: {tally:?}",
-            places.count(),
-            bytes.len()
-        );
+        let count = places.count();
+        println!("{count} of {} bytes of {file}: {tally:?}", bytes.len());
+        // Most of the file is free, or of one swarm. The WAL counts up to its first damaged frame.
+        let Tally {
+            refused, left_out, ..
+        } = tally;
+        assert!(left_out <= count / 2, "{tally:?}");
+        if must_tell {
+            assert!(
+                refused <= count / 8 && tally.unharmed >= count / 4,
+                "{tally:?}"
+            );
+            assert!(tally.faulted > 0 && tally.earlier > 0, "{tally:?}");
+        } else {
+            assert!(refused == 0 && tally.earlier >= count, "{tally:?}");
+        }
     }
 }
 

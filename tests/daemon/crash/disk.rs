@@ -54,10 +54,12 @@ async fn writes_and_syncs_that_fail_are_never_taken_for_done() {
         }
         world.faults = None;
         world.live_on().await;
+        println!("{faults}: {:#?}", world.tally);
         total.add(&world.tally);
     }
     println!("{total:#?}");
     assert!(total.ended > 0, "no sync failed");
+    assert!(total.refused_as_full > 0, "no write failed");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -2,8 +2,9 @@
 
 use std::fs::{self, File};
 use std::io::{BufRead, BufReader};
+use std::os::unix::process::ExitStatusExt;
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
+use std::process::{Child, Command, ExitStatus, Stdio};
 use std::time::{Duration, Instant};
 
 use jostled::store::{Row, Settings, Store};
@@ -49,7 +50,7 @@ impl Life {
                 endpoint: endpoint.to_owned(),
                 took: began.elapsed(),
             }),
-            None => Err(child.wait().unwrap().code()),
+            None => Err(code(child.wait().unwrap())),
         }
     }
 
@@ -71,12 +72,23 @@ impl Life {
         let began = Instant::now();
         loop {
             if let Some(status) = self.child.try_wait().unwrap() {
-                return status.code();
+                return code(status);
             }
             assert!(began.elapsed() < PATIENCE, "it does not end");
             std::thread::sleep(Duration::from_millis(1));
         }
     }
+}
+
+/// The exit code; `None` if the daemon was killed. No test sends another signal that ends a daemon:
+/// one that ends by it has crashed.
+fn code(status: ExitStatus) -> Option<i32> {
+    const SIGKILL: i32 = 9;
+    assert!(
+        status.signal().is_none_or(|signal| signal == SIGKILL),
+        "the daemon crashed: {status}"
+    );
+    status.code()
 }
 
 /// What the daemons on `folder` have said.

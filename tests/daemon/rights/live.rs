@@ -364,7 +364,7 @@ async fn set_points_that_a_removed_person_could_have_sent_take_a_token() {
     put(&cleo, "cleo", 0, None).await;
     expect("cleo", [2, 1]).await;
 
-    // Another change of the people gives nobody who was removed before their rights again.
+    // Adding a person does not restore the rights of one who was removed.
     lab.auth(&["add", "dora=viewer"]);
     let added = lab.token("dora");
     soon("dora's token", async || lab.command(&added) == 403).await;

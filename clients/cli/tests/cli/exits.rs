@@ -148,8 +148,14 @@ impl Case {
         let line = format!("{} ({})", self.line, self.word);
         assert_eq!(ended.code, Some(self.code), "{line}: {ended:?}");
         let last = ended.stderr.lines().last().unwrap_or_default();
-        if self.code == 0 {
-            assert!(ended.stdout.contains('-') || is_json, "{line}: {ended:?}");
+        if self.code == 0 && is_json {
+            let listed: Value = serde_json::from_str(&ended.stdout).expect(&line);
+            let error = &listed["nodes"][0]["error"];
+            assert_eq!(error["code"], self.word, "{line}: {ended:?}");
+        } else if self.code == 0 {
+            // A row without values, and what is wrong.
+            assert!(ended.stdout.contains('-'), "{line}: {ended:?}");
+            assert!(!ended.stderr.is_empty(), "{line}: {ended:?}");
         } else if is_json {
             let error: Value = serde_json::from_str(last).expect(&line);
             assert_eq!(error["code"], self.word, "{line}: {ended:?}");
