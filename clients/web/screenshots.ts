@@ -108,7 +108,7 @@ async function take(browser: Browser, daemon: Daemon, folder: string, shot: Shot
     await page.keyboard.press(key);
   }
   await page.waitForTimeout(shot.wait_ms ?? 1500);
-  await until("nothing to complain of", async () => tab.complaints.length === 0, 1);
+  await until("nothing to complain of", async () => tab.errors.length === 0, 1);
   await page.screenshot({ path: join(folder, shot.file) });
   await tab.close();
 }

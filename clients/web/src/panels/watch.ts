@@ -224,7 +224,7 @@ export class Watch {
   private takeEvent(event: SwarmEvent): void {
     const { kind, verb } = event.event;
     if (kind === "deleted") {
-      // A state that is not drawn yet is of the swarm that was deleted.
+      // Discard the state that is not drawn yet: it is of the deleted swarm.
       this.session.live.takeState();
       this.miss();
       this.events.row(undefined);

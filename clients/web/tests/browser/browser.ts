@@ -1,4 +1,4 @@
-/** Chromium without a GPU, and what it complains of. */
+/** Chromium without a GPU, and the errors that its pages report. */
 import assert from "node:assert/strict";
 import { existsSync, readFileSync } from "node:fs";
 import { extname, join } from "node:path";
@@ -29,12 +29,12 @@ export function launch(): Promise<Browser> {
   const executablePath = process.env.CHROMIUM ?? "/usr/bin/chromium";
   assert(
     existsSync(executablePath),
-    `this test needs chromium: apt-get install chromium, or set CHROMIUM; no ${executablePath} here`,
+    `no chromium at ${executablePath}: apt-get install chromium, or set CHROMIUM`,
   );
   return chromium.launch({ executablePath, args: [...ARGS, ...BROUGHT] });
 }
 
-/** A complaint that a test expects, and how often. */
+/** An error that a test expects, and how often. */
 interface Expected {
   pattern: RegExp;
   least: number;
@@ -43,7 +43,7 @@ interface Expected {
 
 export class Tab {
   /** Errors of the console and of scripts, and replies with a status of 400 or more. */
-  readonly complaints: string[] = [];
+  readonly errors: string[] = [];
   private readonly expected: Expected[] = [];
 
   constructor(
@@ -58,33 +58,33 @@ export class Tab {
     page.on("response", (response) => {
       if (response.status() >= 400) {
         const method = response.request().method();
-        this.complaints.push(`${response.status()} ${method} ${pathOf(response.url())}`);
+        this.errors.push(`${response.status()} ${method} ${pathOf(response.url())}`);
       }
     });
-    page.on("pageerror", (error) => this.complaints.push(String(error)));
+    page.on("pageerror", (error) => this.errors.push(String(error)));
   }
 
-  /** Declares a complaint that the test causes: once, or up to `most` times. */
-  provokes(pattern: RegExp, most = 1): void {
+  /** Declares an error that the test causes, at least once and at most `most` times. */
+  expectsError(pattern: RegExp, most = 1): void {
     this.expected.push({ pattern, least: 1, most });
   }
 
-  /** Declares a complaint that the test may cause, depending on timing. */
-  tolerates(pattern: RegExp): void {
+  /** Declares an error that the test may cause, depending on timing. */
+  allowsError(pattern: RegExp): void {
     this.expected.push({ pattern, least: 0, most: Number.POSITIVE_INFINITY });
   }
 
-  /** Closes the tab. Fails if the page complained of anything that the test did not declare, or not
-   * of what it declared. */
+  /** Closes the tab. Fails if there was an error that the test did not declare, or a declared one
+   * occurred too seldom or too often. */
   async close(): Promise<void> {
     await this.context.close();
-    const others = this.complaints.filter(
+    const others = this.errors.filter(
       (it) => !this.expected.some(({ pattern }) => pattern.test(it)),
     );
-    assert.deepEqual(others, [], "the page complained");
+    assert.deepEqual(others, [], "errors that the test does not expect");
     for (const { pattern, least, most } of this.expected) {
-      const count = this.complaints.filter((it) => pattern.test(it)).length;
-      const bounds = `expected ${least} to ${most} complaints ${pattern}`;
+      const count = this.errors.filter((it) => pattern.test(it)).length;
+      const bounds = `expected ${least} to ${most} errors ${pattern}`;
       assert(least <= count && count <= most, `${bounds}, got ${count}`);
     }
   }
@@ -95,7 +95,7 @@ export class Tab {
       return;
     }
     const resource = /^Failed to load resource/.test(text) ? ` ${pathOf(url)}` : "";
-    this.complaints.push(text + resource);
+    this.errors.push(text + resource);
   }
 }
 

@@ -26,7 +26,7 @@ export const DYNAMIC_USER = 61_200;
 
 export const isRoot = process.getuid?.() === 0;
 
-/** The daemon closes a connection that was idle for 5 s, which on a busy machine meets a request. */
+/** The daemon closes a connection after 5 s idle, which can race with the next request. */
 const CLOSE = { Connection: "close" };
 
 export class Daemon {

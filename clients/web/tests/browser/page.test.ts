@@ -149,7 +149,7 @@ test("a token can be pasted, with the link around it", async () => {
 
 test("a page without a token says what is missing, and the command that prints the link", async (t) => {
   const service = await Daemon.startAsService();
-  // After the tabs are closed, which would complain of a daemon that is away.
+  // After the tabs are closed: an open page would log connection errors.
   t.after(() => service.end());
   const { http, token } = service.told;
   const { page } = await visit(http);
@@ -212,7 +212,7 @@ test("where people are known each sees and may what their role says", async (t) 
 
   const stranger = await openTab();
   // A WebSocket without a token is rejected, and tried again.
-  stranger.provokes(
+  stranger.expectsError(
     /^WebSocket connection to '\S+\/api\/ws' failed: HTTP Authentication failed/,
     Number.POSITIVE_INFINITY,
   );
@@ -329,7 +329,7 @@ async function drag(
 
 test("a parameter is set, and a refusal is said in the daemon's words", async () => {
   const tab = await openTabAt("/swarm/herd");
-  tab.provokes(/^400 POST \/api\/cmd\/herd\/set$/);
+  tab.expectsError(/^400 POST \/api\/cmd\/herd\/set$/);
   const { page } = tab;
   const field = page.getByLabel("pi3", { exact: true });
   await field.fill("1.5");
@@ -443,13 +443,13 @@ test("the daemon's end dims the picture, and its return goes on by itself", asyn
   const tab = await openTabAt("/swarm/school");
   const { page } = tab;
   await until("a state", () => step(page));
-  // It asks who the daemon is when the connection is lost, and connects until it is back. What it has
-  // read since it was opened may be under way at the kill.
+  // When the connection is lost the page requests /api/hello, and reconnects until the daemon is back.
+  // What the page has requested since it was opened may be in flight when the daemon is killed.
   const ends = "net::ERR_(CONNECTION_REFUSED|CONNECTION_RESET|EMPTY_RESPONSE)";
   const reads = "get/school/get/(parameters|events\\?after=\\d+&limit=256)";
-  tab.provokes(new RegExp(`^Failed to load resource: ${ends} /api/hello$`), 2);
-  tab.tolerates(new RegExp(`^Failed to load resource: ${ends} /api/${reads}$`));
-  tab.tolerates(
+  tab.expectsError(new RegExp(`^Failed to load resource: ${ends} /api/hello$`), 2);
+  tab.allowsError(new RegExp(`^Failed to load resource: ${ends} /api/${reads}$`));
+  tab.allowsError(
     /^WebSocket connection to '\S+\/api\/ws\?swarm=school' failed: .*net::ERR_CONNECTION_REFUSED$/,
   );
   await daemon.kill();
@@ -468,8 +468,8 @@ test("on a phone nothing is wider than the screen", async () => {
   for (const hash of ["/", "/swarm/school", "/gallery", "/gallery/animation-1"]) {
     const tab = await openTab({ viewport: { width: 360, height: 740 }, hasTouch: true });
     if (hash === "/gallery/animation-1") {
-      // It was not created: the page asks before the daemon has said so.
-      tab.tolerates(/^404 GET \/api\/get\/animation-1\/get\/parameters$/);
+      // There is no such swarm: the page may request its parameters before the daemon says so.
+      tab.allowsError(/^404 GET \/api\/get\/animation-1\/get\/parameters$/);
     }
     await tab.page.goto(`${daemon.link}&${hash}`);
     await tab.page.locator("h1").first().waitFor();

@@ -218,7 +218,7 @@ test("undo uninforms exactly those whom the command informed", async () => {
   await daemon.command("undo", "inform", { select: { ids: [2, 5] }, direction: 1 });
   const tab = await openTabOf("undo");
   // The undo after the reset.
-  tab.provokes(/^409 POST \/api\/cmd\/undo\/uninform$/);
+  tab.expectsError(/^409 POST \/api\/cmd\/undo\/uninform$/);
   const { page } = tab;
   const words = page.locator(".words");
   const select = async (ids: string) => {

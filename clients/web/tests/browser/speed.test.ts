@@ -10,14 +10,16 @@ import { Daemon } from "./daemon.ts";
 
 /** States published one by one, each after the one before was seen: every one must be. */
 const SINGLE = 20;
-/** States published at a rate, and the steps of each in the test of fifty tabs. A slow tab gets the
- * newest (docs/page.md), so the share depends on the load: a quarter is six states a second. */
+/** The number of states that are published during a run. */
 const RUN = 300;
+/** The steps per published state in the test of fifty WebSockets. */
 const EVERY = 2;
+/** The share of the run's states that the page of a thousand bodies must receive and draw. A slow page
+ * receives the newest (docs/page.md), so the share depends on the load: this is six states a second. */
 const LEAST_SHARE = 0.25;
-/** A run of 12 s that has not ended by then never will. */
+/** The longer run takes 12 s on an idle machine. */
 const RUN_TIMEOUT_MS = 120_000;
-/** How far from its place a body may be drawn, in pixels: a step moves most by more. */
+/** The distance in pixels between a body and its expected position; a step moves most bodies further. */
 const TOLERANCE_PX = 0.01;
 
 const openTab = tabsOfEachTest();
@@ -59,7 +61,7 @@ async function runUntil(swarm: string, step: number): Promise<number> {
 /** What a page has received and drawn so far, by the states' steps. */
 interface Seen {
   received: number[];
-  /** The newest states at the beginning of each frame: the frame has to draw them. */
+  /** The newest state received before each frame, which that frame must draw. */
   due: number[];
   drawn: number[];
   frames: number;
@@ -181,7 +183,7 @@ async function shows(page: Page, { x, y }: StateJson): Promise<boolean> {
   return next === places.length && next > 0.9 * x.length;
 }
 
-test("of a thousand bodies every state is received and drawn, without a GPU", async (t) => {
+test("of a thousand bodies each frame draws the newest state and no single step is lost, without a GPU", async (t) => {
   await daemon.create("thousand", { n: 1000, seed: 1, rate: 0.5, publish_every: 1 });
   const { page } = await openTab();
   await page.addInitScript(defineStepOf);
@@ -224,7 +226,7 @@ test("of a thousand bodies every state is received and drawn, without a GPU", as
   await daemon.command("thousand", "delete");
 });
 
-test("fifty tabs receive every state at once, and one that reads nothing holds up nobody", async (t) => {
+test("fifty WebSockets receive every single step and the end of a run, and one that is not read blocks no other", async (t) => {
   await daemon.create("crowd", { n: 50, seed: 1, rate: 2, publish_every: EVERY });
   const asleep = await deaf("crowd");
   const { page } = await openTab();
@@ -238,7 +240,7 @@ test("fifty tabs receive every state at once, and one that reads nothing holds u
     );
   await all(0);
 
-  // At a rate, however slow they are, they end with the newest.
+  // During a run a slow socket may miss states, but it receives the last one.
   const last = RUN * EVERY;
   const factor = await runUntil("crowd", last);
   await all(last);
