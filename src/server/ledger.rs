@@ -517,6 +517,30 @@ mod tests {
     }
 
     #[test]
+    fn beside_n_other_names_a_client_keeps_its_share_of_n_plus_1() {
+        let mut requests = requests(false, 100);
+        for id in 0..10 {
+            reply(&mut requests, Some("operator"), &id.to_string(), 10);
+        }
+        for id in 0..1000 {
+            let name = format!("invented-{}", id % 9);
+            reply(&mut requests, Some(&name), &id.to_string(), 10);
+        }
+        let kept = (0..10).filter(|id| knows(&requests, Some("operator"), &id.to_string()));
+        assert_eq!(kept.count(), 10);
+        // With as many names as there is room for replies, none of it is kept.
+        for id in 0..100 {
+            reply(
+                &mut requests,
+                Some(&format!("more-{id}")),
+                &id.to_string(),
+                10,
+            );
+        }
+        assert!(!(0..10).any(|id| knows(&requests, Some("operator"), &id.to_string())));
+    }
+
+    #[test]
     fn the_smallest_replies_are_limited_in_number() {
         const { assert!(MAX_REPLY_BYTES / MIN_COST <= MAX_REPLIES) };
         const { assert!(MAX_REPLY_BYTES / MIN_COST > MAX_REPLIES * 998 / 1000) };
