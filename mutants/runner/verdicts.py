@@ -50,7 +50,7 @@ def commit_to_record() -> str:
     if commit is None or changed is None:
         raise ValueError("--record needs a clone of the repository")
     own = VERDICTS.relative_to(ROOT).as_posix()
-    if [line for line in changed.splitlines() if line[3:] != own]:
+    if [line for line in changed.splitlines() if line.split(maxsplit=1)[-1] != own]:
         raise ValueError("--record needs a tree without uncommitted changes")
     return commit
 
