@@ -51,8 +51,8 @@ async fn a_flood_from_32_clients_is_answered_and_no_other_command_fails() {
         println!("{unanswered} each: {flooded:?}, {others} commands of others, {grown_mb} MB more");
         assert_eq!(flooded.sent, flooded.executed + flooded.rejected);
         assert!(flooded.executed > 0 && others > 0, "{flooded:?}, {others}");
-        // 128 commands wait at once: of 32 clients with 64 each, some are rejected.
-        assert!(unanswered < 64 || flooded.rejected > 0, "{flooded:?}");
+        // 128 commands wait at once: of 32 clients with 8 each, which are 256, some are rejected.
+        assert!(unanswered < 8 || flooded.rejected > 0, "{flooded:?}");
         assert!(grown_mb < GROWN_MB, "{grown_mb} MB");
     }
 }
