@@ -197,7 +197,8 @@ mod tests {
 
     #[test]
     fn runs_that_differ_in_any_parameter_are_of_two_conditions() {
-        let changes: [(&str, fn(&mut Run)); 8] = [
+        type Change = (&'static str, fn(&mut Run));
+        let changes: [Change; 8] = [
             ("n", |run| run.n = 20),
             ("pi1", |run| run.pi1 = 2.0),
             ("pi2", |run| run.pi2 = 2.0),
