@@ -193,20 +193,20 @@ _ALL = [
         targets="-p jostle-results -p jostle-cli --lib",
         opt_levels=("jostle-results=1",),
     ),
-    # The daemon's library is one of its dependencies and stays as it is.
+    # The daemon's library is one of its dependencies, and is compiled once.
     Cargo(
         "cli-unit",
         ("clients/cli/src/",),
         ("clients/cli/src/",),
         targets="--bin jostle",
-        opt_levels=("jostle-cli=0",),
+        opt_levels=("jostle-cli=0", "jostled=0"),
     ),
     Cargo(
         "cli",
         ("clients/cli/tests/",),
         ("clients/cli/src/",),
         targets="--test cli",
-        opt_levels=("jostle-cli=0",),
+        opt_levels=("jostle-cli=0", "jostled=0"),
     ),
     Pytest("python", ("clients/python/tests/",), ("clients/python/src/",)),
     Page("page", ("clients/web/tests/",), ("clients/web/src/",)),
