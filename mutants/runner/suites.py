@@ -117,7 +117,9 @@ class Pytest(Suite):
 
     def judge(self, place: Place, test: str) -> tuple[Outcome, str]:
         """Runs one test; returns its outcome and the output."""
-        command = [place.python, "-m", "pytest", "-q", "-rA", "-p", "no:cacheprovider", test]
+        pytest = [place.python, "-m", "pytest", "-q", "-rA", "-p", "no:cacheprovider"]
+        # A test with parameters has failed if one case has: the others need not run.
+        command = [*pytest, "--exitfirst", test]
         package = place.tree / "clients/python"
         environment = {
             "PYTHONPATH": str(package / "src"),
@@ -125,7 +127,6 @@ class Pytest(Suite):
             "JOSTLED": os.environ.get("JOSTLED", str(place.built / "jostled")),
         }
         _, output = place.run(command, cwd=package, environment=environment)
-        # A test with parameters has failed if one case has.
         failed = rf"^FAILED {re.escape(test)}(?:\[| |$)"
         if re.search(failed, output, re.MULTILINE):
             return Outcome.FAILED, output
