@@ -89,8 +89,8 @@ def faults(mutants: list[Mutant]) -> tuple[list[str], list[str]]:
     said: list[str] = []
     if missing := len(mutants) - len(ours):
         found.append(f"{missing} of {len(mutants)} mutants have no verdict: run them with --record")
-    if _git("rev-parse", "HEAD") is None:
-        return found, [*said, "no clone of the repository: the age of the verdicts is not checked"]
+    if _git("rev-parse", "--is-shallow-repository") != "false":
+        return found, [*said, "no clone with its history: the age of the verdicts is not checked"]
     ages = {commit: _age(commit) for commit in {it["commit"] for it in ours.values()}}
     for commit, age in ages.items():
         if age is None:
