@@ -14,7 +14,7 @@ import pytest
 import zenoh
 
 import jostle
-from conftest import JOSTLED, Daemon
+from conftest import JOSTLED, Daemon, eventually
 from contract import PROTO
 from jostle import aio
 
@@ -167,15 +167,22 @@ def test_an_address_that_the_certificate_does_not_name_is_reported_with_the_reme
 def test_set_points_bear_the_token(lab: Daemon, auth: Path) -> None:
     with enter(lab, auth, "olga") as olga, enter(lab, auth, "cleo") as cleo:
         swarm = olga.create("steered", {"n": 3, "seed": 1})
+        samples: list[zenoh.Sample] = []
         with olga._link.session.declare_subscriber("jostle/steered/ctl/*") as seen:
             with cleo.swarm("steered").join(
                 "cleo", jostle.ids([0]), mode="free_running", deadline=10.0
             ) as controller:
-                controller.put(direction=0.5)
-                sample = seen.recv()
+
+                def received() -> bool:
+                    # The subscription may reach the controller's session after a set-point.
+                    controller.put(direction=0.5)
+                    samples.extend(filter(None, [seen.try_recv()]))
+                    return bool(samples)
+
+                eventually("a set-point", received)
             token = json.loads((auth / "people/cleo/credentials.json").read_text())["token"]
-            assert sample.attachment is not None
-            assert sample.attachment.to_string() == token
+            assert samples[0].attachment is not None
+            assert samples[0].attachment.to_string() == token
         swarm.delete()
 
 
