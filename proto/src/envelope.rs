@@ -387,7 +387,7 @@ mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
     use super::*;
-    use crate::verbs::{CreateArgs, InjectArgs, RunArgs, StepArgs};
+    use crate::verbs::{BatchArgs, CreateArgs, InjectArgs, RunArgs, StepArgs};
 
     #[test]
     fn arguments_alone_and_arguments_in_an_envelope_read_the_same() {
@@ -433,6 +433,20 @@ mod tests {
         assert_eq!(error(r#"{"steps": 1, "steps": 2}"#), "steps");
         assert_eq!(error(r#"{"client": 7}"#), "client");
         assert_eq!(error("[1]"), "");
+    }
+
+    #[test]
+    fn a_field_that_a_change_of_a_batch_does_not_have_is_unknown() {
+        let error = |change: &str| {
+            let request = Request::from_json(format!(r#"{{"commands": [{change}]}}"#).as_bytes());
+            request.unwrap().args::<BatchArgs>().unwrap_err().problem
+        };
+        let unknown = "unknown field, expected \"verb\" or \"args\"";
+        assert_eq!(error(r#"{"verb": "set", "args": {}, "at": 1}"#), unknown);
+        let other = error(r#"{"verb": "dance", "args": {}}"#);
+        assert!(!other.starts_with("unknown field"), "{other}");
+        let text = error(r#"{"verb": "inform", "args": {"select": "all", "direction": 1}}"#);
+        assert!(!text.starts_with("unknown field"), "{text}");
     }
 
     #[test]
