@@ -633,6 +633,15 @@ mod tests {
         let at = |name: &&str| written.find(&format!("\"{name}\":")).unwrap();
         assert!(names.is_sorted_by_key(at), "{names:?} of {written}");
         assert_eq!(names.len(), 14);
+        // How many individuals there are must be said.
+        let default = |name: &str| {
+            parameters
+                .iter()
+                .find(|it| it.name == name)
+                .map(|it| &it.default)
+        };
+        assert_eq!(default("n"), Some(&Value::Null));
+        assert_eq!(default("pi1"), Some(&serde_json::json!(Spec::new(1).pi1)));
         for it in &parameters {
             assert!(!it.doc.is_empty() && !it.doc.contains('\n'), "{it:?}");
             assert!(!it.unit.is_empty(), "{it:?}");
