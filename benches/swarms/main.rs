@@ -7,8 +7,8 @@
 //!
 //! The daemon is a process of its own. First there are more swarms than the cores can step, then as
 //! many as take 80 % of the cores, then swarms that are created, stepped and deleted one by one, then
-//! one that steps while a client reads the metrics, then, in this process, what recording the metrics of a step costs.
-//! All cores must be idle otherwise: what else runs takes its share.
+//! one that steps while a client reads the metrics, then, in this process, what recording the metrics
+//! of a step costs. All cores must be idle otherwise: what else runs takes its share.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 

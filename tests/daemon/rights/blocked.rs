@@ -160,16 +160,12 @@ async fn while_commands_are_blocked_health_says_so_and_then_the_log_says_by_whom
     olga.session.close().await.unwrap();
 }
 
-/// Fails if something is wrong that the block does not cause: while zenoh is blocked a thread that
-/// publishes stands, and on a slow machine the listener opens no session within the probe's 2 s.
+/// Whether what is wrong ends by itself.
 fn panic_unless_passing(body: &str) -> bool {
     let told: Value = serde_json::from_str(body).unwrap();
     for reason in told["reasons"].as_array().unwrap() {
         let code = reason["code"].as_str().unwrap();
-        assert!(
-            ["bus_blocked", "thread_stuck", "listener_deaf"].contains(&code),
-            "{body}"
-        );
+        assert!(["bus_blocked", "thread_stuck"].contains(&code), "{body}");
     }
     false
 }
