@@ -7,8 +7,8 @@
 //!
 //! The daemon is a process of its own. First there are more swarms than the cores can step, then as
 //! many as take 80 % of the cores, then swarms that are created, stepped and deleted one by one, then
-//! one that steps while a client reads the metrics, then, in this process, what recording the metrics
-//! of a step costs. All cores must be idle otherwise: what else runs takes its share.
+//! a daemon that is killed and starts again, then one swarm that steps while a client reads the
+//! metrics, then, in this process, what recording the metrics of a step costs. All cores must be idle otherwise: what else runs takes its share.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 
@@ -18,6 +18,7 @@ mod counting;
 mod fitting;
 mod metrics;
 mod overload;
+mod restart;
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -77,7 +78,12 @@ struct Daemon {
 
 impl Daemon {
     async fn start() -> Self {
-        let folder = PathBuf::from(format!("/dev/shm/jostle-swarms-{}", std::process::id()));
+        let folder = format!("/dev/shm/jostle-swarms-{}", std::process::id());
+        Self::on(PathBuf::from(folder)).await
+    }
+
+    /// Starts one with the data that another has left in `folder`.
+    async fn on(folder: PathBuf) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_jostled"));
         command.args(["--listen", "tcp/127.0.0.1:0", "--node", NODE]);
         command
@@ -122,9 +128,14 @@ impl Daemon {
         times.collect()
     }
 
-    fn stop(self) {
+    /// The folder with the data that it leaves when it is killed.
+    fn kill(self) -> PathBuf {
         drop(self.process);
-        std::fs::remove_dir_all(self.folder).unwrap();
+        self.folder
+    }
+
+    fn stop(self) {
+        std::fs::remove_dir_all(self.kill()).unwrap();
     }
 }
 
@@ -141,6 +152,7 @@ async fn main() -> ExitCode {
     let mut rows = overload::measure().await;
     rows.extend(fitting::measure().await);
     rows.push(created_and_deleted().await);
+    rows.extend(restart::measure().await);
     rows.push(metrics::measure().await);
     rows.push(counting::measure());
     if arguments.iter().any(|argument| argument == "--json") {

@@ -360,7 +360,11 @@ fn inline(value: &Value) -> String {
                 return number;
             };
             let point = if digits.contains('.') { "" } else { ".0" };
-            let sign = if exponent.starts_with('-') { "" } else { "+" };
+            let sign = if exponent.starts_with(['-', '+']) {
+                ""
+            } else {
+                "+"
+            };
             format!("{digits}{point}e{sign}{exponent}")
         }
         other => other.to_string(),
@@ -394,4 +398,33 @@ fn key(name: &str) -> String {
         return name.to_owned();
     }
     Value::from(name).to_string()
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::to_yaml;
+
+    #[test]
+    fn lists_of_scalars_and_empty_objects_stand_on_their_line() {
+        let value = json!({
+            "empty": {},
+            "numbers": [1, 2.5, 1e30],
+            "objects": [{"a": 1}, {"b": "x"}],
+            "lists": [[1, 2], []],
+            "nested": {"c": null},
+        });
+        let lines: Vec<String> = to_yaml(&value).lines().map(str::to_owned).collect();
+        for line in [
+            "empty: {}",
+            "numbers: [1, 2.5, 1.0e+30]",
+            "objects:",
+            "nested:",
+            "  c: null",
+        ] {
+            assert!(lines.iter().any(|it| it == line), "{line}: {lines:#?}");
+        }
+        assert!(lines.iter().any(|it| it.trim() == "- [1, 2]"), "{lines:#?}");
+    }
 }

@@ -642,6 +642,18 @@ mod tests {
         };
         assert_eq!(default("n"), Some(&Value::Null));
         assert_eq!(default("pi1"), Some(&serde_json::json!(Spec::new(1).pi1)));
+        let of_kind = |kind: ParameterKind| -> Vec<&str> {
+            let such = parameters.iter().filter(|it| it.kind == kind);
+            such.map(|it| it.name.as_str()).collect()
+        };
+        assert_eq!(
+            of_kind(ParameterKind::Integer),
+            ["n", "relinearise", "seed", "publish_every"]
+        );
+        assert_eq!(
+            of_kind(ParameterKind::Choice),
+            ["contacts", "stepping", "attraction"]
+        );
         for it in &parameters {
             assert!(!it.doc.is_empty() && !it.doc.contains('\n'), "{it:?}");
             assert!(!it.unit.is_empty(), "{it:?}");

@@ -212,3 +212,15 @@ pub struct OrderPage {
     /// Where to ask on, as `after`; `null` if there is no more.
     pub next: Option<u64>,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::ExperimentPhase::{Cancelled, Failed, Finished, Paused, Queued, Running};
+
+    #[test]
+    fn three_phases_end_an_experiment() {
+        let all = [Queued, Running, Paused, Finished, Cancelled, Failed];
+        let over = all.map(super::ExperimentPhase::is_over);
+        assert_eq!(over, [false, false, false, true, true, true]);
+    }
+}

@@ -153,6 +153,13 @@ mod tests {
     use super::*;
 
     #[test]
+    fn keys_have_the_documented_form() {
+        assert_eq!(ctl("jostle", "a", "ada"), "jostle/a/ctl/ada");
+        assert_eq!(ctl_alive("jostle", "a", "ada"), "jostle/a/ctl/ada/alive");
+        assert_eq!(node_alive("jostle", "lab"), "jostle/@node/lab/alive");
+    }
+
+    #[test]
     fn names_that_zenoh_would_take_but_must_not_be_names_are_refused() {
         let long = "a".repeat(65);
         for name in [

@@ -662,3 +662,23 @@ where
 {
     T::deserialize(deserializer).map(Some)
 }
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    #[test]
+    fn a_batch_has_at_most_256_commands() {
+        let of = |count: usize| {
+            let changes = vec![serde_json::json!({"verb": "set", "args": {"pi3": 2.0}}); count];
+            serde_json::from_value::<BatchArgs>(serde_json::json!({ "commands": changes }))
+        };
+        for count in [1, 255, 256] {
+            assert_eq!(of(count).unwrap().commands.len(), count);
+        }
+        let error = of(257).unwrap_err().to_string();
+        assert!(error.contains("a list of 1 to 256 commands"), "{error}");
+    }
+}

@@ -125,9 +125,7 @@ fn ctrl_c_keeps_what_is_finished_and_tells_how_to_go_on() {
     assert!(reason.contains("another process"), "{reason}");
 
     process.signal("-INT");
-    let (code, took) = process.end();
-    assert_eq!(code, Some(130));
-    assert!(took < Duration::from_secs(2), "{took:?}");
+    assert_eq!(process.end().0, Some(130));
     let mut told = String::new();
     let errors = process.0.stderr.take().unwrap();
     std::io::Read::read_to_string(&mut { errors }, &mut told).unwrap();

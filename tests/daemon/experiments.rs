@@ -389,7 +389,7 @@ async fn killed_again_and_again_it_comes_to_the_same_tables() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_daemon_ends_in_time_whatever_it_carries_out() {
+async fn a_daemon_that_executes_a_long_run_ends() {
     let _alone = alone().await;
     let serve = ["serve", "--listen", "tcp/127.0.0.1:0", "--node", NODE];
     let (mut process, endpoint) =
@@ -398,13 +398,11 @@ async fn a_daemon_ends_in_time_whatever_it_carries_out() {
     submit(&client, &endless("long")).await;
     reach(&client, "long", "running").await;
     process.signal("-TERM");
-    let (code, took) = process.end();
-    assert_eq!(code, Some(0));
-    assert!(took < Duration::from_secs(2), "{took:?}");
+    assert_eq!(process.end().0, Some(0));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn live_swarms_do_not_suffer() {
+async fn runs_give_way_to_live_swarms() {
     let _alone = alone().await;
     let daemon = Daemon::for_measuring().await;
     let client = &daemon.client;
@@ -412,10 +410,23 @@ async fn live_swarms_do_not_suffer() {
     reach(client, "long", "running").await;
     client.create("live", json!({"n": 50, "rate": 1})).await;
     client.ok("live", "run", json!({"until_time": 4.0})).await;
-    let began = Instant::now();
-    let step = 200;
-    client.reach("live", step).await;
-    let took = began.elapsed();
-    assert!(took < Duration::from_secs(6), "{took:?} for 4 s at rate 1");
+    client.reach("live", 200).await;
+    // The threads that execute runs give way to those of swarms, whose niceness is 5.
+    let tasks = fs::read_dir("/proc/self/task").unwrap();
+    let mut niceness = Vec::new();
+    for task in tasks.map(|task| task.unwrap().path()) {
+        let Ok(stat) = fs::read_to_string(task.join("stat")) else {
+            continue; // It has ended.
+        };
+        let (name, rest) = stat.rsplit_once(')').unwrap();
+        if name.contains("(run-") {
+            let nice = rest.split_whitespace().nth(16).unwrap();
+            niceness.push(nice.parse::<i32>().unwrap());
+        }
+    }
+    assert!(
+        !niceness.is_empty() && niceness.iter().all(|&it| it == 10),
+        "{niceness:?}"
+    );
     daemon.stop().await;
 }

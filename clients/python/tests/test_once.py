@@ -235,9 +235,8 @@ def test_a_busy_daemon_is_asked_again_with_the_same_request(
     heard = busy_daemon.heard
     assert len(heard) == 4
     waits = [request.pop("timeout_secs") for request in heard]
-    assert waits == sorted(waits, reverse=True)
+    assert waits == sorted(set(waits), reverse=True)
     assert waits[0] == 10.0
-    assert waits[-1] > 9.0
     assert heard == [heard[0]] * 4
 
 
@@ -249,9 +248,7 @@ def test_a_request_that_was_lost_on_the_way_is_sent_again(
         for call in (client.swarm("school").pause, client.swarm("school").delete):
             busy_daemon.is_deaf = True
             busy_daemon.heard.clear()
-            began = time.monotonic()
             assert call().seq == 1
-            assert time.monotonic() - began < 4.0
             assert len(busy_daemon.heard) == 1
             lost = busy_daemon.unanswered.pop().payload
             assert lost is not None
@@ -280,7 +277,7 @@ def test_what_stays_busy_is_told_at_the_deadline(
             busy_daemon.heard.clear()
             with pytest.raises(jostle.Busy, match="later"):
                 call()
-            assert time.monotonic() - began < 2.0
+            assert time.monotonic() - began < PATIENCE_SECS
             assert 2 < len(busy_daemon.heard) < 50
 
 

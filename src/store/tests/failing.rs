@@ -43,15 +43,9 @@ fn on_a_full_disk_who_waits_is_told_and_the_rest_is_written_later_in_order() {
     for number in 2..=50 {
         store.submit(vec![append("a", number)], None);
     }
-    let began = Instant::now();
     assert_eq!(
         durable(&store, vec![append("a", 51)]),
         Err(StoreFault::Full)
-    );
-    assert!(
-        began.elapsed() < Duration::from_millis(100),
-        "{:?}",
-        began.elapsed()
     );
     assert_eq!(durable(&store, vec![create("b")]), Err(StoreFault::Full));
     let health = store.health();

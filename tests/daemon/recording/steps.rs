@@ -195,22 +195,12 @@ async fn a_swarm_waits_for_a_slow_disk_and_answers_commands_meanwhile() {
             "run" => json!({"until_step": 250}),
             _ => json!({}),
         };
-        let asked = Instant::now();
-        client.ok("school", verb, args).await;
-        let took = asked.elapsed();
-        assert!(took < Duration::from_millis(500), "{verb} took {took:?}");
+        let reply = client.ok("school", verb, args).await;
+        assert!(
+            reply["step"].as_u64() < Some(250),
+            "{verb} waited for the disk: {reply}"
+        );
     }
-    let before = client.get("other", "status").await["step"]
-        .as_u64()
-        .unwrap();
-    tokio::time::sleep(Duration::from_millis(300)).await;
-    let after = client.get("other", "status").await["step"]
-        .as_u64()
-        .unwrap();
-    assert!(
-        after > before + 100,
-        "another swarm waits, too: {before}, {after}"
-    );
     client.reach("school", 250).await;
     let took = began.elapsed();
     assert!(took > Duration::from_secs(3), "it did not wait: {took:?}");
@@ -225,13 +215,17 @@ async fn stopping_a_recording_that_holds_its_swarm_up_lets_it_step_on() {
     let _alone = alone().await;
     let data = tempfile::tempdir().unwrap();
     let (_life, client) = life(data.path(), "recording-frame=3*off->sleep(600000)").await;
-    client.create("school", json!({"n": 5, "rate": null})).await;
+    for swarm in ["school", "other"] {
+        client.create(swarm, json!({"n": 5, "rate": null})).await;
+    }
     begin(
         &client,
         json!({"swarm": "school", "recording": "take", "every": 1}),
     )
     .await;
-    client.ok("school", "run", json!({})).await;
+    for swarm in ["school", "other"] {
+        client.ok(swarm, "run", json!({})).await;
+    }
     let mut last = 0;
     until("the queue is full", async || {
         let step = client.get("school", "status").await["step"]
@@ -244,6 +238,18 @@ async fn stopping_a_recording_that_holds_its_swarm_up_lets_it_step_on() {
     })
     .await;
     assert!(last < 200, "{last}");
+    // While the writer thread sleeps for ten minutes, commands are executed and another swarm steps.
+    for (verb, args) in [
+        ("set", json!({"pi3": 1.1})),
+        ("pause", json!({})),
+        ("run", json!({})),
+    ] {
+        client.ok("school", verb, args).await;
+    }
+    let step = client.get("other", "status").await["step"]
+        .as_u64()
+        .unwrap();
+    client.reach("other", step + 1000).await;
     // The writer thread is blocked on the disk, so `stop` fails as `busy`; the swarm continues.
     let (code, message) = super::refused(&client, json!({"stop": {"recording": "take"}})).await;
     assert_eq!(code, jostle_proto::ErrorCode::Busy, "{message}");
@@ -255,16 +261,25 @@ async fn a_recording_that_drops_when_behind_counts_what_it_leaves_out_and_no_swa
     let _alone = alone().await;
     let data = tempfile::tempdir().unwrap();
     let (_life, client) = life(data.path(), "recording-frame=sleep(250)").await;
-    run(&client, "school", 10).await;
+    for swarm in ["school", "free"] {
+        run(&client, swarm, 10).await;
+    }
+    let step = async |swarm: &str| client.get(swarm, "status").await["step"].as_u64().unwrap();
     let args =
         json!({"swarm": "school", "recording": "take", "every": 1, "drop_when_behind": true});
     let begun = begin(&client, args).await;
     assert_eq!(begun["drop_when_behind"], true, "{begun}");
-    let taken = has(&client, "take", "missed", 20).await;
+    let first = [step("school").await, step("free").await];
+    let taken = has(&client, "take", "missed", 200).await;
     assert!(taken["frames"].as_u64() >= Some(4), "{taken}");
-    let status = client.get("school", "status").await;
-    let factor = status["result"]["real_time_factor"].as_f64().unwrap();
-    assert!(factor > 0.95, "{factor}");
+    let steps = [
+        step("school").await - first[0],
+        step("free").await - first[1],
+    ];
+    assert!(
+        steps[0] * 20 > steps[1] * 19,
+        "{steps:?} of the recorded one and of one that is not"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
