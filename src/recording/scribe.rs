@@ -154,3 +154,14 @@ fn part() -> Duration {
     });
     PART
 }
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    /// `killed_in_the_midst` shows with shorter parts that a crash costs at most one.
+    #[test]
+    fn a_part_is_ended_after_a_minute() {
+        assert_eq!(super::part(), Duration::from_secs(60));
+    }
+}

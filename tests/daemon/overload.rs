@@ -129,9 +129,10 @@ async fn a_clock_that_is_set_back_does_not_flood_the_log() {
     let began = Instant::now();
     for _ in 0..STATES {
         let state = tokio::time::timeout(PATIENCE, states.recv_async()).await;
-        state
+        let state = state
             .expect("a state after the clock was set back")
             .unwrap();
+        assert_eq!(state.timestamp(), None);
     }
     assert!(
         clock_of().await < before.0 - 3500.0,
@@ -142,8 +143,9 @@ async fn a_clock_that_is_set_back_does_not_flood_the_log() {
         |event: &Event| matches!(&event.event, EventKind::Command { verb, .. } if verb == "pause");
     loop {
         let event = tokio::time::timeout(PATIENCE, events.recv_async()).await;
-        let event = event.expect("the event of the pause").unwrap();
-        let event: Event = serde_json::from_slice(&event.payload().to_bytes()).unwrap();
+        let sample = event.expect("the event of the pause").unwrap();
+        let event: Event = serde_json::from_slice(&sample.payload().to_bytes()).unwrap();
+        assert_eq!(sample.timestamp(), None);
         if last(&event) {
             assert!(event.unix_secs.unwrap() < before.0 - 3500.0);
             break;

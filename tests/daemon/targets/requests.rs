@@ -4,10 +4,11 @@ use std::collections::BTreeSet;
 use std::fmt::Debug;
 
 use jostle_proto::verbs::{
-    BatchArgs, CreateArgs, DeleteArgs, InformArgs, InjectArgs, PauseArgs, RemoveArgs, ResetArgs,
-    RunArgs, SetArgs, StepArgs, UninformArgs,
+    AdvanceArgs, BatchArgs, CreateArgs, DeleteArgs, DiscardArgs, ForkArgs, InformArgs, InjectArgs,
+    JoinArgs, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, RestoreArgs, RunArgs, SetArgs, StepArgs,
+    UninformArgs,
 };
-use jostle_proto::{Request, RequestError};
+use jostle_proto::{Request, RequestError, SeekArgs};
 use serde::de::{DeserializeOwned, DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess};
 use serde::{Serialize, de::Visitor};
 
@@ -35,15 +36,22 @@ pub fn hold(data: &[u8]) {
     };
     assert_eq!(envelope(&request), envelope(&again));
 
+    arguments_of::<AdvanceArgs>(&request, &again);
     arguments_of::<BatchArgs>(&request, &again);
     arguments_of::<CreateArgs>(&request, &again);
     arguments_of::<DeleteArgs>(&request, &again);
+    arguments_of::<DiscardArgs>(&request, &again);
+    arguments_of::<ForkArgs>(&request, &again);
     arguments_of::<InformArgs>(&request, &again);
     arguments_of::<InjectArgs>(&request, &again);
+    arguments_of::<JoinArgs>(&request, &again);
+    arguments_of::<LeaveArgs>(&request, &again);
     arguments_of::<PauseArgs>(&request, &again);
     arguments_of::<RemoveArgs>(&request, &again);
     arguments_of::<ResetArgs>(&request, &again);
+    arguments_of::<RestoreArgs>(&request, &again);
     arguments_of::<RunArgs>(&request, &again);
+    arguments_of::<SeekArgs>(&request, &again);
     arguments_of::<SetArgs>(&request, &again);
     arguments_of::<StepArgs>(&request, &again);
     arguments_of::<UninformArgs>(&request, &again);
