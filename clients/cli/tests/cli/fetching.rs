@@ -360,13 +360,20 @@ async fn a_recording_is_fetched_on_from_where_it_was_and_a_lasting_one_is_kept()
 async fn a_recording_goes_on_over_a_restart_of_the_daemon_and_is_fetched_whole() {
     let daemon = Daemon::start().await;
     daemon.jostle("create demo --n 10 --publish-every 1").await;
-    let (_folder, path) = file("take.mcap");
+    let (folder, path) = file("take.mcap");
     let recording = daemon.begin(&format!("record demo -o {path}"));
     begun(&daemon).await;
     daemon.said("step demo 30").await;
     let daemon = daemon.restart().await;
     begun(&daemon).await;
     daemon.said("step demo 30").await;
+    // The part that the stop completed is fetched while the recording goes on.
+    until("the first part is fetched", async || {
+        let beside = fs::read_dir(folder.path()).unwrap();
+        let mut beside = beside.map(|entry| entry.unwrap().path());
+        beside.any(|path| path.join("part-00000.mcap").exists())
+    })
+    .await;
     recording.interrupt();
     let ended = recording.end().await;
     assert_eq!(ended.code, Some(0), "{ended:?}");

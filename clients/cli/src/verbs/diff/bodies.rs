@@ -174,6 +174,16 @@ mod tests {
     }
 
     #[test]
+    fn another_weight_or_another_direction_is_informed_otherwise() {
+        let one = state([0, 0], &[1, 2, 3], &[0.0; 3], &[0.0; 3]);
+        let mut other = one.clone();
+        other.weight[0] = 0.5;
+        other.direction[1] = 1.0;
+        let bodies = compare(&one, &other);
+        assert_eq!((bodies.informed_otherwise, bodies.differ), (2, 2));
+    }
+
+    #[test]
     fn a_state_and_itself_do_not_differ() {
         let one = state([0, 0], &[1, 2], &[0.5, 7.0], &[0.25, 0.0]);
         let bodies = compare(&one, &one);

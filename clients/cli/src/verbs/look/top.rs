@@ -234,6 +234,17 @@ mod tests {
         );
     }
 
+    #[test]
+    fn without_a_commit_between_two_looks_the_last_one_is_shown() {
+        let (mut earlier, mut now) = (metrics(), later());
+        for metrics in [&mut earlier, &mut now] {
+            (metrics.store.commits, metrics.store.commit_secs) = (7, 0.1);
+            metrics.store.last_commit_secs = 0.003;
+        }
+        let header = header("lab", &now, &earlier);
+        assert!(header.contains("commits 0.0/s of 3.00 ms"), "{header}");
+    }
+
     /// Names of swarms, the first column of a table.
     fn names(table: &str) -> Vec<&str> {
         let lines = table.lines().skip(1);
