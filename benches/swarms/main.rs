@@ -8,7 +8,8 @@
 //! The daemon is a process of its own. First there are more swarms than the cores can step, then as
 //! many as take 80 % of the cores, then swarms that are created, stepped and deleted one by one, then
 //! a daemon that is killed and starts again, then one swarm that steps while a client reads the
-//! metrics, then, in this process, what recording the metrics of a step costs. All cores must be idle otherwise: what else runs takes its share.
+//! metrics, then, in this process, what recording the metrics of a step costs. All cores must be idle
+//! otherwise: what else runs takes its share.
 
 #![expect(clippy::unwrap_used, reason = "what fails is to end the measurement")]
 
@@ -82,7 +83,7 @@ impl Daemon {
         Self::on(PathBuf::from(folder)).await
     }
 
-    /// Starts one with the data that another has left in `folder`.
+    /// Starts a daemon on `folder`, which may hold the data of an earlier one.
     async fn on(folder: PathBuf) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_jostled"));
         command.args(["--listen", "tcp/127.0.0.1:0", "--node", NODE]);
@@ -128,7 +129,7 @@ impl Daemon {
         times.collect()
     }
 
-    /// The folder with the data that it leaves when it is killed.
+    /// Kills the daemon and returns its data folder.
     fn kill(self) -> PathBuf {
         drop(self.process);
         self.folder

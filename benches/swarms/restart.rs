@@ -1,4 +1,4 @@
-//! How long a daemon that was killed takes until it listens again.
+//! How long a killed daemon takes to start again and accept a client.
 
 use std::time::{Duration, Instant};
 

@@ -407,7 +407,7 @@ mod tests {
     use super::to_yaml;
 
     #[test]
-    fn lists_of_scalars_and_empty_objects_stand_on_their_line() {
+    fn scalar_lists_and_empty_objects_are_written_inline() {
         let value = json!({
             "empty": {},
             "numbers": [1, 2.5, 1e30],

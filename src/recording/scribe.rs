@@ -159,7 +159,8 @@ fn part() -> Duration {
 mod tests {
     use std::time::Duration;
 
-    /// `killed_in_the_midst` shows with shorter parts that a crash costs at most one.
+    /// `recording::killed_in_the_midst` uses shorter parts and checks that a crash loses only the
+    /// unfinished one.
     #[test]
     fn a_part_is_ended_after_a_minute() {
         assert_eq!(super::part(), Duration::from_secs(60));

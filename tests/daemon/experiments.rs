@@ -411,22 +411,22 @@ async fn runs_give_way_to_live_swarms() {
     client.create("live", json!({"n": 50, "rate": 1})).await;
     client.ok("live", "run", json!({"until_time": 4.0})).await;
     client.reach("live", 200).await;
-    // The threads that execute runs give way to those of swarms, whose niceness is 5.
+    // Run threads have a higher niceness than swarm threads, so the scheduler prefers swarms.
     let tasks = fs::read_dir("/proc/self/task").unwrap();
-    let mut niceness = Vec::new();
+    let (mut runs, mut live) = (Vec::new(), Vec::new());
     for task in tasks.map(|task| task.unwrap().path()) {
         let Ok(stat) = fs::read_to_string(task.join("stat")) else {
             continue; // It has ended.
         };
         let (name, rest) = stat.rsplit_once(')').unwrap();
+        let nice: i32 = rest.split_whitespace().nth(16).unwrap().parse().unwrap();
         if name.contains("(run-") {
-            let nice = rest.split_whitespace().nth(16).unwrap();
-            niceness.push(nice.parse::<i32>().unwrap());
+            runs.push(nice);
+        } else if name.ends_with("(swarm-live") {
+            live.push(nice);
         }
     }
-    assert!(
-        !niceness.is_empty() && niceness.iter().all(|&it| it == 10),
-        "{niceness:?}"
-    );
+    assert!(!runs.is_empty() && live.len() == 1, "{runs:?} {live:?}");
+    assert!(runs.iter().all(|&nice| nice > live[0]), "{runs:?} {live:?}");
     daemon.stop().await;
 }

@@ -175,7 +175,7 @@ async fn when_the_clock_jumps_swarms_neither_stall_nor_burst() {
         tempfile::tempdir().unwrap(),
     );
     let client = Client::open(&endpoint).await;
-    // A daemon on the true clock, whose swarm shows what both cores allow.
+    // A daemon whose clock is not changed shows how fast the swarm can step on this machine.
     let (_steady, steady) = Process::serve();
     let steady = Client::open(&steady).await;
     let spec = json!({"n": 20, "seed": 5, "rate": RATE});
@@ -188,11 +188,11 @@ async fn when_the_clock_jumps_swarms_neither_stall_nor_burst() {
     let hello = clock_of().await;
     for jump in ["+400d", "-400d", "+3600", "-3600", "+0"] {
         std::fs::write(&clock, jump).unwrap();
-        for _ in 0..4 {
+        for _ in 0..2 {
             let before = (time(&client).await, time(&steady).await);
             let inform = json!({"select": {"ids": [1]}, "direction": 1});
             client.ok("a", "inform", inform).await;
-            tokio::time::sleep(Duration::from_millis(250)).await;
+            tokio::time::sleep(Duration::from_secs(1)).await;
             let passed = (time(&client).await - before.0) / (time(&steady).await - before.1);
             assert!(
                 (0.8..1.25).contains(&passed),

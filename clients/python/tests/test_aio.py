@@ -149,9 +149,12 @@ def test_a_cancelled_call_ends_at_once_and_its_thread_soon(create: Create, daemo
         async with aio.connect(daemon.endpoint) as client:
             mine = client.swarm(swarm.name)
             before = threading.active_count()
+            began = time.monotonic()
             for _ in range(20):
                 with pytest.raises(TimeoutError):
                     await asyncio.wait_for(mine.wait(phase="running"), 0.05)
+            # Each of these waits for half a minute if it is not cancelled.
+            assert time.monotonic() - began < PATIENCE_SECS
             # What waits holds a thread, and what was cancelled none for long.
             assert threading.active_count() - before < 10
             assert (await mine.status()).step == 0

@@ -54,7 +54,7 @@ async fn an_exchange_wakes_no_thread_of_the_swarm() {
         woken.push(wakings(swarm) - before);
     }
     let least = woken.iter().min().unwrap();
-    assert!(*least < 10, "woken {woken:?} times in 100 exchanges each");
+    assert!(*least < 25, "woken {woken:?} times in 100 exchanges each");
     // What waits for the thread came first, and nothing is lost between the two.
     client.ok(swarm, "set", json!({"pi3": 2.0})).await;
     exchanges(1010, 1).await;
@@ -82,7 +82,7 @@ async fn a_short_step_of_a_paused_swarm_wakes_no_thread_of_it_either() {
         woken.push(wakings(swarm) - before);
     }
     let least = woken.iter().min().unwrap();
-    assert!(*least < 10, "woken {woken:?} times in 100 steps each");
+    assert!(*least < 25, "woken {woken:?} times in 100 steps each");
     // Many at once are left to the thread, whatever one of them takes.
     let many = client.ok(swarm, "step", json!({"steps": 20_000})).await;
     assert_eq!(many["step"], 21_010);

@@ -174,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn another_weight_or_another_direction_is_informed_otherwise() {
+    fn a_different_weight_or_direction_is_counted() {
         let one = state([0, 0], &[1, 2, 3], &[0.0; 3], &[0.0; 3]);
         let mut other = one.clone();
         other.weight[0] = 0.5;

@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_commit_between_two_looks_the_last_one_is_shown() {
+    fn without_a_commit_between_two_samples_the_last_commit_time_is_shown() {
         let (mut earlier, mut now) = (metrics(), later());
         for metrics in [&mut earlier, &mut now] {
             (metrics.store.commits, metrics.store.commit_secs) = (7, 0.1);
