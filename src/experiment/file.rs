@@ -6,7 +6,7 @@ use std::ops::Range;
 use serde::Deserialize;
 use toml::{Spanned, Value};
 
-use super::plan::PlanError;
+use super::error::PlanError;
 
 /// Keys with their values, each with its place in the file.
 pub type Table = BTreeMap<Spanned<String>, Spanned<Value>>;

@@ -5,8 +5,8 @@ use std::ops::Range;
 use jostle_proto::Spec;
 use toml::{Spanned, Value};
 
+use super::error::PlanError;
 use super::file::{Source, Table};
-use super::plan::PlanError;
 use crate::model::selection::share;
 
 /// What a `[[grid]]` may vary, in the order in which names of runs tell it.

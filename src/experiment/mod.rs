@@ -5,19 +5,21 @@
 //! [`Control`].
 
 mod control;
+mod error;
 mod execute;
 mod file;
 mod folder;
 mod grid;
+mod limits;
 mod plan;
 mod run;
 mod touch;
 
 pub use control::{Control, Progress};
+pub use error::PlanError;
 pub use execute::{ExecuteError, Outcome, execute};
 pub use folder::{Folder, FolderError};
 pub use grid::AXES;
-pub use plan::{
-    MOST_ENTRIES, MOST_INDIVIDUALS, MOST_RUNS, MOST_STEPS, Plan, PlanError, PlannedRun, Point,
-};
+pub use limits::{MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
+pub use plan::{Plan, PlannedRun, Point};
 pub use run::{Finished, conduct, start};

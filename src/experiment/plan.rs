@@ -3,70 +3,14 @@
 use std::collections::BTreeSet;
 
 use jostle_proto::{LARGEST_WHOLE, keys};
-use thiserror::Error;
 
+use super::error::PlanError;
 use super::file::Source;
 use super::grid::{self, AXES, Choice, Grid};
+use super::limits::{MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
 use crate::swarm::order::{Recipe, Start};
-use crate::swarm::outcome::OrderError;
 use crate::swarm::simulation::{begin, steps_in};
 use crate::wire::{count, recipe};
-
-/// The most runs of one experiment: a list of them can still be read.
-pub const MOST_RUNS: u64 = 100_000;
-
-/// The most individuals of a run: beyond, a single step takes a good part of a second.
-pub const MOST_INDIVIDUALS: u64 = 100_000;
-
-/// The most steps of a run: up to here duration over dt tells their number without doubt.
-pub const MOST_STEPS: u64 = 1_000_000_000;
-
-/// The most entries of the time series of all runs together: 8 GB.
-pub const MOST_ENTRIES: u64 = 1_000_000_000;
-
-/// Why a file describes no experiment.
-#[derive(Debug, Error)]
-pub enum PlanError {
-    /// Something in it is not known, of another kind, or outside its range.
-    #[error("line {line}: {reason}")]
-    Field {
-        /// The line, from 1.
-        line: usize,
-        /// What is wrong, and what would not be.
-        reason: String,
-    },
-    /// A run's parameters or its start are refused.
-    #[error("run {run:?}: {error}")]
-    Run {
-        /// The first run of that kind.
-        run: String,
-        /// Why.
-        error: OrderError,
-    },
-    /// Two runs have one name.
-    #[error("line {line}: run {run:?} is there twice: no value and no grid may repeat another")]
-    Repeated {
-        /// Where the later one's grid begins.
-        line: usize,
-        /// The run.
-        run: String,
-    },
-    /// There are more runs than an experiment may have.
-    #[error("these are {runs} runs, and an experiment has at most {MOST_RUNS}: split it")]
-    TooManyRuns {
-        /// How many, or as many as can be counted.
-        runs: u64,
-    },
-    /// The time series would fill a disk.
-    #[error(
-        "the orders over time have {entries} entries, at most {MOST_ENTRIES} are kept: raise \
-         order_every"
-    )]
-    TooManyEntries {
-        /// How many.
-        entries: u64,
-    },
-}
 
 /// An experiment: what its runs have in common, and each of them.
 #[derive(Clone, Debug, PartialEq)]
@@ -127,19 +71,19 @@ impl Plan {
             return Err(source.refuse(&file.name.span(), reason));
         }
         let seed = source.whole("seed", file.seed.as_ref(), 0, [0, LARGEST_WHOLE])?;
-        let limits = [1, MOST_RUNS];
+        let limits = [1, MAX_RUNS];
         let replicates = source.whole("replicates", file.replicates.as_ref(), 1, limits)?;
         let every = file.measure.order_every.as_ref();
-        let every = source.whole("order_every", every, 0, [1, MOST_STEPS])?;
+        let every = source.whole("order_every", every, 0, [1, MAX_STEPS])?;
         let duration = *file.duration.get_ref();
         if !(duration.is_finite() && duration > 0.0) {
             let reason = format!("duration = {duration} is outside the numbers above 0");
             return Err(source.refuse(&file.duration.span(), reason));
         }
         let common = grid::common(source, &file.spec)?;
-        let grids = grid::grids(source, &file.grid, replicates, MOST_RUNS)?;
+        let grids = grid::grids(source, &file.grid, replicates, MAX_RUNS)?;
         let runs = count_runs(&grids);
-        if runs > MOST_RUNS {
+        if runs > MAX_RUNS {
             return Err(PlanError::TooManyRuns { runs });
         }
         let mut plan = Self {
@@ -170,7 +114,7 @@ impl Plan {
         }
         let entries = plan.runs.iter().map(|run| plan.entries(run));
         match entries.fold(0, u64::saturating_add) {
-            entries if entries > MOST_ENTRIES => Err(PlanError::TooManyEntries { entries }),
+            entries if entries > MAX_ENTRIES => Err(PlanError::TooManyEntries { entries }),
             _ => Ok(plan),
         }
     }
@@ -212,8 +156,8 @@ impl Plan {
     ) -> Result<(), PlanError> {
         let refuse = |reason: String| source.refuse(&grid.place, reason);
         let Choice { spec, informed, .. } = choice;
-        if !(1..=MOST_INDIVIDUALS).contains(&spec.n) {
-            let reason = format!("n = {} is outside [1, {MOST_INDIVIDUALS}]", spec.n);
+        if !(1..=MAX_INDIVIDUALS).contains(&spec.n) {
+            let reason = format!("n = {} is outside [1, {MAX_INDIVIDUALS}]", spec.n);
             return Err(refuse(reason));
         }
         let recipe = recipe(spec, count(spec.n)).map_err(|error| refuse(error.to_string()))?;
@@ -230,8 +174,8 @@ impl Plan {
             begin(&recipe).map_err(refuse_run)?;
         }
         let steps = steps_in(self.duration, parameters.dt);
-        if steps > MOST_STEPS {
-            let reason = format!("a run has {steps} steps, at most {MOST_STEPS} are taken");
+        if steps > MAX_STEPS {
+            let reason = format!("a run has {steps} steps, at most {MAX_STEPS} are taken");
             return Err(refuse(reason));
         }
         for replicate in 0..grid.replicates {

@@ -1,7 +1,7 @@
 //! Contacts: where two bodies could touch during a step, and how their gap changes.
 
 use super::StepError;
-use super::ends::{self, Axis, End, LANES, Pairs};
+use super::ends::{self, Axis, End, LANES, Pairs, cross, dot};
 use crate::model::lanes::Level;
 use crate::model::{Configuration, ContactRule, Parameters};
 
@@ -185,16 +185,6 @@ fn contact(
             end.arms[1] * cross(v, normal),
         ],
     }
-}
-
-#[inline(always)]
-pub(super) fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
-    a[0] * b[0] + a[1] * b[1]
-}
-
-#[inline(always)]
-pub(super) fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
-    a[0] * b[1] - a[1] * b[0]
 }
 
 #[cfg(test)]

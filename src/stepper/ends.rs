@@ -1,6 +1,5 @@
 //! Where the ends of two bodies are nearest to each other's axes, for many pairs side by side.
 
-use super::contact::{cross, dot};
 use crate::model::lanes::{self, Lanes, Level, multiversion};
 
 /// How many pairs are looked at side by side.
@@ -182,6 +181,16 @@ pub fn codes(h: f64, signs: Signs, with_implied: bool) -> u64 {
         }
     });
     sides | head_head << 4 | head_tail << 5 | tail_head << 6 | tail_tail << 7
+}
+
+#[inline(always)]
+pub(super) fn dot(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[0] + a[1] * b[1]
+}
+
+#[inline(always)]
+pub(super) fn cross(a: [f64; 2], b: [f64; 2]) -> f64 {
+    a[0] * b[1] - a[1] * b[0]
 }
 
 #[cfg(test)]

@@ -7,6 +7,7 @@ mod apart;
 mod architecture;
 mod backup;
 mod changes;
+mod circles;
 mod claim;
 mod codes;
 mod commands;
