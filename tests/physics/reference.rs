@@ -58,11 +58,14 @@ fn parameters(spec: &Value) -> Parameters {
         noise,
         contacts: match spec["contacts"].as_str().unwrap() {
             "closest" => ContactRule::Closest,
-            _ => ContactRule::Endpoints,
+            "endpoints" => ContactRule::Endpoints,
+            "clamped" => ContactRule::Clamped,
+            other => panic!("contact rule {other}"),
         },
         stepping: match spec["stepping"].as_str().unwrap() {
             "velocity" => Stepping::Velocity,
-            _ => Stepping::Position,
+            "position" => Stepping::Position,
+            other => panic!("stepping {other}"),
         },
         relinearise: spec["relinearise"] == 1,
         attraction: attraction(&spec["attraction"]),
