@@ -139,6 +139,18 @@ fn a_command_that_ends_in_time_keeps_its_output_and_its_exit_code() {
 }
 
 #[test]
+fn a_command_does_not_inherit_ignored_signals() {
+    let within = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/within");
+    for signal in ["INT", "TERM", "HUP"] {
+        // As under nohup, and in the background of a script.
+        let script = format!("trap '' {signal}; {within} 60 sh -c 'kill -{signal} $$; echo on'");
+        let output = Command::new("bash").args(["-c", &script]).output().unwrap();
+        assert_eq!(String::from_utf8_lossy(&output.stdout), "", "{signal}");
+        assert!(!output.status.success(), "{signal}");
+    }
+}
+
+#[test]
 fn a_command_that_takes_too_long_is_killed_with_its_processes_and_the_running_test_named() {
     let folder = tempfile::tempdir().unwrap();
     let pids = folder.path().join("pids");
