@@ -225,6 +225,7 @@ fn derive_seed(seed: u64, name: &str) -> u64 {
 mod tests {
     use super::*;
     use crate::model::ParametersError;
+    use crate::swarm::outcome::OrderError;
 
     const HEAD: &str = "name = \"a\"\nduration = 10\n";
 
