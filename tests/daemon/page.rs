@@ -365,12 +365,12 @@ async fn tabs_that_do_not_read_cost_nobody_anything() {
     let mut reading = tab(&address, "/api/ws?swarm=a").await;
     sleep(Duration::from_secs(2)).await;
     let step = async |client: &Client| client.get("a", "status").await["step"].as_u64().unwrap();
-    let (before, first) = (bytes(), [step(&client).await, step(&free).await]);
+    let (before, first) = (bytes(), [step(client).await, step(&free).await]);
     // As many as are shown in 6 s.
     for _ in 0..180 {
         told(&mut reading, step_of).await;
     }
-    let steps = [step(&client).await - first[0], step(&free).await - first[1]];
+    let steps = [step(client).await - first[0], step(&free).await - first[1]];
     let grown = bytes().saturating_sub(before);
     println!("beside 49 that do not read: {steps:?} steps with and without, {grown} bytes more");
     assert!(steps[0] * 20 > steps[1] * 19, "{steps:?}");
