@@ -24,7 +24,7 @@ mod restart;
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::process::{Command, ExitCode};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
 use serde_json::{Map, Value, json};
@@ -133,6 +133,18 @@ impl Daemon {
     fn kill(self) -> PathBuf {
         drop(self.process);
         self.folder
+    }
+
+    /// Stops the daemon with SIGTERM; how long it took to end.
+    fn end(mut self) -> Duration {
+        let id = self.process.child.id().to_string();
+        let began = Instant::now();
+        let kill = Command::new("kill").args(["-TERM", &id]).status();
+        assert!(kill.unwrap().success());
+        assert!(self.process.child.wait().unwrap().success());
+        let took = began.elapsed();
+        self.stop();
+        took
     }
 
     fn stop(self) {

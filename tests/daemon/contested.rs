@@ -401,6 +401,7 @@ async fn routers_that_connect_often_do_not_hold_commands_for_good() {
     let _daemon = place.start();
     let client = Client::open(&place.endpoint).await;
     create(&client, "a", "school").await.unwrap();
+    let began = Instant::now();
     // A process for each: zenoh 1.10.2 blocks a thread of its network runtime for 10 s after a router
     // session is closed, and 50 such threads stop every session of the process.
     for _ in 0..CONNECTIONS {
@@ -411,8 +412,10 @@ async fn routers_that_connect_often_do_not_hold_commands_for_good() {
     let log = std::fs::read_to_string(place.folder.path().join("log")).unwrap();
     let not_held = log.matches("commands are not held for this one").count();
     println!("{not_held} of {CONNECTIONS} connections held no commands");
-    // Five connections in 60 s hold commands; on a busy machine this may take two such periods.
-    assert!((10..20).contains(&not_held), "{not_held}: {log}");
+    // Five connections in 60 s hold commands; on a busy machine this may take longer.
+    let most = 5 * (1 + began.elapsed().as_secs() / 60);
+    let held = (CONNECTIONS - not_held) as u64;
+    assert!((1..=most).contains(&held), "{held}: {log}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
