@@ -21,6 +21,7 @@ use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, Mis
 
 use crate::command::error::refusal;
 use crate::meter::Pulse;
+use crate::server::session_pool::Lease;
 use crate::swarm::frame::Frame;
 use crate::swarm::outlet::Outlet;
 use crate::wire::{self, Payload};
@@ -44,6 +45,7 @@ pub struct Publication {
     /// Whether the outlet's frames and events are discarded instead of published.
     is_silent: AtomicBool,
     publishers: Publishers,
+    _lease: Lease,
 }
 
 struct Publishers {
@@ -137,18 +139,19 @@ impl Press {
         let _ = self.bells.send(Bell::Stop);
     }
 
-    /// Begins to publish a swarm.
+    /// Begins to publish a swarm by a leased session.
     ///
     /// # Errors
     ///
     /// When zenoh refuses the publishers.
-    pub fn open(&self, session: &Session, swarm: &str, outlet: Arc<Outlet>) -> zenoh::Result<()> {
-        let publishers = Publishers::declare(session, &self.prefix, swarm)?;
+    pub fn open(&self, lease: Lease, swarm: &str, outlet: Arc<Outlet>) -> zenoh::Result<()> {
+        let publishers = Publishers::declare(&lease, &self.prefix, swarm)?;
         let publication = Arc::new(Publication {
             outlet,
             frames: AtomicU64::new(0),
             is_silent: AtomicBool::new(false),
             publishers,
+            _lease: lease,
         });
         self.lock().insert(swarm.to_owned(), publication);
         // What was put there before is still to be published.

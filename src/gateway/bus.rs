@@ -13,6 +13,8 @@ use zenoh::bytes::Encoding;
 use zenoh::key_expr::KeyExpr;
 use zenoh::{Session, Wait};
 
+use crate::server::session_pool::SessionPool;
+
 /// Longer than any `timeout_secs` that a page gives; the daemon answers before.
 const PATIENCE: Duration = Duration::from_secs(70);
 
@@ -21,6 +23,8 @@ const PATIENCE: Duration = Duration::from_secs(70);
 pub struct Bus {
     /// The session.
     pub session: Session,
+    /// The sessions that subscribe to swarms.
+    pub pool: SessionPool,
     /// The first chunk of every key.
     pub prefix: String,
     /// The daemon's name.

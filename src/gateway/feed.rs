@@ -18,6 +18,7 @@ use zenoh::pubsub::Subscriber;
 
 use crate::gateway::bus::Bus;
 use crate::gateway::past::Past;
+use crate::server::session_pool::Lease;
 
 /// Events that a tab may be behind.
 const EVENTS: usize = 64;
@@ -37,8 +38,11 @@ pub struct Feed {
     pub orders: watch::Sender<Bytes>,
     /// Its events, in JSON.
     pub events: broadcast::Sender<Bytes>,
-    subscribers: Option<[Subscriber<()>; 3]>,
+    subscribers: Option<Subscribers>,
 }
+
+/// The subscribers to state, order and events, and the session that declared them.
+type Subscribers = ([Subscriber<()>; 3], Lease);
 
 impl Drop for Feed {
     fn drop(&mut self) {
@@ -92,11 +96,12 @@ impl Feeds {
             watch::Sender::new(Bytes::new()),
         );
         let events = broadcast::Sender::new(EVENTS);
-        let session = self.bus.session.clone();
+        let pool = self.bus.pool.clone();
         let of = |key: fn(&str, &str) -> String| key(&self.bus.prefix, swarm);
         let [state, order, event] = [of(keys::state), of(keys::order), of(keys::event)];
         let (told, to) = (events.clone(), [states.clone(), orders.clone()]);
         let declaring = move || {
+            let session = pool.lease()?;
             let newest = |key: String, sender: watch::Sender<Bytes>| {
                 let declared = session.declare_subscriber(key).callback(move |sample| {
                     sender.send_replace(Bytes::from(sample.payload().to_bytes().into_owned()));
@@ -108,7 +113,8 @@ impl Feeds {
                 let _ = told.send(Bytes::from(sample.payload().to_bytes().into_owned()));
             });
             let [states, orders] = to;
-            zenoh::Result::Ok([newest(state, states)?, newest(order, orders)?, each.wait()?])
+            let subscribers = [newest(state, states)?, newest(order, orders)?, each.wait()?];
+            zenoh::Result::Ok((subscribers, session))
         };
         // zenoh blocks the thread that declares while it removes what a session has declared.
         let subscribers = spawn_blocking(declaring).await.ok()?;

@@ -27,6 +27,7 @@ use crate::server::claims::{Claims, Gate, Name};
 use crate::server::experiments::Errands;
 use crate::server::ledger::Ledger;
 use crate::server::query::{self, Topic};
+use crate::server::session_pool::SessionPool;
 use crate::server::verifications::Verifications;
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Place};
@@ -41,6 +42,8 @@ const MOST_BYTES_AT_THE_DOOR: usize = 16 * 1024;
 pub struct Clerk {
     /// The daemon's session.
     pub session: Session,
+    /// The sessions that declare what a swarm needs.
+    pub pool: SessionPool,
     /// Clients at once.
     pub max_clients: usize,
     /// The first chunk of every key.

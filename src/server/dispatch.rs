@@ -250,7 +250,10 @@ impl Dispatcher {
                 press.silence(swarm, false);
                 Ok(())
             }
-            None => press.open(&self.clerk.session, swarm, handle.outlet.clone()),
+            None => {
+                let lease = self.clerk.pool.lease();
+                lease.and_then(|lease| press.open(lease, swarm, handle.outlet.clone()))
+            }
         };
         match opened.and_then(|()| self.doors.open(swarm)) {
             Ok(()) => info!(swarm, "hosted"),

@@ -15,6 +15,7 @@ use zenoh::{Session, Wait};
 use crate::server::clerk::Clerk;
 use crate::server::dispatch::Intake;
 use crate::server::query::{Topic, queryable};
+use crate::server::session_pool::{Lease, SessionPool};
 
 /// How long the keys of a deleted swarm still answer, that it is not there.
 ///
@@ -26,6 +27,7 @@ pub const LINGER: Duration = Duration::from_secs(2);
 /// What all swarms can be reached by.
 pub struct Doors {
     session: Session,
+    pool: SessionPool,
     prefix: String,
     node: String,
     intake: SyncSender<Intake>,
@@ -45,12 +47,14 @@ struct Door {
     _queryables: [Queryable<()>; 3],
     /// Those of the verbs that were used.
     keys: Vec<KeyExpr<'static>>,
+    lease: Lease,
 }
 
 impl Doors {
     /// No doors yet. Queries are handed to `intake`, or turned away where the clerk's desk is full.
     pub fn new(
         session: Session,
+        pool: SessionPool,
         prefix: String,
         node: String,
         intake: SyncSender<Intake>,
@@ -58,6 +62,7 @@ impl Doors {
     ) -> Self {
         Doors {
             session,
+            pool,
             prefix,
             node,
             intake,
@@ -72,19 +77,23 @@ impl Doors {
     ///
     /// # Errors
     ///
-    /// When zenoh refuses a key.
+    /// When zenoh refuses a session or a key.
     pub fn open(&mut self, swarm: &str) -> zenoh::Result<()> {
         let mut door = match self.doors.remove(swarm) {
             Some(door) => door,
-            None => Door {
-                token: None,
-                deleted: None,
-                _queryables: self.queryables(swarm)?,
-                keys: Vec::new(),
-            },
+            None => {
+                let lease = self.pool.lease()?;
+                Door {
+                    token: None,
+                    deleted: None,
+                    _queryables: self.queryables(&lease, swarm)?,
+                    keys: Vec::new(),
+                    lease,
+                }
+            }
         };
         let key = keys::alive(&self.prefix, swarm, &self.node);
-        door.token = Some(self.session.liveliness().declare_token(key).wait()?);
+        door.token = Some(door.lease.liveliness().declare_token(key).wait()?);
         door.deleted = None;
         self.doors.insert(swarm.to_owned(), door);
         Ok(())
@@ -160,16 +169,16 @@ impl Doors {
             return;
         };
         let key = keys::cmd(&self.prefix, swarm, verb);
-        match self.session.declare_keyexpr(key).wait() {
+        match door.lease.declare_keyexpr(key).wait() {
             Ok(key) => door.keys.push(key),
             Err(error) => debug!(swarm, verb, %error, "commands are found as before"),
         }
     }
 
-    fn queryables(&self, swarm: &str) -> zenoh::Result<[Queryable<()>; 3]> {
+    fn queryables(&self, session: &Session, swarm: &str) -> zenoh::Result<[Queryable<()>; 3]> {
         let name: Arc<str> = swarm.into();
         let queryable =
-            |key: String, topic| queryable(&self.session, &key, topic, &self.intake, &self.clerk);
+            |key: String, topic| queryable(session, &key, topic, &self.intake, &self.clerk);
         Ok([
             queryable(keys::state(&self.prefix, swarm), Topic::State(name.clone()))?,
             queryable(

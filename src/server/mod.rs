@@ -21,6 +21,7 @@ mod recordings;
 pub mod recovery;
 mod replays;
 pub mod session;
+pub mod session_pool;
 pub mod sessions;
 mod verifications;
 
@@ -35,7 +36,7 @@ use std::time::{Duration, Instant};
 use jostle_proto::keys;
 use thiserror::Error;
 use tokio::time::MissedTickBehavior;
-use tracing::{debug, error, info, warn};
+use tracing::{error, info, warn};
 use zenoh::pubsub::Subscriber;
 use zenoh::{Session, Wait};
 
@@ -63,6 +64,7 @@ use crate::server::experiments::Errands;
 use crate::server::ledger::Ledger;
 use crate::server::recovery::RecoveryError;
 use crate::server::session::{OpenRuntime, Opened, SessionError};
+use crate::server::session_pool::SessionPool;
 use crate::store::{self, Store, StoreError, StoreFault};
 
 /// The exit code when the store can no longer be trusted, or has not written all of it.
@@ -166,15 +168,23 @@ pub struct Server {
 /// zenoh panics when a subscriber is undeclared after the runtime was closed.
 struct Connection {
     session: Session,
+    pool: SessionPool,
     _subscribers: ([Subscriber<()>; 2], Watching),
     _runtime: OpenRuntime,
 }
 
+impl Connection {
+    fn close(&self) {
+        self.pool.close();
+        if let Err(error) = self.session.close().wait() {
+            warn!(%error, "failed to close the session");
+        }
+    }
+}
+
 impl Drop for Connection {
     fn drop(&mut self) {
-        if let Err(error) = self.session.close().wait() {
-            debug!(%error, "failed to close the session");
-        }
+        self.close();
     }
 }
 
@@ -262,6 +272,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     let store = open_store(config)?;
     let Opened {
         session,
+        pool,
         runtime,
         clients,
     } = session::open(
@@ -316,6 +327,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
     };
     let clerk = Arc::new(Clerk {
         session: session.clone(),
+        pool: pool.clone(),
         max_clients: config.max_clients,
         prefix: prefix.clone(),
         node: node.clone(),
@@ -343,6 +355,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         clerk: clerk.clone(),
         doors: Doors::new(
             session.clone(),
+            pool.clone(),
             prefix.clone(),
             node.clone(),
             intake.clone(),
@@ -409,6 +422,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         Some((listener, acceptor)) => {
             let bus = Bus {
                 session: session.clone(),
+                pool: pool.clone(),
                 prefix: prefix.clone(),
                 node: node.clone(),
             };
@@ -446,6 +460,7 @@ pub async fn start(config: &Config) -> Result<Server, ServerError> {
         store,
         connection: Connection {
             session,
+            pool,
             _subscribers: (controls, watching_claims),
             _runtime: runtime,
         },
@@ -602,13 +617,12 @@ impl Server {
         // it: a thread of its own, so that a frozen client delays neither timers nor the end.
         let (closed, is_closed) = std::sync::mpsc::channel();
         thread::spawn(move || {
-            let result = self.connection.session.close().wait();
             drop(self.connection);
-            let _ = closed.send(result);
+            let _ = closed.send(());
         });
         let closing = move || is_closed.recv_timeout(PATIENCE_WITH_SESSION);
         match tokio::task::spawn_blocking(closing).await {
-            Ok(Ok(Ok(()))) => {}
+            Ok(Ok(())) => {}
             Ok(Err(_)) => warn!("a client does not take its goodbye"),
             failed => warn!(?failed, "failed to close the session"),
         }

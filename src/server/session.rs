@@ -16,6 +16,7 @@ use zenoh_runtime::ZRuntime;
 use crate::rights::Rights;
 use crate::rights::folder::Folder;
 use crate::server::access;
+use crate::server::session_pool::SessionPool;
 use crate::server::sessions::{Handler, Sessions};
 
 /// How much higher than the rest of the daemon the threads rank that read from the bus.
@@ -97,6 +98,8 @@ pub fn check(listen: &[String], are_people_known: bool) -> Result<(), SessionErr
 pub struct Opened {
     /// The session.
     pub session: Session,
+    /// Other sessions of the same runtime.
+    pub pool: SessionPool,
     /// What it runs on, until this is dropped.
     pub runtime: OpenRuntime,
     /// The sessions of its clients.
@@ -142,8 +145,9 @@ pub async fn open(
     let clients = Arc::<Sessions>::default();
     start(config, clients.clone())
         .await
-        .map(|(session, runtime)| Opened {
+        .map(|(session, pool, runtime)| Opened {
             session,
+            pool,
             runtime,
             clients,
         })
@@ -154,13 +158,16 @@ pub async fn open(
 }
 
 /// Does what `zenoh::open` does, which has no place for a handler of transports.
-async fn start(config: Config, clients: Arc<Sessions>) -> zenoh::Result<(Session, OpenRuntime)> {
+async fn start(
+    config: Config,
+    clients: Arc<Sessions>,
+) -> zenoh::Result<(Session, SessionPool, OpenRuntime)> {
     let mut runtime = OpenRuntime(RuntimeBuilder::new(config).build().await?);
     let shared = DynamicRuntime::from(runtime.0.clone());
     shared.new_handler(Arc::new(Handler(clients)));
-    let session = zenoh::session::init(shared).await?;
+    let session = zenoh::session::init(shared.clone()).await?;
     runtime.0.start().await?;
-    Ok((session, runtime))
+    Ok((session, SessionPool::new(shared), runtime))
 }
 
 /// Starts zenoh's reading threads, and has them rank above the daemon's others where that is

@@ -409,13 +409,18 @@ async fn routers_that_connect_often_do_not_hold_commands_for_good() {
         let answers = set(&client, "school", "x", 2.0).await;
         assert!(matches!(answers[..], [Ok(_)]), "{answers:?}");
     }
-    let log = std::fs::read_to_string(place.folder.path().join("log")).unwrap();
-    let not_held = log.matches("commands are not held for this one").count();
-    println!("{not_held} of {CONNECTIONS} connections held no commands");
-    // Five connections in 60 s hold commands; on a busy machine this may take longer.
-    let most = 5 * (1 + began.elapsed().as_secs() / 60);
-    let held = (CONNECTIONS - not_held) as u64;
-    assert!((1..=most).contains(&held), "{held}: {log}");
+    let not_held = || {
+        let log = std::fs::read_to_string(place.folder.path().join("log")).unwrap();
+        log.matches("commands are not held for this one").count()
+    };
+    // Five connections in 60 s hold commands; on a busy machine the connections may take longer. The
+    // daemon may log the last of them after the reply.
+    let most = 5 * (1 + began.elapsed().as_secs() as usize / 60);
+    until("all but a few connections held no commands", async || {
+        CONNECTIONS - not_held() <= most
+    })
+    .await;
+    assert!(not_held() < CONNECTIONS, "no connection held commands");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -1,0 +1,213 @@
+//! zenoh sessions that share one runtime, so that none of them runs out of numbers for its keys.
+//!
+//! A session of zenoh 1.10 numbers the keys that it declares with a 16-bit counter and never reuses a
+//! number. After the counter has wrapped, a new key replaces another one that still has its number, and
+//! queries and samples of both are lost or delivered under the wrong key. Publishers, subscribers and
+//! queryables declare their keys, so that a session lasts for some 9,000 swarms. Therefore what is
+//! declared for a swarm belongs to a session of this pool, which opens another session before the
+//! counter can wrap. All of them share the listeners and connections of one runtime.
+
+use std::ops::Deref;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use jostle_proto::keys::SWARM_VERBS;
+use tracing::debug;
+use zenoh::internal::runtime::DynamicRuntime;
+use zenoh::{Session, Wait};
+
+/// The most leases of one session.
+const MAX_LEASES: usize = 1_000;
+
+/// The most keys that may be declared with one lease: those of a swarm's queryables and one for each of
+/// its verbs. Publishers and subscribers of one swarm need fewer.
+const MAX_KEYS: usize = 4 + SWARM_VERBS.len();
+
+const _: () = assert!(MAX_LEASES * MAX_KEYS < u16::MAX as usize);
+
+/// The sessions. Clones share them.
+#[derive(Clone)]
+pub struct SessionPool {
+    runtime: DynamicRuntime,
+    sessions: Arc<Mutex<Sessions>>,
+}
+
+#[derive(Default)]
+struct Sessions {
+    /// The last one is leased; the others are kept for the leases that they have.
+    open: Vec<Lease>,
+    /// How often the last one was leased.
+    leases: usize,
+    is_closed: bool,
+}
+
+/// A session of the pool for at most [`MAX_KEYS`] different keys. Keep it as long as what it declared:
+/// the pool may close a session that has no lease.
+#[derive(Clone)]
+pub struct Lease {
+    session: Session,
+    users: Arc<()>,
+}
+
+impl Deref for Lease {
+    type Target = Session;
+
+    fn deref(&self) -> &Session {
+        &self.session
+    }
+}
+
+impl SessionPool {
+    /// A pool of sessions of `runtime`, without any yet.
+    pub fn new(runtime: DynamicRuntime) -> Self {
+        SessionPool {
+            runtime,
+            sessions: Arc::default(),
+        }
+    }
+
+    /// Leases a session.
+    ///
+    /// # Errors
+    ///
+    /// When the pool is closed, and when zenoh opens no session.
+    pub fn lease(&self) -> zenoh::Result<Lease> {
+        let mut sessions = self.sessions();
+        if sessions.is_closed {
+            return Err("the daemon is ending".into());
+        }
+        if let Some(last) = sessions.open.last()
+            && sessions.leases < MAX_LEASES
+        {
+            let lease = last.clone();
+            sessions.leases += 1;
+            return Ok(lease);
+        }
+        let lease = Lease {
+            session: zenoh::session::init(self.runtime.clone()).wait()?,
+            users: Arc::default(),
+        };
+        let unused = sessions
+            .open
+            .extract_if(.., |it| Arc::strong_count(&it.users) == 1);
+        let unused: Vec<_> = unused.collect();
+        sessions.open.push(lease.clone());
+        sessions.leases = 1;
+        debug!(
+            open = sessions.open.len(),
+            closing = unused.len(),
+            "another zenoh session"
+        );
+        drop(sessions);
+        close(unused);
+        Ok(lease)
+    }
+
+    /// Closes all sessions with what they declared, and leases no more.
+    pub fn close(&self) {
+        let mut sessions = self.sessions();
+        sessions.is_closed = true;
+        let open = std::mem::take(&mut sessions.open);
+        drop(sessions);
+        close(open);
+    }
+
+    fn sessions(&self) -> MutexGuard<'_, Sessions> {
+        self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn close(sessions: Vec<Lease>) {
+    for session in sessions {
+        if let Err(error) = session.close().wait() {
+            debug!(%error, "failed to close a session of the pool");
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use zenoh::Config;
+    use zenoh::internal::runtime::RuntimeBuilder;
+
+    use super::*;
+
+    async fn pool() -> SessionPool {
+        let mut config = Config::default();
+        for (key, value) in [
+            ("listen/endpoints", "[]"),
+            ("scouting/multicast/enabled", "false"),
+        ] {
+            config.insert_json5(key, value).unwrap();
+        }
+        let runtime = RuntimeBuilder::new(config).build().await.unwrap();
+        SessionPool::new(runtime.into())
+    }
+
+    fn open(pool: &SessionPool) -> usize {
+        pool.sessions().open.len()
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn sessions_are_replaced_kept_while_leased_and_closed_after() {
+        let pool = pool().await;
+        let first = pool.lease().unwrap();
+        for _ in 1..MAX_LEASES {
+            assert_eq!(pool.lease().unwrap().zid(), first.zid());
+        }
+        assert_eq!(open(&pool), 1);
+        let second = pool.lease().unwrap();
+        assert_eq!(open(&pool), 2);
+        for _ in 0..MAX_LEASES {
+            pool.lease().unwrap();
+        }
+        assert_eq!(open(&pool), 3, "two of them have a lease");
+        let closed = second.session.clone();
+        drop(second);
+        for _ in 0..MAX_LEASES {
+            pool.lease().unwrap();
+        }
+        assert_eq!(open(&pool), 2, "the first one, and the one that is leased");
+        assert!(closed.is_closed() && !first.is_closed());
+        pool.close();
+        assert!(first.is_closed());
+        assert!(pool.lease().is_err());
+    }
+
+    #[tokio::test(flavor = "multi_thread")]
+    async fn queryables_answer_after_more_keys_than_a_session_has_numbers() {
+        const KEYS: usize = u16::MAX as usize + 2 * MAX_KEYS * MAX_LEASES;
+        let pool = pool().await;
+        let queryable = |session: &Session, key: &'static str| {
+            let reply = move |query: zenoh::query::Query| query.reply(key, key).wait().unwrap();
+            session
+                .declare_queryable(key)
+                .callback(reply)
+                .wait()
+                .unwrap()
+        };
+        let asking = pool.lease().unwrap();
+        let kept = pool.lease().unwrap();
+        let _kept = queryable(&kept, "swarms/kept");
+        for lease in 0..KEYS / MAX_KEYS {
+            let session = pool.lease().unwrap();
+            for key in 0..MAX_KEYS {
+                let key = format!("swarms/{lease}/{key}");
+                session.declare_keyexpr(key).wait().unwrap();
+            }
+        }
+        let new = pool.lease().unwrap();
+        let _new = queryable(&new, "swarms/new");
+        for key in ["swarms/kept", "swarms/new"] {
+            let replies = asking.get(key).await.unwrap();
+            let reply = replies
+                .recv_async()
+                .await
+                .expect(key)
+                .into_result()
+                .unwrap();
+            assert_eq!(reply.payload().try_to_string().unwrap(), key);
+            assert!(replies.recv_async().await.is_err(), "{key}: two replies");
+        }
+        pool.close();
+    }
+}
