@@ -10,14 +10,14 @@ use std::time::{Duration, Instant};
 
 use comfy_table::{CellAlignment, Table, presets::NOTHING};
 use indicatif::{ProgressBar, ProgressStyle};
+use jostle_physics::plural::counted;
 use serde_json::json;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use thiserror::Error;
 
-use crate::experiment::{
+use jostle_experiment::{
     Control, ExecuteError, Folder, FolderError, Outcome, Plan, PlanError, Progress, execute,
 };
-use crate::plural::counted;
 
 /// How often the bar is renewed and Ctrl-C looked for.
 const LOOK: Duration = Duration::from_millis(50);
@@ -133,7 +133,7 @@ fn list(plan: &Plan, is_json: bool) {
             true => writeln!(
                 out,
                 "{}",
-                json!({"run": run.name, "seed": run.seed, "n": point.recipe.n,
+                json!({"run": run.name, "seed": run.seed, "n": point.spec.n,
                     "informed": point.informed, "steps": point.steps})
             ),
             false => writeln!(out, "{}\t{}", run.seed, run.name),

@@ -5,19 +5,20 @@ use std::io::Write as _;
 use std::sync::Arc;
 use std::time::Duration;
 
+use jostle_convert::change;
+use jostle_physics::simulation::steps_in;
 use jostle_proto::Spec;
 use jostle_proto::verbs::{CreateArgs, InformArgs, RunArgs, Select};
 use thiserror::Error;
 use tokio::sync::oneshot;
 
-use crate::command::{CommandError, create, inform, run};
+use crate::command::{CommandError, create, run};
 use crate::host::{Created, HostError};
 use crate::server::{Server, archive};
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::{self, Handle, Ticket};
 use crate::swarm::order::{Awaited, Order, Sender, When};
 use crate::swarm::outcome::{Answer, Answered, OrderError, Outcome};
-use crate::swarm::simulation::steps_in;
 use crate::swarm::waiters::Waiter;
 
 /// Prints a line at once. A pipe that nobody reads any more is no reason to end.
@@ -157,7 +158,14 @@ async fn inform_some(swarm: &Handle, at_step: u64) -> Result<(), DemoError> {
         for_time: None,
     };
     let told = serde_json::to_string(&args).unwrap_or_default();
-    command(swarm, "inform", told, inform::order(args)?, Some(at_step)).await?;
+    command(
+        swarm,
+        "inform",
+        told,
+        Order::Change(change::inform(args).map_err(CommandError::from)?),
+        Some(at_step),
+    )
+    .await?;
     Ok(())
 }
 

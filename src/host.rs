@@ -7,22 +7,21 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use jostle_physics::plural::counted;
+use jostle_physics::simulation::{ReserveError, ReserveMemory, Resize, Simulation, Spec};
 use thiserror::Error;
 use tracing::warn;
 
-use crate::plural::counted;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::cores::Cores;
 use crate::swarm::film::Film;
 use crate::swarm::frame::{Frame, Place, Summary};
 use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::journal::{WriteFault, Writer, to_nowhere};
-use crate::swarm::order::{Admit, Recipe, Resize};
 use crate::swarm::outcome::{Answer, OrderError, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::player::Player;
 use crate::swarm::rank;
-use crate::swarm::simulation::Simulation;
 use crate::swarm::tally::Totals;
 use crate::swarm::worker::replay::{Past, Replay};
 use crate::swarm::worker::{End, Worker};
@@ -105,7 +104,7 @@ pub type Archive = Box<dyn Fn(&str) -> Writer + Send + Sync>;
 /// Where a swarm begins.
 enum Beginning {
     /// From its recipe.
-    Recipe(Register),
+    Spec(Register),
     /// As another swarm was, or a snapshot.
     Copy(Box<Checkpoint>, Register),
     /// From what is left of it.
@@ -125,7 +124,7 @@ pub struct Showing {
     /// The recording.
     pub film: Box<dyn Film>,
     /// What the recorded swarm was made from.
-    pub recipe: Recipe,
+    pub recipe: Spec,
     /// The size of the largest group in it.
     pub most_individuals: usize,
     /// What it takes in memory, beside a frame.
@@ -205,7 +204,7 @@ impl Host {
     pub fn create(
         self: &Arc<Self>,
         name: &str,
-        recipe: Recipe,
+        recipe: Spec,
         exist_ok: bool,
         register: Register,
         promise: impl FnOnce() -> Answer,
@@ -222,7 +221,7 @@ impl Host {
             };
         }
         let memory_bytes = self.admit(&hosted, recipe.n)?;
-        let beginning = Beginning::Recipe(register);
+        let beginning = Beginning::Spec(register);
         self.begin(&mut hosted, name, recipe, memory_bytes, beginning, promise)?;
         Ok(Created::New)
     }
@@ -246,8 +245,8 @@ impl Host {
         if hosted.swarms.contains_key(name) {
             return Err(HostError::OtherSpec);
         }
-        let memory_bytes = self.admit(&hosted, checkpoint.state.configuration.n())?;
-        let recipe = checkpoint.recipe.clone();
+        let memory_bytes = self.admit(&hosted, checkpoint.simulation.state.configuration.n())?;
+        let recipe = checkpoint.simulation.spec.clone();
         let beginning = Beginning::Copy(Box::new(checkpoint), register);
         self.begin(&mut hosted, name, recipe, memory_bytes, beginning, promise)
     }
@@ -261,12 +260,12 @@ impl Host {
     pub fn recover(
         self: &Arc<Self>,
         name: &str,
-        recipe: Recipe,
+        recipe: Spec,
         past: Past,
         promise: impl FnOnce() -> Answer,
     ) -> Result<(), HostError> {
         let mut hosted = self.lock();
-        let memory_bytes = memory_of(past.checkpoint.state.configuration.n());
+        let memory_bytes = memory_of(past.checkpoint.simulation.state.configuration.n());
         let beginning = Beginning::Past(Box::new(past));
         self.begin(&mut hosted, name, recipe, memory_bytes, beginning, promise)
     }
@@ -307,7 +306,7 @@ impl Host {
         self: &Arc<Self>,
         hosted: &mut Hosted,
         name: &str,
-        recipe: Recipe,
+        recipe: Spec,
         memory_bytes: u64,
         beginning: Beginning,
         promise: impl FnOnce() -> Answer,
@@ -440,10 +439,10 @@ impl Host {
     }
 
     /// Reserves memory for a swarm that is to have another size.
-    fn resize(&self, name: &str, size: Resize) -> Result<(), OrderError> {
+    fn resize(&self, name: &str, size: Resize) -> Result<(), ReserveError> {
         let limit = self.limits.max_individuals;
         let n = match size {
-            Resize::Grow(n) if n > limit => return Err(OrderError::TooMany { n, limit }),
+            Resize::Grow(n) if n > limit => return Err(ReserveError::TooMany { n, limit }),
             Resize::Grow(n) | Resize::Return(n) => n,
         };
         let mut hosted = self.lock();
@@ -453,9 +452,9 @@ impl Host {
         };
         let others = total - entry.memory_bytes;
         let free = self.limits.max_memory_bytes.saturating_sub(others);
-        // Shrinking is always let, also whatever the others took meanwhile.
+        // A smaller size is always admitted, whatever memory the other swarms have reserved.
         if needed > free && needed > entry.memory_bytes {
-            return Err(OrderError::NoMemory { n, needed, free });
+            return Err(ReserveError::NoMemory { n, needed, free });
         }
         entry.memory_bytes = needed;
         hosted.memory_bytes = others + needed;
@@ -515,12 +514,12 @@ impl Host {
     ) -> Result<Result<Guest, End>, OrderError> {
         let name = &handle.outlet.name;
         let (host, swarm) = (self.clone(), name.clone());
-        let admit: Admit = Box::new(move |size| host.resize(&swarm, size));
+        let admit: ReserveMemory = Box::new(move |size| host.resize(&swarm, size));
         let shortest = Duration::from_secs(1) / self.limits.max_hz.max(1);
         let writer = (self.archive)(name);
         match beginning {
-            Beginning::Recipe(register) => {
-                let simulation = Simulation::new((*handle.recipe).clone(), admit)?;
+            Beginning::Spec(register) => {
+                let simulation = Simulation::with_reserve((*handle.recipe).clone(), admit)?;
                 let worker = Worker::new(simulation, handle, shortest, writer);
                 register_new(&worker, register)?;
                 Ok(Ok(Guest::Swarm(Box::new(worker))))
@@ -531,7 +530,7 @@ impl Host {
                 Ok(Ok(Guest::Swarm(Box::new(worker))))
             }
             Beginning::Past(past) => {
-                let always: Admit = Box::new(|_| Ok(()));
+                let always: ReserveMemory = Box::new(|_| Ok(()));
                 let (mut worker, end) =
                     Worker::from_past(*past, handle, shortest, (writer, always));
                 if let Some(end) = end {
@@ -570,8 +569,8 @@ impl Host {
 /// the telling went.
 pub fn tell_again(past: Past) -> (Checkpoint, Replay) {
     let _ = rustix::process::setpriority_process(None, RETELLING_NICENESS);
-    let handle = Handle::alone(past.checkpoint.recipe.clone());
-    let always: Admit = Box::new(|_| Ok(()));
+    let handle = Handle::alone(past.checkpoint.simulation.spec.clone());
+    let always: ReserveMemory = Box::new(|_| Ok(()));
     let (worker, _) = Worker::from_past(past, &handle, Duration::ZERO, (to_nowhere(), always));
     (worker.checkpoint(), worker.into_replay())
 }

@@ -4,11 +4,11 @@
 //! it, [`host`] finds the swarm it is for, the swarm's thread ([`swarm`]) carries it out between
 //! two steps, and the answer goes back the same way.
 //!
-//! How a step is made: [`stepper`] takes a [`model`] state, finds the free motion and the
-//! contacts, solves the quadratic program of Principle 1 and moves everybody; [`observables`]
-//! measures the result and [`publish`] shows it.
+//! How a step is made: [`jostle_physics`] computes the free motion, finds the contacts, solves the
+//! quadratic program of Principle 1, moves the bodies and measures the result; [`publish`] publishes
+//! it.
 //!
-//! How an experiment is made: [`experiment`] reads a grid of runs from a file, steps each from its
+//! How an experiment is made: [`jostle_experiment`] reads a grid of runs from a file, steps each from its
 //! start to its end, and writes a row for each; [`batch`] is its command line.
 //!
 //! How a recording is shown: [`replay`] opens it as a film, and its thread plays that as a swarm shows
@@ -22,22 +22,14 @@
 //! Who may do what: [`rights`] knows the people, [`server`] asks it of every command, and zenoh's access
 //! control, which [`server`] sets, stands before both.
 //!
-//! Each module may use those above it: `model`, `stepper`, `observables`, `swarm`, `host`,
-//! `command`, `server`. Only `publish` and `server` know zenoh, and the first three know no
-//! clock, thread, file or serialiser.
-
-pub mod model;
-pub mod stepper;
-
-pub mod observables;
+//! Each module may use those above it: `swarm`, `host`, `command`, `server`. Only `publish` and
+//! `server` use zenoh.
 
 pub mod meter;
 
 pub mod swarm;
 
 pub mod host;
-
-pub mod experiment;
 
 pub mod lab;
 
@@ -50,7 +42,6 @@ pub mod config;
 pub mod demo;
 pub mod gateway;
 pub mod health;
-pub mod plural;
 pub mod process;
 pub mod publish;
 pub mod replay;

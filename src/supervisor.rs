@@ -6,13 +6,13 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use jostle_physics::plural::counted;
 use sd_notify::NotifyState;
 use tokio::time::{MissedTickBehavior, interval};
 use tracing::warn;
 
 use crate::health::{Reason, Watch};
 use crate::host::Host;
-use crate::plural::counted;
 
 /// How often is told how it is, where there is no watchdog.
 const PERIOD: Duration = Duration::from_secs(10);

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use jostled::stepper::StepReport;
+use jostle_physics::stepper::StepReport;
 use jostled::swarm::tally::Tally;
 
 use crate::{Limit, Row};

@@ -1,8 +1,9 @@
 //! `batch`: several changes at one step, or none of them.
 
-use jostle_proto::verbs::{BatchArgs, Change};
+use jostle_convert::change;
+use jostle_proto::verbs::BatchArgs;
 
-use crate::command::{CommandError, inform, inject, remove, set, uninform};
+use crate::command::CommandError;
 use crate::swarm::order::Order;
 
 /// Makes several changes.
@@ -19,19 +20,9 @@ pub fn order(args: BatchArgs) -> Result<Order, CommandError> {
         });
     }
     let mut changes = Vec::with_capacity(args.commands.len());
-    for (index, change) in args.commands.into_iter().enumerate() {
-        let order = match change {
-            Change::Set(args) => set::order(args),
-            Change::Inform(args) => inform::order(args),
-            Change::Uninform(args) => uninform::order(args),
-            Change::Inject(args) => inject::order(args),
-            Change::Remove(args) => remove::order(args),
-        };
-        let within = |error: CommandError| error.within(format!("commands[{index}].args"));
-        match order.map_err(within)? {
-            Order::Change(change) => changes.push(change),
-            _ => unreachable!("what changes is a change"),
-        }
+    for (index, command) in args.commands.into_iter().enumerate() {
+        let within = |error| CommandError::from(error).within(format!("commands[{index}].args"));
+        changes.push(change::change(command).map_err(within)?);
     }
     Ok(Order::Batch(changes))
 }

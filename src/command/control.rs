@@ -2,10 +2,11 @@
 
 use std::sync::Arc;
 
+use jostle_convert::change::set_points;
 use jostle_proto::verbs::{Control, SetPoints};
 use serde::{Deserialize, Serialize};
 
-use crate::command::{CommandError, advance, check_name};
+use crate::command::{CommandError, check_name};
 use crate::swarm::control::Put;
 use crate::swarm::order::{Order, Sender};
 use crate::wire;
@@ -36,7 +37,7 @@ pub fn read(controller: &str, bytes: &[u8], is_cbor: bool) -> Result<(Option<u64
     };
     // A number that JSON has none for is refused by the swarm's own bounds.
     let args = serde_json::to_string(&applied).map_err(|error| error.to_string())?;
-    let set = advance::set_points(applied.set).map_err(|error| error.to_string())?;
+    let set = set_points(applied.set).map_err(|error| error.to_string())?;
     let is_finite = |column: &[f64]| column.iter().all(|value| value.is_finite());
     let drives = set.drives.iter().flatten();
     let mut driven = drives.flat_map(|drive| [drive.turn, drive.speed]).flatten();
@@ -73,6 +74,6 @@ pub fn order(request: &jostle_proto::Request) -> Result<Order, CommandError> {
     Ok(Order::Control {
         controller,
         sequence,
-        set: advance::set_points(set)?,
+        set: set_points(set)?,
     })
 }

@@ -1,27 +1,24 @@
 //! `create`: a new swarm.
 
-use jostle_proto::Spec;
+use jostle_physics::simulation::{ChangeError, Spec};
 use jostle_proto::verbs::CreateArgs;
 
 use crate::command::{CommandError, check_name};
 use crate::host::Limits;
-use crate::swarm::order::Recipe;
 use crate::swarm::outcome::OrderError;
-use crate::wire;
 
 /// Checks the name and the spec of a new swarm.
 ///
 /// # Errors
 ///
 /// [`CommandError`] names the first field that is wrong.
-pub fn recipe(args: &CreateArgs, limits: Limits) -> Result<Recipe, CommandError> {
+pub fn recipe(args: &CreateArgs, limits: Limits) -> Result<Spec, CommandError> {
     check_name("name", &args.name)?;
-    let Spec { n, .. } = args.spec;
-    let n = usize::try_from(n)
+    let n = usize::try_from(args.spec.n)
         .ok()
         .filter(|n| (1..=limits.max_individuals).contains(n));
     let recipe = match n {
-        Some(n) => wire::recipe(&args.spec, n).map_err(CommandError::from),
+        Some(n) => jostle_convert::spec::from_proto(&args.spec, n).map_err(CommandError::from),
         None => Err(CommandError::Individuals {
             n: args.spec.n,
             limit: limits.max_individuals,
@@ -33,7 +30,9 @@ pub fn recipe(args: &CreateArgs, limits: Limits) -> Result<Recipe, CommandError>
 /// Why a swarm could not be built from its spec.
 pub fn explain(error: OrderError) -> CommandError {
     match error {
-        OrderError::Parameters(_) | OrderError::Start(_) => within_spec(error.into()),
+        OrderError::Change(ChangeError::Parameters(_) | ChangeError::Start(_)) => {
+            within_spec(error.into())
+        }
         other => other.into(),
     }
 }

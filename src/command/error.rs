@@ -1,5 +1,8 @@
 //! Why a request was refused, and the code, words and details it is refused with.
 
+use jostle_convert::error::{named, range_of};
+use jostle_convert::{ArgsError, WireError};
+use jostle_physics::simulation::ChangeError;
 use jostle_proto::role::refused;
 use jostle_proto::{Claimant, Error, ErrorCode, RequestError, claim, keys};
 use serde_json::{Map, Value, json};
@@ -7,16 +10,10 @@ use thiserror::Error as ThisError;
 
 use crate::host::HostError;
 use crate::lab::LabError;
-use crate::model::injection::InjectionError;
-use crate::model::parameters::ParametersError;
-use crate::model::resize::ResizeError;
-use crate::model::selection::SelectionError;
-use crate::model::start::StartError;
 use crate::recording::RecordError;
 use crate::replay::{MOST_BYTES, ReplayError};
 use crate::rights::NotPermitted;
 use crate::swarm::outcome::OrderError;
-use crate::wire::WireError;
 
 /// Why a request was refused.
 #[derive(Clone, Debug, ThisError)]
@@ -334,7 +331,6 @@ impl CommandError {
             },
             CommandError::Order(error) => match error {
                 OrderError::Phase(_)
-                | OrderError::StillCrossed { .. }
                 | OrderError::Lockstep
                 | OrderError::Recorded
                 | OrderError::NotRecorded
@@ -357,24 +353,8 @@ impl CommandError {
                 OrderError::Film(_) | OrderError::OutsideRecording { .. } => {
                     ErrorCode::InvalidArgument
                 }
-                OrderError::Parameters(_)
-                | OrderError::Selection(_)
-                | OrderError::NobodyLeft(_) => ErrorCode::InvalidArgument,
-                OrderError::Start(error) => match error {
-                    StartError::NoRoom { .. } => ErrorCode::ResourceExhausted,
-                    _ => ErrorCode::InvalidArgument,
-                },
-                OrderError::Injection(error) => match error {
-                    InjectionError::NoRoom { .. } => ErrorCode::ResourceExhausted,
-                    _ => ErrorCode::InvalidArgument,
-                },
-                OrderError::Resize(error) => match error {
-                    ResizeError::Parameters(_) => ErrorCode::InvalidArgument,
-                    _ => ErrorCode::ResourceExhausted,
-                },
-                OrderError::TooMany { .. }
-                | OrderError::NoMemory { .. }
-                | OrderError::TooManyScheduled { .. } => ErrorCode::ResourceExhausted,
+                OrderError::Change(error) => jostle_convert::error::code(error),
+                OrderError::TooManyScheduled { .. } => ErrorCode::ResourceExhausted,
                 OrderError::Unsafe(_) => ErrorCode::StorageFull,
                 OrderError::RefusedBefore => ErrorCode::Conflict,
                 OrderError::Displaced { .. } => ErrorCode::DeadlineExceeded,
@@ -386,17 +366,6 @@ impl CommandError {
     }
 
     fn details(&self) -> Map<String, Value> {
-        let parameters = |error: &ParametersError| match *error {
-            ParametersError::OutOfRange {
-                field,
-                value,
-                range,
-            } => named(field, number(value), range_of(field).or(Some(range))),
-            ParametersError::Clash { field, .. } => named(field, Value::Null, None),
-            ParametersError::StepTooLong { dt, largest } => json!({
-                "field": "dt", "value": dt, "range": format!("(0, {largest}]"),
-            }),
-        };
         let details = match self {
             CommandError::Request(error) if !error.field.is_empty() => {
                 // A field that should not be there has no range that would help.
@@ -505,36 +474,7 @@ impl CommandError {
                 json!({"field": "offset", "value": offset})
             }
             CommandError::OtherRequest(id) => json!({"field": "request_id", "value": id}),
-            CommandError::Order(OrderError::NoMemory { n, needed, free }) => {
-                json!({"field": "n", "n": n, "needed": needed, "free": free})
-            }
-            CommandError::Order(OrderError::TooMany { n, limit }) => {
-                json!({"field": "n", "n": n, "limit": limit})
-            }
-            CommandError::Order(
-                OrderError::Parameters(error)
-                | OrderError::Start(StartError::Parameters(error))
-                | OrderError::Selection(SelectionError::Number(error))
-                | OrderError::Injection(InjectionError::Parameters(error))
-                | OrderError::Resize(ResizeError::Parameters(error)),
-            ) => parameters(error),
-            CommandError::Order(OrderError::NobodyLeft(n)) => {
-                json!({"field": "select", "selected": n, "n": n})
-            }
-            CommandError::Order(OrderError::Injection(InjectionError::Pose { index, error })) => {
-                let mut details = parameters(error);
-                let field = details["field"].as_str().unwrap_or_default().to_owned();
-                details["field"] = json!(format!("at[{index}].{field}"));
-                details
-            }
-            CommandError::Order(OrderError::Injection(InjectionError::Overlap { index, gap })) => {
-                json!({"field": format!("at[{index}]"), "gap": gap})
-            }
-            CommandError::Order(OrderError::Injection(InjectionError::NoRoom {
-                placed, ..
-            })) => {
-                json!({"field": "count", "placed": placed})
-            }
+            CommandError::Order(OrderError::Change(error)) => jostle_convert::error::details(error),
             CommandError::Order(
                 OrderError::NotJoined { controller, .. }
                 | OrderError::HasJoined(controller)
@@ -550,23 +490,6 @@ impl CommandError {
             CommandError::Order(OrderError::Advancing { target, .. }) => {
                 json!({"field": "controller", "target": target})
             }
-            CommandError::Order(OrderError::StillCrossed { pairs }) => {
-                json!({"field": "contacts", "pairs": pairs})
-            }
-            CommandError::Order(OrderError::Start(error)) => match error {
-                StartError::NoRoom { placed, radius, .. } => {
-                    json!({"field": "start.radius", "value": radius, "placed": placed})
-                }
-                _ => json!({"field": "start"}),
-            },
-            CommandError::Order(OrderError::Selection(error)) => match error {
-                SelectionError::Count {
-                    field, candidates, ..
-                } => {
-                    json!({"field": field, "range": format!("[0, {candidates}]")})
-                }
-                _ => json!({"field": "select.ids"}),
-            },
             _ => Value::Null,
         };
         match details {
@@ -576,101 +499,22 @@ impl CommandError {
     }
 }
 
+impl From<ArgsError> for CommandError {
+    fn from(error: ArgsError) -> Self {
+        match error {
+            ArgsError::Value(error) => error.into(),
+            ArgsError::Field { field, problem } => CommandError::Field { field, problem },
+        }
+    }
+}
+
+impl From<ChangeError> for CommandError {
+    fn from(error: ChangeError) -> Self {
+        OrderError::from(error).into()
+    }
+}
+
 /// Words why an order was refused, for a swarm at `step`.
 pub fn refusal(error: OrderError, step: u64) -> Error {
     CommandError::from(error).to_wire(Some(step))
-}
-
-fn named(field: &str, value: Value, range: Option<&str>) -> Value {
-    let mut details = json!({"field": field});
-    if !value.is_null() {
-        details["value"] = value;
-    }
-    if let Some(range) = range {
-        details["range"] = json!(range);
-    }
-    details
-}
-
-/// A number in JSON; what JSON has no number for is spelled out.
-fn number(value: f64) -> Value {
-    if value.is_finite() {
-        json!(value)
-    } else {
-        json!(value.to_string())
-    }
-}
-
-/// What may stand in a field, for whoever sent something else. `field` may be a path.
-pub fn range_of(field: &str) -> Option<&'static str> {
-    let last = field.rsplit('.').next().unwrap_or(field);
-    let last = last.split('[').next().unwrap_or(last);
-    Some(match last {
-        "n" => "a whole number from 1 to the daemon's max_individuals",
-        "pi1" => "a number from 1 to 32",
-        "pi2" => "a number from 0 to 1e6",
-        "pi3" | "pi4" => "a number above 0, at most 1e6",
-        "dt" => "a number above 0, at most 2r / (1 + h ω): 0.02 fits most swarms",
-        "contacts" => "\"endpoints\", \"closest\" or \"clamped\"",
-        "stepping" => "\"position\" or \"velocity\"",
-        "relinearise" => "0 or 1",
-        "attraction" => {
-            "{\"kind\": \"all\"}, \"accuracy\" if wanted; or of kind \"voronoi\", \"metric\" with \
-             \"radius\", \"topological\" with \"neighbours\", \"power\" with \"exponent\""
-        }
-        "neighbours" => "a whole number from 1",
-        "exponent" => "a number from -8 to 8",
-        "accuracy" => "a number from 1e-9 to 1e-3",
-        "noise" => "a number from 0 to 1e6",
-        "seed" => "a whole number from 0 to 9007199254740991",
-        "start" => "{\"kind\": \"disc\"} or {\"kind\": \"given\", \"x\", \"y\", \"alpha\"}",
-        "publish_every" => "a whole number from 1 to 1e9",
-        "rate" => "a number above 0, at most 1e6, or null for as fast as possible",
-        "until_step" => "a whole number from 0 to 9007199254740991",
-        "until_time" => "a number from 0 to 1e12",
-        "steps" if field == "begin.steps" => "a whole number from 1 to 9007199254740991",
-        "steps" => "a whole number from 1 to 1e9",
-        "bytes" => "base64 of a piece of the file",
-        "offset" | "length" => "a whole number of bytes",
-        "snapshot" => "what get/snapshot answers as `result`, its CBOR in base64",
-        "return" => "\"none\" or \"state\"",
-        "select" => {
-            "one of {\"ids\": […]}, {\"count\": 5}, {\"fraction\": 0.1}, \
-             {\"within\": {\"x\", \"y\", \"radius\"}}, {\"foremost\": {\"count\", \"along\"}}"
-        }
-        "ids" => "a list of ids that are there",
-        "count" => "a whole number of individuals",
-        "fraction" => "a number from 0 to 1",
-        "time" => "a number from 0 to 1e12",
-        "radius" => "a number above 0, at most 1e6",
-        "x" | "y" | "alpha" | "along" | "direction" => "a number from -1e6 to 1e6",
-        "turn" => "null, or a number from -1e6 to 1e6",
-        "speed" => "null, or a number from 0 to 1",
-        "weight" if field.starts_with("set.") => "a number from 0 to 1e6",
-        "weight" => "a number above 0, at most 1e6",
-        "for_time" => "a number above 0, at most 1e9",
-        "mode" => "\"lockstep\" or \"free_running\"",
-        "deadline_secs" => "a number above 0, at most 60",
-        "on_timeout" => "\"hold\", \"free\" or \"pause\"",
-        "set" => "{\"ids\": […], \"direction\": […]}, \"weight\": […] if wanted",
-        "make_room" | "exist_ok" | "again" | "driving" | "drop_when_behind" | "temporary" => {
-            "true or false"
-        }
-        "timeout_secs" => "a number above 0, at most 3600",
-        "at_step" => "a whole number from 0 to 9007199254740991",
-        "expect_step" | "expect_epoch" | "step" | "after" => "a whole number, 0 or more",
-        "limit" => "a whole number from 1 to 1000",
-        "commands" => {
-            "a list of 1 to 256 of {\"verb\": \"set\" | \"inform\" | \"uninform\" | \"inject\" | \
-             \"remove\", \"args\": {…}}"
-        }
-        "part" => "a whole number, 0 or more",
-        "phase" => "paused, running or faulted",
-        "format" if field == "begin.format" => "\"mcap\" or \"parquet\"",
-        "format" => "json or cbor",
-        "every" | "max_bytes" => "a whole number from 1 to 9007199254740991",
-        "request_id" | "client" => "at most 256 bytes of text, each character to be seen",
-        "name" | "controller" | "recording" | "swarm" => keys::NAME_RULE,
-        _ => return None,
-    })
 }

@@ -5,7 +5,8 @@ use jostle_proto::verbs::JoinArgs;
 use crate::command::{CommandError, check_name};
 use crate::swarm::control::{self, Terms};
 use crate::swarm::order::Order;
-use crate::wire::{self, WireError};
+use crate::wire;
+use jostle_convert::WireError;
 
 /// Has a controller join.
 ///
@@ -28,7 +29,7 @@ pub fn order(args: JoinArgs) -> Result<Order, CommandError> {
     };
     Ok(Order::Join(Terms {
         controller,
-        selection: select.map(wire::selection).transpose()?,
+        selection: select.map(jostle_convert::change::selection).transpose()?,
         mode: wire::mode(mode),
         deadline,
         on_timeout: wire::on_timeout(on_timeout),

@@ -6,11 +6,12 @@
 use std::sync::Arc;
 use std::time::Duration;
 
+use jostle_convert::change;
 use jostle_proto::verbs::LeaveArgs;
 use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
 
 use crate::swarm::order::{Order, Sender, When};
-use crate::wire::{self, WireError};
+use jostle_convert::WireError;
 
 pub mod advance;
 pub mod batch;
@@ -18,19 +19,15 @@ pub mod control;
 pub mod create;
 pub mod delete;
 pub mod error;
-pub mod inform;
-pub mod inject;
 pub mod join;
 pub mod leave;
 pub mod page;
 pub mod pause;
-pub mod remove;
 pub mod reset;
 pub mod run;
 pub mod seek;
 pub mod set;
 pub mod step;
-pub mod uninform;
 pub mod wait;
 
 pub use error::CommandError;
@@ -85,11 +82,11 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
             step::order(args)?
         }
         "reset" => reset::order(request.args()?)?,
-        "set" => set::order(request.args().map_err(set::explain)?)?,
-        "inform" => inform::order(request.args()?)?,
-        "uninform" => uninform::order(request.args()?)?,
-        "inject" => inject::order(request.args()?)?,
-        "remove" => remove::order(request.args()?)?,
+        "set" => Order::Change(change::set(request.args().map_err(set::explain)?)?),
+        "inform" => Order::Change(change::inform(request.args()?)?),
+        "uninform" => Order::Change(change::uninform(request.args()?)?),
+        "inject" => Order::Change(change::inject(request.args()?)?),
+        "remove" => Order::Change(change::remove(request.args()?)?),
         "batch" => batch::order(request.args()?)?,
         "join" => join::order(request.args()?)?,
         "advance" => {
@@ -113,7 +110,7 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
         when: When {
             at_step: request
                 .at_step
-                .map(|step| wire::whole("at_step", step))
+                .map(|step| jostle_convert::value::whole("at_step", step))
                 .transpose()?,
             expect_epoch: request.expect_epoch,
             expect_step: request.expect_step,

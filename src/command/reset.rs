@@ -4,7 +4,6 @@ use jostle_proto::verbs::ResetArgs;
 
 use crate::command::CommandError;
 use crate::swarm::order::Order;
-use crate::wire;
 
 /// Resets the swarm.
 ///
@@ -14,7 +13,7 @@ use crate::wire;
 pub fn order(args: ResetArgs) -> Result<Order, CommandError> {
     let seed = args
         .seed
-        .map(|seed| wire::whole("seed", seed))
+        .map(|seed| jostle_convert::value::whole("seed", seed))
         .transpose()?;
     Ok(Order::Reset(seed))
 }

@@ -4,7 +4,7 @@ use jostle_proto::verbs::RunArgs;
 
 use crate::command::CommandError;
 use crate::swarm::order::{Order, Until};
-use crate::wire::{self, WireError};
+use jostle_convert::WireError;
 
 /// The latest time a run may end at: far beyond any, and exact as a number of steps.
 const LATEST_TIME: f64 = 1e12;
@@ -22,11 +22,14 @@ pub fn order(args: RunArgs) -> Result<Order, CommandError> {
                 problem: "and until_step are both given: name one end",
             });
         }
-        (Some(step), None) => Some(Until::Step(wire::whole("until_step", step)?)),
+        (Some(step), None) => Some(Until::Step(jostle_convert::value::whole(
+            "until_step",
+            step,
+        )?)),
         (None, Some(time)) if (0.0..=LATEST_TIME).contains(&time) => Some(Until::Time(time)),
         (None, Some(time)) => return Err(WireError::out_of_range("until_time", time).into()),
         (None, None) => None,
     };
-    let rate = args.rate.map(wire::rate).transpose()?;
+    let rate = args.rate.map(jostle_convert::value::rate).transpose()?;
     Ok(Order::Run { until, rate })
 }

@@ -4,7 +4,7 @@ use jostle_proto::verbs::{Return, StepArgs};
 
 use crate::command::CommandError;
 use crate::swarm::order::Order;
-use crate::wire::WireError;
+use jostle_convert::WireError;
 
 /// The most steps that one command takes.
 const MOST_STEPS: u64 = 1_000_000_000;

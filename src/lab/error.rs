@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 
-use crate::experiment::PlanError;
+use jostle_experiment::PlanError;
 
 /// Why a laboratory refuses something. Nothing has changed then.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]

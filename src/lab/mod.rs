@@ -22,7 +22,7 @@ use tracing::{info, warn};
 pub use self::error::LabError;
 use self::results::Desk;
 use self::shelf::{Shelf, Standing};
-use crate::experiment::{Control, Folder, Outcome, Plan, Progress, execute};
+use jostle_experiment::{Control, Folder, Outcome, Plan, Progress, execute};
 
 /// The most experiments that are kept: a list of them fits a message.
 const MOST: usize = 1000;

@@ -6,7 +6,7 @@ use jostle_results::Run;
 use jostle_results::table::OrderSeries;
 
 use super::{Lab, LabError};
-use crate::experiment::{Folder, Plan};
+use jostle_experiment::{Folder, Plan};
 
 /// The rows of one experiment as they were read last, each with its run's number in the plan.
 type Rows = Arc<Vec<(u64, Run)>>;

@@ -2,13 +2,13 @@
 
 use std::sync::Arc;
 
+use jostle_physics::simulation::Spec;
 use jostle_results::recording::{About, FROM_STEPS, SOURCE};
 
 use super::intake::{Choice, Intake};
 use super::shelf::Standing;
 use crate::swarm::frame::Frame;
 use crate::swarm::handle::Handle;
-use crate::swarm::order::Recipe;
 use crate::swarm::outlet::Tap;
 use crate::wire::{self, Payload};
 
@@ -22,7 +22,7 @@ pub struct Source {
     pub intake: Arc<Intake>,
     /// Has that filled until it is dropped.
     pub tap: Arc<dyn Tap>,
-    recipe: Arc<Recipe>,
+    recipe: Arc<Spec>,
     now: Arc<Frame>,
 }
 
@@ -62,7 +62,7 @@ impl Source {
     /// What a recording of it says of itself.
     pub fn about(&self, standing: &Standing) -> About {
         let json = |Payload { bytes, .. }| String::from_utf8_lossy(&bytes).into_owned();
-        let spec = Payload::json(&wire::spec(&self.recipe, self.now.seed));
+        let spec = Payload::json(&jostle_convert::spec::to_proto(&self.recipe, self.now.seed));
         let parameters = Payload::json(&wire::status(&self.now, None).parameters);
         let began = standing.began_unix_secs.to_string();
         About::from([

@@ -4,12 +4,13 @@ use std::fs::File;
 use std::path::PathBuf;
 use std::sync::Arc;
 
+use jostle_physics::model::parameters::Parameters;
+use jostle_physics::simulation::{Change, Spec};
 use jostle_results::recording::{self, About, Message};
 
-use crate::model::parameters::Parameters;
 use crate::replay::ReplayError;
 use crate::swarm::film::{Film, Mark, Shot, Told};
-use crate::swarm::order::{Change, Order, Recipe};
+use crate::swarm::order::Order;
 use crate::wire;
 
 /// The most frames of a film, and the most that its events take, in bytes.
@@ -25,7 +26,7 @@ pub type ReadOrder<'a> = &'a dyn Fn(&str, &str) -> Result<Order, String>;
 /// A recording, opened.
 pub struct Reel {
     swarm: Arc<str>,
-    recipe: Recipe,
+    recipe: Spec,
     most_individuals: usize,
     files: Vec<File>,
     lies: Vec<Lies>,
@@ -79,7 +80,7 @@ impl Reel {
         let (mut recipe, parameters) = wire::recorded(said("spec")?, said("parameters")?)?;
         let rate = about.get("rate").and_then(|rate| rate.parse().ok());
         // What ran as fast as it could would be over in a moment.
-        recipe.rate = wire::rate(rate.or(recipe.rate))
+        recipe.rate = jostle_convert::value::rate(rate.or(recipe.rate))
             .ok()
             .flatten()
             .or(Some(1.0));
@@ -179,7 +180,7 @@ impl Reel {
     }
 
     /// What the recorded swarm was made from.
-    pub fn recipe(&self) -> &Recipe {
+    pub fn recipe(&self) -> &Spec {
         &self.recipe
     }
 

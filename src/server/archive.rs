@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use jostle_physics::simulation::Spec;
 use jostle_proto as proto;
 use jostle_proto::Request;
 use serde::{Deserialize, Serialize};
@@ -12,7 +13,6 @@ use crate::store::{self, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::journal::{Done, Wanted, WriteFault, Written};
-use crate::swarm::order::Recipe;
 use crate::swarm::outcome::Outcome;
 use crate::wire::{self, Payload, durable};
 
@@ -62,11 +62,11 @@ fn tell(done: Done) -> store::Done {
 pub fn register(
     store: &Store,
     swarm: &str,
-    recipe: &Recipe,
+    recipe: &Spec,
     named: Option<(Named, MakePayload)>,
 ) -> Register {
     let (store, swarm) = (store.clone(), swarm.to_owned());
-    let spec = wire::spec(recipe, recipe.seed);
+    let spec = jostle_convert::spec::to_proto(recipe, recipe.seed);
     Box::new(move |checkpoint, place, frame| {
         let mut writes = vec![Write::Create {
             swarm: swarm.clone(),
@@ -136,8 +136,8 @@ pub(super) fn writes(swarm: &str, written: Written) -> Vec<Write> {
 fn kept(swarm: &str, checkpoint: &Checkpoint) -> store::Checkpoint {
     store::Checkpoint {
         number: checkpoint.lines,
-        epoch: checkpoint.epoch,
-        step: checkpoint.state.step,
+        epoch: checkpoint.simulation.epoch,
+        step: checkpoint.simulation.state.step,
         body: proto::to_cbor(&durable::snapshot(swarm, checkpoint)),
     }
 }

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
+use jostle_physics::simulation::ReserveError;
 use jostle_proto::verbs::{ForkArgs, RestoreArgs};
 use jostle_proto::{Request, Verified, keys};
 use zenoh::query::Query;
@@ -62,7 +63,7 @@ impl Clerk {
         };
         let now = handle.step().unwrap_or_default();
         if let Some(step) = args.step
-            && wire::whole("step", step)? > now
+            && jostle_convert::value::whole("step", step)? > now
         {
             return Err(CommandError::NotReached { step, now });
         }
@@ -115,10 +116,15 @@ impl Clerk {
             })
             .map_err(CommandError::Snapshot)?;
         // As it is, and as it would be when reset.
-        let n = checkpoint.state.configuration.n().max(checkpoint.recipe.n);
+        let n = checkpoint
+            .simulation
+            .state
+            .configuration
+            .n()
+            .max(checkpoint.simulation.spec.n);
         let limit = self.host.limits().max_individuals;
         if n > limit {
-            return Err(OrderError::TooMany { n, limit }.into());
+            return Err(OrderError::from(ReserveError::TooMany { n, limit }).into());
         }
         let timeout = command::timeout(request)?;
         let key = keys::node_cmd(&self.prefix, &self.node, "restore");
@@ -233,7 +239,7 @@ impl Clerk {
         let (store, name) = (self.store.clone(), name.to_owned());
         let named = archive::named(key, request);
         move |checkpoint| {
-            let recipe = checkpoint.recipe.clone();
+            let recipe = checkpoint.simulation.spec.clone();
             let named = named.map(|named| {
                 let (name, recipe) = (name.clone(), recipe.clone());
                 let payload: MakePayload =
@@ -258,15 +264,22 @@ fn present(handle: &Handle) -> Option<(Place, [u8; 32])> {
 /// Whether what was told again has the hash that its swarm has; none if it is not where that is.
 fn is_as_now(told: &Retold, place: &Place, hash: [u8; 32]) -> Option<bool> {
     let checkpoint = &told.checkpoint;
-    let told_to = (checkpoint.epoch, checkpoint.state.step, checkpoint.seq);
+    let told_to = (
+        checkpoint.simulation.epoch,
+        checkpoint.simulation.state.step,
+        checkpoint.simulation.seq,
+    );
     let is_there = told_to == (place.epoch, place.step, place.seq);
-    is_there.then(|| checkpoint.state.hash() == hash)
+    is_there.then(|| checkpoint.simulation.state.hash() == hash)
 }
 
 /// What a history that was told again says, beside where its swarm was then and its hash.
 fn verified(told: &Retold, seen: Option<(Place, [u8; 32])>) -> Verified {
     let now = seen.and_then(|(place, hash)| is_as_now(told, &place, hash));
-    let here = (told.checkpoint.epoch, told.checkpoint.state.step);
+    let here = (
+        told.checkpoint.simulation.epoch,
+        told.checkpoint.simulation.state.step,
+    );
     let differs_at = told.differs_at.or((now == Some(false)).then_some(here));
     Verified {
         from_step: told.from,
@@ -304,7 +317,7 @@ impl<R: FnOnce(&Checkpoint) -> Register> Copy<R> {
             reason,
         } = self;
         let checkpoint = checkpoint.for_another(Phase::Paused(reason));
-        let recipe = checkpoint.recipe.clone();
+        let recipe = checkpoint.simulation.spec.clone();
         let register = register(&checkpoint);
         let promise = keeper.leave();
         let answer = {

@@ -90,7 +90,7 @@ impl Clerk {
             let verifying = self.verifications.share(swarm);
             self.look(swarm, &promise, move |place, seen| match (noun, handle) {
                 ("spec", Some(handle)) => {
-                    let spec = wire::spec(&handle.recipe, seen.seed);
+                    let spec = jostle_convert::spec::to_proto(&handle.recipe, seen.seed);
                     Payload::json(&wire::reply(&name, &place, spec))
                 }
                 ("controllers", _) => {

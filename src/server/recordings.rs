@@ -2,6 +2,7 @@
 
 use std::sync::Arc;
 
+use jostle_convert::WireError;
 use jostle_proto::{DEFAULT_MAX_RECORDING_BYTES, NodeReply, RecordArgs, Request, keys};
 use tracing::warn;
 
@@ -16,7 +17,7 @@ use crate::server::experiments::Errands;
 use crate::server::query::token;
 use crate::swarm::handle::Ticket;
 use crate::swarm::outcome::{OrderError, Outcome, Refusal};
-use crate::wire::{self, Payload, WireError};
+use crate::wire::{self, Payload};
 
 impl Clerk {
     /// Does what is asked for with a recording.
@@ -135,7 +136,7 @@ fn check(args: &RecordArgs) -> Result<(), CommandError> {
 fn positive(field: &'static str, number: Option<u64>) -> Result<(), CommandError> {
     match number {
         Some(0) => Err(WireError::out_of_range(field, 0).into()),
-        Some(number) => Ok(wire::whole(field, number).map(drop)?),
+        Some(number) => Ok(jostle_convert::value::whole(field, number).map(drop)?),
         None => Ok(()),
     }
 }

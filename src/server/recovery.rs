@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 
+use jostle_physics::simulation::Spec;
 use jostle_proto as proto;
 use thiserror::Error;
 use tracing::{error, info, warn};
@@ -16,7 +17,7 @@ use crate::server::lines::{self, LineError, Lines, PAGE};
 use crate::store::{Store, StoreError, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::journal::{Line, Record, Written};
-use crate::swarm::order::{Recipe, Sender};
+use crate::swarm::order::Sender;
 use crate::swarm::outcome::{Answer, OrderError, Refusal};
 use crate::swarm::phase::Phase;
 use crate::swarm::worker::replay::{Applied, Outlook, Past, To, Told};
@@ -87,15 +88,16 @@ fn recall(
     ledger: &Ledger,
     swarm: &str,
     about: &[u8],
-) -> Result<(Recipe, Past), RecoveryError> {
+) -> Result<(Spec, Past), RecoveryError> {
     let unreadable = |problem: String| RecoveryError::Unreadable {
         swarm: swarm.to_owned(),
         problem,
     };
     let about: About =
         ciborium::from_reader(about).map_err(|error| unreadable(error.to_string()))?;
-    let recipe = wire::recipe(&about.spec, wire::count(about.spec.n))
-        .map_err(|error| unreadable(error.to_string()))?;
+    let recipe =
+        jostle_convert::spec::from_proto(&about.spec, jostle_convert::value::count(about.spec.n))
+            .map_err(|error| unreadable(error.to_string()))?;
     let mut newest = None;
     let mut problem = "no checkpoint of it is kept".to_owned();
     let marks = store.checkpoints(swarm)?;
@@ -226,7 +228,7 @@ pub fn told_again(
                 return Err(history(format!(
                     "step {step} is not on the disk yet, which the journal there reaches up to {}: \
                      ask again in a moment, or once the disk has room",
-                    checkpoint.state.step
+                    checkpoint.simulation.state.step
                 )));
             }
             _ => {}
@@ -242,7 +244,10 @@ pub fn told_again(
 }
 
 fn is_there(checkpoint: &Checkpoint, to: To) -> bool {
-    let here = (checkpoint.epoch, checkpoint.state.step);
+    let here = (
+        checkpoint.simulation.epoch,
+        checkpoint.simulation.state.step,
+    );
     match to {
         To::Step(step) => here.1 == step,
         To::Place(epoch, step) => here == (epoch, step),
@@ -309,12 +314,9 @@ impl Story {
             }
             None => {
                 let Checkpoint {
-                    lines,
-                    epoch,
-                    state,
-                    ..
+                    lines, simulation, ..
                 } = &self.checkpoint;
-                (*lines, *epoch, state.step)
+                (*lines, simulation.epoch, simulation.state.step)
             }
         };
         let line = Line {

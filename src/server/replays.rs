@@ -33,7 +33,9 @@ impl Clerk {
             ReplayArgs::Upload(piece) => {
                 let within = |error: CommandError| error.within("upload".to_owned());
                 check_name("name", &piece.name).map_err(within)?;
-                let whole = |field, number| wire::whole(field, number).map_err(CommandError::from);
+                let whole = |field, number| {
+                    jostle_convert::value::whole(field, number).map_err(CommandError::from)
+                };
                 whole("offset", piece.offset).map_err(within)?;
                 whole("length", piece.length).map_err(within)?;
                 let bytes = STANDARD.decode(piece.bytes.as_bytes()).map_err(|_| {

@@ -2,31 +2,18 @@
 
 use std::sync::Arc;
 
-use crate::model::State;
-use crate::observables::RunningMeans;
+use jostle_physics::simulation::{self, Rate};
+
 use crate::swarm::control::Membership;
-use crate::swarm::frame::Exactness;
-use crate::swarm::order::{Rate, Recipe, Sender};
+use crate::swarm::order::Sender;
 use crate::swarm::phase::Phase;
 use crate::swarm::schedule::Scheduled;
 
 /// A swarm as a whole: two swarms with equal checkpoints have one future.
 #[derive(Clone, Debug)]
 pub struct Checkpoint {
-    /// What it was made from.
-    pub recipe: Recipe,
-    /// Where it is.
-    pub state: State,
-    /// Steps between two published states.
-    pub publish_every: u64,
-    /// Grows whenever `step` does not continue what was shown before.
-    pub epoch: u64,
-    /// Counts the applied commands.
-    pub seq: u64,
-    /// Means since the start or reset.
-    pub means: RunningMeans,
-    /// How exact the last step was.
-    pub exactness: Exactness,
+    /// The simulation.
+    pub simulation: simulation::Checkpoint,
     /// What it does.
     pub phase: Phase,
     /// How fast it is to run.
@@ -57,7 +44,10 @@ impl Checkpoint {
             phase,
             pending: None,
             controllers: Vec::new(),
-            epoch: 1,
+            simulation: simulation::Checkpoint {
+                epoch: 1,
+                ..self.simulation
+            },
             events: 0,
             lines: 0,
             is_last: false,

@@ -6,8 +6,9 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::model::Drive;
-use crate::model::selection::Selection;
+use jostle_physics::model::selection::Selection;
+use jostle_physics::simulation::SetPoints;
+
 use crate::swarm::order::Sender;
 use crate::swarm::outcome::{Answer, OrderError};
 
@@ -66,19 +67,6 @@ pub struct Terms {
     pub driving: bool,
     /// Whether it comes back, and takes the place it had.
     pub again: bool,
-}
-
-/// What a controller wants of individuals: three columns.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct SetPoints {
-    /// Whom.
-    pub ids: Vec<u32>,
-    /// Their preferred directions.
-    pub direction: Vec<f64>,
-    /// Their weights, 0 for uninformed; `pi2` each if left out.
-    pub weight: Option<Vec<f64>>,
-    /// How each is driven directly, if they are.
-    pub drives: Option<Vec<Drive>>,
 }
 
 /// Why a controller has left.

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use crate::model::body::Gaps;
-use crate::model::configuration::Configuration;
-use crate::model::parameters::Parameters;
-use crate::observables::{Order, RunningMeans};
-use crate::swarm::frame::Exactness;
+use jostle_physics::model::body::Gaps;
+use jostle_physics::model::configuration::Configuration;
+use jostle_physics::model::parameters::Parameters;
+use jostle_physics::observables::{Order, RunningMeans};
+use jostle_physics::simulation::Exactness;
 
 /// A recording, as far as it is to be shown.
 pub trait Film: Send {

@@ -2,12 +2,14 @@
 
 use std::sync::{Arc, OnceLock};
 
-use crate::model::body::{self, Gaps};
-use crate::model::configuration::Configuration;
-use crate::model::parameters::Parameters;
-use crate::observables::{Order, RunningMeans};
+use jostle_physics::model::body::{self, Gaps};
+use jostle_physics::model::configuration::Configuration;
+use jostle_physics::model::parameters::Parameters;
+use jostle_physics::observables::{Order, RunningMeans};
+use jostle_physics::simulation::{Exactness, Rate};
+
 use crate::swarm::control::Seen;
-use crate::swarm::order::{Rate, Sender};
+use crate::swarm::order::Sender;
 use crate::swarm::outcome::OrderError;
 use crate::swarm::phase::Phase;
 
@@ -83,19 +85,6 @@ pub struct Replay {
     pub position: f64,
     /// Time units from the first to the last.
     pub duration: f64,
-}
-
-/// How exact the last step was.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Exactness {
-    /// Its residual.
-    pub residual: f64,
-    /// How many steps since the start or reset missed the target residual.
-    pub degraded: u64,
-    /// How many contacts constrained it.
-    pub contacts: usize,
-    /// How many iterations it took.
-    pub iterations: usize,
 }
 
 /// A swarm in a list: cheap enough to be kept up to date always.

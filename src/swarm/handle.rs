@@ -4,11 +4,13 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
+use jostle_physics::simulation::Spec;
+
 use crate::swarm::control::Put;
 use crate::swarm::cores::{Cores, Seat};
 use crate::swarm::frame::Summary;
 use crate::swarm::history::History;
-use crate::swarm::order::{Order, Recipe, Seek, Sender, When};
+use crate::swarm::order::{Order, Seek, Sender, When};
 use crate::swarm::outcome::{Answer, OrderError, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::shelf::Shelf;
@@ -56,7 +58,7 @@ pub struct Command {
 #[derive(Clone)]
 pub struct Handle {
     /// What it was created from.
-    pub recipe: Arc<Recipe>,
+    pub recipe: Arc<Spec>,
     /// Where it puts what is to be published.
     pub outlet: Arc<Outlet>,
     /// What happened to it, and the commands it applied.
@@ -71,7 +73,7 @@ pub struct Handle {
 
 impl Handle {
     /// A handle of a swarm that nobody else knows of, that has a core of its own and no name.
-    pub(crate) fn alone(recipe: Recipe) -> Self {
+    pub(crate) fn alone(recipe: Spec) -> Self {
         let (tickets, _) = sync_channel(1);
         Handle {
             recipe: Arc::new(recipe),

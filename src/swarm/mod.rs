@@ -19,7 +19,6 @@ pub mod player;
 pub mod rank;
 pub mod schedule;
 mod shelf;
-pub mod simulation;
 pub mod tally;
 pub mod waiters;
 pub mod worker;

@@ -2,20 +2,13 @@
 
 use std::sync::Arc;
 
+use jostle_physics::simulation::{ChangeError, ChangeKind, ChangeOutcome, Rate, ReserveError};
 use thiserror::Error;
 
-use crate::model::Parameters;
-use crate::model::injection::InjectionError;
-use crate::model::parameters::ParametersError;
-use crate::model::resize::ResizeError;
-use crate::model::selection::SelectionError;
-use crate::model::start::StartError;
-use crate::plural::counted;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::control::{Departure, MOST_MISSES, News};
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::journal::WriteFault;
-use crate::swarm::order::{ChangeKind, Rate};
 use crate::swarm::phase::PhaseError;
 
 /// What an order came to.
@@ -57,19 +50,10 @@ pub enum Outcome {
     Whole(Box<Checkpoint>),
     /// It is back at its start.
     Reset(Arc<Frame>),
-    /// Parameters before and now, `publish_every` before and now, scale.
-    Set {
-        /// The parameters before.
-        before: (Parameters, u64),
-        /// The parameters now.
-        now: (Parameters, u64),
-        /// By how much positions were scaled to make room.
-        scaled_by: f64,
-    },
-    /// These individuals, and the size of the group now.
-    Ids(Vec<u32>, usize),
-    /// What each change came to.
-    Batch(Vec<(ChangeKind, Outcome)>),
+    /// A change was applied.
+    Changed(ChangeOutcome),
+    /// The changes of a batch were applied.
+    Batch(Vec<(ChangeKind, ChangeOutcome)>),
     /// It will be carried out at this step.
     Scheduled(u64),
     /// A look at it.
@@ -133,18 +117,9 @@ pub enum OrderError {
         /// Where it is.
         step: u64,
     },
-    /// A parameter is outside its range.
+    /// A start or a change was rejected.
     #[error(transparent)]
-    Parameters(#[from] ParametersError),
-    /// The start cannot be built.
-    #[error(transparent)]
-    Start(#[from] StartError),
-    /// The selection cannot be made.
-    #[error(transparent)]
-    Selection(#[from] SelectionError),
-    /// The new individuals find no place.
-    #[error(transparent)]
-    Injection(#[from] InjectionError),
+    Change(#[from] ChangeError),
     /// No controller of this name has joined.
     #[error("{}", not_joined(.controller, *.left))]
     NotJoined {
@@ -206,51 +181,9 @@ pub enum OrderError {
     /// The same controller asked again, and the newer request takes the place of this one.
     #[error("a later request of the same controller took the place of this one")]
     Superseded,
-    /// Axes cross that the rule asked for never lets cross.
-    #[error(
-        "the axes of {} cross, which only `closest` allows: run it until none do, or reset",
-        counted(*.pairs, "pair")
-    )]
-    StillCrossed {
-        /// How many pairs.
-        pairs: usize,
-    },
-    /// The new shape finds no room.
-    #[error(transparent)]
-    Resize(#[from] ResizeError),
-    /// Nobody would be left.
-    #[error(
-        "this would remove {}, which is all: leave one, or delete the swarm",
-        counted(*.0, "individual")
-    )]
-    NobodyLeft(usize),
     /// It was refused before the daemon restarted, and is not tried again.
     #[error("it was refused before the daemon restarted: send it anew")]
     RefusedBefore,
-    /// The group would outgrow the daemon's limit.
-    #[error(
-        "{n} individuals are more than one swarm may have, {limit}: add fewer, or raise max_individuals"
-    )]
-    TooMany {
-        /// The size asked for.
-        n: usize,
-        /// The limit.
-        limit: usize,
-    },
-    /// The group would take more memory than is free.
-    #[error(
-        "a swarm of {} needs up to {needed} bytes, {free} are free: add fewer, delete another \
-         swarm, or raise max_memory_mb",
-        counted(*.n, "individual")
-    )]
-    NoMemory {
-        /// The size asked for.
-        n: usize,
-        /// What it needs.
-        needed: u64,
-        /// What is free.
-        free: u64,
-    },
     /// The order could not be made safe, so it was not carried out.
     #[error("{0}: nothing was changed; make room on the disk of data_dir and send it again")]
     Unsafe(WriteFault),
@@ -341,12 +274,17 @@ impl OrderError {
     /// Whether it may come out otherwise when the same is ordered again of the same state.
     pub fn is_by_chance(&self) -> bool {
         match self {
-            OrderError::TooMany { .. }
-            | OrderError::NoMemory { .. }
+            OrderError::Change(ChangeError::Reserve(_))
             | OrderError::Panicked
             | OrderError::Unsafe(_) => true,
             OrderError::InBatch { error, .. } => error.is_by_chance(),
             _ => false,
         }
+    }
+}
+
+impl From<ReserveError> for OrderError {
+    fn from(error: ReserveError) -> Self {
+        OrderError::Change(error.into())
     }
 }

@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::swarm::order::Rate;
+use jostle_physics::simulation::Rate;
 
 /// How far behind its rate a swarm may be and still catch up. It absorbs the jitter of waking
 /// up; what is more than that is given up, so that no long burst follows a stall.

@@ -5,6 +5,7 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
+use jostle_physics::simulation::{Rate, Spec};
 use tracing::warn;
 
 use crate::swarm::clock;
@@ -12,7 +13,7 @@ use crate::swarm::film::{Film, Mark, Shot, Told};
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
 use crate::swarm::handle::{Command, Handle, Ticket, receive};
 use crate::swarm::history::History;
-use crate::swarm::order::{Order, Rate, Recipe, Seek, Sender, Until, When};
+use crate::swarm::order::{Order, Seek, Sender, Until, When};
 use crate::swarm::outcome::{OrderError, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
@@ -32,7 +33,7 @@ const TIME_ROUNDING: f64 = 1e-9;
 /// A film that is shown.
 pub struct Player {
     film: Box<dyn Film>,
-    recipe: Arc<Recipe>,
+    recipe: Arc<Spec>,
     outlet: Arc<Outlet>,
     history: Arc<History>,
     tally: Arc<Tally>,

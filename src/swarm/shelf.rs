@@ -136,31 +136,23 @@ mod tests {
     use std::time::Duration;
 
     use super::*;
-    use crate::model::parameters::Parameters;
     use crate::swarm::handle::Handle;
     use crate::swarm::journal::{Done, Wanted, WriteFault, Writer};
-    use crate::swarm::order::{Change, Order, Recipe, Sender, Settings, Start, When};
+    use crate::swarm::order::{Order, Sender, When};
     use crate::swarm::outcome::{Answered, OrderError};
-    use crate::swarm::simulation::Simulation;
+    use jostle_physics::simulation::{Change, Settings, Simulation, Spec};
 
     /// A swarm on its shelf, and what its store is asked to make safe and tell of.
     fn shelf() -> (Arc<Shelf>, Receiver<Done>) {
-        let recipe = Recipe {
-            n: 2,
-            parameters: Parameters::default(),
-            seed: 1,
-            start: Start::Disc(None),
-            publish_every: 1,
-            rate: None,
-        };
-        let handle = Handle::alone(recipe.clone());
+        let spec = Spec::new(2, 1);
+        let handle = Handle::alone(spec.clone());
         let (asked, store) = channel();
         let writer: Writer = Arc::new(move |_, wanted| {
             if let Wanted::InPassing(done) = wanted {
                 asked.send(done).unwrap();
             }
         });
-        let simulation = Simulation::new(recipe, Box::new(|_| Ok(()))).unwrap();
+        let simulation = Simulation::new(&spec).unwrap();
         let worker = Worker::new(simulation, &handle, Duration::ZERO, writer);
         handle.shelf.put(Box::new(worker));
         (handle.shelf, store)
@@ -205,8 +197,8 @@ mod tests {
         store.recv().unwrap()(Ok(()));
         let (place, _) = answered.recv().unwrap().unwrap();
         let kept = taken.join().unwrap();
-        assert_eq!((place.seq, kept.seq, kept.lines), (1, 1, 2));
-        assert!((kept.state.parameters.pi2 - 0.7).abs() < f64::EPSILON);
+        assert_eq!((place.seq, kept.simulation.seq, kept.lines), (1, 1, 2));
+        assert!((kept.simulation.state.parameters.pi2 - 0.7).abs() < f64::EPSILON);
     }
 
     #[test]
@@ -224,7 +216,7 @@ mod tests {
             );
         }
         let kept = shelf.take().checkpoint();
-        assert_eq!((kept.seq, kept.lines), (0, 0));
+        assert_eq!((kept.simulation.seq, kept.lines), (0, 0));
     }
 
     #[test]

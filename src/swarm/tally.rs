@@ -3,8 +3,9 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
+use jostle_physics::stepper::StepReport;
+
 use crate::meter::{Durations, Histogram, Pulse, add};
-use crate::stepper::StepReport;
 
 /// What a swarm's thread counts. It alone writes; nobody waits for anybody.
 #[derive(Debug, Default)]
@@ -119,7 +120,7 @@ mod tests {
             contacts: 3,
             active: 0,
             iterations: 1,
-            referee: 0,
+            fallback: 0,
             residual,
             degraded: residual > 1e-9,
             ..StepReport::default()

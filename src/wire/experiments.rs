@@ -4,8 +4,8 @@ use jostle_proto as proto;
 use jostle_results::Run;
 use jostle_results::table::OrderSeries;
 
-use crate::experiment::Progress;
 use crate::lab::{Phase, Report};
+use jostle_experiment::Progress;
 
 /// How far an experiment is.
 pub fn progress(report: Report) -> proto::Progress {

@@ -11,13 +11,10 @@ mod to_proto;
 
 pub use experiments::{order_page, progress, results_page};
 pub use figures::metrics;
-pub use from_proto::{
-    WireError, attraction, contact_rule, control, count, mode, on_timeout, pose, publish_every,
-    rate, recipe, region, relinearise, selection, stepping, weight, whole,
-};
+pub use from_proto::{control, mode, on_timeout};
 pub use recorded::{recorded, recorded_event, shot};
 pub use recordings::{recording, recording_format, recording_piece, recordings};
 pub use to_proto::{
-    Payload, WordRefusal, controllers, created, event, events, hexadecimal, journal, limits,
-    order_sample, outcome, parameters, replay, reply, spec, state, status, summary,
+    Payload, WordRefusal, controllers, created, event, events, journal, limits, order_sample,
+    outcome, parameters, replay, reply, state, status, summary,
 };

@@ -1,16 +1,14 @@
 //! What a swarm published, read back from a recording.
 
-use jostle_proto::{EventKind, LARGEST_WHOLE, ParameterValues, Spec, Told};
+use jostle_physics::model::body::Gaps;
+use jostle_physics::model::configuration::Configuration;
+use jostle_physics::model::parameters::Parameters;
+use jostle_physics::observables::{Order, RunningMeans};
+use jostle_physics::simulation::{Exactness, Spec};
+use jostle_proto::{EventKind, LARGEST_WHOLE, ParameterValues, Told};
 use serde_json::Value;
 
-use crate::model::body::Gaps;
-use crate::model::configuration::Configuration;
-use crate::model::parameters::Parameters;
-use crate::observables::{Order, RunningMeans};
 use crate::swarm::film::{Mark, Shot};
-use crate::swarm::frame::Exactness;
-use crate::swarm::order::Recipe;
-use crate::wire::from_proto;
 
 /// A published state: where it belongs, and what it shows under these parameters.
 ///
@@ -109,10 +107,11 @@ pub fn shot(bytes: &[u8], parameters: Parameters) -> Result<(Mark, Shot), String
 /// # Errors
 ///
 /// What is wrong with them.
-pub fn recorded(spec: &str, parameters: &str) -> Result<(Recipe, Parameters), String> {
-    let Told(spec) = serde_json::from_str::<Told<Spec>>(spec).map_err(|it| it.to_string())?;
+pub fn recorded(spec: &str, parameters: &str) -> Result<(Spec, Parameters), String> {
+    let Told(spec) =
+        serde_json::from_str::<Told<jostle_proto::Spec>>(spec).map_err(|it| it.to_string())?;
     let n = usize::try_from(spec.n).unwrap_or(usize::MAX);
-    let recipe = from_proto::recipe(&spec, n).map_err(|it| it.to_string())?;
+    let recipe = jostle_convert::spec::from_proto(&spec, n).map_err(|it| it.to_string())?;
     let values: ParameterValues = serde_json::from_str(parameters).map_err(|it| it.to_string())?;
     let parameters = Parameters {
         pi1: values.pi1,
@@ -120,10 +119,11 @@ pub fn recorded(spec: &str, parameters: &str) -> Result<(Recipe, Parameters), St
         pi3: values.pi3,
         pi4: values.pi4,
         dt: recipe.parameters.dt,
-        contacts: from_proto::contact_rule(values.contacts),
-        stepping: from_proto::stepping(values.stepping),
-        relinearise: from_proto::relinearise(values.relinearise).map_err(|it| it.to_string())?,
-        attraction: from_proto::attraction(values.attraction),
+        contacts: jostle_convert::spec::contact_rule(values.contacts),
+        stepping: jostle_convert::spec::stepping(values.stepping),
+        relinearise: jostle_convert::spec::relinearise(values.relinearise)
+            .map_err(|it| it.to_string())?,
+        attraction: jostle_convert::spec::attraction(values.attraction),
         noise: values.noise,
     };
     for parameters in [&recipe.parameters, &parameters] {

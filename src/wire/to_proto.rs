@@ -1,18 +1,21 @@
 //! What clients are sent.
 
+use jostle_convert::change::{changed, ids_result, set_result};
+use jostle_convert::hexadecimal;
+use jostle_convert::spec::{self, parameter_values};
+use jostle_physics::simulation::{ChangeOutcome, Spec};
 use jostle_proto as proto;
 use jostle_proto::verbs::{
-    self, AdvanceResult, BatchResult, Changed, CreateResult, EmptyResult, IdsResult, JoinResult,
-    ResetResult, RunResult, Scheduled, SetResult, StepResult,
+    self, AdvanceResult, BatchResult, CreateResult, EmptyResult, JoinResult, ResetResult,
+    RunResult, Scheduled, StepResult,
 };
 use serde::Serialize;
 
 use crate::host::Limits;
-use crate::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use crate::swarm::control::{Departure, Mode, News, OnTimeout};
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
 use crate::swarm::history::{Entry, Page};
-use crate::swarm::order::{ChangeKind, Recipe, Sender, Start};
+use crate::swarm::order::Sender;
 use crate::swarm::outcome::{OrderError, Outcome};
 use crate::swarm::phase::Phase;
 use crate::wire::durable::snapshot;
@@ -153,17 +156,19 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
             };
             Payload::json(&reply(swarm, place, result))
         }
-        Outcome::Set {
+        Outcome::Changed(ChangeOutcome::Set {
             before,
             now,
             scaled_by,
-        } => Payload::json(&reply(swarm, place, set_result(before, now, scaled_by))),
-        Outcome::Ids(ids, n) => {
-            let n = n as u64;
-            Payload::json(&reply(swarm, place, IdsResult { ids, n }))
+        }) => Payload::json(&reply(swarm, place, set_result(before, now, scaled_by))),
+        Outcome::Changed(ChangeOutcome::Ids { ids, n }) => {
+            Payload::json(&reply(swarm, place, ids_result(ids, n)))
         }
         Outcome::Batch(outcomes) => {
-            let results = outcomes.into_iter().filter_map(changed).collect();
+            let results = outcomes.into_iter();
+            let results = results
+                .map(|(kind, outcome)| changed(kind, outcome))
+                .collect();
             Payload::json(&reply(swarm, place, BatchResult { results }))
         }
         Outcome::Scheduled(applies_at_step) => {
@@ -176,112 +181,14 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
     }
 }
 
-/// What one change of several came to.
-fn changed((kind, outcome): (ChangeKind, Outcome)) -> Option<Changed> {
-    match (kind, outcome) {
-        (
-            ChangeKind::Set,
-            Outcome::Set {
-                before,
-                now,
-                scaled_by,
-            },
-        ) => Some(Changed::Set(set_result(before, now, scaled_by))),
-        (kind, Outcome::Ids(ids, n)) => {
-            let result = IdsResult { ids, n: n as u64 };
-            Some(match kind {
-                ChangeKind::Set => return None,
-                ChangeKind::Inform => Changed::Inform(result),
-                ChangeKind::Uninform => Changed::Uninform(result),
-                ChangeKind::Inject => Changed::Inject(result),
-                ChangeKind::Remove => Changed::Remove(result),
-            })
-        }
-        _ => None,
-    }
-}
-
-fn set_result(before: (Parameters, u64), now: (Parameters, u64), scaled_by: f64) -> SetResult {
-    SetResult {
-        before: parameter_values(before.0, before.1),
-        now: parameter_values(now.0, now.1),
-        scaled_by,
-    }
-}
-
 /// The reply to `create`.
-pub fn created(swarm: &str, place: &Place, recipe: &Recipe, seen: &Frame, is_new: bool) -> Payload {
+pub fn created(swarm: &str, place: &Place, recipe: &Spec, seen: &Frame, is_new: bool) -> Payload {
     let result = CreateResult {
         created: is_new,
-        spec: spec(recipe, seen.seed),
+        spec: spec::to_proto(recipe, seen.seed),
         state_hash: hash(seen),
     };
     Payload::json(&reply(swarm, place, result))
-}
-
-/// The spec that a recipe came from, with the seed now in force.
-pub fn spec(recipe: &Recipe, seed: u64) -> proto::Spec {
-    let Parameters {
-        pi1,
-        pi2,
-        pi3,
-        pi4,
-        dt,
-        contacts,
-        stepping,
-        relinearise,
-        attraction,
-        noise,
-    } = recipe.parameters;
-    proto::Spec {
-        n: recipe.n as u64,
-        pi1,
-        pi2,
-        pi3,
-        pi4,
-        dt,
-        contacts: contact_rule(contacts),
-        stepping: stepping_rule(stepping),
-        relinearise: u8::from(relinearise),
-        seed,
-        start: match &recipe.start {
-            Start::Disc(radius) => proto::Start::Disc { radius: *radius },
-            Start::Given { x, y, alpha } => proto::Start::Given {
-                x: x.clone(),
-                y: y.clone(),
-                alpha: alpha.clone(),
-            },
-        },
-        attraction: attraction_law(attraction),
-        noise,
-        publish_every: recipe.publish_every,
-        rate: recipe.rate,
-    }
-}
-
-fn contact_rule(rule: ContactRule) -> proto::ContactRule {
-    match rule {
-        ContactRule::Endpoints => proto::ContactRule::Endpoints,
-        ContactRule::Closest => proto::ContactRule::Closest,
-        ContactRule::Clamped => proto::ContactRule::Clamped,
-    }
-}
-
-fn stepping_rule(stepping: Stepping) -> proto::Stepping {
-    match stepping {
-        Stepping::Position => proto::Stepping::Position,
-        Stepping::Velocity => proto::Stepping::Velocity,
-    }
-}
-
-fn attraction_law(law: Attraction) -> proto::Attraction {
-    match law {
-        Attraction::All { accuracy } => proto::Attraction::All { accuracy },
-        Attraction::Voronoi => proto::Attraction::Voronoi {},
-        Attraction::Metric { radius } => proto::Attraction::Metric { radius },
-        Attraction::Topological { neighbours } => proto::Attraction::Topological { neighbours },
-        Attraction::Power { exponent } => proto::Attraction::Power { exponent },
-    }
 }
 
 pub(super) fn mode(mode: Mode) -> verbs::Mode {
@@ -553,10 +460,10 @@ pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
             "seed" => parameter.value = seen.seed.into(),
             "publish_every" => parameter.value = seen.publish_every.into(),
             "rate" => parameter.value = seen.rate.into(),
-            "contacts" => parameter.value = value(&contact_rule(now.contacts)),
-            "stepping" => parameter.value = value(&stepping_rule(now.stepping)),
+            "contacts" => parameter.value = value(&spec::contact_rule_to_proto(now.contacts)),
+            "stepping" => parameter.value = value(&spec::stepping_to_proto(now.stepping)),
             "relinearise" => parameter.value = u8::from(now.relinearise).into(),
-            "attraction" => parameter.value = value(&attraction_law(now.attraction)),
+            "attraction" => parameter.value = value(&spec::attraction_to_proto(now.attraction)),
             "noise" => parameter.value = now.noise.into(),
             _ => {}
         }
@@ -612,24 +519,6 @@ pub(super) fn phase(phase: &Phase) -> proto::Phase {
     }
 }
 
-pub(super) fn parameter_values(
-    parameters: Parameters,
-    publish_every: u64,
-) -> proto::ParameterValues {
-    proto::ParameterValues {
-        pi1: parameters.pi1,
-        pi2: parameters.pi2,
-        pi3: parameters.pi3,
-        pi4: parameters.pi4,
-        contacts: contact_rule(parameters.contacts),
-        stepping: stepping_rule(parameters.stepping),
-        relinearise: u8::from(parameters.relinearise),
-        attraction: attraction_law(parameters.attraction),
-        noise: parameters.noise,
-        publish_every,
-    }
-}
-
 fn order(seen: &Frame) -> proto::Order {
     proto::Order {
         order: seen.order.order,
@@ -661,9 +550,4 @@ fn informed(seen: &Frame) -> u64 {
 
 fn hash(seen: &Frame) -> String {
     hexadecimal(&seen.hash.unwrap_or_default())
-}
-
-/// A hash in hexadecimal.
-pub fn hexadecimal(hash: &[u8; 32]) -> String {
-    blake3::Hash::from(*hash).to_hex().to_string()
 }

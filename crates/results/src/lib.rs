@@ -12,6 +12,6 @@ pub mod statistics;
 pub mod table;
 pub mod touch;
 
-mod file;
+mod atomic_file;
 
 pub use run::Run;

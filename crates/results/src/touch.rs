@@ -5,7 +5,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::file;
+use crate::atomic_file;
 use crate::table::TableError;
 
 /// The name of the table within its directory.
@@ -52,7 +52,7 @@ pub fn write(path: &Path, rows: &[Touch]) -> Result<(), TableError> {
         path: path.to_owned(),
         source,
     };
-    let mut file = file::begin(path).map_err(io)?;
+    let mut file = atomic_file::begin(path).map_err(io)?;
     let mut writer = csv::Writer::from_writer(Vec::new());
     let written = rows.iter().try_for_each(|row| writer.serialize(row));
     let bytes = written
@@ -60,7 +60,7 @@ pub fn write(path: &Path, rows: &[Touch]) -> Result<(), TableError> {
         .and_then(|()| writer.into_inner().map_err(|error| error.to_string()))
         .map_err(|reason| malformed(path, reason))?;
     file.write_all(&bytes).map_err(io)?;
-    file::publish(file, path).map_err(io)
+    atomic_file::publish(file, path).map_err(io)
 }
 
 /// Reads the table of `directory`; without one there are no rows.

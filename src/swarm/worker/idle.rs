@@ -3,10 +3,12 @@
 
 use std::time::{Duration, Instant};
 
+use jostle_physics::simulation::Change;
+
 use crate::swarm::crash;
 use crate::swarm::handle::Command;
 use crate::swarm::journal::{Begun, Record, WriteFault};
-use crate::swarm::order::{Change, Order};
+use crate::swarm::order::Order;
 use crate::swarm::outcome::OrderError;
 use crate::swarm::phase::Phase;
 use crate::swarm::worker::Worker;
@@ -149,15 +151,14 @@ mod tests {
     use std::sync::mpsc::{Receiver, channel};
 
     use super::*;
-    use crate::model::parameters::Parameters;
-    use crate::model::selection::Selection;
     use crate::swarm::control::{Mode, OnTimeout, Terms};
     use crate::swarm::handle::Handle;
     use crate::swarm::journal::to_nowhere;
-    use crate::swarm::order::{Recipe, Sender, Start, When};
+    use crate::swarm::order::{Sender, When};
     use crate::swarm::outcome::Answered;
     use crate::swarm::shelf::Shelf;
-    use crate::swarm::simulation::Simulation;
+    use jostle_physics::model::selection::Selection;
+    use jostle_physics::simulation::{Simulation, Spec};
 
     /// A swarm that lies on its shelf. No thread of its own takes it from there: what would wake
     /// one is counted.
@@ -168,16 +169,9 @@ mod tests {
 
     impl Idle {
         fn new(prepare: impl FnOnce(&mut Worker)) -> Self {
-            let recipe = Recipe {
-                n: 4,
-                parameters: Parameters::default(),
-                seed: 1,
-                start: Start::Disc(None),
-                publish_every: 1,
-                rate: None,
-            };
-            let handle = Handle::alone(recipe.clone());
-            let simulation = Simulation::new(recipe, Box::new(|_| Ok(()))).unwrap();
+            let spec = Spec::new(4, 1);
+            let handle = Handle::alone(spec.clone());
+            let simulation = Simulation::new(&spec).unwrap();
             let mut worker = Worker::new(simulation, &handle, Duration::ZERO, to_nowhere());
             // As after a first step.
             worker.step_took = Duration::ZERO;

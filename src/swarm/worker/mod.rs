@@ -34,10 +34,10 @@ use crate::swarm::phase::{Cue, PauseReason, Phase};
 use crate::swarm::rank::Rank;
 use crate::swarm::schedule::Schedule;
 use crate::swarm::shelf::Shelf;
-use crate::swarm::simulation::Simulation;
 use crate::swarm::tally::Tally;
 use crate::swarm::waiters::Waiters;
 use crate::swarm::worker::replay::Replay;
+use jostle_physics::simulation::Simulation;
 
 /// Tickets taken between two steps, so that a flood of them slows a swarm but never stops it.
 const TICKETS_PER_STEP: usize = 64;
@@ -156,9 +156,9 @@ impl Worker {
         journal: Journal,
     ) -> Self {
         let now = Instant::now();
-        let rate = simulation.recipe.rate;
+        let rate = simulation.spec.rate;
         Worker {
-            pace: Pace::new(rate, simulation.recipe.parameters.dt, now),
+            pace: Pace::new(rate, simulation.spec.parameters.dt, now),
             seat: handle.seat(),
             rank: Rank::default(),
             journal,
@@ -198,16 +198,9 @@ impl Worker {
 
     /// All of the swarm as it is now.
     pub fn checkpoint(&self) -> Checkpoint {
-        let simulation = &self.simulation;
         let pending = self.pending.as_ref();
         Checkpoint {
-            recipe: simulation.recipe.clone(),
-            state: simulation.state.clone(),
-            publish_every: simulation.publish_every,
-            epoch: simulation.epoch,
-            seq: simulation.seq,
-            means: simulation.means,
-            exactness: simulation.exactness,
+            simulation: self.simulation.checkpoint(),
             phase: self.phase.clone(),
             rate: self.rate,
             scheduled: self.schedule.list(),

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 use fail::fail_point;
+use jostle_physics::simulation::{Change, ChangeError, ChangeKind, ChangeOutcome};
 use tracing::warn;
 
 use crate::swarm::clock;
@@ -12,14 +13,14 @@ use crate::swarm::crash;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::Command;
 use crate::swarm::journal::{Record, Written};
-use crate::swarm::order::{Change, ChangeKind, Order, Sender, Until, When};
+use crate::swarm::order::{Order, Sender, Until, When};
 use crate::swarm::outcome::{Answer, Answered, OrderError, Outcome, Refusal};
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
-use crate::swarm::simulation::steps_in;
 use crate::swarm::worker::steering::Coupling;
 use crate::swarm::worker::{End, Pending, Worker};
+use jostle_physics::simulation::steps_in;
 
 impl Worker {
     /// Makes commands safe together, and then carries each out or puts it off until its step.
@@ -180,7 +181,7 @@ impl Worker {
             Order::Pause => self.pause(),
             Order::Reset(seed) => self.reset(seed),
             Order::Change(change) => match self.change(std::slice::from_ref(&change)) {
-                Ok(mut changed) => Ok(changed.remove(0).1),
+                Ok(mut changed) => Ok(Outcome::Changed(changed.remove(0).1)),
                 Err(OrderError::InBatch { error, .. }) => Err(*error),
                 Err(error) => Err(error),
             },
@@ -227,7 +228,10 @@ impl Worker {
     }
 
     /// Makes every change or none; a defect that shows on the way undoes them too.
-    fn change(&mut self, changes: &[Change]) -> Result<Vec<(ChangeKind, Outcome)>, OrderError> {
+    fn change(
+        &mut self,
+        changes: &[Change],
+    ) -> Result<Vec<(ChangeKind, ChangeOutcome)>, OrderError> {
         phase::next(&self.phase, Cue::Change)?;
         let before = self.simulation.save();
         let simulation = &mut self.simulation;
@@ -245,14 +249,14 @@ impl Worker {
                 Ok(outcomes)
             }
             Ok(Err((index, error))) => {
-                self.simulation.go_back(before);
+                self.simulation.rollback(before);
                 Err(OrderError::InBatch {
                     index,
-                    error: Box::new(error),
+                    error: Box::new(error.into()),
                 })
             }
             Err(_) => {
-                self.simulation.go_back(before);
+                self.simulation.rollback(before);
                 Err(OrderError::Panicked)
             }
         }
@@ -300,9 +304,9 @@ impl Worker {
             Order::Change(change) => self.simulation.check(change)?,
             Order::Batch(changes) => {
                 for (index, change) in changes.iter().enumerate() {
-                    let error = |error| OrderError::InBatch {
+                    let error = |error: ChangeError| OrderError::InBatch {
                         index,
-                        error: Box::new(error),
+                        error: Box::new(error.into()),
                     };
                     self.simulation.check(change).map_err(error)?;
                 }
@@ -415,7 +419,7 @@ impl Worker {
 
     fn reset(&mut self, seed: Option<u64>) -> Result<Outcome, OrderError> {
         let next = phase::next(&self.phase, Cue::Reset)?;
-        let fresh = self.simulation.fresh(seed)?;
+        let fresh = self.simulation.build_start(seed)?;
         // What is pending came this far; after the reset that could not be told any more.
         self.answer_pending(&next);
         self.cut_short(&next);

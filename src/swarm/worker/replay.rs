@@ -11,12 +11,13 @@ use crate::swarm::frame::{EventKind, Place};
 use crate::swarm::handle::{Command, Handle};
 use crate::swarm::history::Entry;
 use crate::swarm::journal::{Journal, Line, Record, WriteFault, Writer};
-use crate::swarm::order::{Admit, Order, Sender, When};
+use crate::swarm::order::{Order, Sender, When};
 use crate::swarm::outcome::Answer;
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{PauseReason, Phase};
-use crate::swarm::simulation::Simulation;
 use crate::swarm::worker::{End, Pending, Worker};
+use jostle_physics::simulation::ReserveMemory;
+use jostle_physics::simulation::Simulation;
 
 /// Events told between a checkpoint and a crash are told under the same numbers again only in
 /// part. Numbers go on from the next multiple of this, so that none is given twice.
@@ -183,7 +184,7 @@ impl Worker {
         past: Past,
         handle: &Handle,
         shortest_between_frames: Duration,
-        (writer, admit): (Writer, Admit),
+        (writer, admit): (Writer, ReserveMemory),
     ) -> (Self, Option<End>) {
         let Past {
             checkpoint,
@@ -199,7 +200,7 @@ impl Worker {
                 place: Place {
                     epoch: entry.epoch,
                     step: entry.step,
-                    time: entry.step as f64 * checkpoint.state.parameters.dt,
+                    time: entry.step as f64 * checkpoint.simulation.state.parameters.dt,
                     phase: Phase::Paused(PauseReason::Requested),
                     seq: entry.seq,
                 },
@@ -238,7 +239,7 @@ impl Worker {
         checkpoint: Checkpoint,
         handle: &Handle,
         shortest_between_frames: Duration,
-        (writer, admit): (Writer, Admit),
+        (writer, admit): (Writer, ReserveMemory),
     ) -> Self {
         let mut worker =
             Worker::from_kept(checkpoint, handle, shortest_between_frames, (writer, admit));
@@ -257,14 +258,14 @@ impl Worker {
         checkpoint: Checkpoint,
         handle: &Handle,
         shortest_between_frames: Duration,
-        (writer, admit): (Writer, Admit),
+        (writer, admit): (Writer, ReserveMemory),
     ) -> Self {
-        let simulation = Simulation::from_checkpoint(&checkpoint, admit);
+        let simulation = Simulation::from_checkpoint(&checkpoint.simulation, admit);
         let mut worker = Worker::around(
             simulation,
             handle,
             shortest_between_frames,
-            Journal::new(writer, checkpoint.lines, checkpoint.state.step),
+            Journal::new(writer, checkpoint.lines, checkpoint.simulation.state.step),
         );
         worker.phase = checkpoint.phase;
         worker.rate = checkpoint.rate;
@@ -282,8 +283,8 @@ impl Worker {
     /// # Errors
     ///
     /// [`WriteFault`]; the swarm goes on all the same.
-    pub fn resume(&mut self, admit: Admit) -> Result<(), WriteFault> {
-        self.simulation.admit_by(admit);
+    pub fn resume(&mut self, admit: ReserveMemory) -> Result<(), WriteFault> {
+        self.simulation.set_reserve(admit);
         let (before, epoch) = (self.at(), self.simulation.epoch + 1);
         self.simulation.epoch = epoch;
         self.set_pace();

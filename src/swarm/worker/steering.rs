@@ -7,8 +7,10 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::model::selection::{Candidates, Selection, select};
-use crate::swarm::control::{Departure, MOST_MISSES, Mode, News, OnTimeout, Put, SetPoints, Terms};
+use jostle_physics::model::selection::{Candidates, Selection, select};
+use jostle_physics::simulation::{ChangeError, SetPoints};
+
+use crate::swarm::control::{Departure, MOST_MISSES, Mode, News, OnTimeout, Put, Terms};
 use crate::swarm::frame::EventKind;
 use crate::swarm::history::Entry;
 use crate::swarm::order::{Order, Sender};
@@ -73,7 +75,8 @@ impl Worker {
             selection,
             state.seed,
             self.simulation.seq,
-        )?;
+        );
+        let chosen = chosen.map_err(ChangeError::from)?;
         Ok(chosen.into_iter().map(|k| free.id[k]).collect())
     }
 
@@ -122,7 +125,7 @@ impl Worker {
         if let Some(set) = set
             && let Err(error) = self.simulation.steer(set)
         {
-            return self.refuse_coupling(&coupling, &error, answer);
+            return self.refuse_coupling(&coupling, &error.into(), answer);
         }
         let Ok(member) = self.controllers.find(controller) else {
             unreachable!("it was found to have joined");
@@ -197,7 +200,7 @@ impl Worker {
             } => {
                 let steered = self
                     .check_claims(controller, set)
-                    .and_then(|()| self.simulation.steer(set));
+                    .and_then(|()| Ok(self.simulation.steer(set)?));
                 let member = self.controllers.find(controller)?;
                 member.count_put(*sequence, steered.is_ok());
                 if steered.is_ok() {

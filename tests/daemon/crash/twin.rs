@@ -3,14 +3,15 @@
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
+use jostle_physics::simulation::Change;
+use jostle_physics::simulation::Simulation;
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Phase, Request};
 use jostled::command::{self, create};
 use jostled::host::Limits;
 use jostled::store::Row;
 use jostled::swarm::journal::Record;
-use jostled::swarm::order::{Change, Order, Sender, Until};
-use jostled::swarm::simulation::Simulation;
+use jostled::swarm::order::{Order, Sender, Until};
 use jostled::wire::durable;
 use serde_json::value::RawValue;
 use serde_json::{Value, json};
@@ -61,7 +62,7 @@ impl Twin {
         let recipe = create::recipe(&args, limits).unwrap();
         Twin {
             name: name.to_owned(),
-            simulation: Simulation::new(recipe, Box::new(|_| Ok(()))).unwrap(),
+            simulation: Simulation::new(&recipe).unwrap(),
             moving: Moving::No,
             waiting: BTreeMap::new(),
             line: 0,
@@ -234,7 +235,7 @@ impl Twin {
             }
             Order::Pause => self.moving = Moving::No,
             Order::Reset(seed) => {
-                let fresh = self.simulation.fresh(seed).unwrap();
+                let fresh = self.simulation.build_start(seed).unwrap();
                 self.simulation.restart(fresh);
                 self.epoch += 1;
                 self.waiting.clear();
@@ -253,7 +254,7 @@ impl Twin {
             self.remember();
             return Some(self.simulation.seq);
         }
-        self.simulation.go_back(before);
+        self.simulation.rollback(before);
         None
     }
 
@@ -306,7 +307,7 @@ impl Twin {
         let hash = &status["result"]["state_hash"];
         assert_eq!(*hash, self.hash(), "{name} at step {step}, {moving:?}");
         // A crash may take it back to here once more.
-        self.simulation.go_back(before);
+        self.simulation.rollback(before);
         (self.moving, self.waiting, self.hashes) = (moving, waiting, hashes);
     }
 }

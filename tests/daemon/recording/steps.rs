@@ -3,12 +3,12 @@
 use std::path::Path;
 use std::time::{Duration, Instant};
 
+use jostle_physics::simulation::Simulation;
 use jostle_proto::State;
 use jostle_proto::verbs::CreateArgs;
 use jostle_results::recording::{self, About};
 use jostled::command::create;
 use jostled::host::Limits;
-use jostled::swarm::simulation::Simulation;
 use serde_json::{Value, json};
 
 use super::{assert_holds, folder_of, has, life, ok, run, standing, stop};
@@ -59,7 +59,7 @@ fn simulation(spec: &Value) -> Simulation {
         max_hz: 50,
     };
     let recipe = create::recipe(&args, limits).unwrap();
-    Simulation::new(recipe, Box::new(|_| Ok(()))).unwrap()
+    Simulation::new(&recipe).unwrap()
 }
 
 /// The hash that a recorded state has with all that a recording does not hold, which is the same.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use jostled::experiment::{Plan, PlanError};
+use jostle_experiment::{Plan, PlanError};
 
 /// A file is an experiment of runs with names of their own, whose swarms can begin, or the line
 /// that is wrong is named.
@@ -18,10 +18,10 @@ pub fn hold(data: &[u8]) {
             for run in plan.runs() {
                 let point = plan.point(run);
                 assert!(
-                    point.informed <= point.recipe.n && point.steps > 0,
+                    point.informed <= point.spec.n && point.steps > 0,
                     "{run:?}"
                 );
-                assert_eq!(plan.recipe(run).seed, run.seed);
+                assert_eq!(plan.spec(run).seed, run.seed);
             }
         }
         Err(PlanError::Field { line, reason }) => {

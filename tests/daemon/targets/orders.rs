@@ -1,10 +1,11 @@
 //! Requests as the daemon makes orders of them, or refuses them in words.
 
+use jostle_physics::simulation::{Change, Placement, Settings, Spec, Start};
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Error, ErrorCode, Request, keys};
 use jostled::command::{self, Command, CommandError, create};
 use jostled::host::Limits;
-use jostled::swarm::order::{Change, Order, Placement, Recipe, Settings, Start, Until};
+use jostled::swarm::order::{Order, Until};
 
 const LIMITS: Limits = Limits {
     max_individuals: 2000,
@@ -166,7 +167,7 @@ fn can_be_tried(change: &Change) {
     }
 }
 
-fn can_be_built(recipe: &Recipe) {
+fn can_be_built(recipe: &Spec) {
     assert!((1..=LIMITS.max_individuals).contains(&recipe.n));
     assert!(recipe.seed < 1 << 53 && recipe.publish_every > 0);
     if let Start::Given { x, y, alpha } = &recipe.start {

@@ -12,15 +12,14 @@ use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, OnceLock, Weak};
 use std::time::{Duration, Instant};
 
+use jostle_physics::model::Parameters;
+use jostle_physics::model::selection::Selection;
+use jostle_physics::simulation::{Change, Placement, Settings, Spec, Start};
 use jostled::host::{Created, Herald, Host, Limits};
-use jostled::model::Parameters;
-use jostled::model::selection::Selection;
 use jostled::swarm::frame::{EventKind, Frame, Place};
 use jostled::swarm::handle::{Command, Handle, Ticket};
 use jostled::swarm::journal::to_nowhere;
-use jostled::swarm::order::{
-    Awaited, Change, Order, Placement, Recipe, Sender, Settings, Start, Until, When,
-};
+use jostled::swarm::order::{Awaited, Order, Sender, Until, When};
 use jostled::swarm::outcome::{Answer, Answered, OrderError, Outcome};
 use jostled::swarm::phase::Phase;
 use jostled::swarm::waiters::Waiter;
@@ -223,8 +222,8 @@ fn settled(handle: &Handle, model: &Model) -> (Place, Arc<Frame>) {
 }
 
 /// A few in a row, apart enough that nobody is in anybody's way.
-fn recipe(n: usize) -> Recipe {
-    Recipe {
+fn recipe(n: usize) -> Spec {
+    Spec {
         n,
         parameters: Parameters::default(),
         seed: 1,

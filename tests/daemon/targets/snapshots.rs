@@ -1,9 +1,9 @@
 //! A snapshot, as `restore` reads it.
 
+use jostle_physics::stepper::Stepper;
 use jostle_proto::{Snapshot, to_cbor};
 use jostled::server::recovery::read_snapshot;
-use jostled::stepper::Stepper;
-use jostled::wire::{self, durable, sanity};
+use jostled::wire::{durable, sanity};
 
 /// Groups larger than this are not stepped here.
 const MAX_STEPPED: usize = 64;
@@ -18,10 +18,10 @@ pub fn hold(data: &[u8]) {
         return;
     };
     // Made-up bytes do not have the hashes that they name: they are given these.
-    let Ok((_, state)) = durable::state(&snapshot) else {
+    let Ok((_, state)) = jostle_convert::snapshot::state(&snapshot) else {
         return;
     };
-    snapshot.state_hash = wire::hexadecimal(&state.hash());
+    snapshot.state_hash = jostle_convert::hexadecimal(&state.hash());
     let sealed = snapshot.sealed();
     let checkpoint = match read_snapshot(&to_cbor(&sealed)) {
         Ok(checkpoint) => checkpoint,
@@ -33,7 +33,7 @@ pub fn hold(data: &[u8]) {
     let written = durable::snapshot(&sealed.swarm, &checkpoint);
     assert_eq!(written.state_hash, sealed.state_hash);
     assert!(read_snapshot(&to_cbor(&written.sealed())).is_ok());
-    let mut state = checkpoint.state;
+    let mut state = checkpoint.simulation.state;
     if state.configuration.n() <= MAX_STEPPED {
         let mut stepper = Stepper::new();
         let _ = (0..3).try_for_each(|_| stepper.step(&mut state).map(drop));

@@ -14,7 +14,7 @@
 
 use std::f64::consts::FRAC_PI_4;
 
-use crate::model::lanes::{Level, multiversion};
+use crate::model::simd::{Level, multiversion};
 
 /// Angles between two looks for any left to `libm`: few enough to be in the cache still.
 const BLOCK: usize = 64;

@@ -9,16 +9,16 @@ pub mod body;
 pub mod configuration;
 pub mod heading;
 pub mod injection;
-pub mod lanes;
 pub mod pairs;
 pub mod parameters;
 pub mod random;
 pub mod resize;
 pub mod selection;
+pub mod simd;
 pub mod start;
 pub mod state;
 pub mod threads;
 
 pub use configuration::{CELL, Configuration, Drive};
 pub use parameters::{Attraction, ContactRule, Parameters, ParametersError, Stepping};
-pub use state::{MODEL_VERSION, Remembered, SolverMemory, State};
+pub use state::{MODEL_VERSION, State, WarmContact, WarmStart};

@@ -1,6 +1,6 @@
 //! All pairs of points nearer than a distance, in a time that grows with their number alone.
 
-use super::lanes::{Lanes, Level, WIDTH, multiversion};
+use super::simd::{Lanes, Level, WIDTH, multiversion};
 
 /// Up to here comparing all with all is quicker than sorting into cells.
 const FEW: usize = 160;

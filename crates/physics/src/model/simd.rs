@@ -103,7 +103,7 @@ fn has_avx512() -> bool {
 ///         }
 ///     }
 /// }
-/// add(lanes::level(), &mut to, &from);
+/// add(simd::level(), &mut to, &from);
 /// ```
 ///
 /// Constant parameters may follow the name, `fn name<const N: usize>(level, …)`. Functions that
@@ -122,7 +122,7 @@ macro_rules! multiversion {
             reason = "a version is called only with a level, made only where it was detected"
         ))]
         $vis fn $name $(<$(const $g: $gt),+>)? (
-            level: $crate::model::lanes::Level, $($arg: $type),*
+            level: $crate::model::simd::Level, $($arg: $type),*
         ) $(-> $result)? {
             #[inline(always)]
             fn body $(<$(const $g: $gt),+>)? ($($arg: $type),*) $(-> $result)? $body
@@ -140,13 +140,13 @@ macro_rules! multiversion {
             }
 
             match level.width() {
-                $crate::model::lanes::Width::Baseline => body $(::<$($g),+>)? ($($arg),*),
+                $crate::model::simd::Width::Baseline => body $(::<$($g),+>)? ($($arg),*),
                 // SAFETY: a level is only made where its features were detected.
                 #[cfg(target_arch = "x86_64")]
-                $crate::model::lanes::Width::Avx2 => unsafe { avx2 $(::<$($g),+>)? ($($arg),*) },
+                $crate::model::simd::Width::Avx2 => unsafe { avx2 $(::<$($g),+>)? ($($arg),*) },
                 // SAFETY: as above.
                 #[cfg(target_arch = "x86_64")]
-                $crate::model::lanes::Width::Avx512 => unsafe {
+                $crate::model::simd::Width::Avx512 => unsafe {
                     avx512 $(::<$($g),+>)? ($($arg),*)
                 },
             }

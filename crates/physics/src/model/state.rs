@@ -7,7 +7,7 @@ pub const MODEL_VERSION: u32 = 2;
 
 /// A contact that pushed in the last step.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Remembered {
+pub struct WarmContact {
     /// Id of the pair's first individual.
     pub first: u32,
     /// Id of the pair's second individual, larger than the first.
@@ -23,9 +23,9 @@ pub struct Remembered {
 /// The next step guesses from it which contacts will push, and in which order to eliminate. Both
 /// decide the last bits of a step, so they belong to the state.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct SolverMemory {
+pub struct WarmStart {
     /// The contacts with a positive multiplier, ordered by (first, second, code).
-    pub contacts: Vec<Remembered>,
+    pub contacts: Vec<WarmContact>,
     /// The order in which individuals are eliminated, by index; empty before it is first needed.
     pub order: Vec<u32>,
     /// How many programs were solved in that order.
@@ -44,7 +44,7 @@ pub struct State {
     /// Where everybody is.
     pub configuration: Configuration,
     /// What the solver remembers.
-    pub memory: SolverMemory,
+    pub warm_start: WarmStart,
 }
 
 impl State {
@@ -58,7 +58,7 @@ impl State {
     ///
     /// BLAKE3 over little-endian bytes in this order: model version; `pi1, pi2, pi3, pi4, dt`,
     /// rules, attraction law; seed; step; origin; the next id; the columns id, x, y,
-    /// alpha, weight, direction, lapses; the solver's memory as columns first, second, code,
+    /// alpha, weight, direction, lapses; the solver's warm start as columns first, second, code,
     /// multiplier, then the order of elimination and its age. A column is its length as 64 bits,
     /// then its entries; an entry of "lapses" is a byte 0, or a byte 1 and the step. The rules are
     /// a byte with a bit each for `closest`, `velocity`, `relinearise`, noise, whose intensity
@@ -72,7 +72,7 @@ impl State {
             seed,
             step,
             configuration,
-            memory,
+            warm_start,
         } = self;
         let mut bytes = Bytes::default();
         bytes.put(MODEL_VERSION.to_le_bytes());
@@ -151,11 +151,11 @@ impl State {
                 bytes.put(value.unwrap_or_default().to_le_bytes());
             }
         }
-        let SolverMemory {
+        let WarmStart {
             contacts,
             order,
             order_age,
-        } = memory;
+        } = warm_start;
         bytes.column(contacts.iter().map(|contact| contact.first.to_le_bytes()));
         bytes.column(contacts.iter().map(|contact| contact.second.to_le_bytes()));
         bytes.column(contacts.iter().map(|contact| [contact.code]));
@@ -218,13 +218,13 @@ mod tests {
         configuration.push(1.0, 2.0, 3.0);
         configuration.push(4.0, 5.0, 6.0);
         configuration.inform(1, 0.5, 1.5, Some(77));
-        let contacts = vec![Remembered {
+        let contacts = vec![WarmContact {
             first: 0,
             second: 1,
             code: 4,
             multiplier: 0.25,
         }];
-        let memory = SolverMemory {
+        let warm_start = WarmStart {
             contacts,
             order: vec![1, 0],
             order_age: 6,
@@ -233,7 +233,7 @@ mod tests {
             seed: 8,
             step: 9,
             configuration,
-            memory,
+            warm_start,
             ..State::default()
         }
     }
@@ -320,12 +320,12 @@ mod tests {
                 let drive = Drive { turn: None, speed };
                 state.configuration.drives.insert(0, drive);
             },
-            |state| state.memory.contacts[0].first = 9,
-            |state| state.memory.contacts[0].second = 9,
-            |state| state.memory.contacts[0].code = 9,
-            |state| state.memory.contacts[0].multiplier = 9.0,
-            |state| state.memory.order[0] = 9,
-            |state| state.memory.order_age = 9,
+            |state| state.warm_start.contacts[0].first = 9,
+            |state| state.warm_start.contacts[0].second = 9,
+            |state| state.warm_start.contacts[0].code = 9,
+            |state| state.warm_start.contacts[0].multiplier = 9.0,
+            |state| state.warm_start.order[0] = 9,
+            |state| state.warm_start.order_age = 9,
         ];
         let mut hashes = vec![example().hash()];
         for (k, change) in changes.into_iter().enumerate() {

@@ -6,7 +6,7 @@ pub mod intervals;
 pub mod nematic;
 
 use crate::model::heading::unit_vectors;
-use crate::model::{Configuration, lanes};
+use crate::model::{Configuration, simd};
 
 /// The sum of the informed individuals' weighted unit vectors counts as cancelled below this
 /// share of the weights: its direction would be rounding.
@@ -34,21 +34,21 @@ pub struct Order {
 #[must_use]
 pub fn order(configuration: &Configuration) -> Order {
     let mut headings = Vec::new();
-    unit_vectors(lanes::level(), &configuration.alpha, &mut headings);
+    unit_vectors(simd::level(), &configuration.alpha, &mut headings);
     order_of(headings.into_iter(), wish(configuration))
 }
 
 /// What the informed individuals want together: the sum of their unit vectors, each times its
 /// individual's weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Wish {
+pub struct CommonDirection {
     sum: [f64; 2],
     strength: f64,
 }
 
 /// Sums what the informed individuals want; none if nobody is informed, or if it cancels.
 #[must_use]
-pub fn wish(configuration: &Configuration) -> Option<Wish> {
+pub fn wish(configuration: &Configuration) -> Option<CommonDirection> {
     let (mut sum, mut weights) = ([0.0, 0.0], 0.0);
     for (&weight, &direction) in configuration.weight.iter().zip(&configuration.direction) {
         if weight > 0.0 {
@@ -58,12 +58,15 @@ pub fn wish(configuration: &Configuration) -> Option<Wish> {
         }
     }
     let strength = length(sum);
-    (strength > CANCELLED * weights).then_some(Wish { sum, strength })
+    (strength > CANCELLED * weights).then_some(CommonDirection { sum, strength })
 }
 
 /// Measures order and drift of those whose headings are known as unit vectors.
 #[must_use]
-pub fn order_of(headings: impl ExactSizeIterator<Item = [f64; 2]>, wish: Option<Wish>) -> Order {
+pub fn order_of(
+    headings: impl ExactSizeIterator<Item = [f64; 2]>,
+    wish: Option<CommonDirection>,
+) -> Order {
     let share = 1.0 / headings.len().max(1) as f64;
     let sum = headings.fold([0.0, 0.0], |sum, [cos, sin]| [sum[0] + cos, sum[1] + sin]);
     let velocity = sum.map(|sum| sum * share);
@@ -71,9 +74,10 @@ pub fn order_of(headings: impl ExactSizeIterator<Item = [f64; 2]>, wish: Option<
         // Rounding must not lift it over what it can be.
         order: length(velocity).min(1.0),
         velocity,
-        direction: wish.map(|Wish { sum, .. }| libm::atan2(sum[1], sum[0])),
-        drift: wish
-            .map(|Wish { sum, strength }| (velocity[0] * sum[0] + velocity[1] * sum[1]) / strength),
+        direction: wish.map(|CommonDirection { sum, .. }| libm::atan2(sum[1], sum[0])),
+        drift: wish.map(|CommonDirection { sum, strength }| {
+            (velocity[0] * sum[0] + velocity[1] * sum[1]) / strength
+        }),
     }
 }
 

@@ -1,4 +1,8 @@
-//! One swarm's state and what commands make of it, without thread or clock.
+//! A swarm's state, the steps that advance it and the changes that are applied to it between steps,
+//! without thread or clock.
+
+pub mod change;
+pub mod error;
 
 use std::collections::BTreeSet;
 
@@ -12,84 +16,164 @@ use crate::model::{Drive, State};
 use crate::model::{injection, resize, start};
 use crate::observables::{self, Order, RunningMeans};
 use crate::stepper::{StepError, StepReport, Stepper};
-use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::control::SetPoints;
-use crate::swarm::frame::Exactness;
-use crate::swarm::order::{Admit, Change, ChangeKind, Placement, Recipe, Resize, Settings, Start};
-use crate::swarm::outcome::{OrderError, Outcome};
 
-/// A swarm's state, its stepper and the means kept over its steps.
-pub struct Simulation {
-    /// What it was made from; `reset` goes back to this.
-    pub recipe: Recipe,
-    /// The state: all that its future depends on.
+pub use change::{
+    Change, ChangeKind, Placement, Rate, ReserveMemory, Resize, SetPoints, Settings, Spec, Start,
+};
+pub use error::{ChangeError, ReserveError};
+
+/// How exact the last step was, and how much work it took.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Exactness {
+    /// The residual of its optimality conditions.
+    pub residual: f64,
+    /// How many steps since the start or reset missed the target residual.
+    pub degraded: u64,
+    /// The number of contacts of its program.
+    pub contacts: usize,
+    /// The number of iterations of the solver.
+    pub iterations: usize,
+}
+
+/// What a change did.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ChangeOutcome {
+    /// Parameters were set.
+    Set {
+        /// The parameters and `publish_every` before.
+        before: (Parameters, u64),
+        /// The parameters and `publish_every` now.
+        now: (Parameters, u64),
+        /// The factor by which positions were scaled, 1 if they were not.
+        scaled_by: f64,
+    },
+    /// Individuals were changed.
+    Ids {
+        /// Their ids, ascending.
+        ids: Vec<u32>,
+        /// The size of the group now.
+        n: usize,
+    },
+}
+
+/// A simulation at one step: two simulations with equal checkpoints have the same future.
+#[derive(Clone, Debug)]
+pub struct Checkpoint {
+    /// What the simulation was started from.
+    pub spec: Spec,
+    /// The state.
     pub state: State,
     /// Steps between two published states.
     pub publish_every: u64,
-    /// Grows whenever `step` does not continue what was shown before.
+    /// The number of the run: 1 at first, and one more after each reset.
     pub epoch: u64,
-    /// Counts the applied commands; draws are keyed by it.
+    /// The number of commands that were applied.
     pub seq: u64,
-    /// Means since the start or reset.
+    /// Means over the steps since the start or reset.
     pub means: RunningMeans,
     /// How exact the last step was.
     pub exactness: Exactness,
-    admit: Admit,
+}
+
+/// A swarm's state, its stepper and means over its steps.
+pub struct Simulation {
+    /// What it was started from; a reset returns to it.
+    pub spec: Spec,
+    /// The state, on which alone future steps depend.
+    pub state: State,
+    /// Steps between two published states.
+    pub publish_every: u64,
+    /// The number of the run: 1 at first, and one more after each reset.
+    pub epoch: u64,
+    /// The number of commands that were applied; random draws are keyed by it.
+    pub seq: u64,
+    /// Means over the steps since the start or reset.
+    pub means: RunningMeans,
+    /// How exact the last step was.
+    pub exactness: Exactness,
+    reserve: ReserveMemory,
     stepper: Stepper,
 }
 
-/// All that changes change, to go back to.
-pub struct Saved {
+/// What changes can alter, as it was when it was saved.
+pub struct Rollback {
     state: State,
     publish_every: u64,
     seq: u64,
 }
 
-/// A start to go back to.
-pub struct Fresh {
-    recipe: Recipe,
+/// A start that is built and not yet in force.
+pub struct Restart {
+    spec: Spec,
     state: State,
 }
 
 impl Simulation {
-    /// Builds the swarm that `recipe` describes; it grows as far as `admit` lets it.
+    /// Starts the simulation that `spec` describes. The group may grow without a limit.
     ///
     /// # Errors
     ///
-    /// [`OrderError::Parameters`] and [`OrderError::Start`].
-    pub fn new(recipe: Recipe, admit: Admit) -> Result<Self, OrderError> {
-        let state = begin(&recipe)?;
+    /// [`ChangeError::Parameters`] and [`ChangeError::Start`].
+    pub fn new(spec: &Spec) -> Result<Self, ChangeError> {
+        Self::with_reserve(spec.clone(), Box::new(|_| Ok(())))
+    }
+
+    /// As [`Self::new`], with a callback that is asked before the size of the group changes.
+    ///
+    /// # Errors
+    ///
+    /// [`ChangeError::Parameters`] and [`ChangeError::Start`].
+    pub fn with_reserve(spec: Spec, reserve: ReserveMemory) -> Result<Self, ChangeError> {
+        let state = begin(&spec)?;
         Ok(Simulation {
-            publish_every: recipe.publish_every,
-            recipe,
+            publish_every: spec.publish_every,
+            spec,
             state,
             epoch: 1,
             seq: 0,
             means: RunningMeans::default(),
             exactness: Exactness::default(),
-            admit,
+            reserve,
             stepper: Stepper::new(),
         })
     }
 
-    /// The swarm as it was at a checkpoint; it grows as far as `admit` lets it.
-    pub fn from_checkpoint(checkpoint: &Checkpoint, admit: Admit) -> Self {
+    /// Continues from a checkpoint, with a callback that is asked before the size of the group changes.
+    pub fn from_checkpoint(checkpoint: &Checkpoint, reserve: ReserveMemory) -> Self {
         Simulation {
-            recipe: checkpoint.recipe.clone(),
+            spec: checkpoint.spec.clone(),
             state: checkpoint.state.clone(),
             publish_every: checkpoint.publish_every,
             epoch: checkpoint.epoch,
             seq: checkpoint.seq,
             means: checkpoint.means,
             exactness: checkpoint.exactness,
-            admit,
+            reserve,
             stepper: Stepper::new(),
         }
     }
 
-    /// Grows from here on as far as this lets it.
-    pub fn admit_by(&mut self, admit: Admit) {
-        self.admit = admit;
+    /// The simulation as it is now.
+    pub fn checkpoint(&self) -> Checkpoint {
+        Checkpoint {
+            spec: self.spec.clone(),
+            state: self.state.clone(),
+            publish_every: self.publish_every,
+            epoch: self.epoch,
+            seq: self.seq,
+            means: self.means,
+            exactness: self.exactness,
+        }
+    }
+
+    /// BLAKE3 of the state. Two simulations of equal hash have the same future.
+    pub fn state_hash(&self) -> [u8; 32] {
+        self.state.hash()
+    }
+
+    /// Replaces the callback that is asked before the size of the group changes.
+    pub fn set_reserve(&mut self, reserve: ReserveMemory) {
+        self.reserve = reserve;
     }
 
     /// Takes one step.
@@ -110,39 +194,39 @@ impl Simulation {
         Ok(report)
     }
 
-    /// The start to go back to, with a new seed or the old one. Nothing has changed yet.
+    /// Builds the start again, with a new seed or the old one. The simulation stays as it is.
     ///
     /// # Errors
     ///
-    /// [`OrderError::Start`] when no start can be drawn with the new seed,
-    /// [`OrderError::NoMemory`] when the group has shrunk and others took its place.
-    pub fn fresh(&self, seed: Option<u64>) -> Result<Fresh, OrderError> {
-        let mut recipe = self.recipe.clone();
-        recipe.seed = seed.unwrap_or(recipe.seed);
-        (self.admit)(Resize::Return(recipe.n))?;
-        match begin(&recipe) {
-            Ok(state) => Ok(Fresh { recipe, state }),
+    /// [`ChangeError::Start`] if no start can be drawn with the new seed, [`ChangeError::Reserve`] if
+    /// the group has shrunk and its memory is in use.
+    pub fn build_start(&self, seed: Option<u64>) -> Result<Restart, ChangeError> {
+        let mut spec = self.spec.clone();
+        spec.seed = seed.unwrap_or(spec.seed);
+        (self.reserve)(Resize::Return(spec.n))?;
+        match begin(&spec) {
+            Ok(state) => Ok(Restart { spec, state }),
             Err(error) => {
-                (self.admit)(Resize::Return(self.n()))?;
+                (self.reserve)(Resize::Return(self.n()))?;
                 Err(error)
             }
         }
     }
 
-    /// Goes back to the start in a new epoch.
-    pub fn restart(&mut self, fresh: Fresh) {
-        self.publish_every = fresh.recipe.publish_every;
-        self.recipe = fresh.recipe;
-        self.state = fresh.state;
+    /// Returns to a start, in a new epoch.
+    pub fn restart(&mut self, start: Restart) {
+        self.publish_every = start.spec.publish_every;
+        self.spec = start.spec;
+        self.state = start.state;
         self.epoch += 1;
         self.means = RunningMeans::default();
         self.exactness = Exactness::default();
         self.stepper = Stepper::new();
     }
 
-    /// What changes change, as it is now.
-    pub fn save(&self) -> Saved {
-        Saved {
+    /// Saves what changes can alter.
+    pub fn save(&self) -> Rollback {
+        Rollback {
             state: self.state.clone(),
             publish_every: self.publish_every,
             seq: self.seq,
@@ -150,24 +234,24 @@ impl Simulation {
     }
 
     /// Undoes every change since it was saved.
-    pub fn go_back(&mut self, saved: Saved) {
+    pub fn rollback(&mut self, saved: Rollback) {
         self.state = saved.state;
         self.publish_every = saved.publish_every;
         self.seq = saved.seq;
-        // Shrinking is always let, and what it had before it was let have.
-        let _ = (self.admit)(Resize::Return(self.n()));
+        // The callback admits a size that it admitted before.
+        let _ = (self.reserve)(Resize::Return(self.n()));
     }
 
-    /// Makes every change in turn, each under a number of its own: the first under the present
-    /// one. Tells which change was not possible; those before it have been made then.
+    /// Applies every change in turn, each with a `seq` of its own, the first with the present one.
     ///
     /// # Errors
     ///
-    /// [`OrderError`] and the index of the change.
+    /// The index of the change that was rejected and why. The changes before it have been applied:
+    /// undo them with [`Self::rollback`].
     pub fn apply_all(
         &mut self,
         changes: &[Change],
-    ) -> Result<Vec<(ChangeKind, Outcome)>, (usize, OrderError)> {
+    ) -> Result<Vec<(ChangeKind, ChangeOutcome)>, (usize, ChangeError)> {
         let mut outcomes = Vec::with_capacity(changes.len());
         for (index, change) in changes.iter().enumerate() {
             self.seq += u64::from(index > 0);
@@ -177,12 +261,12 @@ impl Simulation {
         Ok(outcomes)
     }
 
-    /// Refuses a change that could not be made as things are because of a number in it.
+    /// Checks the numbers of a change against the present state, without applying it.
     ///
     /// # Errors
     ///
-    /// [`OrderError::Parameters`].
-    pub fn check(&self, change: &Change) -> Result<(), OrderError> {
+    /// [`ChangeError::Parameters`].
+    pub fn check(&self, change: &Change) -> Result<(), ChangeError> {
         match change {
             Change::Set(settings) => self.with(settings).map(drop),
             Change::Inform {
@@ -198,8 +282,12 @@ impl Simulation {
         }
     }
 
-    /// Changes parameters or the group.
-    fn apply(&mut self, change: &Change) -> Result<Outcome, OrderError> {
+    /// Applies one change.
+    ///
+    /// # Errors
+    ///
+    /// [`ChangeError`]; the simulation is then as it was before.
+    pub fn apply(&mut self, change: &Change) -> Result<ChangeOutcome, ChangeError> {
         match change {
             Change::Set(settings) => self.set(settings),
             Change::Inform {
@@ -213,7 +301,7 @@ impl Simulation {
                 for &individual in &chosen {
                     self.state.configuration.uninform(individual);
                 }
-                Ok(self.ids(&chosen))
+                Ok(self.changed(&chosen))
             }
             Change::Inject { place, informed } => self.inject(place, *informed),
             Change::Remove(selection) => self.remove(selection),
@@ -226,20 +314,20 @@ impl Simulation {
     }
 
     /// The parameters with these settings, checked.
-    fn with(&self, settings: &Settings) -> Result<Parameters, OrderError> {
+    fn with(&self, settings: &Settings) -> Result<Parameters, ChangeError> {
         let parameters = settings.of(self.state.parameters);
         parameters.check(self.state.configuration.largest_weight())?;
         Ok(parameters)
     }
 
-    fn set(&mut self, settings: &Settings) -> Result<Outcome, OrderError> {
+    fn set(&mut self, settings: &Settings) -> Result<ChangeOutcome, ChangeError> {
         let before = (self.state.parameters, self.publish_every);
         let parameters = self.with(settings)?;
         let may_cross = |parameters: &Parameters| parameters.contacts == ContactRule::Closest;
         if may_cross(&before.0) && !may_cross(&parameters) {
             let pairs = gaps(&before.0, &self.state.configuration).crossed;
             if pairs > 0 {
-                return Err(OrderError::StillCrossed { pairs });
+                return Err(ChangeError::AxesCross { pairs });
             }
         }
         let mut scaled_by = 1.0;
@@ -248,7 +336,7 @@ impl Simulation {
         }
         self.state.parameters = parameters;
         self.publish_every = settings.publish_every.unwrap_or(before.1);
-        Ok(Outcome::Set {
+        Ok(ChangeOutcome::Set {
             before,
             now: (parameters, self.publish_every),
             scaled_by,
@@ -261,7 +349,7 @@ impl Simulation {
         direction: f64,
         weight: Option<f64>,
         for_time: Option<f64>,
-    ) -> Result<Outcome, OrderError> {
+    ) -> Result<ChangeOutcome, ChangeError> {
         let (weight, direction) = self.preference(direction, weight)?;
         let lapses_at =
             for_time.map(|time| self.state.step.saturating_add(steps_in(time, self.dt())));
@@ -270,15 +358,15 @@ impl Simulation {
             let configuration = &mut self.state.configuration;
             configuration.inform(individual, weight, direction, lapses_at);
         }
-        Ok(self.ids(&chosen))
+        Ok(self.changed(&chosen))
     }
 
-    /// Gives individuals the directions and weights that a controller wants: all of them or none.
+    /// Sets directions, weights and drives of individuals: of all of them or of none.
     ///
     /// # Errors
     ///
-    /// [`OrderError::Selection`] for one that is not there, [`OrderError::Parameters`].
-    pub fn steer(&mut self, set: &SetPoints) -> Result<(), OrderError> {
+    /// [`ChangeError::Selection`] for an unknown id, [`ChangeError::Parameters`].
+    pub fn steer(&mut self, set: &SetPoints) -> Result<(), ChangeError> {
         let SetPoints {
             ids,
             direction,
@@ -323,7 +411,7 @@ impl Simulation {
         Ok(())
     }
 
-    /// Uninforms those of these that are there, and drives them no more.
+    /// Makes those of these individuals that exist uninformed, and removes their drives.
     pub fn release(&mut self, ids: &BTreeSet<u32>) {
         let configuration = &mut self.state.configuration;
         for id in ids {
@@ -338,7 +426,7 @@ impl Simulation {
         &mut self,
         place: &Placement,
         informed: Option<(f64, Option<f64>)>,
-    ) -> Result<Outcome, OrderError> {
+    ) -> Result<ChangeOutcome, ChangeError> {
         let (weight, direction) = match informed {
             Some((direction, weight)) => self.preference(direction, weight)?,
             None => (0.0, 0.0),
@@ -348,7 +436,7 @@ impl Simulation {
             Placement::Border(count) | Placement::Within(count, _) => *count,
         };
         let before = self.n();
-        (self.admit)(Resize::Grow(before.saturating_add(count)))?;
+        (self.reserve)(Resize::Grow(before.saturating_add(count)))?;
         let draw = injection::Draw {
             seed: self.state.seed,
             seq: self.seq,
@@ -374,32 +462,30 @@ impl Simulation {
         let ids = match placed {
             Ok(ids) => ids,
             Err(error) => {
-                // What was set aside for them is not needed.
-                (self.admit)(Resize::Return(before))?;
+                // Return the memory that was reserved for them.
+                (self.reserve)(Resize::Return(before))?;
                 return Err(error.into());
             }
         };
-        Ok(Outcome::Ids(ids, self.n()))
+        Ok(ChangeOutcome::Ids { ids, n: self.n() })
     }
 
-    fn remove(&mut self, selection: &Selection) -> Result<Outcome, OrderError> {
+    fn remove(&mut self, selection: &Selection) -> Result<ChangeOutcome, ChangeError> {
         let chosen = self.choose(Candidates::All, selection)?;
         if chosen.len() == self.n() {
-            return Err(OrderError::NobodyLeft(chosen.len()));
+            return Err(ChangeError::NoneLeft(chosen.len()));
         }
-        let Outcome::Ids(ids, _) = self.ids(&chosen) else {
-            unreachable!("ids are ids");
-        };
+        let ids = self.ids(&chosen);
         self.state.configuration.remove(&chosen);
-        (self.admit)(Resize::Return(self.n()))?;
-        Ok(Outcome::Ids(ids, self.n()))
+        (self.reserve)(Resize::Return(self.n()))?;
+        Ok(ChangeOutcome::Ids { ids, n: self.n() })
     }
 
     fn choose(
         &self,
         candidates: Candidates,
         selection: &Selection,
-    ) -> Result<Vec<usize>, OrderError> {
+    ) -> Result<Vec<usize>, ChangeError> {
         Ok(select(
             &self.state.configuration,
             candidates,
@@ -409,8 +495,8 @@ impl Simulation {
         )?)
     }
 
-    /// The weight and direction an individual is to be informed with.
-    fn preference(&self, direction: f64, weight: Option<f64>) -> Result<(f64, f64), OrderError> {
+    /// The weight and direction of an individual that is to be informed, checked.
+    fn preference(&self, direction: f64, weight: Option<f64>) -> Result<(f64, f64), ChangeError> {
         let parameters = &self.state.parameters;
         let weight = weight.unwrap_or(parameters.pi2);
         check_coordinate("direction", direction)?;
@@ -420,10 +506,16 @@ impl Simulation {
         Ok((weight, direction))
     }
 
-    fn ids(&self, chosen: &[usize]) -> Outcome {
+    fn ids(&self, chosen: &[usize]) -> Vec<u32> {
         let configuration = &self.state.configuration;
-        let ids = chosen.iter().map(|&i| configuration.id[i]).collect();
-        Outcome::Ids(ids, configuration.n())
+        chosen.iter().map(|&i| configuration.id[i]).collect()
+    }
+
+    fn changed(&self, chosen: &[usize]) -> ChangeOutcome {
+        ChangeOutcome::Ids {
+            ids: self.ids(chosen),
+            n: self.n(),
+        }
     }
 
     fn n(&self) -> usize {
@@ -435,31 +527,31 @@ impl Simulation {
     }
 }
 
-/// The first state of a recipe.
+/// The first state of a spec.
 ///
 /// # Errors
 ///
-/// [`OrderError::Parameters`] and [`OrderError::Start`].
-pub fn begin(recipe: &Recipe) -> Result<State, OrderError> {
-    recipe.parameters.check(0.0)?;
-    let configuration: Configuration = match &recipe.start {
-        Start::Disc(radius) => start::disc(&recipe.parameters, recipe.n, *radius, recipe.seed)?,
-        Start::Given { x, y, alpha } => start::given(&recipe.parameters, x, y, alpha)?,
+/// [`ChangeError::Parameters`] and [`ChangeError::Start`].
+pub fn begin(spec: &Spec) -> Result<State, ChangeError> {
+    spec.parameters.check(0.0)?;
+    let configuration: Configuration = match &spec.start {
+        Start::Disc(radius) => start::disc(&spec.parameters, spec.n, *radius, spec.seed)?,
+        Start::Given { x, y, alpha } => start::given(&spec.parameters, x, y, alpha)?,
     };
     Ok(State {
-        parameters: recipe.parameters,
-        seed: recipe.seed,
+        parameters: spec.parameters,
+        seed: spec.seed,
         configuration,
         ..State::default()
     })
 }
 
-/// More steps than any swarm takes, and every whole number up to it is a double.
-const MOST_STEPS: u64 = 1 << 53;
+/// More steps than a simulation takes. Doubles represent every whole number up to it.
+const MAX_STEPS: u64 = 1 << 53;
 
 /// The first whole number of steps that lasts at least `time`, at most 2^53.
 ///
-/// A quotient that is whole but for rounding is taken as whole: 0.06 in steps of 0.02 is 3.
+/// A quotient that is whole except for rounding counts as whole: 0.06 in steps of 0.02 is 3.
 pub fn steps_in(time: f64, dt: f64) -> u64 {
     const ROUNDING: f64 = 1e-9;
     let steps = (time / dt) * (1.0 - ROUNDING);
@@ -469,5 +561,5 @@ pub fn steps_in(time: f64, dt: f64) -> u64 {
         reason = "a float becomes the nearest integer that fits"
     )]
     let steps = steps.ceil() as u64;
-    steps.min(MOST_STEPS)
+    steps.min(MAX_STEPS)
 }

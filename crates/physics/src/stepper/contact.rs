@@ -1,8 +1,8 @@
 //! Contacts: where two bodies could touch during a step, and how their gap changes.
 
 use super::StepError;
-use super::ends::{self, Axis, End, LANES, Pairs, cross, dot};
-use crate::model::lanes::Level;
+use super::end_contacts::{self, Axis, End, LANES, Pairs, cross, dot};
+use crate::model::simd::Level;
 use crate::model::{Configuration, ContactRule, Parameters};
 
 /// One end of a body near another body.
@@ -92,7 +92,7 @@ pub fn find(
             *signs = lanes.signs(level, h);
         }
         for (&(i, j), &signs) in pairs.iter().zip(signs.as_flattened()) {
-            if ends::crossed(signs) {
+            if end_contacts::crossed(signs) {
                 if parameters.contacts != ContactRule::Closest {
                     let [first, second] = [i, j].map(|index| configuration.id[index as usize]);
                     return Err(StepError::CrossedBodies { first, second });
@@ -100,7 +100,7 @@ pub fn find(
                 crossed += 1;
             }
             let of_the_pair = contacts.len();
-            let mut codes = ends::codes(h, signs, with_implied);
+            let mut codes = end_contacts::codes(h, signs, with_implied);
             while codes != 0 {
                 #[expect(clippy::cast_possible_truncation, reason = "codes are below 8")]
                 let code = codes.trailing_zeros() as u8;

@@ -1,9 +1,9 @@
 //! Where the ends of two bodies are nearest to each other's axes, for many pairs side by side.
 
-use crate::model::lanes::{self, Lanes, Level, multiversion};
+use crate::model::simd::{self, Lanes, Level, multiversion};
 
 /// How many pairs are looked at side by side.
-pub const LANES: usize = lanes::WIDTH;
+pub const LANES: usize = simd::WIDTH;
 
 /// Pairs of axes, the second seen from the first.
 #[derive(Default)]

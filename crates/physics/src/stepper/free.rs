@@ -1,9 +1,9 @@
 //! What every individual would do alone in one step.
 
-use crate::model::attraction::Social;
+use crate::model::attraction::AttractionWorkspace;
 use crate::model::heading::unit_vectors;
-use crate::model::lanes::Level;
 use crate::model::random::{Purpose, Stream};
+use crate::model::simd::Level;
 use crate::model::{Configuration, Drive, Parameters, State};
 
 /// Free motion of all individuals.
@@ -15,7 +15,7 @@ pub struct Free {
     pub heading: Vec<[f64; 2]>,
     /// Displacement in x, y and angle, where [`Free::compute`] was asked for it.
     pub displacement: Vec<[f64; 3]>,
-    social: Social,
+    social: AttractionWorkspace,
     pull: Vec<[f64; 2]>,
     /// Unit vectors along the preferred directions, if any individual has one.
     own: Vec<[f64; 2]>,
@@ -30,7 +30,7 @@ impl Free {
         let mut pull = std::mem::take(&mut self.pull);
         self.social
             .compute(parameters.attraction, configuration, &mut pull);
-        self.head(configuration);
+        self.compute_headings(configuration);
         let mut displacement = std::mem::take(&mut self.displacement);
         self.steer(parameters, configuration, &pull, &mut displacement);
         self.displacement = displacement;
@@ -38,12 +38,12 @@ impl Free {
     }
 
     /// Computes headings.
-    pub fn head(&mut self, configuration: &Configuration) {
+    pub fn compute_headings(&mut self, configuration: &Configuration) {
         unit_vectors(self.level, &configuration.alpha, &mut self.heading);
     }
 
     /// Computes free displacements into `displacement`, from the headings and from `pull`, which
-    /// [`Social::compute`] gives.
+    /// [`AttractionWorkspace::compute`] gives.
     pub fn steer(
         &mut self,
         parameters: &Parameters,
@@ -106,7 +106,7 @@ pub fn drive(
 /// Adds white noise of intensity `D_α` to the turns: `√(2 D_α dt) ξ`, ξ standard normal.
 ///
 /// Every draw is named by seed, step and individual, so no order and no restart changes one.
-pub fn shake(state: &State, displacement: &mut [[f64; 3]]) {
+pub fn add_noise(state: &State, displacement: &mut [[f64; 3]]) {
     let Parameters { noise, dt, .. } = state.parameters;
     if noise == 0.0 {
         return;
@@ -184,7 +184,7 @@ mod tests {
         });
         let turns = |state: &State| {
             let mut displacement = vec![[0.0; 3]; state.configuration.n()];
-            shake(state, &mut displacement);
+            add_noise(state, &mut displacement);
             displacement
                 .iter()
                 .map(|moved| moved[2])

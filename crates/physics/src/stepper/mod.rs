@@ -6,20 +6,20 @@
 //! saves time.
 
 pub mod contact;
-mod ends;
+mod end_contacts;
 pub mod free;
-mod memory;
 mod neighbours;
 pub mod qp;
 pub mod solve;
+mod warm_start;
 
 use thiserror::Error;
 
-use crate::model::attraction::Social;
+use crate::model::attraction::AttractionWorkspace;
 use crate::model::heading::unit_vector;
-use crate::model::lanes::Level;
+use crate::model::simd::Level;
 use crate::model::threads::Pool;
-use crate::model::{CELL, Configuration, ContactRule, Parameters, SolverMemory, State, Stepping};
+use crate::model::{CELL, Configuration, ContactRule, Parameters, State, Stepping, WarmStart};
 use contact::Contact;
 use neighbours::Neighbours;
 use qp::Qp;
@@ -31,12 +31,12 @@ const MOST_LISTS: usize = 20;
 /// What a bound on a distance leaves for rounding, at the largest coordinates and angles.
 const ROUNDING: f64 = 1e-6;
 
-/// Advances states, and keeps its memory between steps.
+/// Advances states, and keeps its buffers between steps.
 #[derive(Debug, Default)]
 pub struct Stepper {
     level: Level,
     backend: solve::Backend,
-    social: Social,
+    social: AttractionWorkspace,
     pull: Vec<[f64; 2]>,
     free: free::Free,
     neighbours: Neighbours,
@@ -59,7 +59,7 @@ pub struct Stepper {
     predicted: Configuration,
     /// The headings of the configuration that the program not at hand is about.
     other_headings: Vec<[f64; 2]>,
-    between: SolverMemory,
+    between: WarmStart,
 }
 
 /// What a step was like.
@@ -76,7 +76,7 @@ pub struct StepReport {
     /// How many linear systems were factored, inside Clarabel too.
     pub iterations: usize,
     /// How often Clarabel was asked.
-    pub referee: usize,
+    pub fallback: usize,
     /// The least gap of any pair as the step began; none where all were out of reach.
     pub least_gap: Option<f64>,
     /// How many pairs crossed as the step began; under `endpoints` none.
@@ -171,7 +171,7 @@ impl Stepper {
 
     /// Advances `state` by one step, the attraction being known.
     ///
-    /// - Shapes: n individuals and n vectors of `pull`, which [`Social::compute`] gives.
+    /// - Shapes: n individuals and n vectors of `pull`, which [`AttractionWorkspace::compute`] gives.
     ///
     /// # Errors
     ///
@@ -191,12 +191,12 @@ impl Stepper {
         if state.parameters.relinearise {
             self.relinearise(state, &mut report)?;
         }
-        memory::remember(
+        warm_start::store(
             &state.configuration.id,
             &self.qp.contacts,
             &self.solution.multipliers,
             self.solver.exact.order(),
-            &mut state.memory,
+            &mut state.warm_start,
         );
         displace(&mut state.configuration, &self.solution.displacement);
         state.step += 1;
@@ -207,7 +207,7 @@ impl Stepper {
     /// Assembles the program of one step, the attraction being known, and guesses its
     /// multipliers: [`Stepper::program`] then has both.
     ///
-    /// - Shapes: n individuals and n vectors of `pull`, which [`Social::compute`] gives.
+    /// - Shapes: n individuals and n vectors of `pull`, which [`AttractionWorkspace::compute`] gives.
     ///
     /// # Errors
     ///
@@ -216,22 +216,22 @@ impl Stepper {
         let State {
             parameters,
             configuration,
-            memory,
+            warm_start,
             ..
         } = state;
         let Configuration { x, y, alpha, .. } = configuration;
         let poses = x.iter().zip(y).zip(alpha);
         all_finite(configuration, poses.map(|((x, y), alpha)| x + y + alpha))?;
-        self.free.head(configuration);
+        self.free.compute_headings(configuration);
         let free = &mut self.qp.free;
         self.free.steer(parameters, configuration, pull, free);
         free::drive(parameters, configuration, free);
-        free::shake(state, free);
+        free::add_noise(state, free);
         self.qp.weights = [1.0, 1.0, parameters.rho2()];
         self.carried.clear();
         self.list(parameters, configuration)?;
-        memory::recall(
-            memory,
+        warm_start::load(
+            warm_start,
             &configuration.id,
             &self.qp.contacts,
             &mut self.guess,
@@ -280,18 +280,18 @@ impl Stepper {
         } = state;
         let id = &configuration.id;
         let (multipliers, order) = (&self.solution.multipliers, self.solver.exact.order());
-        memory::remember(id, &self.qp.contacts, multipliers, order, &mut self.between);
+        warm_start::store(id, &self.qp.contacts, multipliers, order, &mut self.between);
         let mut predicted = std::mem::take(&mut self.predicted);
         predicted.clone_from(configuration);
         self.carried.clone_from(&self.solution.displacement);
         displace_all(&mut predicted, &self.carried);
         std::mem::swap(&mut self.free.heading, &mut self.other_headings);
-        self.free.head(&predicted);
+        self.free.compute_headings(&predicted);
         let result = self.list(parameters, &predicted).and_then(|()| {
             for contact in &mut self.qp.contacts {
                 contact.gap -= contact.closing(&self.carried);
             }
-            memory::recall(&self.between, id, &self.qp.contacts, &mut self.guess);
+            warm_start::load(&self.between, id, &self.qp.contacts, &mut self.guess);
             self.solve(state, &predicted, report)
         });
         self.predicted = predicted;
@@ -326,10 +326,14 @@ impl Stepper {
         report: &mut StepReport,
     ) -> Result<(), StepError> {
         let State {
-            parameters, memory, ..
+            parameters,
+            warm_start,
+            ..
         } = state;
         if self.carried.is_empty() {
-            self.solver.exact.recall(&memory.order, memory.order_age);
+            self.solver
+                .exact
+                .recall(&warm_start.order, warm_start.order_age);
         }
         for _ in 0..MOST_LISTS {
             let hints = solve::Hints {
@@ -341,7 +345,7 @@ impl Stepper {
             solve::solve(self.backend, &self.qp, &hints, solver, solution);
             let solution = &self.solution;
             report.iterations += solution.iterations;
-            report.referee += solution.referee;
+            report.fallback += solution.fallback;
             if solution.residual.is_nan() || solution.residual > solve::ACCEPTABLE {
                 return Err(StepError::NotSolved {
                     residual: solution.residual,
@@ -483,7 +487,7 @@ impl Stepper {
         for &(i, j) in self.neighbours.pairs() {
             let ((from, heading_i), (to, heading_j)) = (after(i), after(j));
             let offset = [to[0] - from[0], to[1] - from[1]];
-            if ends::axes_cross(h, offset, heading_i, heading_j) {
+            if end_contacts::axes_cross(h, offset, heading_i, heading_j) {
                 let [first, second] = [i, j].map(|index| configuration.id[index as usize]);
                 return Err(StepError::CrossedBodies { first, second });
             }
@@ -610,12 +614,12 @@ mod tests {
         let report = Stepper::new().step(&mut state).unwrap();
         assert_eq!(
             (state.step, report.active),
-            (1, state.memory.contacts.len())
+            (1, state.warm_start.contacts.len())
         );
         assert!(report.active > 0 && report.contacts >= report.active && report.iterations > 0);
         assert!(
             state
-                .memory
+                .warm_start
                 .contacts
                 .iter()
                 .all(|contact| contact.multiplier > 0.0)

@@ -1,7 +1,7 @@
 //! Which pairs could touch, listed once for many steps.
 
 use super::contact::Axes;
-use super::ends::{self, Pairs};
+use super::end_contacts::{self, Pairs};
 use crate::model::body::Body;
 use crate::model::pairs::{PairSearch, order};
 use crate::model::{Configuration, Parameters};
@@ -80,15 +80,15 @@ impl Neighbours {
                 lanes.set(lane, &all.at(i), &all.at(j), axes);
             }
             let signs = near.iter().zip(lanes.signs(level, body.half_length));
-            let listed = signs.filter(|&(_, signs)| ends::within(signs));
+            let listed = signs.filter(|&(_, signs)| end_contacts::within(signs));
             pairs.extend(listed.map(|(&pair, _)| pair));
         };
         // Pairs near enough by their centres are looked at as soon as lanes are full.
-        let (mut near, mut count) = ([(0, 0); ends::LANES], 0);
+        let (mut near, mut count) = ([(0, 0); end_contacts::LANES], 0);
         self.search.visit(x, y, centres, |i, j| {
             near[count] = (i, j);
             count += 1;
-            if count == ends::LANES {
+            if count == end_contacts::LANES {
                 keep(&near);
                 count = 0;
             }
@@ -152,8 +152,8 @@ mod tests {
     use super::*;
     use crate::model::body::near_pairs;
     use crate::model::heading::unit_vectors;
-    use crate::model::lanes::Level;
     use crate::model::random::{Purpose, Stream};
+    use crate::model::simd::Level;
     use crate::model::start;
 
     /// Asks as a step does, and tells whether the list was made anew.

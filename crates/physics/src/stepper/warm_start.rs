@@ -3,7 +3,7 @@
 use std::ops::Range;
 
 use super::contact::Contact;
-use crate::model::{Remembered, SolverMemory};
+use crate::model::{WarmContact, WarmStart};
 
 /// How many contacts a pair can have: one for each code.
 const MOST_OF_A_PAIR: usize = 8;
@@ -12,12 +12,12 @@ const MOST_OF_A_PAIR: usize = 8;
 ///
 /// A contact not seen before, of a pair that was in contact, inherits from one of the pair's
 /// contacts that shares an end and is gone: the contact has passed from a side to a cap.
-pub fn recall(memory: &SolverMemory, id: &[u32], contacts: &[Contact], guess: &mut Vec<f64>) {
+pub fn load(warm_start: &WarmStart, id: &[u32], contacts: &[Contact], guess: &mut Vec<f64>) {
     guess.clear();
     guess.resize(contacts.len(), 0.0);
-    let old = &memory.contacts[..];
+    let old = &warm_start.contacts[..];
     let pair_of = |contact: &Contact| named(id[contact.i as usize], id[contact.j as usize]);
-    let pair_then = |old: &Remembered| named(old.first, old.second);
+    let pair_then = |old: &WarmContact| named(old.first, old.second);
     // Both lists are ordered by pair and code, ids being ordered as indices are.
     let (mut k, mut index) = (0, 0);
     while k < old.len() {
@@ -43,22 +43,22 @@ pub fn recall(memory: &SolverMemory, id: &[u32], contacts: &[Contact], guess: &m
 }
 
 /// Writes down the contacts that push, and the order of elimination with its age.
-pub fn remember(
+pub fn store(
     id: &[u32],
     contacts: &[Contact],
     multipliers: &[f64],
     (order, age): (&[u32], u32),
-    memory: &mut SolverMemory,
+    warm_start: &mut WarmStart,
 ) {
-    if memory.order != order {
-        memory.order.clear();
-        memory.order.extend_from_slice(order);
+    if warm_start.order != order {
+        warm_start.order.clear();
+        warm_start.order.extend_from_slice(order);
     }
-    memory.order_age = age;
-    memory.contacts.clear();
+    warm_start.order_age = age;
+    warm_start.contacts.clear();
     for (contact, &multiplier) in contacts.iter().zip(multipliers) {
         if multiplier > 0.0 {
-            memory.contacts.push(Remembered {
+            warm_start.contacts.push(WarmContact {
                 first: id[contact.i as usize],
                 second: id[contact.j as usize],
                 code: contact.code,
@@ -84,7 +84,7 @@ fn named(first: u32, second: u32) -> u64 {
 }
 
 /// Hands what a pair's contacts had on to those it has.
-fn inherit(known: &[Remembered], contacts: &[Contact], guess: &mut [f64]) {
+fn inherit(known: &[WarmContact], contacts: &[Contact], guess: &mut [f64]) {
     // Bit k: contact k of the last step has been handed on.
     let (mut taken, mut k) = (0u32, 0);
     for (contact, guess) in contacts.iter().zip(&mut *guess) {
@@ -100,7 +100,7 @@ fn inherit(known: &[Remembered], contacts: &[Contact], guess: &mut [f64]) {
         return;
     }
     for (contact, guess) in contacts.iter().zip(guess) {
-        let shares_end = |old: &Remembered| ends(old.code) & ends(contact.code) != 0;
+        let shares_end = |old: &WarmContact| ends(old.code) & ends(contact.code) != 0;
         let fits = |&k: &usize| taken & 1 << k == 0 && shares_end(&known[k]);
         if *guess == 0.0
             && let Some(k) = (0..known.len()).find(fits)
@@ -133,7 +133,7 @@ mod tests {
             normal: [1.0, 0.0],
             lever: [0.0; 2],
         };
-        let old = |first, second, code, multiplier| Remembered {
+        let old = |first, second, code, multiplier| WarmContact {
             first,
             second,
             code,
@@ -147,9 +147,9 @@ mod tests {
             old(20, 30, 0, 4.0),
             old(30, 40, 0, 5.0),
         ];
-        let memory = SolverMemory {
+        let warm_start = WarmStart {
             contacts,
-            ..SolverMemory::default()
+            ..WarmStart::default()
         };
         let now = [
             contact(0, 1, 1),
@@ -159,7 +159,7 @@ mod tests {
             contact(1, 2, 4),
         ];
         let mut guess = Vec::new();
-        recall(&memory, &[10, 30, 40], &now, &mut guess);
+        load(&warm_start, &[10, 30, 40], &now, &mut guess);
         // 5 is head with tail: it inherits from 3, the tail on a side; 4 is head with head: from
         // 0; 2, the other's head on a side, has no end in common with what was there.
         assert_eq!(guess, [2.0, 3.0, 0.0, 0.0, 5.0]);

@@ -3,8 +3,8 @@
 
 use std::f64::consts::PI;
 
-use jostled::model::{Parameters, State, start};
-use jostled::stepper::{StepError, Stepper, solve};
+use jostle_physics::model::{Parameters, State, start};
+use jostle_physics::stepper::{StepError, Stepper, solve};
 
 use crate::exact::Tally;
 use crate::with;

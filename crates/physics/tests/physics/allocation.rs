@@ -1,7 +1,7 @@
 //! A step like one that has been taken before takes no more memory.
 
-use jostled::model::Parameters;
-use jostled::stepper::Stepper;
+use jostle_physics::model::Parameters;
+use jostle_physics::stepper::Stepper;
 
 use crate::{advance, drawn};
 
@@ -20,7 +20,7 @@ fn a_warm_step_allocates_nothing() {
         for warm in [false, true] {
             state.step = start.step;
             state.configuration.clone_from(&start.configuration);
-            let (memory, before) = (&mut state.memory, &start.memory);
+            let (memory, before) = (&mut state.warm_start, &start.warm_start);
             memory.contacts.clone_from(&before.contacts);
             memory.order.clone_from(&before.order);
             memory.order_age = before.order_age;

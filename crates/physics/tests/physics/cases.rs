@@ -3,10 +3,10 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use jostled::model::{Parameters, State, start};
-use jostled::stepper::Stepper;
-use jostled::stepper::qp::Qp;
-use jostled::stepper::solve::{self, Backend, Hints, Solution, Workspace};
+use jostle_physics::model::{Parameters, State, start};
+use jostle_physics::stepper::Stepper;
+use jostle_physics::stepper::qp::Qp;
+use jostle_physics::stepper::solve::{self, Backend, Hints, Solution, Workspace};
 use serde_json::Value;
 
 /// What two exact implementations may differ by.
@@ -143,7 +143,7 @@ fn every_case_is_reproduced_from_nothing_and_from_the_right_memory() {
         let cold = error(&case, &after);
         // The multipliers of this very step are the best memory there can be.
         let mut again = State {
-            memory: after.memory.clone(),
+            warm_start: after.warm_start.clone(),
             ..case.state.clone()
         };
         let warm_report = Stepper::new().step(&mut again).unwrap();
@@ -154,13 +154,13 @@ fn every_case_is_reproduced_from_nothing_and_from_the_right_memory() {
             case.name
         );
         assert_eq!(
-            warm_report.referee, 0,
-            "{}: a right guess needs no referee",
+            warm_report.fallback, 0,
+            "{}: a right guess needs no fallback",
             case.name
         );
         assert!(report.residual <= solve::TARGET && warm_report.residual <= solve::TARGET);
-        assert_eq!(report.active, after.memory.contacts.len());
-        let pushes = after.memory.contacts.iter();
+        assert_eq!(report.active, after.warm_start.contacts.len());
+        let pushes = after.warm_start.contacts.iter();
         let found: Vec<_> = pushes
             .map(|c| (name(c.first, c.second, c.code), c.multiplier))
             .collect();
@@ -185,14 +185,20 @@ fn every_case_is_reproduced_by_the_referee_alone() {
             y: &case.state.configuration.y,
         };
         let (mut workspace, mut solution) = (Workspace::default(), Solution::default());
-        solve::solve(Backend::Referee, &qp, &hints, &mut workspace, &mut solution);
+        solve::solve(
+            Backend::Fallback,
+            &qp,
+            &hints,
+            &mut workspace,
+            &mut solution,
+        );
         assert!(
             solution.residual <= solve::TARGET,
             "{}: {:e}",
             case.name,
             solution.residual
         );
-        assert!(solution.referee > 0);
+        assert!(solution.fallback > 0);
         let mut after = case.state.clone();
         for (index, displacement) in solution.displacement.iter().enumerate() {
             after.configuration.x[index] += displacement[0];
@@ -205,11 +211,11 @@ fn every_case_is_reproduced_by_the_referee_alone() {
         let found: Vec<_> = pushes
             .map(|(c, &value)| (name(c.i, c.j, c.code), value))
             .collect();
-        compare_pushes(&case, &found, "referee");
+        compare_pushes(&case, &found, "fallback");
         worst = worst.max(error);
     }
     assert!(contacts > 500, "the cases hardly touch: {contacts}");
-    println!("worst difference to the exact step, by the referee: {worst:e}");
+    println!("worst difference to the exact step, by the fallback: {worst:e}");
 }
 
 /// The program of one step, with every contact nearer than its first list reaches.

@@ -4,10 +4,10 @@ use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 
-use jostled::model::selection::{Candidates, Selection, select};
-use jostled::model::{Parameters, State};
-use jostled::observables::{RunningMeans, order};
-use jostled::stepper::Stepper;
+use jostle_physics::model::selection::{Candidates, Selection, select};
+use jostle_physics::model::{Parameters, State};
+use jostle_physics::observables::{RunningMeans, order};
+use jostle_physics::stepper::Stepper;
 
 use crate::drawn;
 
@@ -29,7 +29,7 @@ struct Run {
     drift: f64,
     worst_residual: f64,
     degraded: u64,
-    referee: usize,
+    fallback: usize,
 }
 
 /// Runs one swarm of 50; `informed` of them get the direction 0 at t = 50.
@@ -42,7 +42,7 @@ fn run(seed: u64, informed: usize) -> Run {
         drift: 0.0,
         worst_residual: 0.0,
         degraded: 0,
-        referee: 0,
+        fallback: 0,
     };
     while state.step < (MEASURED_TO / dt).round() as u64 {
         if state.step == (INFORMED_AT / dt).round() as u64 {
@@ -54,7 +54,7 @@ fn run(seed: u64, informed: usize) -> Run {
         let report = stepper.step(&mut state).unwrap();
         run.worst_residual = run.worst_residual.max(report.residual);
         run.degraded += u64::from(report.degraded);
-        run.referee += usize::from(report.referee > 0);
+        run.fallback += usize::from(report.fallback > 0);
     }
     run.drift = means.mean_velocity().unwrap()[0];
     if informed > 0 {

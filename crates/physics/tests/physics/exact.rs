@@ -1,20 +1,20 @@
-//! Every step is exact, whatever the parameters: many random groups, and the referee beside them.
+//! Every step is exact, whatever the parameters: many random groups, and the fallback beside them.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt;
 use std::ops::AddAssign;
 
-use jostled::model::random::{Purpose, Stream};
-use jostled::model::{Parameters, State, start};
-use jostled::stepper::solve::{self, Backend};
-use jostled::stepper::{StepError, StepReport, Stepper};
+use jostle_physics::model::random::{Purpose, Stream};
+use jostle_physics::model::{Parameters, State, start};
+use jostle_physics::stepper::solve::{self, Backend};
+use jostle_physics::stepper::{StepError, StepReport, Stepper};
 
 use crate::with;
 
 /// Steps of one `cargo test`; ten times as many with `JOSTLE_LONG` in the environment.
 const STEPS: u64 = 100_000;
 
-/// Every so many steps the referee takes the same one.
+/// Every so many steps the fallback takes the same one.
 const REFEREED: u64 = 100;
 
 /// What displacements of two solutions may differ by, for each unit of their residuals. A gap
@@ -38,7 +38,7 @@ pub struct Tally {
     /// Systems factored, in all and at most.
     pub iterations: usize,
     pub most_iterations: usize,
-    /// Steps for which the referee was asked.
+    /// Steps for which the fallback was asked.
     pub fallbacks: u64,
     /// The largest residual.
     pub residual: f64,
@@ -52,7 +52,7 @@ impl AddAssign<&StepReport> for Tally {
         self.most_active = self.most_active.max(report.active);
         self.iterations += report.iterations;
         self.most_iterations = self.most_iterations.max(report.iterations);
-        self.fallbacks += u64::from(report.referee > 0);
+        self.fallbacks += u64::from(report.fallback > 0);
         self.residual = self.residual.max(report.residual);
     }
 }
@@ -117,7 +117,7 @@ fn draw(seed: u64) -> (State, u64) {
     (with(parameters, seed, configuration), steps)
 }
 
-/// What the referee said of the steps that it took too.
+/// What the fallback said of the steps that it took too.
 #[derive(Clone, Copy, Debug, Default)]
 struct Refereed {
     /// Steps that pushed.
@@ -137,7 +137,7 @@ impl Refereed {
     fn judge(&mut self, before: &State, after: &State, report: &StepReport) {
         self.steps += 1;
         let mut refereed = before.clone();
-        let judged = Stepper::with_backend(Backend::Referee).step(&mut refereed);
+        let judged = Stepper::with_backend(Backend::Fallback).step(&mut refereed);
         let Some(judged) = judged.ok().filter(|judged| !judged.degraded) else {
             self.missed += 1;
             return;
@@ -182,7 +182,7 @@ fn every_step_of_random_groups_is_exact_and_the_referee_agrees() {
             if let Some(before) = before.filter(|_| report.active > 0) {
                 refereed.judge(&before, &state, &report);
             }
-            if report.referee > 0 {
+            if report.fallback > 0 {
                 println!("seed {seed}, step {}: {report:?}", state.step - 1);
             }
             assert!(
@@ -193,7 +193,7 @@ fn every_step_of_random_groups_is_exact_and_the_referee_agrees() {
         }
     }
     println!("seeds 1 to {seed}, {crossed} of them until axes crossed: {tally}");
-    println!("the referee: {refereed:?}");
+    println!("the fallback: {refereed:?}");
     assert!(tally.active as u64 > 5 * tally.steps, "too few push");
     assert!(
         refereed.share <= 1.0 && refereed.missed * 100 <= refereed.steps,

@@ -2,12 +2,12 @@
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
-use jostled::model::attraction::Social;
-use jostled::model::random::{Purpose, Stream};
-use jostled::model::{Configuration, Parameters, State, body, start};
-use jostled::stepper::contact::Contact;
-use jostled::stepper::qp::Qp;
-use jostled::stepper::{StepReport, Stepper, solve};
+use jostle_physics::model::attraction::AttractionWorkspace;
+use jostle_physics::model::random::{Purpose, Stream};
+use jostle_physics::model::{Configuration, Parameters, State, body, start};
+use jostle_physics::stepper::contact::Contact;
+use jostle_physics::stepper::qp::Qp;
+use jostle_physics::stepper::{StepReport, Stepper, solve};
 
 use crate::{advance, drawn, program, with};
 
@@ -36,10 +36,10 @@ fn judged_step(stepper: &mut Stepper, state: &mut State) -> Step {
         .step(state)
         .unwrap_or_else(|error| panic!("seed {}: {error}", before.seed));
     let qp = program(&before, FAR);
-    let pushed = &state.memory.contacts;
+    let pushed = &state.warm_start.contacts;
     let multiplier = |contact: &Contact| {
         let [first, second] = [contact.i, contact.j].map(|k| before.configuration.id[k as usize]);
-        let same = |old: &&jostled::model::Remembered| {
+        let same = |old: &&jostle_physics::model::WarmContact| {
             (old.first, old.second, old.code) == (first, second, contact.code)
         };
         pushed.iter().find(same).map_or(0.0, |old| old.multiplier)
@@ -244,7 +244,11 @@ fn attraction_cancels_over_the_group() {
         let state = random_state(seed);
         let mut pull = Vec::new();
         let parameters = &state.parameters;
-        Social::default().compute(parameters.attraction, &state.configuration, &mut pull);
+        AttractionWorkspace::default().compute(
+            parameters.attraction,
+            &state.configuration,
+            &mut pull,
+        );
         let sum = pull
             .iter()
             .fold([0.0, 0.0], |sum, one| [sum[0] + one[0], sum[1] + one[1]]);
@@ -355,7 +359,7 @@ fn nothing_depends_on_place_bearing_handedness_or_numbering() {
             .into_iter()
             .for_each(|column| column.reverse());
         // What is remembered names individuals that are now others: start without it.
-        image.memory = Default::default();
+        image.warm_start = Default::default();
         image
     });
 }
@@ -432,7 +436,7 @@ fn two_discs_head_on_stop_each_other() {
         "and stay"
     );
     assert!(
-        (state.memory.contacts[0].multiplier - 0.02).abs() < 1e-9,
+        (state.warm_start.contacts[0].multiplier - 0.02).abs() < 1e-9,
         "each takes the other's push"
     );
 }

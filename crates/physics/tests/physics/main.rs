@@ -17,10 +17,10 @@ mod repeat;
 mod threads;
 mod work;
 
-use jostled::model::lanes::Level;
-use jostled::model::{Configuration, Parameters, State, start};
-use jostled::stepper::qp::Qp;
-use jostled::stepper::{Stepper, contact, free};
+use jostle_physics::model::simd::Level;
+use jostle_physics::model::{Configuration, Parameters, State, start};
+use jostle_physics::stepper::qp::Qp;
+use jostle_physics::stepper::{Stepper, contact, free};
 
 /// A state of `n` individuals drawn in the default disc.
 fn drawn(parameters: Parameters, n: usize, seed: u64) -> State {

@@ -2,12 +2,12 @@
 
 use std::thread;
 
-use jostled::model::attraction::Social;
-use jostled::model::lanes::Level;
-use jostled::model::random::{Purpose, Stream};
-use jostled::model::{Parameters, Remembered, State};
-use jostled::stepper::Stepper;
-use jostled::stepper::solve::Backend;
+use jostle_physics::model::attraction::AttractionWorkspace;
+use jostle_physics::model::random::{Purpose, Stream};
+use jostle_physics::model::simd::Level;
+use jostle_physics::model::{Parameters, State, WarmContact};
+use jostle_physics::stepper::Stepper;
+use jostle_physics::stepper::solve::Backend;
 
 use crate::{advance, drawn};
 
@@ -29,7 +29,7 @@ fn settled(n: usize, stepper: &mut Stepper) -> State {
         .configuration
         .inform(3, 0.5, 1.0, Some(SETTLING + 150));
     advance(stepper, &mut state, SETTLING);
-    let pushing = state.memory.contacts.len();
+    let pushing = state.warm_start.contacts.len();
     assert!(2 * pushing > n, "{pushing} push");
     state
 }
@@ -78,13 +78,13 @@ fn a_hundred_restored_states_have_the_same_future() {
 }
 
 /// A settled group that remembers nearly every contact of its next step as one that pushed, and
-/// how hard at random over eight decades, so that this step needs the referee. It has to be large:
+/// how hard at random over eight decades, so that this step needs the fallback. It has to be large:
 /// of a few hundred none is at a loss.
 fn at_a_loss(stepper: &mut Stepper) -> State {
     let mut settled = drawn(Parameters::default(), 800, 1);
     advance(stepper, &mut settled, SETTLING);
     let mut pull = Vec::new();
-    Social::default().compute(
+    AttractionWorkspace::default().compute(
         settled.parameters.attraction,
         &settled.configuration,
         &mut pull,
@@ -94,17 +94,17 @@ fn at_a_loss(stepper: &mut Stepper) -> State {
     let mut confused = (0..20).map(|seed| {
         let mut stream = Stream::new(seed, 0, 0, Purpose::Selection);
         let mut state = settled.clone();
-        let remembered = contacts.iter().map(|contact| Remembered {
+        let remembered = contacts.iter().map(|contact| WarmContact {
             first: state.configuration.id[contact.i as usize],
             second: state.configuration.id[contact.j as usize],
             code: contact.code,
             multiplier: libm::pow(10.0, -8.0 * stream.uniform()),
         });
-        state.memory.contacts = remembered.collect();
-        state.memory.contacts.retain(|_| stream.uniform() < 0.9);
+        state.warm_start.contacts = remembered.collect();
+        state.warm_start.contacts.retain(|_| stream.uniform() < 0.9);
         state
     });
-    let is_at_a_loss = |state: &State| stepper.step(&mut state.clone()).unwrap().referee > 0;
+    let is_at_a_loss = |state: &State| stepper.step(&mut state.clone()).unwrap().fallback > 0;
     confused.find(is_at_a_loss).expect("nearly all are")
 }
 
@@ -118,8 +118,8 @@ fn a_state_restored_into_a_step_of_the_referee_has_the_same_future() {
 #[test]
 fn the_referee_alone_remembers_nothing() {
     let state = settled(74, &mut Stepper::new());
-    let referee = || Stepper::with_backend(Backend::Referee);
-    restore(state, 3, referee(), referee);
+    let fallback = || Stepper::with_backend(Backend::Fallback);
+    restore(state, 3, fallback(), fallback);
 }
 
 /// Vector lanes decide how long a step takes and nothing else. The groups are solved by the small
@@ -140,7 +140,7 @@ fn every_level_of_the_processor_takes_the_same_steps() {
         };
         let plain = run(Level::BASELINE);
         assert!(
-            n < 20 || 2 * plain.memory.contacts.len() > n,
+            n < 20 || 2 * plain.warm_start.contacts.len() > n,
             "too few push"
         );
         for level in Level::available() {
@@ -187,7 +187,7 @@ fn a_state_without_its_memory_has_another_hash() {
     let mut stepper = Stepper::new();
     let mut state = settled(74, &mut stepper);
     let mut forgetful = State {
-        memory: Default::default(),
+        warm_start: Default::default(),
         ..state.clone()
     };
     assert_ne!(forgetful.hash(), state.hash());

@@ -3,9 +3,9 @@
 
 use std::sync::Arc;
 
-use jostled::model::threads::Pool;
-use jostled::model::{Attraction, Parameters, State, start};
-use jostled::stepper::Stepper;
+use jostle_physics::model::threads::Pool;
+use jostle_physics::model::{Attraction, Parameters, State, start};
+use jostle_physics::stepper::Stepper;
 use rayon::ThreadPoolBuilder;
 
 use crate::{advance, with};
@@ -29,7 +29,7 @@ fn the_same_steps(attraction: Attraction, n: usize, radius: f64, steps: u64) {
         state
     };
     let alone = run(Stepper::new());
-    let pushing = alone.memory.contacts.len();
+    let pushing = alone.warm_start.contacts.len();
     assert!(10 * pushing > n, "only {pushing} of {n} push");
     for threads in [1, 2, 4] {
         let hash = run(shared(threads)).hash();

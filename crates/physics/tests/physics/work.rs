@@ -1,7 +1,7 @@
 //! How little a step takes: a defect of the exact solver shows here, for the residual hides it.
 
-use jostled::model::{Parameters, State};
-use jostled::stepper::Stepper;
+use jostle_physics::model::{Parameters, State};
+use jostle_physics::stepper::Stepper;
 
 use crate::{advance, drawn};
 
@@ -12,7 +12,7 @@ const COUNTED: usize = 500;
 struct Work {
     /// Factors a step, on average.
     factors: f64,
-    referee: usize,
+    fallback: usize,
     worst: f64,
 }
 
@@ -26,14 +26,14 @@ fn counted(n: usize, settling: u64) -> Work {
     advance(&mut stepper, &mut state, settling);
     let mut work = Work {
         factors: 0.0,
-        referee: 0,
+        fallback: 0,
         worst: 0.0,
     };
     let mut pushes = 0;
     for _ in 0..COUNTED {
         let report = stepper.step(&mut state).unwrap();
         work.factors += report.iterations as f64 / COUNTED as f64;
-        work.referee += report.referee;
+        work.fallback += report.fallback;
         work.worst = work.worst.max(report.residual);
         pushes += report.active;
     }
@@ -42,7 +42,7 @@ fn counted(n: usize, settling: u64) -> Work {
     work
 }
 
-/// The exact solver is right by itself: the referee is for what no ordinary step is.
+/// The exact solver is right by itself: the fallback is for what no ordinary step is.
 #[test]
 fn ordinary_steps_take_one_factor_and_no_referee() {
     for (n, settling, most) in [
@@ -52,7 +52,7 @@ fn ordinary_steps_take_one_factor_and_no_referee() {
         (200, 1500, 1.1),
     ] {
         let work = counted(n, settling);
-        assert_eq!(work.referee, 0, "n = {n}");
+        assert_eq!(work.fallback, 0, "n = {n}");
         assert!(work.worst <= 1e-9, "n = {n}: {}", work.worst);
         assert!(work.factors <= most, "n = {n}: {} factors", work.factors);
     }

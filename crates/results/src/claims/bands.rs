@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::table::TableError;
 use crate::touch::Touch;
-use crate::{Run, file};
+use crate::{Run, atomic_file};
 
 /// How many standard errors of the difference between short and long a band is wide, each way:
 /// of a hundred numbers drawn anew one leaves its band in a hundred and fifty tries.
@@ -138,7 +138,7 @@ pub fn write(path: &Path, bands: &[Band]) -> Result<(), TableError> {
         path: path.to_owned(),
         source,
     };
-    let mut file = file::begin(path).map_err(io)?;
+    let mut file = atomic_file::begin(path).map_err(io)?;
     writeln!(file, "quantity,pi1,n,low,high").map_err(io)?;
     for band in bands {
         let Band {
@@ -150,7 +150,7 @@ pub fn write(path: &Path, bands: &[Band]) -> Result<(), TableError> {
         } = band;
         writeln!(file, "{quantity},{pi1},{n},{low:.7},{high:.7}").map_err(io)?;
     }
-    file::publish(file, path).map_err(io)
+    atomic_file::publish(file, path).map_err(io)
 }
 
 fn values(quantity: &str, pi1: f64, n: u64, runs: &[Run], touches: &[Touch]) -> Vec<f64> {

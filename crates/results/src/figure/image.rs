@@ -7,7 +7,7 @@ use std::sync::Arc;
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree, fontdb};
 
-use crate::file;
+use crate::atomic_file;
 
 /// Pixels of a PNG for each of the picture's: sharp on dense screens and in print.
 const DENSITY: f32 = 2.0;
@@ -57,9 +57,9 @@ pub fn save(svg: &str, path: &Path) -> Result<(), SaveError> {
         }
     };
     let write = || {
-        let mut file = file::begin(path)?;
+        let mut file = atomic_file::begin(path)?;
         file.write_all(&bytes)?;
-        file::publish(file, path)
+        atomic_file::publish(file, path)
     };
     write().map_err(|source| SaveError::Io {
         path: path.to_owned(),

@@ -8,7 +8,7 @@ use std::time::SystemTime;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{McapError, WriteOptions, Writer};
 
-use super::draft::Draft;
+use super::temp_file::Draft;
 use super::{About, Moment, RecordingError, io_error};
 
 /// The channels, in their order: topics, and how their messages are encoded.

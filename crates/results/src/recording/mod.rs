@@ -10,12 +10,12 @@
 //! finished, also if it becomes Parquet, and [`recover`] makes a whole file of what was flushed
 //! before the process was killed. The parts of a folder are written as they are to be.
 
-mod draft;
 mod extent;
 mod mcap;
 mod parquet;
 mod reading;
 mod recovery;
+mod temp_file;
 mod timeline;
 
 use std::collections::BTreeMap;
@@ -26,16 +26,16 @@ use std::time::SystemTime;
 
 use serde::{Deserialize, Serialize};
 
-use self::draft::Draft;
 use self::extent::Extent;
 use self::mcap::McapPart;
 use self::parquet::ParquetPart;
+use self::temp_file::Draft;
 use self::timeline::Timeline;
 use crate::table::TableError;
 
-pub use self::draft::{PARTIAL, is_being_written, partial};
 pub use self::reading::{Message, bytes_at, read};
 pub use self::recovery::{Recovered, Recovery, is_unfinished, recover};
+pub use self::temp_file::{PARTIAL, is_being_written, partial};
 
 /// What a recording says of itself, such as `swarm` and `version`.
 pub type About = BTreeMap<String, String>;

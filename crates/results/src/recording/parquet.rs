@@ -11,8 +11,8 @@ use parquet::file::properties::WriterProperties;
 use parquet::file::writer::SerializedFileWriter;
 use parquet::schema::types::ColumnPath;
 
-use super::draft::Draft;
 use super::mcap::length;
+use super::temp_file::Draft;
 use super::{About, Frame, RecordingError};
 use crate::table::TableError;
 use crate::table::column::Cell;

@@ -6,10 +6,10 @@ use std::path::{Path, PathBuf};
 
 use parquet::file::reader::SerializedFileReader;
 
-use super::draft::{self, Draft, PARTIAL};
 use super::mcap::{CHANNELS, McapPart, STATE};
 use super::parquet::ParquetPart;
 use super::reading::{self, Unfinished, read_unfinished};
+use super::temp_file::{self, Draft, PARTIAL};
 use super::{About, Decode, Format, RecordingError, extent, io_error};
 
 /// The metadata key that marks a recovered recording.
@@ -61,7 +61,7 @@ pub fn recover(path: &Path, replace: bool, decode: Decode) -> Result<Recovery, R
         path.to_owned()
     };
     let format = Format::of(&target)?;
-    let partial = draft::partial(&target);
+    let partial = temp_file::partial(&target);
     let is_there = |path: &Path| fs::symlink_metadata(path).is_ok();
     let source = if is_partial || is_there(&partial) {
         partial
@@ -82,7 +82,7 @@ pub fn recover(path: &Path, replace: bool, decode: Decode) -> Result<Recovery, R
     } else if !replace && is_there(&target) {
         return Err(RecordingError::Exists { path: target });
     }
-    let locked = draft::lock(&source).map_err(|error| io_error(&source, error))?;
+    let locked = temp_file::lock(&source).map_err(|error| io_error(&source, error))?;
     let Some(_lock) = locked else {
         return Err(RecordingError::BeingWritten { path: source });
     };

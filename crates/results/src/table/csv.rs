@@ -7,13 +7,13 @@ use csv::{ErrorKind, StringRecord};
 
 use super::parquet::COLUMNS;
 use super::{TableError, io_error};
-use crate::{Run, file};
+use crate::{Run, atomic_file};
 
 pub fn write(path: &Path, runs: &[Run]) -> Result<(), TableError> {
     let io = |source| io_error(path, source);
-    let mut file = file::begin(path).map_err(io)?;
+    let mut file = atomic_file::begin(path).map_err(io)?;
     write_to(&mut file, runs).map_err(|error| explain(path, COLUMNS, error))?;
-    file::publish(file, path).map_err(io)
+    atomic_file::publish(file, path).map_err(io)
 }
 
 pub fn write_to(to: impl Write, runs: &[Run]) -> Result<(), csv::Error> {

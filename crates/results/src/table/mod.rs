@@ -6,7 +6,7 @@
 pub mod order;
 
 pub(crate) mod column;
-mod comma;
+mod csv;
 pub(crate) mod parquet;
 
 use std::io;
@@ -102,14 +102,14 @@ pub fn write_parquet(path: &Path, runs: &[Run]) -> Result<(), TableError> {
 ///
 /// [`TableError::Io`].
 pub fn write_csv(path: &Path, runs: &[Run]) -> Result<(), TableError> {
-    comma::write(path, runs)
+    csv::write(path, runs)
 }
 
 /// The CSV of `runs`, as [`write_csv`] writes it.
 #[must_use]
 pub fn csv(runs: &[Run]) -> String {
     let mut bytes = Vec::new();
-    comma::write_to(&mut bytes, runs).expect("memory takes numbers and names");
+    csv::write_to(&mut bytes, runs).expect("memory takes numbers and names");
     String::from_utf8(bytes).expect("numbers and names are text")
 }
 
@@ -131,7 +131,7 @@ pub fn read(path: &Path) -> Result<Vec<Run>, TableError> {
     }
     match path.extension().and_then(|extension| extension.to_str()) {
         Some("parquet") => parquet::read(path),
-        Some("csv") => comma::read(path),
+        Some("csv") => csv::read(path),
         _ => Err(TableError::UnknownKind {
             path: path.to_owned(),
         }),

@@ -15,7 +15,7 @@ use tempfile::NamedTempFile;
 
 use super::column::{Cell, CellError};
 use super::{TableError, io_error};
-use crate::{Run, file};
+use crate::{Run, atomic_file};
 
 /// Lists the columns of a [`Run`] once: their names, and how a table is taken apart and put
 /// together again.
@@ -111,7 +111,7 @@ pub fn begin(
     path: &Path,
     schema: Result<Type, ParquetError>,
 ) -> Result<SerializedFileWriter<NamedTempFile>, TableError> {
-    let file = file::begin(path).map_err(|source| io_error(path, source))?;
+    let file = atomic_file::begin(path).map_err(|source| io_error(path, source))?;
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)
         .build();
@@ -125,7 +125,7 @@ pub fn finish(path: &Path, writer: SerializedFileWriter<NamedTempFile>) -> Resul
     let file = writer
         .into_inner()
         .map_err(|error| malformed(path, &error))?;
-    file::publish(file, path).map_err(|source| io_error(path, source))
+    atomic_file::publish(file, path).map_err(|source| io_error(path, source))
 }
 
 /// Calls `each` with the row groups of `path`, in order.

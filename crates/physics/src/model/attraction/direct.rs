@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use crate::model::lanes::{Lanes, Level, WIDTH, multiversion};
+use crate::model::simd::{Lanes, Level, WIDTH, multiversion};
 use crate::model::threads::Pool;
 
 /// What a lane without an individual holds. The square of its distance to anybody rounds to an

@@ -15,7 +15,7 @@
     reason = "rows and columns are named by the powers they belong to"
 )]
 
-use crate::model::lanes::{Lanes, Level, WIDTH, multiversion};
+use crate::model::simd::{Lanes, Level, WIDTH, multiversion};
 
 /// Coefficients of `z^row conj(z)^column`.
 #[derive(Clone, Copy, Debug)]

@@ -1,6 +1,6 @@
 //! The sum over all the others, with far groups taken as a whole.
 
-use crate::model::lanes::{Lanes, Level, WIDTH};
+use crate::model::simd::{Lanes, Level, WIDTH};
 use crate::model::threads::{Pool, both, inside};
 
 use super::direct::pull_from;

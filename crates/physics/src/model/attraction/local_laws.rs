@@ -92,7 +92,7 @@ pub(super) fn power(configuration: &Configuration, exponent: f64, pull: &mut [[f
 mod tests {
     use super::*;
     use crate::model::Attraction;
-    use crate::model::attraction::Social;
+    use crate::model::attraction::AttractionWorkspace;
 
     fn pull(attraction: Attraction, places: &[[f64; 2]]) -> Vec<[f64; 2]> {
         let mut configuration = Configuration::default();
@@ -100,7 +100,7 @@ mod tests {
             configuration.push(*x, *y, 0.0);
         }
         let mut pull = Vec::new();
-        Social::default().compute(attraction, &configuration, &mut pull);
+        AttractionWorkspace::default().compute(attraction, &configuration, &mut pull);
         pull
     }
 

@@ -1,13 +1,13 @@
-//! Social attraction: where each individual wants to turn because of the others.
+//! AttractionWorkspace attraction: where each individual wants to turn because of the others.
 
 mod direct;
 mod expansion;
 mod far;
-mod few;
+mod local_laws;
 mod tree;
 mod voronoi;
 
-use super::lanes::Level;
+use super::simd::Level;
 use super::threads::{Pool, SHARED_FROM};
 use super::{Attraction, Configuration};
 
@@ -48,7 +48,7 @@ const fn rung(accuracy: f64, powers: usize, tolerance: f64, from: usize) -> Rung
 
 /// Computes the social pull of every individual; holds what is reused from call to call.
 #[derive(Clone, Debug, Default)]
-pub struct Social {
+pub struct AttractionWorkspace {
     /// Which version of the kernels runs; it changes no bit.
     pub level: Level,
     /// Whose threads share the work of large groups; they change no bit. A call then allocates
@@ -61,7 +61,7 @@ pub struct Social {
     far_12: Far<12>,
 }
 
-impl Social {
+impl AttractionWorkspace {
     /// Computes `p_s` of every individual into `pull`.
     ///
     /// - Shapes: n individuals in, n vectors out.
@@ -85,11 +85,11 @@ impl Social {
         match attraction {
             Attraction::All { accuracy } => self.all(accuracy, configuration, pull),
             Attraction::Voronoi => voronoi::voronoi(configuration, pull),
-            Attraction::Metric { radius } => few::metric(configuration, radius, pull),
+            Attraction::Metric { radius } => local_laws::metric(configuration, radius, pull),
             Attraction::Topological { neighbours } => {
-                few::topological(configuration, neighbours, pull);
+                local_laws::topological(configuration, neighbours, pull);
             }
-            Attraction::Power { exponent } => few::power(configuration, exponent, pull),
+            Attraction::Power { exponent } => local_laws::power(configuration, exponent, pull),
         }
     }
 
@@ -138,7 +138,7 @@ mod tests {
             configuration.push(place[0], place[1], 0.0);
         });
         let mut pull = Vec::new();
-        Social::default().compute(Attraction::default(), &configuration, &mut pull);
+        AttractionWorkspace::default().compute(Attraction::default(), &configuration, &mut pull);
         pull
     }
 
@@ -194,15 +194,19 @@ mod tests {
         for n in 1..=200 {
             let configuration = example(n);
             let mut pull = Vec::new();
-            Social::default().compute(Attraction::default(), &configuration, &mut pull);
+            AttractionWorkspace::default().compute(
+                Attraction::default(),
+                &configuration,
+                &mut pull,
+            );
             for (one, plain) in pull.iter().zip(plain(&configuration)) {
                 let off = (one[0] - plain[0]).abs().max((one[1] - plain[1]).abs());
                 assert!(off < 2e-15, "n = {n}: {off:e}");
             }
             for level in Level::available() {
-                let mut social = Social {
+                let mut social = AttractionWorkspace {
                     level,
-                    ..Social::default()
+                    ..AttractionWorkspace::default()
                 };
                 let mut same = Vec::new();
                 social.compute(Attraction::default(), &configuration, &mut same);
@@ -214,7 +218,7 @@ mod tests {
     /// Far more than a tile of sources, and used before for a larger group.
     #[test]
     fn tiles_add_up_and_leave_nothing_behind() {
-        let mut social = Social::default();
+        let mut social = AttractionWorkspace::default();
         let mut pull = Vec::new();
         for n in [1100, 519, 513, 257, 9] {
             let configuration = example(n);
@@ -233,9 +237,9 @@ mod tests {
     fn errors(configuration: &Configuration) -> Vec<f64> {
         let Configuration { x, y, .. } = configuration;
         let mut direct = Vec::new();
-        Social::default().compute(Attraction::default(), configuration, &mut direct);
+        AttractionWorkspace::default().compute(Attraction::default(), configuration, &mut direct);
         let share = 1.0 / (x.len() as f64 - 1.0);
-        let mut social = Social::default();
+        let mut social = AttractionWorkspace::default();
         social.tree.build(None, x, y);
         let error_of = |rung: &Rung| {
             let tree = &social.tree;
@@ -348,11 +352,11 @@ mod tests {
                 accuracy: Some(accuracy),
             };
             let [mut pull, mut same] = [Vec::new(), Vec::new()];
-            Social::default().compute(attraction, &configuration, &mut pull);
+            AttractionWorkspace::default().compute(attraction, &configuration, &mut pull);
             for level in Level::available() {
-                let mut social = Social {
+                let mut social = AttractionWorkspace {
                     level,
-                    ..Social::default()
+                    ..AttractionWorkspace::default()
                 };
                 for before in [made(9000, |k| [-k, k % 100.0]), configuration.clone()] {
                     social.compute(attraction, &before, &mut same);

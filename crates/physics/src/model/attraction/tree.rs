@@ -1,6 +1,6 @@
 //! The groups of a configuration: halved along the longer side until they are small.
 
-use crate::model::lanes::{Lanes, WIDTH};
+use crate::model::simd::{Lanes, WIDTH};
 use crate::model::threads::{Pool, both, inside};
 
 use super::direct::fill_lanes;

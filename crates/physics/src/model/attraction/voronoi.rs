@@ -8,7 +8,7 @@ use robust::{Coord, incircle};
 use spade::handles::DirectedEdgeHandle;
 use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
 
-use super::few;
+use super::local_laws;
 use crate::model::Configuration;
 
 /// A place where somebody is, named by the first who is there.
@@ -46,7 +46,7 @@ pub(super) fn voronoi(configuration: &Configuration, pull: &mut [[f64; 2]]) {
     for (one, (pull, neighbours)) in pull.iter_mut().zip(&mut neighbours).enumerate() {
         // Sums are taken in the order of individuals, whatever that of the triangles.
         neighbours.sort_unstable();
-        *pull = few::mean(configuration, one, neighbours.iter().copied());
+        *pull = local_laws::mean(configuration, one, neighbours.iter().copied());
     }
 }
 

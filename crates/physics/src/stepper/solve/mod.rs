@@ -1,7 +1,7 @@
 //! Solves the program of one step to its accuracy.
 //!
 //! The exact solver (`exact`) starts from the contacts that pushed in the last step and resolves
-//! the few that change sides. Where it fails, and in tests that judge it, the referee is asked:
+//! the few that change sides. Where it fails, and in tests that judge it, the fallback is asked:
 //! Clarabel finds who pushes, and its answer is made exact by exchanging the few that are wrong
 //! (`polish`) or more slowly and surely (`descend`). Nothing is believed: the residual decides,
 //! computed from the multipliers alone.
@@ -31,11 +31,11 @@ const SCALES: [f64; 2] = [1e3, 1e4];
 /// Who solves.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Backend {
-    /// The exact solver, and the referee where it fails.
+    /// The exact solver, and the fallback where it fails.
     #[default]
     Exact,
-    /// The referee alone: slow, and nothing it does depends on the last step.
-    Referee,
+    /// The fallback alone: slow, and nothing it does depends on the last step.
+    Fallback,
 }
 
 /// What the last step tells about this one.
@@ -61,7 +61,7 @@ pub struct Solution {
     /// How many linear systems were factored.
     pub iterations: usize,
     /// How often Clarabel was asked.
-    pub referee: usize,
+    pub fallback: usize,
     offered: Vec<f64>,
     moved: Vec<[f64; 3]>,
 }
@@ -70,7 +70,7 @@ impl Solution {
     /// Starts over, without a solution.
     fn clear(&mut self) {
         self.residual = f64::INFINITY;
-        (self.iterations, self.referee) = (0, 0);
+        (self.iterations, self.fallback) = (0, 0);
     }
 
     /// Keeps `multipliers`, cut off at 0, if they are better than what there is.
@@ -115,18 +115,18 @@ pub fn solve(
         workspace.exact.solve(qp, hints, solution);
     }
     if solution.residual > TARGET {
-        by_referee(qp, &mut workspace.polish, solution);
+        by_fallback(qp, &mut workspace.polish, solution);
     }
 }
 
 /// Asks Clarabel who pushes.
-fn by_referee(qp: &Qp, workspace: &mut Polish, solution: &mut Solution) {
+fn by_fallback(qp: &Qp, workspace: &mut Polish, solution: &mut Solution) {
     let mut displacement = Vec::new();
     for scale in SCALES {
         let Some((multipliers, iterations)) = clarabel::multipliers(qp, scale) else {
             continue;
         };
-        solution.referee += 1;
+        solution.fallback += 1;
         solution.iterations += iterations;
         solution.offer(qp, multipliers.iter().copied());
         qp.displace(&multipliers, &mut displacement);
@@ -191,7 +191,7 @@ mod tests {
         let qp = row(9);
         // What is left of a residual in the multipliers, over the least eigenvalue of `A W⁻¹ Aᵀ`.
         let tolerance = TARGET / (2.0 - 2.0 * libm::cos(std::f64::consts::PI / 9.0));
-        for (backend, asked) in [(Backend::Exact, 0), (Backend::Referee, 1)] {
+        for (backend, asked) in [(Backend::Exact, 0), (Backend::Fallback, 1)] {
             for guess in [[0.0; 8], [1.0; 8]] {
                 let solution = solved(backend, &qp, &guess);
                 assert!(solution.residual <= TARGET);
@@ -202,7 +202,7 @@ mod tests {
                 for (k, &multiplier) in solution.multipliers.iter().enumerate() {
                     assert!((multiplier - (k + 1) as f64 * 0.02 / 9.0).abs() < tolerance);
                 }
-                assert_eq!(solution.referee, asked);
+                assert_eq!(solution.fallback, asked);
             }
         }
     }
@@ -216,7 +216,7 @@ mod tests {
             let solution = solved(Backend::Exact, &qp, &guess);
             assert!(solution.residual <= TARGET, "{}", solution.residual);
             assert!((solution.multipliers.iter().sum::<f64>() - 0.01).abs() < 1e-9);
-            assert_eq!(solution.referee, 0);
+            assert_eq!(solution.fallback, 0);
         }
     }
 
@@ -253,7 +253,7 @@ mod tests {
         qp.contacts.iter_mut().for_each(|contact| contact.gap = 0.1);
         for guess in [[0.0; 2], [0.5; 2]] {
             let solution = solved(Backend::Exact, &qp, &guess);
-            assert_eq!((solution.referee, &solution.displacement), (0, &qp.free));
+            assert_eq!((solution.fallback, &solution.displacement), (0, &qp.free));
         }
     }
 

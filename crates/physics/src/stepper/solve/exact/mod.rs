@@ -15,7 +15,7 @@ mod structure;
 mod tableau;
 
 use super::{Hints, Solution, TARGET};
-use crate::model::lanes::{Level, multiversion};
+use crate::model::simd::{Level, multiversion};
 use crate::stepper::qp::Qp;
 use closure::Closure;
 use factor::Factor;

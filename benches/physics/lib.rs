@@ -1,0 +1,1 @@
+//! Only benches: see `step`, `large` and `instructions` beside this file.

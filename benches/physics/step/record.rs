@@ -1,0 +1,50 @@
+//! A record of successive steps of a group.
+
+use jostle_physics::model::State;
+use jostle_physics::stepper::Stepper;
+use jostle_physics::stepper::qp::Qp;
+use jostle_physics::stepper::solve::Hints;
+
+use super::phases::Phases;
+
+/// One recorded step: the state before it and its program.
+#[derive(Clone, Debug)]
+pub struct Recorded {
+    /// The state that the step starts from, with the memory of the step before.
+    pub state: State,
+    /// The attraction that the step begins with.
+    pub pull: Vec<[f64; 2]>,
+    /// The program of the step.
+    pub qp: Qp,
+    /// The multipliers guessed from the memory.
+    pub guess: Vec<f64>,
+}
+
+impl Recorded {
+    /// What the step before tells about this one.
+    pub fn hints(&self) -> Hints<'_> {
+        let configuration = &self.state.configuration;
+        Hints {
+            multipliers: &self.guess,
+            x: &configuration.x,
+            y: &configuration.y,
+        }
+    }
+}
+
+/// Records `count` successive steps from `state`.
+pub fn record(mut state: State, count: usize) -> Vec<Recorded> {
+    let (mut stepper, mut phases) = (Stepper::new(), Phases::default());
+    let mut records = Vec::with_capacity(count);
+    for _ in 0..count {
+        let (qp, guess) = phases.program(&state);
+        records.push(Recorded {
+            state: state.clone(),
+            pull: phases.pull.clone(),
+            qp,
+            guess,
+        });
+        stepper.step(&mut state).expect("every step is solved");
+    }
+    records
+}

@@ -1,0 +1,290 @@
+//! Changes, from the arguments of their verbs; and what they did, as results.
+
+use jostle_physics::model::parameters::Parameters;
+use jostle_physics::model::selection::Selection;
+use jostle_physics::model::{Drive, body, injection};
+use jostle_physics::simulation::{
+    Change, ChangeKind, ChangeOutcome, Placement, SetPoints, Settings,
+};
+use jostle_proto::verbs::{
+    self, Changed, IdsResult, InformArgs, InjectArgs, Pose, Region, RemoveArgs, Select, SetArgs,
+    SetResult, UninformArgs,
+};
+use thiserror::Error;
+
+use crate::spec::{self, parameter_values};
+use crate::value::{self, WireError};
+
+/// The longest time for which individuals can be informed, in time units.
+const MAX_FOR_TIME: f64 = 1e9;
+
+/// Why arguments are rejected.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum ArgsError {
+    /// A value is outside its range.
+    #[error(transparent)]
+    Value(#[from] WireError),
+    /// A field is missing, or does not fit the other ones.
+    #[error("{field} {problem}")]
+    Field {
+        /// The field.
+        field: &'static str,
+        /// What is wrong with it, and the remedy.
+        problem: &'static str,
+    },
+}
+
+/// The change of a batch's entry.
+///
+/// # Errors
+///
+/// [`ArgsError`] names the first field that is wrong.
+pub fn change(change: verbs::Change) -> Result<Change, ArgsError> {
+    match change {
+        verbs::Change::Set(args) => set(args),
+        verbs::Change::Inform(args) => inform(args),
+        verbs::Change::Uninform(args) => uninform(args),
+        verbs::Change::Inject(args) => inject(args),
+        verbs::Change::Remove(args) => remove(args),
+    }
+}
+
+/// `set`: new values of the parameters that are named, and of no others.
+///
+/// # Errors
+///
+/// [`ArgsError`] if no parameter is named, or `make_room` without `pi1`. Ranges are checked by the
+/// simulation, since they depend on its state.
+pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
+    let SetArgs {
+        pi1,
+        pi2,
+        pi3,
+        pi4,
+        contacts,
+        stepping,
+        relinearise,
+        attraction,
+        noise,
+        publish_every,
+        make_room,
+    } = args;
+    if make_room && pi1.is_none() {
+        return Err(ArgsError::Field {
+            field: "make_room",
+            problem: "goes with a new pi1: name both",
+        });
+    }
+    if args == SetArgs::default() {
+        return Err(ArgsError::Field {
+            field: "args",
+            problem: "names nothing to set: give pi1, pi2, pi3, pi4, contacts, stepping, \
+                      relinearise, attraction, noise or publish_every",
+        });
+    }
+    let publish_every = publish_every.map(value::publish_every).transpose()?;
+    Ok(Change::Set(Settings {
+        pi1,
+        pi2,
+        pi3,
+        pi4,
+        contacts: contacts.map(spec::contact_rule),
+        stepping: stepping.map(spec::stepping),
+        relinearise: relinearise.map(spec::relinearise).transpose()?,
+        attraction: attraction.map(spec::attraction),
+        noise,
+        publish_every,
+        make_room,
+    }))
+}
+
+/// `inform`: individuals get a direction of their own.
+///
+/// # Errors
+///
+/// [`ArgsError`] names the first field that is wrong.
+pub fn inform(args: InformArgs) -> Result<Change, ArgsError> {
+    if let Some(time) = args.for_time
+        && !(time > 0.0 && time <= MAX_FOR_TIME)
+    {
+        return Err(WireError::out_of_range("for_time", time).into());
+    }
+    Ok(Change::Inform {
+        selection: selection(args.select)?,
+        direction: args.direction,
+        weight: args.weight.map(value::weight).transpose()?,
+        for_time: args.for_time,
+    })
+}
+
+/// `uninform`: individuals lose the direction of their own.
+///
+/// # Errors
+///
+/// [`ArgsError`] names the first field that is wrong.
+pub fn uninform(args: UninformArgs) -> Result<Change, ArgsError> {
+    Ok(Change::Uninform(selection(args.select)?))
+}
+
+/// `inject`: individuals join the group where they overlap no other one.
+///
+/// # Errors
+///
+/// [`ArgsError`] unless exactly one of `count` and `at` is given, and for a field that does not go with
+/// it.
+pub fn inject(args: InjectArgs) -> Result<Change, ArgsError> {
+    let wrong = |field, problem| Err(ArgsError::Field { field, problem });
+    if args.count == Some(0) || args.at.as_ref().is_some_and(Vec::is_empty) {
+        let field = if args.at.is_none() { "count" } else { "at" };
+        return wrong(field, "adds no individual: add at least one");
+    }
+    let place = match (args.count, args.at, args.within) {
+        (Some(_), Some(_), _) => {
+            return wrong("at", "and count are both given: name one of them");
+        }
+        (None, None, _) => {
+            return wrong("count", "or at is missing: say how many, or where exactly");
+        }
+        (None, Some(_), Some(_)) => return wrong("within", "goes with count: leave it out"),
+        (None, Some(poses), None) => Placement::At(poses.into_iter().map(pose).collect()),
+        (Some(count), None, None) => Placement::Border(value::count(count)),
+        (Some(count), None, Some(region)) => {
+            Placement::Within(value::count(count), self::region(region))
+        }
+    };
+    let informed = match (args.direction, args.weight) {
+        (None, Some(_)) => return wrong("weight", "goes with direction: give both"),
+        (None, None) => None,
+        (Some(direction), weight) => Some((direction, weight.map(value::weight).transpose()?)),
+    };
+    Ok(Change::Inject { place, informed })
+}
+
+/// `remove`: individuals leave the group.
+///
+/// # Errors
+///
+/// [`ArgsError`] names the first field that is wrong.
+pub fn remove(args: RemoveArgs) -> Result<Change, ArgsError> {
+    Ok(Change::Remove(selection(args.select)?))
+}
+
+/// A selection of individuals.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`] for a radius below 0.
+pub fn selection(select: Select) -> Result<Selection, WireError> {
+    Ok(match select {
+        Select::Ids(ids) => Selection::Ids(ids),
+        Select::Count(number) => Selection::Count(value::count(number)),
+        Select::Fraction(fraction) => Selection::Fraction(fraction),
+        Select::Within(Region { x, y, radius }) => {
+            if radius.is_nan() || radius < 0.0 {
+                return Err(WireError::out_of_range("select.within.radius", radius));
+            }
+            Selection::Within { x, y, radius }
+        }
+        Select::Foremost(foremost) => Selection::Foremost {
+            count: value::count(foremost.count),
+            along: foremost.along,
+        },
+    })
+}
+
+/// The position and heading of a body.
+pub fn pose(Pose { x, y, alpha }: Pose) -> body::Pose {
+    body::Pose { x, y, alpha }
+}
+
+/// A disc.
+pub fn region(Region { x, y, radius }: Region) -> injection::Region {
+    injection::Region { x, y, radius }
+}
+
+/// Set-points: columns of one length, no id twice.
+///
+/// # Errors
+///
+/// [`ArgsError::Field`] names the column.
+pub fn set_points(set: verbs::SetPoints) -> Result<SetPoints, ArgsError> {
+    let verbs::SetPoints {
+        ids,
+        direction,
+        weight,
+        turn,
+        speed,
+    } = set;
+    let wrong = |field, problem| Err(ArgsError::Field { field, problem });
+    if direction.len() != ids.len() {
+        return wrong("set.direction", "has not as many numbers as there are ids");
+    }
+    if weight.as_ref().is_some_and(|it| it.len() != ids.len()) {
+        return wrong("set.weight", "has not as many numbers as there are ids");
+    }
+    let fits = |column: &Option<Vec<Option<f64>>>| {
+        column
+            .as_ref()
+            .is_none_or(|column| column.len() == ids.len())
+    };
+    for (field, column) in [("set.turn", &turn), ("set.speed", &speed)] {
+        if !fits(column) {
+            return wrong(field, "has not as many entries as there are ids");
+        }
+    }
+    let entry = |column: &Option<Vec<Option<f64>>>, k: usize| column.as_ref().and_then(|it| it[k]);
+    let is_driving = turn.is_some() || speed.is_some();
+    let drives = is_driving.then(|| {
+        let drives = (0..ids.len()).map(|k| Drive {
+            turn: entry(&turn, k),
+            speed: entry(&speed, k),
+        });
+        drives.collect()
+    });
+    let mut sorted = ids.clone();
+    sorted.sort_unstable();
+    if sorted.windows(2).any(|pair| pair[0] == pair[1]) {
+        return wrong("set.ids", "names an individual twice");
+    }
+    Ok(SetPoints {
+        ids,
+        direction,
+        weight,
+        drives,
+    })
+}
+
+/// The result of one change of a batch.
+pub fn changed(kind: ChangeKind, outcome: ChangeOutcome) -> Changed {
+    match outcome {
+        ChangeOutcome::Set {
+            before,
+            now,
+            scaled_by,
+        } => Changed::Set(set_result(before, now, scaled_by)),
+        ChangeOutcome::Ids { ids, n } => {
+            let result = ids_result(ids, n);
+            match kind {
+                ChangeKind::Set => unreachable!("the outcome of `set` has no ids"),
+                ChangeKind::Inform => Changed::Inform(result),
+                ChangeKind::Uninform => Changed::Uninform(result),
+                ChangeKind::Inject => Changed::Inject(result),
+                ChangeKind::Remove => Changed::Remove(result),
+            }
+        }
+    }
+}
+
+/// The result of `set`: parameters and `publish_every` before and now.
+pub fn set_result(before: (Parameters, u64), now: (Parameters, u64), scaled_by: f64) -> SetResult {
+    SetResult {
+        before: parameter_values(before.0, before.1),
+        now: parameter_values(now.0, now.1),
+        scaled_by,
+    }
+}
+
+/// The result of a change of individuals.
+pub fn ids_result(ids: Vec<u32>, n: usize) -> IdsResult {
+    IdsResult { ids, n: n as u64 }
+}

@@ -1,0 +1,176 @@
+//! The code and the details with which a rejected change is sent.
+
+use jostle_physics::model::injection::InjectionError;
+use jostle_physics::model::parameters::ParametersError;
+use jostle_physics::model::resize::ResizeError;
+use jostle_physics::model::selection::SelectionError;
+use jostle_physics::model::start::StartError;
+use jostle_physics::simulation::{ChangeError, ReserveError};
+use jostle_proto::{ErrorCode, keys};
+use serde_json::{Value, json};
+
+/// The code of a rejected start or change.
+pub fn code(error: &ChangeError) -> ErrorCode {
+    match error {
+        ChangeError::Parameters(_) | ChangeError::Selection(_) | ChangeError::NoneLeft(_) => {
+            ErrorCode::InvalidArgument
+        }
+        ChangeError::AxesCross { .. } => ErrorCode::IncorrectState,
+        ChangeError::Start(StartError::NoRoom { .. })
+        | ChangeError::Injection(InjectionError::NoRoom { .. })
+        | ChangeError::Reserve(_) => ErrorCode::ResourceExhausted,
+        ChangeError::Start(_)
+        | ChangeError::Injection(_)
+        | ChangeError::Resize(ResizeError::Parameters(_)) => ErrorCode::InvalidArgument,
+        ChangeError::Resize(_) => ErrorCode::ResourceExhausted,
+    }
+}
+
+/// The details of a rejected start or change: the field, and what is wrong with it. An object, or null.
+pub fn details(error: &ChangeError) -> Value {
+    match error {
+        ChangeError::Reserve(ReserveError::NoMemory { n, needed, free }) => {
+            json!({"field": "n", "n": n, "needed": needed, "free": free})
+        }
+        ChangeError::Reserve(ReserveError::TooMany { n, limit }) => {
+            json!({"field": "n", "n": n, "limit": limit})
+        }
+        ChangeError::Parameters(error)
+        | ChangeError::Start(StartError::Parameters(error))
+        | ChangeError::Selection(SelectionError::Number(error))
+        | ChangeError::Injection(InjectionError::Parameters(error))
+        | ChangeError::Resize(ResizeError::Parameters(error)) => parameters(error),
+        ChangeError::NoneLeft(n) => json!({"field": "select", "selected": n, "n": n}),
+        ChangeError::Injection(InjectionError::Pose { index, error }) => {
+            let mut details = parameters(error);
+            let field = details["field"].as_str().unwrap_or_default().to_owned();
+            details["field"] = json!(format!("at[{index}].{field}"));
+            details
+        }
+        ChangeError::Injection(InjectionError::Overlap { index, gap }) => {
+            json!({"field": format!("at[{index}]"), "gap": gap})
+        }
+        ChangeError::Injection(InjectionError::NoRoom { placed, .. }) => {
+            json!({"field": "count", "placed": placed})
+        }
+        ChangeError::AxesCross { pairs } => json!({"field": "contacts", "pairs": pairs}),
+        ChangeError::Start(StartError::NoRoom { placed, radius, .. }) => {
+            json!({"field": "start.radius", "value": radius, "placed": placed})
+        }
+        ChangeError::Start(_) => json!({"field": "start"}),
+        ChangeError::Selection(SelectionError::Count {
+            field, candidates, ..
+        }) => json!({"field": field, "range": format!("[0, {candidates}]")}),
+        ChangeError::Selection(_) => json!({"field": "select.ids"}),
+        _ => Value::Null,
+    }
+}
+
+fn parameters(error: &ParametersError) -> Value {
+    match *error {
+        ParametersError::OutOfRange {
+            field,
+            value,
+            range,
+        } => named(field, number(value), range_of(field).or(Some(range))),
+        ParametersError::Clash { field, .. } => named(field, Value::Null, None),
+        ParametersError::StepTooLong { dt, largest } => json!({
+            "field": "dt", "value": dt, "range": format!("(0, {largest}]"),
+        }),
+    }
+}
+
+/// The details of a field that is wrong: its name, and value and range if they are known.
+pub fn named(field: &str, value: Value, range: Option<&str>) -> Value {
+    let mut details = json!({"field": field});
+    if !value.is_null() {
+        details["value"] = value;
+    }
+    if let Some(range) = range {
+        details["range"] = json!(range);
+    }
+    details
+}
+
+/// A number in JSON. NaN and infinity, for which JSON has no number, are text.
+fn number(value: f64) -> Value {
+    if value.is_finite() {
+        json!(value)
+    } else {
+        json!(value.to_string())
+    }
+}
+
+/// The values that a field may have, in words. `field` may be a path.
+pub fn range_of(field: &str) -> Option<&'static str> {
+    let last = field.rsplit('.').next().unwrap_or(field);
+    let last = last.split('[').next().unwrap_or(last);
+    Some(match last {
+        "n" => "a whole number from 1 to the daemon's max_individuals",
+        "pi1" => "a number from 1 to 32",
+        "pi2" => "a number from 0 to 1e6",
+        "pi3" | "pi4" => "a number above 0, at most 1e6",
+        "dt" => "a number above 0, at most 2r / (1 + h ω): 0.02 fits most swarms",
+        "contacts" => "\"endpoints\", \"closest\" or \"clamped\"",
+        "stepping" => "\"position\" or \"velocity\"",
+        "relinearise" => "0 or 1",
+        "attraction" => {
+            "{\"kind\": \"all\"}, \"accuracy\" if wanted; or of kind \"voronoi\", \"metric\" with \
+             \"radius\", \"topological\" with \"neighbours\", \"power\" with \"exponent\""
+        }
+        "neighbours" => "a whole number from 1",
+        "exponent" => "a number from -8 to 8",
+        "accuracy" => "a number from 1e-9 to 1e-3",
+        "noise" => "a number from 0 to 1e6",
+        "seed" => "a whole number from 0 to 9007199254740991",
+        "start" => "{\"kind\": \"disc\"} or {\"kind\": \"given\", \"x\", \"y\", \"alpha\"}",
+        "publish_every" => "a whole number from 1 to 1e9",
+        "rate" => "a number above 0, at most 1e6, or null for as fast as possible",
+        "until_step" => "a whole number from 0 to 9007199254740991",
+        "until_time" => "a number from 0 to 1e12",
+        "steps" if field == "begin.steps" => "a whole number from 1 to 9007199254740991",
+        "steps" => "a whole number from 1 to 1e9",
+        "bytes" => "base64 of a piece of the file",
+        "offset" | "length" => "a whole number of bytes",
+        "snapshot" => "what get/snapshot answers as `result`, its CBOR in base64",
+        "return" => "\"none\" or \"state\"",
+        "select" => {
+            "one of {\"ids\": […]}, {\"count\": 5}, {\"fraction\": 0.1}, \
+             {\"within\": {\"x\", \"y\", \"radius\"}}, {\"foremost\": {\"count\", \"along\"}}"
+        }
+        "ids" => "a list of ids that are there",
+        "count" => "a whole number of individuals",
+        "fraction" => "a number from 0 to 1",
+        "time" => "a number from 0 to 1e12",
+        "radius" => "a number above 0, at most 1e6",
+        "x" | "y" | "alpha" | "along" | "direction" => "a number from -1e6 to 1e6",
+        "turn" => "null, or a number from -1e6 to 1e6",
+        "speed" => "null, or a number from 0 to 1",
+        "weight" if field.starts_with("set.") => "a number from 0 to 1e6",
+        "weight" => "a number above 0, at most 1e6",
+        "for_time" => "a number above 0, at most 1e9",
+        "mode" => "\"lockstep\" or \"free_running\"",
+        "deadline_secs" => "a number above 0, at most 60",
+        "on_timeout" => "\"hold\", \"free\" or \"pause\"",
+        "set" => "{\"ids\": […], \"direction\": […]}, \"weight\": […] if wanted",
+        "make_room" | "exist_ok" | "again" | "driving" | "drop_when_behind" | "temporary" => {
+            "true or false"
+        }
+        "timeout_secs" => "a number above 0, at most 3600",
+        "at_step" => "a whole number from 0 to 9007199254740991",
+        "expect_step" | "expect_epoch" | "step" | "after" => "a whole number, 0 or more",
+        "limit" => "a whole number from 1 to 1000",
+        "commands" => {
+            "a list of 1 to 256 of {\"verb\": \"set\" | \"inform\" | \"uninform\" | \"inject\" | \
+             \"remove\", \"args\": {…}}"
+        }
+        "part" => "a whole number, 0 or more",
+        "phase" => "paused, running or faulted",
+        "format" if field == "begin.format" => "\"mcap\" or \"parquet\"",
+        "format" => "json or cbor",
+        "every" | "max_bytes" => "a whole number from 1 to 9007199254740991",
+        "request_id" | "client" => "at most 256 bytes of text, each character to be seen",
+        "name" | "controller" | "recording" | "swarm" => keys::NAME_RULE,
+        _ => return None,
+    })
+}

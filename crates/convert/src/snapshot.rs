@@ -1,0 +1,361 @@
+//! Snapshots of a simulation: its state, the spec and the means, from and to their message.
+
+use std::fmt::Display;
+
+use jostle_physics::model::{self, Configuration, MODEL_VERSION, State, WarmContact};
+use jostle_physics::observables::RunningMeans;
+use jostle_physics::simulation::{Checkpoint, Exactness, Spec};
+use jostle_proto::snapshot::{
+    Doing, Drive, Lapse, SNAPSHOT_VERSION, SnapshotParameters, SolverMemory, Sums,
+};
+use jostle_proto::{self as proto, LARGEST_WHOLE, Told};
+use thiserror::Error;
+
+use crate::spec::{self, parameter_values};
+use crate::value::{WireError, count, publish_every};
+
+/// The largest distance of a group's origin from 0, in cells: a double represents it.
+const MAX_ORIGIN: u64 = LARGEST_WHOLE;
+
+/// Codes of contacts are below this.
+const CODES: u8 = 8;
+
+/// Why a snapshot is rejected.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum SnapshotError {
+    /// It is malformed.
+    #[error("it cannot be read: {0}")]
+    Unreadable(String),
+    /// Another version wrote it.
+    #[error("it is of version {found} of {what}, this daemon knows {known}")]
+    Version {
+        /// What has that version.
+        what: &'static str,
+        /// The version in the snapshot.
+        found: u32,
+        /// The version of this program.
+        known: u32,
+    },
+    /// Its state is not the one that its hash belongs to.
+    #[error("its state does not have the hash that it names")]
+    Hash,
+    /// No simulation can be in this state.
+    #[error("it cannot be so: {0}")]
+    Impossible(String),
+}
+
+/// A hash in hexadecimal digits.
+pub fn hexadecimal(hash: &[u8; 32]) -> String {
+    blake3::Hash::from(*hash).to_hex().to_string()
+}
+
+/// The snapshot of a simulation, with the rate of its spec. Schedule, controllers and journal, which
+/// only a daemon has, are empty.
+pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: Doing) -> proto::Snapshot {
+    let Checkpoint {
+        spec,
+        state,
+        publish_every,
+        epoch,
+        seq,
+        means,
+        exactness,
+    } = checkpoint;
+    let (configuration, contacts) = (&state.configuration, &state.warm_start.contacts);
+    let lapses = configuration.id.iter().zip(&configuration.lapses_at);
+    let drives = configuration.drives.iter().map(|(id, drive)| Drive {
+        id: *id,
+        turn: drive.turn,
+        speed: drive.speed,
+    });
+    proto::Snapshot {
+        version: SNAPSHOT_VERSION,
+        model_version: MODEL_VERSION,
+        swarm: swarm.to_owned(),
+        spec: spec::to_proto(spec, spec.seed),
+        parameters: parameters_to_proto(state.parameters, *publish_every),
+        epoch: *epoch,
+        step: state.step,
+        seq: *seq,
+        state_hash: hexadecimal(&state.hash()),
+        doing,
+        rate: spec.rate,
+        origin: configuration.origin,
+        next_id: configuration.next_id,
+        id: configuration.id.clone(),
+        x: configuration.x.clone(),
+        y: configuration.y.clone(),
+        alpha: configuration.alpha.clone(),
+        weight: configuration.weight.clone(),
+        direction: configuration.direction.clone(),
+        lapses: lapses
+            .filter_map(|(id, at)| at.map(|at_step| Lapse { id: *id, at_step }))
+            .collect(),
+        drives: drives.collect(),
+        memory: SolverMemory {
+            first: contacts.iter().map(|it| it.first).collect(),
+            second: contacts.iter().map(|it| it.second).collect(),
+            code: contacts.iter().map(|it| u32::from(it.code)).collect(),
+            multiplier: contacts.iter().map(|it| it.multiplier).collect(),
+            order: state.warm_start.order.clone(),
+            order_age: state.warm_start.order_age,
+        },
+        sums: Sums {
+            count: means.count,
+            order: means.order,
+            velocity: means.velocity,
+            directed: means.directed,
+            drift: means.drift,
+        },
+        exactness: proto::snapshot::Exactness {
+            residual: exactness.residual,
+            degraded: exactness.degraded,
+            contacts: exactness.contacts as u64,
+            iterations: exactness.iterations as u64,
+        },
+        scheduled: Vec::new(),
+        pending: None,
+        controllers: Vec::new(),
+        events: 0,
+        lines: 0,
+        is_last: false,
+        digest: None,
+    }
+}
+
+/// The simulation in a snapshot.
+///
+/// # Errors
+///
+/// [`SnapshotError::Version`], [`SnapshotError::Unreadable`] and [`SnapshotError::Hash`].
+pub fn from_proto(snapshot: &proto::Snapshot) -> Result<Checkpoint, SnapshotError> {
+    let versions = [
+        ("snapshots", snapshot.version, SNAPSHOT_VERSION),
+        ("the model", snapshot.model_version, MODEL_VERSION),
+    ];
+    for (what, found, known) in versions {
+        if found != known {
+            return Err(SnapshotError::Version { what, found, known });
+        }
+    }
+    let (spec, state) = state(snapshot)?;
+    if hexadecimal(&state.hash()) != snapshot.state_hash {
+        return Err(SnapshotError::Hash);
+    }
+    Ok(Checkpoint {
+        spec,
+        state,
+        publish_every: snapshot.parameters.publish_every,
+        epoch: snapshot.epoch,
+        seq: snapshot.seq,
+        means: RunningMeans {
+            count: snapshot.sums.count,
+            order: snapshot.sums.order,
+            velocity: snapshot.sums.velocity,
+            directed: snapshot.sums.directed,
+            drift: snapshot.sums.drift,
+        },
+        exactness: Exactness {
+            residual: snapshot.exactness.residual,
+            degraded: snapshot.exactness.degraded,
+            contacts: count(snapshot.exactness.contacts),
+            iterations: count(snapshot.exactness.iterations),
+        },
+    })
+}
+
+/// The spec and the state in a snapshot. The hash in it is not checked.
+///
+/// # Errors
+///
+/// [`SnapshotError`].
+pub fn state(snapshot: &proto::Snapshot) -> Result<(Spec, State), SnapshotError> {
+    let unreadable = |problem: &str| SnapshotError::Unreadable(problem.to_owned());
+    let spec = spec::from_proto(&snapshot.spec, count(snapshot.spec.n))
+        .map_err(|error| unreadable(&error.to_string()))?;
+    let n = snapshot.id.len();
+    let proto::Snapshot {
+        x,
+        y,
+        alpha,
+        weight,
+        direction,
+        memory,
+        ..
+    } = snapshot;
+    if [x, y, alpha, weight, direction]
+        .iter()
+        .any(|column| column.len() != n)
+    {
+        return Err(unreadable("its columns differ in length"));
+    }
+    let contacts = memory.first.len();
+    if [
+        memory.second.len(),
+        memory.code.len(),
+        memory.multiplier.len(),
+    ] != [contacts; 3]
+    {
+        return Err(unreadable(
+            "the columns of its solver's memory differ in length",
+        ));
+    }
+    let mut lapses_at = vec![None; n];
+    for lapse in &snapshot.lapses {
+        let index = snapshot.id.binary_search(&lapse.id);
+        let index = index.map_err(|_| {
+            unreadable("an unknown individual has a time at which it becomes uninformed")
+        })?;
+        lapses_at[index] = Some(lapse.at_step);
+    }
+    let state = State {
+        parameters: parameters(&snapshot.parameters, spec.parameters)
+            .map_err(|error| unreadable(&error.to_string()))?,
+        seed: spec.seed,
+        step: snapshot.step,
+        configuration: Configuration {
+            origin: snapshot.origin,
+            next_id: snapshot.next_id,
+            id: snapshot.id.clone(),
+            x: x.clone(),
+            y: y.clone(),
+            alpha: alpha.clone(),
+            weight: weight.clone(),
+            direction: direction.clone(),
+            lapses_at,
+            drives: snapshot.drives.iter().map(drive).collect(),
+        },
+        warm_start: model::WarmStart {
+            contacts: (0..contacts)
+                .map(|k| WarmContact {
+                    first: memory.first[k],
+                    second: memory.second[k],
+                    code: u8::try_from(memory.code[k]).unwrap_or(u8::MAX),
+                    multiplier: memory.multiplier[k],
+                })
+                .collect(),
+            order: memory.order.clone(),
+            order_age: memory.order_age,
+        },
+    };
+    Ok((spec, state))
+}
+
+fn parameters_to_proto(now: model::Parameters, publish_every: u64) -> SnapshotParameters {
+    let now = parameter_values(now, publish_every);
+    SnapshotParameters {
+        pi1: now.pi1,
+        pi2: now.pi2,
+        pi3: now.pi3,
+        pi4: now.pi4,
+        contacts: Some(now.contacts),
+        stepping: Some(now.stepping),
+        relinearise: Some(now.relinearise),
+        attraction: Some(Told(now.attraction)),
+        noise: Some(now.noise),
+        publish_every,
+    }
+}
+
+/// The parameters in a snapshot; `at_start` are those of its spec, for those that it lacks.
+fn parameters(
+    kept: &SnapshotParameters,
+    at_start: model::Parameters,
+) -> Result<model::Parameters, WireError> {
+    let relinearise = kept.relinearise.map(spec::relinearise).transpose()?;
+    Ok(model::Parameters {
+        pi1: kept.pi1,
+        pi2: kept.pi2,
+        pi3: kept.pi3,
+        pi4: kept.pi4,
+        dt: at_start.dt,
+        contacts: kept.contacts.map_or(at_start.contacts, spec::contact_rule),
+        stepping: kept.stepping.map_or(at_start.stepping, spec::stepping),
+        relinearise: relinearise.unwrap_or(at_start.relinearise),
+        attraction: kept
+            .attraction
+            .as_ref()
+            .map_or(at_start.attraction, |it| spec::attraction(it.0)),
+        noise: kept.noise.unwrap_or(at_start.noise),
+    })
+}
+
+fn drive(kept: &Drive) -> (u32, model::Drive) {
+    let Drive { id, turn, speed } = *kept;
+    (id, model::Drive { turn, speed })
+}
+
+/// Checks a simulation from an untrusted snapshot: the conditions that the stepper relies on.
+///
+/// # Errors
+///
+/// [`SnapshotError::Impossible`].
+pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
+    let impossible = |problem: &str| Err(SnapshotError::Impossible(problem.to_owned()));
+    let Checkpoint {
+        state,
+        means,
+        exactness,
+        ..
+    } = checkpoint;
+    let configuration = &state.configuration;
+    let ids = &configuration.id;
+    if ids.is_empty() {
+        return impossible("it has no individuals");
+    }
+    if !ids.is_sorted_by(|a, b| a < b) || ids.iter().any(|id| *id >= configuration.next_id) {
+        return impossible("its ids are not ascending, or not below the next one");
+    }
+    if configuration
+        .origin
+        .iter()
+        .any(|it| it.unsigned_abs() > MAX_ORIGIN)
+    {
+        return impossible("its origin is too far out");
+    }
+    let columns = [
+        &configuration.x,
+        &configuration.y,
+        &configuration.alpha,
+        &configuration.weight,
+        &configuration.direction,
+    ];
+    let residual = exactness.residual;
+    let [vx, vy] = means.velocity;
+    let sums = [means.order, vx, vy, means.drift, residual];
+    let mut numbers = columns.into_iter().flatten().chain(&sums);
+    if !numbers.all(|it| it.is_finite()) {
+        return impossible("a number of it is not finite");
+    }
+    if configuration.weight.iter().any(|weight| *weight < 0.0) {
+        return impossible("a weight of it is negative");
+    }
+    let rejected = |error: &dyn Display| SnapshotError::Impossible(error.to_string());
+    state
+        .parameters
+        .check(configuration.largest_weight())
+        .map_err(|error| rejected(&error))?;
+    publish_every(checkpoint.publish_every).map_err(|error| rejected(&error))?;
+    let counts = [state.step, checkpoint.seq, means.count, means.directed];
+    if counts.into_iter().any(|it| it > LARGEST_WHOLE) {
+        return impossible("a count of it is too large");
+    }
+    let is_contact =
+        |code: u8, multiplier: f64| code < CODES && multiplier.is_finite() && multiplier >= 0.0;
+    let mut contacts = state.warm_start.contacts.iter();
+    if !contacts.all(|it| is_contact(it.code, it.multiplier)) || !is_order(&state.warm_start.order)
+    {
+        return impossible("the warm start of its solver is malformed");
+    }
+    Ok(())
+}
+
+/// Whether it is a permutation of the first whole numbers.
+fn is_order(order: &[u32]) -> bool {
+    let mut sorted = order.to_vec();
+    sorted.sort_unstable();
+    sorted
+        .iter()
+        .zip(0..)
+        .all(|(found, wanted)| *found == wanted)
+}

@@ -1,0 +1,188 @@
+//! Specs and parameters, from and to their messages.
+
+use jostle_physics::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
+use jostle_physics::simulation::{Spec, Start};
+use jostle_proto as proto;
+
+use crate::value::{WireError, publish_every, rate, whole};
+
+/// The spec in a message. The caller has admitted `n`, its number of individuals.
+///
+/// # Errors
+///
+/// [`WireError`] names the first field that is wrong. Parameters are checked by the model.
+pub fn from_proto(spec: &proto::Spec, n: usize) -> Result<Spec, WireError> {
+    let proto::Spec {
+        pi1,
+        pi2,
+        pi3,
+        pi4,
+        dt,
+        noise,
+        ..
+    } = *spec;
+    let start = match &spec.start {
+        proto::Start::Disc { radius } => Start::Disc(*radius),
+        proto::Start::Given { x, y, alpha } => {
+            for (field, column) in [("start.x", x), ("start.y", y), ("start.alpha", alpha)] {
+                if column.len() != n {
+                    return Err(WireError::Length {
+                        field,
+                        length: column.len(),
+                        n: spec.n,
+                    });
+                }
+            }
+            Start::Given {
+                x: x.clone(),
+                y: y.clone(),
+                alpha: alpha.clone(),
+            }
+        }
+    };
+    let parameters = Parameters {
+        pi1,
+        pi2,
+        pi3,
+        pi4,
+        dt,
+        contacts: contact_rule(spec.contacts),
+        stepping: stepping(spec.stepping),
+        relinearise: relinearise(spec.relinearise)?,
+        attraction: attraction(spec.attraction),
+        noise,
+    };
+    Ok(Spec {
+        n,
+        parameters,
+        seed: whole("seed", spec.seed)?,
+        start,
+        publish_every: publish_every(spec.publish_every)?,
+        rate: rate(spec.rate)?,
+    })
+}
+
+/// The contact rule.
+pub fn contact_rule(rule: proto::ContactRule) -> ContactRule {
+    match rule {
+        proto::ContactRule::Endpoints => ContactRule::Endpoints,
+        proto::ContactRule::Closest => ContactRule::Closest,
+        proto::ContactRule::Clamped => ContactRule::Clamped,
+    }
+}
+
+/// What contacts limit.
+pub fn stepping(stepping: proto::Stepping) -> Stepping {
+    match stepping {
+        proto::Stepping::Position => Stepping::Position,
+        proto::Stepping::Velocity => Stepping::Velocity,
+    }
+}
+
+/// Whether a second program is solved.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`] for more than one.
+pub fn relinearise(programs: u8) -> Result<bool, WireError> {
+    match programs {
+        0 => Ok(false),
+        1 => Ok(true),
+        more => Err(WireError::out_of_range("relinearise", more)),
+    }
+}
+
+/// The law of attraction.
+pub fn attraction(law: proto::Attraction) -> Attraction {
+    match law {
+        proto::Attraction::All { accuracy } => Attraction::All { accuracy },
+        proto::Attraction::Voronoi {} => Attraction::Voronoi,
+        proto::Attraction::Metric { radius } => Attraction::Metric { radius },
+        proto::Attraction::Topological { neighbours } => Attraction::Topological { neighbours },
+        proto::Attraction::Power { exponent } => Attraction::Power { exponent },
+    }
+}
+
+/// The message of a spec, with the seed that is in force.
+pub fn to_proto(spec: &Spec, seed: u64) -> proto::Spec {
+    let Parameters {
+        pi1,
+        pi2,
+        pi3,
+        pi4,
+        dt,
+        contacts,
+        stepping,
+        relinearise,
+        attraction,
+        noise,
+    } = spec.parameters;
+    proto::Spec {
+        n: spec.n as u64,
+        pi1,
+        pi2,
+        pi3,
+        pi4,
+        dt,
+        contacts: contact_rule_to_proto(contacts),
+        stepping: stepping_to_proto(stepping),
+        relinearise: u8::from(relinearise),
+        seed,
+        start: match &spec.start {
+            Start::Disc(radius) => proto::Start::Disc { radius: *radius },
+            Start::Given { x, y, alpha } => proto::Start::Given {
+                x: x.clone(),
+                y: y.clone(),
+                alpha: alpha.clone(),
+            },
+        },
+        attraction: attraction_to_proto(attraction),
+        noise,
+        publish_every: spec.publish_every,
+        rate: spec.rate,
+    }
+}
+
+/// The message of a contact rule.
+pub fn contact_rule_to_proto(rule: ContactRule) -> proto::ContactRule {
+    match rule {
+        ContactRule::Endpoints => proto::ContactRule::Endpoints,
+        ContactRule::Closest => proto::ContactRule::Closest,
+        ContactRule::Clamped => proto::ContactRule::Clamped,
+    }
+}
+
+/// The message of what contacts limit.
+pub fn stepping_to_proto(stepping: Stepping) -> proto::Stepping {
+    match stepping {
+        Stepping::Position => proto::Stepping::Position,
+        Stepping::Velocity => proto::Stepping::Velocity,
+    }
+}
+
+/// The message of a law of attraction.
+pub fn attraction_to_proto(law: Attraction) -> proto::Attraction {
+    match law {
+        Attraction::All { accuracy } => proto::Attraction::All { accuracy },
+        Attraction::Voronoi => proto::Attraction::Voronoi {},
+        Attraction::Metric { radius } => proto::Attraction::Metric { radius },
+        Attraction::Topological { neighbours } => proto::Attraction::Topological { neighbours },
+        Attraction::Power { exponent } => proto::Attraction::Power { exponent },
+    }
+}
+
+/// The message of parameters and `publish_every`.
+pub fn parameter_values(parameters: Parameters, publish_every: u64) -> proto::ParameterValues {
+    proto::ParameterValues {
+        pi1: parameters.pi1,
+        pi2: parameters.pi2,
+        pi3: parameters.pi3,
+        pi4: parameters.pi4,
+        contacts: contact_rule_to_proto(parameters.contacts),
+        stepping: stepping_to_proto(parameters.stepping),
+        relinearise: u8::from(parameters.relinearise),
+        attraction: attraction_to_proto(parameters.attraction),
+        noise: parameters.noise,
+        publish_every,
+    }
+}

@@ -1,0 +1,104 @@
+//! Numbers of a message, checked as far as they can be without a swarm.
+
+use jostle_physics::simulation::Rate;
+use jostle_proto::LARGEST_WHOLE;
+use serde_json::Value;
+use thiserror::Error;
+
+/// The fastest rate, in time units per second of wall clock.
+const MAX_RATE: f64 = 1e6;
+
+/// The most steps between two published states.
+const MAX_PUBLISH_EVERY: u64 = 1_000_000_000;
+
+/// Why a value of a message is rejected.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum WireError {
+    /// A number is outside its range.
+    #[error("{field} = {value} is outside its range")]
+    OutOfRange {
+        /// The field.
+        field: &'static str,
+        /// Its value.
+        value: Value,
+    },
+    /// A column does not have one number for each individual.
+    #[error("{field} has {length} numbers, n is {n}")]
+    Length {
+        /// The column.
+        field: &'static str,
+        /// Its length.
+        length: usize,
+        /// The number of individuals.
+        n: u64,
+    },
+}
+
+impl WireError {
+    /// A number outside its range.
+    pub fn out_of_range<V: Copy + Into<Value> + ToString>(field: &'static str, value: V) -> Self {
+        WireError::OutOfRange {
+            field,
+            // JSON has no number for NaN and infinity: send them as text.
+            value: match value.into() {
+                Value::Null => value.to_string().into(),
+                value => value,
+            },
+        }
+    }
+}
+
+/// A whole number that a double can represent.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`].
+pub fn whole(field: &'static str, number: u64) -> Result<u64, WireError> {
+    if number <= LARGEST_WHOLE {
+        return Ok(number);
+    }
+    Err(WireError::out_of_range(field, number))
+}
+
+/// Checks a rate, in time units per second of wall clock.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`].
+pub fn rate(rate: Rate) -> Result<Rate, WireError> {
+    match rate {
+        Some(rate) if !(rate > 0.0 && rate <= MAX_RATE) => {
+            Err(WireError::out_of_range("rate", rate))
+        }
+        rate => Ok(rate),
+    }
+}
+
+/// Checks a number of steps between two published states.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`].
+pub fn publish_every(steps: u64) -> Result<u64, WireError> {
+    if (1..=MAX_PUBLISH_EVERY).contains(&steps) {
+        return Ok(steps);
+    }
+    Err(WireError::out_of_range("publish_every", steps))
+}
+
+/// The weight of an individual that is to be informed. A weight of 0 would mean that it is not.
+///
+/// # Errors
+///
+/// [`WireError::OutOfRange`] unless it is above 0. The upper limit is checked by the model.
+pub fn weight(weight: f64) -> Result<f64, WireError> {
+    if weight > 0.0 {
+        return Ok(weight);
+    }
+    Err(WireError::out_of_range("weight", weight))
+}
+
+/// A number of individuals, limited to what a `usize` can represent.
+pub fn count(count: u64) -> usize {
+    usize::try_from(count).unwrap_or(usize::MAX)
+}

@@ -1,0 +1,162 @@
+//! What contacts do to bodies in a run.
+
+use jostle_physics::model::body::{Body, near_pairs};
+use jostle_physics::model::{CELL, Configuration, State};
+use jostle_physics::stepper::{StepReport, Stepper};
+use jostle_results::touch::Touch;
+
+/// The largest gap of two bodies at each other's side, in body sizes.
+const NEAR: f64 = 0.05;
+
+/// The largest angle between their headings.
+const PARALLEL: f64 = 0.25;
+
+/// How often sides are looked at: once each unit of time.
+const EVERY: f64 = 1.0;
+
+/// Measures how much bodies touch.
+pub struct Meter {
+    from: [f64; 2],
+    steps: u64,
+    listed: u64,
+    pushing: u64,
+    /// How many individuals were pushed, step by step, and by how much turned and displaced.
+    pushed: u64,
+    turned: f64,
+    shifted: f64,
+    looks: u64,
+    beside: u64,
+}
+
+impl Meter {
+    /// Begins with a run.
+    pub fn new(state: &State) -> Self {
+        Self {
+            from: centroid(&state.configuration),
+            steps: 0,
+            listed: 0,
+            pushing: 0,
+            pushed: 0,
+            turned: 0.0,
+            shifted: 0.0,
+            looks: 0,
+            beside: 0,
+        }
+    }
+
+    /// Counts the step that led to `state`.
+    pub fn add(&mut self, stepper: &Stepper, report: &StepReport, state: &State) {
+        self.steps += 1;
+        self.listed += report.contacts as u64;
+        self.pushing += report.active as u64;
+        let free = &stepper.program().0.free;
+        for (moved, free) in stepper.displacement().iter().zip(free) {
+            // Whom nothing pushes moves freely, to the bit.
+            if moved != free {
+                self.pushed += 1;
+                self.turned += (moved[2] - free[2]).abs();
+                let [x, y] = [moved[0] - free[0], moved[1] - free[1]];
+                self.shifted += (x * x + y * y).sqrt();
+            }
+        }
+        if state.time() >= EVERY * (self.looks + 1) as f64 {
+            self.looks += 1;
+            self.beside += beside(state);
+        }
+    }
+
+    /// Tells what there was; without a step nothing.
+    pub fn conclude(self, run: &str, contacts: &str, state: &State) -> Option<Touch> {
+        let (parameters, n) = (&state.parameters, state.configuration.n());
+        let to = centroid(&state.configuration);
+        let way = [to[0] - self.from[0], to[1] - self.from[1]];
+        let share = |part: f64, whole: u64| if whole > 0 { part / whole as f64 } else { 0.0 };
+        (self.steps > 0).then(|| Touch {
+            run: run.to_owned(),
+            n: n as u64,
+            pi1: parameters.pi1,
+            pi3: parameters.pi3,
+            pi4: parameters.pi4,
+            contacts: contacts.to_owned(),
+            dt: parameters.dt,
+            listed: share(self.listed as f64, self.steps * n as u64),
+            pushing: share(self.pushing as f64, self.steps * n as u64),
+            turned: share(self.turned / parameters.dt, self.pushed),
+            shifted: share(self.shifted / parameters.dt, self.pushed),
+            beside: share(self.beside as f64, self.looks * n as u64),
+            way: (way[0] * way[0] + way[1] * way[1]).sqrt() / state.time(),
+        })
+    }
+}
+
+/// The mean position, wherever the origin is.
+fn centroid(configuration: &Configuration) -> [f64; 2] {
+    let near = configuration.centroid();
+    [0, 1].map(|axis| near[axis] + CELL * configuration.origin[axis] as f64)
+}
+
+/// How many individuals have another at their side that heads the same way.
+fn beside(state: &State) -> u64 {
+    let State {
+        parameters,
+        configuration,
+        ..
+    } = state;
+    let Configuration { x, y, alpha, .. } = configuration;
+    let body = Body::new(parameters);
+    let mut has = vec![false; configuration.n()];
+    for (i, j, nearness) in near_pairs(body, configuration, NEAR) {
+        let [i, j] = [i, j].map(|index| index as usize);
+        let (sin, cos) = libm::sincos(alpha[i]);
+        let along = (x[j] - x[i]) * cos + (y[j] - y[i]) * sin;
+        let turn = alpha[j] - alpha[i];
+        let is_parallel = libm::cos(turn) > libm::cos(PARALLEL);
+        if is_parallel && along.abs() < body.half_length && !nearness.crossed {
+            (has[i], has[j]) = (true, true);
+        }
+    }
+    has.iter().filter(|&&it| it).count() as u64
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    fn run(poses: &[[f64; 3]], steps: u64) -> Touch {
+        let mut state = State::default();
+        for [x, y, alpha] in poses {
+            state.configuration.push(*x, *y, *alpha);
+        }
+        let (mut meter, mut stepper) = (Meter::new(&state), Stepper::new());
+        for _ in 0..steps {
+            let report = stepper.step(&mut state).unwrap();
+            meter.add(&stepper, &report, &state);
+        }
+        meter.conclude("a", "endpoints", &state).unwrap()
+    }
+
+    #[test]
+    fn who_walks_side_by_side_is_beside_and_turned() {
+        let touch = run(&[[0.0, 0.0, 0.0], [0.0, 0.4, 0.0]], 50);
+        assert_eq!((touch.n, touch.beside), (2, 1.0));
+        // Both are pulled towards each other at rate 1, and mostly held by their contacts.
+        assert!(touch.turned > 0.0 && touch.turned < 1.0, "{touch:?}");
+        assert!((0.5..=1.0).contains(&touch.pushing), "{touch:?}");
+        assert!(touch.way > 0.99, "{touch:?}");
+    }
+
+    #[test]
+    fn who_is_apart_touches_nobody() {
+        let touch = run(&[[0.0, 0.0, 0.0], [9.0, 9.0, 3.0]], 50);
+        let nothing = (touch.pushing, touch.turned, touch.beside);
+        assert_eq!(nothing, (0.0, 0.0, 0.0));
+    }
+
+    #[test]
+    fn who_is_ahead_or_comes_the_other_way_is_not_beside() {
+        assert_eq!(run(&[[0.0, 0.0, 0.0], [1.62, 0.0, 0.0]], 50).beside, 0.0);
+        let opposite = [[0.0, 0.0, 0.0], [0.0, 0.41, std::f64::consts::PI]];
+        assert_eq!(run(&opposite, 50).beside, 0.0);
+    }
+}

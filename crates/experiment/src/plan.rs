@@ -1,0 +1,473 @@
+//! What an experiment's file asks for: every run there is to be, checked before one begins.
+
+use std::collections::BTreeSet;
+
+use jostle_physics::simulation::{Spec, Start, begin, steps_in};
+use jostle_proto::{LARGEST_WHOLE, keys};
+
+use crate::error::PlanError;
+use crate::file::Source;
+use crate::grid::{self, AXES, Choice, Grid};
+use crate::limits::{MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
+use jostle_convert::spec;
+use jostle_convert::value::count;
+
+/// An experiment: what its runs have in common, and each of them.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Plan {
+    /// Its name.
+    pub name: String,
+    /// What every run's seed is derived from.
+    pub seed: u64,
+    /// How long each run is.
+    pub duration: f64,
+    /// Steps between two entries of the order's time series, if it is asked for.
+    pub order_every: Option<u64>,
+    /// Whether what contacts do to bodies is measured.
+    pub touch: bool,
+    /// The file it was read from, to the byte.
+    pub text: String,
+    points: Vec<Point>,
+    runs: Vec<PlannedRun>,
+}
+
+/// What the replicates of a run have in common.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Point {
+    /// The swarm, its seed aside.
+    pub spec: Spec,
+    /// How many individuals are informed from the start.
+    pub informed: usize,
+    /// How many steps a run has.
+    pub steps: u64,
+}
+
+/// One run of an experiment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PlannedRun {
+    /// What varies, then the replicate.
+    pub name: String,
+    /// The seed of every draw, derived from the name.
+    pub seed: u64,
+    point: usize,
+}
+
+impl Plan {
+    /// Reads an experiment's file.
+    ///
+    /// Runs come grid by grid; within a grid the axes vary in the order of [`AXES`], the last
+    /// one fastest, each through its values as they are listed; replicates vary faster still. A
+    /// run's name tells every axis that any grid has, so more values change no name, nor a seed.
+    ///
+    /// # Errors
+    ///
+    /// [`PlanError`] names the line or the run.
+    pub fn parse(text: &str) -> Result<Self, PlanError> {
+        let source = Source(text);
+        let file = source.read()?;
+        let name = file.name.get_ref();
+        if !keys::is_name(name) {
+            let reason = format!("name = {name:?} does not fit {}", keys::NAME_RULE);
+            return Err(source.refuse(&file.name.span(), reason));
+        }
+        let seed = source.whole("seed", file.seed.as_ref(), 0, [0, LARGEST_WHOLE])?;
+        let limits = [1, MAX_RUNS];
+        let replicates = source.whole("replicates", file.replicates.as_ref(), 1, limits)?;
+        let every = file.measure.order_every.as_ref();
+        let every = source.whole("order_every", every, 0, [1, MAX_STEPS])?;
+        let duration = *file.duration.get_ref();
+        if !(duration.is_finite() && duration > 0.0) {
+            let reason = format!("duration = {duration} is outside the numbers above 0");
+            return Err(source.refuse(&file.duration.span(), reason));
+        }
+        let common = grid::common(source, &file.spec)?;
+        let grids = grid::grids(source, &file.grid, replicates, MAX_RUNS)?;
+        let runs = count_runs(&grids);
+        if runs > MAX_RUNS {
+            return Err(PlanError::TooManyRuns { runs });
+        }
+        let mut plan = Self {
+            name: name.clone(),
+            seed,
+            duration,
+            order_every: (every > 0).then_some(every),
+            touch: file.measure.touch,
+            text: text.to_owned(),
+            points: Vec::new(),
+            runs: Vec::new(),
+        };
+        let is_varied = |axis: &&str| grids.iter().any(|grid| grid.has(axis));
+        let varied: Vec<&str> = AXES.into_iter().filter(is_varied).collect();
+        let mut names = BTreeSet::new();
+        for grid in &grids {
+            for index in 0..count(grid.size().unwrap_or(0)) {
+                let choice = grid.choice(source, &common, index)?;
+                plan.add_point(source, grid, &choice, &choice.name(&varied))?;
+                let new = plan.runs.iter().rev();
+                for run in new.take(count(grid.replicates)) {
+                    if !names.insert(run.name.clone()) {
+                        let (line, run) = (source.line(&grid.place), run.name.clone());
+                        return Err(PlanError::Repeated { line, run });
+                    }
+                }
+            }
+        }
+        let entries = plan.runs.iter().map(|run| plan.entries(run));
+        match entries.fold(0, u64::saturating_add) {
+            entries if entries > MAX_ENTRIES => Err(PlanError::TooManyEntries { entries }),
+            _ => Ok(plan),
+        }
+    }
+
+    /// Every run, in the order in which tables list them.
+    #[must_use]
+    pub fn runs(&self) -> &[PlannedRun] {
+        &self.runs
+    }
+
+    /// What a run has in common with its replicates.
+    #[must_use]
+    pub fn point(&self, run: &PlannedRun) -> &Point {
+        &self.points[run.point]
+    }
+
+    /// The swarm that a run begins with.
+    #[must_use]
+    pub fn spec(&self, run: &PlannedRun) -> Spec {
+        Spec {
+            seed: run.seed,
+            ..self.point(run).spec.clone()
+        }
+    }
+
+    /// How many entries a run's time series has.
+    fn entries(&self, run: &PlannedRun) -> u64 {
+        let every = self.order_every;
+        every.map_or(0, |every| self.point(run).steps / every + 1)
+    }
+
+    /// Adds all replicates of a choice.
+    fn add_point(
+        &mut self,
+        source: Source<'_>,
+        grid: &Grid,
+        choice: &Choice,
+        name: &str,
+    ) -> Result<(), PlanError> {
+        let refuse = |reason: String| source.refuse(&grid.place, reason);
+        let Choice { spec, informed, .. } = choice;
+        if !(1..=MAX_INDIVIDUALS).contains(&spec.n) {
+            let reason = format!("n = {} is outside [1, {MAX_INDIVIDUALS}]", spec.n);
+            return Err(refuse(reason));
+        }
+        let start =
+            spec::from_proto(spec, count(spec.n)).map_err(|error| refuse(error.to_string()))?;
+        let refuse_run = |error| {
+            let run = numbered(name, 0);
+            PlanError::Run { run, error }
+        };
+        let parameters = &start.parameters;
+        let weight = if *informed > 0 { parameters.pi2 } else { 0.0 };
+        let checked = parameters.check(weight);
+        checked.map_err(|error| refuse_run(error.into()))?;
+        // In the usual disc there is always room.
+        if start.start != Start::Disc(None) {
+            begin(&start).map_err(refuse_run)?;
+        }
+        let steps = steps_in(self.duration, parameters.dt);
+        if steps > MAX_STEPS {
+            let reason = format!("a run has {steps} steps, at most {MAX_STEPS} are taken");
+            return Err(refuse(reason));
+        }
+        for replicate in 0..grid.replicates {
+            let name = numbered(name, replicate);
+            self.runs.push(PlannedRun {
+                seed: derive_seed(self.seed, &name),
+                name,
+                point: self.points.len(),
+            });
+        }
+        self.points.push(Point {
+            spec: start,
+            informed: *informed,
+            steps,
+        });
+        Ok(())
+    }
+}
+
+/// How many runs the grids have together, or as many as can be counted.
+fn count_runs(grids: &[Grid]) -> u64 {
+    let runs = grids.iter().map(|grid| {
+        let points = grid.size().unwrap_or(u64::MAX);
+        points.saturating_mul(grid.replicates)
+    });
+    runs.fold(0, u64::saturating_add)
+}
+
+fn numbered(name: &str, replicate: u64) -> String {
+    let space = if name.is_empty() { "" } else { " " };
+    format!("{name}{space}#{replicate}")
+}
+
+/// A run's seed: the first 53 bits of BLAKE3 over the experiment's seed, as 64 bits with the
+/// lowest byte first, and the run's name.
+fn derive_seed(seed: u64, name: &str) -> u64 {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(&seed.to_le_bytes());
+    hasher.update(name.as_bytes());
+    let mut first = [0; 8];
+    first.copy_from_slice(&hasher.finalize().as_bytes()[..8]);
+    u64::from_be_bytes(first) >> 11
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use jostle_physics::model::ParametersError;
+    use jostle_physics::simulation::ChangeError;
+
+    const HEAD: &str = "name = \"a\"\nduration = 10\n";
+
+    fn plan(rest: &str) -> Plan {
+        Plan::parse(&format!("{HEAD}{rest}")).unwrap()
+    }
+
+    fn refusal(rest: &str) -> PlanError {
+        Plan::parse(&format!("{HEAD}{rest}")).unwrap_err()
+    }
+
+    /// The line and the reason of what is refused.
+    fn refused(rest: &str) -> (usize, String) {
+        match refusal(rest) {
+            PlanError::Field { line, reason } => (line, reason),
+            other => panic!("{other}"),
+        }
+    }
+
+    fn names(plan: &Plan) -> Vec<&str> {
+        plan.runs().iter().map(|run| run.name.as_str()).collect()
+    }
+
+    #[test]
+    fn the_papers_series_are_planned_under_both_rules() {
+        let files = [
+            (include_str!("../../../paper/series1.toml"), 2 * 4 * 9 * 16),
+            (include_str!("../../../paper/series2.toml"), 2 * 35 * 40),
+            (include_str!("../../../paper/animations.toml"), 2 * 6 * 4),
+        ];
+        for (text, runs) in files {
+            let plan = Plan::parse(text).unwrap();
+            assert_eq!(plan.runs().len(), runs, "{}", plan.name);
+        }
+        let plan = Plan::parse(files[1].0).unwrap();
+        let run = &plan.runs()[plan.runs().len() - 1];
+        assert_eq!(
+            run.name,
+            "pi1=8 n=40 informed_fraction=0.5 contacts=closest dt=0.1 #7"
+        );
+        let point = plan.point(run);
+        assert_eq!((point.informed, point.steps), (20, 10_000));
+        assert_eq!(plan.spec(run).seed, run.seed);
+    }
+
+    #[test]
+    fn without_a_grid_there_is_one_point() {
+        let plan = plan("replicates = 2\n[spec]\nn = 3\n");
+        assert_eq!(names(&plan), ["#0", "#1"]);
+        assert_eq!(plan.point(&plan.runs()[0]).steps, 500);
+    }
+
+    #[test]
+    fn axes_vary_in_one_order_and_grids_follow_each_other() {
+        let both = plan(
+            "replicates = 2\n[[grid]]\nn = [5, 3]\npi1 = [2, 1.5]\n[[grid]]\nreplicates = 1\n\
+             pi3 = 0.5\nn = 4",
+        );
+        let expected = [
+            "pi1=2 pi3=1 n=5 #0",
+            "pi1=2 pi3=1 n=5 #1",
+            "pi1=2 pi3=1 n=3 #0",
+            "pi1=2 pi3=1 n=3 #1",
+            "pi1=1.5 pi3=1 n=5 #0",
+            "pi1=1.5 pi3=1 n=5 #1",
+            "pi1=1.5 pi3=1 n=3 #0",
+            "pi1=1.5 pi3=1 n=3 #1",
+            "pi1=4 pi3=0.5 n=4 #0",
+        ];
+        assert_eq!(names(&both), expected);
+        // What does not vary is taken from [spec], or has its default.
+        assert_eq!(both.spec(&both.runs()[8]).parameters.pi3, 0.5);
+        let laws = plan(
+            "spec = { n = 9 }\ngrid = [{ attraction = [{ kind = \"all\" }, { kind = \
+             \"topological\", neighbours = 7 }], relinearise = 1, informed = 2 }]",
+        );
+        let expected = [
+            "informed=2 relinearise=1 attraction=all #0",
+            "informed=2 relinearise=1 attraction=topological:7 #0",
+        ];
+        assert_eq!(names(&laws), expected);
+    }
+
+    #[test]
+    fn a_seed_depends_on_the_name_and_the_experiments_seed_alone() {
+        let seeds = |plan: &Plan| -> Vec<(String, u64)> {
+            let runs = plan.runs().iter();
+            runs.map(|run| (run.name.clone(), run.seed)).collect()
+        };
+        let few = seeds(&plan("seed = 7\n[[grid]]\nn = [3]\npi1 = [4]"));
+        // Changing this value changes every result there is.
+        assert_eq!(
+            few,
+            [("pi1=4 n=3 #0".to_owned(), derive_seed(7, "pi1=4 n=3 #0"))]
+        );
+        assert!(few[0].1 <= LARGEST_WHOLE);
+        let many = plan("seed = 7\nreplicates = 3\n[[grid]]\nn = [50, 3]\npi1 = [1.5, 4.0]");
+        assert!(seeds(&many).contains(&few[0]), "more values changed a seed");
+        let other = seeds(&plan("seed = 8\n[[grid]]\nn = [3]\npi1 = [4]"));
+        assert_ne!(few[0].1, other[0].1);
+        let mut distinct: Vec<u64> = many.runs().iter().map(|run| run.seed).collect();
+        distinct.sort_unstable();
+        distinct.dedup();
+        assert_eq!(distinct.len(), many.runs().len());
+    }
+
+    #[test]
+    fn what_is_not_known_is_refused_by_its_line() {
+        for (rest, line, part) in [
+            ("colour = 1\n", 3, "colour"),
+            ("[spec]\nn = 3\npi5 = 2\n", 5, "pi5"),
+            ("[spec]\nn = 3\npi1 = \"long\"\n", 5, "pi1"),
+            ("[spec]\nseed = 3\n", 4, "seed"),
+            ("[spec]\nstart = { kind = \"ring\" }\n", 4, "ring"),
+            (
+                "[[grid]]\nn = 3\n[[grid]]\nn = 4\n\nspeed = [1, 2]\n",
+                8,
+                "speed",
+            ),
+            ("[[grid]]\nn = [3,\n \"x\"]\n", 4, "n: "),
+            (
+                "[[grid]]\nn = 3\ncontacts = [\"endpoint\"]\n",
+                5,
+                "endpoint",
+            ),
+            ("[[grid]]\nn = []\n", 4, "no value"),
+            ("[[grid]]\nn = 3\nreplicates = 0\n", 5, "replicates = 0"),
+            ("[measure]\norder_each = 3\n", 4, "order_each"),
+            ("[measure]\norder_every = 0\n", 4, "order_every = 0"),
+            ("replicates = -1\n", 3, "-1"),
+            ("seed = 9007199254740992\n", 3, "seed = 9007199254740992"),
+            ("[spec\n", 3, ""),
+            ("[[grid]]\npi1 = 3\n", 4, "n is given neither"),
+            ("[[grid]]\nn = 3\ninformed = 4\n", 5, "more than n = 3"),
+            ("[[grid]]\nn = 3\ninformed = -1\n", 5, "informed"),
+            ("[[grid]]\nn = 3\ninformed_fraction = 0.1\n", 5, "nobody"),
+            (
+                "[[grid]]\nn = 3\ninformed_fraction = 1.1\n",
+                5,
+                "within [0, 1]",
+            ),
+            ("[[grid]]\nn = 3\ninformed = 1\npi2 = 0\n", 5, "pi2"),
+            (
+                "[[grid]]\ninformed = 1\nn = 3\ninformed_fraction = 0.5\n",
+                4,
+                "one thing",
+            ),
+            ("[spec]\nn = 3\nrelinearise = 2\n", 1, "relinearise"),
+        ] {
+            let (at, reason) = refused(rest);
+            assert!(reason.contains(part), "{rest}: {reason}");
+            assert_eq!(at, line, "{rest}: {reason}");
+        }
+        for head in ["duration = 1", "name = \"a\"", "name = \"A\"\nduration = 1"] {
+            assert!(matches!(
+                Plan::parse(head),
+                Err(PlanError::Field { line: 1, .. })
+            ));
+        }
+        for duration in ["0", "-1", "nan", "inf"] {
+            let text = format!("name = \"a\"\nduration = {duration}\nspec = {{ n = 3 }}");
+            assert!(matches!(
+                Plan::parse(&text),
+                Err(PlanError::Field { line: 2, .. })
+            ));
+        }
+    }
+
+    #[test]
+    fn sizes_beyond_reason_are_refused_at_once() {
+        let list = (1..=1000)
+            .map(|k| k.to_string())
+            .collect::<Vec<_>>()
+            .join(", ");
+        let text = format!("[[grid]]\nn = [{list}]\npi3 = [{list}]\npi4 = [{list}]");
+        match refusal(&text) {
+            PlanError::TooManyRuns { runs } => assert_eq!(runs, 1_000_000_000),
+            other => panic!("{other}"),
+        }
+        assert!(
+            refused("spec = { n = 1000000000 }")
+                .1
+                .contains("n = 1000000000")
+        );
+        assert!(refused("replicates = 1000000000").1.contains("replicates"));
+        let (_, reason) = refused("spec = { n = 2, dt = 1e-12 }");
+        assert!(reason.contains("steps"), "{reason}");
+        let text = "spec = { n = 2, dt = 1e-7 }\nreplicates = 20\nmeasure = { order_every = 1 }";
+        match refusal(text) {
+            PlanError::TooManyEntries { entries } => assert_eq!(entries, 2_000_000_020),
+            other => panic!("{other}"),
+        }
+    }
+
+    #[test]
+    fn a_runs_parameters_are_checked_with_the_weights_it_will_have() {
+        // dt (1 + h ω) <= 2 r: 0.16 is short enough for the uninformed alone.
+        let text = "[spec]\npi1 = 8\n[[grid]]\nn = 10\ndt = 0.12\ninformed = ";
+        plan(&format!("{text}0"));
+        match refusal(&format!("{text}[0, 1]")) {
+            PlanError::Run {
+                run,
+                error: ChangeError::Parameters(ParametersError::StepTooLong { .. }),
+            } => assert_eq!(run, "n=10 informed=1 dt=0.12 #0"),
+            other => panic!("{other}"),
+        }
+        let start = "[spec]\nn = 2\nstart = { kind = \"given\", x = [0, 9], y = [0, 0], alpha = \
+                     [0, 0] }\n";
+        plan(start);
+        assert!(
+            refused(&start.replace("n = 2", "n = 3"))
+                .1
+                .contains("n is 3")
+        );
+        let crossed = start.replace("[0, 9]", "[0, 0]");
+        assert!(matches!(refusal(&crossed), PlanError::Run { .. }));
+    }
+
+    #[test]
+    fn a_repeated_run_is_refused() {
+        for text in [
+            "[[grid]]\nn = [3, 3.0]",
+            "[[grid]]\nn = [3, 4]\n[[grid]]\nn = 4",
+            "[[grid]]\nn = 4\ninformed = 0\n[[grid]]\nn = [4, 3]\ninformed = [1, 0]",
+        ] {
+            match refusal(text) {
+                PlanError::Repeated { .. } => {}
+                PlanError::Field { reason, .. } => assert!(reason.contains("3.0"), "{reason}"),
+                other => panic!("{other}"),
+            }
+        }
+    }
+
+    #[test]
+    fn shares_round_half_away_from_nobody() {
+        let plan = plan("[[grid]]\nn = [10, 5]\ninformed_fraction = [0, 0.1, 0.25, 0.5, 1]");
+        let counts: Vec<usize> = plan
+            .runs()
+            .iter()
+            .map(|run| plan.point(run).informed)
+            .collect();
+        assert_eq!(counts, [0, 1, 3, 5, 10, 0, 1, 1, 3, 5]);
+    }
+}

@@ -1,0 +1,365 @@
+//! One run: from its start to its row in the table.
+
+use jostle_physics::model::selection::{Candidates, Selection, select};
+use jostle_physics::model::{ContactRule, State, body};
+use jostle_physics::observables::intervals::Intervals;
+use jostle_physics::observables::{self, CommonDirection, Order, RunningMeans};
+use jostle_physics::stepper::{StepReport, Stepper};
+use jostle_results::Run;
+use jostle_results::table::OrderSeries;
+use jostle_results::touch::Touch;
+
+use crate::contact_events::Meter;
+use crate::plan::{Plan, PlannedRun};
+use jostle_convert::hexadecimal;
+use jostle_physics::simulation;
+use jostle_physics::simulation::ChangeError;
+
+/// The number of the first command after `create`, which keys whom it draws: so a swarm created
+/// with a run's seed and then told `inform` by count has the run's future.
+const INFORMED_BY: u64 = 1;
+
+/// Where the informed want to go: along +x.
+const DIRECTION: f64 = 0.0;
+
+/// What came of a run.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Finished {
+    /// Its row; none if it ended before its first step.
+    pub row: Option<Run>,
+    /// Why it ended early, if it did.
+    pub fault: Option<String>,
+    /// The order over time, if the plan asks for it.
+    pub series: Option<OrderSeries>,
+    /// What contacts did to bodies, if the plan asks for it.
+    pub touch: Option<Touch>,
+}
+
+/// Carries out one run: a function of the plan's entry alone.
+///
+/// `go_on` hears after every step how many there were, and ends the run by saying no; what there
+/// was of it is then nothing.
+pub fn conduct(
+    plan: &Plan,
+    run: &PlannedRun,
+    mut go_on: impl FnMut(u64) -> bool,
+) -> Option<Finished> {
+    let steps = plan.point(run).steps;
+    let mut state = match start(plan, run) {
+        Ok(state) => state,
+        Err(error) => {
+            return Some(Finished {
+                fault: Some(error.to_string()),
+                ..Finished::default()
+            });
+        }
+    };
+    let mut stepper = Stepper::new();
+    let mut measures = Measures::new(plan, &state);
+    let mut meter = plan.touch.then(|| Meter::new(&state));
+    let mut fault = None;
+    while state.step < steps {
+        match stepper.step(&mut state) {
+            Ok(report) => {
+                measures.add(stepper.headings(), &report);
+                if let Some(meter) = &mut meter {
+                    meter.add(&stepper, &report, &state);
+                }
+            }
+            Err(error) => {
+                fault = Some(format!("step {}: {error}", state.step));
+                break;
+            }
+        }
+        if !go_on(state.step) {
+            return None;
+        }
+    }
+    let (row, series) = measures.conclude(plan, run, &state);
+    let touch = row.as_ref().zip(meter);
+    let touch = touch.and_then(|(row, meter)| meter.conclude(&run.name, &row.contacts, &state));
+    Some(Finished {
+        row,
+        fault,
+        series,
+        touch,
+    })
+}
+
+/// The state that a run begins with, its informed individuals informed.
+///
+/// Who is informed is drawn from the run's seed, not by id: those placed first have more room
+/// about them.
+///
+/// # Errors
+///
+/// [`ChangeError::Start`] when there is no room.
+pub fn start(plan: &Plan, run: &PlannedRun) -> Result<State, ChangeError> {
+    let mut state = simulation::begin(&plan.spec(run))?;
+    let informed = Selection::Count(plan.point(run).informed);
+    let (configuration, weight) = (&mut state.configuration, state.parameters.pi2);
+    let chosen = select(
+        configuration,
+        Candidates::All,
+        &informed,
+        run.seed,
+        INFORMED_BY,
+    )?;
+    for individual in chosen {
+        configuration.inform(individual, weight, DIRECTION, None);
+    }
+    Ok(state)
+}
+
+/// What is measured while a run goes on, always of states as a step begins.
+struct Measures {
+    wish: Option<CommonDirection>,
+    means: RunningMeans,
+    intervals: Intervals,
+    /// The least gap at which two bodies were seen, at most 0.
+    least_gap: f64,
+    crossed: u64,
+    worst_residual: f64,
+    degraded: u64,
+    fallbacks: u64,
+    order_every: Option<u64>,
+    series: OrderSeries,
+}
+
+impl Measures {
+    fn new(plan: &Plan, state: &State) -> Self {
+        Self {
+            // Nobody is informed later, nor forgets it.
+            wish: observables::wish(&state.configuration),
+            means: RunningMeans::default(),
+            intervals: Intervals::default(),
+            least_gap: 0.0,
+            crossed: 0,
+            worst_residual: 0.0,
+            degraded: 0,
+            fallbacks: 0,
+            order_every: plan.order_every,
+            series: OrderSeries::default(),
+        }
+    }
+
+    /// Counts a step, its headings being those at its beginning.
+    fn add(&mut self, headings: &[[f64; 2]], report: &StepReport) {
+        let order = observables::order_of(headings.iter().copied(), self.wish);
+        if self
+            .order_every
+            .is_some_and(|every| self.means.count.is_multiple_of(every))
+        {
+            self.note(&order);
+        }
+        self.means.add(&order);
+        self.intervals.add(order.order);
+        if let Some(gap) = report.least_gap {
+            self.least_gap = self.least_gap.min(gap);
+        }
+        self.crossed += u64::from(report.crossed > 0);
+        self.worst_residual = self.worst_residual.max(report.residual);
+        self.degraded += u64::from(report.degraded);
+        self.fallbacks += u64::from(report.fallback > 0);
+    }
+
+    /// Adds an entry to the time series.
+    fn note(&mut self, order: &Order) {
+        self.series.steps.push(self.means.count);
+        self.series.orders.push(order.order);
+        self.series.drifts.extend(order.drift);
+    }
+
+    /// What it all came to, at the last state.
+    fn conclude(
+        mut self,
+        plan: &Plan,
+        run: &PlannedRun,
+        state: &State,
+    ) -> (Option<Run>, Option<OrderSeries>) {
+        let State {
+            parameters,
+            configuration,
+            step,
+            ..
+        } = state;
+        let series = self.order_every.map(|every| {
+            if step.is_multiple_of(every) {
+                self.note(&observables::order(configuration));
+            }
+            let steps = self.series.steps.iter();
+            self.series.times = steps.map(|&step| step as f64 * parameters.dt).collect();
+            self.series.run.clone_from(&run.name);
+            std::mem::take(&mut self.series)
+        });
+        let last = body::gaps(parameters, configuration);
+        let mut least_gap = self.least_gap.min(last.worst_gap.unwrap_or(0.0));
+        if self.crossed > 0 {
+            // Whose axes cross overlap by a width, whatever the contacts say.
+            least_gap = least_gap.min(-2.0 * parameters.radius());
+        }
+        let taken = *step as f64;
+        let row = self.means.mean_order().map(|v| Run {
+            run: run.name.clone(),
+            seed: run.seed,
+            n: configuration.n() as u64,
+            pi1: parameters.pi1,
+            pi2: parameters.pi2,
+            pi3: parameters.pi3,
+            pi4: parameters.pi4,
+            informed: plan.point(run).informed as u64,
+            contacts: match parameters.contacts {
+                ContactRule::Endpoints => "endpoints",
+                ContactRule::Closest => "closest",
+                ContactRule::Clamped => "clamped",
+            }
+            .to_owned(),
+            dt: parameters.dt,
+            time: state.time(),
+            v,
+            v_pd: self.means.mean_drift(),
+            ordered_intervals: self.intervals.ordered,
+            ordered_time: self.intervals.ordered_steps as f64 * parameters.dt,
+            unordered_intervals: self.intervals.unordered,
+            unordered_time: self.intervals.unordered_steps as f64 * parameters.dt,
+            worst_overlap: 0.0 - least_gap,
+            crossed_share: self.crossed as f64 / taken,
+            worst_residual: self.worst_residual,
+            degraded: self.degraded,
+            fallbacks: self.fallbacks,
+            steps: *step,
+            state_hash: hexadecimal(&state.hash()),
+        });
+        (row, series)
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use jostle_physics::simulation::Change;
+    use jostle_physics::simulation::Simulation;
+
+    fn plan(rest: &str) -> Plan {
+        Plan::parse(&format!("name = \"a\"\n{rest}")).unwrap()
+    }
+
+    fn finish(plan: &Plan) -> Finished {
+        conduct(plan, &plan.runs()[0], |_| true).unwrap()
+    }
+
+    #[test]
+    fn one_alone_walks_straight_and_turns_as_it_should() {
+        let plan =
+            plan("duration = 20\nspec = { n = 1, dt = 0.01 }\nmeasure = { order_every = 500 }");
+        let Finished {
+            row, fault, series, ..
+        } = finish(&plan);
+        let row = row.unwrap();
+        assert_eq!((fault, row.steps, row.time), (None, 2000, 20.0));
+        assert!((row.v - 1.0).abs() < 1e-12 && row.v_pd.is_none());
+        assert_eq!((row.ordered_intervals, row.unordered_intervals), (1, 0));
+        assert_eq!((row.ordered_time, row.unordered_time), (20.0, 0.0));
+        assert_eq!((row.worst_overlap, row.crossed_share), (0.0, 0.0));
+        assert_eq!(
+            (row.worst_residual, row.degraded, row.fallbacks),
+            (0.0, 0, 0)
+        );
+        assert_eq!(row.state_hash.len(), 64);
+        let series = series.unwrap();
+        assert_eq!(series.steps, [0, 500, 1000, 1500, 2000]);
+        assert_eq!(series.times, [0.0, 5.0, 10.0, 15.0, 20.0]);
+        assert!(
+            series
+                .orders
+                .iter()
+                .all(|order| (order - 1.0).abs() < 1e-12)
+        );
+    }
+
+    #[test]
+    fn a_single_leader_drifts_by_the_closed_form() {
+        // tan(a/2) decays as exp(-c t) with c = π2 π3, a the angle off the wish: the mean of
+        // cos a over [0, T] is ln((q + exp(2 c T)) / (q + 1)) / (c T) - 1, q = tan²(a₀/2).
+        let start = "start = { kind = \"given\", x = [0], y = [0], alpha = [2] }";
+        let text =
+            format!("duration = 10\n[spec]\nn = 1\ndt = 0.0005\n{start}\n[[grid]]\ninformed = 1");
+        let row = finish(&plan(&text)).row.unwrap();
+        let (c, q) = (0.5, libm::tan(1.0) * libm::tan(1.0));
+        let mean = libm::log((q + libm::exp(2.0 * c * 10.0)) / (q + 1.0)) / (c * 10.0) - 1.0;
+        assert!(
+            (row.v_pd.unwrap() - mean).abs() < 2e-4,
+            "{:?} {mean}",
+            row.v_pd
+        );
+        assert_eq!((row.informed, row.pi2), (1, 0.5));
+    }
+
+    #[test]
+    fn a_run_is_the_swarm_of_its_seed_told_the_same() {
+        for settings in [
+            "relinearise = 1",
+            "contacts = \"closest\"\ndt = 0.1",
+            "noise = 0.1",
+        ] {
+            let text = format!("duration = 8\n[spec]\nn = 15\n{settings}\n[[grid]]\ninformed = 4");
+            let plan = plan(&text);
+            let row = finish(&plan).row.unwrap();
+            let spec = plan.spec(&plan.runs()[0]);
+            let mut swarm = Simulation::new(&spec).unwrap();
+            swarm.seq = 1;
+            let inform = Change::Inform {
+                selection: Selection::Count(4),
+                direction: 0.0,
+                weight: None,
+                for_time: None,
+            };
+            swarm.apply_all(&[inform]).unwrap();
+            let mut least_gap = f64::INFINITY;
+            for _ in 0..row.steps {
+                let now = body::worst_gap(&swarm.state.parameters, &swarm.state.configuration);
+                least_gap = least_gap.min(now.unwrap_or(f64::INFINITY));
+                swarm.step().unwrap();
+            }
+            assert_eq!(
+                row.state_hash,
+                hexadecimal(&swarm.state.hash()),
+                "{settings}"
+            );
+            assert_eq!(Some(row.v), swarm.means.mean_order());
+            assert_eq!(row.v_pd, swarm.means.mean_drift());
+            assert!(row.worst_overlap > 0.0, "{settings}: nobody touched");
+            assert!((row.worst_overlap + least_gap).abs() < 1e-9, "{settings}");
+        }
+    }
+
+    #[test]
+    fn a_run_that_is_stopped_is_nothing() {
+        let plan = plan("duration = 8\nspec = { n = 3 }");
+        let mut heard = Vec::new();
+        let stopped = conduct(&plan, &plan.runs()[0], |steps| {
+            heard.push(steps);
+            steps < 3
+        });
+        assert_eq!((stopped, heard), (None, vec![1, 2, 3]));
+    }
+
+    #[test]
+    fn a_run_without_room_has_no_row_but_a_reason() {
+        // Discs in a disc that is nearly too small: one of many seeds has no room.
+        let crowded = (0..100).find_map(|k| {
+            let radius = 2.2 - 0.01 * f64::from(k);
+            let text = format!(
+                "name = \"a\"\nduration = 8\nreplicates = 20\n[spec]\nn = 9\npi1 = 1\n\
+                 start = {{ kind = \"disc\", radius = {radius} }}"
+            );
+            let plan = Plan::parse(&text).ok()?;
+            let finished = plan.runs().iter().map(|run| conduct(&plan, run, |_| false));
+            finished.flatten().next()
+        });
+        let finished = crowded.unwrap();
+        assert_eq!((finished.row, finished.series), (None, None));
+        assert!(finished.fault.unwrap().contains("fit in a disc"));
+    }
+}

@@ -1,0 +1,77 @@
+//! Why a change was not applied.
+
+use thiserror::Error;
+
+use crate::model::injection::InjectionError;
+use crate::model::parameters::ParametersError;
+use crate::model::resize::ResizeError;
+use crate::model::selection::SelectionError;
+use crate::model::start::StartError;
+use crate::plural::counted;
+
+/// Why a start or a change was rejected. The simulation is as it was before.
+#[derive(Clone, Debug, Error)]
+pub enum ChangeError {
+    /// A parameter is outside its range.
+    #[error(transparent)]
+    Parameters(#[from] ParametersError),
+    /// The start cannot be built.
+    #[error(transparent)]
+    Start(#[from] StartError),
+    /// The selection cannot be made.
+    #[error(transparent)]
+    Selection(#[from] SelectionError),
+    /// There is no place for the new individuals.
+    #[error(transparent)]
+    Injection(#[from] InjectionError),
+    /// There is no place for bodies of the new shape.
+    #[error(transparent)]
+    Resize(#[from] ResizeError),
+    /// Axes cross, which the new contact rule does not allow.
+    #[error(
+        "the axes of {} cross, which only `closest` allows: run it until none do, or reset",
+        counted(*.pairs, "pair")
+    )]
+    AxesCross {
+        /// The number of pairs whose axes cross.
+        pairs: usize,
+    },
+    /// All individuals would be removed.
+    #[error(
+        "this would remove {}, which is all: leave one, or delete the swarm",
+        counted(*.0, "individual")
+    )]
+    NoneLeft(usize),
+    /// The caller's [`ReserveMemory`](super::change::ReserveMemory) rejects the new size.
+    #[error(transparent)]
+    Reserve(#[from] ReserveError),
+}
+
+/// Why the caller does not admit a group of another size.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+pub enum ReserveError {
+    /// The group would be larger than the limit.
+    #[error(
+        "{n} individuals are more than one swarm may have, {limit}: add fewer, or raise max_individuals"
+    )]
+    TooMany {
+        /// The size that was asked for.
+        n: usize,
+        /// The limit.
+        limit: usize,
+    },
+    /// The group would take more memory than is free.
+    #[error(
+        "a swarm of {} needs up to {needed} bytes, {free} are free: add fewer, delete another \
+         swarm, or raise max_memory_mb",
+        counted(*.n, "individual")
+    )]
+    NoMemory {
+        /// The size that was asked for.
+        n: usize,
+        /// Bytes that it needs.
+        needed: u64,
+        /// Bytes that are free.
+        free: u64,
+    },
+}
