@@ -47,6 +47,7 @@ pub mod publish;
 pub mod replay;
 pub mod rights;
 pub mod server;
+pub mod session_pool;
 pub mod store;
 pub mod supervisor;
 pub mod wire;

@@ -21,7 +21,7 @@ use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, Mis
 
 use crate::command::error::refusal;
 use crate::meter::Pulse;
-use crate::server::session_pool::Lease;
+use crate::session_pool::Lease;
 use crate::swarm::frame::Frame;
 use crate::swarm::outlet::Outlet;
 use crate::wire::{self, Payload};

@@ -13,7 +13,7 @@ use zenoh::bytes::Encoding;
 use zenoh::key_expr::KeyExpr;
 use zenoh::{Session, Wait};
 
-use crate::server::session_pool::SessionPool;
+use crate::session_pool::SessionPool;
 
 /// Longer than any `timeout_secs` that a page gives; the daemon answers before.
 const PATIENCE: Duration = Duration::from_secs(70);

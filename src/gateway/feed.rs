@@ -18,7 +18,7 @@ use zenoh::pubsub::Subscriber;
 
 use crate::gateway::bus::Bus;
 use crate::gateway::past::Past;
-use crate::server::session_pool::Lease;
+use crate::session_pool::Lease;
 
 /// Events that a tab may be behind.
 const EVENTS: usize = 64;

@@ -15,7 +15,7 @@ use zenoh::{Session, Wait};
 use crate::server::clerk::Clerk;
 use crate::server::dispatch::Intake;
 use crate::server::query::{Topic, queryable};
-use crate::server::session_pool::{Lease, SessionPool};
+use crate::session_pool::{Lease, SessionPool};
 
 /// How long the keys of a deleted swarm still answer, that it is not there.
 ///

@@ -21,7 +21,6 @@ mod recordings;
 pub mod recovery;
 mod replays;
 pub mod session;
-pub mod session_pool;
 pub mod sessions;
 mod verifications;
 
@@ -64,7 +63,7 @@ use crate::server::experiments::Errands;
 use crate::server::ledger::Ledger;
 use crate::server::recovery::RecoveryError;
 use crate::server::session::{OpenRuntime, Opened, SessionError};
-use crate::server::session_pool::SessionPool;
+use crate::session_pool::SessionPool;
 use crate::store::{self, Store, StoreError, StoreFault};
 
 /// The exit code when the store can no longer be trusted, or has not written all of it.

@@ -16,8 +16,8 @@ use zenoh_runtime::ZRuntime;
 use crate::rights::Rights;
 use crate::rights::folder::Folder;
 use crate::server::access;
-use crate::server::session_pool::SessionPool;
 use crate::server::sessions::{Handler, Sessions};
+use crate::session_pool::SessionPool;
 
 /// How much higher than the rest of the daemon the threads rank that read from the bus.
 const READING_NICENESS: i32 = -10;

@@ -5,8 +5,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 29] = [
+const MAY_USE: [(&str, &[&str]); 30] = [
     ("plural", &[]),
+    ("session_pool", &[]),
     ("model", &["plural"]),
     ("stepper", &["model"]),
     ("observables", &["model"]),
@@ -20,7 +21,10 @@ const MAY_USE: [(&str, &[&str]); 29] = [
     ("store", &["meter"]),
     ("health", &["meter", "swarm", "host", "store"]),
     ("rights", &[]),
-    ("gateway", &["meter", "swarm", "health", "rights"]),
+    (
+        "gateway",
+        &["meter", "swarm", "health", "rights", "session_pool"],
+    ),
     (
         "command",
         &[
@@ -47,7 +51,10 @@ const MAY_USE: [(&str, &[&str]); 29] = [
             "health",
         ],
     ),
-    ("publish", &["meter", "swarm", "command", "wire"]),
+    (
+        "publish",
+        &["meter", "swarm", "command", "wire", "session_pool"],
+    ),
     (
         "experiment",
         &["model", "stepper", "observables", "swarm", "wire"],
@@ -71,6 +78,7 @@ const MAY_USE: [(&str, &[&str]); 29] = [
             "command",
             "config",
             "publish",
+            "session_pool",
             "store",
             "wire",
             "health",
@@ -100,7 +108,7 @@ const MAY_USE: [(&str, &[&str]); 29] = [
 
 /// Crates and modules that only these modules may name.
 const ONLY_IN: [(&str, &[&str]); 26] = [
-    ("zenoh::", &["gateway", "publish", "server"]),
+    ("zenoh::", &["gateway", "publish", "server", "session_pool"]),
     ("zenoh_ext::", &["publish"]),
     (
         "jostle_proto",
@@ -117,6 +125,7 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
             "recording",
             "rights",
             "server",
+            "session_pool",
             "wire",
         ],
     ),
@@ -238,6 +247,7 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
             "replay",
             "rights/live",
             "server",
+            "session_pool",
             "store",
             "supervisor",
             "swarm",

@@ -120,6 +120,7 @@ async fn a_swarm_is_recorded_twice_at_once_and_the_files_are_whole() {
     let begun = ok(&client, json!({"begin": begin})).await;
     assert_eq!(begun["recording"], "school-2");
     has(&client, "school-1", "frames", 60).await;
+    has(&client, "school-2", "frames", 3).await;
     let [all, some] = [
         stop(&client, "school-1").await,
         stop(&client, "school-2").await,
