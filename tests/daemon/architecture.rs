@@ -5,19 +5,12 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 30] = [
-    ("plural", &[]),
+const MAY_USE: [(&str, &[&str]); 25] = [
     ("session_pool", &[]),
-    ("model", &["plural"]),
-    ("stepper", &["model"]),
-    ("observables", &["model"]),
     ("process", &[]),
     ("meter", &[]),
-    (
-        "swarm",
-        &["meter", "model", "stepper", "observables", "plural"],
-    ),
-    ("host", &["model", "plural", "swarm"]),
+    ("swarm", &["meter"]),
+    ("host", &["swarm"]),
     ("store", &["meter"]),
     ("health", &["meter", "swarm", "host", "store"]),
     ("rights", &[]),
@@ -28,7 +21,6 @@ const MAY_USE: [(&str, &[&str]); 30] = [
     (
         "command",
         &[
-            "model",
             "swarm",
             "host",
             "lab",
@@ -38,32 +30,16 @@ const MAY_USE: [(&str, &[&str]); 30] = [
             "wire",
         ],
     ),
-    (
-        "wire",
-        &[
-            "model",
-            "observables",
-            "swarm",
-            "host",
-            "experiment",
-            "lab",
-            "recording",
-            "health",
-        ],
-    ),
+    ("wire", &["swarm", "host", "lab", "recording", "health"]),
     (
         "publish",
         &["meter", "swarm", "command", "wire", "session_pool"],
     ),
-    (
-        "experiment",
-        &["model", "stepper", "observables", "swarm", "wire"],
-    ),
-    ("lab", &["experiment"]),
-    ("replay", &["model", "swarm", "wire"]),
+    ("lab", &[]),
+    ("replay", &["swarm", "wire"]),
     ("recording", &["swarm", "wire"]),
     ("backup", &["store"]),
-    ("batch", &["experiment", "plural"]),
+    ("batch", &[]),
     ("config", &["host"]),
     (
         "server",
@@ -85,7 +61,7 @@ const MAY_USE: [(&str, &[&str]); 30] = [
             "gateway",
         ],
     ),
-    ("supervisor", &["health", "host", "plural"]),
+    ("supervisor", &["health", "host"]),
     ("demo", &["swarm", "host", "command", "server"]),
     (
         "main",
@@ -107,7 +83,7 @@ const MAY_USE: [(&str, &[&str]); 30] = [
 ];
 
 /// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 26] = [
+const ONLY_IN: [(&str, &[&str]); 24] = [
     ("zenoh::", &["gateway", "publish", "server", "session_pool"]),
     ("zenoh_ext::", &["publish"]),
     (
@@ -116,8 +92,6 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
             "command",
             "config",
             "demo",
-            "experiment/grid",
-            "experiment/plan",
             "gateway",
             "lab",
             "people",
@@ -136,8 +110,6 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
             "batch",
             "command",
             "demo",
-            "experiment/file",
-            "experiment/folder",
             "gateway",
             "lab",
             "people",
@@ -147,10 +119,7 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
             "wire",
         ],
     ),
-    (
-        "jostle_results",
-        &["experiment", "lab", "recording", "replay", "wire"],
-    ),
+    ("jostle_results", &["lab", "recording", "replay", "wire"]),
     ("indicatif::", &["batch"]),
     ("axum::", &["gateway"]),
     ("hyper::", &["gateway"]),
@@ -176,11 +145,9 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
         &[
             "backup",
             "batch",
-            "experiment/execute",
             "health",
             "host",
             "lab",
-            "model/threads",
             "process",
             "publish",
             "recording",
@@ -195,7 +162,6 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
             "batch",
             "command",
             "demo",
-            "experiment/control",
             "gateway",
             "health",
             "host",
@@ -217,7 +183,6 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
             "backup",
             "batch",
             "config",
-            "experiment/folder",
             "gateway/token",
             "health",
             "lab/shelf",
@@ -234,14 +199,11 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
             "batch",
             "command",
             "demo",
-            "experiment/control",
-            "experiment/execute",
             "gateway",
             "health",
             "host",
             "lab",
             "meter",
-            "model/threads",
             "publish",
             "recording",
             "replay",
@@ -259,8 +221,6 @@ const ONLY_IN: [(&str, &[&str]); 26] = [
     ("rusqlite::", &["store"]),
     ("libc::", &["process", "swarm/rank"]),
     ("tempfile::", &["main"]),
-    ("rayon::", &["model/threads"]),
-    ("use clarabel::", &["stepper/solve/clarabel"]),
 ];
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {

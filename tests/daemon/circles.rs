@@ -12,7 +12,7 @@ use syn::visit::{self, Visit};
 use syn::{Attribute, Item, ItemMod, ItemUse, Macro, UseTree, Visibility};
 
 /// The circles that there are, by crate root.
-const CIRCLES: [(&str, &[&[&str]]); 4] = [
+const CIRCLES: [(&str, &[&[&str]]); 7] = [
     (
         "src/lib.rs",
         &[
@@ -59,10 +59,10 @@ const CIRCLES: [(&str, &[&[&str]]); 4] = [
         ],
     ),
     ("clients/cli/src/main.rs", &[]),
-    (
-        "results/src/lib.rs",
-        &[&["results/src/figure/frame.rs", "results/src/figure/plot.rs"]],
-    ),
+    ("crates/convert/src/lib.rs", &[]),
+    ("crates/experiment/src/lib.rs", &[]),
+    ("crates/physics/src/lib.rs", &[]),
+    ("crates/results/src/lib.rs", &[]),
     ("proto/src/lib.rs", &[]),
 ];
 

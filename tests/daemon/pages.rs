@@ -6,12 +6,14 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 /// Where the tests of each suite are, by the arguments of `cargo test` that select it.
-const SUITES: [(&str, &str); 6] = [
+const SUITES: [(&str, &str); 8] = [
     ("--test daemon", "tests/daemon"),
-    ("--test physics", "tests/physics"),
+    ("--test physics", "crates/physics/tests/physics"),
     ("--test cli", "clients/cli/tests/cli"),
     ("--lib", "src"),
-    ("-p jostle-results", "results/src"),
+    ("-p jostle-results", "crates/results/src"),
+    ("-p jostle-physics", "crates/physics"),
+    ("-p jostle-experiment", "crates/experiment/src"),
     ("-p jostle-proto", "proto"),
 ];
 

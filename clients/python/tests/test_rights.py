@@ -91,7 +91,7 @@ def test_each_person_may_what_their_role_may_and_hears_what_it_may_not(
 
 
 def test_the_lists_of_verbs_are_those_of_the_contract() -> None:
-    document = (PROTO / "asyncapi.yaml").read_text(encoding="utf-8")
+    document = (PROTO / "asyncapi.json").read_text(encoding="utf-8")
     keys = set(re.findall(r"\{prefix\}/(\S+)/cmd/(\w+)", document))
     expected = {("{swarm}", verb) for verb in SWARM_VERBS}
     assert keys == expected | {("@node/{node}", verb) for verb in NODE_VERBS}

@@ -22,9 +22,8 @@ pub fn files() -> io::Result<BTreeMap<PathBuf, String>> {
         files.insert(Path::new("schema").join(format!("{name}.json")), text);
     }
     let document = asyncapi::document(&examples()?);
-    let note = "# Made by `cargo run --release -p jostle-proto --example contract`.\n";
-    let yaml = note.to_owned() + &asyncapi::to_yaml(&document);
-    files.insert("asyncapi.yaml".into(), yaml);
+    let text = serde_json::to_string_pretty(&document)? + "\n";
+    files.insert("asyncapi.json".into(), text);
     let readme = fs::read_to_string(folder().join("README.md"))?;
     files.insert("README.md".into(), with_tables(&readme));
     Ok(files)

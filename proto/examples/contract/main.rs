@@ -1,4 +1,4 @@
-//! Writes all that is made from the contract: `schema/`, `asyncapi.yaml`, and the tables in
+//! Writes all that is made from the contract: `schema/`, `asyncapi.json`, and the tables in
 //! `README.md`.
 //!
 //! ```sh

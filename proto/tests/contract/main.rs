@@ -1,4 +1,4 @@
-//! What stands in `schema/`, `fixtures/`, `asyncapi.yaml` and `README.md` is true of the types.
+//! What stands in `schema/`, `fixtures/`, `asyncapi.json` and `README.md` is true of the types.
 
 #![expect(clippy::unwrap_used, reason = "tests")]
 

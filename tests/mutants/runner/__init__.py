@@ -1,1 +1,1 @@
-"""What `mutants/run` is made of."""
+"""What `tests/mutants/run` is made of."""

@@ -17,7 +17,14 @@ from .texts import ROOT, project_files
 # Of one test; one that a mutant keeps waiting for ever shows nothing.
 TIMEOUT_SECS = 600.0
 _FOLDER = ROOT / "target" / "mutants"
-_PACKAGES = {"proto": "jostle-proto", "results": "jostle-results", "clients": "jostle-cli"}
+_PACKAGES = {
+    "proto": "jostle-proto",
+    "clients": "jostle-cli",
+    "crates/convert": "jostle-convert",
+    "crates/experiment": "jostle-experiment",
+    "crates/physics": "jostle-physics",
+    "crates/results": "jostle-results",
+}
 
 
 class Place:
@@ -48,7 +55,7 @@ class Place:
         try:
             fcntl.flock(self._held, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            sys.exit(f"another mutants/run uses {_FOLDER}: wait for its end")
+            sys.exit(f"another tests/mutants/run uses {_FOLDER}: wait for its end")
 
     def _copy(self, path: Path) -> None:
         source, copy = ROOT / path, self.tree / path
@@ -97,7 +104,8 @@ class Place:
         """Makes cargo compile the package of this file again."""
         if path.suffix in {".py", ".ts"}:
             return
-        package = _PACKAGES.get(path.parts[0], "jostled")
+        depth = 2 if path.parts[0] == "crates" else 1
+        package = _PACKAGES.get("/".join(path.parts[:depth]), "jostled")
         for folder in self.target.glob(f"*/.fingerprint/{package}-*"):
             shutil.rmtree(folder)
 

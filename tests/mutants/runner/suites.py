@@ -159,24 +159,30 @@ class Page(Suite):
         return _outcome(output, rf"^\s*{line}", rf"^\s*not {line}"), output
 
 
-_DAEMON = ("src/", "proto/src/", "results/src/")
+_DAEMON = ("src/", "proto/src/", "crates/")
 _ALL = [
-    Cargo("lib", ("src/",), ("src/",), True, targets="--lib", opt_levels=("jostled=0",)),
+    Cargo("lib", ("src/",), ("src/",), True, targets="-p jostled --lib", opt_levels=("jostled=0",)),
     Cargo(
         "daemon",
         ("tests/daemon",),
         _DAEMON,
         True,
-        targets="--test daemon",
+        targets="-p jostled --test daemon",
         opt_levels=("jostled=0",),
     ),
     Cargo(
         "physics",
-        ("tests/physics",),
-        ("src/",),
-        True,
-        targets="--test physics",
-        opt_levels=("jostled=1",),
+        ("crates/physics/",),
+        ("crates/physics/src/",),
+        targets="-p jostle-physics --lib --test physics",
+        opt_levels=("jostle-physics=1",),
+    ),
+    Cargo(
+        "experiment",
+        ("crates/convert/src/", "crates/experiment/src/"),
+        ("crates/convert/src/", "crates/experiment/src/", "crates/physics/src/"),
+        targets="-p jostle-convert -p jostle-experiment --lib",
+        opt_levels=("jostle-physics=1",),
     ),
     # Without the daemon, which is made from them, too. The command line is named so that cargo
     # selects the features that it does for all of the workspace, whose dependencies are compiled.
@@ -189,8 +195,8 @@ _ALL = [
     ),
     Cargo(
         "results",
-        ("results/src/",),
-        ("results/src/",),
+        ("crates/results/src/",),
+        ("crates/results/src/",),
         targets="-p jostle-results -p jostle-cli --lib",
         opt_levels=("jostle-results=1",),
     ),

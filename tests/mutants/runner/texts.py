@@ -1,4 +1,4 @@
-"""The mutants as they are written: TOML files in the folder `mutants`."""
+"""The mutants as they are written: TOML files in the folder `tests/mutants`."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from typing import Any
 
 from .suites import SUITES
 
-ROOT = Path(__file__).resolve().parents[2]
-FOLDER = ROOT / "mutants"
+ROOT = Path(__file__).resolve().parents[3]
+FOLDER = ROOT / "tests/mutants"
 VERDICTS = FOLDER / "verdicts.toml"
 _SUFFIXES = {".rs", ".py", ".ts"}
 # Folders with what was built or downloaded.

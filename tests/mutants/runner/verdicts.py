@@ -1,4 +1,4 @@
-"""What the last run of each mutant gave, in the checked-in file `mutants/verdicts.toml`."""
+"""What the last run of each mutant gave, in the checked-in file `tests/mutants/verdicts.toml`."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ MAX_COMMITS = 100
 _SOURCES = [
     "src",
     "proto/src",
-    "results/src",
+    "crates",
     "clients/cli/src",
     "clients/python/src",
     "clients/web/src",
 ]
 _HEAD = """\
-# Written by `mutants/run --record`; not by hand. For each mutant the verdict of its last run: `red`
+# Written by `tests/mutants/run --record`; not by hand. For each mutant the verdict of its last run: `red`
 # if the test that it names passes without it and fails with it. `commit` is the commit that was
 # changed, and `changes` the number of mutants in the same build.
 """
@@ -78,7 +78,7 @@ def record(mutant: Mutant, verdict: str, commit: str, changes: int, known: list[
 def faults(mutants: list[Mutant]) -> tuple[list[str], list[str]]:
     """Returns what is wrong with the verdicts, and what is to be said about them."""
     if not VERDICTS.exists():
-        return [f"no verdicts: run mutants/run --record ({VERDICTS.name} is missing)"], []
+        return [f"no verdicts: run tests/mutants/run --record ({VERDICTS.name} is missing)"], []
     verdicts = read()
     ours = {it.name: verdicts[it.name] for it in mutants if it.name in verdicts}
     found = [
@@ -98,7 +98,7 @@ def faults(mutants: list[Mutant]) -> tuple[list[str], list[str]]:
         elif age > MAX_COMMITS:
             found.append(
                 f"verdicts {age} commits to the sources old, at most {MAX_COMMITS} are allowed: "
-                "run ./check --long, or mutants/run --record"
+                "run ./check --long, or tests/mutants/run --record"
             )
     said.append(
         f"the oldest verdict lies {max(filter(None, ages.values()), default=0)} commits back"

@@ -20,9 +20,9 @@ use crate::table::table as columns;
 const COMMANDS: &str = "\
 cargo build --release
 export PATH=\"$PWD/target/release:$PATH\"
-jostled run experiments/series1.toml -o target/reproduction/series1
-jostled run experiments/series2.toml -o target/reproduction/series2
-jostled run experiments/animations.toml -o target/reproduction/animations
+jostled run paper/series1.toml -o target/reproduction/series1
+jostled run paper/series2.toml -o target/reproduction/series2
+jostled run paper/animations.toml -o target/reproduction/animations
 jostle claims target/reproduction/series1 target/reproduction/series2 \\
   --animations target/reproduction/animations --page docs/reproduction.md";
 

@@ -1,6 +1,6 @@
 /**
  * The seven animations attached to the paper, its references [35] and [39], with the parameters
- * and seeds of `experiments/animations.toml`: the same groups as in `docs/reproduction.md`.
+ * and seeds of `paper/animations.toml`: the same groups as in `docs/reproduction.md`.
  *
  * The paper gives no number of individuals for [35] and does not say whether some are informed; the
  * red lines are everybody's preference vector p, eq. (3).

@@ -49,7 +49,7 @@ function cardsPage(session: Session): Page {
     el(
       "p",
       { class: "soft" },
-      "Specs and seeds are those of experiments/animations.toml, dt = 0.02 and exact contacts. The " +
+      "Specs and seeds are those of paper/animations.toml, dt = 0.02 and exact contacts. The " +
         "paper does not say how many individuals [35] has nor who is informed: here fifty, ten of " +
         "them told of +x with weight 0.5; in the tables of docs/reproduction.md nobody is.",
     ),
