@@ -1,9 +1,10 @@
 //! What a laboratory keeps on the disk: a folder for each experiment, and how it stands.
 
 use std::fs::{self, File};
-use std::io::{self, Write as _};
+use std::io;
 use std::path::{Path, PathBuf};
 
+use jostle_atomic_file as atomic_file;
 use serde::{Deserialize, Serialize};
 
 use super::Phase;
@@ -115,12 +116,7 @@ impl Shelf {
     /// When it cannot be written; it stands as before then.
     pub fn note(&self, name: &str, standing: &Standing) -> io::Result<()> {
         let folder = self.folder(name);
-        let draft = folder.join("standing.part");
-        let mut file = File::create(&draft)?;
-        file.write_all(&serde_json::to_vec(standing)?)?;
-        file.sync_all()?;
-        fs::rename(&draft, folder.join(STANDING))?;
-        sync(&folder)?;
+        atomic_file::write(&folder.join(STANDING), &serde_json::to_vec(standing)?)?;
         sync(&self.0)
     }
 

@@ -1,10 +1,11 @@
 //! What nobody can guess.
 
-use std::fs::{self, OpenOptions};
+use std::fs;
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{DirBuilderExt, MetadataExt, OpenOptionsExt, fchown};
+use std::os::unix::fs::{DirBuilderExt, MetadataExt, fchown};
 use std::path::Path;
 
+use jostle_atomic_file as atomic_file;
 use rustix::process::geteuid;
 
 /// So many random bytes, in hexadecimal digits.
@@ -18,35 +19,22 @@ pub fn draw(bytes: usize) -> io::Result<String> {
     Ok(secret.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Writes a file that nobody else can read. It is written aside and then takes the place of one
-/// that is there, so that what is cut off is never taken for the whole.
+/// Writes a whole file that only its owner can read, or none. It replaces a file of this name.
 ///
 /// # Errors
 ///
 /// When it cannot be written.
 pub fn write(path: &Path, text: &str) -> io::Result<()> {
-    let mut aside = path.as_os_str().to_owned();
-    aside.push(".new");
-    match fs::remove_file(&aside) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-        _ => {}
-    }
-    let options = OpenOptions::new()
-        .write(true)
-        .create_new(true)
-        .mode(0o600)
-        .open(&aside);
-    let mut file = options?;
+    let mut file = atomic_file::begin_private(path)?;
     // Root writes into the folder of a daemon that runs as somebody else, who reads it.
     if geteuid().is_root()
         && let Some(folder) = path.parent()
     {
         let owner = fs::metadata(folder)?;
-        fchown(&file, Some(owner.uid()), Some(owner.gid()))?;
+        fchown(file.as_file(), Some(owner.uid()), Some(owner.gid()))?;
     }
     file.write_all(text.as_bytes())?;
-    file.sync_all()?;
-    fs::rename(&aside, path)
+    atomic_file::publish(file, path)
 }
 
 /// Makes a folder, and those it is in, that nobody else can look into; harmless if it is there.

@@ -1,14 +1,15 @@
 //! `fork`, `snapshot` and `restore`: swarms made as others were.
 
-use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
-use std::path::{Path, PathBuf};
+use std::fs;
+use std::io;
+use std::path::Path;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use ciborium::Value;
 use jostle_proto::verbs::{CreateResult, ForkArgs, RestoreArgs};
 use jostle_proto::{Reply, Snapshot, to_cbor};
+use jostle_atomic_file as atomic_file;
 use serde_json::json;
 
 use crate::arguments::{ForkArguments, RestoreArguments, SendingArguments, SnapshotArguments};
@@ -139,39 +140,11 @@ fn is_there(path: &Path) -> Failure {
     }
 }
 
-/// Puts a file in its place once all of it is on the disk and reads as it should; nobody ever sees
-/// a part of it.
+/// Writes a whole file, or none. Without `force` a file that exists stays.
 fn put(path: &Path, bytes: &[u8], force: bool) -> io::Result<()> {
-    let draft = draft_of(path);
-    let outcome = write(&draft, bytes).and_then(|()| match force {
-        true => fs::rename(&draft, path),
-        // Unlike a renaming it fails where a file is.
-        false => fs::hard_link(&draft, path),
-    });
-    if outcome.is_err() || !force {
-        // The draft is a name too many, or of no use.
-        let _ = fs::remove_file(&draft);
-    }
-    outcome
-}
-
-fn draft_of(path: &Path) -> PathBuf {
-    let mut name = path.file_name().unwrap_or_default().to_os_string();
-    name.push(format!(".{}.part", std::process::id()));
-    path.with_file_name(name)
-}
-
-fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
-    let mut file = OpenOptions::new().write(true).create_new(true).open(path)?;
-    file.write_all(bytes)?;
-    file.sync_all()?;
-    drop(file);
-    let mut written = Vec::new();
-    io::Read::read_to_end(&mut File::open(path)?, &mut written)?;
-    if written == bytes {
-        Ok(())
-    } else {
-        Err(io::Error::other("what was written reads otherwise"))
+    match force {
+        true => atomic_file::write(path, bytes),
+        false => atomic_file::write_new(path, bytes),
     }
 }
 

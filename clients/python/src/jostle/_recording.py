@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import csv
 import errno
+import io
 import itertools
 import os
 from collections.abc import Iterator, Mapping
@@ -15,6 +16,7 @@ from typing import IO, TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from ._atomic_file import atomic_file
 from ._errors import Internal, InvalidArgument
 from ._extras import need
 from ._frame import KINDS, OF_EACH, OF_FRAME, OF_GROUP, Columns, columns_of, table_of
@@ -313,14 +315,11 @@ def _frames(columns: Columns) -> Iterator[RecordedFrame]:
 @contextlib.contextmanager
 def _draft(path: str | os.PathLike[str]) -> Iterator[IO[str]]:
     """A file that gets its name when all of it is written."""
-    path = Path(path)
-    draft = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        with draft.open("x", encoding="utf-8", newline="\n") as file:
-            yield file
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
+    with atomic_file(path) as file:
+        text = io.TextIOWrapper(file, encoding="utf-8", newline="\n")
+        yield text
+        # Flushes it, and leaves the file open.
+        text.detach()
 
 
 @contextlib.contextmanager

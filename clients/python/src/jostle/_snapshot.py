@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +10,7 @@ from typing import Any, Self
 import cbor2
 import msgspec
 
+from ._atomic_file import atomic_file
 from ._errors import Internal, InvalidArgument
 from ._reading import read_map
 
@@ -119,25 +119,11 @@ class Snapshot:
 
         Raises:
             FileExistsError: It is there already, and not `force`.
-            OSError: It cannot be written, or reads otherwise than it was written.
+            OSError: It cannot be written.
         """
         path = Path(path)
-        draft = path.with_name(f"{path.name}.{os.getpid()}.part")
-        try:
-            with draft.open("xb") as file:
-                file.write(self.data)
-                file.flush()
-                os.fsync(file.fileno())
-            if draft.read_bytes() != self.data:
-                raise OSError(f"{path}: what was written reads otherwise")
-            if force:
-                draft.replace(path)
-            else:
-                # Unlike a renaming it fails where a file is.
-                os.link(draft, path)
-        finally:
-            with contextlib.suppress(FileNotFoundError):
-                draft.unlink()
+        with atomic_file(path, force=force) as file:
+            file.write(self.data)
         return path
 
 

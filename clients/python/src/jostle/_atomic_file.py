@@ -1,0 +1,41 @@
+"""Files that exist as a whole or not at all."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from pathlib import Path
+from typing import TYPE_CHECKING, BinaryIO
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+@contextlib.contextmanager
+def atomic_file(path: str | os.PathLike[str], *, force: bool = True) -> Iterator[BinaryIO]:
+    """Opens a temporary file beside `path`, which gets that name when the block ends.
+
+    If the block raises, the temporary file is removed.
+
+    Args:
+        path: The file.
+        force: Replace a file that exists.
+
+    Raises:
+        FileExistsError: It exists, and not `force`.
+        OSError: It cannot be written.
+    """
+    path = Path(path)
+    draft = path.with_name(f"{path.name}.{os.getpid()}.part")
+    try:
+        with draft.open("xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        if force:
+            draft.replace(path)
+        else:
+            # Unlike a rename, it fails if the file exists.
+            os.link(draft, path)
+    finally:
+        draft.unlink(missing_ok=True)
