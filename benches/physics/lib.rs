@@ -1,1 +1,1 @@
-//! Only benches: see `step`, `large` and `instructions` beside this file.
+//! This package contains only benches: `step`, `large` and `instructions`.

@@ -1,12 +1,14 @@
-//! How many instructions a step takes: exact where times are not, so that a slowdown shows.
+//! Counts the instructions of a step. Unlike times, counts are reproducible, so that small
+//! slowdowns are detected.
 //!
-//! `cargo bench --bench instructions` runs five fixed steps under callgrind and fails where a
-//! count is more than 3 % off `counts.txt`, in either direction: who makes a step quicker says so
-//! with `-- --write`, which renews the file. Each step is counted alone, after steps from the
-//! same state that warm the stepper; nothing else is. `-- --states` makes the five states anew.
+//! `cargo bench -p jostle-physics-benches --bench instructions` runs one step of each of five
+//! groups under callgrind. It fails if a count differs by more than 3 % from `counts.txt`, in
+//! either direction; `-- --write` updates the file, after a speed-up too. Only the step is counted,
+//! after steps that warm up the stepper. `-- --states` generates the states of the five groups
+//! again.
 //!
-//! Counts belong to a compiler. They do not depend on the machine, as long as it has AVX2:
-//! valgrind hides what is newer.
+//! Counts depend on the compiler. They do not depend on the machine if it has AVX2: valgrind hides
+//! later instruction sets.
 
 #[path = "../step/settled.rs"]
 mod settled;
@@ -33,36 +35,36 @@ const CASES: [Case; 5] = [
 /// Steps taken before the one that is counted.
 const WARMING: usize = 20;
 
-/// How far a count may be off: more than another layout of memory makes, far less than a change
-/// worth knowing.
+/// Maximum relative change of a count: above the effect of the memory layout, far below a relevant
+/// change.
 const TOLERANCE: f64 = 0.03;
 
 fn main() -> ExitCode {
     let arguments: Vec<String> = env::args().skip(1).collect();
-    let asked = |name: &str| arguments.iter().any(|argument| argument == name);
-    if let Some(place) = arguments.iter().position(|argument| argument == "--case") {
-        take(arguments[place + 1].parse().expect("a case is a number"));
+    let has_flag = |name: &str| arguments.iter().any(|argument| argument == name);
+    if let Some(index) = arguments.iter().position(|argument| argument == "--case") {
+        run_case(arguments[index + 1].parse().expect("a case is a number"));
         return ExitCode::SUCCESS;
     }
-    if asked("--states") {
+    if has_flag("--states") {
         let groups: Vec<Value> = CASES
             .iter()
             .map(|case| settled::written(&rounded(case.settled())))
             .collect();
-        write(&beside("states.json"), &Value::from(groups).to_string());
+        write(&data_file("states.json"), &Value::from(groups).to_string());
     }
     let counts: Vec<u64> = (0..CASES.len()).map(count).collect();
-    if asked("--write") {
+    if has_flag("--write") {
         let mut text = String::new();
         for (Case { pi1, n }, count) in CASES.iter().zip(&counts) {
-            writeln!(text, "pi1 {pi1} n {n} {count}").expect("a string takes all");
+            writeln!(text, "pi1 {pi1} n {n} {count}").expect("writing to a string succeeds");
         }
-        write(&beside("counts.txt"), &text);
+        write(&data_file("counts.txt"), &text);
     }
-    hold(&counts)
+    compare(&counts)
 }
 
-/// Keeps nine decimals, enough for a start and half as long to read.
+/// Rounds a state to nine decimals, which halves its file and is exact enough for a start.
 fn rounded(mut state: State) -> State {
     let configuration = &mut state.configuration;
     for column in [
@@ -76,29 +78,29 @@ fn rounded(mut state: State) -> State {
     state
 }
 
-/// Compares with the file.
-fn hold(counts: &[u64]) -> ExitCode {
-    let held = fs::read_to_string(beside("counts.txt")).expect("counts.txt can be read");
-    let held = held.lines().map(|line| {
+/// Compares the counts with `counts.txt` and prints the changes.
+fn compare(counts: &[u64]) -> ExitCode {
+    let text = fs::read_to_string(data_file("counts.txt")).expect("counts.txt can be read");
+    let expected = text.lines().map(|line| {
         let last = line.split(' ').next_back().expect("a line has a count");
         last.parse::<f64>().expect("a count is a number")
     });
     let mut code = ExitCode::SUCCESS;
-    for ((Case { pi1, n }, &count), held) in CASES.iter().zip(counts).zip(held) {
-        let change = count as f64 / held - 1.0;
+    for ((Case { pi1, n }, &count), expected) in CASES.iter().zip(counts).zip(expected) {
+        let change = count as f64 / expected - 1.0;
         let percent = 100.0 * change;
         let verdict = if change.abs() <= TOLERANCE {
-            "holds"
+            "ok"
         } else {
             code = ExitCode::FAILURE;
-            "is off by more than 3 %: find out why, or renew it with -- --write"
+            "changed by more than 3 %: find the cause, or update the counts with -- --write"
         };
         println!("pi1 = {pi1}, n = {n}: {count} instructions, {percent:+.2} %, {verdict}");
     }
     code
 }
 
-/// Counts one step's instructions, in another process under callgrind.
+/// Counts the instructions of one step, in a process under callgrind.
 fn count(case: usize) -> u64 {
     fs::create_dir_all(target()).expect("target/ can be written");
     let out = target().join(format!("callgrind.{case}"));
@@ -116,12 +118,12 @@ fn count(case: usize) -> u64 {
     let count = totals.and_then(|count| count.trim().parse().ok());
     count
         .filter(|&count| count > 0)
-        .expect("callgrind has seen the step")
+        .expect("callgrind has counted the step")
 }
 
-/// Takes the steps of one case, the last of them counted.
-fn take(case: usize) {
-    let text = fs::read_to_string(beside("states.json")).expect("states.json can be read");
+/// Takes the steps of one case. The last one is counted.
+fn run_case(case: usize) {
+    let text = fs::read_to_string(data_file("states.json")).expect("states.json can be read");
     let groups: Value = serde_json::from_str(&text).expect("states.json is JSON");
     let parameters = CASES[case].parameters();
     let mut state = settled::read(&groups[case], parameters).expect("states.json has the case");
@@ -133,14 +135,14 @@ fn take(case: usize) {
     assert!(report.residual <= 1e-9, "residual {}", report.residual);
 }
 
-/// What callgrind looks for by name.
+/// The function that callgrind counts, selected by its name.
 #[inline(never)]
 fn counted_step(stepper: &mut Stepper, state: &mut State) -> StepReport {
     stepper.step(state).expect("every step is solved")
 }
 
-/// A file of this bench in the sources.
-fn beside(name: &str) -> PathBuf {
+/// Returns the path of a file in the folder of this bench.
+fn data_file(name: &str) -> PathBuf {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     root.join("instructions").join(name)
 }

@@ -1,12 +1,12 @@
-//! What a step of a large group costs: thread CPU time by phase, and memory.
+//! Cost of a step of a large group: thread CPU time by phase, and memory.
 //!
-//! `cargo bench --bench large -- --help` says what can be asked. Each group is drawn in its disc
-//! and stepped in a process of its own, so that memory is its alone; then some more steps are
-//! measured. A drawn disc falls together slowly: how packed a group is, `active` tells. Memory
-//! is what the process holds beyond what it held after stepping a small group.
+//! `cargo bench -p jostle-physics-benches --bench large -- --help` lists the options. Each group is
+//! drawn in its disc and stepped in a process of its own, so that memory is measured for it alone;
+//! then more steps are measured. A drawn group contracts slowly: `active` shows how packed it is.
+//! Memory is the resident memory of the process less that after stepping a small group.
 //!
-//! With `-- --threads 2`, what two threads save: the same group is stepped without and with
-//! them by turns, and the least wall-clock times are told.
+//! `-- --threads 2` measures the gain of two threads: the same group is stepped without and with
+//! threads, in alternation, and the least wall-clock times are printed.
 
 mod threads;
 
@@ -21,42 +21,43 @@ use jostle_physics::stepper::{StepReport, Stepper};
 use rustix::time::{ClockId, clock_gettime};
 use serde_json::json;
 
-/// What every start is drawn with.
+/// Seed of every start.
 const SEED: u64 = 1;
 
-/// A group stepped first, and how often, so that the program is in memory when that is read.
+/// Size and steps of a small group that is stepped first, so that the program is loaded when memory
+/// is read.
 const SMALL: usize = 200;
 const WARMING: u64 = 200;
 
-/// Milliseconds a step of a large group costs, in thread CPU time, and its memory
+/// Thread CPU time of a step of a large group in ms, and its memory
 #[derive(Debug, Parser)]
-#[command(bin_name = "cargo bench --bench large --")]
+#[command(bin_name = "cargo bench -p jostle-physics-benches --bench large --")]
 struct Arguments {
-    /// One JSON object a line instead of a table
+    /// Print one JSON object per line instead of a table
     #[arg(long)]
     json: bool,
     /// Numbers of individuals, separated by commas
     #[arg(long, value_delimiter = ',', default_values_t = [10_000, 100_000])]
     n: Vec<usize>,
-    /// For how many time units a group is stepped before it is measured
+    /// Time units for which a group is stepped before it is measured
     #[arg(long, default_value_t = 20.0)]
     time: f64,
-    /// How many steps are measured
+    /// Number of measured steps
     #[arg(long, default_value_t = 25)]
     steps: usize,
-    /// Accuracy of attraction
+    /// Accuracy of the attraction
     #[arg(long, default_value_t = 1e-6)]
     accuracy: f64,
-    /// Radius of the disc in roots of n
+    /// Radius of the disc over the square root of n
     #[arg(long, default_value_t = 1.0)]
     radius: f64,
-    /// Tells the least wall-clock times without and with as many threads instead
+    /// Print the least wall-clock times without and with this number of threads instead
     #[arg(long, conflicts_with = "json")]
     threads: Option<usize>,
     /// Measures one group in this process.
     #[arg(long, hide = true)]
     alone: bool,
-    /// What cargo appends.
+    /// Appended by cargo.
     #[arg(long, hide = true)]
     bench: bool,
 }
@@ -86,19 +87,19 @@ fn main() {
         println!("{}", heading());
     }
     for n in &arguments.n {
-        let mut again = Command::new(env::current_exe().expect("this program has a path"));
-        again.args(["--alone", "--n", &n.to_string()]);
-        again.args(["--time", &arguments.time.to_string()]);
-        again.args(["--steps", &arguments.steps.to_string()]);
-        again.args(["--accuracy", &arguments.accuracy.to_string()]);
-        again.args(["--radius", &arguments.radius.to_string()]);
-        again.args(arguments.json.then_some("--json"));
-        let status = again.status().expect("this program starts");
+        let mut child = Command::new(env::current_exe().expect("this program has a path"));
+        child.args(["--alone", "--n", &n.to_string()]);
+        child.args(["--time", &arguments.time.to_string()]);
+        child.args(["--steps", &arguments.steps.to_string()]);
+        child.args(["--accuracy", &arguments.accuracy.to_string()]);
+        child.args(["--radius", &arguments.radius.to_string()]);
+        child.args(arguments.json.then_some("--json"));
+        let status = child.status().expect("this program starts");
         assert!(status.success(), "n = {n}: {status}");
     }
 }
 
-/// What was measured. Times are ms a step.
+/// Measurements of one group. Times are in ms per step.
 #[derive(Default)]
 struct Found {
     n: usize,
@@ -110,12 +111,13 @@ struct Found {
     listed: f64,
     active: f64,
     iterations: f64,
-    /// Over all steps, like the next: how often the fallback was asked.
+    /// Calls of the fallback and largest residual, over all steps, also those before the measured
+    /// ones.
     fallbacks: usize,
     worst_residual: f64,
-    /// The first step, solved without memory of any before.
+    /// The first step, which has no warm start.
     first: f64,
-    /// Bytes an individual, at the end and at most.
+    /// Bytes per individual, at the end and at the peak.
     resident: f64,
     peak: f64,
 }
@@ -140,14 +142,14 @@ fn measure(n: usize, arguments: &Arguments) -> Found {
         if group.state.step == 1 {
             found.first = took;
         }
-        found.judge(&report);
+        found.add_exactness(&report);
     }
     found.time = group.state.time();
     for _ in 0..arguments.steps {
         let before = found.whole();
         let report = group.step(&mut found);
         found.slowest = found.slowest.max(found.whole() - before);
-        found.judge(&report);
+        found.add_exactness(&report);
         found.listed += report.contacts as f64;
         found.active += report.active as f64;
         found.iterations += report.iterations as f64;
@@ -167,15 +169,15 @@ fn measure(n: usize, arguments: &Arguments) -> Found {
     found
 }
 
-/// A group, and what steps it.
+/// A group, its stepper, and the workspace of its attraction.
 struct Group {
     state: State,
-    social: AttractionWorkspace,
+    attraction: AttractionWorkspace,
     pull: Vec<[f64; 2]>,
     stepper: Stepper,
 }
 
-/// A group drawn in its disc.
+/// Returns a group drawn in its disc.
 fn drawn(n: usize, arguments: &Arguments) -> State {
     let parameters = Parameters {
         attraction: Attraction::All {
@@ -188,7 +190,7 @@ fn drawn(n: usize, arguments: &Arguments) -> State {
         parameters,
         seed: SEED,
         configuration: start::disc(&parameters, n, Some(radius), SEED)
-            .expect("the disc has room for everybody"),
+            .expect("the individuals fit in the disc"),
         ..State::default()
     }
 }
@@ -197,33 +199,33 @@ impl Group {
     fn new(n: usize, arguments: &Arguments) -> Self {
         Self {
             state: drawn(n, arguments),
-            social: AttractionWorkspace::default(),
+            attraction: AttractionWorkspace::default(),
             pull: Vec::new(),
             stepper: Stepper::new(),
         }
     }
 
-    /// Takes one step, and adds what its phases took. The program is assembled again, now from
-    /// the neighbours listed: the solution is what a step takes beyond that.
+    /// Takes one step and adds the times of its phases. `advance` includes an assembly with a valid
+    /// neighbour list; a second assembly measures that time, which is subtracted from `solve`.
     fn step(&mut self, found: &mut Found) -> StepReport {
         let Self {
             state,
-            social,
+            attraction,
             pull,
             stepper,
         } = self;
         let began = cpu_time();
-        social.compute(state.parameters.attraction, &state.configuration, pull);
+        attraction.compute(state.parameters.attraction, &state.configuration, pull);
         let attracted = cpu_time();
         stepper.assemble(state, pull).expect("no axes cross");
         let assembled = cpu_time();
         stepper.assemble(state, pull).expect("no axes cross");
-        let again = cpu_time();
+        let reassembled = cpu_time();
         let report = stepper.advance(state, pull).expect("every step is solved");
         let solved = cpu_time();
         found.attraction += milliseconds(attracted - began);
         found.contacts += milliseconds(assembled - attracted);
-        found.solve += milliseconds(solved - again) - milliseconds(again - assembled);
+        found.solve += milliseconds(solved - reassembled) - milliseconds(reassembled - assembled);
         report
     }
 }
@@ -233,7 +235,7 @@ impl Found {
         self.attraction + self.contacts + self.solve
     }
 
-    fn judge(&mut self, report: &StepReport) {
+    fn add_exactness(&mut self, report: &StepReport) {
         self.fallbacks += report.fallback;
         self.worst_residual = self.worst_residual.max(report.residual);
     }
@@ -306,7 +308,7 @@ fn heading() -> String {
     )
 }
 
-/// The thread's CPU time.
+/// Returns the CPU time of the thread.
 fn cpu_time() -> Duration {
     let now = clock_gettime(ClockId::ThreadCPUTime);
     let seconds = u64::try_from(now.tv_sec).expect("CPU time is positive");
@@ -318,9 +320,9 @@ fn milliseconds(duration: Duration) -> f64 {
     1e3 * duration.as_secs_f64()
 }
 
-/// The process's resident memory in bytes, now and at most.
+/// Returns the resident memory of the process in bytes, current and peak.
 fn memory() -> [f64; 2] {
-    let status = fs::read_to_string("/proc/self/status").expect("Linux tells of its processes");
+    let status = fs::read_to_string("/proc/self/status").expect("/proc is mounted");
     ["VmRSS:", "VmHWM:"].map(|name| {
         let line = status.lines().find_map(|line| line.strip_prefix(name));
         let kibibytes = line.and_then(|line| line.trim().strip_suffix(" kB"));

@@ -1,4 +1,4 @@
-//! What threads save: the same group stepped without and with them by turns.
+//! Gain of threads: the same group is stepped without and with threads, in alternation.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -11,7 +11,7 @@ use rayon::ThreadPoolBuilder;
 
 use crate::{Arguments, drawn, milliseconds};
 
-/// The least wall-clock milliseconds, without and with threads.
+/// Least wall-clock times in ms, without and with threads.
 struct Least([f64; 2]);
 
 impl Least {
@@ -19,10 +19,10 @@ impl Least {
         Self([f64::INFINITY; 2])
     }
 
-    fn measure(&mut self, which: usize, work: impl FnOnce()) {
+    fn measure(&mut self, index: usize, work: impl FnOnce()) {
         let began = Instant::now();
         work();
-        self.0[which] = self.0[which].min(milliseconds(began.elapsed()));
+        self.0[index] = self.0[index].min(milliseconds(began.elapsed()));
     }
 
     fn text(&self) -> String {
@@ -39,18 +39,19 @@ pub fn heading() -> String {
     )
 }
 
-/// Steps one group twice, and compares the hashes at the end.
+/// Steps one group without and with threads, compares the hashes at the end, and returns a line of
+/// the table.
 pub fn measure(n: usize, threads: usize, arguments: &Arguments) -> String {
     let pool = ThreadPoolBuilder::new().num_threads(threads).build();
     let pool = Pool::new(Arc::new(pool.expect("threads can be started")));
     let start = drawn(n, arguments);
     let mut states: [State; 2] = [start.clone(), start];
     let mut steppers = [Stepper::new(), Stepper::with_pool(pool.clone())];
-    let mut socials = [
+    let mut workspaces = [
         AttractionWorkspace::default(),
         AttractionWorkspace::default(),
     ];
-    socials[1].pool = Some(pool);
+    workspaces[1].pool = Some(pool);
     let (mut attraction, mut step, mut pull) = (Least::new(), Least::new(), Vec::new());
     while states[0].time() < arguments.time {
         for (state, stepper) in states.iter_mut().zip(&mut steppers) {
@@ -58,18 +59,22 @@ pub fn measure(n: usize, threads: usize, arguments: &Arguments) -> String {
         }
     }
     for _ in 0..arguments.steps {
-        for (which, state) in states.iter_mut().enumerate() {
-            let kind = state.parameters.attraction;
-            let social = &mut socials[which];
-            attraction.measure(which, || {
-                social.compute(kind, &state.configuration, &mut pull);
+        for (index, state) in states.iter_mut().enumerate() {
+            let law = state.parameters.attraction;
+            let workspace = &mut workspaces[index];
+            attraction.measure(index, || {
+                workspace.compute(law, &state.configuration, &mut pull);
             });
-            let stepper = &mut steppers[which];
-            step.measure(which, || {
+            let stepper = &mut steppers[index];
+            step.measure(index, || {
                 drop(stepper.step(state).expect("every step is solved"));
             });
         }
     }
-    assert_eq!(states[0].hash(), states[1].hash(), "threads changed a bit");
+    assert_eq!(
+        states[0].hash(),
+        states[1].hash(),
+        "threads changed the result"
+    );
     format!("{n:>7} {} {}", attraction.text(), step.text())
 }

@@ -1,4 +1,4 @@
-//! What can be asked of the bench.
+//! Command line of the bench.
 
 use std::path::PathBuf;
 
@@ -10,53 +10,54 @@ use super::backend::Backend;
 use super::rapier;
 use super::settled::Case;
 
-/// µs a step of settled groups costs, in thread CPU time: ours, and outsiders on the same work
+/// Thread CPU time of a step of settled groups in µs: the exact solver, and others on the same work
 #[derive(Debug, Parser)]
-#[command(bin_name = "cargo bench --bench step --")]
+#[command(bin_name = "cargo bench -p jostle-physics-benches --bench step --")]
 pub struct Arguments {
-    /// One JSON object a line instead of a table
+    /// Print one JSON object per line instead of a table
     #[arg(long)]
     pub json: bool,
-    /// Lengths over width, separated by commas
+    /// Ratios of length to width, separated by commas
     #[arg(long, value_delimiter = ',', default_values_t = [1.0, 2.0, 4.0, 8.0])]
     pub pi1: Vec<f64>,
     /// Numbers of individuals [default: 10,50,74,120,200,500,1000, and 2000 at pi1 = 4]
     #[arg(long, value_delimiter = ',')]
     pub n: Vec<usize>,
-    /// Who is measured [default: all that are present]
+    /// Backends to measure [default: all that are installed]
     #[arg(long, value_delimiter = ',', value_enum)]
     pub backends: Vec<Backend>,
-    /// Fewer steps, fewer repetitions: to a tenth or so
+    /// Take fewer steps and samples: about a tenth of the time
     #[arg(long)]
     pub quick: bool,
-    /// How often rapier sweeps over its contacts in a step
+    /// Sweeps of rapier over its contacts in a step
     #[arg(long, value_name = "COUNT", default_value_t = rapier::SWEEPS)]
     pub sweeps: usize,
-    /// Hold our kernels to the vectors that every x86-64 has (SSE2), as the outsiders are
+    /// Limit our kernels to SSE2, which every x86-64 has and the other solvers use
     #[arg(long)]
     pub baseline: bool,
-    /// Also draws cost against n at pi1 = 4
+    /// Also draw the time against n at pi1 = 4
     #[arg(long, value_name = "FILE")]
     pub svg: Option<PathBuf>,
-    /// Renews the tables and the picture of docs/performance.md
+    /// Update the tables and the figure of docs/performance.md
     #[arg(long)]
     pub write_docs: bool,
-    /// The Python that may have daqp and piqp
+    /// Python interpreter for daqp and piqp
     #[arg(long, value_name = "PROGRAM", default_value = "python3")]
     pub python: PathBuf,
-    /// What cargo appends.
+    /// Appended by cargo.
     #[arg(long, hide = true)]
     bench: bool,
 }
 
-/// The numbers of individuals measured unless told otherwise.
+/// Default numbers of individuals.
 const COUNTS: [usize; 7] = [10, 50, 74, 120, 200, 500, 1000];
 
-/// The one that is measured only at the length over width most used.
+/// Length over width and number of individuals of the largest group, measured by default only at
+/// this ratio.
 const LARGEST: (f64, usize) = (4.0, 2000);
 
 impl Arguments {
-    /// The groups asked for, in the order of the table.
+    /// Returns the groups to measure, in the order of the table.
     pub fn cases(&self) -> Vec<Case> {
         let mut cases = Vec::new();
         for &pi1 in &self.pi1 {
@@ -72,7 +73,7 @@ impl Arguments {
         cases
     }
 
-    /// Which version of our kernels is measured.
+    /// Returns the SIMD level of our kernels.
     pub fn level(&self) -> Level {
         if self.baseline {
             return Level::BASELINE;
@@ -80,8 +81,8 @@ impl Arguments {
         Level::default()
     }
 
-    /// Whether `backend` was asked for.
-    pub fn wants(&self, backend: Backend) -> bool {
+    /// Returns whether `backend` is selected.
+    pub fn selects(&self, backend: Backend) -> bool {
         self.backends.is_empty() || self.backends.contains(&backend)
     }
 }

@@ -1,4 +1,4 @@
-//! Who solves the recorded programs, and how good the answers are.
+//! Backends that solve the recorded programs, and the quality of their answers.
 
 use std::f64::consts::TAU;
 
@@ -11,40 +11,40 @@ use jostle_physics::stepper::solve;
 use super::clarabel;
 use super::record::Recorded;
 
-/// Who solves.
+/// A solver of the recorded programs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum Backend {
-    /// Ours, the default of the daemon
+    /// The exact solver, the default of the daemon
     Exact,
-    /// Clarabel scaled and polished by us: the judge in tests
+    /// The daemon's fallback: Clarabel with scaling and polishing, the reference in tests
     Fallback,
-    /// Clarabel as it comes: unscaled, default tolerance, set-up included
+    /// Clarabel without scaling, with default tolerances, set-up included
     Clarabel,
     /// rapier2d in f64: one iteration of 50 sweeps, softness off
     Rapier,
-    /// DAQP, warm, through its Python wheel: up to 120 individuals
+    /// DAQP with a warm start, from its Python wheel: up to 120 individuals
     Daqp,
-    /// PIQP through its Python wheel
+    /// PIQP, from its Python wheel
     Piqp,
 }
 
 impl Backend {
-    /// The name on the command line, in the table and in JSON.
+    /// Returns the name on the command line, in the table and in JSON.
     pub fn name(self) -> String {
-        let value = self.to_possible_value().expect("none is skipped");
+        let value = self.to_possible_value().expect("no variant is skipped");
         value.get_name().to_owned()
     }
 }
 
-/// A solver in this process, with its room.
+/// A solver in this process, with its buffers and its last answer.
 pub enum Solver {
     /// One of the daemon's two backends.
     Ours(Box<Ours>),
-    /// The multipliers of the last program.
+    /// Clarabel: multipliers and number of iterations of the last program.
     Clarabel(Vec<f64>, usize),
 }
 
-/// A backend of the daemon, with what it keeps.
+/// A backend of the daemon, with its workspace and its last solution.
 pub struct Ours {
     backend: solve::Backend,
     workspace: solve::Workspace,
@@ -52,8 +52,8 @@ pub struct Ours {
 }
 
 impl Solver {
-    /// The solver of `backend`, if it lives in this process and solves programs; ours with the
-    /// kernels of `level`.
+    /// Returns the solver of `backend`; none if the backend runs in another process or does not
+    /// solve programs. The daemon's backends use the kernels of `level`.
     pub fn new(backend: Backend, level: Level) -> Option<Self> {
         let ours = |backend| {
             let mut workspace = solve::Workspace::default();
@@ -72,14 +72,14 @@ impl Solver {
         }
     }
 
-    /// Solves one program; this is what is timed.
+    /// Solves one program. The bench measures this call.
     pub fn solve(&mut self, recorded: &Recorded) {
         match self {
             Self::Ours(ours) => {
                 let (hints, workspace) = (recorded.hints(), &mut ours.workspace);
                 let solution = &mut ours.solution;
-                let memory = &recorded.state.warm_start;
-                workspace.exact.recall(&memory.order, memory.order_age);
+                let warm = &recorded.state.warm_start;
+                workspace.exact.recall(&warm.order, warm.order_age);
                 solve::solve(ours.backend, &recorded.qp, &hints, workspace, solution);
             }
             Self::Clarabel(multipliers, iterations) => {
@@ -88,14 +88,15 @@ impl Solver {
         }
     }
 
-    /// The last program's multipliers, systems factored, and calls of a second solver.
+    /// Returns the multipliers of the last program, the number of factored systems, and the number
+    /// of calls of a second solver.
     pub fn answer(&self) -> (&[f64], usize, usize) {
         match self {
             Self::Ours(ours) => {
                 let Ours {
                     backend, solution, ..
                 } = &**ours;
-                // The fallback's own first call is no fallback.
+                // The first call of the fallback backend is its regular one.
                 let own = usize::from(*backend == solve::Backend::Fallback);
                 let fallbacks = solution.fallback.saturating_sub(own);
                 (&solution.multipliers, solution.iterations, fallbacks)
@@ -105,28 +106,28 @@ impl Solver {
     }
 }
 
-/// How good the answers to a series of programs are.
+/// Quality of the answers to a series of programs.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Quality {
     /// Mean number of contacts that push.
     pub active: f64,
-    /// Mean number of iterations, in the backend's own sense.
+    /// Mean number of iterations, as the backend defines them.
     pub iterations: f64,
-    /// How often a second solver was asked, in all.
+    /// Calls of a second solver, in total.
     pub fallbacks: usize,
-    /// Largest `max |min(λ, s)|` of a step; of displacements without multipliers, the largest
-    /// overlap they leave in the linearised gaps.
+    /// Largest residual `max |min(λ, s)|` of a step. For a backend without multipliers, the largest
+    /// overlap in the linearised gaps.
     pub worst_residual: f64,
-    /// Deepest overlap after a step, measured by parry.
+    /// Largest overlap after a step, measured by parry.
     pub worst_overlap: f64,
-    /// Largest distance of an individual's step from the exact one, over dt v0.
+    /// Largest distance of an individual's displacement from the exact one, over dt v0.
     pub worst_velocity_error: f64,
-    /// The mean of the same over all individuals and steps.
+    /// Mean of this distance over all individuals and steps.
     pub mean_velocity_error: f64,
 }
 
 impl Quality {
-    /// Adds one step's multipliers; `exact` are its true displacements.
+    /// Adds the multipliers of one step; `exact` are its exact displacements.
     pub fn add(&mut self, recorded: &Recorded, multipliers: &[f64], exact: &[[f64; 3]]) {
         let Recorded { state, qp, .. } = recorded;
         let mut displacement = Vec::new();
@@ -149,7 +150,7 @@ impl Quality {
         self.add_errors(errors, state.parameters.dt);
     }
 
-    /// Adds one step that went from `before` to `after` where `exact` are the true displacements.
+    /// Adds one step from `before` to `after`; `exact` are its exact displacements.
     pub fn add_displacement(&mut self, before: &State, after: &State, exact: &[[f64; 3]], qp: &Qp) {
         let displacement = displacement(before, after);
         for contact in &qp.contacts {
@@ -181,7 +182,8 @@ impl Quality {
     }
 }
 
-/// How far everybody moved and turned, where angles may have been wrapped on the way.
+/// Returns the displacements (x, y, alpha) between two states, whose angles may differ by whole
+/// turns.
 pub fn displacement(before: &State, after: &State) -> Vec<[f64; 3]> {
     let (from, to) = (&before.configuration, &after.configuration);
     let moved = |i: usize| {

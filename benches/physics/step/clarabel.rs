@@ -1,13 +1,13 @@
-//! Clarabel as it comes: the program unscaled, every setting its own, set-up included.
+//! Clarabel without scaling of the program and with default settings; set-up included.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, SupportedConeT};
 use jostle_physics::stepper::qp::Qp;
 
-/// Solves `qp` for its multipliers, with how many systems were factored.
+/// Solves `qp`. Returns the multipliers, one per contact, and the number of factored systems.
 ///
-/// Minimise `½ dᵀ W d - uᵀ W d` subject to `-A d + s = g`, `s ≥ 0`. Of discs, which turn freely,
-/// only the centres are asked for.
+/// Minimises `½ dᵀ W d - uᵀ W d` subject to `-A d + s = g`, `s ≥ 0`. Contacts do not turn discs:
+/// their program contains only the centres.
 pub fn solve(qp: &Qp) -> (Vec<f64>, usize) {
     let turns = qp.contacts.iter().any(|one| one.lever != [0.0, 0.0]);
     let axes = if turns { 3 } else { 2 };
@@ -31,13 +31,13 @@ pub fn solve(qp: &Qp) -> (Vec<f64>, usize) {
     };
     let rows = negative_gradients(qp, axes);
     let mut solver = DefaultSolver::new(&weights, &linear, &rows, &gaps, &cones, settings)
-        .expect("Clarabel takes the program");
+        .expect("Clarabel accepts the program");
     solver.solve();
     let iterations = solver.solution.iterations as usize;
     (solver.solution.z.clone(), iterations)
 }
 
-/// `-A` by columns, in two passes over the contacts: count, then fill.
+/// Returns `-A` in compressed columns, in two passes over the contacts: count, then fill.
 fn negative_gradients(qp: &Qp, axes: usize) -> CscMatrix<f64> {
     let columns = axes * qp.free.len();
     let mut starts = vec![0; columns + 1];
@@ -58,9 +58,9 @@ fn negative_gradients(qp: &Qp, axes: usize) -> CscMatrix<f64> {
         let ([x, y], [one, two]) = (contact.normal, contact.lever);
         for (individual, parts) in [(contact.i, [x, y, one]), (contact.j, [-x, -y, -two])] {
             for (axis, &part) in parts.iter().enumerate().take(axes) {
-                let place = &mut next[axes * individual as usize + axis];
-                (rows[*place], values[*place]) = (row, part);
-                *place += 1;
+                let at = &mut next[axes * individual as usize + axis];
+                (rows[*at], values[*at]) = (row, part);
+                *at += 1;
             }
         }
     }

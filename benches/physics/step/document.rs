@@ -1,24 +1,25 @@
-//! Renews what is measured in `docs/performance.md`; the prose around it is written by hand.
+//! Updates the measured tables in `docs/performance.md`. The prose around them is written by hand.
 
 use super::backend::Backend;
 use super::table::{self, Row, figures};
 
-/// Puts the tables between their marks.
+/// Returns the page with new tables between their marks.
 pub fn with_tables(page: &str, rows: &[Row]) -> String {
-    let page = between(page, "table", &table::markdown(rows));
-    let page = between(&page, "faster", &faster(rows));
-    between(&page, "errors", &table::errors_markdown(rows))
+    let page = replace(page, "table", &table::markdown(rows));
+    let page = replace(&page, "faster", &faster(rows));
+    replace(&page, "errors", &table::errors_markdown(rows))
 }
 
-/// Replaces what stands between `<!-- name -->` and `<!-- /name -->`.
-fn between(page: &str, name: &str, text: &str) -> String {
+/// Replaces the text between `<!-- name -->` and `<!-- /name -->`.
+fn replace(page: &str, name: &str, text: &str) -> String {
     let (open, close) = (format!("<!-- {name} -->"), format!("<!-- /{name} -->"));
     let (before, rest) = page.split_once(&open).expect("the page has the mark");
     let (_, after) = rest.split_once(&close).expect("the mark is closed");
     format!("{before}{open}\n{text}\n{close}{after}")
 }
 
-/// Says where an outsider's whole step is cheaper than ours, and how wrong it is there.
+/// Lists the groups for which the whole step of another solver takes less time than that of the
+/// exact solver, with the errors of its velocities.
 fn faster(rows: &[Row]) -> String {
     let mut lines = Vec::new();
     for row in table::inexact(rows) {
@@ -47,7 +48,7 @@ fn faster(rows: &[Row]) -> String {
     lines.join("\n")
 }
 
-/// A share in per cent, two figures.
+/// Formats a share in per cent: whole numbers from 1 on, below that two decimals or one figure.
 fn percent(share: f64) -> String {
     match 100.0 * share {
         value if value >= 1.0 => format!("{value:.0}"),

@@ -1,9 +1,10 @@
-//! What a step costs, in thread CPU time: ours, and outsiders on the same work.
+//! Thread CPU time of a step: the exact solver, and other solvers on the same work.
 //!
-//! `cargo bench --bench step -- --help` says what can be asked. A settled group of every length
-//! over width and size is made once and kept below `target/`; some tens of successive steps of it
-//! are recorded, and every backend solves those very programs, in alternating repetitions of
-//! which the quickest counts. `docs/performance.md` holds one table and says how to read it.
+//! `cargo bench -p jostle-physics-benches --bench step -- --help` lists the options. For every
+//! length over width and size a settled group is computed once and cached below `target/`. 10 to
+//! 200 successive steps of it are recorded, and every backend solves the recorded programs, in
+//! alternating repetitions of which the quickest counts. `docs/performance.md` contains one table
+//! and explains it.
 
 mod arguments;
 mod backend;
@@ -67,7 +68,7 @@ fn main() {
     }
 }
 
-/// A file of the folder `docs`.
+/// Returns the path of a file in `docs`.
 fn docs(name: &str) -> PathBuf {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs")).join(name)
 }

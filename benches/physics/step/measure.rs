@@ -1,8 +1,8 @@
-//! Times every phase and backend on one settled group.
+//! Measures every phase and backend on one settled group.
 //!
-//! The clock is the thread's CPU time. A sample is as many passes over all recorded steps as
-//! last long enough to be read from it. Samples of all phases and backends alternate, so that a
-//! spell of a slow machine falls on all of them, and of each the quickest counts.
+//! The clock is the thread's CPU time. A sample consists of enough passes over all recorded steps
+//! to be measured accurately. Samples of all phases and backends alternate, so that a slow period
+//! of the machine affects all of them. The quickest sample of each counts.
 
 use std::time::Duration;
 
@@ -20,27 +20,31 @@ use super::record::{Recorded, record};
 use super::settled::Case;
 use super::table::Row;
 
-/// A sample lasts at least so long: a thousand times what reading the clock costs.
-const SAMPLE: Duration = Duration::from_millis(4);
+/// Minimum duration of a sample: a thousand times that of reading the clock.
+const MIN_SAMPLE: Duration = Duration::from_millis(4);
 
-/// Samples of everything.
+/// Samples of each task.
 const SAMPLES: usize = 9;
 
-/// Of what takes seconds a pass, fewer samples do: it averages over more of the machine's moods.
+/// A task whose pass takes longer than this averages over variations of the machine and needs fewer
+/// samples.
 const SLOW: Duration = Duration::from_secs(1);
 const SLOW_SAMPLES: usize = 2;
 
-/// Programs handed to another process.
-const HANDED: usize = 20;
+/// Maximum number of programs that are solved in another process.
+const MAX_EXTERNAL: usize = 20;
 
-/// Something timed: takes the recorded steps once, and tells how long that took.
+/// A measured task.
 struct Task<'a> {
-    who: Option<Backend>,
+    /// The backend; none for a phase.
+    backend: Option<Backend>,
+    /// Processes all recorded steps once and returns the CPU time.
     pass: Box<dyn FnMut() -> Duration + 'a>,
+    /// The least time of a pass.
     best: Duration,
 }
 
-/// The thread's CPU time.
+/// Returns the CPU time of the thread.
 pub fn cpu_time() -> Duration {
     let now = clock_gettime(ClockId::ThreadCPUTime);
     let seconds = u64::try_from(now.tv_sec).expect("CPU time is positive");
@@ -48,7 +52,7 @@ pub fn cpu_time() -> Duration {
     Duration::new(seconds, nanoseconds)
 }
 
-/// How many successive steps are recorded.
+/// Returns the number of successive steps that are recorded.
 fn steps(n: usize, quick: bool) -> usize {
     let steps: usize = match n {
         0..=120 => 200,
@@ -60,10 +64,11 @@ fn steps(n: usize, quick: bool) -> usize {
     if quick { steps.div_ceil(5) } else { steps }
 }
 
-/// Measures one group: a row for each backend asked for and present.
+/// Measures one group. Returns a row for each backend that is selected and installed.
 pub fn measure(case: Case, arguments: &Arguments) -> Vec<Row> {
     let count = steps(case.n, arguments.quick);
-    // Only rapier needs the first ones: nobody else keeps anything that is not in the record.
+    // Only rapier needs the first steps: the other backends keep no data besides those in the
+    // record.
     let all = record(case.settled(), rapier::WARMING + count);
     let records = &all[rapier::WARMING..];
     let start = records[0].state.clone();
@@ -73,42 +78,45 @@ pub fn measure(case: Case, arguments: &Arguments) -> Vec<Row> {
     let level = arguments.level();
     let mut tasks = phases(records, &start, level);
     for backend in [Backend::Exact, Backend::Fallback, Backend::Clarabel] {
-        // Ours is always measured: the whole step of the others is its, but for the program.
-        if !arguments.wants(backend) && backend != Backend::Exact {
+        // The exact solver is always measured: the step time of another backend is that of the
+        // exact one with the time of the solution replaced.
+        if !arguments.selects(backend) && backend != Backend::Exact {
             continue;
         }
-        let mut solver = Solver::new(backend, level).expect("it lives in this process");
-        if arguments.wants(backend) {
+        let mut solver = Solver::new(backend, level).expect("the backend runs in this process");
+        if arguments.selects(backend) {
             rows.push(Row::new(
                 &start,
                 backend,
-                judge(&mut solver, records, &truth),
+                quality_of(&mut solver, records, &truth),
             ));
         }
         tasks.push(Task::of(Some(backend), move || {
             records.iter().for_each(|recorded| solver.solve(recorded));
         }));
     }
-    if arguments.wants(Backend::Rapier) {
+    if arguments.selects(Backend::Rapier) {
         let (run, alone) = rapier::Run::new(&start, count, arguments.sweeps);
-        let quality = rapier::judge(&all, &truth, arguments.sweeps);
+        let quality = rapier::quality_of(&all, &truth, arguments.sweeps);
         let mut row = Row::new(&start, Backend::Rapier, quality);
         row.alone = Some(alone);
         rows.push(row);
         tasks.push(Task {
-            who: Some(Backend::Rapier),
-            pass: Box::new(move || run.again()),
+            backend: Some(Backend::Rapier),
+            pass: Box::new(move || run.repeat()),
             best: Duration::MAX,
         });
     }
     sample(&mut tasks, arguments.quick);
 
-    let microseconds = |place: usize| 1e6 * tasks[place].best.as_secs_f64() / count as f64;
+    let microseconds = |task: usize| 1e6 * tasks[task].best.as_secs_f64() / count as f64;
     let [attraction, assembly, whole, exact] = [0, 1, 2, 3].map(microseconds);
     for row in &mut rows {
         row.attraction_us = attraction;
-        let place = tasks.iter().position(|task| task.who == Some(row.backend));
-        let own = microseconds(place.expect("every row has been timed"));
+        let task = tasks
+            .iter()
+            .position(|task| task.backend == Some(row.backend));
+        let own = microseconds(task.expect("every row has a task"));
         if row.backend == Backend::Rapier {
             row.step_us = own;
             continue;
@@ -117,11 +125,11 @@ pub fn measure(case: Case, arguments: &Arguments) -> Vec<Row> {
         row.qp_us = Some(own);
         row.step_us = whole - exact + own;
     }
-    let handed = &records[..count.min(HANDED)];
+    let external = &records[..count.min(MAX_EXTERNAL)];
     for backend in [Backend::Daqp, Backend::Piqp] {
-        let answers = outsiders::ask(backend, case, handed, arguments);
+        let answers = outsiders::measure(backend, case, external, arguments);
         if let Some(answers) = answers {
-            let mut row = Row::new(&start, backend, answers.judge(handed, &truth));
+            let mut row = Row::new(&start, backend, answers.quality(external, &truth));
             row.attraction_us = attraction;
             row.contacts_us = Some(assembly);
             row.qp_us = Some(answers.microseconds);
@@ -133,21 +141,21 @@ pub fn measure(case: Case, arguments: &Arguments) -> Vec<Row> {
 }
 
 impl<'a> Task<'a> {
-    fn of(who: Option<Backend>, mut work: impl FnMut() + 'a) -> Self {
+    fn of(backend: Option<Backend>, mut work: impl FnMut() + 'a) -> Self {
         let pass = move || {
             let began = cpu_time();
             work();
             cpu_time() - began
         };
         Self {
-            who,
+            backend,
             pass: Box::new(pass),
             best: Duration::MAX,
         }
     }
 }
 
-/// Attraction; all that comes between it and the program; and the step without attraction.
+/// Returns three tasks: attraction; the assembly of the program; and the step without attraction.
 fn phases<'a>(records: &'a [Recorded], start: &'a State, level: Level) -> Vec<Task<'a>> {
     let (mut one, mut other) = (Phases::at(level), Phases::at(level));
     let mut stepper = Stepper::with_level(level);
@@ -162,7 +170,7 @@ fn phases<'a>(records: &'a [Recorded], start: &'a State, level: Level) -> Vec<Ta
                 .iter()
                 .for_each(|recorded| other.assemble(&recorded.state, &recorded.pull));
         }),
-        // From the first state on, the steps are the recorded ones, to the bit.
+        // The steps from the first state are the recorded ones, to the bit.
         Task::of(None, move || {
             let mut state = start.clone();
             for Recorded { pull, .. } in records {
@@ -174,7 +182,7 @@ fn phases<'a>(records: &'a [Recorded], start: &'a State, level: Level) -> Vec<Ta
     ]
 }
 
-/// Times all tasks in turn, and again.
+/// Measures all tasks in turn, once per sample.
 fn sample(tasks: &mut [Task], quick: bool) {
     let passes: Vec<u32> = tasks
         .iter_mut()
@@ -183,7 +191,7 @@ fn sample(tasks: &mut [Task], quick: bool) {
             if once > SLOW {
                 task.best = once;
             }
-            let many = SAMPLE.as_secs_f64() / once.as_secs_f64().max(1e-9);
+            let many = MIN_SAMPLE.as_secs_f64() / once.as_secs_f64().max(1e-9);
             #[expect(
                 clippy::cast_possible_truncation,
                 clippy::cast_sign_loss,
@@ -205,9 +213,10 @@ fn sample(tasks: &mut [Task], quick: bool) {
     }
 }
 
+/// Returns the exact displacements of each recorded step.
 fn exact_displacements(records: &[Recorded]) -> Vec<Vec<[f64; 3]>> {
     let mut solver =
-        Solver::new(Backend::Exact, Level::default()).expect("it lives in this process");
+        Solver::new(Backend::Exact, Level::default()).expect("the backend runs in this process");
     let mut displacement = Vec::new();
     records
         .iter()
@@ -219,7 +228,8 @@ fn exact_displacements(records: &[Recorded]) -> Vec<Vec<[f64; 3]>> {
         .collect()
 }
 
-fn judge(solver: &mut Solver, records: &[Recorded], truth: &[Vec<[f64; 3]>]) -> Quality {
+/// Solves the recorded programs and returns the quality of the answers.
+fn quality_of(solver: &mut Solver, records: &[Recorded], truth: &[Vec<[f64; 3]>]) -> Quality {
     let mut quality = Quality::default();
     for (recorded, exact) in records.iter().zip(truth) {
         solver.solve(recorded);

@@ -1,9 +1,9 @@
-"""Times DAQP or PIQP on programs of the bench: outsiders.py daqp|piqp programs.json
+"""Measures DAQP or PIQP on programs of the bench: outsiders.py daqp|piqp programs.json
 
-The programs are put into the solver's own form beforehand. A pass then calls the solver once for
-each of them, from Python as a user would: the wheel's overhead is part of the time, set-up too.
-The quickest of several passes counts, in the thread's CPU time. With angles in units of the drag,
-y = W^(1/2) (d - u), every program is the least |y|² / 2 subject to rows y + slack >= 0.
+The programs are converted to the solver's form beforehand. A pass calls the solver once for each of
+them from Python, as a user would: the time includes the wheel's overhead and the set-up. The
+quickest of several passes counts, in the thread's CPU time. With y = W^(1/2) (d - u) every program
+is: minimise |y|² / 2 subject to rows y + slack >= 0.
 """
 
 import json
@@ -17,7 +17,7 @@ PASSES = 7
 
 
 def rows_of(program):
-    """The rows in the metric of W, sparse, and the slack of free motion."""
+    """Returns the rows in the metric of W as a sparse matrix, and the slacks of free motion."""
     free = np.array(program["free"])
     i, j = np.array(program["i"], int), np.array(program["j"], int)
     normal = np.array(program["normal"]).reshape(-1, 2)
@@ -26,11 +26,11 @@ def rows_of(program):
     parts_j = np.column_stack([normal, lever[:, 1]])
     slack = program["gap"] + np.sum(parts_i * free[i] + parts_j * free[j], axis=1)
     count, scale = len(i), np.sqrt(program["weights"])
-    columns = [3 * who[:, None] + np.arange(3) for who in (i, j)]
+    columns = [3 * index[:, None] + np.arange(3) for index in (i, j)]
     entries = np.concatenate([(parts / scale).ravel() for parts in (parts_i, parts_j)])
     row = np.repeat(np.arange(count), 3)
-    places = (np.concatenate([row, row]), np.concatenate([c.ravel() for c in columns]))
-    rows = sparse.csc_matrix((entries, places), shape=(count, free.size))
+    indices = (np.concatenate([row, row]), np.concatenate([c.ravel() for c in columns]))
+    rows = sparse.csc_matrix((entries, indices), shape=(count, free.size))
     rows.eliminate_zeros()
     return rows, slack
 
@@ -41,7 +41,7 @@ def daqp_calls(programs):
     for program in programs:
         rows, slack = rows_of(program)
         count, size = rows.shape
-        # At least -slack; from above there is no bound.
+        # The lower bounds are -slack; 1e30 is no upper bound.
         arguments = (
             np.eye(size),
             np.zeros(size),
@@ -49,8 +49,8 @@ def daqp_calls(programs):
             np.full(count, 1e30),
             -slack,
         )
-        # Starts from the contacts that the step before makes likely. Lower bounds have negative
-        # multipliers there.
+        # Warm start from the multipliers guessed from the step before. In DAQP the multipliers of
+        # lower bounds are negative.
         guess = -np.array(program["guess"])
 
         def call(arguments=arguments, guess=guess):

@@ -1,4 +1,5 @@
-//! Solvers that come as Python wheels: programs out as JSON, times and multipliers back.
+//! Solvers that are installed as Python wheels. A script reads the programs as JSON and returns
+//! times and multipliers.
 
 use std::fs;
 use std::process::Command;
@@ -10,28 +11,30 @@ use super::backend::{Backend, Quality};
 use super::record::Recorded;
 use super::settled::{Case, target};
 
-/// The script, beside this file.
+/// The script that calls the wheel.
 const SCRIPT: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/step/outsiders.py");
 
-/// DAQP is dense: beyond this its matrices cost memory and minutes.
-const MOST_DENSE: usize = 120;
+/// Maximum number of individuals for DAQP, which is dense: larger groups take minutes and much
+/// memory.
+const MAX_DENSE: usize = 120;
 
-/// What a wheel made of the programs.
+/// The answers of a wheel to the programs.
 pub struct Answers {
-    /// µs of a call, the quickest pass's mean, the wheel's own overhead included.
+    /// Mean time of a call in µs, of the quickest pass, including the wheel's overhead.
     pub microseconds: f64,
     iterations: f64,
     multipliers: Vec<Vec<f64>>,
 }
 
-/// Hands `records` to a wheel; none if it was not asked for, is not installed or is too dear.
-pub fn ask(
+/// Solves `records` with a wheel. None if the backend is not selected, is not installed, or takes
+/// too long for the group.
+pub fn measure(
     backend: Backend,
     case: Case,
     records: &[Recorded],
     arguments: &Arguments,
 ) -> Option<Answers> {
-    if !arguments.wants(backend) || backend == Backend::Daqp && case.n > MOST_DENSE {
+    if !arguments.selects(backend) || backend == Backend::Daqp && case.n > MAX_DENSE {
         return None;
     }
     let module = backend.name();
@@ -66,8 +69,8 @@ pub fn ask(
 }
 
 impl Answers {
-    /// How good the multipliers are.
-    pub fn judge(&self, records: &[Recorded], truth: &[Vec<[f64; 3]>]) -> Quality {
+    /// Returns the quality of the multipliers; `truth` are the exact displacements.
+    pub fn quality(&self, records: &[Recorded], truth: &[Vec<[f64; 3]>]) -> Quality {
         let mut quality = Quality::default();
         for ((recorded, exact), multipliers) in records.iter().zip(truth).zip(&self.multipliers) {
             quality.add(recorded, multipliers, exact);
@@ -78,8 +81,8 @@ impl Answers {
     }
 }
 
-/// Columns of every program: drags, free displacements, and per contact i, j, gap, the normal and
-/// the levers, and the multiplier guessed from the step before.
+/// Returns the programs as JSON. Each has the drags, the free displacements, and columns of the
+/// contacts: i, j, gap, normal, levers, and the multiplier guessed from the step before.
 fn programs(records: &[Recorded]) -> String {
     let program = |recorded: &Recorded| {
         let contacts = &recorded.qp.contacts;

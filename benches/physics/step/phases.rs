@@ -1,4 +1,4 @@
-//! The phases of a step before it is solved, apart from one another.
+//! The phases of a step before the solution, each callable by itself.
 
 use jostle_physics::model::State;
 use jostle_physics::model::attraction::AttractionWorkspace;
@@ -6,40 +6,40 @@ use jostle_physics::model::simd::Level;
 use jostle_physics::stepper::Stepper;
 use jostle_physics::stepper::qp::Qp;
 
-/// Room for the phases; like the stepper's, it is used again and again.
+/// The phases and their buffers, which are reused like those of the stepper.
 #[derive(Default)]
 pub struct Phases {
-    social: AttractionWorkspace,
+    attraction: AttractionWorkspace,
     stepper: Stepper,
-    /// What attraction came to last.
+    /// The last computed attraction, n rows of x, y.
     pub pull: Vec<[f64; 2]>,
 }
 
 impl Phases {
-    /// The phases with one version of our kernels.
+    /// Returns the phases with kernels of one SIMD level.
     pub fn at(level: Level) -> Self {
         let mut phases = Self {
             stepper: Stepper::with_level(level),
             ..Self::default()
         };
-        phases.social.level = level;
+        phases.attraction.level = level;
         phases
     }
 
-    /// Attraction alone.
+    /// Computes the attraction.
     pub fn attraction(&mut self, state: &State) {
         let law = state.parameters.attraction;
-        self.social
+        self.attraction
             .compute(law, &state.configuration, &mut self.pull);
     }
 
-    /// All that a step does before it solves, the attraction being known: trigonometry,
-    /// neighbours, contacts, and the guess of their multipliers.
+    /// Assembles the program, given the attraction: trigonometry, neighbours, contacts, and the
+    /// guess of their multipliers.
     pub fn assemble(&mut self, state: &State, pull: &[[f64; 2]]) {
         self.stepper.assemble(state, pull).expect("no axes cross");
     }
 
-    /// The program of `state`, and the guess of its multipliers.
+    /// Returns the program of `state` and the guess of its multipliers.
     pub fn program(&mut self, state: &State) -> (Qp, Vec<f64>) {
         self.attraction(state);
         let pull = std::mem::take(&mut self.pull);

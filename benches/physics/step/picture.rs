@@ -1,4 +1,4 @@
-//! Cost against the number of individuals, as an SVG that reads on light and on dark pages.
+//! Draws time against the number of individuals, as an SVG for light and dark pages.
 
 use std::fmt::Write;
 
@@ -8,13 +8,13 @@ use super::table::{Row, figures};
 /// The length over width that is drawn, if it was measured.
 const DRAWN: f64 = 4.0;
 
-/// Where the axes lie: left, top, right, bottom.
+/// Coordinates of the frame: left, top, right, bottom.
 const FRAME: [f64; 4] = [72.0, 56.0, 552.0, 400.0];
 
-/// Names at the ends of lines keep so far apart, with their second lines.
-const APART: f64 = 36.0;
+/// Minimum distance of two labels, each of two lines.
+const MIN_LABEL_DISTANCE: f64 = 36.0;
 
-/// Colours of equal weight on white and on near-black, told apart by the colour-blind too.
+/// Colours with similar contrast on white and near-black, distinguishable with colour blindness.
 const STYLE: &str = "\
 text { font: 13px system-ui, sans-serif; fill: #24292f } .small { font-size: 11px; fill: #57606a } \
 .title { font-size: 15px; font-weight: 600 } .grid { stroke: #d8dee4; stroke-width: 1 } \
@@ -25,16 +25,19 @@ text.exact { fill: #2f81d6 } text.clarabel { fill: #d9772b } text.rapier { fill:
 text.exact, text.clarabel, text.rapier { stroke: none; font-weight: 600 } \
 @media (prefers-color-scheme: dark) { text { fill: #e6edf3 } .small { fill: #9198a1 } .grid { stroke: #30363d } }";
 
-/// A curve: what is drawn of whom, and what its end says.
+/// A curve, its CSS class, and the label at its end.
 struct Curve {
     class: &'static str,
+    /// Dashed and without a label.
     thin: bool,
+    /// Number of individuals and time in µs.
     points: Vec<(f64, f64)>,
     label: String,
     remark: String,
 }
 
-/// Draws the whole step without attraction of the three, and our program alone.
+/// Draws the step without attraction of three backends, and the exact solver's solution of the
+/// program alone. Empty if no row has the aspect ratio [`DRAWN`].
 pub fn svg(rows: &[Row]) -> String {
     let drawn = |row: &&Row| row.pi1 == DRAWN;
     let rows: Vec<&Row> = match rows.iter().filter(drawn).collect::<Vec<_>>() {
@@ -56,7 +59,7 @@ pub fn svg(rows: &[Row]) -> String {
     let mut out = String::from(
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 760 456\" role=\"img\">\n",
     );
-    let mut put = |line: String| writeln!(out, "{line}").expect("a string takes all");
+    let mut put = |line: String| writeln!(out, "{line}").expect("writing to a string succeeds");
     put(format!("<style>{STYLE}</style>"));
     put(
         "<title>CPU time of a step against the number of individuals, both logarithmic</title>"
@@ -174,27 +177,28 @@ fn curves(rows: &[&Row]) -> Vec<Curve> {
     curves
 }
 
-/// Names beside the ends of their lines, moved apart where they would meet.
+/// Returns the curves with labels and the y of each label: the end of the curve, moved down if two
+/// labels would overlap.
 fn placed(curves: &[Curve], up: impl Fn(f64) -> f64) -> Vec<(&Curve, f64)> {
     let end = |curve: &Curve| up(curve.points[curve.points.len() - 1].1);
-    let named = curves.iter().filter(|curve| !curve.thin);
-    let mut placed: Vec<(&Curve, f64)> = named.map(|curve| (curve, end(curve))).collect();
+    let labelled = curves.iter().filter(|curve| !curve.thin);
+    let mut placed: Vec<(&Curve, f64)> = labelled.map(|curve| (curve, end(curve))).collect();
     placed.sort_by(|a, b| a.1.total_cmp(&b.1));
     for k in 1..placed.len() {
-        placed[k].1 = placed[k].1.max(placed[k - 1].1 + APART);
+        placed[k].1 = placed[k].1.max(placed[k - 1].1 + MIN_LABEL_DISTANCE);
     }
     placed
 }
 
-/// A whole number, from five digits on with its thousands apart; fractions as they are.
+/// Formats a number. From 10,000 on thousands are separated by commas; then it must be whole.
 fn grouped(value: f64) -> String {
     let digits = value.to_string();
     if value < 10_000.0 {
         return digits;
     }
     let mut grouped = String::new();
-    for (place, digit) in digits.chars().enumerate() {
-        if place > 0 && (digits.len() - place).is_multiple_of(3) {
+    for (index, digit) in digits.chars().enumerate() {
+        if index > 0 && (digits.len() - index).is_multiple_of(3) {
             grouped.push(',');
         }
         grouped.push(digit);

@@ -1,16 +1,17 @@
-//! rapier2d as a solver of our program: bodies that are given their free velocities before every
-//! step, and contacts without friction, bounce or softness.
+//! rapier2d as a solver of our program: bodies get their free velocities before every step, and
+//! contacts have no friction, restitution or softness.
 //!
-//! With mass 1 and inertia ρ2 its kinetic metric is our `W`; a contact at distance g may close by
-//! g in a step, and one that overlaps opens by as much, which is our linearised gap. One
-//! iteration of many sweeps is then projected Gauss-Seidel on our program, warm from its own
-//! impulses of the step before. Two things differ: a pair's second contact shares the first
-//! one's normal, and a pair at more than an eighth of a turn has only one.
+//! With mass 1 and inertia ρ2 the kinetic metric of rapier is our `W`. A contact at distance g may
+//! close by g in a step, and an overlapping one opens by its overlap, which is our linearised gap.
+//! One iteration of many sweeps is then projected Gauss-Seidel on our program, with a warm start
+//! from rapier's impulses of the step before. Two things differ: the second contact of a pair
+//! shares the normal of the first, and a pair at an angle of more than an eighth of a turn has only
+//! one contact.
 //!
-//! Its answers are judged on the recorded steps: before each, bodies are put where the record has
-//! them, and the impulses it kept from the step before are its start. It is timed along its own
-//! trajectory from the first recorded state: bodies and colliders persist, so that nothing but a
-//! plain step of its pipeline counts, broad and narrow phase included. There its errors add up.
+//! Errors are measured on the recorded steps: before each, bodies are set to the recorded
+//! positions, and the warm start is rapier's impulses of the step before. Times are measured along
+//! rapier's own trajectory from the first recorded state, where errors add up. Bodies and colliders
+//! persist there, so that only a step of its pipeline is timed, broad and narrow phase included.
 
 use std::time::Duration;
 
@@ -29,24 +30,24 @@ use super::measure::cpu_time;
 use super::phases::Phases;
 use super::record::Recorded;
 
-/// Sweeps over all contacts in a step, unless told otherwise.
+/// Default number of sweeps over all contacts in a step.
 pub const SWEEPS: usize = 50;
 
-/// Steps until its impulses are warm.
+/// Steps until the impulses are a useful warm start.
 pub const WARMING: usize = 10;
 
-/// A spring so stiff, and undamped, that an overlap is pushed out in one step and impulses are
-/// not softened: 1 / (2π dt frequency)² vanishes beside 1.
+/// An undamped spring that is stiff enough to push an overlap out in one step and not to soften
+/// impulses: 1 / (2π dt frequency)² is negligible beside 1.
 const STIFF: SpringCoefficients<Real> = SpringCoefficients {
     natural_frequency: 1e12,
     damping_ratio: 0.0,
 };
 
-/// A run along rapier's own trajectory, to be timed as often as one likes.
+/// A run along rapier's own trajectory that can be repeated.
 pub struct Run {
     start: State,
     sweeps: usize,
-    /// The free velocities of every step: x, y and turning rate of every body.
+    /// The free velocities of every step: n rows of x, y and turning rate.
     velocities: Vec<Vec<[f64; 3]>>,
 }
 
@@ -65,8 +66,9 @@ struct World {
     pipeline: PhysicsPipeline,
 }
 
-/// Solves the recorded steps, and says how good that was; the first [`WARMING`] only warm.
-pub fn judge(records: &[Recorded], truth: &[Vec<[f64; 3]>], sweeps: usize) -> Quality {
+/// Solves the recorded steps and returns the quality of the results. The first [`WARMING`] steps
+/// only prepare the warm start.
+pub fn quality_of(records: &[Recorded], truth: &[Vec<[f64; 3]>], sweeps: usize) -> Quality {
     let mut world = World::new(&records[0].state, sweeps);
     let mut quality = Quality::default();
     let warming = records.len() - truth.len();
@@ -75,12 +77,12 @@ pub fn judge(records: &[Recorded], truth: &[Vec<[f64; 3]>], sweeps: usize) -> Qu
         world.place(state);
         world.drive(&velocities(qp, state));
         world.step();
-        let Some(place) = step.checked_sub(warming) else {
+        let Some(index) = step.checked_sub(warming) else {
             continue;
         };
         let mut after = state.clone();
         world.read(&mut after);
-        quality.add_displacement(state, &after, &truth[place], qp);
+        quality.add_displacement(state, &after, &truth[index], qp);
         quality.active += world.pushing() as f64;
         quality.iterations += sweeps as f64;
     }
@@ -88,15 +90,15 @@ pub fn judge(records: &[Recorded], truth: &[Vec<[f64; 3]>], sweeps: usize) -> Qu
     quality
 }
 
-/// The free velocities: x, y and turning rate.
+/// Returns the free velocities: n rows of x, y and turning rate.
 fn velocities(qp: &Qp, state: &State) -> Vec<[f64; 3]> {
     let rate = |free: &[f64; 3]| free.map(|part| part / state.parameters.dt);
     qp.free.iter().map(rate).collect()
 }
 
 impl Run {
-    /// Runs `count` steps from `start`, and compares each with the exact step from the same
-    /// place.
+    /// Runs [`WARMING`] and then `count` steps from `start`, and compares each of the latter with
+    /// the exact step from the same state.
     pub fn new(start: &State, count: usize, sweeps: usize) -> (Self, Quality) {
         let mut world = World::new(start, sweeps);
         let (mut state, mut velocities_of) = (start.clone(), Vec::new());
@@ -115,7 +117,7 @@ impl Run {
             let mut exact = state.clone();
             stepper
                 .step(&mut exact)
-                .expect("the exact step from rapier's place is solved");
+                .expect("the exact step from rapier's state is solved");
             state.warm_start = exact.warm_start.clone();
             let mut after = state.clone();
             world.read(&mut after);
@@ -131,8 +133,8 @@ impl Run {
         (run, quality)
     }
 
-    /// Takes the same steps again; the time of those after the warming.
-    pub fn again(&self) -> Duration {
+    /// Repeats the steps and returns the CPU time of those after the first [`WARMING`].
+    pub fn repeat(&self) -> Duration {
         let mut world = World::new(&self.start, self.sweeps);
         let mut began = cpu_time();
         for (step, velocities) in self.velocities.iter().enumerate() {
@@ -173,13 +175,13 @@ impl World {
             contact_softness: STIFF,
             num_solver_iterations: 1,
             num_internal_pgs_iterations: sweeps,
-            // Corrects velocities after the positions have moved. Positions do not see it, and
-            // with none of it friction would be solved in every sweep, for nothing.
+            // Corrects velocities after the positions have changed, without effect on positions.
+            // With 0 iterations rapier would solve friction in every sweep.
             num_internal_stabilization_iterations: 1,
             normalized_prediction_distance: ours.reach(configuration.largest_weight()),
             normalized_max_corrective_velocity: Real::MAX,
             max_ccd_substeps: 0,
-            // Otherwise normals and lever arms stay as they were some steps ago.
+            // With recycling, normals and lever arms could be those of earlier steps.
             contact_recycling: false,
             ..IntegrationParameters::default()
         };

@@ -1,4 +1,4 @@
-//! A record of successive steps of a group.
+//! Records successive steps of a group.
 
 use jostle_physics::model::State;
 use jostle_physics::stepper::Stepper;
@@ -10,18 +10,18 @@ use super::phases::Phases;
 /// One recorded step: the state before it and its program.
 #[derive(Clone, Debug)]
 pub struct Recorded {
-    /// The state that the step starts from, with the memory of the step before.
+    /// The state before the step, with its warm start.
     pub state: State,
-    /// The attraction that the step begins with.
+    /// The attraction of each individual, n rows of x, y.
     pub pull: Vec<[f64; 2]>,
     /// The program of the step.
     pub qp: Qp,
-    /// The multipliers guessed from the memory.
+    /// The multipliers guessed from the warm start, one per contact.
     pub guess: Vec<f64>,
 }
 
 impl Recorded {
-    /// What the step before tells about this one.
+    /// Returns the hints for the solver: the guessed multipliers, and the positions.
     pub fn hints(&self) -> Hints<'_> {
         let configuration = &self.state.configuration;
         Hints {

@@ -1,4 +1,4 @@
-//! Settled groups, made once and kept below `target/`.
+//! Settled groups, computed once and cached below `target/`.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -7,28 +7,28 @@ use jostle_physics::model::{MODEL_VERSION, Parameters, State, WarmStart, start};
 use jostle_physics::stepper::Stepper;
 use serde_json::{Value, json};
 
-/// Where benches keep their files, below cargo's target directory.
+/// Returns the folder of the benches' files, below cargo's target directory.
 pub fn target() -> PathBuf {
     Path::new(env!("CARGO_TARGET_TMPDIR")).join("bench-step")
 }
 
-/// Which group.
+/// A group to measure.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Case {
     /// Length over width of a body.
     pub pi1: f64,
-    /// How many individuals.
+    /// Number of individuals.
     pub n: usize,
 }
 
-/// What every start is drawn with.
+/// Seed of every start.
 const SEED: u64 = 1;
 
-/// Steps taken after a settled group is read from its file, which holds no solver's memory.
+/// Steps taken after a settled group is read from its file, which contains no warm start.
 const WARMING: usize = 10;
 
 impl Case {
-    /// All other parameters are the defaults; nobody is informed.
+    /// Returns the parameters: the defaults except for `pi1`. No individual is informed.
     pub fn parameters(self) -> Parameters {
         Parameters {
             pi1: self.pi1,
@@ -36,12 +36,13 @@ impl Case {
         }
     }
 
-    /// For how long a group runs before it counts as settled.
+    /// Returns the time after which a group counts as settled.
     fn settling_time(self) -> f64 {
         if self.n <= 120 { 100.0 } else { 40.0 }
     }
 
-    /// The settled group, from its file below `target/` or made and written there.
+    /// Returns the settled group. It is read from its file below `target/`, or computed and written
+    /// there.
     pub fn settled(self) -> State {
         let parameters = self.parameters();
         let path = self.file();
@@ -54,7 +55,7 @@ impl Case {
                     parameters,
                     seed: SEED,
                     configuration: start::disc(&parameters, self.n, None, SEED)
-                        .expect("the disc has room for everybody"),
+                        .expect("the individuals fit in the disc"),
                     ..State::default()
                 };
                 let mut stepper = Stepper::new();
@@ -74,7 +75,8 @@ impl Case {
         state
     }
 
-    /// The file is named by what decides its content, as far as anybody promises.
+    /// Returns the path of the group's file. Its name contains a hash of the model version, the
+    /// parameters, the seed and the time, which determine the content.
     fn file(self) -> PathBuf {
         let Self { pi1, n } = self;
         let time = self.settling_time();
@@ -85,7 +87,7 @@ impl Case {
     }
 }
 
-/// The positions and angles of a group, without what its solver remembers.
+/// Returns the positions and angles of a group as JSON, without the warm start.
 pub fn written(state: &State) -> Value {
     let configuration = &state.configuration;
     json!({
@@ -97,7 +99,7 @@ pub fn written(state: &State) -> Value {
     })
 }
 
-/// The group that `value` tells of; none if it tells of none.
+/// Returns the group in `value`; none if a field is missing or malformed.
 pub fn read(value: &Value, parameters: Parameters) -> Option<State> {
     let column = |name: &str| -> Option<Vec<f64>> {
         value[name].as_array()?.iter().map(Value::as_f64).collect()

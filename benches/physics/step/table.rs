@@ -1,37 +1,37 @@
-//! The results as lines of text, of JSON and of Markdown.
+//! Formats the results as text, JSON and Markdown.
 
 use jostle_physics::model::State;
 use serde_json::json;
 
 use super::backend::{Backend, Quality};
 
-/// What was measured of one backend on one group. Times are µs a step.
+/// Measurements of one backend on one group. Times are in µs per step.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
     /// Length over width of a body.
     pub pi1: f64,
-    /// How many individuals.
+    /// Number of individuals.
     pub n: usize,
     /// Duration of a step.
     pub dt: f64,
-    /// Who solved.
+    /// The solver.
     pub backend: Backend,
-    /// The program alone; none where nothing else can be told from it.
+    /// Solution of the program alone; none if the backend's step cannot be separated into phases.
     pub qp_us: Option<f64>,
-    /// All but attraction.
+    /// The step without attraction.
     pub step_us: f64,
     /// Attraction alone.
     pub attraction_us: f64,
-    /// Trigonometry, neighbours, contacts and their guess.
+    /// Trigonometry, neighbours, contacts and the guess of their multipliers; none as for `qp_us`.
     pub contacts_us: Option<f64>,
-    /// How good the answers were.
+    /// Quality of the answers.
     pub quality: Quality,
-    /// And along the backend's own trajectory, where errors add up.
+    /// Quality along the backend's own trajectory, where errors add up.
     pub alone: Option<Quality>,
 }
 
 impl Row {
-    /// A row without times.
+    /// Returns a row without times.
     pub fn new(state: &State, backend: Backend, quality: Quality) -> Self {
         Self {
             pi1: state.parameters.pi1,
@@ -47,7 +47,7 @@ impl Row {
         }
     }
 
-    /// The row's cells, in the order of [`COLUMNS`].
+    /// Returns the cells of the row, in the order of [`COLUMNS`].
     fn cells(&self) -> [String; 12] {
         let quality = &self.quality;
         let or_dash = |value: Option<f64>| value.map_or("-".to_owned(), figures);
@@ -68,7 +68,7 @@ impl Row {
     }
 }
 
-/// Names and widths of the columns; `dt` is the same in all rows and left to JSON.
+/// Names and widths of the columns. `dt` is the same in all rows and only in JSON.
 const COLUMNS: [(&str, usize); 12] = [
     ("pi1", 3),
     ("n", 5),
@@ -84,7 +84,7 @@ const COLUMNS: [(&str, usize); 12] = [
     ("worst_overlap", 13),
 ];
 
-/// Three figures, or all before the point.
+/// Formats a number: three figures from 1 on, and always all digits before the point.
 pub fn figures(value: f64) -> String {
     match value.abs() {
         size if size < 10.0 => format!("{value:.2}"),
@@ -93,12 +93,12 @@ pub fn figures(value: f64) -> String {
     }
 }
 
-/// The head of the table.
+/// Returns the heading of the table.
 pub fn heading() -> String {
     aligned(&COLUMNS.map(|(name, _)| name.to_owned()))
 }
 
-/// One line of the table.
+/// Returns one line of the table.
 pub fn text(row: &Row) -> String {
     aligned(&row.cells())
 }
@@ -114,7 +114,7 @@ fn aligned(cells: &[String; 12]) -> String {
     padded.collect::<Vec<_>>().join("  ")
 }
 
-/// One JSON object.
+/// Returns a row as one JSON object.
 pub fn json(row: &Row) -> String {
     let quality = &row.quality;
     json!({
@@ -135,7 +135,7 @@ pub fn json(row: &Row) -> String {
     .to_string()
 }
 
-/// How wrong the steps of those are who do not solve to the target.
+/// Returns the table of errors of the backends that do not solve to the target.
 pub fn errors(rows: &[Row]) -> String {
     let mut lines = vec![format!(
         "{:>3}  {:>5}  {:<13}  {:>12}  {:>12}",
@@ -148,7 +148,7 @@ pub fn errors(rows: &[Row]) -> String {
     lines.join("\n")
 }
 
-/// The cells of the table of errors.
+/// Returns the cells of the table of errors.
 fn errors_of(rows: &[Row]) -> impl Iterator<Item = [String; 5]> {
     inexact(rows).flat_map(|row| {
         let name = row.backend.name();
@@ -166,13 +166,13 @@ fn errors_of(rows: &[Row]) -> impl Iterator<Item = [String; 5]> {
     })
 }
 
-/// Those rows whose answers miss the target of a step.
+/// Returns the rows of the backends that do not solve to the target of a step.
 pub fn inexact(rows: &[Row]) -> impl Iterator<Item = &Row> {
     rows.iter()
         .filter(|row| !matches!(row.backend, Backend::Exact | Backend::Fallback))
 }
 
-/// The table as Markdown.
+/// Returns the table as Markdown.
 pub fn markdown(rows: &[Row]) -> String {
     let line = |cells: &[String]| format!("| {} |", cells.join(" | "));
     let rule = COLUMNS.map(|(name, _)| if name == "backend" { ":--" } else { "--:" });
@@ -184,7 +184,7 @@ pub fn markdown(rows: &[Row]) -> String {
     lines.join("\n")
 }
 
-/// The errors as Markdown.
+/// Returns the table of errors as Markdown.
 pub fn errors_markdown(rows: &[Row]) -> String {
     let mut lines = vec![
         "| pi1 | n | backend | worst error | mean error |".to_owned(),

@@ -1,4 +1,4 @@
-//! Changes, from the arguments of their verbs; and what they did, as results.
+//! Converts the arguments of verbs to changes, and the outcomes of changes to results.
 
 use jostle_physics::model::parameters::Parameters;
 use jostle_physics::model::selection::Selection;
@@ -24,7 +24,7 @@ pub enum ArgsError {
     /// A value is outside its range.
     #[error(transparent)]
     Value(#[from] WireError),
-    /// A field is missing, or does not fit the other ones.
+    /// A field is missing or inconsistent with others.
     #[error("{field} {problem}")]
     Field {
         /// The field.
@@ -34,7 +34,7 @@ pub enum ArgsError {
     },
 }
 
-/// The change of a batch's entry.
+/// Converts an entry of a batch.
 ///
 /// # Errors
 ///
@@ -49,12 +49,12 @@ pub fn change(change: verbs::Change) -> Result<Change, ArgsError> {
     }
 }
 
-/// `set`: new values of the parameters that are named, and of no others.
+/// `set`: new values of the given parameters; the others keep theirs.
 ///
 /// # Errors
 ///
-/// [`ArgsError`] if no parameter is named, or `make_room` without `pi1`. Ranges are checked by the
-/// simulation, since they depend on its state.
+/// [`ArgsError`] if no parameter is given, or `make_room` without `pi1`. The simulation checks
+/// ranges, since they depend on its state.
 pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
     let SetArgs {
         pi1,
@@ -72,14 +72,14 @@ pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
     if make_room && pi1.is_none() {
         return Err(ArgsError::Field {
             field: "make_room",
-            problem: "goes with a new pi1: name both",
+            problem: "requires a new pi1: give both",
         });
     }
     if args == SetArgs::default() {
         return Err(ArgsError::Field {
             field: "args",
-            problem: "names nothing to set: give pi1, pi2, pi3, pi4, contacts, stepping, \
-                      relinearise, attraction, noise or publish_every",
+            problem: "has no parameter: give pi1, pi2, pi3, pi4, contacts, stepping, relinearise, \
+                      attraction, noise or publish_every",
         });
     }
     let publish_every = publish_every.map(value::publish_every).transpose()?;
@@ -98,7 +98,7 @@ pub fn set(args: SetArgs) -> Result<Change, ArgsError> {
     }))
 }
 
-/// `inform`: individuals get a direction of their own.
+/// `inform`: sets the direction and the weight of individuals.
 ///
 /// # Errors
 ///
@@ -117,7 +117,7 @@ pub fn inform(args: InformArgs) -> Result<Change, ArgsError> {
     })
 }
 
-/// `uninform`: individuals lose the direction of their own.
+/// `uninform`: makes individuals uninformed.
 ///
 /// # Errors
 ///
@@ -126,12 +126,12 @@ pub fn uninform(args: UninformArgs) -> Result<Change, ArgsError> {
     Ok(Change::Uninform(selection(args.select)?))
 }
 
-/// `inject`: individuals join the group where they overlap no other one.
+/// `inject`: adds individuals where they overlap no other one.
 ///
 /// # Errors
 ///
-/// [`ArgsError`] unless exactly one of `count` and `at` is given, and for a field that does not go with
-/// it.
+/// [`ArgsError`] unless exactly one of `count` and `at` is given, and for `within` without `count`
+/// or `weight` without `direction`.
 pub fn inject(args: InjectArgs) -> Result<Change, ArgsError> {
     let wrong = |field, problem| Err(ArgsError::Field { field, problem });
     if args.count == Some(0) || args.at.as_ref().is_some_and(Vec::is_empty) {
@@ -140,12 +140,12 @@ pub fn inject(args: InjectArgs) -> Result<Change, ArgsError> {
     }
     let place = match (args.count, args.at, args.within) {
         (Some(_), Some(_), _) => {
-            return wrong("at", "and count are both given: name one of them");
+            return wrong("at", "and count are both given: give one of them");
         }
         (None, None, _) => {
-            return wrong("count", "or at is missing: say how many, or where exactly");
+            return wrong("count", "or at is missing: give a number or the poses");
         }
-        (None, Some(_), Some(_)) => return wrong("within", "goes with count: leave it out"),
+        (None, Some(_), Some(_)) => return wrong("within", "requires count: leave it out"),
         (None, Some(poses), None) => Placement::At(poses.into_iter().map(pose).collect()),
         (Some(count), None, None) => Placement::Border(value::count(count)),
         (Some(count), None, Some(region)) => {
@@ -153,14 +153,14 @@ pub fn inject(args: InjectArgs) -> Result<Change, ArgsError> {
         }
     };
     let informed = match (args.direction, args.weight) {
-        (None, Some(_)) => return wrong("weight", "goes with direction: give both"),
+        (None, Some(_)) => return wrong("weight", "requires direction: give both"),
         (None, None) => None,
         (Some(direction), weight) => Some((direction, weight.map(value::weight).transpose()?)),
     };
     Ok(Change::Inject { place, informed })
 }
 
-/// `remove`: individuals leave the group.
+/// `remove`: removes individuals.
 ///
 /// # Errors
 ///
@@ -169,7 +169,7 @@ pub fn remove(args: RemoveArgs) -> Result<Change, ArgsError> {
     Ok(Change::Remove(selection(args.select)?))
 }
 
-/// A selection of individuals.
+/// Converts a selection of individuals.
 ///
 /// # Errors
 ///
@@ -192,17 +192,17 @@ pub fn selection(select: Select) -> Result<Selection, WireError> {
     })
 }
 
-/// The position and heading of a body.
+/// Converts the position and heading of a body.
 pub fn pose(Pose { x, y, alpha }: Pose) -> body::Pose {
     body::Pose { x, y, alpha }
 }
 
-/// A disc.
+/// Converts a disc.
 pub fn region(Region { x, y, radius }: Region) -> injection::Region {
     injection::Region { x, y, radius }
 }
 
-/// Set-points: columns of one length, no id twice.
+/// Converts set-points. All columns must have the length of `ids`, and no id may occur twice.
 ///
 /// # Errors
 ///
@@ -217,10 +217,10 @@ pub fn set_points(set: verbs::SetPoints) -> Result<SetPoints, ArgsError> {
     } = set;
     let wrong = |field, problem| Err(ArgsError::Field { field, problem });
     if direction.len() != ids.len() {
-        return wrong("set.direction", "has not as many numbers as there are ids");
+        return wrong("set.direction", "must have as many numbers as ids");
     }
     if weight.as_ref().is_some_and(|it| it.len() != ids.len()) {
-        return wrong("set.weight", "has not as many numbers as there are ids");
+        return wrong("set.weight", "must have as many numbers as ids");
     }
     let fits = |column: &Option<Vec<Option<f64>>>| {
         column
@@ -229,7 +229,7 @@ pub fn set_points(set: verbs::SetPoints) -> Result<SetPoints, ArgsError> {
     };
     for (field, column) in [("set.turn", &turn), ("set.speed", &speed)] {
         if !fits(column) {
-            return wrong(field, "has not as many entries as there are ids");
+            return wrong(field, "must have as many entries as ids");
         }
     }
     let entry = |column: &Option<Vec<Option<f64>>>, k: usize| column.as_ref().and_then(|it| it[k]);
@@ -244,7 +244,7 @@ pub fn set_points(set: verbs::SetPoints) -> Result<SetPoints, ArgsError> {
     let mut sorted = ids.clone();
     sorted.sort_unstable();
     if sorted.windows(2).any(|pair| pair[0] == pair[1]) {
-        return wrong("set.ids", "names an individual twice");
+        return wrong("set.ids", "contains an id twice");
     }
     Ok(SetPoints {
         ids,
@@ -254,7 +254,7 @@ pub fn set_points(set: verbs::SetPoints) -> Result<SetPoints, ArgsError> {
     })
 }
 
-/// The result of one change of a batch.
+/// Returns the result of one change of a batch.
 pub fn changed(kind: ChangeKind, outcome: ChangeOutcome) -> Changed {
     match outcome {
         ChangeOutcome::Set {
@@ -275,7 +275,7 @@ pub fn changed(kind: ChangeKind, outcome: ChangeOutcome) -> Changed {
     }
 }
 
-/// The result of `set`: parameters and `publish_every` before and now.
+/// Returns the result of `set`; `before` and `now` are parameters and `publish_every`.
 pub fn set_result(before: (Parameters, u64), now: (Parameters, u64), scaled_by: f64) -> SetResult {
     SetResult {
         before: parameter_values(before.0, before.1),
@@ -284,7 +284,7 @@ pub fn set_result(before: (Parameters, u64), now: (Parameters, u64), scaled_by: 
     }
 }
 
-/// The result of a change of individuals.
+/// Returns the result of a change of individuals.
 pub fn ids_result(ids: Vec<u32>, n: usize) -> IdsResult {
     IdsResult { ids, n: n as u64 }
 }

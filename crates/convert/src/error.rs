@@ -1,4 +1,4 @@
-//! The code and the details with which a rejected change is sent.
+//! Code and details of the error reply to a rejected start or change.
 
 use jostle_physics::model::injection::InjectionError;
 use jostle_physics::model::parameters::ParametersError;
@@ -9,7 +9,7 @@ use jostle_physics::simulation::{ChangeError, ReserveError};
 use jostle_proto::{ErrorCode, keys};
 use serde_json::{Value, json};
 
-/// The code of a rejected start or change.
+/// Returns the code of a rejected start or change.
 pub fn code(error: &ChangeError) -> ErrorCode {
     match error {
         ChangeError::Parameters(_) | ChangeError::Selection(_) | ChangeError::NoneLeft(_) => {
@@ -26,7 +26,8 @@ pub fn code(error: &ChangeError) -> ErrorCode {
     }
 }
 
-/// The details of a rejected start or change: the field, and what is wrong with it. An object, or null.
+/// Returns the details of a rejected start or change, an object with the field and numbers, or
+/// null.
 pub fn details(error: &ChangeError) -> Value {
     match error {
         ChangeError::Reserve(ReserveError::NoMemory { n, needed, free }) => {
@@ -80,7 +81,8 @@ fn parameters(error: &ParametersError) -> Value {
     }
 }
 
-/// The details of a field that is wrong: its name, and value and range if they are known.
+/// Returns the details of an invalid field: its name, its value unless null, and its range if
+/// given.
 pub fn named(field: &str, value: Value, range: Option<&str>) -> Value {
     let mut details = json!({"field": field});
     if !value.is_null() {
@@ -92,7 +94,7 @@ pub fn named(field: &str, value: Value, range: Option<&str>) -> Value {
     details
 }
 
-/// A number in JSON. NaN and infinity, for which JSON has no number, are text.
+/// Returns a number in JSON. NaN and infinity, which JSON cannot represent, are text.
 fn number(value: f64) -> Value {
     if value.is_finite() {
         json!(value)
@@ -101,7 +103,7 @@ fn number(value: f64) -> Value {
     }
 }
 
-/// The values that a field may have, in words. `field` may be a path.
+/// Returns a description of the valid values of a field. `field` may be a path.
 pub fn range_of(field: &str) -> Option<&'static str> {
     let last = field.rsplit('.').next().unwrap_or(field);
     let last = last.split('[').next().unwrap_or(last);
@@ -115,8 +117,8 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "stepping" => "\"position\" or \"velocity\"",
         "relinearise" => "0 or 1",
         "attraction" => {
-            "{\"kind\": \"all\"}, \"accuracy\" if wanted; or of kind \"voronoi\", \"metric\" with \
-             \"radius\", \"topological\" with \"neighbours\", \"power\" with \"exponent\""
+            "{\"kind\": \"all\"}, optionally with \"accuracy\"; or of kind \"voronoi\", \"metric\" \
+             with \"radius\", \"topological\" with \"neighbours\", \"power\" with \"exponent\""
         }
         "neighbours" => "a whole number from 1",
         "exponent" => "a number from -8 to 8",
@@ -132,13 +134,13 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "steps" => "a whole number from 1 to 1e9",
         "bytes" => "base64 of a piece of the file",
         "offset" | "length" => "a whole number of bytes",
-        "snapshot" => "what get/snapshot answers as `result`, its CBOR in base64",
+        "snapshot" => "the `result` of get/snapshot, its CBOR in base64",
         "return" => "\"none\" or \"state\"",
         "select" => {
             "one of {\"ids\": […]}, {\"count\": 5}, {\"fraction\": 0.1}, \
              {\"within\": {\"x\", \"y\", \"radius\"}}, {\"foremost\": {\"count\", \"along\"}}"
         }
-        "ids" => "a list of ids that are there",
+        "ids" => "a list of ids of individuals in the swarm",
         "count" => "a whole number of individuals",
         "fraction" => "a number from 0 to 1",
         "time" => "a number from 0 to 1e12",
@@ -152,7 +154,7 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "mode" => "\"lockstep\" or \"free_running\"",
         "deadline_secs" => "a number above 0, at most 60",
         "on_timeout" => "\"hold\", \"free\" or \"pause\"",
-        "set" => "{\"ids\": […], \"direction\": […]}, \"weight\": […] if wanted",
+        "set" => "{\"ids\": […], \"direction\": […]}, optionally with \"weight\": […]",
         "make_room" | "exist_ok" | "again" | "driving" | "drop_when_behind" | "temporary" => {
             "true or false"
         }
@@ -169,7 +171,9 @@ pub fn range_of(field: &str) -> Option<&'static str> {
         "format" if field == "begin.format" => "\"mcap\" or \"parquet\"",
         "format" => "json or cbor",
         "every" | "max_bytes" => "a whole number from 1 to 9007199254740991",
-        "request_id" | "client" => "at most 256 bytes of text, each character to be seen",
+        "request_id" | "client" => {
+            "at most 256 bytes of text without control or bidirectional characters"
+        }
         "name" | "controller" | "recording" | "swarm" => keys::NAME_RULE,
         _ => return None,
     })

@@ -1,8 +1,9 @@
-//! Between the messages of jostle, the crate `jostle_proto`, and its physics, `jostle_physics`.
+//! Conversions between messages (`jostle_proto`) and physics (`jostle_physics`).
 //!
-//! [`spec`] and [`change`] read what clients send and check it as far as it can be checked without a
-//! swarm; [`snapshot`] writes and reads the state of a simulation; [`error`] gives the code and the
-//! details of what the physics rejects. No bus, no runtime and no database is needed.
+//! [`spec`] and [`change`] convert the arguments of requests, and check them as far as they can be
+//! checked without a swarm. [`snapshot`] writes and reads the state of a simulation. [`error`]
+//! gives the code and the details of an error of the physics. No bus, no runtime and no database is
+//! needed.
 
 pub mod change;
 pub mod error;

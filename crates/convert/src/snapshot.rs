@@ -1,4 +1,4 @@
-//! Snapshots of a simulation: its state, the spec and the means, from and to their message.
+//! Converts snapshots of a simulation (state, spec and running means) from and to their message.
 
 use std::fmt::Display;
 
@@ -14,7 +14,7 @@ use thiserror::Error;
 use crate::spec::{self, parameter_values};
 use crate::value::{WireError, count, publish_every};
 
-/// The largest distance of a group's origin from 0, in cells: a double represents it.
+/// Maximum distance of a group's origin from 0, in cells: a double represents it exactly.
 const MAX_ORIGIN: u64 = LARGEST_WHOLE;
 
 /// Codes of contacts are below this.
@@ -27,30 +27,30 @@ pub enum SnapshotError {
     #[error("it cannot be read: {0}")]
     Unreadable(String),
     /// Another version wrote it.
-    #[error("it is of version {found} of {what}, this daemon knows {known}")]
+    #[error("it has version {found} of {what}, this daemon reads version {known}")]
     Version {
-        /// What has that version.
+        /// The thing with that version: snapshots or the model.
         what: &'static str,
         /// The version in the snapshot.
         found: u32,
         /// The version of this program.
         known: u32,
     },
-    /// Its state is not the one that its hash belongs to.
-    #[error("its state does not have the hash that it names")]
+    /// The hash of the state differs from the hash in the snapshot.
+    #[error("the hash of its state differs from its `state_hash`")]
     Hash,
     /// No simulation can be in this state.
-    #[error("it cannot be so: {0}")]
+    #[error("its state is invalid: {0}")]
     Impossible(String),
 }
 
-/// A hash in hexadecimal digits.
+/// Returns a hash as 64 hexadecimal digits.
 pub fn hexadecimal(hash: &[u8; 32]) -> String {
     blake3::Hash::from(*hash).to_hex().to_string()
 }
 
-/// The snapshot of a simulation, with the rate of its spec. Schedule, controllers and journal, which
-/// only a daemon has, are empty.
+/// Returns the snapshot of a simulation, with the rate of its spec. The fields for schedule,
+/// controllers and journal, which only a daemon has, are empty.
 pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: Doing) -> proto::Snapshot {
     let Checkpoint {
         spec,
@@ -123,7 +123,7 @@ pub fn to_proto(swarm: &str, checkpoint: &Checkpoint, doing: Doing) -> proto::Sn
     }
 }
 
-/// The simulation in a snapshot.
+/// Returns the simulation in a snapshot, after checking its versions and its hash.
 ///
 /// # Errors
 ///
@@ -164,11 +164,11 @@ pub fn from_proto(snapshot: &proto::Snapshot) -> Result<Checkpoint, SnapshotErro
     })
 }
 
-/// The spec and the state in a snapshot. The hash in it is not checked.
+/// Returns the spec and the state in a snapshot, without checking its versions and its hash.
 ///
 /// # Errors
 ///
-/// [`SnapshotError`].
+/// [`SnapshotError::Unreadable`].
 pub fn state(snapshot: &proto::Snapshot) -> Result<(Spec, State), SnapshotError> {
     let unreadable = |problem: &str| SnapshotError::Unreadable(problem.to_owned());
     let spec = spec::from_proto(&snapshot.spec, count(snapshot.spec.n))
@@ -196,9 +196,7 @@ pub fn state(snapshot: &proto::Snapshot) -> Result<(Spec, State), SnapshotError>
         memory.multiplier.len(),
     ] != [contacts; 3]
     {
-        return Err(unreadable(
-            "the columns of its solver's memory differ in length",
-        ));
+        return Err(unreadable("the columns of its warm start differ in length"));
     }
     let mut lapses_at = vec![None; n];
     for lapse in &snapshot.lapses {
@@ -257,35 +255,36 @@ fn parameters_to_proto(now: model::Parameters, publish_every: u64) -> SnapshotPa
     }
 }
 
-/// The parameters in a snapshot; `at_start` are those of its spec, for those that it lacks.
+/// Returns the parameters in a snapshot. `at_start` are those of its spec, which replace missing
+/// ones; `dt` is always that of the spec.
 fn parameters(
-    kept: &SnapshotParameters,
+    saved: &SnapshotParameters,
     at_start: model::Parameters,
 ) -> Result<model::Parameters, WireError> {
-    let relinearise = kept.relinearise.map(spec::relinearise).transpose()?;
+    let relinearise = saved.relinearise.map(spec::relinearise).transpose()?;
     Ok(model::Parameters {
-        pi1: kept.pi1,
-        pi2: kept.pi2,
-        pi3: kept.pi3,
-        pi4: kept.pi4,
+        pi1: saved.pi1,
+        pi2: saved.pi2,
+        pi3: saved.pi3,
+        pi4: saved.pi4,
         dt: at_start.dt,
-        contacts: kept.contacts.map_or(at_start.contacts, spec::contact_rule),
-        stepping: kept.stepping.map_or(at_start.stepping, spec::stepping),
+        contacts: saved.contacts.map_or(at_start.contacts, spec::contact_rule),
+        stepping: saved.stepping.map_or(at_start.stepping, spec::stepping),
         relinearise: relinearise.unwrap_or(at_start.relinearise),
-        attraction: kept
+        attraction: saved
             .attraction
             .as_ref()
             .map_or(at_start.attraction, |it| spec::attraction(it.0)),
-        noise: kept.noise.unwrap_or(at_start.noise),
+        noise: saved.noise.unwrap_or(at_start.noise),
     })
 }
 
-fn drive(kept: &Drive) -> (u32, model::Drive) {
-    let Drive { id, turn, speed } = *kept;
+fn drive(saved: &Drive) -> (u32, model::Drive) {
+    let Drive { id, turn, speed } = *saved;
     (id, model::Drive { turn, speed })
 }
 
-/// Checks a simulation from an untrusted snapshot: the conditions that the stepper relies on.
+/// Checks the conditions on which the stepper relies, for a simulation from an untrusted snapshot.
 ///
 /// # Errors
 ///
@@ -304,14 +303,14 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
         return impossible("it has no individuals");
     }
     if !ids.is_sorted_by(|a, b| a < b) || ids.iter().any(|id| *id >= configuration.next_id) {
-        return impossible("its ids are not ascending, or not below the next one");
+        return impossible("its ids are not ascending, or not below next_id");
     }
     if configuration
         .origin
         .iter()
         .any(|it| it.unsigned_abs() > MAX_ORIGIN)
     {
-        return impossible("its origin is too far out");
+        return impossible("its origin is too far from 0");
     }
     let columns = [
         &configuration.x,
@@ -325,10 +324,10 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
     let sums = [means.order, vx, vy, means.drift, residual];
     let mut numbers = columns.into_iter().flatten().chain(&sums);
     if !numbers.all(|it| it.is_finite()) {
-        return impossible("a number of it is not finite");
+        return impossible("it has a number that is not finite");
     }
     if configuration.weight.iter().any(|weight| *weight < 0.0) {
-        return impossible("a weight of it is negative");
+        return impossible("it has a negative weight");
     }
     let rejected = |error: &dyn Display| SnapshotError::Impossible(error.to_string());
     state
@@ -338,7 +337,7 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
     publish_every(checkpoint.publish_every).map_err(|error| rejected(&error))?;
     let counts = [state.step, checkpoint.seq, means.count, means.directed];
     if counts.into_iter().any(|it| it > LARGEST_WHOLE) {
-        return impossible("a count of it is too large");
+        return impossible("it has a count that is too large");
     }
     let is_contact =
         |code: u8, multiplier: f64| code < CODES && multiplier.is_finite() && multiplier >= 0.0;
@@ -350,12 +349,12 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
     Ok(())
 }
 
-/// Whether it is a permutation of the first whole numbers.
+/// Returns whether `order` is a permutation of 0 to its length less one.
 fn is_order(order: &[u32]) -> bool {
     let mut sorted = order.to_vec();
     sorted.sort_unstable();
     sorted
         .iter()
         .zip(0..)
-        .all(|(found, wanted)| *found == wanted)
+        .all(|(found, expected)| *found == expected)
 }

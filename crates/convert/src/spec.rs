@@ -1,4 +1,4 @@
-//! Specs and parameters, from and to their messages.
+//! Converts specs and parameters from and to their messages.
 
 use jostle_physics::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use jostle_physics::simulation::{Spec, Start};
@@ -6,11 +6,11 @@ use jostle_proto as proto;
 
 use crate::value::{WireError, publish_every, rate, whole};
 
-/// The spec in a message. The caller has admitted `n`, its number of individuals.
+/// Converts the spec in a message. `n` is its number of individuals, which the caller has checked.
 ///
 /// # Errors
 ///
-/// [`WireError`] names the first field that is wrong. Parameters are checked by the model.
+/// [`WireError`] names the first field that is wrong. The model checks the parameters.
 pub fn from_proto(spec: &proto::Spec, n: usize) -> Result<Spec, WireError> {
     let proto::Spec {
         pi1,
@@ -62,7 +62,7 @@ pub fn from_proto(spec: &proto::Spec, n: usize) -> Result<Spec, WireError> {
     })
 }
 
-/// The contact rule.
+/// Converts a contact rule.
 pub fn contact_rule(rule: proto::ContactRule) -> ContactRule {
     match rule {
         proto::ContactRule::Endpoints => ContactRule::Endpoints,
@@ -71,7 +71,7 @@ pub fn contact_rule(rule: proto::ContactRule) -> ContactRule {
     }
 }
 
-/// What contacts limit.
+/// Converts the stepping.
 pub fn stepping(stepping: proto::Stepping) -> Stepping {
     match stepping {
         proto::Stepping::Position => Stepping::Position,
@@ -79,11 +79,11 @@ pub fn stepping(stepping: proto::Stepping) -> Stepping {
     }
 }
 
-/// Whether a second program is solved.
+/// Converts `relinearise`, the number of additional programs that a step solves.
 ///
 /// # Errors
 ///
-/// [`WireError::OutOfRange`] for more than one.
+/// [`WireError::OutOfRange`] if it exceeds 1.
 pub fn relinearise(programs: u8) -> Result<bool, WireError> {
     match programs {
         0 => Ok(false),
@@ -92,7 +92,7 @@ pub fn relinearise(programs: u8) -> Result<bool, WireError> {
     }
 }
 
-/// The law of attraction.
+/// Converts a law of attraction.
 pub fn attraction(law: proto::Attraction) -> Attraction {
     match law {
         proto::Attraction::All { accuracy } => Attraction::All { accuracy },
@@ -103,7 +103,7 @@ pub fn attraction(law: proto::Attraction) -> Attraction {
     }
 }
 
-/// The message of a spec, with the seed that is in force.
+/// Returns the message of a spec, with `seed` as its seed.
 pub fn to_proto(spec: &Spec, seed: u64) -> proto::Spec {
     let Parameters {
         pi1,
@@ -143,7 +143,7 @@ pub fn to_proto(spec: &Spec, seed: u64) -> proto::Spec {
     }
 }
 
-/// The message of a contact rule.
+/// Returns the message of a contact rule.
 pub fn contact_rule_to_proto(rule: ContactRule) -> proto::ContactRule {
     match rule {
         ContactRule::Endpoints => proto::ContactRule::Endpoints,
@@ -152,7 +152,7 @@ pub fn contact_rule_to_proto(rule: ContactRule) -> proto::ContactRule {
     }
 }
 
-/// The message of what contacts limit.
+/// Returns the message of a stepping.
 pub fn stepping_to_proto(stepping: Stepping) -> proto::Stepping {
     match stepping {
         Stepping::Position => proto::Stepping::Position,
@@ -160,7 +160,7 @@ pub fn stepping_to_proto(stepping: Stepping) -> proto::Stepping {
     }
 }
 
-/// The message of a law of attraction.
+/// Returns the message of a law of attraction.
 pub fn attraction_to_proto(law: Attraction) -> proto::Attraction {
     match law {
         Attraction::All { accuracy } => proto::Attraction::All { accuracy },
@@ -171,7 +171,7 @@ pub fn attraction_to_proto(law: Attraction) -> proto::Attraction {
     }
 }
 
-/// The message of parameters and `publish_every`.
+/// Returns the message of parameters and `publish_every`.
 pub fn parameter_values(parameters: Parameters, publish_every: u64) -> proto::ParameterValues {
     proto::ParameterValues {
         pi1: parameters.pi1,

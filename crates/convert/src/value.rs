@@ -1,14 +1,14 @@
-//! Numbers of a message, checked as far as they can be without a swarm.
+//! Checks of numbers in a message that need no swarm.
 
 use jostle_physics::simulation::Rate;
 use jostle_proto::LARGEST_WHOLE;
 use serde_json::Value;
 use thiserror::Error;
 
-/// The fastest rate, in time units per second of wall clock.
+/// Maximum rate, in time units per second of wall clock.
 const MAX_RATE: f64 = 1e6;
 
-/// The most steps between two published states.
+/// Maximum number of steps between two published states.
 const MAX_PUBLISH_EVERY: u64 = 1_000_000_000;
 
 /// Why a value of a message is rejected.
@@ -35,7 +35,7 @@ pub enum WireError {
 }
 
 impl WireError {
-    /// A number outside its range.
+    /// Returns the error for a number outside its range.
     pub fn out_of_range<V: Copy + Into<Value> + ToString>(field: &'static str, value: V) -> Self {
         WireError::OutOfRange {
             field,
@@ -48,7 +48,7 @@ impl WireError {
     }
 }
 
-/// A whole number that a double can represent.
+/// Checks that a double can represent a whole number.
 ///
 /// # Errors
 ///
@@ -86,11 +86,11 @@ pub fn publish_every(steps: u64) -> Result<u64, WireError> {
     Err(WireError::out_of_range("publish_every", steps))
 }
 
-/// The weight of an individual that is to be informed. A weight of 0 would mean that it is not.
+/// Checks the weight with which individuals are informed. An individual of weight 0 is uninformed.
 ///
 /// # Errors
 ///
-/// [`WireError::OutOfRange`] unless it is above 0. The upper limit is checked by the model.
+/// [`WireError::OutOfRange`] unless it is above 0. The model checks the upper limit.
 pub fn weight(weight: f64) -> Result<f64, WireError> {
     if weight > 0.0 {
         return Ok(weight);
@@ -98,7 +98,7 @@ pub fn weight(weight: f64) -> Result<f64, WireError> {
     Err(WireError::out_of_range("weight", weight))
 }
 
-/// A number of individuals, limited to what a `usize` can represent.
+/// Converts a number of individuals; saturates at `usize::MAX`.
 pub fn count(count: u64) -> usize {
     usize::try_from(count).unwrap_or(usize::MAX)
 }

@@ -1,35 +1,39 @@
-//! What contacts do to bodies in a run.
+//! Measures the contacts of a run and their effect on the bodies.
 
 use jostle_physics::model::body::{Body, near_pairs};
 use jostle_physics::model::{CELL, Configuration, State};
 use jostle_physics::stepper::{StepReport, Stepper};
 use jostle_results::touch::Touch;
 
-/// The largest gap of two bodies at each other's side, in body sizes.
+/// The largest gap of two bodies that count as side by side, in body sizes.
 const NEAR: f64 = 0.05;
 
-/// The largest angle between their headings.
+/// The largest angle between the headings of two such bodies, in radians.
 const PARALLEL: f64 = 0.25;
 
-/// How often sides are looked at: once each unit of time.
+/// Time units between two counts of bodies side by side.
 const EVERY: f64 = 1.0;
 
-/// Measures how much bodies touch.
+/// Sums over a run from which [`Touch`] is computed.
 pub struct Meter {
+    /// Centroid at the start.
     from: [f64; 2],
     steps: u64,
+    /// Contacts listed and contacts that pushed, summed over steps.
     listed: u64,
     pushing: u64,
-    /// How many individuals were pushed, step by step, and by how much turned and displaced.
+    /// Individuals that contacts moved, summed over steps, and the sums of the angles and lengths
+    /// by which contacts moved them.
     pushed: u64,
     turned: f64,
     shifted: f64,
-    looks: u64,
+    /// Counts of bodies side by side, and the sum of their results.
+    samples: u64,
     beside: u64,
 }
 
 impl Meter {
-    /// Begins with a run.
+    /// Starts at the first state of a run.
     pub fn new(state: &State) -> Self {
         Self {
             from: centroid(&state.configuration),
@@ -39,19 +43,19 @@ impl Meter {
             pushed: 0,
             turned: 0.0,
             shifted: 0.0,
-            looks: 0,
+            samples: 0,
             beside: 0,
         }
     }
 
-    /// Counts the step that led to `state`.
+    /// Adds the step whose result is `state`.
     pub fn add(&mut self, stepper: &Stepper, report: &StepReport, state: &State) {
         self.steps += 1;
         self.listed += report.contacts as u64;
         self.pushing += report.active as u64;
         let free = &stepper.program().0.free;
         for (moved, free) in stepper.displacement().iter().zip(free) {
-            // Whom nothing pushes moves freely, to the bit.
+            // An individual without a pushing contact has exactly its free displacement.
             if moved != free {
                 self.pushed += 1;
                 self.turned += (moved[2] - free[2]).abs();
@@ -59,13 +63,13 @@ impl Meter {
                 self.shifted += (x * x + y * y).sqrt();
             }
         }
-        if state.time() >= EVERY * (self.looks + 1) as f64 {
-            self.looks += 1;
+        if state.time() >= EVERY * (self.samples + 1) as f64 {
+            self.samples += 1;
             self.beside += beside(state);
         }
     }
 
-    /// Tells what there was; without a step nothing.
+    /// Returns the row of the run named `run`; none if it has no step.
     pub fn conclude(self, run: &str, contacts: &str, state: &State) -> Option<Touch> {
         let (parameters, n) = (&state.parameters, state.configuration.n());
         let to = centroid(&state.configuration);
@@ -83,19 +87,20 @@ impl Meter {
             pushing: share(self.pushing as f64, self.steps * n as u64),
             turned: share(self.turned / parameters.dt, self.pushed),
             shifted: share(self.shifted / parameters.dt, self.pushed),
-            beside: share(self.beside as f64, self.looks * n as u64),
+            beside: share(self.beside as f64, self.samples * n as u64),
             way: (way[0] * way[0] + way[1] * way[1]).sqrt() / state.time(),
         })
     }
 }
 
-/// The mean position, wherever the origin is.
+/// Returns the mean position, independent of the choice of the origin.
 fn centroid(configuration: &Configuration) -> [f64; 2] {
     let near = configuration.centroid();
     [0, 1].map(|axis| near[axis] + CELL * configuration.origin[axis] as f64)
 }
 
-/// How many individuals have another at their side that heads the same way.
+/// Counts the individuals with another one at their side: headings within [`PARALLEL`], a gap of at
+/// most [`NEAR`], and the other's centre less than a half-length ahead or behind.
 fn beside(state: &State) -> u64 {
     let State {
         parameters,
@@ -137,24 +142,24 @@ mod tests {
     }
 
     #[test]
-    fn who_walks_side_by_side_is_beside_and_turned() {
+    fn bodies_side_by_side_are_beside_and_turned() {
         let touch = run(&[[0.0, 0.0, 0.0], [0.0, 0.4, 0.0]], 50);
         assert_eq!((touch.n, touch.beside), (2, 1.0));
-        // Both are pulled towards each other at rate 1, and mostly held by their contacts.
+        // Free bodies would turn towards each other at rate 1; contacts cancel most of it.
         assert!(touch.turned > 0.0 && touch.turned < 1.0, "{touch:?}");
         assert!((0.5..=1.0).contains(&touch.pushing), "{touch:?}");
         assert!(touch.way > 0.99, "{touch:?}");
     }
 
     #[test]
-    fn who_is_apart_touches_nobody() {
+    fn distant_bodies_have_no_contacts() {
         let touch = run(&[[0.0, 0.0, 0.0], [9.0, 9.0, 3.0]], 50);
-        let nothing = (touch.pushing, touch.turned, touch.beside);
-        assert_eq!(nothing, (0.0, 0.0, 0.0));
+        let found = (touch.pushing, touch.turned, touch.beside);
+        assert_eq!(found, (0.0, 0.0, 0.0));
     }
 
     #[test]
-    fn who_is_ahead_or_comes_the_other_way_is_not_beside() {
+    fn a_body_ahead_or_of_opposite_heading_is_not_beside() {
         assert_eq!(run(&[[0.0, 0.0, 0.0], [1.62, 0.0, 0.0]], 50).beside, 0.0);
         let opposite = [[0.0, 0.0, 0.0], [0.0, 0.41, std::f64::consts::PI]];
         assert_eq!(run(&opposite, 50).beside, 0.0);

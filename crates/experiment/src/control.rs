@@ -1,73 +1,81 @@
-//! What others see of an experiment while it runs, and how they stop it.
+//! Progress and control of a running experiment, from any thread.
 //!
-//! Who steps writes where nobody else does and reads one word: no lock is taken between steps.
+//! A thread that steps a run writes its own counter and reads one atomic signal: it takes no lock
+//! between steps unless the experiment is paused or cancelled.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+/// Values of the signal.
 const GOING: u8 = 0;
 const PAUSED: u8 = 1;
 const CANCELLED: u8 = 2;
 
-/// How long an experiment has to go on before it is told how long it will take.
-const SETTLED: Duration = Duration::from_millis(500);
+/// Elapsed time before the remaining time is estimated.
+const MIN_ELAPSED: Duration = Duration::from_millis(500);
 
-/// How far an experiment is.
+/// The progress of an experiment.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Progress {
-    /// How many runs it has.
+    /// Number of runs of the experiment.
     pub runs: usize,
-    /// How many are over, those of an earlier go included.
+    /// Number of finished runs, including those of earlier executions.
     pub finished: usize,
-    /// How many of them ended early.
+    /// Number of finished runs that ended early.
     pub faulted: usize,
-    /// The share of the work that is done, the work of runs under way included.
+    /// The share of the work that is done, including the steps of current runs.
     pub share: f64,
-    /// How long this go has taken, pauses aside.
+    /// The time of this execution without pauses.
     pub elapsed_secs: f64,
-    /// How long it will still take, pauses aside; none while that cannot be told.
+    /// The estimated remaining time without pauses; none if it cannot be estimated yet.
     pub left_secs: Option<f64>,
-    /// The runs under way, each with the share of its steps that is done.
+    /// The current runs, each with the share of its steps that is done.
     pub running: Vec<(String, f64)>,
 }
 
-/// Watches and stops one go of an experiment, from any thread.
+/// Reports the progress of one execution of an experiment, and pauses or cancels it, from any
+/// thread.
 #[derive(Debug, Default)]
 pub struct Control {
+    /// [`GOING`], [`PAUSED`] or [`CANCELLED`].
     signal: AtomicU8,
-    board: Mutex<Board>,
+    state: Mutex<ProgressState>,
+    /// Notified when the signal leaves [`PAUSED`].
     changed: Condvar,
 }
 
-/// Steps that one thread counts; on a line of the cache of its own.
+/// Steps of a current run. Aligned so that no two threads write to the same cache line.
 #[derive(Debug, Default)]
 #[repr(align(128))]
 struct Counter(AtomicU64);
 
+/// Costs are expected seconds of one core.
 #[derive(Debug, Default)]
-struct Board {
+struct ProgressState {
     runs: usize,
     finished: usize,
     faulted: usize,
+    /// Cost of all runs.
     cost: f64,
-    /// What was done before this go, and what is by now.
+    /// Cost of the runs that were finished before this execution, and that are finished now.
     cost_before: f64,
     cost_finished: f64,
-    running: BTreeMap<usize, UnderWay>,
+    /// Current runs by their index in the plan.
+    running: BTreeMap<usize, CurrentRun>,
     clock: Clock,
 }
 
 #[derive(Debug)]
-struct UnderWay {
+struct CurrentRun {
     name: String,
     steps: u64,
     cost: f64,
     counter: Arc<Counter>,
 }
 
-/// How long it has been going.
+/// Measures the time of an execution without pauses.
 #[derive(Debug, Default)]
 struct Clock {
     past: Duration,
@@ -89,64 +97,65 @@ impl Clock {
     }
 }
 
-/// What one run tells of itself, and hears.
+/// The side of a run: counts its steps and reads the signal.
 pub struct Watch<'a> {
     control: &'a Control,
     counter: Arc<Counter>,
 }
 
 impl Control {
-    /// Lets an experiment go on.
+    /// Returns a control that is neither paused nor cancelled.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Has every run stand still before its next step.
+    /// Pauses every run before its next step. No effect after a cancellation.
     pub fn pause(&self) {
-        let mut board = self.board();
+        let mut state = self.state();
         if self.is(GOING) {
             self.signal.store(PAUSED, Ordering::Relaxed);
-            board.clock.stop();
+            state.clock.stop();
         }
     }
 
-    /// Has every run go on.
+    /// Resumes every paused run. No effect after a cancellation.
     pub fn resume(&self) {
-        let mut board = self.board();
+        let mut state = self.state();
         if self.is(PAUSED) {
             self.signal.store(GOING, Ordering::Relaxed);
-            if board.runs > 0 {
-                board.clock.start();
+            if state.runs > 0 {
+                state.clock.start();
             }
             self.changed.notify_all();
         }
     }
 
-    /// Has every run end before its next step, for good; what is finished is kept.
+    /// Stops every run before its next step. Finished runs are kept, unfinished ones are discarded.
+    /// A cancellation cannot be undone.
     pub fn cancel(&self) {
-        let _board = self.board();
+        let _state = self.state();
         self.signal.store(CANCELLED, Ordering::Relaxed);
         self.changed.notify_all();
     }
 
-    /// Whether it is paused.
+    /// Returns whether the experiment is paused.
     #[must_use]
     pub fn is_paused(&self) -> bool {
         self.is(PAUSED)
     }
 
-    /// Whether it was cancelled.
+    /// Returns whether the experiment was cancelled.
     #[must_use]
     pub fn is_cancelled(&self) -> bool {
         self.is(CANCELLED)
     }
 
-    /// How far it is.
+    /// Returns the progress of the execution.
     #[must_use]
     pub fn progress(&self) -> Progress {
-        let board = self.board();
-        let running: Vec<(&UnderWay, f64)> = board
+        let state = self.state();
+        let running: Vec<(&CurrentRun, f64)> = state
             .running
             .values()
             .map(|run| {
@@ -154,18 +163,18 @@ impl Control {
                 (run, steps as f64 / run.steps.max(1) as f64)
             })
             .collect();
-        let under_way: f64 = running.iter().map(|(run, share)| run.cost * share).sum();
-        let done = board.cost_finished + under_way;
-        let elapsed = board.clock.read();
-        let gained = done - board.cost_before;
-        let left_secs = (elapsed > SETTLED && gained > 0.0)
-            .then(|| elapsed.as_secs_f64() * f64::max(board.cost - done, 0.0) / gained);
+        let current: f64 = running.iter().map(|(run, share)| run.cost * share).sum();
+        let done = state.cost_finished + current;
+        let elapsed = state.clock.read();
+        let gained = done - state.cost_before;
+        let left_secs = (elapsed > MIN_ELAPSED && gained > 0.0)
+            .then(|| elapsed.as_secs_f64() * f64::max(state.cost - done, 0.0) / gained);
         Progress {
-            runs: board.runs,
-            finished: board.finished,
-            faulted: board.faulted,
-            share: match board.cost > 0.0 {
-                true => f64::min(done / board.cost, 1.0),
+            runs: state.runs,
+            finished: state.finished,
+            faulted: state.faulted,
+            share: match state.cost > 0.0 {
+                true => f64::min(done / state.cost, 1.0),
                 false => 0.0,
             },
             elapsed_secs: elapsed.as_secs_f64(),
@@ -177,83 +186,84 @@ impl Control {
         }
     }
 
-    /// Begins a go of so many runs, some of which are finished.
+    /// Starts an execution. `costs` are those of all runs and of the finished ones.
     pub(super) fn begin(&self, runs: usize, finished: usize, faulted: usize, costs: [f64; 2]) {
-        let mut board = self.board();
+        let mut state = self.state();
         let [cost, cost_before] = costs;
-        *board = Board {
+        *state = ProgressState {
             runs,
             finished,
             faulted,
             cost,
             cost_before,
             cost_finished: cost_before,
-            ..Board::default()
+            ..ProgressState::default()
         };
         if self.is(GOING) {
-            board.clock.start();
+            state.clock.start();
         }
     }
 
-    /// Ends the go; returns the runs that have not ended.
+    /// Ends the execution and returns the names of the runs that are still marked as current.
     pub(super) fn end(&self) -> Vec<String> {
-        let mut board = self.board();
-        board.clock.stop();
-        let left = std::mem::take(&mut board.running).into_values();
+        let mut state = self.state();
+        state.clock.stop();
+        let left = std::mem::take(&mut state.running).into_values();
         left.map(|run| run.name).collect()
     }
 
-    /// A run begins.
+    /// Marks a run as current.
     pub(super) fn begin_run(&self, index: usize, name: &str, steps: u64, cost: f64) -> Watch<'_> {
         let counter = Arc::new(Counter::default());
-        let run = UnderWay {
+        let run = CurrentRun {
             name: name.to_owned(),
             steps,
             cost,
             counter: counter.clone(),
         };
-        self.board().running.insert(index, run);
+        self.state().running.insert(index, run);
         Watch {
             control: self,
             counter,
         }
     }
 
-    /// A run is over.
+    /// Counts a current run as finished.
     pub(super) fn end_run(&self, index: usize, is_faulted: bool) {
-        let mut board = self.board();
-        let run = board.running.remove(&index);
-        board.cost_finished += run.map_or(0.0, |run| run.cost);
-        board.finished += 1;
-        board.faulted += usize::from(is_faulted);
+        let mut state = self.state();
+        let run = state.running.remove(&index);
+        state.cost_finished += run.map_or(0.0, |run| run.cost);
+        state.finished += 1;
+        state.faulted += usize::from(is_faulted);
     }
 
-    /// A run is given up.
+    /// Removes a current run that was cancelled.
     pub(super) fn drop_run(&self, index: usize) {
-        self.board().running.remove(&index);
+        self.state().running.remove(&index);
     }
 
     fn is(&self, signal: u8) -> bool {
         self.signal.load(Ordering::Relaxed) == signal
     }
 
-    fn board(&self) -> MutexGuard<'_, Board> {
-        // What is on it is of no consequence for any run.
-        self.board.lock().unwrap_or_else(PoisonError::into_inner)
+    fn state(&self) -> MutexGuard<'_, ProgressState> {
+        // Poisoning is ignored: no result depends on this state.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits until it is no longer paused; whether it is to go on then.
+    /// Blocks while the experiment is paused. Returns false if it was cancelled.
     #[cold]
     fn wait(&self) -> bool {
-        let board = self.board();
-        let board = self.changed.wait_while(board, |_| self.is(PAUSED));
-        drop(board);
+        let state = self.state();
+        let state = self.changed.wait_while(state, |_| self.is(PAUSED));
+        drop(state);
         self.is(GOING)
     }
 }
 
 impl Watch<'_> {
-    /// Tells how many steps were taken, and whether there is to be another.
+    /// Stores the number of steps taken. Blocks while the experiment is paused. Returns false if it
+    /// was cancelled.
     #[inline]
     pub fn go_on(&self, steps: u64) -> bool {
         self.counter.0.store(steps, Ordering::Relaxed);

@@ -1,50 +1,49 @@
-//! Why a file describes no experiment.
+//! Errors in an experiment's file.
 
 use thiserror::Error;
 
 use crate::limits::{MAX_ENTRIES, MAX_RUNS};
 use jostle_physics::simulation::ChangeError;
 
-/// Why a file describes no experiment.
+/// Why an experiment's file is rejected.
 #[derive(Debug, Error)]
 pub enum PlanError {
-    /// Something in it is not known, of another kind, or outside its range.
+    /// A field is unknown, of a wrong kind, or outside its range.
     #[error("line {line}: {reason}")]
     Field {
         /// The line, from 1.
         line: usize,
-        /// What is wrong, and what would not be.
+        /// What is wrong, and the remedy.
         reason: String,
     },
-    /// A run's parameters or its start are refused.
+    /// The parameters or the start of a run are rejected.
     #[error("run {run:?}: {error}")]
     Run {
-        /// The first run of that kind.
+        /// The first replicate.
         run: String,
         /// Why.
         error: ChangeError,
     },
-    /// Two runs have one name.
-    #[error("line {line}: run {run:?} is there twice: no value and no grid may repeat another")]
+    /// Two runs have the same name.
+    #[error("line {line}: duplicate run {run:?}: remove the repeated value or grid")]
     Repeated {
-        /// Where the later one's grid begins.
+        /// The line of the later run's grid.
         line: usize,
         /// The run.
         run: String,
     },
-    /// There are more runs than an experiment may have.
-    #[error("these are {runs} runs, and an experiment has at most {MAX_RUNS}: split it")]
+    /// The experiment has more than [`MAX_RUNS`] runs.
+    #[error("{runs} runs, the limit is {MAX_RUNS}: split the experiment")]
     TooManyRuns {
-        /// How many, or as many as can be counted.
+        /// Their number; `u64::MAX` if it is larger.
         runs: u64,
     },
-    /// The time series would fill a disk.
+    /// The time series have more than [`MAX_ENTRIES`] entries.
     #[error(
-        "the orders over time have {entries} entries, at most {MAX_ENTRIES} are kept: raise \
-         order_every"
+        "the orders over time have {entries} entries, the limit is {MAX_ENTRIES}: raise order_every"
     )]
     TooManyEntries {
-        /// How many.
+        /// Their number.
         entries: u64,
     },
 }

@@ -1,4 +1,4 @@
-//! All runs of an experiment that are not finished, on several threads.
+//! Executes the unfinished runs of an experiment on several threads.
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver};
@@ -12,48 +12,47 @@ use crate::folder::{Folder, FolderError};
 use crate::plan::{Plan, Point};
 use crate::run::{Finished, conduct};
 
-/// How much lower than the rest of the process an experiment's threads rank: below live swarms,
-/// which somebody watches.
+/// Nice value of an experiment's threads, so that live swarms have priority.
 const NICENESS: i32 = 10;
 
-/// Why an experiment came to no end.
+/// Why an experiment failed.
 #[derive(Debug, Error)]
 pub enum ExecuteError {
-    /// What was finished could not be kept.
+    /// Results could not be written.
     #[error(transparent)]
     Folder(#[from] FolderError),
-    /// No thread could be started.
+    /// A thread could not be started.
     #[error("no thread can be started: {0}")]
     NoThread(std::io::Error),
-    /// There is a mistake in the program.
+    /// Runs panicked: a bug in the program.
     #[error("run {runs:?} panicked: please report it with the experiment's file")]
     Panicked {
-        /// The runs at fault.
+        /// The runs that panicked.
         runs: Vec<String>,
     },
 }
 
-/// How a go of an experiment ended.
+/// The outcome of one execution of an experiment.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outcome {
-    /// How many runs it has.
+    /// Number of runs of the experiment.
     pub runs: usize,
-    /// How many of them are finished.
+    /// Number of finished runs.
     pub finished: usize,
-    /// Those that ended early, and why.
+    /// The names of the runs that ended early, each with its reason.
     pub faults: Vec<(String, String)>,
-    /// Whether it was cancelled before its end.
+    /// Whether the execution was cancelled before all runs were finished.
     pub is_cancelled: bool,
 }
 
-/// Carries out every run of `plan` that is not finished in `folder`, and makes the tables.
+/// Executes every run of `plan` that is not finished in `folder`, and writes the tables.
 ///
-/// The runs expected to take longest begin first, so that none is left to end alone. No row
-/// depends on that, nor on the number of threads.
+/// The runs with the longest expected time start first, so that threads end at about the same time.
+/// No row depends on this order or on the number of threads.
 ///
 /// # Errors
 ///
-/// [`ExecuteError`]; what was finished before is kept.
+/// [`ExecuteError`]. Finished runs are kept.
 pub fn execute(
     plan: &Plan,
     folder: &mut Folder,
@@ -66,8 +65,8 @@ pub fn execute(
         .map(|run| expected_secs(plan.point(run)))
         .collect();
     let is_finished: Vec<bool> = runs.iter().map(|run| folder.is_finished(run)).collect();
-    let sum = |wanted: &dyn Fn(usize) -> bool| -> f64 {
-        let indices = (0..runs.len()).filter(|&index| wanted(index));
+    let sum = |is_counted: &dyn Fn(usize) -> bool| -> f64 {
+        let indices = (0..runs.len()).filter(|&index| is_counted(index));
         indices.map(|index| costs[index]).sum()
     };
     let done = is_finished.iter().filter(|&&it| it).count();
@@ -79,7 +78,7 @@ pub fn execute(
     let next = AtomicUsize::new(0);
     let (finished, received) = mpsc::channel();
     let work = |finished: mpsc::Sender<(usize, Finished)>| {
-        // Zero names the calling thread. Where it is not permitted it ranks like the rest.
+        // None is the calling thread. If the call is not permitted, the nice value is unchanged.
         let _ = rustix::process::setpriority_process(None, NICENESS);
         while let Some(&index) = left.get(next.fetch_add(1, Ordering::Relaxed)) {
             let run = &runs[index];
@@ -99,7 +98,7 @@ pub fn execute(
             }
         }
     };
-    let kept = thread::scope(|scope| {
+    let written = thread::scope(|scope| {
         let workers: Result<Vec<_>, _> = (0..threads.clamp(1, left.len().max(1)))
             .map(|number| {
                 let (work, finished) = (&work, finished.clone());
@@ -109,22 +108,22 @@ pub fn execute(
             })
             .collect();
         drop(finished);
-        let kept = match &workers {
-            Ok(_) => keep(plan, folder, &received),
+        let written = match &workers {
+            Ok(_) => write_finished(plan, folder, &received),
             Err(_) => Ok(()),
         };
-        if kept.is_err() || workers.is_err() {
+        if written.is_err() || workers.is_err() {
             control.cancel();
         }
         drop(received);
-        // Whoever panicked is known by the run that is left under way.
+        // A panic is detected below: its run is still marked as running.
         for worker in workers.map_err(ExecuteError::NoThread)? {
             let _ = worker.join();
         }
-        kept.map_err(ExecuteError::from)
+        written.map_err(ExecuteError::from)
     });
     let panicked = control.end();
-    kept?;
+    written?;
     folder.write_tables(plan)?;
     if !panicked.is_empty() {
         return Err(ExecuteError::Panicked { runs: panicked });
@@ -138,8 +137,9 @@ pub fn execute(
     })
 }
 
-/// Writes down what is finished, as much at a time as there is, until all threads have ended.
-fn keep(
+/// Appends finished runs to the folder, in batches of all runs received so far, until all threads
+/// have ended.
+fn write_finished(
     plan: &Plan,
     folder: &mut Folder,
     received: &Receiver<(usize, Finished)>,
@@ -151,21 +151,21 @@ fn keep(
     Ok(())
 }
 
-/// About how long a run takes, in seconds of one core.
+/// Estimates the time of a run, in seconds of one core.
 ///
-/// Only what is begun first and what is told of the time left depend on it. Measured from n = 3
-/// to 74 in both rules, π1 from 1 to 8: within a factor of 2, and 3 for small or round bodies
-/// under `closest`, whose longer steps have more contacts.
+/// Only the order of the runs and the reported progress depend on it. Measured for n from 3 to 74,
+/// π1 from 1 to 8, and the rules `endpoints` and `closest`: correct within a factor of 2, and
+/// within 3 for small or round bodies under `closest`, whose longer steps have more contacts.
 fn expected_secs(point: &Point) -> f64 {
     let n = point.spec.n as f64;
     let parameters = &point.spec.parameters;
     let step = 0.5 + 0.2 * n + 0.003 * n * n;
-    let harder = match parameters.contacts {
+    let rule_factor = match parameters.contacts {
         ContactRule::Closest if parameters.pi1 > 1.0 => 1.0 + n / 20.0,
         _ => 1.0,
     };
     let programs = if parameters.relinearise { 2.0 } else { 1.0 };
-    point.steps as f64 * 1e-6 * step * harder * programs
+    point.steps as f64 * 1e-6 * step * rule_factor * programs
 }
 
 #[cfg(test)]
@@ -184,7 +184,7 @@ mod tests {
         fs::read(folder.join("results.csv")).unwrap()
     }
 
-    /// Executes in a new folder; returns its table.
+    /// Executes `plan` in a new folder and returns the bytes of its table.
     fn executed(plan: &Plan, threads: usize) -> Vec<u8> {
         let directory = tempfile::tempdir().unwrap();
         let mut folder = Folder::open(directory.path(), plan).unwrap();
@@ -198,19 +198,19 @@ mod tests {
         table(directory.path())
     }
 
-    fn until(what: &str, is_true: impl Fn() -> bool) {
+    fn wait_until(condition: &str, is_true: impl Fn() -> bool) {
         let began = Instant::now();
         while !is_true() {
             assert!(
                 began.elapsed() < Duration::from_secs(60),
-                "waiting for {what}"
+                "timed out waiting for {condition}"
             );
             thread::sleep(Duration::from_millis(1));
         }
     }
 
     #[test]
-    fn rows_depend_on_no_number_of_threads() {
+    fn rows_do_not_depend_on_the_number_of_threads() {
         let plan = Plan::parse(FILE).unwrap();
         let expected = executed(&plan, 1);
         for threads in [0, 2, 5, 100] {
@@ -219,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn it_stands_still_while_paused_and_what_is_cancelled_goes_on_later() {
+    fn a_paused_experiment_takes_no_steps_and_a_cancelled_one_can_be_resumed() {
         let plan = Plan::parse(FILE).unwrap();
         let directory = tempfile::tempdir().unwrap();
         let mut folder = Folder::open(directory.path(), &plan).unwrap();
@@ -228,12 +228,12 @@ mod tests {
         let outcome = thread::scope(|scope| {
             let (plan, folder, control) = (&plan, &mut folder, &control);
             let executing = scope.spawn(move || execute(plan, folder, 2, control).unwrap());
-            // Paused before it began, it begins no step.
-            until("two runs", || control.progress().running.len() == 2);
+            // Paused before the execution started: no run takes a step.
+            wait_until("two runs", || control.progress().running.len() == 2);
             assert_eq!(control.progress().share, 0.0);
             assert!(control.is_paused() && control.progress().left_secs.is_none());
             control.resume();
-            until("a run", || control.progress().finished > 0);
+            wait_until("a finished run", || control.progress().finished > 0);
             control.pause();
             thread::sleep(Duration::from_millis(20));
             let paused = control.progress();
@@ -261,8 +261,8 @@ mod tests {
     }
 
     #[test]
-    fn what_ended_early_is_counted_and_told() {
-        // Steps nearly as long as may be, and contacts that turn bodies easily: some cross.
+    fn runs_that_end_early_are_counted_and_reported() {
+        // With nearly the longest allowed step and a low rotational drag some axes cross.
         let text = "name = \"a\"\nreplicates = 4\nduration = 40\n[spec]\nn = 30\npi1 = 2\n\
                     pi4 = 1000\ndt = 0.3";
         let plan = Plan::parse(text).unwrap();
@@ -270,7 +270,7 @@ mod tests {
         let mut folder = Folder::open(directory.path(), &plan).unwrap();
         let control = Control::new();
         let outcome = execute(&plan, &mut folder, 2, &control).unwrap();
-        assert!(!outcome.faults.is_empty(), "none ended early");
+        assert!(!outcome.faults.is_empty(), "no run ended early");
         assert_eq!(control.progress().faulted, outcome.faults.len());
         let (name, reason) = &outcome.faults[0];
         assert!(reason.contains("cross"), "{reason}");

@@ -1,4 +1,5 @@
-//! The file that describes an experiment, read but not yet understood: every value with its line.
+//! The experiment's file as TOML, before its values are checked. Values keep their span, from which
+//! errors get their line.
 
 use std::collections::BTreeMap;
 use std::ops::Range;
@@ -8,96 +9,96 @@ use toml::{Spanned, Value};
 
 use crate::error::PlanError;
 
-/// Keys with their values, each with its place in the file.
+/// Keys and values, each with its span in the file.
 pub type Table = BTreeMap<Spanned<String>, Spanned<Value>>;
 
-/// A file as it is written.
+/// The fields of a file.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct File {
     /// The experiment's name.
     pub name: Spanned<String>,
-    /// What every run's seed is derived from.
+    /// The seed from which the seeds of all runs are derived.
     #[serde(default)]
     pub seed: Option<Spanned<u64>>,
     /// Runs at each point.
     #[serde(default)]
     pub replicates: Option<Spanned<u64>>,
-    /// How long a run is.
+    /// The duration of a run, in time units.
     pub duration: Spanned<f64>,
-    /// What all runs have in common.
+    /// The spec that all runs share.
     #[serde(default)]
     pub spec: Table,
-    /// What varies.
+    /// The grids of values that vary.
     #[serde(default)]
     pub grid: Vec<Table>,
-    /// What is measured beside the table of results.
+    /// Measurements in addition to the table of results.
     #[serde(default)]
     pub measure: Measure,
 }
 
-/// What is measured beside the table of results.
+/// Measurements in addition to the table of results.
 #[derive(Default, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Measure {
     /// Steps between two entries of the order's time series.
     #[serde(default)]
     pub order_every: Option<Spanned<u64>>,
-    /// Whether what contacts do to bodies is a table too.
+    /// Whether contacts are measured, in a table of their own.
     #[serde(default)]
     pub touch: bool,
 }
 
-/// The text of a file, to say where something is wrong.
+/// The text of a file; errors get their line from it.
 #[derive(Clone, Copy)]
 pub struct Source<'a>(pub &'a str);
 
 impl Source<'_> {
-    /// Reads the file.
+    /// Parses the file.
     ///
     /// # Errors
     ///
-    /// [`PlanError::Field`] with the line at which it is no TOML, or no experiment.
+    /// [`PlanError::Field`] with the first line that is not TOML or not a field of an experiment.
     pub fn read(self) -> Result<File, PlanError> {
         toml::from_str(self.0).map_err(|error| {
-            let place = error.span().unwrap_or_default();
-            self.refuse(&place, error.message())
+            let span = error.span().unwrap_or_default();
+            self.reject(&span, error.message())
         })
     }
 
-    /// Refuses what stands at a place.
-    pub fn refuse(self, place: &Range<usize>, reason: impl Into<String>) -> PlanError {
+    /// Returns the error for the value at `span`. Line breaks in `reason` become spaces.
+    pub fn reject(self, span: &Range<usize>, reason: impl Into<String>) -> PlanError {
         let reason = reason.into().trim_end().replace('\n', " ");
-        let line = self.line(place);
+        let line = self.line(span);
         PlanError::Field { line, reason }
     }
 
-    /// The line of a place, from 1.
-    pub fn line(self, place: &Range<usize>) -> usize {
-        let before = self.0.bytes().take(place.start);
+    /// Returns the line at which `span` starts, from 1.
+    pub fn line(self, span: &Range<usize>) -> usize {
+        let before = self.0.bytes().take(span.start);
         before.filter(|&byte| byte == b'\n').count() + 1
     }
 
-    /// A whole number within a range, or `default` where there is none.
+    /// Returns a whole number, or `default` if `value` is none.
     ///
     /// # Errors
     ///
-    /// [`PlanError::Field`].
+    /// [`PlanError::Field`] if the number is outside the range.
     pub fn whole(
         self,
         field: &str,
         value: Option<&Spanned<u64>>,
         default: u64,
-        [least, most]: [u64; 2],
+        [min, max]: [u64; 2],
     ) -> Result<u64, PlanError> {
         let Some(given) = value else {
             return Ok(default);
         };
         let value = *given.get_ref();
-        if (least..=most).contains(&value) {
+        if (min..=max).contains(&value) {
             return Ok(value);
         }
-        let reason = format!("{field} = {value} is outside [{least}, {most}]");
-        Err(self.refuse(&given.span(), reason))
+        let reason = format!("{field} = {value} is outside [{min}, {max}]");
+        Err(self.reject(&given.span(), reason))
     }
 }

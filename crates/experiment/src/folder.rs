@@ -1,9 +1,14 @@
-//! Where an experiment's results are kept, so that whatever ends it, no finished run is lost.
+//! The folder of an experiment's results. A finished run survives a crash.
 //!
-//! A folder holds `experiment.toml`, the file it was made from; `runs.jsonl`, a header and then a
-//! line for each finished run, on the disk before the run counts as finished; `order/`, a file of
-//! bare numbers for each run if the plan asks for time series; and the tables made of these:
-//! `results.parquet`, `results.csv`, `order.parquet` and `touch.csv`. While somebody writes it, `lock` is held.
+//! A folder contains:
+//!
+//! - `experiment.toml`, a copy of the experiment's file;
+//! - `runs.jsonl`, a header and a line for each finished run; a run counts as finished once its
+//!   line is durable;
+//! - `order/`, a file of numbers for each run, if the plan has `order_every`;
+//! - the tables, written from these: `results.parquet`, `results.csv`, `order.parquet` and
+//!   `touch.csv`;
+//! - `lock`, which a process that writes to the folder holds exclusively.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
@@ -31,54 +36,55 @@ const SERIES: &str = "order";
 /// Why a folder cannot be used.
 #[derive(Debug, Error)]
 pub enum FolderError {
-    /// The system refused.
+    /// A system call failed.
     #[error("use {}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
     /// A table could not be written.
     #[error(transparent)]
     Table(#[from] TableError),
-    /// Somebody else writes it.
+    /// Another process has locked the folder.
     #[error("use {}: another process is running this experiment", folder.display())]
     InUse {
         /// The folder.
         folder: PathBuf,
     },
-    /// It holds the results of another file.
+    /// The folder contains results of another file.
     #[error(
-        "use {}: it holds the results of another experiment.toml; choose another folder, or go on \
-         with that file", folder.display()
+        "use {}: it contains results of another experiment.toml; choose another folder, or \
+         continue with that file", folder.display()
     )]
     OtherExperiment {
         /// The folder.
         folder: PathBuf,
     },
-    /// It holds results, but not what they are results of.
+    /// The folder contains results, but no `experiment.toml`.
     #[error(
-        "use {}: it holds {file} but no {EXPERIMENT}; choose another folder", folder.display()
+        "use {}: it contains {file} but no {EXPERIMENT}; choose another folder", folder.display()
     )]
     NoExperiment {
         /// The folder.
         folder: PathBuf,
-        /// What it holds.
+        /// The first file or folder of results that was found.
         file: &'static str,
     },
-    /// Its runs are those of another model: the same seeds would have other futures.
+    /// The runs were computed with another version of the model, which gives other results for the
+    /// same seeds.
     #[error(
-        "use {}: its runs are of model version {theirs}, this is {MODEL_VERSION}; finish it with \
-         the jostled that began it, or choose another folder", folder.display()
+        "use {}: its runs have model version {theirs}, this program has {MODEL_VERSION}; finish it \
+         with the jostled that started it, or choose another folder", folder.display()
     )]
     OtherModel {
         /// The folder.
         folder: PathBuf,
-        /// The version of its model.
+        /// The model version of its runs.
         theirs: u32,
     },
-    /// A line is not what was written there.
+    /// A line of the list of runs is damaged.
     #[error("read {}: line {line}: {reason}", path.display())]
     Damaged {
         /// The file.
@@ -90,7 +96,7 @@ pub enum FolderError {
     },
 }
 
-/// The first line of a list of finished runs.
+/// The first line of the list of finished runs.
 #[derive(Deserialize, Serialize)]
 struct Header {
     experiment: String,
@@ -101,45 +107,46 @@ struct Header {
 #[derive(Clone, Debug, Deserialize, Serialize)]
 struct Record {
     run: String,
-    /// Why it ended early, if it did.
+    /// Why the run ended early, if it did.
     fault: Option<String>,
-    /// Its row; none if it ended before its first step.
+    /// The row of the run; none if it ended before its first step.
     row: Option<Run>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     touch: Option<Touch>,
 }
 
-/// The folder of an experiment, while it is locked.
+/// The folder of an experiment, locked for writing.
 #[derive(Debug)]
 pub struct Folder {
     path: PathBuf,
     runs: File,
     finished: BTreeMap<String, Record>,
-    /// Held while the folder is.
+    /// The lock is released when this file is closed.
     _lock: File,
 }
 
 impl Folder {
-    /// Opens the folder of an experiment, or makes it.
+    /// Opens and locks the folder of an experiment, or creates it. An incomplete last line of the
+    /// list of runs is removed.
     ///
     /// # Errors
     ///
-    /// [`FolderError`]; whatever the folder holds is then as it was.
+    /// [`FolderError`]. Results in the folder are then unchanged.
     pub fn open(path: &Path, plan: &Plan) -> Result<Self, FolderError> {
         fs::create_dir_all(path).map_err(|source| io_error(path, source))?;
         let lock = lock(path)?;
         claim(path, plan)?;
         let list = path.join(RUNS);
         let fail = |source| io_error(&list, source);
-        let bytes = read_if_there(&list)?;
+        let bytes = read_or_empty(&list)?;
         let mut runs = OpenOptions::new()
             .create(true)
             .truncate(false)
             .write(true)
             .open(&list)
             .map_err(fail)?;
-        let (finished, mut length) = understand(path, plan, &bytes)?;
-        // What was not written to its end is not finished.
+        let (finished, mut length) = parse_runs(path, plan, &bytes)?;
+        // A run whose line is incomplete is not finished.
         runs.set_len(length).map_err(fail)?;
         runs.seek(SeekFrom::End(0)).map_err(fail)?;
         if length == 0 {
@@ -166,15 +173,15 @@ impl Folder {
         })
     }
 
-    /// Reads the rows of the runs that are finished, in the plan's order; somebody may be adding
-    /// to them meanwhile.
+    /// Reads the rows of the finished runs, in the plan's order. Does not lock the folder: another
+    /// process may append runs meanwhile.
     ///
     /// # Errors
     ///
     /// [`FolderError`].
     pub fn read(path: &Path, plan: &Plan) -> Result<Vec<Run>, FolderError> {
-        let bytes = read_if_there(&path.join(RUNS))?;
-        let (finished, _) = understand(path, plan, &bytes)?;
+        let bytes = read_or_empty(&path.join(RUNS))?;
+        let (finished, _) = parse_runs(path, plan, &bytes)?;
         Ok(rows(plan, &finished))
     }
 
@@ -182,30 +189,30 @@ impl Folder {
     ///
     /// # Errors
     ///
-    /// [`FolderError::Io`] when there is none.
+    /// [`FolderError::Io`] if the run has no such series.
     pub fn read_order(path: &Path, plan: &Plan, index: usize) -> Result<OrderSeries, FolderError> {
         read_series(path, plan, index, plan.order_every.unwrap_or(1))
     }
 
-    /// Where it is.
+    /// The path of the folder.
     #[must_use]
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Whether a run is finished.
+    /// Returns whether a run is finished.
     #[must_use]
     pub fn is_finished(&self, run: &PlannedRun) -> bool {
         self.finished.contains_key(&run.name)
     }
 
-    /// The rows of the runs that are finished, in the plan's order.
+    /// Returns the rows of the finished runs, in the plan's order.
     #[must_use]
     pub fn rows(&self, plan: &Plan) -> Vec<Run> {
         rows(plan, &self.finished)
     }
 
-    /// The runs that ended early and why, in the plan's order.
+    /// Returns the names of the runs that ended early, each with its reason, in the plan's order.
     #[must_use]
     pub fn faults(&self, plan: &Plan) -> Vec<(String, String)> {
         let records = plan.runs().iter().map(|run| self.finished.get(&run.name));
@@ -216,11 +223,11 @@ impl Folder {
         faults.collect()
     }
 
-    /// Writes down finished runs, by their index in the plan. They are on the disk on return.
+    /// Appends finished runs, each with its index in the plan. They are durable on return.
     ///
     /// # Errors
     ///
-    /// [`FolderError::Io`]; none of them is finished then.
+    /// [`FolderError::Io`]. None of them counts as finished then.
     pub fn append(
         &mut self,
         plan: &Plan,
@@ -254,7 +261,7 @@ impl Folder {
         Ok(())
     }
 
-    /// Makes the tables of what is finished, in the plan's order.
+    /// Writes the tables of the finished runs, in the plan's order.
     ///
     /// # Errors
     ///
@@ -279,11 +286,12 @@ impl Folder {
         Ok(writer.finish()?)
     }
 
-    /// Writes the orders, then the drifts if there are any, as bare little-endian doubles.
+    /// Writes the orders and then the drifts, if the series has drifts, as little-endian doubles
+    /// without a header.
     fn write_series(&self, index: usize, series: &OrderSeries) -> Result<(), FolderError> {
         let numbers = series.orders.iter().chain(&series.drifts);
         let bytes: Vec<u8> = numbers.flat_map(|number| number.to_le_bytes()).collect();
-        write_whole(&series_path(&self.path, index), &bytes)
+        write_atomically(&series_path(&self.path, index), &bytes)
     }
 }
 
@@ -320,7 +328,7 @@ fn read_series(
     })
 }
 
-/// Locks a folder until the file returned is closed.
+/// Locks a folder until the returned file is closed.
 fn lock(folder: &Path) -> Result<File, FolderError> {
     let path = folder.join(LOCK);
     let fail = |source| io_error(&path, source);
@@ -339,7 +347,8 @@ fn lock(folder: &Path) -> Result<File, FolderError> {
     }
 }
 
-/// Makes sure that the folder is that of the plan's file, and says so in a new one.
+/// Checks that the folder belongs to the plan's file. If the folder has no results, writes the
+/// file.
 fn claim(folder: &Path, plan: &Plan) -> Result<(), FolderError> {
     let path = folder.join(EXPERIMENT);
     match fs::read(&path) {
@@ -353,15 +362,16 @@ fn claim(folder: &Path, plan: &Plan) -> Result<(), FolderError> {
                 let folder = folder.to_owned();
                 return Err(FolderError::NoExperiment { folder, file });
             }
-            write_whole(&path, plan.text.as_bytes())?;
+            write_atomically(&path, plan.text.as_bytes())?;
             sync_folder(folder)
         }
         Err(source) => Err(io_error(&path, source)),
     }
 }
 
-/// Reads what is written of finished runs, and how many bytes of it are whole lines.
-fn understand(
+/// Parses the list of runs. Returns the finished runs by name, and the number of bytes in complete
+/// lines.
+fn parse_runs(
     folder: &Path,
     plan: &Plan,
     bytes: &[u8],
@@ -383,7 +393,7 @@ fn understand(
             let header: Header = match serde_json::from_slice(line) {
                 Ok(header) if line.ends_with(b"\n") => header,
                 _ if is_last => break,
-                Ok(_) => unreachable!("a line that is not the last ends"),
+                Ok(_) => unreachable!("only the last line can lack a newline"),
                 Err(error) => return Err(damaged(number, error.to_string())),
             };
             if header.model_version != MODEL_VERSION {
@@ -395,9 +405,9 @@ fn understand(
         } else {
             let record: Record = match serde_json::from_slice(line) {
                 Ok(record) if line.ends_with(b"\n") => record,
-                // Its writer was ended in the midst of it.
+                // The process ended while it wrote the line.
                 _ if is_last => break,
-                Ok(_) => unreachable!("a line that is not the last ends"),
+                Ok(_) => unreachable!("only the last line can lack a newline"),
                 Err(error) => return Err(damaged(number, error.to_string())),
             };
             let seed = record.row.as_ref().map(|row| row.seed);
@@ -425,20 +435,21 @@ fn rows(plan: &Plan, finished: &BTreeMap<String, Record>) -> Vec<Run> {
 }
 
 fn to_line(value: &impl Serialize) -> Vec<u8> {
-    let mut line = serde_json::to_vec(value).expect("names and numbers");
+    let mut line = serde_json::to_vec(value).expect("names and numbers are valid JSON");
     line.push(b'\n');
     line
 }
 
-fn read_if_there(path: &Path) -> Result<Vec<u8>, FolderError> {
+/// Reads a file; empty if it does not exist.
+fn read_or_empty(path: &Path) -> Result<Vec<u8>, FolderError> {
     match fs::read(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
         read => read.map_err(|source| io_error(path, source)),
     }
 }
 
-/// Writes a file that is either whole or not there.
-fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FolderError> {
+/// Writes a file through a temporary one, so that a crash leaves no incomplete file.
+fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), FolderError> {
     let fail = |source| io_error(path, source);
     let draft = path.with_extension("part");
     let mut file = File::create(&draft).map_err(fail)?;
@@ -447,7 +458,7 @@ fn write_whole(path: &Path, bytes: &[u8]) -> Result<(), FolderError> {
     fs::rename(&draft, path).map_err(fail)
 }
 
-/// Has the disk know the names in a folder.
+/// Makes the entries of a folder durable.
 fn sync_folder(path: &Path) -> Result<(), FolderError> {
     let synced = File::open(path).and_then(|folder| folder.sync_all());
     synced.map_err(|source| io_error(path, source))
@@ -462,167 +473,4 @@ fn io_error(path: &Path, source: io::Error) -> FolderError {
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use crate::run::conduct;
-
-    const FILE: &str = "name = \"a\"\nduration = 1\nreplicates = 4\nspec = { n = 3 }\n\
-                        measure = { order_every = 10 }\n";
-
-    struct Fixture {
-        directory: tempfile::TempDir,
-        plan: Plan,
-    }
-
-    impl Fixture {
-        fn new() -> Self {
-            Self {
-                directory: tempfile::tempdir().unwrap(),
-                plan: Plan::parse(FILE).unwrap(),
-            }
-        }
-
-        fn path(&self) -> &Path {
-            self.directory.path()
-        }
-
-        fn open(&self) -> Result<Folder, FolderError> {
-            Folder::open(self.path(), &self.plan)
-        }
-
-        fn append(&self, folder: &mut Folder, index: usize) {
-            let finished = conduct(&self.plan, &self.plan.runs()[index], |_| true).unwrap();
-            folder.append(&self.plan, vec![(index, finished)]).unwrap();
-        }
-
-        fn names(&self, folder: &Folder) -> Vec<String> {
-            let rows = folder.rows(&self.plan).into_iter();
-            rows.map(|row| row.run).collect()
-        }
-
-        /// Changes the list of finished runs.
-        fn edit(&self, change: impl FnOnce(&mut Vec<u8>)) {
-            let path = self.path().join(RUNS);
-            let mut bytes = fs::read(&path).unwrap();
-            change(&mut bytes);
-            fs::write(path, bytes).unwrap();
-        }
-    }
-
-    #[test]
-    fn rows_come_back_in_the_plans_order_and_with_their_series() {
-        let fixture = Fixture::new();
-        let mut folder = fixture.open().unwrap();
-        for index in [2, 0] {
-            fixture.append(&mut folder, index);
-        }
-        assert_eq!(fixture.names(&folder), ["#0", "#2"]);
-        let rows = folder.rows(&fixture.plan);
-        drop(folder);
-        let folder = fixture.open().unwrap();
-        assert_eq!(folder.rows(&fixture.plan), rows);
-        assert_eq!(Folder::read(fixture.path(), &fixture.plan).unwrap(), rows);
-        let finished = fixture
-            .plan
-            .runs()
-            .iter()
-            .map(|run| folder.is_finished(run));
-        assert_eq!(finished.collect::<Vec<_>>(), [true, false, true, false]);
-        folder.write_tables(&fixture.plan).unwrap();
-        assert_eq!(table::read(fixture.path()).unwrap(), rows);
-        let series = table::order::read(&fixture.path().join(ORDER_NAME)).unwrap();
-        let expected = [0, 2].map(|index| {
-            let run = &fixture.plan.runs()[index];
-            conduct(&fixture.plan, run, |_| true)
-                .unwrap()
-                .series
-                .unwrap()
-        });
-        assert_eq!(series, expected);
-    }
-
-    #[test]
-    fn a_line_cut_anywhere_is_no_run_and_those_before_it_are() {
-        let fixture = Fixture::new();
-        let mut folder = fixture.open().unwrap();
-        let header = fs::read(fixture.path().join(RUNS)).unwrap().len();
-        fixture.append(&mut folder, 0);
-        let first = fs::read(fixture.path().join(RUNS)).unwrap().len();
-        fixture.append(&mut folder, 1);
-        drop(folder);
-        let whole = fs::read(fixture.path().join(RUNS)).unwrap();
-        for length in (0..whole.len())
-            .step_by(7)
-            .chain([header, first, whole.len() - 1])
-        {
-            fixture.edit(|bytes| *bytes = whole[..length].to_vec());
-            let folder = fixture.open().unwrap();
-            let expected = usize::from(length >= first);
-            assert_eq!(fixture.names(&folder).len(), expected, "{length}");
-            let left = fs::read(fixture.path().join(RUNS)).unwrap();
-            assert_eq!(left.len(), if expected == 1 { first } else { header });
-        }
-        // What the disk made of a line that it never got is no run either.
-        fixture.edit(|bytes| *bytes = [&whole[..first], b"\0\0\0\0\n"].concat());
-        assert_eq!(fixture.names(&fixture.open().unwrap()), ["#0"]);
-    }
-
-    #[test]
-    fn a_line_damaged_in_the_midst_is_told_and_nothing_is_changed() {
-        let fixture = Fixture::new();
-        let mut folder = fixture.open().unwrap();
-        fixture.append(&mut folder, 0);
-        fixture.append(&mut folder, 1);
-        drop(folder);
-        let whole = fs::read(fixture.path().join(RUNS)).unwrap();
-        let text = String::from_utf8(whole).unwrap();
-        let lines: Vec<&str> = text.split_inclusive('\n').collect();
-        let seed = fixture.plan.runs()[0].seed.to_string();
-        for damaged in [
-            [lines[0], &lines[1][5..], lines[2]].concat(),
-            [lines[0], &lines[1].replace("#0", "#9"), lines[2]].concat(),
-            [lines[0], &lines[1].replace(&seed, "1"), lines[2]].concat(),
-        ] {
-            fixture.edit(|bytes| *bytes = damaged.clone().into_bytes());
-            match fixture.open().unwrap_err() {
-                FolderError::Damaged { line, .. } => assert_eq!(line, 2),
-                other => panic!("{other}"),
-            }
-            assert_eq!(
-                fs::read_to_string(fixture.path().join(RUNS)).unwrap(),
-                damaged
-            );
-        }
-        let old = lines
-            .concat()
-            .replace("\"model_version\":", "\"model_version\":9");
-        fixture.edit(|bytes| *bytes = old.into_bytes());
-        let other = fixture.open().unwrap_err();
-        assert!(matches!(other, FolderError::OtherModel { .. }), "{other}");
-    }
-
-    #[test]
-    fn a_folder_has_one_experiment_and_one_writer() {
-        let fixture = Fixture::new();
-        let folder = fixture.open().unwrap();
-        let twice = fixture.open().unwrap_err();
-        assert!(matches!(twice, FolderError::InUse { .. }), "{twice}");
-        drop(folder);
-        let other = Plan::parse(&format!("{FILE}# another\n")).unwrap();
-        let refused = Folder::open(fixture.path(), &other).unwrap_err();
-        assert!(
-            matches!(refused, FolderError::OtherExperiment { .. }),
-            "{refused}"
-        );
-        fixture.open().unwrap();
-        fs::remove_file(fixture.path().join(EXPERIMENT)).unwrap();
-        let orphan = fixture.open().unwrap_err();
-        assert!(
-            matches!(orphan, FolderError::NoExperiment { file: RUNS, .. }),
-            "{orphan}"
-        );
-        let file = fixture.path().join(RUNS);
-        let nowhere = Folder::open(&file, &fixture.plan).unwrap_err();
-        assert!(matches!(nowhere, FolderError::Io { .. }), "{nowhere}");
-    }
-}
+mod tests;

@@ -1,4 +1,4 @@
-//! What varies: axes with their values, and every choice of one value from each.
+//! Grids of varied values: axes with their values, and the choices of one value from each axis.
 
 use std::ops::Range;
 
@@ -9,7 +9,7 @@ use toml::{Spanned, Value};
 use crate::error::PlanError;
 use crate::file::{Source, Table};
 
-/// What a `[[grid]]` may vary, in the order in which names of runs tell it.
+/// The axes that a `[[grid]]` may vary, in the order in which the names of runs contain them.
 pub const AXES: [&str; 13] = [
     "pi1",
     "pi2",
@@ -32,29 +32,29 @@ pub struct Grid {
     pub axes: Vec<(&'static str, Vec<Spanned<Value>>)>,
     /// Runs at each of its points.
     pub replicates: u64,
-    /// Where it begins in the file.
-    pub place: Range<usize>,
+    /// The span of its first key in the file.
+    pub span: Range<usize>,
 }
 
-/// One value from each axis of a grid, and what they make of `[spec]`.
+/// One value from each axis of a grid, and `[spec]` with these values.
 pub struct Choice {
-    /// The swarm, its seed aside.
+    /// The spec of the swarm, except for its seed.
     pub spec: Spec,
     /// How many individuals are informed.
     pub informed: usize,
     values: Vec<(&'static str, Value)>,
 }
 
-/// Checks `[spec]`: it holds what `create` knows, but for what an experiment sets itself.
+/// Checks `[spec]` and returns its entries. It may contain the fields of `create` except `seed`.
 ///
 /// # Errors
 ///
-/// [`PlanError::Field`].
+/// [`PlanError::Field`] for an unknown field or a value of a wrong kind.
 pub fn common(source: Source<'_>, spec: &Table) -> Result<toml::Table, PlanError> {
     for (key, value) in spec {
         if key.get_ref() == "seed" {
-            let reason = "the seeds of an experiment's runs come from its own seed: move it up";
-            return Err(source.refuse(&key.span(), reason));
+            let reason = "seed is not a field of [spec]: move it to the top of the file";
+            return Err(source.reject(&key.span(), reason));
         }
         check(source, key.get_ref(), value)?;
     }
@@ -64,7 +64,8 @@ pub fn common(source: Source<'_>, spec: &Table) -> Result<toml::Table, PlanError
         .collect())
 }
 
-/// Reads every `[[grid]]`; without one there is a single point.
+/// Reads every `[[grid]]`. A file without a grid has one grid with a single point. `max_replicates`
+/// limits the replicates of a grid.
 ///
 /// # Errors
 ///
@@ -73,16 +74,16 @@ pub fn grids(
     source: Source<'_>,
     tables: &[Table],
     replicates: u64,
-    most: u64,
+    max_replicates: u64,
 ) -> Result<Vec<Grid>, PlanError> {
     if tables.is_empty() {
         return Ok(vec![Grid {
             axes: Vec::new(),
             replicates,
-            place: 0..0,
+            span: 0..0,
         }]);
     }
-    let read = |table| read_grid(source, table, replicates, most);
+    let read = |table| read_grid(source, table, replicates, max_replicates);
     tables.iter().map(read).collect()
 }
 
@@ -90,32 +91,32 @@ fn read_grid(
     source: Source<'_>,
     table: &Table,
     replicates: u64,
-    most: u64,
+    max_replicates: u64,
 ) -> Result<Grid, PlanError> {
-    let places = table.keys().map(Spanned::span);
+    let spans = table.keys().map(Spanned::span);
     let mut grid = Grid {
         axes: Vec::new(),
         replicates,
-        place: places.min_by_key(|place| place.start).unwrap_or(0..0),
+        span: spans.min_by_key(|span| span.start).unwrap_or(0..0),
     };
     for (key, value) in table {
-        let key_place = key.span();
+        let key_span = key.span();
         let key = key.get_ref().as_str();
         if key == "replicates" {
             let number = value.get_ref().as_integer();
             let number = number.and_then(|number| u64::try_from(number).ok());
             let number = Spanned::new(value.span(), number.unwrap_or(0));
-            grid.replicates = source.whole(key, Some(&number), 0, [1, most])?;
+            grid.replicates = source.whole(key, Some(&number), 0, [1, max_replicates])?;
             continue;
         }
         let Some(axis) = AXES.into_iter().find(|axis| *axis == key) else {
             let axes = AXES.join(", ");
-            let reason = format!("{key} is no axis: those are {axes}, and replicates");
-            return Err(source.refuse(&key_place, reason));
+            let reason = format!("unknown axis {key:?}: use one of {axes}, or replicates");
+            return Err(source.reject(&key_span, reason));
         };
         let values = match value.get_ref() {
             Value::Array(values) if values.is_empty() => {
-                return Err(source.refuse(&value.span(), format!("{key} has no value")));
+                return Err(source.reject(&value.span(), format!("{key} has no value")));
             }
             Value::Array(values) => {
                 let values = values.iter().cloned();
@@ -132,22 +133,22 @@ fn read_grid(
         .sort_by_key(|(axis, _)| AXES.iter().position(|it| it == axis));
     let both = ["informed", "informed_fraction"].map(|axis| grid.has(axis));
     if both == [true, true] {
-        let reason = "informed and informed_fraction are one thing: leave out one of them";
-        return Err(source.refuse(&grid.place, reason));
+        let reason = "informed and informed_fraction exclude each other: leave out one of them";
+        return Err(source.reject(&grid.span, reason));
     }
     Ok(grid)
 }
 
-/// Checks one value by itself: whether it is of a kind that the key may have.
+/// Checks one value by itself: its kind, and for the informed individuals its range.
 fn check(source: Source<'_>, key: &str, value: &Spanned<Value>) -> Result<(), PlanError> {
-    let refuse = |reason: String| Err(source.refuse(&value.span(), reason));
+    let reject = |reason: String| Err(source.reject(&value.span(), reason));
     match (key, value.get_ref()) {
         ("informed", Value::Integer(count)) if *count >= 0 => return Ok(()),
-        ("informed", _) => return refuse("informed is a number of individuals".to_owned()),
+        ("informed", _) => return reject("informed must be a whole number, 0 or more".to_owned()),
         ("informed_fraction", it) => {
             return match number(it) {
                 Some(fraction) if (0.0..=1.0).contains(&fraction) => Ok(()),
-                _ => refuse("informed_fraction is a share of n, within [0, 1]".to_owned()),
+                _ => reject("informed_fraction must be a number within [0, 1]".to_owned()),
             };
         }
         _ => {}
@@ -157,7 +158,7 @@ fn check(source: Source<'_>, key: &str, value: &Spanned<Value>) -> Result<(), Pl
     table.insert(key.to_owned(), value.get_ref().clone());
     match table.try_into::<Spec>() {
         Ok(_) => Ok(()),
-        Err(error) => refuse(format!("{key}: {}", error.message())),
+        Err(error) => reject(format!("{key}: {}", error.message())),
     }
 }
 
@@ -170,22 +171,22 @@ fn number(value: &Value) -> Option<f64> {
 }
 
 impl Grid {
-    /// Whether it varies or sets `axis`.
+    /// Returns whether the grid has values for `axis`.
     pub fn has(&self, axis: &str) -> bool {
         self.axes.iter().any(|(it, _)| *it == axis)
     }
 
-    /// How many points it has; none if they cannot be counted.
+    /// Returns the number of points; none if it exceeds a `u64`.
     pub fn size(&self) -> Option<u64> {
         let mut lengths = self.axes.iter().map(|(_, values)| values.len() as u64);
         lengths.try_fold(1u64, u64::checked_mul)
     }
 
-    /// Its choice number `index`, the last axis varying fastest.
+    /// Returns the choice with number `index`; the last axis varies fastest.
     ///
     /// # Errors
     ///
-    /// [`PlanError::Field`] when the values do not go together.
+    /// [`PlanError::Field`] if the values are invalid together.
     pub fn choice(
         &self,
         source: Source<'_>,
@@ -198,24 +199,24 @@ impl Grid {
             index /= listed.len();
         }
         values.reverse();
-        let (mut table, mut told) = (common.clone(), None);
+        let (mut table, mut given) = (common.clone(), None);
         for (axis, value) in &values {
             if axis.starts_with("informed") {
-                told = Some((*axis, value));
+                given = Some((*axis, value));
             } else {
                 table.insert((*axis).to_owned(), value.get_ref().clone());
             }
         }
         if !table.contains_key("n") {
             let reason = "n is given neither by [spec] nor by this grid";
-            return Err(source.refuse(&self.place, reason));
+            return Err(source.reject(&self.span, reason));
         }
         let spec: Spec = table.try_into().map_err(|error: toml::de::Error| {
-            source.refuse(&self.place, error.message().to_owned())
+            source.reject(&self.span, error.message().to_owned())
         })?;
-        let informed = match told {
-            Some((axis, told)) => count_informed(&spec, axis, told.get_ref())
-                .map_err(|reason| source.refuse(&told.span(), reason))?,
+        let informed = match given {
+            Some((axis, value)) => count_informed(&spec, axis, value.get_ref())
+                .map_err(|reason| source.reject(&value.span(), reason))?,
             None => 0,
         };
         let values = values.into_iter();
@@ -229,48 +230,50 @@ impl Grid {
     }
 }
 
-/// How many are informed, told as a count or a share.
+/// Returns the number of informed individuals; `axis` says whether `value` is a count or a
+/// fraction.
 ///
-/// A share that rounds to nobody is refused: whoever asks for a tenth of three and gets none
-/// would compare runs with leaders to runs without.
-fn count_informed(spec: &Spec, axis: &str, told: &Value) -> Result<usize, String> {
-    let told = number(told).unwrap_or_default();
-    if axis == "informed" && told > spec.n as f64 {
-        return Err(format!("informed = {told} is more than n = {}", spec.n));
+/// A fraction above 0 that rounds to no individual is rejected: otherwise a grid would compare runs
+/// with informed individuals with runs without.
+fn count_informed(spec: &Spec, axis: &str, value: &Value) -> Result<usize, String> {
+    let given = number(value).unwrap_or_default();
+    if axis == "informed" && given > spec.n as f64 {
+        return Err(format!("informed = {given} is more than n = {}", spec.n));
     }
     let fraction = match axis {
-        "informed" => told / spec.n as f64,
-        _ => told,
+        "informed" => given / spec.n as f64,
+        _ => given,
     };
     let n = usize::try_from(spec.n).unwrap_or(usize::MAX);
     let count = share(n, fraction).map_err(|error| error.to_string())?;
-    if count == 0 && told > 0.0 {
+    if count == 0 && given > 0.0 {
         return Err(format!(
-            "{axis} = {told} of n = {n} is nobody: leave out this n, or give it a [[grid]] of its \
-             own"
+            "{axis} = {given} of n = {n} selects no individual: leave out this n, or give it a \
+             [[grid]] of its own"
         ));
     }
     if count > 0 && spec.pi2 == 0.0 {
-        return Err("nobody is informed by a weight of 0: set pi2 above 0".to_owned());
+        return Err("a weight of 0 informs no individual: set pi2 above 0".to_owned());
     }
     Ok(count)
 }
 
 impl Choice {
-    /// Names it by what `varied` lists: `pi1=4 n=50`, and the same however 4 was written.
+    /// Returns its name, which lists the values of the axes in `varied`: `pi1=4 n=50`. The name
+    /// does not depend on the notation of a number, such as 4 or 4.0.
     pub fn name(&self, varied: &[&'static str]) -> String {
         let spec = toml::Table::try_from(&self.spec).unwrap_or_default();
         let own = |axis| self.values.iter().find(|(it, _)| *it == axis);
-        let tell = |axis: &&'static str| {
+        let entry = |axis: &&'static str| {
             let value = match *axis {
-                // Who does not say it one way may have said it the other.
+                // A choice can lack one of the two, or both.
                 "informed" | "informed_fraction" => &own(*axis)?.1,
                 _ => spec.get(*axis)?,
             };
             Some(format!("{axis}={}", show(value)))
         };
-        let told: Vec<String> = varied.iter().filter_map(tell).collect();
-        told.join(" ")
+        let entries: Vec<String> = varied.iter().filter_map(entry).collect();
+        entries.join(" ")
     }
 }
 
@@ -281,7 +284,7 @@ fn show(value: &Value) -> String {
         Value::Table(table) => {
             let kind = table.get("kind").map(show).unwrap_or_default();
             let others = table.iter().filter(|(key, _)| *key != "kind");
-            others.fold(kind, |told, (_, value)| format!("{told}:{}", show(value)))
+            others.fold(kind, |text, (_, value)| format!("{text}:{}", show(value)))
         }
         other => other.to_string(),
     }

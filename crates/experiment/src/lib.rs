@@ -1,8 +1,8 @@
-//! Experiments: grids of runs, each from its start to a row of a table.
+//! Experiments: grids of runs, each of which gives a row of a table.
 //!
-//! [`Plan::parse`] reads an experiment's file and checks it; a [`Folder`] holds the results; [`execute`]
-//! steps the runs that are not finished, while other threads read its progress and stop it through a
-//! [`Control`]. It needs no daemon.
+//! [`Plan::parse`] parses and checks an experiment's file. A [`Folder`] contains the results.
+//! [`execute`] executes the unfinished runs, while other threads read its progress and pause or
+//! cancel it through a [`Control`]. No daemon is needed.
 
 mod contact_events;
 mod control;

@@ -1,13 +1,14 @@
 //! The limits of an experiment.
 
-/// The most runs of one experiment: a list of them is still readable.
+/// Maximum number of runs of an experiment: a list of them is still readable.
 pub const MAX_RUNS: u64 = 100_000;
 
-/// The most individuals of a run: beyond, a single step takes a good part of a second.
+/// Maximum number of individuals of a run: with more, a single step takes a good part of a second.
 pub const MAX_INDIVIDUALS: u64 = 100_000;
 
-/// The most steps of a run: up to here `duration / dt` gives their number without doubt.
+/// Maximum number of steps of a run: up to it `duration / dt` determines the number of steps in
+/// spite of rounding.
 pub const MAX_STEPS: u64 = 1_000_000_000;
 
-/// The most entries of the time series of all runs together: 8 GB.
+/// Maximum number of entries of all time series of an experiment: 8 GB.
 pub const MAX_ENTRIES: u64 = 1_000_000_000;

@@ -1,4 +1,4 @@
-//! What an experiment's file asks for: every run there is to be, checked before one begins.
+//! The plan of an experiment: all its runs, checked before the first one starts.
 
 use std::collections::BTreeSet;
 
@@ -12,63 +12,64 @@ use crate::limits::{MAX_ENTRIES, MAX_INDIVIDUALS, MAX_RUNS, MAX_STEPS};
 use jostle_convert::spec;
 use jostle_convert::value::count;
 
-/// An experiment: what its runs have in common, and each of them.
+/// An experiment: common settings and the list of runs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Plan {
-    /// Its name.
+    /// The name of the experiment.
     pub name: String,
-    /// What every run's seed is derived from.
+    /// The seed from which the seeds of all runs are derived.
     pub seed: u64,
-    /// How long each run is.
+    /// The duration of each run, in time units.
     pub duration: f64,
-    /// Steps between two entries of the order's time series, if it is asked for.
+    /// Steps between two entries of the order's time series; none if no series is recorded.
     pub order_every: Option<u64>,
-    /// Whether what contacts do to bodies is measured.
+    /// Whether contacts and their effect on bodies are measured.
     pub touch: bool,
-    /// The file it was read from, to the byte.
+    /// The text of the experiment's file, unchanged.
     pub text: String,
     points: Vec<Point>,
     runs: Vec<PlannedRun>,
 }
 
-/// What the replicates of a run have in common.
+/// The settings that the replicates of a run share.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Point {
-    /// The swarm, its seed aside.
+    /// The spec of the swarm, except for its seed.
     pub spec: Spec,
-    /// How many individuals are informed from the start.
+    /// Number of individuals that are informed from the start.
     pub informed: usize,
-    /// How many steps a run has.
+    /// Number of steps of a run.
     pub steps: u64,
 }
 
 /// One run of an experiment.
 #[derive(Clone, Debug, PartialEq)]
 pub struct PlannedRun {
-    /// What varies, then the replicate.
+    /// The values that vary and the replicate: `pi1=4 n=50 #0`.
     pub name: String,
-    /// The seed of every draw, derived from the name.
+    /// The seed of the run, derived from the experiment's seed and the name.
     pub seed: u64,
     point: usize,
 }
 
 impl Plan {
-    /// Reads an experiment's file.
+    /// Parses and checks an experiment's file.
     ///
-    /// Runs come grid by grid; within a grid the axes vary in the order of [`AXES`], the last
-    /// one fastest, each through its values as they are listed; replicates vary faster still. A
-    /// run's name tells every axis that any grid has, so more values change no name, nor a seed.
+    /// Runs are ordered by grid. Within a grid the axes vary in the order of [`AXES`], the last one
+    /// fastest, each in the order of its listed values; replicates vary fastest of all. The name of
+    /// a run contains every axis of any grid. Adding values to an axis therefore changes no name
+    /// and no seed.
     ///
     /// # Errors
     ///
-    /// [`PlanError`] names the line or the run.
+    /// [`PlanError`], with the line or the run.
     pub fn parse(text: &str) -> Result<Self, PlanError> {
         let source = Source(text);
         let file = source.read()?;
         let name = file.name.get_ref();
         if !keys::is_name(name) {
             let reason = format!("name = {name:?} does not fit {}", keys::NAME_RULE);
-            return Err(source.refuse(&file.name.span(), reason));
+            return Err(source.reject(&file.name.span(), reason));
         }
         let seed = source.whole("seed", file.seed.as_ref(), 0, [0, LARGEST_WHOLE])?;
         let limits = [1, MAX_RUNS];
@@ -77,8 +78,8 @@ impl Plan {
         let every = source.whole("order_every", every, 0, [1, MAX_STEPS])?;
         let duration = *file.duration.get_ref();
         if !(duration.is_finite() && duration > 0.0) {
-            let reason = format!("duration = {duration} is outside the numbers above 0");
-            return Err(source.refuse(&file.duration.span(), reason));
+            let reason = format!("duration = {duration} is not a finite number above 0");
+            return Err(source.reject(&file.duration.span(), reason));
         }
         let common = grid::common(source, &file.spec)?;
         let grids = grid::grids(source, &file.grid, replicates, MAX_RUNS)?;
@@ -106,7 +107,7 @@ impl Plan {
                 let new = plan.runs.iter().rev();
                 for run in new.take(count(grid.replicates)) {
                     if !names.insert(run.name.clone()) {
-                        let (line, run) = (source.line(&grid.place), run.name.clone());
+                        let (line, run) = (source.line(&grid.span), run.name.clone());
                         return Err(PlanError::Repeated { line, run });
                     }
                 }
@@ -119,19 +120,19 @@ impl Plan {
         }
     }
 
-    /// Every run, in the order in which tables list them.
+    /// Returns all runs, in the order of the tables.
     #[must_use]
     pub fn runs(&self) -> &[PlannedRun] {
         &self.runs
     }
 
-    /// What a run has in common with its replicates.
+    /// Returns the settings that `run` shares with its replicates.
     #[must_use]
     pub fn point(&self, run: &PlannedRun) -> &Point {
         &self.points[run.point]
     }
 
-    /// The swarm that a run begins with.
+    /// Returns the spec of the swarm of `run`, with its seed.
     #[must_use]
     pub fn spec(&self, run: &PlannedRun) -> Spec {
         Spec {
@@ -140,13 +141,13 @@ impl Plan {
         }
     }
 
-    /// How many entries a run's time series has.
+    /// Returns the number of entries in a run's time series.
     fn entries(&self, run: &PlannedRun) -> u64 {
         let every = self.order_every;
         every.map_or(0, |every| self.point(run).steps / every + 1)
     }
 
-    /// Adds all replicates of a choice.
+    /// Checks a choice and adds all its replicates.
     fn add_point(
         &mut self,
         source: Source<'_>,
@@ -154,30 +155,30 @@ impl Plan {
         choice: &Choice,
         name: &str,
     ) -> Result<(), PlanError> {
-        let refuse = |reason: String| source.refuse(&grid.place, reason);
+        let reject = |reason: String| source.reject(&grid.span, reason);
         let Choice { spec, informed, .. } = choice;
         if !(1..=MAX_INDIVIDUALS).contains(&spec.n) {
             let reason = format!("n = {} is outside [1, {MAX_INDIVIDUALS}]", spec.n);
-            return Err(refuse(reason));
+            return Err(reject(reason));
         }
         let start =
-            spec::from_proto(spec, count(spec.n)).map_err(|error| refuse(error.to_string()))?;
-        let refuse_run = |error| {
+            spec::from_proto(spec, count(spec.n)).map_err(|error| reject(error.to_string()))?;
+        let reject_run = |error| {
             let run = numbered(name, 0);
             PlanError::Run { run, error }
         };
         let parameters = &start.parameters;
         let weight = if *informed > 0 { parameters.pi2 } else { 0.0 };
         let checked = parameters.check(weight);
-        checked.map_err(|error| refuse_run(error.into()))?;
-        // In the usual disc there is always room.
+        checked.map_err(|error| reject_run(error.into()))?;
+        // A start in the default disc is not checked: it has room.
         if start.start != Start::Disc(None) {
-            begin(&start).map_err(refuse_run)?;
+            begin(&start).map_err(reject_run)?;
         }
         let steps = steps_in(self.duration, parameters.dt);
         if steps > MAX_STEPS {
-            let reason = format!("a run has {steps} steps, at most {MAX_STEPS} are taken");
-            return Err(refuse(reason));
+            let reason = format!("a run has {steps} steps, the limit is {MAX_STEPS}");
+            return Err(reject(reason));
         }
         for replicate in 0..grid.replicates {
             let name = numbered(name, replicate);
@@ -196,7 +197,7 @@ impl Plan {
     }
 }
 
-/// How many runs the grids have together, or as many as can be counted.
+/// Returns the number of runs of all grids; saturates at `u64::MAX`.
 fn count_runs(grids: &[Grid]) -> u64 {
     let runs = grids.iter().map(|grid| {
         let points = grid.size().unwrap_or(u64::MAX);
@@ -210,8 +211,8 @@ fn numbered(name: &str, replicate: u64) -> String {
     format!("{name}{space}#{replicate}")
 }
 
-/// A run's seed: the first 53 bits of BLAKE3 over the experiment's seed, as 64 bits with the
-/// lowest byte first, and the run's name.
+/// Returns the seed of a run: the first 53 bits of BLAKE3 over the experiment's seed, as 8
+/// little-endian bytes, and the run's name.
 fn derive_seed(seed: u64, name: &str) -> u64 {
     let mut hasher = blake3::Hasher::new();
     hasher.update(&seed.to_le_bytes());
@@ -234,13 +235,13 @@ mod tests {
         Plan::parse(&format!("{HEAD}{rest}")).unwrap()
     }
 
-    fn refusal(rest: &str) -> PlanError {
+    fn error(rest: &str) -> PlanError {
         Plan::parse(&format!("{HEAD}{rest}")).unwrap_err()
     }
 
-    /// The line and the reason of what is refused.
-    fn refused(rest: &str) -> (usize, String) {
-        match refusal(rest) {
+    /// Returns the line and the reason of a [`PlanError::Field`].
+    fn field_error(rest: &str) -> (usize, String) {
+        match error(rest) {
             PlanError::Field { line, reason } => (line, reason),
             other => panic!("{other}"),
         }
@@ -297,7 +298,7 @@ mod tests {
             "pi1=4 pi3=0.5 n=4 #0",
         ];
         assert_eq!(names(&both), expected);
-        // What does not vary is taken from [spec], or has its default.
+        // A value that does not vary is that of [spec], or the default.
         assert_eq!(both.spec(&both.runs()[8]).parameters.pi3, 0.5);
         let laws = plan(
             "spec = { n = 9 }\ngrid = [{ attraction = [{ kind = \"all\" }, { kind = \
@@ -317,7 +318,7 @@ mod tests {
             runs.map(|run| (run.name.clone(), run.seed)).collect()
         };
         let few = seeds(&plan("seed = 7\n[[grid]]\nn = [3]\npi1 = [4]"));
-        // Changing this value changes every result there is.
+        // If the derivation of seeds changes, the results of all experiments change.
         assert_eq!(
             few,
             [("pi1=4 n=3 #0".to_owned(), derive_seed(7, "pi1=4 n=3 #0"))]
@@ -334,7 +335,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_is_refused_by_its_line() {
+    fn invalid_fields_and_values_are_rejected_with_their_line() {
         for (rest, line, part) in [
             ("colour = 1\n", 3, "colour"),
             ("[spec]\nn = 3\npi5 = 2\n", 5, "pi5"),
@@ -362,7 +363,11 @@ mod tests {
             ("[[grid]]\npi1 = 3\n", 4, "n is given neither"),
             ("[[grid]]\nn = 3\ninformed = 4\n", 5, "more than n = 3"),
             ("[[grid]]\nn = 3\ninformed = -1\n", 5, "informed"),
-            ("[[grid]]\nn = 3\ninformed_fraction = 0.1\n", 5, "nobody"),
+            (
+                "[[grid]]\nn = 3\ninformed_fraction = 0.1\n",
+                5,
+                "selects no individual",
+            ),
             (
                 "[[grid]]\nn = 3\ninformed_fraction = 1.1\n",
                 5,
@@ -372,11 +377,11 @@ mod tests {
             (
                 "[[grid]]\ninformed = 1\nn = 3\ninformed_fraction = 0.5\n",
                 4,
-                "one thing",
+                "exclude each other",
             ),
             ("[spec]\nn = 3\nrelinearise = 2\n", 1, "relinearise"),
         ] {
-            let (at, reason) = refused(rest);
+            let (at, reason) = field_error(rest);
             assert!(reason.contains(part), "{rest}: {reason}");
             assert_eq!(at, line, "{rest}: {reason}");
         }
@@ -396,37 +401,38 @@ mod tests {
     }
 
     #[test]
-    fn sizes_beyond_reason_are_refused_at_once() {
+    fn excessive_sizes_are_rejected() {
         let list = (1..=1000)
             .map(|k| k.to_string())
             .collect::<Vec<_>>()
             .join(", ");
         let text = format!("[[grid]]\nn = [{list}]\npi3 = [{list}]\npi4 = [{list}]");
-        match refusal(&text) {
+        match error(&text) {
             PlanError::TooManyRuns { runs } => assert_eq!(runs, 1_000_000_000),
             other => panic!("{other}"),
         }
         assert!(
-            refused("spec = { n = 1000000000 }")
+            field_error("spec = { n = 1000000000 }")
                 .1
                 .contains("n = 1000000000")
         );
-        assert!(refused("replicates = 1000000000").1.contains("replicates"));
-        let (_, reason) = refused("spec = { n = 2, dt = 1e-12 }");
+        let (_, reason) = field_error("replicates = 1000000000");
+        assert!(reason.contains("replicates"), "{reason}");
+        let (_, reason) = field_error("spec = { n = 2, dt = 1e-12 }");
         assert!(reason.contains("steps"), "{reason}");
         let text = "spec = { n = 2, dt = 1e-7 }\nreplicates = 20\nmeasure = { order_every = 1 }";
-        match refusal(text) {
+        match error(text) {
             PlanError::TooManyEntries { entries } => assert_eq!(entries, 2_000_000_020),
             other => panic!("{other}"),
         }
     }
 
     #[test]
-    fn a_runs_parameters_are_checked_with_the_weights_it_will_have() {
-        // dt (1 + h ω) <= 2 r: 0.16 is short enough for the uninformed alone.
+    fn the_parameters_of_a_run_are_checked_with_its_weights() {
+        // dt (1 + h ω) <= 2 r: 0.12 is short enough only without informed individuals.
         let text = "[spec]\npi1 = 8\n[[grid]]\nn = 10\ndt = 0.12\ninformed = ";
         plan(&format!("{text}0"));
-        match refusal(&format!("{text}[0, 1]")) {
+        match error(&format!("{text}[0, 1]")) {
             PlanError::Run {
                 run,
                 error: ChangeError::Parameters(ParametersError::StepTooLong { .. }),
@@ -437,22 +443,22 @@ mod tests {
                      [0, 0] }\n";
         plan(start);
         assert!(
-            refused(&start.replace("n = 2", "n = 3"))
+            field_error(&start.replace("n = 2", "n = 3"))
                 .1
                 .contains("n is 3")
         );
         let crossed = start.replace("[0, 9]", "[0, 0]");
-        assert!(matches!(refusal(&crossed), PlanError::Run { .. }));
+        assert!(matches!(error(&crossed), PlanError::Run { .. }));
     }
 
     #[test]
-    fn a_repeated_run_is_refused() {
+    fn a_repeated_run_is_rejected() {
         for text in [
             "[[grid]]\nn = [3, 3.0]",
             "[[grid]]\nn = [3, 4]\n[[grid]]\nn = 4",
             "[[grid]]\nn = 4\ninformed = 0\n[[grid]]\nn = [4, 3]\ninformed = [1, 0]",
         ] {
-            match refusal(text) {
+            match error(text) {
                 PlanError::Repeated { .. } => {}
                 PlanError::Field { reason, .. } => assert!(reason.contains("3.0"), "{reason}"),
                 other => panic!("{other}"),
@@ -461,7 +467,7 @@ mod tests {
     }
 
     #[test]
-    fn shares_round_half_away_from_nobody() {
+    fn informed_fractions_round_half_up() {
         let plan = plan("[[grid]]\nn = [10, 5]\ninformed_fraction = [0, 0.1, 0.25, 0.5, 1]");
         let counts: Vec<usize> = plan
             .runs()

@@ -1,4 +1,4 @@
-//! One run: from its start to its row in the table.
+//! One run, from its start to its row in the table of results.
 
 use jostle_physics::model::selection::{Candidates, Selection, select};
 use jostle_physics::model::{ContactRule, State, body};
@@ -15,30 +15,31 @@ use jostle_convert::hexadecimal;
 use jostle_physics::simulation;
 use jostle_physics::simulation::ChangeError;
 
-/// The number of the first command after `create`, which keys whom it draws: so a swarm created
-/// with a run's seed and then told `inform` by count has the run's future.
+/// The number of the first command after `create`, which is part of the key of a selection's draw.
+/// A swarm that is created with the seed of a run and whose first command is `inform` with the same
+/// count therefore has the same future as the run.
 const INFORMED_BY: u64 = 1;
 
-/// Where the informed want to go: along +x.
+/// The direction of the informed individuals, in radians: +x.
 const DIRECTION: f64 = 0.0;
 
-/// What came of a run.
+/// The result of a run.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Finished {
-    /// Its row; none if it ended before its first step.
+    /// The row of the run; none if it ended before its first step.
     pub row: Option<Run>,
-    /// Why it ended early, if it did.
+    /// Why the run ended early, if it did.
     pub fault: Option<String>,
-    /// The order over time, if the plan asks for it.
+    /// The order over time, if the plan has `order_every`.
     pub series: Option<OrderSeries>,
-    /// What contacts did to bodies, if the plan asks for it.
+    /// The measurements of contacts, if the plan has `touch`.
     pub touch: Option<Touch>,
 }
 
-/// Carries out one run: a function of the plan's entry alone.
+/// Executes one run. The result depends only on the plan and the run.
 ///
-/// `go_on` hears after every step how many there were, and ends the run by saying no; what there
-/// was of it is then nothing.
+/// After every step `go_on` is called with the number of steps taken. If it returns false, the run
+/// stops and the result is none.
 pub fn conduct(
     plan: &Plan,
     run: &PlannedRun,
@@ -86,14 +87,14 @@ pub fn conduct(
     })
 }
 
-/// The state that a run begins with, its informed individuals informed.
+/// Returns the initial state of a run, with its informed individuals.
 ///
-/// Who is informed is drawn from the run's seed, not by id: those placed first have more room
-/// about them.
+/// These are drawn with the run's seed and not chosen by id: individuals that are placed first have
+/// more room around them.
 ///
 /// # Errors
 ///
-/// [`ChangeError::Start`] when there is no room.
+/// [`ChangeError::Start`] if the individuals do not fit in the disc.
 pub fn start(plan: &Plan, run: &PlannedRun) -> Result<State, ChangeError> {
     let mut state = simulation::begin(&plan.spec(run))?;
     let informed = Selection::Count(plan.point(run).informed);
@@ -111,13 +112,15 @@ pub fn start(plan: &Plan, run: &PlannedRun) -> Result<State, ChangeError> {
     Ok(state)
 }
 
-/// What is measured while a run goes on, always of states as a step begins.
+/// Measurements of a run, of the state before each step.
 struct Measures {
-    wish: Option<CommonDirection>,
+    /// The common direction of the informed individuals.
+    common_direction: Option<CommonDirection>,
     means: RunningMeans,
     intervals: Intervals,
-    /// The least gap at which two bodies were seen, at most 0.
+    /// The least gap of two bodies, at most 0.
     least_gap: f64,
+    /// Steps that started with crossed axes.
     crossed: u64,
     worst_residual: f64,
     degraded: u64,
@@ -129,8 +132,8 @@ struct Measures {
 impl Measures {
     fn new(plan: &Plan, state: &State) -> Self {
         Self {
-            // Nobody is informed later, nor forgets it.
-            wish: observables::wish(&state.configuration),
+            // The set of informed individuals does not change during a run.
+            common_direction: observables::wish(&state.configuration),
             means: RunningMeans::default(),
             intervals: Intervals::default(),
             least_gap: 0.0,
@@ -143,14 +146,14 @@ impl Measures {
         }
     }
 
-    /// Counts a step, its headings being those at its beginning.
+    /// Adds a step; `headings` are the n unit vectors before it.
     fn add(&mut self, headings: &[[f64; 2]], report: &StepReport) {
-        let order = observables::order_of(headings.iter().copied(), self.wish);
+        let order = observables::order_of(headings.iter().copied(), self.common_direction);
         if self
             .order_every
             .is_some_and(|every| self.means.count.is_multiple_of(every))
         {
-            self.note(&order);
+            self.record(&order);
         }
         self.means.add(&order);
         self.intervals.add(order.order);
@@ -164,13 +167,13 @@ impl Measures {
     }
 
     /// Adds an entry to the time series.
-    fn note(&mut self, order: &Order) {
+    fn record(&mut self, order: &Order) {
         self.series.steps.push(self.means.count);
         self.series.orders.push(order.order);
         self.series.drifts.extend(order.drift);
     }
 
-    /// What it all came to, at the last state.
+    /// Returns the row and the time series; `state` is the last state.
     fn conclude(
         mut self,
         plan: &Plan,
@@ -185,7 +188,7 @@ impl Measures {
         } = state;
         let series = self.order_every.map(|every| {
             if step.is_multiple_of(every) {
-                self.note(&observables::order(configuration));
+                self.record(&observables::order(configuration));
             }
             let steps = self.series.steps.iter();
             self.series.times = steps.map(|&step| step as f64 * parameters.dt).collect();
@@ -195,7 +198,7 @@ impl Measures {
         let last = body::gaps(parameters, configuration);
         let mut least_gap = self.least_gap.min(last.worst_gap.unwrap_or(0.0));
         if self.crossed > 0 {
-            // Whose axes cross overlap by a width, whatever the contacts say.
+            // Bodies with crossed axes overlap by a width, whatever the gaps of their contacts are.
             least_gap = least_gap.min(-2.0 * parameters.radius());
         }
         let taken = *step as f64;
@@ -250,7 +253,7 @@ mod tests {
     }
 
     #[test]
-    fn one_alone_walks_straight_and_turns_as_it_should() {
+    fn a_single_uninformed_individual_has_order_1_and_no_overlap() {
         let plan =
             plan("duration = 20\nspec = { n = 1, dt = 0.01 }\nmeasure = { order_every = 500 }");
         let Finished {
@@ -279,9 +282,9 @@ mod tests {
     }
 
     #[test]
-    fn a_single_leader_drifts_by_the_closed_form() {
-        // tan(a/2) decays as exp(-c t) with c = π2 π3, a the angle off the wish: the mean of
-        // cos a over [0, T] is ln((q + exp(2 c T)) / (q + 1)) / (c T) - 1, q = tan²(a₀/2).
+    fn a_single_informed_individual_drifts_by_the_closed_form() {
+        // a is the angle from the direction. tan(a/2) decays as exp(-c t) with c = π2 π3, so the
+        // mean of cos a over [0, T] is ln((q + exp(2 c T)) / (q + 1)) / (c T) - 1, q = tan²(a₀/2).
         let start = "start = { kind = \"given\", x = [0], y = [0], alpha = [2] }";
         let text =
             format!("duration = 10\n[spec]\nn = 1\ndt = 0.0005\n{start}\n[[grid]]\ninformed = 1");
@@ -297,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_is_the_swarm_of_its_seed_told_the_same() {
+    fn a_run_equals_a_simulation_with_its_seed_and_the_same_change() {
         for settings in [
             "relinearise = 1",
             "contacts = \"closest\"\ndt = 0.1",
@@ -329,25 +332,25 @@ mod tests {
             );
             assert_eq!(Some(row.v), swarm.means.mean_order());
             assert_eq!(row.v_pd, swarm.means.mean_drift());
-            assert!(row.worst_overlap > 0.0, "{settings}: nobody touched");
+            assert!(row.worst_overlap > 0.0, "{settings}: no overlap");
             assert!((row.worst_overlap + least_gap).abs() < 1e-9, "{settings}");
         }
     }
 
     #[test]
-    fn a_run_that_is_stopped_is_nothing() {
+    fn a_stopped_run_has_no_result() {
         let plan = plan("duration = 8\nspec = { n = 3 }");
-        let mut heard = Vec::new();
+        let mut calls = Vec::new();
         let stopped = conduct(&plan, &plan.runs()[0], |steps| {
-            heard.push(steps);
+            calls.push(steps);
             steps < 3
         });
-        assert_eq!((stopped, heard), (None, vec![1, 2, 3]));
+        assert_eq!((stopped, calls), (None, vec![1, 2, 3]));
     }
 
     #[test]
-    fn a_run_without_room_has_no_row_but_a_reason() {
-        // Discs in a disc that is nearly too small: one of many seeds has no room.
+    fn a_run_without_room_has_a_fault_and_no_row() {
+        // The disc is nearly too small: with some of the seeds the individuals do not fit.
         let crowded = (0..100).find_map(|k| {
             let radius = 2.2 - 0.01 * f64::from(k);
             let text = format!(

@@ -1,6 +1,6 @@
 //! Counts in messages: `1 swarm`, `2 swarms`.
 
-/// A count with its noun; `one` is the singular, to which an `s` is added for all counts but one.
+/// Formats a count with its noun; `one` is the singular, and every count but 1 adds an `s`.
 pub fn counted(count: usize, one: &str) -> String {
     let plural = if count == 1 { "" } else { "s" };
     format!("{count} {one}{plural}")

@@ -1,9 +1,9 @@
-//! What disorder alone would give: the mean length of a sum of random unit vectors.
+//! The order of disordered groups: the mean length of a sum of random unit vectors.
 
 use std::f64::consts::PI;
 use std::sync::LazyLock;
 
-/// Nodes and weights of Gauss and Legendre's rule of 12 points, those above 0.
+/// The positive nodes of the 12-point Gauss-Legendre rule, and their weights.
 const NODES: [(f64, f64); 6] = [
     (0.981_560_634_246_719_2, 0.047_175_336_386_511_83),
     (0.904_117_256_370_474_8, 0.106_939_325_995_318_31),
@@ -16,37 +16,39 @@ const NODES: [(f64, f64); 6] = [
 /// `A(3) = (3 ∛2 Γ(1/3)⁶ / 16 + 27 ∛4 Γ(2/3)⁶ / 4) / π⁴`, after Borwein and Straub.
 const MEAN_LENGTH_OF_3: f64 = 1.574_597_237_551_893_7;
 
-/// What the cut tail of the integral may hold: far below the nine digits that anyone compares.
+/// Bound on the truncated tail of the integral, far below the nine digits that are compared.
 const TAIL: f64 = 1e-11;
 
-/// `v_ind(n)` of the groups that experiments are made of, n = 0 (not a number) included.
+/// `v_ind(n)` for n from 0 (not a number) to 100, the usual sizes of groups in experiments.
 static SMALL: LazyLock<Vec<f64>> = LazyLock::new(|| (0..=100).map(integrate).collect());
 
 /// Computes the mean order of `n` individuals of independent headings.
 ///
 /// - Accuracy: better than 1e-10.
-/// - Source: paper, eq. (9), with `A(n)` by Kluyver's closed form.
+/// - Source: paper, eq. (9), with `A(n)` by Kluyver's integral.
 ///
 /// # Panics
 ///
 /// If `n` is 0.
 pub fn v_ind(n: u64) -> f64 {
-    assert!(n > 0, "nobody has no order");
+    assert!(n > 0, "v_ind is defined for n of at least 1");
     let small = usize::try_from(n).ok().and_then(|n| SMALL.get(n));
     small.copied().unwrap_or_else(|| integrate(n))
 }
 
-/// Estimates how many individuals of `n` move as one, if clusters of that size are independent:
-/// it solves `v_ind(n / n_eff) = v`, with `v_ind` interpolated between whole numbers.
+/// Computes the effective cluster size, `n_eff`: the size of the independent clusters into which
+/// `n` individuals of mean order `v` are divided. Solves `v_ind(n / n_eff) = v`, with `v_ind`
+/// interpolated between whole numbers.
 ///
-/// None if `v` is below `v_ind(n)` (or not a number): less order than chance gives.
+/// Returns `None` if `n` is 0, if `v` is below `v_ind(n)`, the order of independent headings, or if
+/// `v` is not a number.
 ///
 /// - Source: paper, 3.1 and Figure 5.
 pub fn n_eff(n: u64, v: f64) -> Option<f64> {
     if n == 0 || v.is_nan() || v < v_ind(n) {
         return None;
     }
-    // `v_ind` falls with every n: the whole numbers of clusters around the solution.
+    // `v_ind` decreases with n: bisect for the whole numbers of clusters around the solution.
     let (mut fewer, mut more) = (1, n);
     while more - fewer > 1 {
         let middle = fewer + (more - fewer) / 2;
@@ -69,7 +71,7 @@ fn integrate(n: u64) -> f64 {
     let count = n as f64;
     match n {
         0 => f64::NAN,
-        // Known in closed form, and the ones whose tails are long.
+        // These have closed forms, and their integrals have long tails.
         1 => 1.0,
         2 => 2.0 / PI,
         3 => MEAN_LENGTH_OF_3 / 3.0,
@@ -79,10 +81,11 @@ fn integrate(n: u64) -> f64 {
 
 /// `A(n) = ∫ (1 - J₀(t)ⁿ) / t² dt` over t > 0.
 fn mean_length(n: f64) -> f64 {
-    // |J₀(t)| < √(2/πt), so the powers beyond `end` hold less than TAIL; their ones are 1/end.
+    // |J₀(t)| < √(2/πt), so the terms J₀(t)ⁿ/t² beyond `end` contribute less than TAIL, and the
+    // terms 1/t² contribute 1/end.
     let order = 1.0 + n / 2.0;
     let end = libm::pow(2.0 / PI, n / (n + 2.0)) * libm::pow(order * TAIL, -1.0 / order);
-    // Panels resolve the peak of width 2/√n at 0 and the waves of length π.
+    // The panels resolve the peak of width 2/√n at 0 and the oscillations of length π.
     let panels = (end / (2.0 / n.sqrt()).min(1.0)).ceil();
     let half = end / panels / 2.0;
     let mut sum = 0.0;
@@ -102,7 +105,7 @@ fn integrand(n: f64, t: f64) -> f64 {
     if t > 1.0 {
         return (1.0 - libm::pow(libm::j0(t), n)) / square;
     }
-    // 1 - J₀(t) by its series, where subtracting would leave no digits.
+    // 1 - J₀(t) by its power series, since the subtraction would cancel all digits near 0.
     let quarter = square / 4.0;
     let (mut term, mut fallen) = (1.0, 0.0);
     for k in 1..12 {
@@ -119,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn disorder_gives_what_the_closed_form_says() {
+    fn v_ind_matches_reference_values() {
         let digits = [
             (1, 1.0),
             (2, 2.0 / PI),
@@ -135,12 +138,12 @@ mod tests {
             let found = v_ind(n);
             assert!((found - expected).abs() < 6e-6, "v_ind({n}) = {found}");
         }
-        // The integral, cut as for any n, finds what is known without it.
+        // The truncated integral agrees with the closed form.
         assert!((mean_length(3.0) - MEAN_LENGTH_OF_3).abs() < 1e-10);
     }
 
     #[test]
-    fn many_individuals_approach_a_random_walk() {
+    fn large_groups_approach_a_random_walk() {
         // A(n) = √(πn)/2 · (1 + 1/16n + O(n⁻²)), here to 1e-9.
         for n in [10_000_u32, 1_000_000] {
             let count = f64::from(n);
@@ -151,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn clusters_are_counted_between_chance_and_full_order() {
+    fn n_eff_is_defined_between_chance_and_full_order() {
         for n in [1, 2, 3, 10, 50, 74] {
             assert_eq!(n_eff(n, 1.0), Some(n as f64));
             assert_eq!(n_eff(n, 1.000_001), Some(n as f64));

@@ -1,7 +1,8 @@
-//! What is read off runs once they are over: tidy tables, the paper's statistics, its figures; and
-//! recordings of swarms as they go.
+//! Results of runs: tidy tables, the paper's statistics and its figures; and recordings of running
+//! swarms.
 //!
-//! It knows neither the daemon nor the wire: rows in, files and pictures out.
+//! This crate depends on neither the daemon nor the wire: its input are rows and frames, its output
+//! files and pictures.
 
 pub mod claims;
 pub mod disorder;
@@ -11,7 +12,5 @@ pub mod run;
 pub mod statistics;
 pub mod table;
 pub mod touch;
-
-mod atomic_file;
 
 pub use run::Run;

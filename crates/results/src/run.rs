@@ -2,18 +2,18 @@
 
 use serde::{Deserialize, Serialize};
 
-/// What one run of an experiment came to: a row of `results.parquet` and `results.csv`, its
-/// fields the columns, in this order.
+/// The result of one run of an experiment: a row of `results.parquet` and `results.csv`. The fields
+/// are the columns, in this order.
 ///
-/// Lengths are in body sizes, speeds in free speeds, times in their quotient.
+/// Lengths are in body sizes `s`, speeds in free speeds `v0`, times in `s/v0`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Run {
-    /// The run's name within its experiment: what varies, then the replicate. Its seed is
-    /// derived from it.
+    /// The run's name within its experiment: the varied parameters, then the replicate. The seed is
+    /// derived from the name.
     pub run: String,
-    /// The seed of every draw.
+    /// The seed of all random draws.
     pub seed: u64,
-    /// Individuals.
+    /// Number of individuals.
     pub n: u64,
     /// Length over width of a body.
     pub pi1: f64,
@@ -23,43 +23,43 @@ pub struct Run {
     pub pi3: f64,
     /// Translational over rotational drag.
     pub pi4: f64,
-    /// How many individuals were informed.
+    /// Number of informed individuals.
     pub informed: u64,
-    /// The contact rule: `endpoints` or `closest`.
+    /// The contact rule: `endpoints`, `closest` or `clamped`.
     pub contacts: String,
     /// The time step.
     pub dt: f64,
-    /// How long the run was; less than the experiment's duration if it faulted.
+    /// Duration of the run; less than that of the experiment if the run faulted.
     pub time: f64,
     /// Time mean of the centroid's speed, eq. (8).
     pub v: f64,
-    /// Mean drift along the informed individuals' direction; none if nobody was informed.
+    /// Mean drift along the informed individuals' direction; none without informed individuals.
     pub v_pd: Option<f64>,
-    /// Intervals spent continuously with an order of at least 2/3, cut ones included.
+    /// Number of intervals with an order of at least 2/3, including those that the run's ends cut.
     pub ordered_intervals: u64,
-    /// The time they took together.
+    /// Total time of the ordered intervals.
     pub ordered_time: f64,
-    /// Intervals spent continuously below.
+    /// Number of intervals with an order below 2/3, including those that the run's ends cut.
     pub unordered_intervals: u64,
-    /// The time they took together.
+    /// Total time of the unordered intervals.
     pub unordered_time: f64,
     /// The deepest overlap of any two bodies, 0 or more.
     pub worst_overlap: f64,
-    /// The share of time in which some two axes crossed.
+    /// The share of time in which any two axes crossed.
     pub crossed_share: f64,
-    /// The worst residual of any step.
+    /// The largest residual of any step.
     pub worst_residual: f64,
-    /// How many steps missed the accuracy aimed at, yet were good enough.
+    /// Number of degraded steps: less accurate than the target, but acceptable.
     pub degraded: u64,
-    /// How many steps the exact solver left to the referee.
+    /// Number of steps that the fallback solved because the exact solver missed its target.
     pub fallbacks: u64,
-    /// How many steps were taken.
+    /// Number of steps.
     pub steps: u64,
     /// The hash of the last state, in hexadecimal.
     pub state_hash: String,
 }
 
-/// A row like those of an experiment.
+/// A row as an experiment could produce it.
 #[cfg(test)]
 pub(crate) fn sample() -> Run {
     Run {
@@ -90,7 +90,7 @@ pub(crate) fn sample() -> Run {
     }
 }
 
-/// Rows that a careless table would change.
+/// Rows whose values are hard to store exactly.
 #[cfg(test)]
 pub(crate) fn samples() -> Vec<Run> {
     let awkward = [

@@ -1,11 +1,11 @@
-//! What the runs of one condition come to together, as the paper's figures show it.
+//! Statistics over the runs of one condition, as in the paper's figures.
 
 use std::cmp::Ordering;
 
 use crate::Run;
 use crate::disorder::n_eff;
 
-/// What runs share that differ in their seed alone.
+/// The parameters that the replicates of a run share; replicates differ only in their seed.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Condition {
     /// The contact rule.
@@ -18,11 +18,11 @@ pub struct Condition {
     pub pi4: f64,
     /// Length over width of a body.
     pub pi1: f64,
-    /// Individuals.
+    /// Number of individuals.
     pub n: u64,
-    /// How many were informed.
+    /// Number of informed individuals.
     pub informed: u64,
-    /// The weight of their preference, 0 if there are none.
+    /// The weight of the informed individuals' preference; 0 without informed individuals.
     pub pi2: f64,
 }
 
@@ -31,7 +31,7 @@ pub struct Condition {
 pub struct Spread {
     /// The mean.
     pub mean: f64,
-    /// The standard deviation of single runs, normalised by their number minus 1; none for one.
+    /// The standard deviation of single runs, normalised by their number minus 1; none for one run.
     pub deviation: Option<f64>,
     /// The standard error of the mean; none for one run.
     pub error: Option<f64>,
@@ -40,7 +40,7 @@ pub struct Spread {
 /// A mean length of intervals.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Interval {
-    /// All the time over all the intervals, of all runs together.
+    /// The total time over the number of intervals, of all runs together.
     pub mean: f64,
     /// Its standard error over the runs, by the delta method for a ratio; none for one run.
     pub error: Option<f64>,
@@ -49,28 +49,28 @@ pub struct Interval {
 /// The runs of one condition.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
-    /// What they share.
+    /// The parameters that they share.
     pub condition: Condition,
-    /// How many there are.
+    /// Number of runs.
     pub runs: usize,
     /// The mean speed of the centroid, over the free speed.
     pub v: Spread,
-    /// The mean drift along the informed individuals' direction; none if nobody was informed.
+    /// The mean drift along the informed individuals' direction; none unless every run has one.
     pub v_pd: Option<Spread>,
-    /// The mean time without order; none unless every run reached order.
+    /// The mean length of an interval without order; none unless every run reached order.
     pub build_up: Option<Interval>,
-    /// The mean time with order; none unless every run reached order.
+    /// The mean length of an interval with order; none unless every run reached order.
     pub breakdown: Option<Interval>,
-    /// How many individuals move as one, from the mean `v`; none below what chance gives.
+    /// The effective cluster size from the mean `v`; none if that is below `v_ind(n)`.
     pub n_eff: Option<f64>,
     /// The share of all time that was ordered.
     pub ordered_share: f64,
-    /// The mean share of time in which some two axes crossed.
+    /// The mean share of time in which any two axes crossed.
     pub crossed_share: f64,
 }
 
 impl Condition {
-    /// Reads what `run` shares with others.
+    /// Returns the condition of `run`.
     pub fn of(run: &Run) -> Self {
         Self {
             contacts: run.contacts.clone(),
@@ -91,7 +91,7 @@ impl Condition {
             } = *condition;
             [dt, pi3, pi4, pi2, condition.pi1]
         };
-        // `endpoints`, the exact rule, goes first; it is also the later word.
+        // Descending by name, so that `endpoints`, the exact rule, precedes `closest`.
         let by_number = numbers(self)
             .into_iter()
             .zip(numbers(other))
@@ -149,7 +149,7 @@ fn summarise_condition(condition: Condition, runs: &[&Run]) -> Summary {
     }
 }
 
-/// Averages `values`, of which there is at least one.
+/// Averages `values`, at least one.
 fn spread(values: &[f64]) -> Spread {
     let count = values.len() as f64;
     let mean = values.iter().sum::<f64>() / count;
@@ -165,10 +165,10 @@ fn spread(values: &[f64]) -> Spread {
     }
 }
 
-/// Divides all the time by all the intervals. None if there are no intervals.
+/// Divides the total time by the number of intervals. Returns `None` if there are no intervals.
 ///
-/// Runs with few long intervals weigh less than in a mean of per-run means; the error is that of
-/// a ratio of sums, `√(Σ (time - mean · intervals)² / (N (N - 1))) / mean intervals`.
+/// Runs with few long intervals weigh less than in a mean of per-run means. The error is that of a
+/// ratio of sums, `√(Σ (time - mean · intervals)² / (N (N - 1))) / mean intervals`.
 fn mean_interval(runs: &[(f64, u64)]) -> Option<Interval> {
     let count = runs.len() as f64;
     let time: f64 = runs.iter().map(|(time, _)| time).sum();
@@ -232,7 +232,7 @@ mod tests {
             with(|run| run.contacts = "closest".to_owned()),
             with(|run| run.n = 20),
             with(|run| run.seed = 7),
-            // The weight of nobody's preference is no difference.
+            // Without informed individuals their weight makes no difference.
             with(|run| run.pi2 = 0.5),
             with(|run| run.dt = 0.01),
         ];

@@ -1,22 +1,23 @@
-//! What contacts do to bodies, one row a run, as CSV.
+//! Measurements of contacts, one row a run, as CSV.
 
 use std::io::Write;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::atomic_file;
 use crate::table::TableError;
 
 /// The name of the table within its directory.
 pub const TOUCH_NAME: &str = "touch.csv";
 
-/// How much bodies touch in a run, and what comes of it.
+/// How much bodies touch in a run, and how contacts turn and displace them.
+///
+/// Lengths are in body sizes `s`, times in `s/v0`, angles in radians.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Touch {
     /// The run's name.
     pub run: String,
-    /// Individuals.
+    /// Number of individuals.
     pub n: u64,
     /// Length over width of a body.
     pub pi1: f64,
@@ -32,13 +33,14 @@ pub struct Touch {
     pub listed: f64,
     /// The mean number of contacts that push, over the number of individuals.
     pub pushing: f64,
-    /// How fast contacts turn an individual that is pushed, on the mean: angle over time.
+    /// The mean rate at which contacts turn a pushed individual: angle over time.
     pub turned: f64,
-    /// How fast contacts displace an individual that is pushed, on the mean: length over time.
+    /// The mean rate at which contacts displace a pushed individual: length over time.
     pub shifted: f64,
-    /// The mean share of individuals that have another at their side, heading the same way.
+    /// The mean share of individuals with another one at their side that heads the same way.
     pub beside: f64,
-    /// The way of the centroid from the start to the end, over that of one free individual.
+    /// The distance of the centroid's last position from its first, over the path of a free
+    /// individual.
     pub way: f64,
 }
 
@@ -46,13 +48,13 @@ pub struct Touch {
 ///
 /// # Errors
 ///
-/// [`TableError::Io`].
+/// [`TableError::Io`], or [`TableError::Malformed`] if a row cannot be encoded.
 pub fn write(path: &Path, rows: &[Touch]) -> Result<(), TableError> {
     let io = |source| TableError::Io {
         path: path.to_owned(),
         source,
     };
-    let mut file = atomic_file::begin(path).map_err(io)?;
+    let mut file = jostle_atomic_file::begin(path).map_err(io)?;
     let mut writer = csv::Writer::from_writer(Vec::new());
     let written = rows.iter().try_for_each(|row| writer.serialize(row));
     let bytes = written
@@ -60,14 +62,14 @@ pub fn write(path: &Path, rows: &[Touch]) -> Result<(), TableError> {
         .and_then(|()| writer.into_inner().map_err(|error| error.to_string()))
         .map_err(|reason| malformed(path, reason))?;
     file.write_all(&bytes).map_err(io)?;
-    atomic_file::publish(file, path).map_err(io)
+    jostle_atomic_file::publish(file, path).map_err(io)
 }
 
-/// Reads the table of `directory`; without one there are no rows.
+/// Reads the table of `directory`. If the directory has none, the result is empty.
 ///
 /// # Errors
 ///
-/// [`TableError`].
+/// [`TableError::Malformed`] if the file cannot be read.
 pub fn read(directory: &Path) -> Result<Vec<Touch>, TableError> {
     let path = directory.join(TOUCH_NAME);
     if !path.exists() {
@@ -94,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rows_survive_to_the_bit() {
+    fn rows_round_trip_exactly() {
         let folder = tempfile::tempdir().unwrap();
         assert_eq!(read(folder.path()).unwrap(), []);
         let row = Touch {

@@ -17,10 +17,7 @@ pub fn hold(data: &[u8]) {
             assert_eq!(names.len(), plan.runs().len());
             for run in plan.runs() {
                 let point = plan.point(run);
-                assert!(
-                    point.informed <= point.spec.n && point.steps > 0,
-                    "{run:?}"
-                );
+                assert!(point.informed <= point.spec.n && point.steps > 0, "{run:?}");
                 assert_eq!(plan.spec(run).seed, run.seed);
             }
         }

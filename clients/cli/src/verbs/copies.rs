@@ -7,9 +7,9 @@ use std::path::Path;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use ciborium::Value;
+use jostle_atomic_file as atomic_file;
 use jostle_proto::verbs::{CreateResult, ForkArgs, RestoreArgs};
 use jostle_proto::{Reply, Snapshot, to_cbor};
-use jostle_atomic_file as atomic_file;
 use serde_json::json;
 
 use crate::arguments::{ForkArguments, RestoreArguments, SendingArguments, SnapshotArguments};

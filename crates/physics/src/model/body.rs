@@ -1,7 +1,7 @@
-//! The shape of a body, and gaps between bodies measured apart from the stepper's contacts.
+//! The shape of a body, and gaps between bodies measured independently of the stepper's contacts.
 //!
-//! A certificate computed from the list of contacts could not see a contact missing from it.
-//! So parry measures here, and nothing of the stepper is used.
+//! A check computed from the stepper's list of contacts could not detect a contact that is
+//! missing from it. So this module measures with parry and uses no code of the stepper.
 
 use parry2d_f64::math::Vector;
 use parry2d_f64::query::PointQuery;
@@ -12,7 +12,7 @@ use super::heading::unit_vector;
 use super::pairs::pairs_within;
 use super::{Configuration, Parameters};
 
-/// A place and a heading.
+/// A position and a heading.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pose {
     /// Centre.
@@ -32,40 +32,41 @@ pub struct Body {
     pub radius: f64,
 }
 
-/// How near two bodies are.
+/// The gap between two bodies, and whether their axes cross.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Nearness {
-    /// Signed distance of the surfaces; with crossed axes, minus a width.
+    /// Signed distance of the surfaces, in body sizes; if the axes cross, minus the width.
     pub gap: f64,
     /// Whether the axes cross.
     pub crossed: bool,
 }
 
-/// What a configuration's gaps look like, measured independently of any stepper.
+/// The smallest gap and the crossed pairs of a configuration, measured independently of the
+/// stepper.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Gaps {
-    /// The smallest gap of any pair near enough to touch; none if all are apart by more than
-    /// [`HORIZON`].
+    /// The smallest gap of all pairs, in body sizes; none if no gap is below [`HORIZON`].
     pub worst_gap: Option<f64>,
-    /// How many pairs have crossed axes.
+    /// Number of pairs with crossed axes.
     pub crossed: usize,
 }
 
-/// Gaps beyond a body size need no measuring: no rule depends on them.
+/// Larger gaps, in body sizes, are not measured: no rule depends on them.
 pub const HORIZON: f64 = 1.0;
 
-/// Axes whose centres are apart by two half-lengths do not cross: the square of that, and a little
-/// for rounding.
+/// Axes cross only if their centres are within two half-lengths: the square of that factor, with
+/// a margin for rounding.
 const CROSSING: f64 = 4.0 * (1.0 + 1e-9);
 
-/// Where any gap is smaller than this, as in every group, the smallest is among those.
+/// [`gaps`] first measures the pairs with a gap below this, in body sizes. In a group such pairs
+/// exist, and the smallest gap is among them.
 const CLOSE: f64 = 0.01;
 
-/// More than rounding moves a distance of bodies that are near each other, in their lengths.
+/// A bound of the rounding error of a distance between neighbouring bodies, relative to their size.
 const ROUNDING: f64 = 1e-9;
 
 impl Body {
-    /// The body that `parameters` give every individual.
+    /// Returns the body that every individual has under `parameters`.
     #[must_use]
     pub fn new(parameters: &Parameters) -> Self {
         Self {
@@ -74,25 +75,27 @@ impl Body {
         }
     }
 
-    /// The distance of centres beyond which the gap exceeds `gap` whatever the headings.
+    /// Returns the distance of centres beyond which the gap exceeds `gap` for all headings.
     #[must_use]
     pub fn centre_distance(&self, gap: f64) -> f64 {
         2.0 * (self.half_length + self.radius) + gap
     }
 
-    /// Measures how near the bodies at two poses are.
+    /// Measures the gap between the bodies at two poses, in body sizes.
     ///
-    /// Two segments that do not cross are nearest at an end of one of them, so parry is asked
-    /// for the crossing and for the four distances of an end to a segment. Lengths are in
-    /// half-lengths meanwhile, so that parry's tolerances are relative.
+    /// Two segments that do not cross are nearest at an end of one of them, so parry computes
+    /// the intersection and the four distances of an end from the other segment. Its input is
+    /// scaled to half-lengths, so that its tolerances are relative.
     #[must_use]
     pub fn nearness(&self, first: Pose, second: Pose) -> Nearness {
         let apart = [second.x - first.x, second.y - first.y];
         self.nearness_of(apart, [first.alpha, second.alpha].map(unit_vector))
     }
 
-    /// Whether a line along one of two bodies leaves more than `gap` between them, as it does
-    /// between most that are near and not in touch. That is told sooner than their gap is measured.
+    /// Returns whether a strip along one of two bodies separates them by more than `gap`.
+    ///
+    /// That is so for most neighbours that do not touch, and the check costs less than a
+    /// measurement of the gap.
     fn are_separated_by(&self, gap: f64, [dx, dy]: [f64; 2], units: [[f64; 2]; 2]) -> bool {
         let [one, two] = units;
         let across = (one[0] * two[1] - one[1] * two[0]).abs() * self.half_length;
@@ -101,7 +104,8 @@ impl Body {
         between - 2.0 * self.radius > gap + ROUNDING * (self.half_length + self.radius)
     }
 
-    /// The same of two bodies that are so far apart, with these unit vectors.
+    /// Measures the gap between two bodies with the unit vectors `units`, the second of which is
+    /// displaced from the first by `(dx, dy)`.
     fn nearness_of(&self, [dx, dy]: [f64; 2], units: [[f64; 2]; 2]) -> Nearness {
         let apart = |distance: f64| distance - 2.0 * self.radius;
         if self.half_length == 0.0 {
@@ -147,7 +151,7 @@ pub fn pose(configuration: &Configuration, index: usize) -> Pose {
     }
 }
 
-/// Measures the gaps of all pairs nearer than `gap`, ordered by (i, j).
+/// Measures all pairs with a gap below `gap`, in body sizes; returns them ordered by (i, j).
 #[must_use]
 pub fn near_pairs(
     body: Body,
@@ -191,7 +195,7 @@ pub fn gaps(parameters: &Parameters, configuration: &Configuration) -> Gaps {
     }
 }
 
-/// Measures the smallest gap; none if no pair is within [`HORIZON`].
+/// Measures the smallest gap, in body sizes; none if no gap is below [`HORIZON`].
 #[must_use]
 pub fn worst_gap(parameters: &Parameters, configuration: &Configuration) -> Option<f64> {
     gaps(parameters, configuration).worst_gap
@@ -240,13 +244,13 @@ mod tests {
     }
 
     #[test]
-    fn an_end_over_a_side_is_measured_straight_down() {
+    fn an_end_above_a_side_is_measured_perpendicularly() {
         let nearness = between(0.2, 1.3, FRAC_PI_2);
         assert!((nearness.gap - (1.3 - 0.6 - 0.4)).abs() < 1e-15 && !nearness.crossed);
     }
 
     #[test]
-    fn crossing_is_seen_at_any_angle_and_never_between_parallels() {
+    fn crossing_is_detected_at_any_angle_but_not_between_parallels() {
         assert_eq!(
             between(0.0, 0.0, FRAC_PI_2),
             Nearness {
@@ -264,13 +268,13 @@ mod tests {
         let touching = between(0.0, 0.6, FRAC_PI_2);
         assert!(
             (touching.gap + 0.4).abs() < 1e-15,
-            "an end on the other axis leaves no distance"
+            "an end on the other axis has distance 0"
         );
     }
 
     #[test]
     fn nearly_parallel_bodies_are_measured_at_the_nearer_end() {
-        // parry's own pair query takes these for parallel and measures the wrong end.
+        // The pair query of parry treats these as parallel and measures the wrong end.
         let alpha = -1.4e-8;
         assert!((between(0.0, 0.5, alpha).gap - (0.5 - 0.6 * 1.4e-8 - 0.4)).abs() < 1e-15);
     }
@@ -304,9 +308,9 @@ mod tests {
     }
 
     #[test]
-    fn who_is_separated_is_further_apart_and_few_others_are() {
+    fn separated_bodies_exceed_the_gap_and_most_distant_bodies_are_separated() {
         let mut stream = Stream::new(1, 0, 0, Purpose::Start);
-        let (mut apart, mut told) = (0, 0);
+        let (mut apart, mut separated) = (0, 0);
         for _ in 0..100_000 {
             let mut draw = |size: f64| size * (2.0 * stream.uniform() - 1.0);
             let (dx, dy, gap) = (draw(1.6), draw(1.6), draw(0.1));
@@ -323,14 +327,14 @@ mod tests {
             };
             let is_apart = BODY.nearness(first, second).gap > gap;
             let units = [one, two].map(unit_vector);
-            let is_told = BODY.are_separated_by(gap, [dx, dy], units);
-            assert!(is_apart || !is_told, "{first:?} {second:?} {gap}");
+            let is_separated = BODY.are_separated_by(gap, [dx, dy], units);
+            assert!(is_apart || !is_separated, "{first:?} {second:?} {gap}");
             apart += u32::from(is_apart);
-            told += u32::from(is_told);
+            separated += u32::from(is_separated);
         }
         assert!(
-            f64::from(told) > 0.5 * f64::from(apart),
-            "{told} of {apart}"
+            f64::from(separated) > 0.5 * f64::from(apart),
+            "{separated} of {apart}"
         );
     }
 

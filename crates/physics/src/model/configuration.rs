@@ -2,31 +2,32 @@
 
 use std::collections::BTreeMap;
 
-/// The spacing of the origins that positions are kept relative to.
+/// The spacing of origins, in body sizes. Positions are stored relative to an origin.
 pub const CELL: f64 = 1024.0;
 
-/// How somebody is driven directly. Beyond the paper: what is given takes the place of what the
-/// individual would do by itself, and the others push it as ever.
+/// Direct control of one individual, beyond the paper. Each field that is set replaces that part
+/// of the free motion; contacts act on the individual as on any other.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Drive {
-    /// Turning rate, angle over time; cut at the fastest free one.
+    /// Turning rate, angle over time; limited to ±ω, the
+    /// [`turning_rate_scale`](super::Parameters::turning_rate_scale).
     pub turn: Option<f64>,
     /// Factor of the free speed, from 0 to 1.
     pub speed: Option<f64>,
 }
 
-/// All positions and angles at one step, and who is informed.
+/// All positions, angles and preferences at one step.
 ///
 /// Every column has one entry per individual; ids strictly increase. An individual's absolute
-/// position is `CELL * origin + (x, y)`. Angles are never wrapped. The uninformed have weight
-/// and direction 0.
+/// position is `CELL * origin + (x, y)`, in body sizes. Angles are in radians and are never
+/// wrapped. Uninformed individuals have weight and direction 0.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Configuration {
-    /// Which cell positions are relative to.
+    /// The cell to whose origin positions are relative.
     pub origin: [i64; 2],
-    /// The id the next new individual gets; ids are never used twice.
+    /// The id of the next new individual; ids are not reused.
     pub next_id: u32,
-    /// Stable names of the individuals.
+    /// Stable ids of the individuals.
     pub id: Vec<u32>,
     /// Centres, relative to the origin.
     pub x: Vec<f64>,
@@ -34,24 +35,24 @@ pub struct Configuration {
     pub y: Vec<f64>,
     /// Headings, counter-clockwise from +x.
     pub alpha: Vec<f64>,
-    /// Weight of the own preference; 0 is uninformed.
+    /// Weight of the individual's preference; 0 if it is uninformed.
     pub weight: Vec<f64>,
-    /// The preferred direction of the informed.
+    /// Preferred direction of an informed individual, counter-clockwise from +x.
     pub direction: Vec<f64>,
     /// The step at whose end the individual becomes uninformed.
     pub lapses_at: Vec<Option<u64>>,
-    /// Those who are driven directly, by id.
+    /// Drives of the individuals that are driven directly, by id.
     pub drives: BTreeMap<u32, Drive>,
 }
 
 impl Configuration {
-    /// The number of individuals.
+    /// Returns the number of individuals.
     #[must_use]
     pub fn n(&self) -> usize {
         self.id.len()
     }
 
-    /// The largest weight present, 0 if nobody is informed.
+    /// Returns the largest weight present, 0 if no individual is informed.
     #[must_use]
     pub fn largest_weight(&self) -> f64 {
         self.weight
@@ -59,7 +60,7 @@ impl Configuration {
             .fold(0.0, |largest, &weight| f64::max(largest, weight))
     }
 
-    /// The mean position, relative to the origin.
+    /// Returns the mean position, relative to the origin.
     #[must_use]
     pub fn centroid(&self) -> [f64; 2] {
         let count = self.n().max(1) as f64;
@@ -69,7 +70,7 @@ impl Configuration {
         ]
     }
 
-    /// Where an absolute position is relative to the origin.
+    /// Converts an absolute position to one relative to the origin.
     #[must_use]
     pub fn relative(&self, absolute: [f64; 2]) -> [f64; 2] {
         [
@@ -78,8 +79,8 @@ impl Configuration {
         ]
     }
 
-    /// Shifts positions by whole cells once the centroid is further than half a cell from the
-    /// origin, so that doubles resolve a step however far the group has travelled.
+    /// Shifts positions by whole cells on each axis on which the centroid is further than half a
+    /// cell from the origin, so that doubles resolve a step wherever the group is.
     pub fn re_centre(&mut self) {
         let centroid = self.centroid();
         for (axis, column) in [&mut self.x, &mut self.y].into_iter().enumerate() {
@@ -98,9 +99,13 @@ impl Configuration {
     }
 
     /// Appends an uninformed individual and returns its id.
+    ///
+    /// # Panics
+    ///
+    /// When no id is left; callers check that before.
     pub fn push(&mut self, x: f64, y: f64, alpha: f64) -> u32 {
         let id = self.next_id;
-        self.next_id = id.checked_add(1).expect("the doors check that ids suffice");
+        self.next_id = id.checked_add(1).expect("callers check that ids suffice");
         self.id.push(id);
         self.x.push(x);
         self.y.push(y);
@@ -119,7 +124,7 @@ impl Configuration {
         self.lapses_at[index] = if informed { lapses_at } else { None };
     }
 
-    /// Takes away individual `index`'s preferred direction.
+    /// Removes the preferred direction of individual `index`.
     pub fn uninform(&mut self, index: usize) {
         self.inform(index, 0.0, 0.0, None);
     }
@@ -135,8 +140,8 @@ impl Configuration {
         retain(&mut self.weight, &kept);
         retain(&mut self.direction, &kept);
         retain(&mut self.lapses_at, &kept);
-        let there = &self.id;
-        self.drives.retain(|id, _| there.binary_search(id).is_ok());
+        let ids = &self.id;
+        self.drives.retain(|id, _| ids.binary_search(id).is_ok());
     }
 }
 
@@ -158,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn removal_keeps_order_and_never_frees_an_id() {
+    fn removal_keeps_order_and_ids_are_not_reused() {
         let mut configuration = three();
         configuration.inform(2, 0.5, 1.0, Some(9));
         configuration.remove(&[1, 0]);
@@ -173,7 +178,7 @@ mod tests {
     }
 
     #[test]
-    fn a_weight_of_zero_is_uninformed_whatever_the_direction() {
+    fn a_weight_of_zero_is_uninformed_for_any_direction() {
         let mut configuration = three();
         configuration.inform(1, 0.5, 1.0, Some(9));
         configuration.inform(1, 0.0, 2.0, Some(9));

@@ -1,30 +1,31 @@
-//! Unit vectors of many angles at once, to the bit those of `libm::sincos`.
+//! Unit vectors of many angles at once, bit for bit those of `libm::sincos`.
 //!
 //! The formulas and constants are those of FreeBSD's `s_sin.c`, `k_sin.c`, `k_cos.c` and
-//! `e_rem_pio2.c`, which `libm` carries over as well:
+//! `e_rem_pio2.c`, which `libm` uses as well:
 //!
 //! Copyright (C) 1993 by Sun Microsystems, Inc. All rights reserved.
 //! Developed at SunPro, a Sun Microsystems, Inc. business.
 //! Permission to use, copy, modify, and distribute this software is freely granted, provided
 //! that this notice is preserved.
 //!
-//! There every angle takes the branch of its range. Here all take the same one, so that the
-//! compiler may use vector registers, and the few for which that would be another result are
-//! handed to `libm` itself.
+//! Those sources choose a branch by the range of the angle. Here all angles take the same branch,
+//! so that the compiler can use vector registers. The few angles for which this branch could give
+//! another result are computed by `libm` itself.
 
 use std::f64::consts::FRAC_PI_4;
 
 use crate::model::simd::{Level, multiversion};
 
-/// Angles between two looks for any left to `libm`: few enough to be in the cache still.
+/// Angles per block. The angles that are left to `libm` are computed after each block, while the
+/// block is still in the cache.
 const BLOCK: usize = 64;
 
 const INVERSE_PIO2: f64 = f64::from_bits(0x3FE4_5F30_6DC9_C883);
-/// The first 33 bits of π/2, so that a multiple of it is exact, and the rest.
+/// The first 33 bits of π/2, so that its multiples are exact. [`PIO2_LOW`] is the rest.
 const PIO2_HIGH: f64 = f64::from_bits(0x3FF9_21FB_5440_0000);
 const PIO2_LOW: f64 = f64::from_bits(0x3DD0_B461_1A62_6331);
 
-/// Added to a number, leaves its nearest integer in the last bits.
+/// Added to a number, it leaves the nearest integer in the last bits of the sum.
 const TO_INTEGER: f64 = 6_755_399_441_055_744.0;
 
 const SINE: [f64; 6] = [
@@ -45,22 +46,27 @@ const COSINE: [f64; 6] = [
     f64::from_bits(0xBDA8_FAE9_BE88_38D4),
 ];
 
-/// Where `libm` reads the quadrant off the upper half of an angle's bits it may take the other
-/// neighbour, this near the border between two: four times what that half resolves at 2π.
+/// Angles nearer than this to the border between two quadrants are left to `libm`. Where `libm`
+/// reads the quadrant from the upper half of an angle's bits, it may choose the other quadrant.
+/// The value is four times the resolution of that half at 2π.
 const BORDER: f64 = 1.6e-5;
 
-/// Below this share of the angle its remainder needs more of π: `libm` says 2⁻¹⁶, by exponents.
+/// If the remainder is at most this share of the angle, the reduction needs more digits of π.
+/// `libm` draws the limit at 2⁻¹⁶, by the exponents; this is twice that.
 const CANCELLATION: f64 = 1.0 / 32_768.0;
 
-/// Up to here `libm` reduces in doubles: 2²⁰ π/2, a little less.
+/// Angles of this size or more are left to `libm`, which reduces in doubles up to 2²⁰ π/2, a
+/// little more.
 const LARGEST: f64 = 1.6e6;
 
-/// Zero keeps its sign in `libm`; far above it the formulas give the same without asking.
+/// Angles of at most this size are left to `libm`, where zero keeps its sign. Above it the
+/// formulas give the results of `libm` without its branch for small angles.
 const SMALLEST: f64 = 1e-9;
 
 /// Computes `(cos, sin)` of every angle into `units`.
 ///
-/// - Shapes: n angles in, n unit vectors out. What is not finite gives what is not a number.
+/// - Shapes: n angles in, n unit vectors out.
+/// - Units: radians in. An angle that is not finite gives NaN for both components.
 pub fn unit_vectors(level: Level, angles: &[f64], units: &mut Vec<[f64; 2]>) {
     units.resize(angles.len(), [0.0; 2]);
     for (angles, units) in angles.chunks(BLOCK).zip(units.chunks_mut(BLOCK)) {
@@ -82,8 +88,8 @@ pub fn unit_vector(angle: f64) -> [f64; 2] {
 }
 
 multiversion! {
-    /// Computes the unit vectors of the ordinary; those of others get a cosine that is not a
-    /// number. Returns whether there are any.
+    /// Computes the unit vectors of the ordinary angles. Every other angle gets NaN as its
+    /// cosine. Returns whether any angle is not ordinary.
     fn ordinary_unit_vectors(level, angles: &[f64], units: &mut [[f64; 2]]) -> bool {
         let mut left = false;
         for (&angle, unit) in angles.iter().zip(units) {
@@ -95,10 +101,11 @@ multiversion! {
     }
 }
 
-/// Whether the angle is one of those for which this is `libm`'s result; cosine and sine.
+/// Returns whether the angle is ordinary, that is, whether this is the result of `libm`; and the
+/// cosine and sine.
 #[inline(always)]
 fn ordinary_unit_vector(angle: f64) -> (bool, f64, f64) {
-    // The nearest multiple of π/2, and what is left of the angle as a sum of two doubles.
+    // The nearest multiple of π/2, and the remainder of the angle as a sum of two doubles.
     let shifted = angle * INVERSE_PIO2 + TO_INTEGER;
     let (quadrant, multiple) = (shifted.to_bits(), shifted - TO_INTEGER);
     let high = angle - multiple * PIO2_HIGH;
@@ -112,7 +119,7 @@ fn ordinary_unit_vector(angle: f64) -> (bool, f64, f64) {
         & (size > SMALLEST);
     let z = x * x;
     let w = z * z;
-    // Sine, with a formula of its own where there was nothing to subtract.
+    // Sine, with a separate formula if the multiple is 0 and nothing was subtracted.
     let [s1, s2, s3, s4, s5, s6] = SINE;
     let r = s2 + z * (s3 + z * s4) + z * w * (s5 + z * s6);
     let v = z * x;
@@ -125,7 +132,7 @@ fn ordinary_unit_vector(angle: f64) -> (bool, f64, f64) {
     let half = 0.5 * z;
     let rest = 1.0 - half;
     let cosine = rest + (((1.0 - rest) - half) + (z * r - x * y));
-    // In odd quadrants they change places; signs go by the quadrant too.
+    // In odd quadrants sine and cosine are exchanged; the signs depend on the quadrant too.
     let odd = quadrant & 1 != 0;
     let (along, across) = if odd { (sine, cosine) } else { (cosine, sine) };
     let signed = |value: f64, turn: u64| f64::from_bits(value.to_bits() ^ ((turn & 2) << 62));
@@ -144,7 +151,7 @@ mod tests {
     use crate::model::random::{Purpose, Stream};
 
     fn assert_same(angles: &[f64]) {
-        // What is left to `libm` may hold any bits that are not a number.
+        // The angles that are left to `libm` may hold any NaN.
         let at = |level| {
             let mut units = vec![[0.0; 2]; angles.len()];
             ordinary_unit_vectors(level, angles, &mut units);
@@ -169,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn every_bit_is_that_of_libm() {
+    fn unit_vectors_equal_libm_bit_for_bit() {
         let mut stream = Stream::new(1, 0, 0, Purpose::Start);
         for width in [1e-12, 1e-8, 1e-3, 1.0, 3.0, TAU, 20.0, 1e3, 1e6, 4e6, 1e12] {
             let angles: Vec<f64> = (0..200_000)
@@ -180,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn every_bit_is_that_of_libm_beside_every_border() {
+    fn unit_vectors_equal_libm_next_to_every_border() {
         let mut angles = Vec::new();
         for eighth in (-400..=400).chain([100_003, 1_000_002, 1_018_589]) {
             let border = f64::from(eighth) * FRAC_PI_4;
@@ -201,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn zero_keeps_its_sign_and_what_is_not_finite_gives_no_number() {
+    fn zero_keeps_its_sign_and_non_finite_angles_give_nan() {
         assert_same(&[0.0, -0.0, f64::MIN_POSITIVE, -1e-300, FRAC_PI_2, f64::MAX]);
         for bad in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             let mut units = Vec::new();

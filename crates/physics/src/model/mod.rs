@@ -1,8 +1,8 @@
-//! What a swarm is: parameters, individuals, how they start and change, and the hash of it all.
+//! The state of a swarm: parameters, individuals, their start and changes, and the state's hash.
 //!
-//! Everything here is a function of its arguments: no clock, thread, file or serialiser. A pool
-//! of threads may be handed over, and changes no bit.
-//! Lengths are in body sizes, speeds in the free speed, so both of those are 1.
+//! Everything here is a function of its arguments: no clock, thread, file or serialiser. The
+//! caller may pass a thread pool, which changes no bit of a result.
+//! Lengths are in body sizes and speeds in the free speed, so both of these units are 1.
 
 pub mod attraction;
 pub mod body;

@@ -1,35 +1,36 @@
-//! All pairs of points nearer than a distance, in a time that grows with their number alone.
+//! All pairs of points nearer than a distance. The time grows with the number of points and of
+//! neighbours, not with the extent of the points.
 
 use super::simd::{Lanes, Level, WIDTH, multiversion};
 
-/// Up to here comparing all with all is quicker than sorting into cells.
+/// Up to this number of points comparing all pairs is faster than sorting into cells.
 const FEW: usize = 160;
 
-/// Cells are this much wider than the distance, so that rounding moves nobody past a neighbour:
-/// enough up to a billion distances from the origin.
+/// Cells are wider than the distance by this factor, so that rounding moves no point beyond a
+/// neighbouring cell. It suffices up to a billion distances from the origin.
 const MARGIN: f64 = 1.0 + 1e-6;
 
-/// Finds pairs, and keeps its buffers from one search to the next.
+/// Finds pairs, and reuses its buffers from one search to the next.
 ///
-/// The plane is folded onto a square of cells: those far apart may share a cell, which costs
-/// time and changes nothing, and no place is too far away.
+/// The plane is folded onto a square of cells, so coordinates may have any size. Points that are
+/// far apart may share a cell, which costs time and does not change the result.
 #[derive(Clone, Debug, Default)]
 pub struct PairSearch {
-    /// Which version of the kernels runs; it changes no bit.
+    /// Selects the version of the kernels; it changes no bit.
     pub level: Level,
     /// The cell of every point.
     cell: Vec<u32>,
-    /// Where each cell begins in `order`, and one past the end of the last.
+    /// Start of each cell in `order`, and the end of the last cell.
     start: Vec<u32>,
-    /// Points by cell, then by index, and where they are.
+    /// Indices and coordinates of the points, ordered by cell, then by index.
     order: Vec<(u32, [f64; 2])>,
-    /// Partners of the point at hand.
+    /// Partners of the current point.
     partners: Vec<u32>,
 }
 
 impl PairSearch {
-    /// Visits all pairs of points nearer than `distance`, i < j, ordered by i: [`order`] does
-    /// the rest, for those that are kept.
+    /// Visits all pairs of points nearer than `distance`, i < j, ordered by i. [`order`] sorts
+    /// the pairs that the caller keeps by (i, j).
     pub fn visit(&mut self, x: &[f64], y: &[f64], distance: f64, visit: impl FnMut(u32, u32)) {
         if x.len() <= FEW {
             all_with_all(self.level, x, y, distance, visit);
@@ -55,7 +56,7 @@ impl PairSearch {
                 row if row == 0 || row == side - 1 => {
                     [row + side - 1, row, row + 1].map(|row| row % side..row % side + 1)
                 }
-                // Neighbours in a column lie side by side in `order` as well.
+                // Neighbouring cells of a column are adjacent in `order` as well.
                 row => [row - 1..row + 2, 0..0, 0..0],
             };
             for column in [column + side - 1, column, column + 1] {
@@ -67,8 +68,8 @@ impl PairSearch {
                     if self.partners.len() < count + members.len() {
                         self.partners.resize(count + members.len(), 0);
                     }
-                    // Nobody can foretell who is near, so all are written down, most of them
-                    // where the next one is written too.
+                    // The result of the comparison is unpredictable, so a branch would be slow.
+                    // Every member is written; the next one overwrites it unless it is near.
                     for &(j, [xj, yj]) in members {
                         let (dx, dy) = (xj - xi, yj - yi);
                         self.partners[count] = j;
@@ -80,10 +81,10 @@ impl PairSearch {
         }
     }
 
-    /// Sorts the points into about as many cells as there are points, at least four by four so
-    /// that a cell's neighbours are different ones; returns how many cells a side has.
+    /// Sorts the points into about as many cells as points, at least four by four so that the
+    /// neighbours of a cell are distinct; returns the number of cells on a side.
     fn sort(&mut self, x: &[f64], y: &[f64], per_length: f64) -> u32 {
-        let count = u32::try_from(x.len()).expect("individuals are named by 32 bits");
+        let count = u32::try_from(x.len()).expect("indices fit 32 bits");
         let side = count.isqrt().next_power_of_two().clamp(4, 1 << 15);
         self.cell.clear();
         let places = x.iter().zip(y);
@@ -101,7 +102,8 @@ impl PairSearch {
             sum += *start;
             *start = sum;
         }
-        // From the last to the first, so that every start ends where its cell begins.
+        // Each point decrements the start of its cell, which ends at the cell's first entry. The
+        // last point comes first, so that a cell is ordered by index.
         self.order.resize(x.len(), (0, [0.0; 2]));
         for index in (0..count).rev() {
             let point = index as usize;
@@ -113,7 +115,7 @@ impl PairSearch {
     }
 }
 
-/// The whole part of a coordinate, modulo a power of two.
+/// Returns a coordinate rounded down, modulo `side`, a power of two.
 fn folded(coordinate: f64, side: u32) -> u32 {
     #[expect(
         clippy::cast_possible_truncation,
@@ -131,8 +133,10 @@ fn folded(coordinate: f64, side: u32) -> u32 {
 }
 
 multiversion! {
-    /// Marks in `found`, as a bit of its block, each of the others nearer to a point than the
-    /// root of `near`.
+    /// Sets in `found` one bit for each of `others` whose squared distance to the point `at` is
+    /// below `near`.
+    ///
+    /// - Shapes: one block of lanes of `others` for each entry of `found`.
     fn mark(level, at: [f64; 2], others: [&[Lanes]; 2], near: f64, found: &mut [u64]) {
         for ((x, y), found) in others[0].iter().zip(others[1]).zip(found) {
             let mut bits = [0; WIDTH];
@@ -167,7 +171,7 @@ fn all_with_all(
                 found &= found - 1;
             }
         }
-        let rest = blocks.next().expect("indices go on")..;
+        let rest = blocks.next().expect("the range of indices is unbounded")..;
         for (j, (&xj, &yj)) in rest.zip(x_rest.iter().zip(y_rest)) {
             let (dx, dy) = (xj - xi, yj - yi);
             if dx * dx + dy * dy < near {
@@ -186,7 +190,7 @@ pub fn pairs_within(x: &[f64], y: &[f64], distance: f64) -> Vec<(u32, u32)> {
     pairs
 }
 
-/// Orders pairs by (i, j) that are ordered by i.
+/// Sorts pairs by (i, j); the pairs must be ordered by i.
 pub fn order(pairs: &mut [(u32, u32)]) {
     for of_one in pairs.chunk_by_mut(|one, other| one.0 == other.0) {
         of_one.sort_unstable();
@@ -198,7 +202,7 @@ mod tests {
     use super::*;
     use crate::model::random::{Purpose, Stream};
 
-    fn plainly(x: &[f64], y: &[f64], distance: f64) -> Vec<(u32, u32)> {
+    fn brute_force(x: &[f64], y: &[f64], distance: f64) -> Vec<(u32, u32)> {
         let mut all = Vec::new();
         for i in 0..x.len() {
             for j in i + 1..x.len() {
@@ -212,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn every_search_finds_what_all_pairs_find() {
+    fn both_searches_agree_with_brute_force() {
         let mut stream = Stream::new(1, 0, 0, Purpose::Start);
         let mut search = PairSearch::default();
         for (n, width) in [
@@ -224,7 +228,7 @@ mod tests {
             (161, 9.0),
         ] {
             for (grain, centre) in [(0.25, 0.0), (1e-9, 0.0), (0.25, -1e6), (1e-9, 1e6)] {
-                // Coarse grains make ties and pairs at exactly the distance.
+                // Coarse grains give coincident points and pairs at exactly the distance.
                 let mut draw = |_| centre + grain * libm::floor(width / grain * stream.uniform());
                 let x: Vec<f64> = (0..n).map(&mut draw).collect();
                 let y: Vec<f64> = (0..n).map(&mut draw).collect();
@@ -232,32 +236,41 @@ mod tests {
                     let mut found = Vec::new();
                     search.visit(&x, &y, distance, |i, j| found.push((i, j)));
                     order(&mut found);
-                    assert_eq!(found, plainly(&x, &y, distance), "{n} {centre} {distance}");
+                    assert_eq!(
+                        found,
+                        brute_force(&x, &y, distance),
+                        "{n} {centre} {distance}"
+                    );
                     assert!(n < 160 || !found.is_empty());
                     let mut found = Vec::new();
                     search.cell_by_cell(&x, &y, distance, |i, j| found.push((i, j)));
                     order(&mut found);
-                    assert_eq!(found, plainly(&x, &y, distance), "{n} {centre} {distance}");
+                    assert_eq!(
+                        found,
+                        brute_force(&x, &y, distance),
+                        "{n} {centre} {distance}"
+                    );
                 }
             }
         }
     }
 
     #[test]
-    fn a_thousand_anywhere_are_found_by_cells() {
+    fn cells_find_the_pairs_of_a_thousand_scattered_points() {
         let mut stream = Stream::new(2, 0, 0, Purpose::Start);
-        // A dense group, a thin one around it, and a few so far away that they fold onto both.
+        // A dense group, a sparse one around it, and a few points so far away that they fold
+        // onto both.
         let mut draw = |k: usize| {
             let width = [20.0, 200.0, 2e6][usize::from(k > 500) + usize::from(k > 990)];
             width * (stream.uniform() - 0.5)
         };
         let x: Vec<f64> = (0..1000).map(&mut draw).collect();
         let y: Vec<f64> = (0..1000).map(&mut draw).collect();
-        assert_eq!(pairs_within(&x, &y, 1.7), plainly(&x, &y, 1.7));
+        assert_eq!(pairs_within(&x, &y, 1.7), brute_force(&x, &y, 1.7));
     }
 
     #[test]
-    fn what_is_not_a_number_is_near_nobody() {
+    fn non_finite_points_have_no_neighbours() {
         let mut x = vec![0.0; 200];
         x[3] = f64::NAN;
         x[5] = f64::INFINITY;

@@ -1,18 +1,18 @@
-//! Random numbers without a generator's state: every draw is named by what it is for.
+//! Random numbers without generator state: every draw is a function of its key.
 //!
 //! A stream is ChaCha with eight rounds, keyed by (seed, step or command, individual, purpose),
-//! so no order of evaluation, thread or restart can change a draw. It is not for secrets.
+//! so no order of evaluation, thread or restart changes a draw. It is not for cryptographic use.
 
 use chacha20::ChaCha8;
 use chacha20::cipher::{KeyIvInit, StreamCipher};
 
-/// What a draw is for. The numbers are part of every recorded run: never renumber them.
+/// The purpose of a draw. Recorded runs depend on the discriminants: do not renumber them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u64)]
 pub enum Purpose {
     /// Position and heading of an individual at the start.
     Start = 1,
-    /// Who is selected.
+    /// Individuals of a random selection.
     Selection = 2,
     /// Position and heading of an injected individual.
     Injection = 3,
@@ -70,14 +70,15 @@ impl Stream {
         radius * libm::cos(std::f64::consts::TAU * self.uniform())
     }
 
-    /// Draws an integer below `bound`, every one equally likely.
+    /// Draws an integer in [0, `bound`), every one with equal probability.
     ///
     /// # Panics
     ///
     /// When `bound` is 0.
     pub fn below(&mut self, bound: u64) -> u64 {
         assert!(bound > 0, "no integer is below zero");
-        // The high half of a product is uniform once the low half's short first cycle is skipped.
+        // The high half of the product is uniform if products whose low half is below
+        // 2⁶⁴ mod `bound` are rejected.
         let uneven = bound.wrapping_neg() % bound;
         loop {
             let product = u128::from(self.bits()) * u128::from(bound);
@@ -98,7 +99,7 @@ impl Stream {
 mod tests {
     use super::*;
 
-    /// Recorded runs depend on these words: a change of any is a change of the model's version.
+    /// Recorded runs depend on these words: a change of any requires a new model version.
     #[test]
     fn the_golden_words_do_not_change() {
         let mut stream = Stream::new(1, 2, 3, Purpose::Start);
@@ -124,8 +125,8 @@ mod tests {
         0xfa167ffb6020a977,
     ];
 
-    /// The first words of eight rounds under the all-zero key, from the cipher's published
-    /// test vectors: no part of a name may leak into the key in another place.
+    /// The first bytes of eight rounds under the all-zero key, from the cipher's published test
+    /// vectors.
     #[test]
     fn the_cipher_is_chacha_with_eight_rounds() {
         let mut cipher = ChaCha8::new(&[0; 32].into(), &[0; 12].into());
@@ -134,8 +135,9 @@ mod tests {
         assert_eq!(block, [0x3e, 0x00, 0xef, 0x2f, 0x89, 0x5f, 0x40, 0xd6]);
     }
 
+    /// The same value in another part of the key gives other draws.
     #[test]
-    fn every_part_of_the_name_changes_the_draws() {
+    fn every_part_of_the_key_changes_the_draws() {
         let first = |s, o, i, p| Stream::new(s, o, i, p).bits();
         let words = [
             first(0, 0, 0, Purpose::Start),
@@ -151,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn bounded_integers_are_even() {
+    fn bounded_integers_are_uniform() {
         let mut stream = Stream::new(5, 0, 0, Purpose::Selection);
         let mut counts = [0i32; 7];
         (0..70_000).for_each(|_| counts[usize::try_from(stream.below(7)).unwrap()] += 1);

@@ -1,4 +1,4 @@
-//! Changing the shape of all bodies while they are close together.
+//! Changes of the shape of all bodies.
 
 use thiserror::Error;
 
@@ -6,11 +6,11 @@ use super::body::{Body, Nearness, Pose, near_pairs, pose};
 use super::{Configuration, Parameters, ParametersError, State};
 use crate::plural::counted;
 
-/// How much larger than the least possible the factor may be. Far below what shows, and far
-/// above the rounding of a gap.
+/// Relative tolerance of the factor above the least one: far below a visible change, and far
+/// above the rounding error of a gap.
 const FACTOR_TOLERANCE: f64 = 1e-9;
 
-/// Why a change of shape is refused.
+/// Why a change of shape is rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
 pub enum ResizeError {
     /// `pi1` is outside its range, or needs a shorter step.
@@ -18,22 +18,22 @@ pub enum ResizeError {
     Parameters(#[from] ParametersError),
     /// The new bodies overlap more than the old ones did.
     #[error(
-        "{} would overlap more than before, {first} and {second} by a gap of {gap}: make_room moves \
-         all apart",
+        "{} would overlap more than before, {first} and {second} by a gap of {gap}: set make_room \
+         to move all individuals apart",
         counted(*.pairs, "pair")
     )]
     NoRoom {
-        /// How many pairs would.
+        /// Number of such pairs.
         pairs: usize,
         /// The id of one individual of the first such pair.
         first: u32,
         /// The id of the other.
         second: u32,
-        /// The gap they would have.
+        /// The gap of the first pair under the new shape, in body sizes.
         gap: f64,
     },
     /// Two centres coincide: no factor moves them apart.
-    #[error("individuals {first} and {second} are at one place, which no factor moves apart")]
+    #[error("individuals {first} and {second} are at the same point: no factor moves them apart")]
     SamePlace {
         /// The id of one of them.
         first: u32,
@@ -42,17 +42,19 @@ pub enum ResizeError {
     },
 }
 
-/// Gives all bodies the length over width `pi1`, and returns the factor by which positions
-/// moved away from the centroid: 1 unless `make_room` was needed.
+/// Gives all bodies the length over width `pi1`, and returns the factor by which the positions
+/// were scaled about the centroid: 1 unless `make_room` was needed.
 ///
-/// No pair may overlap more than it did, or cross. The factor is at most 1e-9 above the least
-/// one, never below. The solver's memory is kept: it is only a guess at who pushes, most of
-/// those in contact stay in contact, and a wrong guess costs time, not accuracy.
+/// No pair may overlap more than before, or cross. The factor is the least one that allows this,
+/// or at most 1e-9 more. The warm start is kept: it is only a guess of the active set, most
+/// contacts remain, and a wrong guess costs time, not accuracy.
 ///
 /// # Errors
 ///
-/// [`ResizeError::NoRoom`] without `make_room`; [`ResizeError::Parameters`] when the new shape
-/// is out of range or turns its tips too far in one step. Nothing has changed then.
+/// [`ResizeError::NoRoom`] if a pair has no room and `make_room` is not set;
+/// [`ResizeError::SamePlace`] if it is set and the centres of such a pair coincide;
+/// [`ResizeError::Parameters`] if the new shape is out of range or its tips could move too far in
+/// one step. On an error the state is unchanged.
 pub fn change_pi1(state: &mut State, pi1: f64, make_room: bool) -> Result<f64, ResizeError> {
     let configuration = &state.configuration;
     let parameters = Parameters {
@@ -92,19 +94,21 @@ pub fn change_pi1(state: &mut State, pi1: f64, make_room: bool) -> Result<f64, R
     Ok(factor)
 }
 
-/// The smallest gap a pair may have: what it had, and no more than a touch.
+/// Returns the smallest gap that a pair may have: its old gap, or 0 if the bodies were apart.
 fn allowed(old: Body, configuration: &Configuration, i: u32, j: u32) -> f64 {
     let [first, second] = [i, j].map(|k| pose(configuration, k as usize));
     old.nearness(first, second).gap.min(0.0)
 }
 
-/// A thinner body can cross another and yet overlap less, so crossing is refused by itself.
+/// Returns whether a pair has at least the smallest gap and does not cross. Crossing is a condition
+/// of its own, since a thinner body can cross another and still overlap less.
 fn is_allowed(nearness: Nearness, smallest: f64) -> bool {
     nearness.gap >= smallest && !nearness.crossed
 }
 
-/// Finds the least factor, not below `least`, that gives a pair room. Bodies look the same from
-/// both ends, so their gap grows with the distance of their centres and bisection is exact.
+/// Finds the least factor, not below `least`, that gives a pair room. A body is symmetric under a
+/// half turn, so the gap grows with the distance of the centres along their line, and bisection
+/// finds the least factor.
 fn least_factor(body: Body, poses: [Pose; 2], smallest: f64, least: f64) -> f64 {
     let has_room = |factor: f64| {
         let apart = Pose {
@@ -112,7 +116,7 @@ fn least_factor(body: Body, poses: [Pose; 2], smallest: f64, least: f64) -> f64 
             y: poses[0].y + factor * (poses[1].y - poses[0].y),
             alpha: poses[1].alpha,
         };
-        // The positions themselves are rounded once more when all are scaled.
+        // Scaling all positions rounds them once more.
         is_allowed(body.nearness(poses[0], apart), smallest + ROUNDING)
     };
     if has_room(least) {
@@ -133,7 +137,7 @@ fn least_factor(body: Body, poses: [Pose; 2], smallest: f64, least: f64) -> f64 
     high
 }
 
-/// Spacing of doubles at half a cell, a few times over.
+/// Several times the spacing of doubles at half a cell, 1.1e-13.
 const ROUNDING: f64 = 1e-12;
 
 fn scaled(configuration: &Configuration, factor: f64) -> Configuration {
@@ -186,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn with_room_enough_nothing_moves() {
+    fn positions_stay_if_there_is_room() {
         let mut state = pair(1.8, 4.0);
         let before = state.configuration.clone();
         assert_eq!(change_pi1(&mut state, 8.0, true), Ok(1.0));
@@ -198,7 +202,7 @@ mod tests {
         let mut state = pair(1.6 - 1e-3, 4.0);
         assert_eq!(change_pi1(&mut state, 3.0, false), Ok(1.0));
         let factor = change_pi1(&mut state, 4.0, true).unwrap();
-        assert!(factor > 1.0, "the overlap it had has been forgotten");
+        assert!(factor > 1.0, "the earlier overlap is no longer allowed");
     }
 
     #[test]
@@ -217,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_group_gets_room_and_hardly_more() {
+    fn make_room_leaves_a_group_with_a_worst_gap_near_zero() {
         let mut state = State::default();
         state.configuration = disc(&state.parameters, 74, Some(6.5), 3).unwrap();
         let factor = change_pi1(&mut state, 8.0, true).unwrap();

@@ -1,4 +1,4 @@
-//! Who is meant by a command.
+//! Selection of the individuals that a command applies to.
 
 use thiserror::Error;
 
@@ -8,16 +8,16 @@ use super::random::{Purpose, Stream};
 use super::{Configuration, ParametersError};
 use crate::plural::counted;
 
-/// A way of naming individuals.
+/// A rule that selects individuals.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Selection {
-    /// These.
+    /// The individuals with these ids.
     Ids(Vec<u32>),
-    /// So many, drawn at random.
+    /// This number of individuals, drawn at random.
     Count(usize),
     /// This share, rounded to whole individuals, drawn at random.
     Fraction(f64),
-    /// All whose centre lies in a disc, in absolute coordinates.
+    /// All individuals whose centre is in a disc, in absolute coordinates.
     Within {
         /// Centre.
         x: f64,
@@ -26,50 +26,50 @@ pub enum Selection {
         /// Radius.
         radius: f64,
     },
-    /// So many of those furthest in a direction, ties by id.
+    /// The individuals that are furthest in a direction; ties go to the lower ids.
     Foremost {
-        /// How many.
+        /// Number of individuals.
         count: usize,
-        /// The direction.
+        /// The direction, counter-clockwise from +x.
         along: f64,
     },
 }
 
-/// Whom a selection may pick from.
+/// The individuals from which a selection is made.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Candidates {
-    /// Everybody.
+    /// All individuals.
     All,
-    /// Those with a preferred direction.
+    /// The individuals with a preferred direction.
     Informed,
 }
 
-/// Why a selection is refused.
+/// Why a selection is rejected.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SelectionError {
     /// A number is outside its range.
     #[error(transparent)]
     Number(#[from] ParametersError),
-    /// More were asked for than there are.
+    /// The number requested is larger than the number of candidates.
     #[error("{}", too_many(.field, *.count, *.candidates, *.among))]
     Count {
         /// The field's name.
         field: &'static str,
-        /// How many were asked for.
+        /// The number requested.
         count: usize,
-        /// How many there are.
+        /// Number of candidates.
         candidates: usize,
-        /// Which those are.
+        /// Which individuals are candidates.
         among: Candidates,
     },
-    /// An id names no individual that may be selected.
+    /// No candidate has the id.
     #[error("select.ids: {}", unknown(*.id, *.candidates, *.among))]
     UnknownId {
         /// The id.
         id: u32,
-        /// How many there are.
+        /// Number of candidates.
         candidates: usize,
-        /// Which those are.
+        /// Which individuals are candidates.
         among: Candidates,
     },
     /// An id is given twice.
@@ -110,13 +110,13 @@ fn unknown(id: u32, candidates: usize, among: Candidates) -> String {
     }
 }
 
-/// Selects individuals and returns their indices, in order.
+/// Selects individuals and returns their indices in ascending order.
 ///
-/// Draws are keyed by the swarm's seed and the command's number.
+/// Draws are keyed by the swarm's seed and the command's number `seq`.
 ///
 /// # Errors
 ///
-/// Each variant of [`SelectionError`] names the field, what it was and what it may be.
+/// [`SelectionError`]; its message names the field and the value.
 pub fn select(
     configuration: &Configuration,
     candidates: Candidates,
@@ -172,7 +172,7 @@ pub fn select(
     Ok(pool)
 }
 
-/// Finds the indices of `ids`; as ids increase with the index, both lists stay ordered.
+/// Finds the indices of `ids`, in ascending order: ids increase with the index.
 fn by_id(
     configuration: &Configuration,
     pool: &[usize],
@@ -196,11 +196,11 @@ fn by_id(
     sorted.iter().map(find).collect()
 }
 
-/// Rounds a share of `candidates` to whole individuals, halves upwards.
+/// Returns a share of `candidates` rounded to whole individuals, halves upwards.
 ///
 /// # Errors
 ///
-/// [`SelectionError::Number`] outside [0, 1].
+/// [`SelectionError::Number`] for a fraction outside [0, 1].
 pub fn share(candidates: usize, fraction: f64) -> Result<usize, SelectionError> {
     if !(0.0..=1.0).contains(&fraction) {
         let (field, value, range) = ("select.fraction", fraction, "[0, 1]");
@@ -219,7 +219,8 @@ pub fn share(candidates: usize, fraction: f64) -> Result<usize, SelectionError> 
     Ok(libm::round(fraction * candidates as f64) as usize)
 }
 
-/// Keeps `count` of `pool`, every subset equally likely: a shuffle that stops early.
+/// Keeps `count` of `pool`, every subset with equal probability: the first `count` steps of a
+/// shuffle.
 fn draw(pool: &mut Vec<usize>, count: usize, seed: u64, seq: u64) {
     let mut stream = Stream::new(seed, seq, 0, Purpose::Selection);
     for k in 0..count {
@@ -265,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn ids_are_found_in_any_order_and_refused_when_unknown_or_repeated() {
+    fn ids_are_found_in_any_order_and_refused_if_unknown_or_repeated() {
         let ids = |candidates, ids: &[u32]| pick(candidates, Selection::Ids(ids.to_vec()));
         assert_eq!(ids(Candidates::All, &[19, 10, 12]).unwrap(), [0, 2, 9]);
         assert!(ids(Candidates::All, &[]).unwrap().is_empty());
@@ -293,20 +294,20 @@ mod tests {
     }
 
     #[test]
-    fn draws_are_even_over_commands_and_fixed_for_one() {
+    fn draws_are_uniform_over_commands_and_fixed_for_one_command() {
         let mut counts = [0; 10];
         for seq in 0..2000 {
             let drawn = select(&line(), Candidates::All, &Selection::Count(3), 1, seq).unwrap();
             assert!(drawn.windows(2).all(|pair| pair[0] < pair[1]) && drawn.len() == 3);
             drawn.iter().for_each(|&k| counts[k] += 1);
         }
-        // Each is drawn 600 times on average, with a standard deviation of 20.
+        // Each individual is drawn 600 times on average, with a standard deviation of 20.
         assert!(
             counts.iter().all(|count| (480..720).contains(count)),
             "{counts:?}"
         );
-        let again = || pick(Candidates::All, Selection::Count(5)).unwrap();
-        assert_eq!(again(), again());
+        let draw_five = || pick(Candidates::All, Selection::Count(5)).unwrap();
+        assert_eq!(draw_five(), draw_five());
     }
 
     #[test]
@@ -356,7 +357,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refused_selection_says_among_how_many_it_was_made() {
+    fn the_error_of_a_selection_has_the_number_of_candidates() {
         let error = |candidates, among| {
             let field = "select.count";
             let count = SelectionError::Count {

@@ -1,21 +1,22 @@
-//! The same kernel compiled for several vector widths, picked by what the processor offers.
+//! Kernels compiled for several vector widths and selected by the features of the processor.
 //!
 //! A kernel is written once, in plain loops over arrays of [`WIDTH`] lanes, and wrapped in
 //! `multiversion!`. Every version does the same operations on the same numbers in the same
 //! order: the compiler neither reorders sums nor fuses products with them, and `sqrt` and `/`
-//! are exact everywhere. So all versions give the same bytes; they differ in time alone.
+//! are correctly rounded on every processor. So all versions give the same bytes and differ only
+//! in speed.
 
-/// How many lanes a kernel carries side by side: one register of the widest version.
+/// Number of lanes of a kernel: one register of the widest version.
 pub const WIDTH: usize = 8;
 
 /// One number in each lane.
 pub type Lanes = [f64; WIDTH];
 
-/// Which version of the kernels runs. One that the processor lacks cannot be made.
+/// Selects the version of the kernels. A level that the processor lacks cannot be constructed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Level(Width);
 
-/// Public for the macro alone.
+/// Public only for the macro.
 #[doc(hidden)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Width {
@@ -27,10 +28,10 @@ pub enum Width {
 }
 
 impl Level {
-    /// What every processor has.
+    /// The level that every processor supports.
     pub const BASELINE: Self = Self(Width::Baseline);
 
-    /// Every level of this processor, the widest last.
+    /// Returns all levels of this processor, the widest last.
     #[must_use]
     pub fn available() -> Vec<Self> {
         let mut levels = vec![Self::BASELINE];
@@ -55,14 +56,14 @@ impl Level {
 }
 
 impl Default for Level {
-    /// The widest of this processor.
+    /// Returns the widest level of this processor.
     fn default() -> Self {
         level()
     }
 }
 
-/// The widest level of this processor. Asking costs a nanosecond or two: the standard library
-/// remembers the answer.
+/// Returns the widest level of this processor. A call costs one or two nanoseconds: the standard
+/// library caches the detected features.
 #[inline]
 #[must_use]
 pub fn level() -> Level {
@@ -119,7 +120,7 @@ macro_rules! multiversion {
         #[inline]
         #[cfg_attr(target_arch = "x86_64", expect(
             unsafe_code,
-            reason = "a version is called only with a level, made only where it was detected"
+            reason = "a version runs only with a level, which needs its features to be detected"
         ))]
         $vis fn $name $(<$(const $g: $gt),+>)? (
             level: $crate::model::simd::Level, $($arg: $type),*
@@ -141,7 +142,7 @@ macro_rules! multiversion {
 
             match level.width() {
                 $crate::model::simd::Width::Baseline => body $(::<$($g),+>)? ($($arg),*),
-                // SAFETY: a level is only made where its features were detected.
+                // SAFETY: a level is constructed only if its features were detected.
                 #[cfg(target_arch = "x86_64")]
                 $crate::model::simd::Width::Avx2 => unsafe { avx2 $(::<$($g),+>)? ($($arg),*) },
                 // SAFETY: as above.
@@ -160,7 +161,7 @@ mod tests {
     use super::*;
 
     multiversion! {
-        /// Something with every operation that a kernel uses.
+        /// Uses every operation that kernels use.
         fn mixed<const N: usize>(level, to: &mut [f64], from: &[f64]) -> f64 {
             let mut sum = 0.0;
             for (to, from) in to.iter_mut().zip(from) {

@@ -1,4 +1,4 @@
-//! How a swarm begins.
+//! The start of a swarm: drawn at random in a disc, or given as columns.
 
 use std::f64::consts::TAU;
 
@@ -9,20 +9,20 @@ use super::parameters::{LARGEST_NUMBER, check_coordinate};
 use super::random::{Purpose, Stream};
 use super::{Configuration, Parameters, ParametersError};
 
-/// How often one individual is drawn again before the disc counts as full. At the fill where
-/// one draw in a thousand fits, the chance to miss ten thousand times is 5e-5.
+/// Maximum number of draws of one individual; after them the disc counts as full. If one draw in a
+/// thousand fits, all ten thousand fail with a probability of 5e-5.
 pub const TRIES: u32 = 10_000;
 
-/// Why a start is refused.
+/// Why a start is rejected.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum StartError {
     /// The parameters, or a number of the start, are outside their range.
     #[error(transparent)]
     Parameters(#[from] ParametersError),
-    /// There must be an individual, and no more than ids can name.
+    /// The number of individuals is 0, or larger than the number of ids.
     #[error("n = {n} is outside [1, 4294967294]")]
     Count {
-        /// How many were asked for.
+        /// The number requested.
         n: usize,
     },
     /// The columns of a given start differ in length.
@@ -35,18 +35,19 @@ pub enum StartError {
         /// Length of alpha.
         alpha: usize,
     },
-    /// No place was found for everybody.
+    /// No position without overlap was found for one of the individuals.
     #[error(
-        "only {placed} of {n} fit in a disc of radius {radius}: the next found no place in {tries} tries; make it larger, or n smaller"
+        "only {placed} of {n} fit in a disc of radius {radius}: the next found no place in {tries} \
+         tries; make it larger, or n smaller"
     )]
     NoRoom {
-        /// How many had a place.
+        /// Number of individuals placed.
         placed: usize,
-        /// How many were asked for.
+        /// The number requested.
         n: usize,
-        /// The disc's radius.
+        /// The disc's radius, in body sizes.
         radius: f64,
-        /// How often the next was drawn.
+        /// Number of draws of the next individual.
         tries: u32,
     },
     /// Two axes of a given start cross.
@@ -57,21 +58,21 @@ pub enum StartError {
         /// Index of the second of the pair.
         second: u32,
     },
-    /// Two bodies of a given start overlap by more than a start may.
+    /// Two bodies of a given start overlap by more than is allowed.
     #[error("individuals {first} and {second} overlap: their gap {gap} is below {smallest}")]
     Overlap {
         /// Index of the first of the pair.
         first: u32,
         /// Index of the second of the pair.
         second: u32,
-        /// Their gap.
+        /// Their gap, in body sizes.
         gap: f64,
-        /// The smallest gap allowed, minus half a radius.
+        /// The smallest gap allowed: minus half a radius.
         smallest: f64,
     },
 }
 
-/// The radius of the disc that `n` individuals start in, unless told otherwise.
+/// Returns the default radius of the disc in which `n` individuals start, `max(1, √n)` body sizes.
 #[must_use]
 pub fn default_disc_radius(n: usize) -> f64 {
     (n as f64).sqrt().max(1.0)
@@ -79,12 +80,13 @@ pub fn default_disc_radius(n: usize) -> f64 {
 
 /// Draws `n` individuals without overlap: centres uniform in a disc, headings uniform.
 ///
-/// One after the other, each drawn again while it overlaps an earlier one.
+/// Individuals are placed one after the other; each is drawn again while it overlaps an earlier
+/// one. Without a `radius`, [`default_disc_radius`] is used.
 ///
 /// # Errors
 ///
-/// [`StartError::NoRoom`] after [`TRIES`] draws of one individual; otherwise whichever number
-/// is outside its range.
+/// [`StartError::NoRoom`] after [`TRIES`] draws of one individual; [`StartError::Count`] or
+/// [`StartError::Parameters`] for a number outside its range.
 pub fn disc(
     parameters: &Parameters,
     n: usize,
@@ -129,12 +131,15 @@ pub fn disc(
     Ok(configuration)
 }
 
-/// Takes a start as it is given, to the bit.
+/// Builds a configuration from given columns, bit for bit.
+///
+/// - Shapes: n values each of `x`, `y` and `alpha`.
+/// - Units: body sizes and radians.
 ///
 /// # Errors
 ///
-/// When the columns differ in length or are empty, a number is not finite or beyond a million,
-/// two axes cross, or a gap is below minus half a radius.
+/// When a parameter is outside its range, the columns differ in length or are empty, a number is
+/// not finite or its size exceeds a million, two axes cross, or a gap is below minus half a radius.
 pub fn given(
     parameters: &Parameters,
     x: &[f64],
@@ -186,14 +191,15 @@ pub(super) fn draw_in_disc(stream: &mut Stream, radius: f64) -> Pose {
 }
 
 fn check_count(n: usize) -> Result<(), StartError> {
-    // The last id stays free, so that the next id can always be told.
+    // The last ids are not assigned, so that a next id always exists.
     if (1..u32::MAX as usize).contains(&n) {
         return Ok(());
     }
     Err(StartError::Count { n })
 }
 
-/// Square cells no smaller than two bodies' reach, so that nine of them hold all that is near.
+/// Square cells, no smaller than the distance of centres at which two bodies can touch, so that a
+/// cell and its eight neighbours hold all bodies that can overlap one in it.
 struct Grid {
     cells: Vec<Vec<Pose>>,
     side: usize,
@@ -203,7 +209,7 @@ struct Grid {
 
 impl Grid {
     fn new(radius: f64, nearest: f64, n: usize) -> Self {
-        // No more than a few cells an individual, however large the disc.
+        // At most a few cells per individual, for any radius of the disc.
         let cell = nearest.max(2.0 * radius / (2.0 * (n as f64).sqrt() + 1.0));
         #[expect(
             clippy::cast_possible_truncation,
@@ -223,7 +229,7 @@ impl Grid {
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
-            reason = "a cast saturates, and min does the rest"
+            reason = "a cast saturates, and min limits it"
         )]
         [pose.x, pose.y]
             .map(|value| (((value + self.radius) / self.cell) as usize).min(self.side - 1))
@@ -275,8 +281,8 @@ mod tests {
     }
 
     #[test]
-    fn a_hundred_thousand_start_quickly() {
-        // Quadratic work would take minutes here; the grid takes a fraction of a second.
+    fn a_start_of_a_hundred_thousand_is_quick() {
+        // A search of all pairs would take minutes; the grid takes a fraction of a second.
         let configuration = disc(&Parameters::default(), 100_000, None, 1).unwrap();
         assert_eq!(gaps(&Parameters::default(), &configuration).crossed, 0);
         assert!(worst_gap(&Parameters::default(), &configuration).unwrap() >= 0.0);
@@ -291,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_disc_is_refused_with_the_numbers() {
+    fn the_error_of_a_full_disc_has_the_numbers() {
         let refusal = disc(&Parameters::default(), 50, Some(1.0), 1).unwrap_err();
         let StartError::NoRoom {
             placed,
@@ -306,16 +312,16 @@ mod tests {
     }
 
     #[test]
-    fn a_disc_without_anyone_or_of_no_radius_is_refused() {
+    fn a_disc_of_an_invalid_count_or_radius_is_refused() {
         let parameters = Parameters::default();
         assert_eq!(
             disc(&parameters, 0, None, 1),
             Err(StartError::Count { n: 0 })
         );
-        let most = u32::MAX as usize;
+        let too_many = u32::MAX as usize;
         assert_eq!(
-            disc(&parameters, most, None, 1),
-            Err(StartError::Count { n: most })
+            disc(&parameters, too_many, None, 1),
+            Err(StartError::Count { n: too_many })
         );
         for radius in [0.0, -1.0, f64::NAN, 1.1e6] {
             let refusal = disc(&parameters, 3, Some(radius), 1).unwrap_err();
@@ -369,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn a_given_start_that_is_not_one_is_refused() {
+    fn an_invalid_given_start_is_refused() {
         let parameters = Parameters::default();
         let start =
             |x: &[f64], y: &[f64], alpha: &[f64]| given(&parameters, x, y, alpha).unwrap_err();

@@ -1,8 +1,8 @@
-//! Everything that decides a swarm's future, and the hash that "same bytes" means.
+//! The state of a swarm, which determines its future, and the hash that identifies a state.
 
 use super::{Attraction, Configuration, ContactRule, Drive, Parameters, Stepping};
 
-/// Changes whenever the same state would have another future.
+/// Version of the model. It changes whenever the same state would have another future.
 pub const MODEL_VERSION: u32 = 2;
 
 /// A contact that pushed in the last step.
@@ -12,59 +12,65 @@ pub struct WarmContact {
     pub first: u32,
     /// Id of the pair's second individual, larger than the first.
     pub second: u32,
-    /// Which ends touch.
+    /// Code of the contact: which ends touch.
     pub code: u8,
-    /// How hard they pushed.
+    /// Multiplier of the contact in the last step.
     pub multiplier: f64,
 }
 
-/// What the solver carries from one step to the next.
+/// Data that the solver carries from one step to the next.
 ///
-/// The next step guesses from it which contacts will push, and in which order to eliminate. Both
-/// decide the last bits of a step, so they belong to the state.
+/// The contacts are the next step's guess of the active set, and the order is the elimination
+/// order of its factorisation. Both affect the last bits of a step, so they belong to the state.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct WarmStart {
     /// The contacts with a positive multiplier, ordered by (first, second, code).
     pub contacts: Vec<WarmContact>,
-    /// The order in which individuals are eliminated, by index; empty before it is first needed.
+    /// The elimination order of individuals, by index; empty until a step first needs it.
     pub order: Vec<u32>,
-    /// How many programs were solved in that order.
+    /// Number of programs that were solved in this order.
     pub order_age: u32,
 }
 
 /// A swarm at one step.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct State {
-    /// What fixes the motion.
+    /// Parameters of the motion.
     pub parameters: Parameters,
-    /// What draws are keyed by.
+    /// Seed of all random draws.
     pub seed: u64,
-    /// How many steps have been taken.
+    /// Number of steps taken.
     pub step: u64,
-    /// Where everybody is.
+    /// All individuals.
     pub configuration: Configuration,
-    /// What the solver remembers.
+    /// The solver's data from the last step.
     pub warm_start: WarmStart,
 }
 
 impl State {
-    /// The time, `step dt`.
+    /// Returns the time `step dt`, in body sizes over the free speed.
     #[must_use]
     pub fn time(&self) -> f64 {
         self.step as f64 * self.parameters.dt
     }
 
-    /// Hashes everything that decides the future: two states with one hash have one future.
+    /// Hashes everything that determines the future: two states with the same hash have the same
+    /// future.
     ///
-    /// BLAKE3 over little-endian bytes in this order: model version; `pi1, pi2, pi3, pi4, dt`,
-    /// rules, attraction law; seed; step; origin; the next id; the columns id, x, y,
-    /// alpha, weight, direction, lapses; the solver's warm start as columns first, second, code,
-    /// multiplier, then the order of elimination and its age. A column is its length as 64 bits,
-    /// then its entries; an entry of "lapses" is a byte 0, or a byte 1 and the step. The rules are
-    /// a byte with a bit each for `closest`, `velocity`, `relinearise`, noise, whose intensity
-    /// then follows, `clamped`, and whether anybody is driven directly: after the lapses then come
-    /// their ids, each with a byte and a number for turning rate and speed. The attraction law is a byte and its number, if it has one. Floats are
-    /// hashed by their bits.
+    /// The hash is BLAKE3 over little-endian bytes in this order: model version; `pi1, pi2, pi3,
+    /// pi4, dt`, rules, attraction law; seed; step; origin; next id; the columns id, x, y, alpha,
+    /// weight, direction, lapses; drives; the warm start as columns first, second, code,
+    /// multiplier, then the elimination order, a column, and its age.
+    ///
+    /// - A column is its length as 64 bits, then its entries. An entry of "lapses" is a byte 0,
+    ///   or a byte 1 and the step.
+    /// - The rules are a byte. From the lowest on, its bits are `closest`, `velocity`,
+    ///   `relinearise`, noise, `clamped`, and whether any individual is driven directly. If there
+    ///   is noise, its intensity follows the byte.
+    /// - The attraction law is a byte and its number, if it has one.
+    /// - The drives, without a length, are for each driven individual its id, then a byte and a
+    ///   number for the turning rate and the same for the speed.
+    /// - Floats are hashed by their bits.
     #[must_use]
     pub fn hash(&self) -> [u8; 32] {
         let Self {
@@ -91,7 +97,7 @@ impl State {
         [pi1, pi2, pi3, pi4, dt]
             .into_iter()
             .for_each(|value| bytes.put(value.to_le_bytes()));
-        // What differs from the settings that a model of this version began with sets a bit.
+        // Each setting that differs from the original ones of this model version sets a bit.
         let is_noisy = *noise != 0.0;
         let rules = [
             *contacts == ContactRule::Closest,
@@ -170,7 +176,8 @@ impl State {
     }
 }
 
-/// Bytes to be hashed. They are gathered first: a number at a time takes five times as long.
+/// Bytes to be hashed. They are collected in a buffer: hashing one number at a time takes five
+/// times as long.
 #[derive(Default)]
 struct Bytes {
     gathered: Vec<u8>,
@@ -178,21 +185,21 @@ struct Bytes {
 }
 
 impl Bytes {
-    /// So many are hashed at once.
-    const MOST: usize = 16 * 1024;
+    /// Size of the buffer.
+    const CAPACITY: usize = 16 * 1024;
 
     fn put<const N: usize>(&mut self, bytes: [u8; N]) {
         if self.gathered.len() + N > self.gathered.capacity() {
-            self.make_room();
+            self.flush();
         }
         self.gathered.extend_from_slice(&bytes);
     }
 
     #[cold]
-    fn make_room(&mut self) {
+    fn flush(&mut self) {
         self.hasher.update(&self.gathered);
         self.gathered.clear();
-        self.gathered.reserve(Self::MOST);
+        self.gathered.reserve(Self::CAPACITY);
     }
 
     fn hash(mut self) -> [u8; 32] {
@@ -244,7 +251,7 @@ mod tests {
         }
     }
 
-    /// A change of any of these bytes is a change of the model's version.
+    /// A change of any of these bytes requires a new model version.
     #[test]
     fn the_layout_does_not_change() {
         let state = example();

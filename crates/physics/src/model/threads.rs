@@ -1,7 +1,7 @@
-//! Work that may be shared among the threads of a pool that somebody handed over.
+//! Work that is shared among the threads of a pool that the caller passes.
 //!
-//! Sizes alone decide what is cut into which parts, and in which order anything is summed:
-//! threads decide when it is done, and no bit of it.
+//! The division into parts and the order of every sum depend only on sizes. So the number and the
+//! timing of threads change no bit of a result.
 
 use std::hint::spin_loop;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -10,37 +10,38 @@ use std::thread::yield_now;
 
 use rayon::ThreadPool;
 
-/// From how many individuals on a pool is used. Waking its threads takes some 50 µs, and where
-/// the direct sum takes 300, with 1000 individuals, two threads save nothing yet.
+/// Minimum number of individuals for which a pool is used. Waking its threads takes about 50 µs;
+/// with 1000 individuals, where the direct sum takes 300 µs, two threads save nothing.
 pub const SHARED_FROM: usize = 1500;
 
-/// How often what is waited for is looked at before others may have the processor: it is
-/// nearly always there within microseconds.
-const LOOKS: usize = 1000;
+/// Number of checks of a condition before the thread yields the processor. The condition nearly
+/// always holds within microseconds.
+const MAX_SPINS: usize = 1000;
 
-/// Threads that somebody else started.
+/// A thread pool that the caller started.
 #[derive(Clone, Debug)]
 pub struct Pool(Arc<ThreadPool>);
 
 impl Pool {
-    /// Takes a pool as it is; any others may use it too.
+    /// Wraps a pool, which the caller may use for other work too.
     #[must_use]
     pub fn new(pool: Arc<ThreadPool>) -> Self {
         Self(pool)
     }
 
-    /// Takes `parts` through as many rounds as they are, round r the parts 0 to r in their order.
+    /// Processes `parts` in as many rounds as parts; round r processes the parts 0 to r in order.
     ///
-    /// Every thread takes the next round with a `scratch` of its own, and waits for a part until
-    /// the round before has left it. So each part sees its rounds in their order, and each
-    /// round its parts, whoever does the `work(scratch, round, index of the part, part)`.
+    /// A thread takes the next round, creates a `scratch` for it, and waits before each part until
+    /// the previous round has finished that part. So each part goes through its rounds in order,
+    /// and each round through its parts, on whichever threads
+    /// `work(scratch, round, index of the part, part)` runs.
     pub fn rounds<P: Send, S>(
         &self,
         parts: impl Iterator<Item = P>,
         scratch: impl Fn() -> S + Sync,
         work: impl Fn(&mut S, usize, usize, &mut P) + Sync,
     ) {
-        // A part with the round whose turn it is: the first is that of its own number.
+        // Each part with the round that processes it next; the first is that of its own index.
         let parts: Vec<(AtomicUsize, Mutex<P>)> = (0..)
             .zip(parts)
             .map(|(own, part)| (AtomicUsize::new(own), Mutex::new(part)))
@@ -64,7 +65,7 @@ impl Pool {
     }
 }
 
-/// Does `work`, in `pool` if there is one.
+/// Runs `work`, in `pool` if one is given.
 pub fn inside<R: Send>(pool: Option<&Pool>, work: impl FnOnce() -> R + Send) -> R {
     match pool {
         Some(pool) => pool.0.install(work),
@@ -72,7 +73,7 @@ pub fn inside<R: Send>(pool: Option<&Pool>, work: impl FnOnce() -> R + Send) -> 
     }
 }
 
-/// Does both, where `shared` at once if a thread is free; otherwise the one, then the other.
+/// Runs both closures: in parallel if `shared` and a thread is free, otherwise `one`, then `other`.
 #[inline]
 pub fn both(shared: bool, one: impl FnOnce() + Send, other: impl FnOnce() + Send) {
     if shared {
@@ -83,11 +84,11 @@ pub fn both(shared: bool, one: impl FnOnce() + Send, other: impl FnOnce() + Send
     }
 }
 
-/// Waits until something `is_so` that another thread is at.
-fn wait_until(is_so: impl Fn() -> bool) {
+/// Waits until a condition `holds` that another thread establishes.
+fn wait_until(holds: impl Fn() -> bool) {
     loop {
-        for _ in 0..LOOKS {
-            if is_so() {
+        for _ in 0..MAX_SPINS {
+            if holds() {
                 return;
             }
             spin_loop();
@@ -104,7 +105,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_part_sees_its_rounds_in_order_and_every_round_its_parts() {
+    fn rounds_of_a_part_and_parts_of_a_round_are_in_order() {
         for threads in [1, 2, 4] {
             let pool = ThreadPoolBuilder::new().num_threads(threads).build();
             let pool = Pool::new(Arc::new(pool.unwrap()));

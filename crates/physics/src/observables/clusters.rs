@@ -1,20 +1,20 @@
-//! Who hangs together by contact.
+//! Clusters: groups of individuals connected by contact.
 
 use crate::model::body::{Body, near_pairs};
 use crate::model::{Configuration, Parameters};
 
-/// The largest gap that counts as touching, in body sizes. Bodies that push each other overlap
-/// by up to some thousandths or leave a gap of the same order, as a step is exact to `dt²`;
-/// those that only pass are apart by far more for most of the time.
+/// The largest gap that counts as touching, in body sizes. Bodies that push each other overlap by
+/// up to some thousandths or leave a gap of the same order, since a step is exact to `dt²`. Bodies
+/// that only pass each other are much further apart for most of the time.
 pub const TOUCHING: f64 = 1e-3;
 
-/// Far above what rounding makes of a distance.
+/// Margin of the search distance, in body sizes: far above the rounding error of a distance.
 const MARGIN: f64 = 1e-6;
 
-/// Sizes of the clusters, the largest first; they add up to n.
+/// Computes the sizes of the clusters, the largest first; they add up to n.
 ///
-/// A cluster is a largest set of individuals each of which is reached from each other by gaps of
-/// at most `touching`, which [`near_pairs`] measures apart from the stepper's contacts.
+/// A cluster is a maximal set of individuals that are connected by gaps of at most `touching` body
+/// sizes. [`near_pairs`] measures the gaps, independently of the stepper's contacts.
 #[must_use]
 pub fn cluster_sizes(
     parameters: &Parameters,
@@ -22,7 +22,7 @@ pub fn cluster_sizes(
     touching: f64,
 ) -> Vec<usize> {
     let mut parent: Vec<usize> = (0..configuration.n()).collect();
-    // A little further than asked for, as only what is nearer than a distance is looked at.
+    // The search distance has a margin, since pairs exactly at that distance may be omitted.
     for (i, j, nearness) in near_pairs(Body::new(parameters), configuration, touching + MARGIN) {
         if nearness.gap > touching {
             continue;
@@ -39,7 +39,7 @@ pub fn cluster_sizes(
     sizes
 }
 
-/// Who stands for the cluster of `index`; ways are halved while they are walked.
+/// Returns the representative of the cluster of `index`; halves the paths on the way.
 fn root(parent: &mut [usize], mut index: usize) -> usize {
     while parent[index] != index {
         parent[index] = parent[parent[index]];
@@ -71,10 +71,10 @@ mod tests {
     }
 
     #[test]
-    fn a_ring_is_one_cluster_whatever_the_order_of_its_members() {
+    fn a_row_is_one_cluster_in_any_order_of_its_members() {
         let parameters = Parameters::default();
         let mut configuration = Configuration::default();
-        // Side by side, 0.4 wide, drawn in no order; the last lies across, far above.
+        // Six bodies side by side, 0.4 wide, in no order; the last one is turned and far above.
         for place in [5.0, 0.0, 3.0, 1.0, 4.0, 2.0] {
             configuration.push(0.0, 0.4 * place, 0.0);
         }

@@ -1,28 +1,28 @@
-//! How long a group keeps or lacks its order: the paper's build-up and breakdown times.
+//! Lengths of ordered and unordered intervals: the paper's build-up and breakdown times.
 
-/// The order from which on a group counts as ordered.
+/// Least order, the paper's v(t), of an ordered group.
 pub const ORDERED: f64 = 2.0 / 3.0;
 
-/// Counts the intervals that steps form which are continuously ordered, or continuously not.
+/// Counts the maximal intervals of consecutive ordered or unordered steps.
 ///
-/// - Units: steps. The interval cut by the beginning and that cut by the end count as well.
-/// - Source: paper, Fig. 4. Build-up time is the mean length of the unordered ones, breakdown
-///   time that of the ordered ones.
+/// - Units: steps. The intervals cut by the start and by the end of a run count as well.
+/// - Source: paper, Fig. 4. The build-up time is the mean length of the unordered intervals, the
+///   breakdown time that of the ordered ones.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Intervals {
-    /// How many intervals were ordered.
+    /// Number of ordered intervals.
     pub ordered: u64,
-    /// How many steps they have together.
+    /// Number of steps in ordered intervals.
     pub ordered_steps: u64,
-    /// How many intervals were not.
+    /// Number of unordered intervals.
     pub unordered: u64,
-    /// How many steps those have together.
+    /// Number of steps in unordered intervals.
     pub unordered_steps: u64,
     last: Option<bool>,
 }
 
 impl Intervals {
-    /// Counts one step by the order at its beginning.
+    /// Counts one step; `order` is the order at its start.
     pub fn add(&mut self, order: f64) {
         let is_ordered = order >= ORDERED;
         let is_new = u64::from(self.last != Some(is_ordered));
@@ -64,8 +64,8 @@ mod tests {
     }
 
     #[test]
-    fn a_wave_is_ordered_where_its_cosine_says_so() {
-        // (1 + cos t) / 2 >= 2/3 where |t| <= acos(1/3): ten periods from a crest to a crest.
+    fn a_cosine_wave_has_the_expected_ordered_share() {
+        // (1 + cos t) / 2 >= 2/3 if |t| <= acos(1/3). Ten periods, from a crest to a crest.
         let orders: Vec<f64> = (0..100_000)
             .map(|k| (1.0 + libm::cos(f64::from(k) * std::f64::consts::TAU * 1e-4)) / 2.0)
             .collect();

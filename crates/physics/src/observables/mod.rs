@@ -1,5 +1,5 @@
-//! What is read off configurations: order and drift, now and as running means, nematic order,
-//! clusters, intervals of order.
+//! Observables of configurations: order and drift of one configuration and as running means,
+//! nematic order, clusters, intervals of order.
 
 pub mod clusters;
 pub mod intervals;
@@ -8,8 +8,8 @@ pub mod nematic;
 use crate::model::heading::unit_vectors;
 use crate::model::{Configuration, simd};
 
-/// The sum of the informed individuals' weighted unit vectors counts as cancelled below this
-/// share of the weights: its direction would be rounding.
+/// The sum of the informed individuals' weighted unit vectors counts as zero up to this share of
+/// the sum of weights, since its direction would be a rounding error.
 const CANCELLED: f64 = 1e-12;
 
 /// Order and drift of a configuration.
@@ -17,20 +17,22 @@ const CANCELLED: f64 = 1e-12;
 pub struct Order {
     /// The length of the mean heading, in [0, 1]: the paper's v(t).
     pub order: f64,
-    /// The mean heading: contacts are internal, so it is the centroid's velocity too.
+    /// The mean heading. It is also the centroid's velocity in free speeds, since contact forces
+    /// cancel, unless a controller scales speeds.
     pub velocity: [f64; 2],
-    /// The informed individuals' common direction; none if nobody is informed, or if their
-    /// directions cancel.
+    /// The informed individuals' common direction, in radians; `None` if no individual is informed
+    /// or their directions cancel.
     pub direction: Option<f64>,
-    /// The velocity along that direction.
+    /// The component of `velocity` along that direction, in free speeds.
     pub drift: Option<f64>,
 }
 
 /// Measures order and drift.
 ///
-/// - Units: the free speed; angles counter-clockwise from +x.
-/// - Source: paper, the integrand of eq. (8), and of the drift in section 3.2. The common
-///   direction is that of the sum of unit vectors, each times its individual's weight.
+/// - Units: free speeds; angles in radians, counter-clockwise from +x.
+/// - Source: paper, the integrands of eq. (8) and of the drift in section 3.2. The common direction
+///   is that of the sum of the preferred directions' unit vectors, each times its individual's
+///   weight.
 #[must_use]
 pub fn order(configuration: &Configuration) -> Order {
     let mut headings = Vec::new();
@@ -38,15 +40,15 @@ pub fn order(configuration: &Configuration) -> Order {
     order_of(headings.into_iter(), wish(configuration))
 }
 
-/// What the informed individuals want together: the sum of their unit vectors, each times its
-/// individual's weight.
+/// The common direction of the informed individuals: the sum of the unit vectors of their preferred
+/// directions, each times its individual's weight.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CommonDirection {
     sum: [f64; 2],
     strength: f64,
 }
 
-/// Sums what the informed individuals want; none if nobody is informed, or if it cancels.
+/// Computes the common direction; `None` if no individual is informed or the directions cancel.
 #[must_use]
 pub fn wish(configuration: &Configuration) -> Option<CommonDirection> {
     let (mut sum, mut weights) = ([0.0, 0.0], 0.0);
@@ -61,7 +63,7 @@ pub fn wish(configuration: &Configuration) -> Option<CommonDirection> {
     (strength > CANCELLED * weights).then_some(CommonDirection { sum, strength })
 }
 
-/// Measures order and drift of those whose headings are known as unit vectors.
+/// Measures order and drift from n headings, as unit vectors, and the common direction.
 #[must_use]
 pub fn order_of(
     headings: impl ExactSizeIterator<Item = [f64; 2]>,
@@ -71,7 +73,7 @@ pub fn order_of(
     let sum = headings.fold([0.0, 0.0], |sum, [cos, sin]| [sum[0] + cos, sum[1] + sin]);
     let velocity = sum.map(|sum| sum * share);
     Order {
-        // Rounding must not lift it over what it can be.
+        // Rounding could make it larger than 1.
         order: length(velocity).min(1.0),
         velocity,
         direction: wish.map(|CommonDirection { sum, .. }| libm::atan2(sum[1], sum[0])),
@@ -85,23 +87,23 @@ fn length(vector: [f64; 2]) -> f64 {
     (vector[0] * vector[0] + vector[1] * vector[1]).sqrt()
 }
 
-/// Means over steps, of what held at the beginning of each.
+/// Running means over steps, of the values at the start of each step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RunningMeans {
-    /// How many steps were counted.
+    /// Number of steps counted.
     pub count: u64,
-    /// The sum of their orders.
+    /// Sum of the orders.
     pub order: f64,
-    /// The sum of their velocities.
+    /// Sum of the velocities.
     pub velocity: [f64; 2],
-    /// How many of them had a common direction.
+    /// Number of steps with a common direction.
     pub directed: u64,
-    /// The sum of their drifts.
+    /// Sum of the drifts.
     pub drift: f64,
 }
 
 impl RunningMeans {
-    /// Counts one step by the order at its beginning.
+    /// Counts one step; `order` is that at its start.
     pub fn add(&mut self, order: &Order) {
         self.count += 1;
         self.order += order.order;
@@ -115,13 +117,13 @@ impl RunningMeans {
         }
     }
 
-    /// The mean order, the paper's v, eq. (8).
+    /// Returns the mean order, the paper's v, eq. (8); `None` without a step.
     #[must_use]
     pub fn mean_order(&self) -> Option<f64> {
         mean(self.order, self.count)
     }
 
-    /// The mean velocity.
+    /// Returns the mean velocity; `None` without a step.
     #[must_use]
     pub fn mean_velocity(&self) -> Option<[f64; 2]> {
         Some([
@@ -130,7 +132,8 @@ impl RunningMeans {
         ])
     }
 
-    /// The mean drift over the steps that had a common direction, the paper's `v_pd`.
+    /// Returns the mean drift over the steps with a common direction, the paper's `v_pd`; `None`
+    /// without such a step.
     #[must_use]
     pub fn mean_drift(&self) -> Option<f64> {
         mean(self.drift, self.directed)
@@ -157,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn order_is_one_when_all_agree_and_zero_when_they_cancel() {
+    fn order_is_one_for_equal_headings_and_zero_if_they_cancel() {
         let all = order(&heading(&[0.3; 7]));
         assert!((all.order - 1.0).abs() < 1e-15 && all.order <= 1.0);
         assert!((all.velocity[0] - 0.3f64.cos()).abs() < 1e-15);
@@ -181,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn opposite_wishes_of_one_weight_have_no_direction() {
+    fn opposite_directions_of_equal_weight_cancel() {
         let mut configuration = heading(&[0.0, 0.0]);
         configuration.inform(0, 0.5, 0.7, None);
         configuration.inform(1, 0.5, 0.7 + PI, None);

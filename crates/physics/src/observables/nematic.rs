@@ -1,8 +1,10 @@
-//! Order of axes: whether bodies are parallel, whichever end is ahead.
+//! Nematic order: whether bodies are parallel, irrespective of which end is ahead.
 
-/// Measures `|⟨exp(2 i α)⟩|`, in [0, 1]: 1 if all axes are parallel. Nobody has no order: 0.
+/// Computes the nematic order `|⟨exp(2 i α)⟩|`, in [0, 1]: 1 if all axes are parallel, 0 for an
+/// empty group.
 ///
-/// - Source: paper, section 3.1, where such groups are destabilised by those who turn back.
+/// - Shapes: n angles, in radians.
+/// - Source: paper, section 3.1, in which individuals that turn back destabilise such groups.
 #[must_use]
 pub fn nematic_order(angles: &[f64]) -> f64 {
     let sum = angles.iter().fold([0.0, 0.0], |sum, &alpha| {
@@ -10,7 +12,7 @@ pub fn nematic_order(angles: &[f64]) -> f64 {
         [sum[0] + cos, sum[1] + sin]
     });
     let length = (sum[0] * sum[0] + sum[1] * sum[1]).sqrt();
-    // Rounding must not lift it over what it can be.
+    // Rounding could make it larger than 1.
     (length / angles.len().max(1) as f64).min(1.0)
 }
 
@@ -32,7 +34,7 @@ mod tests {
     fn axes_spread_evenly_over_half_a_turn_have_no_order() {
         let angles: Vec<f64> = (0..7).map(|k| 0.1 + f64::from(k) * PI / 7.0).collect();
         assert!(nematic_order(&angles) < 1e-15);
-        // Evenly over an angle of w, many have |sin w| / w.
+        // Many axes spread evenly over an angle of w have the order |sin w| / w.
         let many: Vec<f64> = (0..10_000).map(|k| (f64::from(k) + 0.5) * 1e-4).collect();
         assert!((nematic_order(&many) - libm::sin(1.0)).abs() < 1e-8);
     }

@@ -1,4 +1,5 @@
-//! What a simulation starts from, and the changes that can be applied to it between two steps.
+//! The spec of a simulation, the changes that can be applied to it between two steps, and their
+//! outcomes.
 
 use crate::model::Drive;
 use crate::model::injection::{Pose, Region};
@@ -6,7 +7,7 @@ use crate::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use crate::model::selection::Selection;
 use crate::simulation::error::ReserveError;
 
-/// Time units per second of wall clock; `None` is as fast as possible.
+/// Time units per second of wall clock; `None` is the highest possible rate.
 pub type Rate = Option<f64>;
 
 /// The start of a simulation. [`Simulation::new`](super::Simulation::new) checks it.
@@ -20,14 +21,15 @@ pub struct Spec {
     pub seed: u64,
     /// Positions and headings at the start.
     pub start: Start,
-    /// Steps between two published states. For the caller: it changes no step.
+    /// Steps between two published states. Only callers use it: it changes no step.
     pub publish_every: u64,
-    /// How fast the caller is to step.
+    /// Rate at which the caller steps.
     pub rate: Rate,
 }
 
 impl Spec {
-    /// A group of `n` individuals with the default parameters, drawn in a disc of the default radius.
+    /// Creates the spec of `n` individuals with the default parameters, drawn in a disc of the
+    /// default radius.
     pub fn new(n: usize, seed: u64) -> Self {
         Spec {
             n,
@@ -59,17 +61,17 @@ pub enum Start {
 /// A change of parameters or of the group. It is applied as a whole or rejected.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Change {
-    /// New values of the parameters named.
+    /// Sets parameters to new values.
     Set(Settings),
     /// Gives individuals a direction of their own.
     Inform {
         /// The individuals.
         selection: Selection,
-        /// Radians.
+        /// Preferred direction, in radians.
         direction: f64,
-        /// `pi2` if left out.
+        /// Weight of the direction; `None` is `pi2`.
         weight: Option<f64>,
-        /// Time units after which they become uninformed again; never if left out.
+        /// Time units after which the individuals become uninformed again; `None` is never.
         for_time: Option<f64>,
     },
     /// Makes individuals uninformed.
@@ -78,7 +80,8 @@ pub enum Change {
     Inject {
         /// Where they are placed.
         place: Placement,
-        /// Makes them informed: direction in radians, and weight, `pi2` if left out.
+        /// Direction in radians and weight of informed individuals. A weight of `None` is `pi2`.
+        /// Without this pair the individuals are uninformed.
         informed: Option<(f64, Option<f64>)>,
     },
     /// Removes individuals.
@@ -86,7 +89,8 @@ pub enum Change {
 }
 
 impl Change {
-    /// Informs individuals of a direction in radians, with the weight `pi2` and for good.
+    /// Creates the change that informs individuals of a direction in radians, with the weight `pi2`
+    /// and without an end.
     pub fn inform(selection: Selection, direction: f64) -> Self {
         Change::Inform {
             selection,
@@ -96,7 +100,7 @@ impl Change {
         }
     }
 
-    /// The kind of this change.
+    /// Returns the kind of this change.
     pub fn kind(&self) -> ChangeKind {
         match self {
             Change::Set(_) => ChangeKind::Set,
@@ -123,12 +127,33 @@ pub enum ChangeKind {
     Remove,
 }
 
-/// New values of parameters; those left out keep theirs.
+/// The result of a change.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ChangeOutcome {
+    /// Parameters were set.
+    Set {
+        /// The parameters and `publish_every` before.
+        before: (Parameters, u64),
+        /// The parameters and `publish_every` now.
+        now: (Parameters, u64),
+        /// The factor by which positions were scaled; 1 if they were not.
+        scaled_by: f64,
+    },
+    /// Individuals were changed.
+    Ids {
+        /// Their ids, ascending.
+        ids: Vec<u32>,
+        /// The size of the group now.
+        n: usize,
+    },
+}
+
+/// New values of parameters. Parameters that are `None` keep their values.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Settings {
     /// Length over width of a body.
     pub pi1: Option<f64>,
-    /// Weight of individuals informed without one.
+    /// Default weight of informed individuals.
     pub pi2: Option<f64>,
     /// Body size over turning radius.
     pub pi3: Option<f64>,
@@ -136,9 +161,9 @@ pub struct Settings {
     pub pi4: Option<f64>,
     /// Which of a pair's contacts constrain a step.
     pub contacts: Option<ContactRule>,
-    /// What a contact limits.
+    /// Whether a contact limits gaps or velocities.
     pub stepping: Option<Stepping>,
-    /// Whether a second program is solved.
+    /// Whether each step solves a second program, linearised about the result of the first.
     pub relinearise: Option<bool>,
     /// The law of attraction.
     pub attraction: Option<Attraction>,
@@ -151,7 +176,7 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// The parameters with these settings, unchecked.
+    /// Returns `before` with these settings, unchecked.
     #[must_use]
     pub fn of(&self, before: Parameters) -> Parameters {
         Parameters {
@@ -174,9 +199,9 @@ impl Settings {
 pub enum Placement {
     /// At these positions and headings.
     At(Vec<Pose>),
-    /// So many around the group.
+    /// This number of individuals around the group.
     Border(usize),
-    /// So many in a disc.
+    /// This number of individuals in a region.
     Within(usize, Region),
 }
 
@@ -187,9 +212,9 @@ pub struct SetPoints {
     pub ids: Vec<u32>,
     /// Their preferred directions, in radians.
     pub direction: Vec<f64>,
-    /// Their weights, 0 for uninformed; `pi2` if left out.
+    /// Their weights, 0 for uninformed individuals; `None` is `pi2` for all.
     pub weight: Option<Vec<f64>>,
-    /// How each is driven directly; not at all if left out.
+    /// Their drives; `None` leaves the drives unchanged.
     pub drives: Option<Vec<Drive>>,
 }
 
@@ -201,7 +226,8 @@ pub type ReserveMemory = Box<dyn Fn(Resize) -> Result<(), ReserveError> + Send>;
 pub enum Resize {
     /// Individuals are added: the limit of individuals applies.
     Grow(usize),
-    /// Individuals are removed, a change is rolled back, or the swarm is reset to its spec. The limit
-    /// of individuals may have been lowered since that size was admitted, so it does not apply.
+    /// Individuals are removed, a change is rolled back, or the swarm is reset to its spec. The
+    /// limit of individuals may have been lowered since that size was admitted, so it does not
+    /// apply.
     Return(usize),
 }

@@ -1,4 +1,4 @@
-//! Why a change was not applied.
+//! The errors of starts and changes.
 
 use thiserror::Error;
 
@@ -9,7 +9,7 @@ use crate::model::selection::SelectionError;
 use crate::model::start::StartError;
 use crate::plural::counted;
 
-/// Why a start or a change was rejected. The simulation is as it was before.
+/// The reason for which a start or a change was rejected. The simulation is unchanged.
 #[derive(Clone, Debug, Error)]
 pub enum ChangeError {
     /// A parameter is outside its range.
@@ -21,10 +21,10 @@ pub enum ChangeError {
     /// The selection cannot be made.
     #[error(transparent)]
     Selection(#[from] SelectionError),
-    /// There is no place for the new individuals.
+    /// The new individuals do not fit.
     #[error(transparent)]
     Injection(#[from] InjectionError),
-    /// There is no place for bodies of the new shape.
+    /// Bodies of the new shape do not fit.
     #[error(transparent)]
     Resize(#[from] ResizeError),
     /// Axes cross, which the new contact rule does not allow.
@@ -47,7 +47,7 @@ pub enum ChangeError {
     Reserve(#[from] ReserveError),
 }
 
-/// Why the caller does not admit a group of another size.
+/// The reason for which the caller rejects a group of another size.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum ReserveError {
     /// The group would be larger than the limit.
@@ -55,7 +55,7 @@ pub enum ReserveError {
         "{n} individuals are more than one swarm may have, {limit}: add fewer, or raise max_individuals"
     )]
     TooMany {
-        /// The size that was asked for.
+        /// The requested size.
         n: usize,
         /// The limit.
         limit: usize,
@@ -67,9 +67,9 @@ pub enum ReserveError {
         counted(*.n, "individual")
     )]
     NoMemory {
-        /// The size that was asked for.
+        /// The requested size.
         n: usize,
-        /// Bytes that it needs.
+        /// Bytes that a group of this size needs.
         needed: u64,
         /// Bytes that are free.
         free: u64,

@@ -3,63 +3,39 @@
 
 pub mod change;
 pub mod error;
-
-use std::collections::BTreeSet;
+mod steer;
 
 use crate::model::body::gaps;
 use crate::model::configuration::Configuration;
-use crate::model::parameters::{
-    ContactRule, Parameters, check_coordinate, check_share, check_weight,
-};
-use crate::model::selection::{Candidates, Selection, SelectionError, select};
-use crate::model::{Drive, State};
-use crate::model::{injection, resize, start};
+use crate::model::parameters::{ContactRule, Parameters, check_coordinate, check_weight};
+use crate::model::selection::{Candidates, Selection, select};
+use crate::model::{State, injection, resize, start};
 use crate::observables::{self, Order, RunningMeans};
 use crate::stepper::{StepError, StepReport, Stepper};
 
 pub use change::{
-    Change, ChangeKind, Placement, Rate, ReserveMemory, Resize, SetPoints, Settings, Spec, Start,
+    Change, ChangeKind, ChangeOutcome, Placement, Rate, ReserveMemory, Resize, SetPoints, Settings,
+    Spec, Start,
 };
 pub use error::{ChangeError, ReserveError};
 
-/// How exact the last step was, and how much work it took.
+/// Accuracy and work of the last step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Exactness {
-    /// The residual of its optimality conditions.
+    /// The residual of its optimality conditions, in body sizes.
     pub residual: f64,
-    /// How many steps since the start or reset missed the target residual.
+    /// The number of steps since the start or reset that missed the target residual.
     pub degraded: u64,
     /// The number of contacts of its program.
     pub contacts: usize,
-    /// The number of iterations of the solver.
+    /// The number of linear systems that the solver factored.
     pub iterations: usize,
-}
-
-/// What a change did.
-#[derive(Clone, Debug, PartialEq)]
-pub enum ChangeOutcome {
-    /// Parameters were set.
-    Set {
-        /// The parameters and `publish_every` before.
-        before: (Parameters, u64),
-        /// The parameters and `publish_every` now.
-        now: (Parameters, u64),
-        /// The factor by which positions were scaled, 1 if they were not.
-        scaled_by: f64,
-    },
-    /// Individuals were changed.
-    Ids {
-        /// Their ids, ascending.
-        ids: Vec<u32>,
-        /// The size of the group now.
-        n: usize,
-    },
 }
 
 /// A simulation at one step: two simulations with equal checkpoints have the same future.
 #[derive(Clone, Debug)]
 pub struct Checkpoint {
-    /// What the simulation was started from.
+    /// The spec of its start.
     pub spec: Spec,
     /// The state.
     pub state: State,
@@ -71,13 +47,13 @@ pub struct Checkpoint {
     pub seq: u64,
     /// Means over the steps since the start or reset.
     pub means: RunningMeans,
-    /// How exact the last step was.
+    /// Accuracy and work of the last step.
     pub exactness: Exactness,
 }
 
 /// A swarm's state, its stepper and means over its steps.
 pub struct Simulation {
-    /// What it was started from; a reset returns to it.
+    /// The spec of its start; a reset returns to it.
     pub spec: Spec,
     /// The state, on which alone future steps depend.
     pub state: State,
@@ -89,27 +65,27 @@ pub struct Simulation {
     pub seq: u64,
     /// Means over the steps since the start or reset.
     pub means: RunningMeans,
-    /// How exact the last step was.
+    /// Accuracy and work of the last step.
     pub exactness: Exactness,
     reserve: ReserveMemory,
     stepper: Stepper,
 }
 
-/// What changes can alter, as it was when it was saved.
+/// A saved copy of everything that changes can alter.
 pub struct Rollback {
     state: State,
     publish_every: u64,
     seq: u64,
 }
 
-/// A start that is built and not yet in force.
+/// A start that is built and not yet applied.
 pub struct Restart {
     spec: Spec,
     state: State,
 }
 
 impl Simulation {
-    /// Starts the simulation that `spec` describes. The group may grow without a limit.
+    /// Creates a simulation from `spec`. The size of the group has no limit.
     ///
     /// # Errors
     ///
@@ -118,7 +94,7 @@ impl Simulation {
         Self::with_reserve(spec.clone(), Box::new(|_| Ok(())))
     }
 
-    /// As [`Self::new`], with a callback that is asked before the size of the group changes.
+    /// As [`Self::new`], with a callback that is called before the size of the group changes.
     ///
     /// # Errors
     ///
@@ -138,7 +114,8 @@ impl Simulation {
         })
     }
 
-    /// Continues from a checkpoint, with a callback that is asked before the size of the group changes.
+    /// Continues from a checkpoint, with a callback that is called before the size of the group
+    /// changes.
     pub fn from_checkpoint(checkpoint: &Checkpoint, reserve: ReserveMemory) -> Self {
         Simulation {
             spec: checkpoint.spec.clone(),
@@ -153,7 +130,7 @@ impl Simulation {
         }
     }
 
-    /// The simulation as it is now.
+    /// Returns a checkpoint of the present step.
     pub fn checkpoint(&self) -> Checkpoint {
         Checkpoint {
             spec: self.spec.clone(),
@@ -166,12 +143,13 @@ impl Simulation {
         }
     }
 
-    /// BLAKE3 of the state. Two simulations of equal hash have the same future.
+    /// Returns the BLAKE3 hash of the state. Two simulations with equal hashes have the same
+    /// future.
     pub fn state_hash(&self) -> [u8; 32] {
         self.state.hash()
     }
 
-    /// Replaces the callback that is asked before the size of the group changes.
+    /// Replaces the callback that is called before the size of the group changes.
     pub fn set_reserve(&mut self, reserve: ReserveMemory) {
         self.reserve = reserve;
     }
@@ -180,7 +158,7 @@ impl Simulation {
     ///
     /// # Errors
     ///
-    /// [`StepError`]; the state is then the last good one.
+    /// [`StepError`]; the state is then unchanged.
     pub fn step(&mut self) -> Result<StepReport, StepError> {
         let order = observables::order(&self.state.configuration);
         let report = self.stepper.step(&mut self.state)?;
@@ -194,12 +172,12 @@ impl Simulation {
         Ok(report)
     }
 
-    /// Builds the start again, with a new seed or the old one. The simulation stays as it is.
+    /// Builds the start again, with a new seed or the old one. The simulation is unchanged.
     ///
     /// # Errors
     ///
-    /// [`ChangeError::Start`] if no start can be drawn with the new seed, [`ChangeError::Reserve`] if
-    /// the group has shrunk and its memory is in use.
+    /// [`ChangeError::Start`] if no start can be drawn with the new seed, [`ChangeError::Reserve`]
+    /// if the group has shrunk and the callback rejects its size at the start.
     pub fn build_start(&self, seed: Option<u64>) -> Result<Restart, ChangeError> {
         let mut spec = self.spec.clone();
         spec.seed = seed.unwrap_or(spec.seed);
@@ -213,7 +191,7 @@ impl Simulation {
         }
     }
 
-    /// Returns to a start, in a new epoch.
+    /// Applies a start, in a new epoch.
     pub fn restart(&mut self, start: Restart) {
         self.publish_every = start.spec.publish_every;
         self.spec = start.spec;
@@ -224,7 +202,7 @@ impl Simulation {
         self.stepper = Stepper::new();
     }
 
-    /// Saves what changes can alter.
+    /// Saves everything that changes can alter.
     pub fn save(&self) -> Rollback {
         Rollback {
             state: self.state.clone(),
@@ -233,7 +211,7 @@ impl Simulation {
         }
     }
 
-    /// Undoes every change since it was saved.
+    /// Undoes every change since `saved` was made.
     pub fn rollback(&mut self, saved: Rollback) {
         self.state = saved.state;
         self.publish_every = saved.publish_every;
@@ -242,12 +220,12 @@ impl Simulation {
         let _ = (self.reserve)(Resize::Return(self.n()));
     }
 
-    /// Applies every change in turn, each with a `seq` of its own, the first with the present one.
+    /// Applies the changes in turn. The first has the present `seq`, each further one the next.
     ///
     /// # Errors
     ///
-    /// The index of the change that was rejected and why. The changes before it have been applied:
-    /// undo them with [`Self::rollback`].
+    /// The index of the change that was rejected, and the reason. The changes before it have been
+    /// applied: undo them with [`Self::rollback`].
     pub fn apply_all(
         &mut self,
         changes: &[Change],
@@ -286,7 +264,7 @@ impl Simulation {
     ///
     /// # Errors
     ///
-    /// [`ChangeError`]; the simulation is then as it was before.
+    /// [`ChangeError`]; the simulation is then unchanged.
     pub fn apply(&mut self, change: &Change) -> Result<ChangeOutcome, ChangeError> {
         match change {
             Change::Set(settings) => self.set(settings),
@@ -308,12 +286,12 @@ impl Simulation {
         }
     }
 
-    /// Order and drift now.
+    /// Measures the present order and drift.
     pub fn order(&self) -> Order {
         observables::order(&self.state.configuration)
     }
 
-    /// The parameters with these settings, checked.
+    /// Returns the parameters with these settings, checked.
     fn with(&self, settings: &Settings) -> Result<Parameters, ChangeError> {
         let parameters = settings.of(self.state.parameters);
         parameters.check(self.state.configuration.largest_weight())?;
@@ -359,67 +337,6 @@ impl Simulation {
             configuration.inform(individual, weight, direction, lapses_at);
         }
         Ok(self.changed(&chosen))
-    }
-
-    /// Sets directions, weights and drives of individuals: of all of them or of none.
-    ///
-    /// # Errors
-    ///
-    /// [`ChangeError::Selection`] for an unknown id, [`ChangeError::Parameters`].
-    pub fn steer(&mut self, set: &SetPoints) -> Result<(), ChangeError> {
-        let SetPoints {
-            ids,
-            direction,
-            weight,
-            drives,
-        } = set;
-        let usual = self.state.parameters.pi2;
-        let weight_of = |k: usize| weight.as_ref().map_or(usual, |weight| weight[k]);
-        let configuration = &self.state.configuration;
-        let mut individuals = Vec::with_capacity(ids.len());
-        let mut largest = configuration.largest_weight();
-        for (k, id) in ids.iter().enumerate() {
-            check_coordinate("set.direction", direction[k])?;
-            check_weight("set.weight", weight_of(k))?;
-            largest = largest.max(weight_of(k));
-            if let Some(Drive { turn, speed }) = drives.as_ref().map(|drives| drives[k]) {
-                turn.map_or(Ok(()), |turn| check_coordinate("set.turn", turn))?;
-                speed.map_or(Ok(()), |speed| check_share("set.speed", speed))?;
-            }
-            let index = configuration.id.binary_search(id);
-            let candidates = configuration.n();
-            individuals.push(index.map_err(|_| SelectionError::UnknownId {
-                id: *id,
-                candidates,
-                among: Candidates::All,
-            })?);
-        }
-        self.state.parameters.check(largest)?;
-        for (k, &individual) in individuals.iter().enumerate() {
-            let configuration = &mut self.state.configuration;
-            configuration.inform(individual, weight_of(k), direction[k], None);
-            if let Some(drives) = drives {
-                match drives[k] {
-                    Drive {
-                        turn: None,
-                        speed: None,
-                    } => drop(configuration.drives.remove(&ids[k])),
-                    drive => drop(configuration.drives.insert(ids[k], drive)),
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// Makes those of these individuals that exist uninformed, and removes their drives.
-    pub fn release(&mut self, ids: &BTreeSet<u32>) {
-        let configuration = &mut self.state.configuration;
-        for id in ids {
-            if let Ok(individual) = configuration.id.binary_search(id) {
-                configuration.uninform(individual);
-                configuration.drives.remove(id);
-            }
-        }
     }
 
     fn inject(
@@ -475,9 +392,9 @@ impl Simulation {
         if chosen.len() == self.n() {
             return Err(ChangeError::NoneLeft(chosen.len()));
         }
+        (self.reserve)(Resize::Return(self.n() - chosen.len()))?;
         let ids = self.ids(&chosen);
         self.state.configuration.remove(&chosen);
-        (self.reserve)(Resize::Return(self.n()))?;
         Ok(ChangeOutcome::Ids { ids, n: self.n() })
     }
 
@@ -495,7 +412,7 @@ impl Simulation {
         )?)
     }
 
-    /// The weight and direction of an individual that is to be informed, checked.
+    /// Returns the weight and direction of an individual to be informed, checked.
     fn preference(&self, direction: f64, weight: Option<f64>) -> Result<(f64, f64), ChangeError> {
         let parameters = &self.state.parameters;
         let weight = weight.unwrap_or(parameters.pi2);
@@ -527,7 +444,7 @@ impl Simulation {
     }
 }
 
-/// The first state of a spec.
+/// Builds the first state of a spec.
 ///
 /// # Errors
 ///
@@ -546,12 +463,12 @@ pub fn begin(spec: &Spec) -> Result<State, ChangeError> {
     })
 }
 
-/// More steps than a simulation takes. Doubles represent every whole number up to it.
+/// More steps than a simulation takes. Doubles represent every whole number up to this one.
 const MAX_STEPS: u64 = 1 << 53;
 
-/// The first whole number of steps that lasts at least `time`, at most 2^53.
+/// Returns the least whole number of steps that last at least `time`, at most 2^53.
 ///
-/// A quotient that is whole except for rounding counts as whole: 0.06 in steps of 0.02 is 3.
+/// A quotient that is whole except for rounding counts as whole: 0.06 in steps of 0.02 is 3 steps.
 pub fn steps_in(time: f64, dt: f64) -> u64 {
     const ROUNDING: f64 = 1e-9;
     let steps = (time / dt) * (1.0 - ROUNDING);

@@ -1,40 +1,41 @@
-//! Contacts: where two bodies could touch during a step, and how their gap changes.
+//! Contacts: points at which two bodies could touch during a step, with gap and gradient.
 
 use super::StepError;
 use super::end_contacts::{self, Axis, End, LANES, Pairs, cross, dot};
 use crate::model::simd::Level;
 use crate::model::{Configuration, ContactRule, Parameters};
 
-/// One end of a body near another body.
+/// An end of a body near another body: one constraint of a step.
 ///
-/// The normal points from `i` to `j`. A lever is the normal's component across the body times
-/// the arm along it: the gap shrinks by `lever[0]` per angle of `i` and grows by `lever[1]` per
-/// angle of `j`.
+/// The normal points from `i` to `j`. A lever is the arm of the contact point along the body's axis
+/// times the normal's component across that axis. The gap shrinks by `lever[0]` per angle of `i`
+/// and grows by `lever[1]` per angle of `j`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
     /// Index of the first individual.
     pub i: u32,
-    /// Index of the second, larger than the first.
+    /// Index of the second individual, larger than the first.
     pub j: u32,
-    /// Which ends: 0 and 1, head and tail of `i` on the side of `j`; 2 and 3, head and tail of
-    /// `j` on the side of `i`; 4 + 2e + f, end e of `i` with end f of `j`. Discs have 0.
+    /// The ends in contact. 0 and 1: head and tail of `i` on the side of `j`; 2 and 3: head and
+    /// tail of `j` on the side of `i`; 4 + 2e + f: end e of `i` with end f of `j`, where a head is
+    /// 0 and a tail 1. Discs have 0.
     pub code: u8,
-    /// Signed distance of the surfaces.
+    /// Signed distance of the surfaces in body sizes, negative for an overlap.
     pub gap: f64,
-    /// Unit vector from `i` to `j`.
+    /// Unit vector from the point on the axis of `i` to the point on the axis of `j`.
     pub normal: [f64; 2],
-    /// How turning `i` and `j` changes the gap.
+    /// Derivatives of the gap by the angles of `i`, with opposite sign, and of `j`.
     pub lever: [f64; 2],
 }
 
 impl Contact {
-    /// What orders contacts: the pair, then the ends.
+    /// Returns the sort key of contacts: the pair, then the code.
     #[must_use]
     pub fn key(&self) -> (u32, u32, u8) {
         (self.i, self.j, self.code)
     }
 
-    /// The change of the gap, to first order, when all are displaced.
+    /// Returns `∇g · d`, the change of the gap to first order, for n displacements.
     #[must_use]
     pub fn closing(&self, displacement: &[[f64; 3]]) -> f64 {
         let (di, dj) = (displacement[self.i as usize], displacement[self.j as usize]);
@@ -42,32 +43,34 @@ impl Contact {
             - self.lever[0] * di[2]
     }
 
-    /// The gap, to first order, after all are displaced.
+    /// Returns `g + ∇g · d`, the gap after n displacements to first order.
     #[must_use]
     pub fn linearised_gap(&self, displacement: &[[f64; 3]]) -> f64 {
         self.gap + self.closing(displacement)
     }
 }
 
-/// Pairs whose ends are looked at before the first of their contacts is measured: what is
-/// foreseeable is not held up by what is not.
+/// Number of pairs whose signs are computed before their contacts. The kernel for the signs has no
+/// branches, and so does not wait for the mispredicted branches of the rest.
 const BLOCK: usize = 64;
 
-/// Finds every contact of `pairs` with a gap up to `reach(i, j)`, appending to `contacts`; returns
-/// how many of the pairs cross.
+/// Appends every contact of `pairs` with a gap up to `reach(i, j)` to `contacts`, and returns the
+/// number of crossed pairs.
 ///
-/// - Shapes: pairs ordered by (i, j), i < j; contacts come ordered by (i, j, code).
+/// - Shapes: n individuals and n headings; pairs ordered by (i, j), i < j. The appended contacts
+///   are ordered by (i, j, code).
 /// - Units: body sizes; a negative gap is overlap.
-/// - Source: paper, appendix, third part of a step. It speaks of one distance of a pair; here
-///   every smooth endpoint-to-segment distance counts that no smaller one implies. An end counts
-///   where its projection falls inside the other axis, two ends where each is nearest to the other.
-///   Under `closest` only a pair's nearest contact counts, of several the one of the lowest code;
-///   under `clamped` two ends count where either is nearest to the other.
+/// - Source: paper, appendix, third part of a step. The paper constrains one distance of a pair;
+///   here every smooth distance of an end from the other axis is a contact unless a smaller one
+///   implies it. An end is a contact if its projection is inside the other axis, two ends if each
+///   is nearest to the other. Under `closest` only the nearest of these is a contact, of equal
+///   ones that with the lowest code. Under `clamped` two ends are a contact if either is nearest
+///   to the other.
 ///
 /// # Errors
 ///
-/// [`StepError::CrossedBodies`] when two axes meet, but for `closest`: their distance has no
-/// normal. There the distances of their ends go on to count, as far as there are any.
+/// [`StepError::CrossedBodies`] if two axes cross, since their distance then has no gradient. Under
+/// `closest` this is no error, and the distances of the ends still constrain the pair.
 pub fn find(
     level: Level,
     parameters: &Parameters,
@@ -99,7 +102,7 @@ pub fn find(
                 }
                 crossed += 1;
             }
-            let of_the_pair = contacts.len();
+            let first = contacts.len();
             let mut codes = end_contacts::codes(h, signs, with_implied);
             while codes != 0 {
                 #[expect(clippy::cast_possible_truncation, reason = "codes are below 8")]
@@ -108,15 +111,15 @@ pub fn find(
                 contacts.push(contact((i, j), code, h, width, &axes.at(i), &axes.at(j)));
             }
             if parameters.contacts == ContactRule::Closest {
-                keep_nearest(contacts, of_the_pair);
+                keep_nearest(contacts, first);
             }
         }
     }
     Ok(crossed)
 }
 
-/// Keeps of the contacts from `first` on only the nearest, of several the first. Where two points
-/// coincide there is no normal, and the contact does not count.
+/// Removes all contacts from `first` on but the nearest, of equal ones the first. A contact whose
+/// points coincide has no normal and is removed, too.
 fn keep_nearest(contacts: &mut Vec<Contact>, first: usize) {
     let with_normal = contacts[first..].iter().filter(|it| !it.normal[0].is_nan());
     let nearest = with_normal
@@ -126,7 +129,7 @@ fn keep_nearest(contacts: &mut Vec<Contact>, first: usize) {
     contacts.extend(nearest);
 }
 
-/// All axes; one length for all columns, so that an index is checked once.
+/// The axes of all bodies. The columns have one length, so that the compiler checks an index once.
 #[derive(Clone, Copy)]
 pub struct Axes<'a> {
     x: &'a [f64],
@@ -135,7 +138,7 @@ pub struct Axes<'a> {
 }
 
 impl<'a> Axes<'a> {
-    /// Sees a configuration and its headings as axes.
+    /// Views a configuration of n individuals and its n headings as axes.
     #[must_use]
     pub fn new(configuration: &'a Configuration, heading: &'a [[f64; 2]]) -> Self {
         let n = heading.len();
@@ -143,7 +146,7 @@ impl<'a> Axes<'a> {
         Self { x, y, heading }
     }
 
-    /// The axis of individual `index`.
+    /// Returns the axis of individual `index`.
     #[inline(always)]
     #[must_use]
     pub fn at(&self, index: u32) -> Axis {
@@ -232,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn ends_over_sides_and_ends_at_ends_have_their_codes() {
+    fn contacts_of_ends_with_sides_and_ends_have_their_codes() {
         // Half-length 0.6, width 0.4.
         assert_eq!(
             codes(at(1.3, 0.0, 0.0)),
@@ -259,14 +262,14 @@ mod tests {
     }
 
     #[test]
-    fn an_end_over_a_side_pushes_straight_and_turns_by_its_arm() {
+    fn an_end_on_a_side_has_a_normal_across_and_the_lever_of_its_arm() {
         let contacts = found(Parameters::default(), at(0.25, 1.1, FRAC_PI_2), 0.2).unwrap();
         let [contact] = contacts[..] else {
             panic!("{contacts:?}")
         };
         assert!((contact.gap - 0.1).abs() < 1e-15);
         assert!(contact.normal[0].abs() < 1e-15 && (contact.normal[1] - 1.0).abs() < 1e-15);
-        // On the first the arm is 0.25 ahead; the second is met along its axis.
+        // The arm on the first body is 0.25; on the second the normal is along the axis.
         assert!((contact.lever[0] - 0.25).abs() < 1e-15 && contact.lever[1].abs() < 1e-15);
     }
 
@@ -284,12 +287,12 @@ mod tests {
         assert!((contact.gap - (0.6f64.hypot(0.9) - 1.0)).abs() < 1e-15);
         assert!(
             found(discs, at(0.0, 0.0, 1.0), 0.2).is_err(),
-            "at one place there is no normal"
+            "coinciding centres have no normal"
         );
     }
 
     #[test]
-    fn the_closest_of_a_pair_is_its_first_nearest_contact_crossed_or_not() {
+    fn closest_keeps_the_first_nearest_contact_of_crossed_and_other_pairs() {
         let closest = Parameters {
             contacts: ContactRule::Closest,
             ..Parameters::default()
@@ -310,12 +313,12 @@ mod tests {
             }
         }
         assert!(ties > 1000, "{ties}");
-        // Side by side, half a length apart: two ends over sides at one gap, to the bit.
+        // Side by side and displaced by 0.5: two ends on sides with gaps that are equal to the bit.
         let [contact] = found(closest, at(0.5, 0.5, 0.0), 0.2).unwrap()[..] else {
             panic!("one contact")
         };
         assert_eq!(contact.code, 0);
-        // One's head on the other's side: that distance has no normal, no other is in reach.
+        // The tail of one is on the axis of the other: that distance is 0 and has no normal.
         let (contacts, crossed) = found_and_crossed(closest, at(0.0, 0.6, FRAC_PI_2), 0.0).unwrap();
         assert!(
             contacts.iter().all(|it| it.normal[0].is_finite()) && crossed == 1,
@@ -330,12 +333,12 @@ mod tests {
     }
 
     #[test]
-    fn clamped_adds_ends_that_are_further_than_what_implies_them() {
+    fn clamped_adds_only_contacts_beyond_those_that_imply_them() {
         let clamped = Parameters {
             contacts: ContactRule::Clamped,
             ..Parameters::default()
         };
-        // Over the middle of a side: only the tail is on it, the head is nearest to nobody's end.
+        // Above the middle of a side: the tail is on it, and every two ends are beyond the reach.
         let upright = at(0.0, 1.1, FRAC_PI_2);
         assert_eq!(
             found(clamped, upright, 0.2),
@@ -362,7 +365,7 @@ mod tests {
     }
 
     #[test]
-    fn axes_that_meet_are_an_error() {
+    fn crossed_axes_are_an_error() {
         let crossed = Err(StepError::CrossedBodies {
             first: 0,
             second: 1,
@@ -374,12 +377,12 @@ mod tests {
         assert_eq!(
             found(Parameters::default(), at(0.1, 0.0, 0.0), 0.2),
             crossed,
-            "along one line"
+            "on one line"
         );
         assert!(found(Parameters::default(), at(0.1, 1e-6, 0.0), 0.2).is_ok());
     }
 
-    /// Poses around the first body at any angle, a few of them crossed.
+    /// Poses around the first body at any angle; a few cross it.
     fn poses() -> impl Iterator<Item = Pose> {
         let mut stream = Stream::new(7, 0, 0, Purpose::Start);
         (0..20_000).map(move |_| {
@@ -435,7 +438,7 @@ mod tests {
                                 .gap,
                         )
                     };
-                    // Near the end of its range a contact becomes another.
+                    // At the limit of its range a contact is replaced by another.
                     let (Some(ahead), Some(behind)) = (moved(step), moved(-step)) else {
                         continue;
                     };
@@ -452,13 +455,13 @@ mod tests {
     }
 
     #[test]
-    fn turning_the_first_is_turning_all_but_the_first_the_other_way() {
+    fn a_common_rotation_changes_no_gap() {
         for pose in poses() {
             let Ok(contacts) = found(Parameters::default(), pose, 0.3) else {
                 continue;
             };
             for contact in contacts {
-                // A gap does not change when both turn about the first one's centre.
+                // A rotation of both bodies about the centre of the first changes no gap.
                 let turned = [[0.0, 0.0, 1.0], [-pose.y, pose.x, 1.0]];
                 assert!(contact.closing(&turned).abs() < 1e-13, "{pose:?}");
             }

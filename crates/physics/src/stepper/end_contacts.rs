@@ -1,35 +1,37 @@
-//! Where the ends of two bodies are nearest to each other's axes, for many pairs side by side.
+//! The points of two axes nearest to each other's ends, for several pairs at a time, one in each
+//! lane.
 
 use crate::model::simd::{self, Lanes, Level, multiversion};
 
-/// How many pairs are looked at side by side.
+/// Number of pairs that a kernel examines at a time.
 pub const LANES: usize = simd::WIDTH;
 
-/// Pairs of axes, the second seen from the first.
+/// Pairs of axes, one in each lane; the second is stored relative to the first.
 #[derive(Default)]
 pub struct Pairs {
-    /// How near an end must be to the other axis.
+    /// Largest distance at which an end counts as near the other axis.
     limit: Lanes,
     offset: [Lanes; 2],
     first: [Lanes; 2],
     second: [Lanes; 2],
 }
 
-/// What holds for the ends of a pair: head and tail of the first, then head and tail of the
-/// second. For end k there is a bit at `AT_HEAD << k`, `AT_TAIL << k` and `NEAR << k`.
+/// Bits that classify the four ends of a pair. End k is 0 and 1 for head and tail of the first
+/// axis, 2 and 3 for head and tail of the second; its bits are `AT_HEAD << k`, `AT_TAIL << k` and
+/// `NEAR << k`.
 pub type Signs = u64;
 
-/// The point of the other axis nearest to the end is the other's head.
+/// The point of the other axis nearest to the end is that axis's head.
 const AT_HEAD: Signs = 1;
-/// It is the other's tail.
+/// The point of the other axis nearest to the end is that axis's tail.
 const AT_TAIL: Signs = 1 << 4;
-/// It is within the limit.
+/// The end is within the limit of the other axis.
 const NEAR: Signs = 1 << 8;
 /// The axes cross.
 const CROSSED: Signs = 1 << 12;
 
 impl Pairs {
-    /// Puts pair (i, j) into a lane.
+    /// Stores pair (i, j) in a lane.
     #[inline(always)]
     pub fn set(&mut self, lane: usize, axis_i: &Axis, axis_j: &Axis, limit: f64) {
         self.limit[lane] = limit;
@@ -40,14 +42,14 @@ impl Pairs {
         }
     }
 
-    /// The offset and both headings of a lane.
+    /// Returns the offset and both headings of a lane.
     #[inline(always)]
     fn axes(&self, lane: usize) -> [[f64; 2]; 3] {
         let columns = [&self.offset, &self.first, &self.second];
         columns.map(|column| [column[0][lane], column[1][lane]])
     }
 
-    /// Finds what holds for every pair's ends, axes being of half-length `h`.
+    /// Computes the signs of every lane's pair, for axes of half-length `h`.
     pub fn signs(&self, level: Level, h: f64) -> [Signs; LANES] {
         signs(level, h, self)
     }
@@ -76,22 +78,22 @@ multiversion! {
 /// The axis of one body.
 #[derive(Clone, Copy)]
 pub struct Axis {
-    /// Its centre.
+    /// Centre, in body sizes.
     pub centre: [f64; 2],
-    /// A unit vector along it.
+    /// Unit vector along the axis.
     pub heading: [f64; 2],
 }
 
-/// One end of a pair with the point nearest to it on the other's axis.
+/// An end of one axis and a point of the other axis: the nearest one, or an end.
 pub struct End {
-    /// Where on the first and on the second axis they are.
+    /// Positions of the two points along the first and the second axis, from the centres.
     pub arms: [f64; 2],
-    /// Where the end's projection falls on the other's line.
+    /// Position of the end's projection along the line of the other axis.
     along: f64,
 }
 
 impl End {
-    /// Finds the point nearest to head or tail of the first or of the second axis.
+    /// Finds the point of the other axis nearest to head or tail of the first or second axis.
     #[inline(always)]
     pub fn new(
         is_tail: bool,
@@ -112,7 +114,7 @@ impl End {
         Self { arms, along }
     }
 
-    /// An end of the first axis with one of the second.
+    /// Pairs an end of the first axis with an end of the second.
     #[inline(always)]
     pub fn both(is_tail: bool, other_is_tail: bool, h: f64) -> Self {
         let arms = [is_tail, other_is_tail].map(|is_tail| if is_tail { -h } else { h });
@@ -122,21 +124,21 @@ impl End {
         }
     }
 
-    /// From the place on the first axis to that on the second.
+    /// Returns the vector from the point on the first axis to the point on the second.
     #[inline(always)]
     pub fn separation(&self, offset: [f64; 2], u: [f64; 2], v: [f64; 2]) -> [f64; 2] {
         [0, 1].map(|axis| offset[axis] + self.arms[1] * v[axis] - self.arms[0] * u[axis])
     }
 }
 
-/// Whether two axes of half-length `h` meet, the second's centre at `offset` from the first's.
-/// Discs meet when their centres coincide.
+/// Returns whether two axes of half-length `h` meet. The centre of the second is at `offset` from
+/// the centre of the first. Discs meet if their centres coincide.
 #[inline(always)]
 #[must_use]
 pub fn axes_cross(h: f64, offset: [f64; 2], heading_i: [f64; 2], heading_j: [f64; 2]) -> bool {
-    // Each axis must meet the other's line: the ends of one lie on both sides of it. Parallel
-    // axes on one line meet where they are nearer than two half-lengths. All is asked at once,
-    // as nobody can foretell the answers.
+    // Each axis must meet the line of the other: its ends are on opposite sides of that line.
+    // Parallel axes on one line meet if their centres are within two half-lengths. The three
+    // conditions are combined without branches, which would be mispredicted.
     let spread = h * cross(heading_i, heading_j).abs();
     let apart = (dot(offset, offset) > 4.0 * h * h)
         | (cross(heading_i, offset).abs() > spread)
@@ -144,20 +146,20 @@ pub fn axes_cross(h: f64, offset: [f64; 2], heading_i: [f64; 2], heading_j: [f64
     !apart
 }
 
-/// Whether the axes cross.
+/// Returns whether the axes cross.
 #[must_use]
 pub fn crossed(signs: Signs) -> bool {
     signs & CROSSED != 0
 }
 
-/// Whether the axes cross or any end is within the limit.
+/// Returns whether the axes cross or any end is within the limit.
 #[must_use]
 pub fn within(signs: Signs) -> bool {
     signs & (CROSSED | (NEAR * 0b1111)) != 0
 }
 
-/// The codes of the contacts that a pair has, as bits; discs have one, of code 0. Two ends count
-/// where each is nearest to the other, or, with the implied ones, where either is.
+/// Returns the codes of a pair's contacts, one bit each; discs have the one code 0. Two ends are a
+/// contact if each is nearest to the other; `with_implied`, if either is nearest to the other.
 #[must_use]
 pub fn codes(h: f64, signs: Signs, with_implied: bool) -> u64 {
     let near = signs >> 8;
@@ -199,7 +201,7 @@ mod tests {
     use crate::model::random::{Purpose, Stream};
 
     #[test]
-    fn every_level_sees_the_same() {
+    fn every_level_computes_the_same_signs() {
         let mut stream = Stream::new(1, 0, 0, Purpose::Start);
         let mut seen = 0;
         for _ in 0..5000 {

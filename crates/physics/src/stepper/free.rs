@@ -1,4 +1,4 @@
-//! What every individual would do alone in one step.
+//! Free motion: the displacement of every individual in one step without contacts.
 
 use crate::model::attraction::AttractionWorkspace;
 use crate::model::heading::unit_vectors;
@@ -9,13 +9,13 @@ use crate::model::{Configuration, Drive, Parameters, State};
 /// Free motion of all individuals.
 #[derive(Clone, Debug, Default)]
 pub struct Free {
-    /// Which version of the kernels runs; it changes no bit.
+    /// Instruction set of the kernels; it changes no bit of a result.
     pub level: Level,
     /// Unit vectors along the bodies.
     pub heading: Vec<[f64; 2]>,
-    /// Displacement in x, y and angle, where [`Free::compute`] was asked for it.
+    /// Displacement in x, y and angle; only [`Free::compute`] sets it.
     pub displacement: Vec<[f64; 3]>,
-    social: AttractionWorkspace,
+    attraction: AttractionWorkspace,
     pull: Vec<[f64; 2]>,
     /// Unit vectors along the preferred directions, if any individual has one.
     own: Vec<[f64; 2]>,
@@ -24,11 +24,12 @@ pub struct Free {
 impl Free {
     /// Computes headings and free displacements of one step.
     ///
-    /// - Shapes: n individuals in; n headings, n displacements.
+    /// - Shapes: n individuals; n headings and n displacements.
+    /// - Units: body sizes and radians.
     /// - Source: paper, eqs. (1)-(3), (5), (6), with `c_s = π3` and `c_p` the weight times that.
     pub fn compute(&mut self, parameters: &Parameters, configuration: &Configuration) {
         let mut pull = std::mem::take(&mut self.pull);
-        self.social
+        self.attraction
             .compute(parameters.attraction, configuration, &mut pull);
         self.compute_headings(configuration);
         let mut displacement = std::mem::take(&mut self.displacement);
@@ -37,13 +38,16 @@ impl Free {
         self.pull = pull;
     }
 
-    /// Computes headings.
+    /// Computes the headings of n individuals into [`Free::heading`].
     pub fn compute_headings(&mut self, configuration: &Configuration) {
         unit_vectors(self.level, &configuration.alpha, &mut self.heading);
     }
 
-    /// Computes free displacements into `displacement`, from the headings and from `pull`, which
-    /// [`AttractionWorkspace::compute`] gives.
+    /// Computes free displacements from [`Free::heading`] and from `pull`, the result of
+    /// [`AttractionWorkspace::compute`].
+    ///
+    /// - Shapes: n individuals, n headings, n vectors of `pull`; n displacements.
+    /// - Source: paper, eqs. (1)-(3), (5), (6).
     pub fn steer(
         &mut self,
         parameters: &Parameters,
@@ -52,33 +56,38 @@ impl Free {
         displacement: &mut Vec<[f64; 3]>,
     ) {
         let Parameters { pi3, dt, .. } = *parameters;
-        let moved = |[cos, sin]: [f64; 2], wanted: [f64; 2]| {
-            let turning = pi3 * (cos * wanted[1] - sin * wanted[0]);
+        let moved = |[cos, sin]: [f64; 2], preference: [f64; 2]| {
+            let turning = pi3 * (cos * preference[1] - sin * preference[0]);
             [dt * cos, dt * sin, dt * turning]
         };
         displacement.clear();
-        let social = self.heading.iter().zip(pull);
+        let inputs = self.heading.iter().zip(pull);
         let weight = &configuration.weight;
         if weight.iter().all(|&weight| weight == 0.0) {
-            let free = social.map(|(&heading, &pull)| moved(heading, pull));
+            let free = inputs.map(|(&heading, &pull)| moved(heading, pull));
             displacement.extend(free);
             return;
         }
         unit_vectors(self.level, &configuration.direction, &mut self.own);
         let preferred = weight.iter().zip(&self.own);
-        let free = social
+        let free = inputs
             .zip(preferred)
             .map(|((&heading, pull), (weight, own))| {
-                let wanted = [pull[0] + weight * own[0], pull[1] + weight * own[1]];
-                moved(heading, if *weight > 0.0 { wanted } else { *pull })
+                let preference = [pull[0] + weight * own[0], pull[1] + weight * own[1]];
+                moved(heading, if *weight > 0.0 { preference } else { *pull })
             });
         displacement.extend(free);
     }
 }
 
-/// Moves those who are driven directly as they are driven, beyond the paper: at a turning rate of
-/// at most the fastest free one, and at a part of the free speed. Nobody is then faster than the
-/// longest step and the reach of contacts allow for.
+/// Applies the drives, beyond the paper: replaces a driven individual's turning rate by the given
+/// one, limited to `±ω` with `ω = π3 (1 + largest weight)`, and multiplies its speed by a factor
+/// from 0 to 1.
+///
+/// `ω` bounds the free turning rate under every law of attraction but `power`. The longest step
+/// and the reach of contacts are computed from `ω`, and a driven individual stays within it.
+///
+/// - Shapes: n individuals and n displacements.
 pub fn drive(
     parameters: &Parameters,
     configuration: &Configuration,
@@ -87,14 +96,14 @@ pub fn drive(
     if configuration.drives.is_empty() {
         return;
     }
-    let fastest = parameters.fastest_turning_rate(configuration.largest_weight());
+    let limit = parameters.turning_rate_scale(configuration.largest_weight());
     for (id, Drive { turn, speed }) in &configuration.drives {
         let Ok(individual) = configuration.id.binary_search(id) else {
             continue;
         };
         let [x, y, angle] = &mut displacement[individual];
         if let Some(turn) = turn {
-            *angle = parameters.dt * turn.clamp(-fastest, fastest);
+            *angle = parameters.dt * turn.clamp(-limit, limit);
         }
         if let Some(speed) = speed {
             *x *= speed;
@@ -105,7 +114,10 @@ pub fn drive(
 
 /// Adds white noise of intensity `D_α` to the turns: `√(2 D_α dt) ξ`, ξ standard normal.
 ///
-/// Every draw is named by seed, step and individual, so no order and no restart changes one.
+/// Each draw is a function of seed, step, id and purpose, so the order of evaluation and a restart
+/// do not change it.
+///
+/// - Shapes: n individuals and n displacements.
 pub fn add_noise(state: &State, displacement: &mut [[f64; 3]]) {
     let Parameters { noise, dt, .. } = state.parameters;
     if noise == 0.0 {
@@ -125,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_is_driven_turns_and_moves_as_told_and_no_faster_than_it_could() {
+    fn a_driven_individual_follows_its_drive_within_the_turning_limit() {
         let parameters = Parameters::default();
         let mut configuration = Configuration::default();
         for place in 0..3 {
@@ -133,7 +145,7 @@ mod tests {
         }
         let mut free = Free::default();
         free.compute(&parameters, &configuration);
-        let by_themselves = free.displacement.clone();
+        let free_motion = free.displacement.clone();
         let driven = |turn, speed| Drive { turn, speed };
         configuration.drives.insert(0, driven(Some(0.5), None));
         configuration
@@ -141,15 +153,12 @@ mod tests {
             .insert(2, driven(Some(-1e6), Some(0.25)));
         drive(&parameters, &configuration, &mut free.displacement);
         let [first, second, third] = free.displacement[..] else {
-            panic!("three are three");
+            panic!("expected three displacements");
         };
-        assert_eq!(
-            first,
-            [by_themselves[0][0], by_themselves[0][1], 0.02 * 0.5]
-        );
-        assert_eq!(second, by_themselves[1]);
+        assert_eq!(first, [free_motion[0][0], free_motion[0][1], 0.02 * 0.5]);
+        assert_eq!(second, free_motion[1]);
         assert_eq!(third[1], 0.25 * 0.02);
-        assert_eq!(third[2], -0.02 * parameters.fastest_turning_rate(0.0));
+        assert_eq!(third[2], -0.02 * parameters.turning_rate_scale(0.0));
     }
 
     #[test]
@@ -164,17 +173,17 @@ mod tests {
         configuration.inform(0, 0.5, -FRAC_PI_2, None);
         let mut free = Free::default();
         free.compute(&parameters, &configuration);
-        // Pulled up by 1 and down by 0.5, at twice the unit rate.
+        // The pull is 1 upwards, the own direction 0.5 downwards; `pi3` doubles the rate.
         let [x, y, turn] = free.displacement[0];
         assert_eq!((x, y), (0.02, 0.0));
         assert!((turn - 0.02 * 2.0 * 0.5).abs() < 1e-16);
-        // The other looks away from the first: it is pulled straight back, and does not turn.
+        // The second individual faces away from the first: the pull is backwards and turns nothing.
         let [x, y, turn] = free.displacement[1];
         assert!(x.abs() < 1e-17 && (y - 0.02).abs() < 1e-17 && turn.abs() < 1e-17);
     }
 
     #[test]
-    fn noise_is_white_and_each_draw_has_its_name() {
+    fn noise_is_white_and_each_draw_depends_on_step_and_id() {
         let mut state = State {
             seed: 5,
             ..State::default()
@@ -202,7 +211,7 @@ mod tests {
         let expected = 2.0 * 0.3 * 0.02;
         assert!(mean.abs() < 4.0 * (expected / count).sqrt(), "{mean}");
         assert!((variance / expected - 1.0).abs() < 4.0 * (2.0 / count).sqrt());
-        // Without the first individual all the others draw as before.
+        // After the removal of the first individual, the draws of the others are the same.
         state.configuration.remove(&[0]);
         assert_eq!(turns(&state), first[1..]);
         state.step = 1;

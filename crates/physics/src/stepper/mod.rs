@@ -2,41 +2,46 @@
 //!
 //! P. L. Várkonyi, *Communication and collective consensus making in animal groups via
 //! mechanical interactions*, J. Nonlinear Sci. 21 (2011) 387-401: eqs. (1)-(7) and the appendix,
-//! referred to below as "the paper". A step is a function of the state alone. The workspace only
-//! saves time.
+//! referred to below as "the paper". A step is a function of the state alone. The buffers of a
+//! [`Stepper`] affect only its duration.
 
 pub mod contact;
+mod displacement;
 mod end_contacts;
 pub mod free;
 mod neighbours;
 pub mod qp;
+mod report;
 pub mod solve;
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests;
 mod warm_start;
-
-use thiserror::Error;
 
 use crate::model::attraction::AttractionWorkspace;
 use crate::model::heading::unit_vector;
 use crate::model::simd::Level;
 use crate::model::threads::Pool;
-use crate::model::{CELL, Configuration, ContactRule, Parameters, State, Stepping, WarmStart};
+use crate::model::{Configuration, ContactRule, Parameters, State, Stepping, WarmStart};
 use contact::Contact;
+use displacement::{all_finite, displace, displace_all, furthest_travel, two_largest};
 use neighbours::Neighbours;
 use qp::Qp;
+pub use report::{StepError, StepReport};
 
-/// How often contacts may be listed again in one step. Every time at least one is added, and
+/// Lists of contacts in one step at most. Each list adds at least one contact to the last, and
 /// hardly any step needs a second list.
-const MOST_LISTS: usize = 20;
+const MAX_LISTS: usize = 20;
 
-/// What a bound on a distance leaves for rounding, at the largest coordinates and angles.
+/// Margin of a bound on a distance for rounding, at the largest coordinates and angles.
 const ROUNDING: f64 = 1e-6;
 
-/// Advances states, and keeps its buffers between steps.
+/// Advances states. Keeps its buffers between steps.
 #[derive(Debug, Default)]
 pub struct Stepper {
     level: Level,
     backend: solve::Backend,
-    social: AttractionWorkspace,
+    attraction: AttractionWorkspace,
     pull: Vec<[f64; 2]>,
     free: free::Free,
     neighbours: Neighbours,
@@ -44,82 +49,36 @@ pub struct Stepper {
     guess: Vec<f64>,
     solution: solve::Solution,
     solver: solve::Workspace,
-    /// How far all go from where a second program is linearised; how far any point of each goes.
-    way: Vec<[f64; 3]>,
+    /// Displacements relative to the configuration about which the second program is linearised,
+    /// and the longest displacement of any point of each body.
+    relative: Vec<[f64; 3]>,
     travel: Vec<f64>,
-    /// Contacts that the first list missed, and all with their multipliers while they are sorted.
+    /// Contacts that the list lacked, and all contacts with their multipliers while they are
+    /// sorted.
     missed: Vec<Contact>,
     listed: Vec<(Contact, f64)>,
-    /// The least gap that is listed, and how many pairs cross.
+    /// Least gap of the listed contacts, and number of crossed pairs.
     least_gap: Option<f64>,
     crossed: usize,
-    /// By how much all are displaced where the program is linearised; nobody, but for a second
-    /// program. That is about the configuration which the first one predicts.
+    /// Displacement of the configuration about which the program is linearised. Empty for the first
+    /// program; for the second, the solution of the first.
     carried: Vec<[f64; 3]>,
+    /// The configuration about which the second program is linearised.
     predicted: Configuration,
-    /// The headings of the configuration that the program not at hand is about.
+    /// Headings of the configuration of the other program.
     other_headings: Vec<[f64; 2]>,
-    between: WarmStart,
-}
-
-/// What a step was like.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct StepReport {
-    /// How exactly the step was solved: `max |min(λ, s)|` over its contacts.
-    pub residual: f64,
-    /// Whether the residual missed its target, yet was good enough to go on.
-    pub degraded: bool,
-    /// How many contacts were listed.
-    pub contacts: usize,
-    /// How many of them pushed.
-    pub active: usize,
-    /// How many linear systems were factored, inside Clarabel too.
-    pub iterations: usize,
-    /// How often Clarabel was asked.
-    pub fallback: usize,
-    /// The least gap of any pair as the step began; none where all were out of reach.
-    pub least_gap: Option<f64>,
-    /// How many pairs crossed as the step began; under `endpoints` none.
-    pub crossed: usize,
-    /// Who became uninformed at the end of the step.
-    pub lapsed: Vec<u32>,
-}
-
-/// Why a step could not be taken.
-#[derive(Clone, Copy, Debug, PartialEq, Error)]
-pub enum StepError {
-    /// Two axes cross, or would after the step: no normal pushes them apart.
-    #[error(
-        "the bodies of individuals {first} and {second} cross: a shorter dt or a smaller pi4 avoids it"
-    )]
-    CrossedBodies {
-        /// Id of the first.
-        first: u32,
-        /// Id of the second.
-        second: u32,
-    },
-    /// No solution was exact enough.
-    #[error("the step is only solved to {residual}")]
-    NotSolved {
-        /// The best residual reached; infinite if there was none.
-        residual: f64,
-    },
-    /// A position or angle is not a finite number, or would not be after the step.
-    #[error("the position of individual {id} is not a finite number")]
-    NotFinite {
-        /// Who.
-        id: u32,
-    },
+    /// Solution of the first program, from which the second one is guessed.
+    first_solution: WarmStart,
 }
 
 impl Stepper {
-    /// Creates an empty workspace.
+    /// Creates a stepper with empty buffers.
     #[must_use]
     pub fn new() -> Self {
         Self::default()
     }
 
-    /// Creates an empty workspace that solves by `backend`.
+    /// Creates a stepper that solves by `backend`.
     #[must_use]
     pub fn with_backend(backend: solve::Backend) -> Self {
         Self {
@@ -128,54 +87,56 @@ impl Stepper {
         }
     }
 
-    /// Creates an empty workspace whose kernels are those of `level`: it takes another time and
-    /// changes no bit.
+    /// Creates a stepper whose kernels use the instruction set `level`. This changes the duration
+    /// of a step and no bit of its result.
     #[must_use]
     pub fn with_level(level: Level) -> Self {
         let mut stepper = Self {
             level,
             ..Self::default()
         };
-        stepper.social.level = level;
+        stepper.attraction.level = level;
         stepper.free.level = level;
         stepper.neighbours.search.level = level;
         stepper.solver.exact.level = level;
         stepper
     }
 
-    /// Creates an empty workspace that shares the attraction of large groups among the threads
-    /// of `pool`: it takes another time and changes no bit.
+    /// Creates a stepper that computes the attraction of large groups on the threads of `pool`.
+    /// This changes the duration of a step and no bit of its result.
     #[must_use]
     pub fn with_pool(pool: Pool) -> Self {
         let mut stepper = Self::default();
-        stepper.social.pool = Some(pool);
+        stepper.attraction.pool = Some(pool);
         stepper
     }
 
     /// Advances `state` by one step.
     ///
-    /// - Source: paper, Principle 1, and the four parts of a step at the end of its appendix.
+    /// - Source: paper, Principle 1, eq. (7), and the four parts of a step at the end of its
+    ///   appendix.
     ///
     /// # Errors
     ///
-    /// [`StepError`]; the state is then as it was.
+    /// [`StepError`]; the state is then unchanged.
     pub fn step(&mut self, state: &mut State) -> Result<StepReport, StepError> {
         let mut pull = std::mem::take(&mut self.pull);
         let attraction = state.parameters.attraction;
-        self.social
+        self.attraction
             .compute(attraction, &state.configuration, &mut pull);
         let result = self.advance(state, &pull);
         self.pull = pull;
         result
     }
 
-    /// Advances `state` by one step, the attraction being known.
+    /// Advances `state` by one step with the given attraction.
     ///
-    /// - Shapes: n individuals and n vectors of `pull`, which [`AttractionWorkspace::compute`] gives.
+    /// - Shapes: n individuals; n vectors of `pull`, the result of
+    ///   [`AttractionWorkspace::compute`].
     ///
     /// # Errors
     ///
-    /// [`StepError`]; the state is then as it was.
+    /// [`StepError`]; the state is then unchanged.
     pub fn advance(
         &mut self,
         state: &mut State,
@@ -204,10 +165,11 @@ impl Stepper {
         Ok(report)
     }
 
-    /// Assembles the program of one step, the attraction being known, and guesses its
-    /// multipliers: [`Stepper::program`] then has both.
+    /// Assembles the program of one step with the given attraction, and guesses its multipliers.
+    /// [`Stepper::program`] then returns both.
     ///
-    /// - Shapes: n individuals and n vectors of `pull`, which [`AttractionWorkspace::compute`] gives.
+    /// - Shapes: n individuals; n vectors of `pull`, the result of
+    ///   [`AttractionWorkspace::compute`].
     ///
     /// # Errors
     ///
@@ -239,7 +201,7 @@ impl Stepper {
         Ok(())
     }
 
-    /// Lists the contacts of `configuration`, whose headings are known.
+    /// Lists the contacts of `configuration`, whose headings have been computed.
     fn list(
         &mut self,
         parameters: &Parameters,
@@ -268,10 +230,11 @@ impl Stepper {
         Ok(())
     }
 
-    /// Assembles and solves a second program about what the first one's solution predicts.
+    /// Assembles and solves a second program, linearised about the result of the first one.
     ///
-    /// Its gaps and gradients are those of the predicted configuration, its objective is the
-    /// first one's: what is left of overlap comes from the second displacement alone.
+    /// Its gaps and gradients are those of the predicted configuration; its objective is that of
+    /// the first program. The overlap that remains is due to the difference of the two solutions
+    /// alone.
     fn relinearise(&mut self, state: &State, report: &mut StepReport) -> Result<(), StepError> {
         let State {
             parameters,
@@ -280,7 +243,13 @@ impl Stepper {
         } = state;
         let id = &configuration.id;
         let (multipliers, order) = (&self.solution.multipliers, self.solver.exact.order());
-        warm_start::store(id, &self.qp.contacts, multipliers, order, &mut self.between);
+        warm_start::store(
+            id,
+            &self.qp.contacts,
+            multipliers,
+            order,
+            &mut self.first_solution,
+        );
         let mut predicted = std::mem::take(&mut self.predicted);
         predicted.clone_from(configuration);
         self.carried.clone_from(&self.solution.displacement);
@@ -291,7 +260,7 @@ impl Stepper {
             for contact in &mut self.qp.contacts {
                 contact.gap -= contact.closing(&self.carried);
             }
-            warm_start::load(&self.between, id, &self.qp.contacts, &mut self.guess);
+            warm_start::load(&self.first_solution, id, &self.qp.contacts, &mut self.guess);
             self.solve(state, &predicted, report)
         });
         self.predicted = predicted;
@@ -299,26 +268,26 @@ impl Stepper {
         result
     }
 
-    /// Unit vectors along the bodies as the last step began.
+    /// Returns the n unit vectors along the bodies at the start of the last step.
     #[must_use]
     pub fn headings(&self) -> &[[f64; 2]] {
         &self.free.heading
     }
 
-    /// By how much the last step displaced everybody: x, y and angle.
+    /// Returns the n displacements of the last step in x, y and angle.
     #[must_use]
     pub fn displacement(&self) -> &[[f64; 3]] {
         &self.solution.displacement
     }
 
-    /// The program assembled last, and a guess of its multipliers.
+    /// Returns the program assembled last, and the guess of its m multipliers.
     #[must_use]
     pub fn program(&self) -> (&Qp, &[f64]) {
         (&self.qp, &self.guess)
     }
 
-    /// Solves the program about `configuration`, lists what the solution could have closed, and
-    /// solves again until nothing was missed.
+    /// Solves the program linearised about `configuration`. Adds the contacts that the list lacks
+    /// and the solution violates, and solves again until there are none.
     fn solve(
         &mut self,
         state: &State,
@@ -335,7 +304,7 @@ impl Stepper {
                 .exact
                 .recall(&warm_start.order, warm_start.order_age);
         }
-        for _ in 0..MOST_LISTS {
+        for _ in 0..MAX_LISTS {
             let hints = solve::Hints {
                 multipliers: &self.guess,
                 x: &configuration.x,
@@ -352,7 +321,7 @@ impl Stepper {
                 });
             }
             if !self.carried.is_empty() {
-                self.measure_way();
+                self.compute_relative();
             }
             let closing = self.find_missed(parameters, configuration)?;
             if self.missed.is_empty() {
@@ -370,24 +339,25 @@ impl Stepper {
         })
     }
 
-    /// Measures how far all go from where a second program is linearised.
-    fn measure_way(&mut self) {
-        let ways = self.solution.displacement.iter().zip(&self.carried);
-        self.way.clear();
-        self.way
-            .extend(ways.map(|(moved, carried)| [0, 1, 2].map(|axis| moved[axis] - carried[axis])));
+    /// Computes the displacements relative to the configuration of the second program.
+    fn compute_relative(&mut self) {
+        let displacements = self.solution.displacement.iter().zip(&self.carried);
+        self.relative.clear();
+        self.relative.extend(
+            displacements.map(|(moved, carried)| [0, 1, 2].map(|axis| moved[axis] - carried[axis])),
+        );
     }
 
-    /// How far all go from where the program is linearised.
-    fn way(&self) -> &[[f64; 3]] {
+    /// Returns the displacements relative to the configuration of the present program.
+    fn relative(&self) -> &[[f64; 3]] {
         if self.carried.is_empty() {
             return &self.solution.displacement;
         }
-        &self.way
+        &self.relative
     }
 
-    /// Finds the contacts not listed that the displacements close in the linearised gap; returns
-    /// by how much any two bodies can have closed, at most.
+    /// Finds the contacts that are not listed and whose linearised gap is negative after the
+    /// displacements. Returns an upper bound on the change of the distance of any two bodies.
     fn find_missed(
         &mut self,
         parameters: &Parameters,
@@ -396,15 +366,15 @@ impl Stepper {
         let h = parameters.half_length();
         self.missed.clear();
         let reach = reach(parameters, configuration);
-        let bound = 2.0 * furthest_travel(h, self.way());
-        // Velocities are only limited where bodies touch as the step begins.
+        let bound = 2.0 * furthest_travel(h, self.relative());
+        // Velocities are limited only at contacts that touch at the start of the step.
         if bound <= reach || parameters.stepping == Stepping::Velocity {
             return Ok(bound);
         }
         let mut travel = std::mem::take(&mut self.travel);
         travel.clear();
-        let ways = self.way().iter();
-        travel.extend(ways.map(|[x, y, alpha]| (x * x + y * y).sqrt() + h * alpha.abs()));
+        let displacements = self.relative().iter();
+        travel.extend(displacements.map(|[x, y, alpha]| (x * x + y * y).sqrt() + h * alpha.abs()));
         self.travel = travel;
         let (furthest, second) = two_largest(&self.travel);
         let bound = furthest + second;
@@ -436,7 +406,8 @@ impl Stepper {
         Ok(bound)
     }
 
-    /// Lists what was missed; the multipliers found so far are the guess for the next solution.
+    /// Adds the missed contacts to the list. The guess for the next solution is the multipliers
+    /// found so far, and 0 for the added contacts.
     fn add_missed(&mut self) {
         let old = self.qp.contacts.drain(..);
         self.listed.clear();
@@ -453,8 +424,8 @@ impl Stepper {
         }
     }
 
-    /// Refuses a result that is not finite, or under `endpoints` one in which axes cross; no two
-    /// bodies have closed by more than `closing`.
+    /// Checks that the result is finite and, under `endpoints` and `clamped`, that no axes cross.
+    /// The distance of two bodies has changed by at most `closing`.
     fn check_result(
         &self,
         parameters: &Parameters,
@@ -462,13 +433,13 @@ impl Stepper {
         closing: f64,
     ) -> Result<(), StepError> {
         let Configuration { x, y, alpha, .. } = configuration;
-        let way = self.way();
-        let poses = x.iter().zip(y).zip(alpha).zip(way);
+        let relative = self.relative();
+        let poses = x.iter().zip(y).zip(alpha).zip(relative);
         let sums = poses
             .map(|(((x, y), alpha), moved)| (x + moved[0]) + (y + moved[1]) + (alpha + moved[2]));
         all_finite(configuration, sums)?;
-        // Axes come to cross where the distance between them is used up, and every pair is as
-        // far apart as its nearest contact; without one, further than the reach.
+        // Axes can cross only if the step closes their whole distance. The distance of a pair is
+        // that of its nearest contact; without a contact it exceeds the reach.
         let nearest = self.least_gap.unwrap_or(f64::INFINITY);
         let nearest = f64::min(nearest, reach(parameters, configuration));
         let distance = nearest + 2.0 * parameters.radius();
@@ -477,7 +448,7 @@ impl Stepper {
         }
         let after = |index: u32| {
             let index = index as usize;
-            let [x, y, alpha] = way[index];
+            let [x, y, alpha] = relative[index];
             (
                 [configuration.x[index] + x, configuration.y[index] + y],
                 unit_vector(configuration.alpha[index] + alpha),
@@ -496,68 +467,16 @@ impl Stepper {
     }
 }
 
-/// Refuses to go on with anybody whose sum of coordinates is not finite.
-fn all_finite(
-    configuration: &Configuration,
-    sums: impl Iterator<Item = f64> + Clone,
-) -> Result<(), StepError> {
-    // Without a branch for each, as nearly always all are.
-    let finite = sums.clone().fold(true, |all, sum| all & sum.is_finite());
-    if finite {
-        return Ok(());
-    }
-    let first = sums.into_iter().position(|sum| !sum.is_finite());
-    let id = configuration.id[first.expect("one is not finite")];
-    Err(StepError::NotFinite { id })
-}
-
-/// How near a contact must be to be listed at first.
+/// Returns the largest gap of a contact in the first list.
 fn reach(parameters: &Parameters, configuration: &Configuration) -> f64 {
     match parameters.stepping {
         Stepping::Position => parameters.reach(configuration.largest_weight()),
-        // Bodies that overlap touch too: their distance says by how much they do.
+        // Bodies that overlap count as touching, whatever the overlap.
         Stepping::Velocity => ROUNDING,
     }
 }
 
-/// How far any point of an axis is carried, at most.
-fn furthest_travel(h: f64, displacement: &[[f64; 3]]) -> f64 {
-    let larger = |one: f64, other: f64| if one > other { one } else { other };
-    let (mut way, mut turn) = ([0.0; 4], [0.0; 4]);
-    for four in displacement.chunks(4) {
-        for (lane, [x, y, alpha]) in four.iter().enumerate() {
-            way[lane] = larger(x * x + y * y, way[lane]);
-            turn[lane] = larger(alpha.abs(), turn[lane]);
-        }
-    }
-    let [way, turn] = [way, turn].map(|lanes| lanes.into_iter().fold(0.0, larger));
-    way.sqrt() + h * turn
-}
-
-/// Moves all, and keeps them near their origin.
-fn displace(configuration: &mut Configuration, displacement: &[[f64; 3]]) {
-    let all_near = displace_all(configuration, displacement);
-    // Where nobody is further than half a cell from the origin, the centroid is not either.
-    if !all_near {
-        configuration.re_centre();
-    }
-}
-
-/// Moves all, and tells whether everybody is then within half a cell of the origin.
-fn displace_all(configuration: &mut Configuration, displacement: &[[f64; 3]]) -> bool {
-    let Configuration { x, y, alpha, .. } = configuration;
-    let poses = x.iter_mut().zip(y.iter_mut()).zip(alpha);
-    let mut all_near = true;
-    for (((x, y), alpha), moved) in poses.zip(displacement) {
-        *x += moved[0];
-        *y += moved[1];
-        *alpha += moved[2];
-        all_near &= (x.abs() <= CELL / 2.0) & (y.abs() <= CELL / 2.0);
-    }
-    all_near
-}
-
-/// Ends the preferences whose time has come, and tells whose.
+/// Makes individuals uninformed whose preference has expired, and appends their ids to `lapsed`.
 fn lapse(state: &mut State, lapsed: &mut Vec<u32>) {
     let configuration = &mut state.configuration;
     for index in 0..configuration.n() {
@@ -565,132 +484,5 @@ fn lapse(state: &mut State, lapsed: &mut Vec<u32>) {
             configuration.uninform(index);
             lapsed.push(configuration.id[index]);
         }
-    }
-}
-
-fn two_largest(values: &[f64]) -> (f64, f64) {
-    values.iter().fold((0.0, 0.0), |(first, second), &value| {
-        if value > first {
-            (value, first)
-        } else {
-            (first, f64::max(second, value))
-        }
-    })
-}
-
-#[cfg(test)]
-#[expect(clippy::unwrap_used, reason = "tests")]
-mod tests {
-    use super::*;
-    use crate::model::body;
-    use crate::model::random::{Purpose, Stream};
-
-    /// Two bodies side by side, touching, and one far away.
-    fn touching() -> State {
-        let mut configuration = Configuration::default();
-        configuration.push(0.0, 0.0, 0.0);
-        configuration.push(0.1, 0.4, -0.01);
-        configuration.push(9.0, 9.0, 0.0);
-        State {
-            configuration,
-            ..State::default()
-        }
-    }
-
-    fn refusal(mut state: State) -> StepError {
-        let before = format!("{state:?}");
-        let error = Stepper::new().step(&mut state).unwrap_err();
-        assert_eq!(
-            format!("{state:?}"),
-            before,
-            "a failed step has changed something"
-        );
-        error
-    }
-
-    #[test]
-    fn a_step_counts_itself_and_remembers_who_pushed() {
-        let mut state = touching();
-        let report = Stepper::new().step(&mut state).unwrap();
-        assert_eq!(
-            (state.step, report.active),
-            (1, state.warm_start.contacts.len())
-        );
-        assert!(report.active > 0 && report.contacts >= report.active && report.iterations > 0);
-        assert!(
-            state
-                .warm_start
-                .contacts
-                .iter()
-                .all(|contact| contact.multiplier > 0.0)
-        );
-    }
-
-    #[test]
-    fn crossed_bodies_are_refused() {
-        let mut state = touching();
-        state.configuration.alpha[1] = 1.5;
-        state.configuration.id = vec![4, 7, 9];
-        assert_eq!(
-            refusal(state),
-            StepError::CrossedBodies {
-                first: 4,
-                second: 7
-            }
-        );
-    }
-
-    #[test]
-    fn bodies_that_would_cross_are_refused_before_they_do() {
-        // Steps far too long for the parameters to pass their check: linearisation fails.
-        let parameters = Parameters {
-            pi1: 32.0,
-            pi3: 20.0,
-            dt: 0.2,
-            ..Parameters::default()
-        };
-        let mut stream = Stream::new(1, 0, 0, Purpose::Start);
-        let mut refused = 0;
-        for _ in 0..2000 {
-            let mut state = State {
-                parameters,
-                ..State::default()
-            };
-            for _ in 0..3 {
-                let [x, y, alpha] = [0, 1, 2].map(|_| 3.0 * stream.uniform());
-                state.configuration.push(x, y, alpha);
-            }
-            let gaps = body::gaps(&parameters, &state.configuration);
-            let before = format!("{state:?}");
-            match Stepper::new().step(&mut state) {
-                Ok(_) => assert_eq!(body::gaps(&parameters, &state.configuration).crossed, 0),
-                Err(error) => {
-                    assert!(matches!(error, StepError::CrossedBodies { .. }), "{error}");
-                    assert_eq!(format!("{state:?}"), before);
-                    refused += usize::from(gaps.crossed == 0);
-                }
-            }
-        }
-        assert!(refused > 0, "no step would have crossed");
-    }
-
-    #[test]
-    fn what_is_not_finite_is_refused_by_name() {
-        for bad in [f64::NAN, f64::INFINITY] {
-            for column in 0..3 {
-                let mut state = touching();
-                let Configuration { x, y, alpha, .. } = &mut state.configuration;
-                [x, y, alpha][column][2] = bad;
-                assert_eq!(refusal(state), StepError::NotFinite { id: 2 });
-            }
-        }
-    }
-
-    #[test]
-    fn what_cannot_be_solved_is_refused() {
-        let mut state = touching();
-        state.parameters.pi4 = f64::NAN;
-        let error = refusal(state);
-        assert!(matches!(error, StepError::NotSolved { residual } if residual > solve::ACCEPTABLE));
     }
 }

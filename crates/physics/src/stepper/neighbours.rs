@@ -1,4 +1,4 @@
-//! Which pairs could touch, listed once for many steps.
+//! The neighbour list: pairs of bodies that could touch, reused for several steps.
 
 use super::contact::Axes;
 use super::end_contacts::{self, Pairs};
@@ -6,26 +6,27 @@ use crate::model::body::Body;
 use crate::model::pairs::{PairSearch, order};
 use crate::model::{Configuration, Parameters};
 
-/// How much further than asked pairs are listed, in body sizes: more makes every step look at
-/// more pairs, less makes lists last for fewer steps.
+/// Least distance beyond the reach up to which pairs are listed, in body sizes. A larger value
+/// makes every step examine more pairs; with a smaller one a list lasts for fewer steps.
 const SLACK: f64 = 0.25;
 
-/// How many changes are compared side by side.
+/// Number of lanes in which changes are compared.
 const LANES: usize = 4;
 
-/// Many times what rounding could take from a distance at the largest coordinates and angles.
+/// Margin for rounding of a distance: many times the error at the largest coordinates and angles.
 const ROUNDING: f64 = 1e-6;
 
-/// The pairs that could be in contact, kept while nobody has moved far.
+/// The pairs that could be in contact. The list is reused until bodies have moved too far.
 ///
-/// A list is only ever too long: whoever uses it measures again. So it decides how long a step
-/// takes and not one bit of its result, and is no part of a state.
+/// A list may contain pairs that are too far apart, and never lacks a near pair; callers measure
+/// every pair again. So the list affects the duration of a step but no bit of its result, and is
+/// not part of a state.
 #[derive(Debug, Default)]
 pub struct Neighbours {
-    /// Its level is the level of all.
+    /// The search for pairs. Its level is that of all kernels here.
     pub search: PairSearch,
     pairs: Vec<(u32, u32)>,
-    /// The bodies that were listed, up to which gap, and where they were.
+    /// Shape of the bodies, largest gap and configuration for which the list was built.
     body: Option<Body>,
     limit: f64,
     x: Vec<f64>,
@@ -34,9 +35,10 @@ pub struct Neighbours {
 }
 
 impl Neighbours {
-    /// Lists at least all pairs with a gap up to `reach`, crossed ones too.
+    /// Ensures that all pairs with a gap up to `reach` are listed, including crossed pairs.
     ///
-    /// - Shapes: n individuals and headings in; pairs out, ordered by (i, j), i < j.
+    /// - Shapes: n individuals and n headings; [`Neighbours::pairs`] are ordered by (i, j), i < j.
+    /// - Units: body sizes.
     pub fn update(
         &mut self,
         parameters: &Parameters,
@@ -45,15 +47,15 @@ impl Neighbours {
         reach: f64,
     ) {
         let body = Body::new(parameters);
-        let lasts = self.body == Some(body)
+        let is_valid = self.body == Some(body)
             && self.alpha.len() == configuration.n()
             && reach + self.drift(body, configuration) + ROUNDING <= self.limit;
-        if !lasts {
+        if !is_valid {
             self.list(body, configuration, heading, reach);
         }
     }
 
-    /// The pairs listed last.
+    /// Returns the listed pairs.
     #[must_use]
     pub fn pairs(&self) -> &[(u32, u32)] {
         &self.pairs
@@ -83,7 +85,7 @@ impl Neighbours {
             let listed = signs.filter(|&(_, signs)| end_contacts::within(signs));
             pairs.extend(listed.map(|(&pair, _)| pair));
         };
-        // Pairs near enough by their centres are looked at as soon as lanes are full.
+        // Pairs whose centres are near enough are examined as soon as all lanes are filled.
         let (mut near, mut count) = ([(0, 0); end_contacts::LANES], 0);
         self.search.visit(x, y, centres, |i, j| {
             near[count] = (i, j);
@@ -100,8 +102,9 @@ impl Neighbours {
         self.alpha.clone_from(alpha);
     }
 
-    /// How much any gap can have changed since the list was made: by the widest spread of the
-    /// ways that centres have gone, what all went together left out, and by the widest turn.
+    /// Returns an upper bound on the change of any gap since the list was built: the largest
+    /// difference between the displacements of two centres, plus the largest turn times the
+    /// length of the axis. A common displacement does not count.
     fn drift(&self, body: Body, configuration: &Configuration) -> f64 {
         let Configuration { x, y, alpha, .. } = configuration;
         let [left, right] = range(&self.x, x);
@@ -113,7 +116,7 @@ impl Neighbours {
     }
 }
 
-/// The least and the largest change of any entry.
+/// Returns the least and the largest change of any entry.
 fn range(before: &[f64], now: &[f64]) -> [f64; 2] {
     let (mut least, mut largest) = ([f64::INFINITY; LANES], [f64::NEG_INFINITY; LANES]);
     let mut widen = |lane: usize, change: f64| {
@@ -156,8 +159,12 @@ mod tests {
     use crate::model::simd::Level;
     use crate::model::start;
 
-    /// Asks as a step does, and tells whether the list was made anew.
-    fn ask(neighbours: &mut Neighbours, parameters: &Parameters, now: &Configuration) -> bool {
+    /// Updates as a step does, checks the list, and returns whether it was rebuilt.
+    fn update_and_check(
+        neighbours: &mut Neighbours,
+        parameters: &Parameters,
+        now: &Configuration,
+    ) -> bool {
         let reach = parameters.reach(0.0);
         let (mut heading, before) = (Vec::new(), neighbours.alpha.clone());
         unit_vectors(Level::default(), &now.alpha, &mut heading);
@@ -174,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn no_near_pair_is_ever_missing_however_all_move() {
+    fn no_near_pair_is_missing_while_bodies_move() {
         for (pi1, n) in [(1.0, 40), (4.0, 40), (12.0, 40), (4.0, 300)] {
             let parameters = Parameters {
                 pi1,
@@ -185,7 +192,7 @@ mod tests {
             let mut stream = Stream::new(3, 0, 0, Purpose::Start);
             let mut lists = 0;
             for _ in 0..200 {
-                lists += usize::from(ask(&mut neighbours, &parameters, &now));
+                lists += usize::from(update_and_check(&mut neighbours, &parameters, &now));
                 for index in 0..n {
                     let mut step = |width: f64| width * (2.0 * stream.uniform() - 1.0);
                     // Bodies may cross here; a crossed pair must be listed as well.
@@ -199,23 +206,23 @@ mod tests {
     }
 
     #[test]
-    fn moving_together_needs_no_new_list_and_another_swarm_does() {
+    fn common_motion_keeps_the_list_and_other_changes_rebuild_it() {
         let parameters = Parameters::default();
         let mut now = start::disc(&parameters, 30, None, 1).unwrap();
         let mut neighbours = Neighbours::default();
-        assert!(ask(&mut neighbours, &parameters, &now));
+        assert!(update_and_check(&mut neighbours, &parameters, &now));
         now.x.iter_mut().for_each(|x| *x += 1024.0);
-        assert!(!ask(&mut neighbours, &parameters, &now));
+        assert!(!update_and_check(&mut neighbours, &parameters, &now));
         now.alpha[3] += TAU;
-        assert!(ask(&mut neighbours, &parameters, &now));
+        assert!(update_and_check(&mut neighbours, &parameters, &now));
         now.remove(&[0]);
-        assert!(ask(&mut neighbours, &parameters, &now));
+        assert!(update_and_check(&mut neighbours, &parameters, &now));
         let longer = Parameters {
             pi1: 5.0,
             ..parameters
         };
         let before = neighbours.pairs.clone();
-        ask(&mut neighbours, &longer, &now);
+        update_and_check(&mut neighbours, &longer, &now);
         assert_ne!(
             before, neighbours.pairs,
             "longer bodies have other neighbours"

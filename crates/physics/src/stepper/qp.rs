@@ -1,4 +1,4 @@
-//! The program of one step as plain data, and how good a solution of it is.
+//! The quadratic program of one step as plain data, and the residual of a solution.
 //!
 //! | symbol | field |
 //! |---|---|
@@ -14,19 +14,24 @@
 
 use super::contact::Contact;
 
-/// The program of one step.
+/// The quadratic program of one step.
+///
+/// - Shapes: n free displacements, m contacts.
 #[derive(Clone, Debug, Default)]
 pub struct Qp {
-    /// Drag in x, y and angle.
+    /// Diagonal of `W` for one individual: drag in x, y and angle.
     pub weights: [f64; 3],
-    /// Free displacements.
+    /// `u`: free displacements in x, y and angle.
     pub free: Vec<[f64; 3]>,
     /// Constraints, ordered by (i, j, code).
     pub contacts: Vec<Contact>,
 }
 
 impl Qp {
-    /// Computes `d = u + W⁻¹ Aᵀ λ`. Whom nothing pushes moves freely, to the bit.
+    /// Computes `d = u + W⁻¹ Aᵀ λ`. The displacement of an individual without a pushing contact
+    /// equals its free displacement to the bit.
+    ///
+    /// - Shapes: m multipliers; n displacements.
     pub fn displace(&self, multipliers: &[f64], displacement: &mut Vec<[f64; 3]>) {
         displacement.clone_from(&self.free);
         let ease = self.weights.map(|drag| 1.0 / drag);
@@ -37,14 +42,17 @@ impl Qp {
         }
     }
 
-    /// Computes `max |min(λ, s)|` and the displacements that `λ` gives, so that stationarity
-    /// holds exactly and the number says everything about the solution.
+    /// Computes the displacements from `λ` and returns the residual `max |min(λ, s)|`, or infinity
+    /// if a multiplier or slack is not a number. Stationarity then holds by construction, so the
+    /// residual covers all optimality conditions.
+    ///
+    /// - Shapes: m multipliers; n displacements.
     pub fn residual(&self, multipliers: &[f64], displacement: &mut Vec<[f64; 3]>) -> f64 {
         self.displace(multipliers, displacement);
         let mut worst = 0.0;
         for (contact, &multiplier) in self.contacts.iter().zip(multipliers) {
             let slack = contact.linearised_gap(displacement);
-            // `min` and `max` would drop what is not a number.
+            // `min` and `max` would ignore a value that is not a number.
             if slack.is_nan() || multiplier.is_nan() {
                 return f64::INFINITY;
             }
@@ -54,7 +62,7 @@ impl Qp {
     }
 }
 
-/// Adds `W⁻¹ ∇g λ` of one contact; what one side gains the other loses. `ease` is `W⁻¹`.
+/// Adds `W⁻¹ ∇g λ` of one contact. The forces on the two bodies are opposite. `ease` is `W⁻¹`.
 #[inline(always)]
 fn push(contact: &Contact, multiplier: f64, ease: [f64; 3], displacement: &mut [[f64; 3]]) {
     let [x, y] = contact.normal;
@@ -70,7 +78,7 @@ fn push(contact: &Contact, multiplier: f64, ease: [f64; 3], displacement: &mut [
 mod tests {
     use super::*;
 
-    /// Two discs in line, the first driven at the second, which stands: both get half.
+    /// Two discs in line: the first moves towards the second, which stands; each yields half.
     fn shove() -> Qp {
         let contact = Contact {
             i: 0,
@@ -89,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn one_contact_is_solved_by_hand() {
+    fn the_solution_of_one_contact_has_no_residual() {
         let mut displacement = Vec::new();
         // Free motion closes 0.5 of a gap of 0.1; each unit of multiplier opens 2.
         assert!(shove().residual(&[0.2], &mut displacement) < 1e-16);
@@ -99,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn every_kind_of_wrong_multiplier_shows_in_the_residual() {
+    fn every_kind_of_wrong_multiplier_raises_the_residual() {
         let qp = shove();
         let residual = |multiplier: f64| qp.residual(&[multiplier], &mut Vec::new());
         assert!((residual(0.0) - 0.4).abs() < 1e-15, "penetration");

@@ -1,24 +1,27 @@
-//! What one step remembers for the next: who pushed, and how hard.
+//! The warm start: the pushing contacts of one step and their multipliers, as a guess for the next.
 
 use std::ops::Range;
 
 use super::contact::Contact;
 use crate::model::{WarmContact, WarmStart};
 
-/// How many contacts a pair can have: one for each code.
-const MOST_OF_A_PAIR: usize = 8;
+/// Contacts of a pair at most: one for each code.
+const MAX_PER_PAIR: usize = 8;
 
-/// Guesses the multipliers of `contacts` from the last step's.
+/// Guesses the multipliers of `contacts` from those of the last step.
 ///
-/// A contact not seen before, of a pair that was in contact, inherits from one of the pair's
-/// contacts that shares an end and is gone: the contact has passed from a side to a cap.
+/// A new contact of a pair that was in contact inherits the multiplier of an old contact of that
+/// pair that no longer exists and shares an end with it, as when a contact passes from a side to a
+/// cap.
+///
+/// - Shapes: n ids, ascending; m contacts ordered by (i, j, code); m entries in `guess`.
 pub fn load(warm_start: &WarmStart, id: &[u32], contacts: &[Contact], guess: &mut Vec<f64>) {
     guess.clear();
     guess.resize(contacts.len(), 0.0);
     let old = &warm_start.contacts[..];
-    let pair_of = |contact: &Contact| named(id[contact.i as usize], id[contact.j as usize]);
-    let pair_then = |old: &WarmContact| named(old.first, old.second);
-    // Both lists are ordered by pair and code, ids being ordered as indices are.
+    let pair_of = |contact: &Contact| pair_key(id[contact.i as usize], id[contact.j as usize]);
+    let pair_then = |old: &WarmContact| pair_key(old.first, old.second);
+    // Both lists are ordered by pair and code, since ids and indices have the same order.
     let (mut k, mut index) = (0, 0);
     while k < old.len() {
         let pair = pair_then(&old[k]);
@@ -29,20 +32,22 @@ pub fn load(warm_start: &WarmStart, id: &[u32], contacts: &[Contact], guess: &mu
         } else if pair > pair_now {
             index += 1;
         } else if pair == pair_now || index > 0 && pair_of(&contacts[index - 1]) == pair {
-            // Here the pair has other contacts than it had: it is looked at as a whole.
-            let known = around(old, k, |old| pair_then(old) == pair);
+            // The contacts of this pair have changed: match all of them together.
+            let previous = around(old, k, |old| pair_then(old) == pair);
             let now = around(contacts, index, |contact| pair_of(contact) == pair);
-            (k, index) = (known.end, now.end);
-            let most = known.start + MOST_OF_A_PAIR;
-            let known = &old[known.start..known.end.min(most)];
-            inherit(known, &contacts[now.clone()], &mut guess[now]);
+            (k, index) = (previous.end, now.end);
+            let most = previous.start + MAX_PER_PAIR;
+            let previous = &old[previous.start..previous.end.min(most)];
+            inherit(previous, &contacts[now.clone()], &mut guess[now]);
         } else {
             k += 1;
         }
     }
 }
 
-/// Writes down the contacts that push, and the order of elimination with its age.
+/// Stores the pushing contacts, and the elimination order with its age.
+///
+/// - Shapes: n ids; m contacts and m multipliers.
 pub fn store(
     id: &[u32],
     contacts: &[Contact],
@@ -68,7 +73,7 @@ pub fn store(
     }
 }
 
-/// The entries before and from `index` on that match, without a gap.
+/// Returns the range of consecutive entries around `index` that match.
 fn around<T>(entries: &[T], index: usize, matches: impl Fn(&T) -> bool) -> Range<usize> {
     let before = entries[..index]
         .iter()
@@ -78,40 +83,40 @@ fn around<T>(entries: &[T], index: usize, matches: impl Fn(&T) -> bool) -> Range
     index - before.count()..index + after.count()
 }
 
-/// A pair as one number, in the order of pairs.
-fn named(first: u32, second: u32) -> u64 {
+/// Returns a number for each pair; numbers have the order of pairs.
+fn pair_key(first: u32, second: u32) -> u64 {
     u64::from(first) << 32 | u64::from(second)
 }
 
-/// Hands what a pair's contacts had on to those it has.
-fn inherit(known: &[WarmContact], contacts: &[Contact], guess: &mut [f64]) {
-    // Bit k: contact k of the last step has been handed on.
+/// Transfers the multipliers of a pair's previous contacts to its present contacts.
+fn inherit(previous: &[WarmContact], contacts: &[Contact], guess: &mut [f64]) {
+    // Bit k: the multiplier of previous contact k has been transferred.
     let (mut taken, mut k) = (0u32, 0);
     for (contact, guess) in contacts.iter().zip(&mut *guess) {
-        while k < known.len() && known[k].code < contact.code {
+        while k < previous.len() && previous[k].code < contact.code {
             k += 1;
         }
-        if k < known.len() && known[k].code == contact.code {
-            *guess = known[k].multiplier;
+        if k < previous.len() && previous[k].code == contact.code {
+            *guess = previous[k].multiplier;
             taken |= 1 << k;
         }
     }
-    if taken + 1 == 1 << known.len() {
+    if taken + 1 == 1 << previous.len() {
         return;
     }
     for (contact, guess) in contacts.iter().zip(guess) {
         let shares_end = |old: &WarmContact| ends(old.code) & ends(contact.code) != 0;
-        let fits = |&k: &usize| taken & 1 << k == 0 && shares_end(&known[k]);
+        let fits = |&k: &usize| taken & 1 << k == 0 && shares_end(&previous[k]);
         if *guess == 0.0
-            && let Some(k) = (0..known.len()).find(fits)
+            && let Some(k) = (0..previous.len()).find(fits)
         {
-            *guess = known[k].multiplier;
+            *guess = previous[k].multiplier;
             taken |= 1 << k;
         }
     }
 }
 
-/// The ends a code names, as bits: head and tail of the first, head and tail of the second.
+/// Returns the ends in a code as bits: head and tail of the first body, then of the second.
 fn ends(code: u8) -> u8 {
     match code {
         0..4 => 1 << code,
@@ -124,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn multipliers_are_recalled_by_name_then_by_a_shared_end() {
+    fn multipliers_are_loaded_by_code_then_by_a_shared_end() {
         let contact = |i, j, code| Contact {
             i,
             j,
@@ -139,7 +144,7 @@ mod tests {
             code,
             multiplier,
         };
-        // The middle individual, id 20, is gone since.
+        // The middle individual, id 20, has been removed.
         let contacts = vec![
             old(10, 20, 0, 1.0),
             old(10, 30, 1, 2.0),
@@ -160,8 +165,9 @@ mod tests {
         ];
         let mut guess = Vec::new();
         load(&warm_start, &[10, 30, 40], &now, &mut guess);
-        // 5 is head with tail: it inherits from 3, the tail on a side; 4 is head with head: from
-        // 0; 2, the other's head on a side, has no end in common with what was there.
+        // Code 5 (head with tail) inherits from code 3 (tail on a side), and code 4 (head with
+        // head) from code 0 (head on a side). Code 2 (the other's head on a side) shares no end
+        // with code 0, and ids 10 and 40 were not in contact.
         assert_eq!(guess, [2.0, 3.0, 0.0, 0.0, 5.0]);
     }
 }

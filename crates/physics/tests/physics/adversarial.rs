@@ -1,5 +1,5 @@
-//! States made to be hard: everybody in contact, contacts that depend on each other, and
-//! parameters at the ends of their ranges.
+//! Hard states: every individual in contact, linearly dependent contacts, and parameters at the
+//! ends of their ranges.
 
 use std::f64::consts::PI;
 
@@ -9,10 +9,10 @@ use jostle_physics::stepper::{StepError, Stepper, solve};
 use crate::exact::Tally;
 use crate::with;
 
-/// Steps of each.
+/// Steps of each state.
 const STEPS: u64 = 300;
 
-/// Where everybody is to stand, and where the head points.
+/// Pose (x, y, alpha) of each individual.
 type Poses = Vec<[f64; 3]>;
 
 fn state(parameters: Parameters, poses: &[[f64; 3]]) -> State {
@@ -22,7 +22,7 @@ fn state(parameters: Parameters, poses: &[[f64; 3]]) -> State {
     with(parameters, 0, configuration)
 }
 
-/// In a line, each touching the next, heads as given.
+/// Returns `n` bodies in a line along x, each in contact with the next, with headings `alpha`.
 fn line(parameters: &Parameters, n: usize, alpha: impl Fn(usize) -> f64) -> Poses {
     let length = 2.0 * (parameters.half_length() + parameters.radius());
     let middle = (n - 1) as f64 / 2.0;
@@ -30,13 +30,14 @@ fn line(parameters: &Parameters, n: usize, alpha: impl Fn(usize) -> f64) -> Pose
     (0..n).map(pose).collect()
 }
 
-/// Side by side, each touching the next along its whole length, heads as given.
+/// Returns `n` bodies side by side, each flush with the next, with headings `alpha`.
 fn stack(parameters: &Parameters, n: usize, alpha: impl Fn(usize) -> f64) -> Poses {
     let width = 2.0 * parameters.radius();
     (0..n).map(|k| [0.0, width * k as f64, alpha(k)]).collect()
 }
 
-/// Rows side by side of bodies end to end, in step or each shifted by half a length.
+/// Returns rows of bodies end to end. Every other row is shifted by `shifted` lengths. Bodies left
+/// of the centre head right, the others left.
 fn bricks(parameters: &Parameters, rows: usize, columns: usize, shifted: f64) -> Poses {
     let (width, length) = (
         2.0 * parameters.radius(),
@@ -52,7 +53,8 @@ fn bricks(parameters: &Parameters, rows: usize, columns: usize, shifted: f64) ->
     (0..rows * columns).map(pose).collect()
 }
 
-/// The `n` nearest to the centre of a hexagonal packing of discs that touch, all heading there.
+/// Returns the `n` discs nearest to the centre of a hexagonal packing in contact, all heading to
+/// the centre.
 fn hexagonal(n: usize) -> Poses {
     let half_height = 0.75f64.sqrt();
     let mut places: Vec<[f64; 2]> = (-20..=20)
@@ -63,7 +65,7 @@ fn hexagonal(n: usize) -> Poses {
         })
         .collect();
     let distance = |[x, y]: &[f64; 2]| x * x + y * y;
-    // By angle where distances are equal, which many are but for rounding.
+    // Many distances are equal up to rounding: order these by angle.
     places.sort_by(|a, b| {
         let near = |place| (distance(place) * 1e6).round();
         let angle = |place: &[f64; 2]| place[1].atan2(place[0]);
@@ -75,8 +77,8 @@ fn hexagonal(n: usize) -> Poses {
     places[..n].iter().map(pose).collect()
 }
 
-/// Steps a state, and holds every step to its target. A step so wild that axes would cross ends
-/// it, which only `may_cross` may.
+/// Steps a state and asserts that every residual is at most the target. If `may_cross`, the run may
+/// end with crossed axes.
 fn settle(name: &str, mut state: State, may_cross: bool) -> Tally {
     let (mut tally, mut stepper) = (Tally::default(), Stepper::new());
     let mut end = String::new();
@@ -99,8 +101,8 @@ fn settle(name: &str, mut state: State, may_cross: bool) -> Tally {
     tally
 }
 
-/// Drag and turning at the ends of their ranges and in the middle, at the longest step of 0.02
-/// and what is allowed.
+/// Returns parameters with `pi3` and `pi4` at the ends of their ranges and in the middle. `dt` is
+/// 0.02, or the longest allowed step if that is shorter.
 fn extremes(pi1: f64) -> impl Iterator<Item = Parameters> {
     let numbers = [
         (1.0, 10.0),
@@ -128,7 +130,7 @@ fn named(name: &str, parameters: &Parameters) -> String {
     format!("{name}, pi1 {pi1}, pi3 {pi3}, pi4 {pi4}")
 }
 
-/// Settles a formation of bodies long and short with all the extremes.
+/// Calls [`settle`] on a formation for three aspect ratios and all [`extremes`].
 fn settle_all(name: &str, poses: impl Fn(&Parameters) -> Poses) {
     for parameters in [1.5, 4.0, 32.0].into_iter().flat_map(extremes) {
         let name = named(name, &parameters);
@@ -140,7 +142,7 @@ fn settle_all(name: &str, poses: impl Fn(&Parameters) -> Poses) {
 fn chains_pushed_together_from_both_ends() {
     let inwards = |k: usize| if k < 50 { 0.0 } else { PI };
     settle_all("chain", |parameters| line(parameters, 100, inwards));
-    // A little crooked, it buckles.
+    // With slightly different headings the chain buckles.
     settle_all("crooked chain", |parameters| {
         line(parameters, 100, |k| {
             inwards(k) + 1e-3 * (k % 3) as f64 - 1e-3
@@ -149,7 +151,7 @@ fn chains_pushed_together_from_both_ends() {
 }
 
 #[test]
-fn chains_end_to_end_that_go_the_same_way() {
+fn chains_end_to_end_with_equal_headings() {
     settle_all("file", |parameters| line(parameters, 60, |_| 0.0));
     settle_all("file with one turned back", |parameters| {
         line(parameters, 60, |k| if k == 40 { PI } else { 0.0 })
@@ -171,10 +173,10 @@ fn walls_of_bricks() {
     }
 }
 
-/// Driven at the centre the packing is a solution for ever; driven past it, to this side and
-/// that, discs slide round each other.
+/// With all headings to the centre the packing is at rest. With headings that miss the centre on
+/// either side, discs slide round each other.
 #[test]
-fn three_hundred_packed_discs_all_driven_at_the_centre() {
+fn three_hundred_packed_discs_driven_to_the_centre() {
     for pi3 in [0.01, 1.0, 10.0] {
         for past in [0.0, 0.1, 1.5] {
             let parameters = Parameters {
@@ -186,10 +188,10 @@ fn three_hundred_packed_discs_all_driven_at_the_centre() {
             for (k, pose) in poses.iter_mut().enumerate() {
                 pose[2] += past * ((k % 7) as f64 - 3.0) / 3.0;
             }
-            let name = format!("{}, past it by {past}", named("packed discs", &parameters));
+            let name = format!("{}, off by {past}", named("packed discs", &parameters));
             let tally = settle(&name, state(parameters, &poses), false);
-            // 600 numbers do not determine so many multipliers.
-            assert!(past > 1.0 || tally.most_active > 700, "{name}: {tally}");
+            // 600 coordinates do not determine more than 600 multipliers.
+            assert!(past > 1.0 || tally.max_active > 700, "{name}: {tally}");
         }
     }
 }

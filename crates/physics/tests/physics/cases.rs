@@ -1,4 +1,4 @@
-//! Twenty exact single steps, computed by implementations written apart from this one.
+//! Twenty exact single steps, computed by two independent implementations.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,7 +9,7 @@ use jostle_physics::stepper::qp::Qp;
 use jostle_physics::stepper::solve::{self, Backend, Hints, Solution, Workspace};
 use serde_json::Value;
 
-/// What two exact implementations may differ by.
+/// Largest difference between two exact implementations, in body sizes or radians.
 const TOLERANCE: f64 = 1e-9;
 
 /// Pair, code and multiplier.
@@ -19,11 +19,11 @@ struct Case {
     name: String,
     state: State,
     after: [Vec<f64>; 3],
-    /// Those that push.
+    /// The contacts that push.
     pushing: Vec<Push>,
 }
 
-fn name(i: u32, j: u32, code: u8) -> (u64, u64, u64) {
+fn key(i: u32, j: u32, code: u8) -> (u64, u64, u64) {
     (i.into(), j.into(), code.into())
 }
 
@@ -62,8 +62,8 @@ fn read(path: &Path) -> Case {
         .unwrap()
         .iter();
     let pushing = pushing.map(|contact| {
-        let name = [0, 1, 2].map(|k| contact[k].as_f64().unwrap() as u64);
-        ((name[0], name[1], name[2]), contact[8].as_f64().unwrap())
+        let key = [0, 1, 2].map(|k| contact[k].as_f64().unwrap() as u64);
+        ((key[0], key[1], key[2]), contact[8].as_f64().unwrap())
     });
     Case {
         name: path.file_name().unwrap().to_str().unwrap().to_owned(),
@@ -92,7 +92,7 @@ fn all() -> Vec<Case> {
     paths.iter().map(|path| read(path)).collect()
 }
 
-/// Largest difference to the exact result. Whole cells of re-centring are undone.
+/// Returns the largest difference from the exact result. A shift of the origin is undone.
 fn error(case: &Case, after: &State) -> f64 {
     let configuration = &after.configuration;
     let [cell_x, cell_y] = configuration.origin.map(|cell| 1024.0 * cell as f64);
@@ -113,41 +113,41 @@ fn error(case: &Case, after: &State) -> f64 {
     pairs.fold(0.0, f64::max)
 }
 
-/// The pushes of `solution` against those of the case, either way.
+/// Asserts that the multipliers in `found` and in the case are equal. A contact that is missing
+/// from one of the lists counts as 0.
 fn compare_pushes(case: &Case, found: &[Push], route: &str) {
-    let of = |list: &[Push], name| {
+    let of = |list: &[Push], key| {
         list.iter()
-            .find(|(other, _)| *other == name)
+            .find(|(other, _)| *other == key)
             .map_or(0.0, |(_, multiplier)| *multiplier)
     };
-    let names = case.pushing.iter().chain(found).map(|(name, _)| *name);
-    for name in names {
-        let (exact, ours) = (of(&case.pushing, name), of(found, name));
-        // Contacts of discs in a packed group depend on each other; there only the
-        // displacements are unique.
+    let keys = case.pushing.iter().chain(found).map(|(key, _)| *key);
+    for key in keys {
+        let (exact, ours) = (of(&case.pushing, key), of(found, key));
+        // Contacts of packed discs are linearly dependent: only the displacements are unique.
         let unique = case.state.parameters.pi1 > 1.0 || case.state.configuration.n() < 10;
         assert!(
             !unique || (exact - ours).abs() < 1e-7,
-            "{} {route} {name:?}: {ours} for {exact}",
+            "{} {route} {key:?}: {ours} for {exact}",
             case.name
         );
     }
 }
 
 #[test]
-fn every_case_is_reproduced_from_nothing_and_from_the_right_memory() {
+fn every_case_is_reproduced_cold_and_warm_started() {
     let mut worst: f64 = 0.0;
     for case in all() {
         let mut after = case.state.clone();
         let report = Stepper::new().step(&mut after).unwrap();
         let cold = error(&case, &after);
-        // The multipliers of this very step are the best memory there can be.
-        let mut again = State {
+        // The multipliers of the same step are the best warm start.
+        let mut started = State {
             warm_start: after.warm_start.clone(),
             ..case.state.clone()
         };
-        let warm_report = Stepper::new().step(&mut again).unwrap();
-        let warm = error(&case, &again);
+        let warm_report = Stepper::new().step(&mut started).unwrap();
+        let warm = error(&case, &started);
         assert!(
             cold <= TOLERANCE && warm <= TOLERANCE,
             "{}: cold {cold:e}, warm {warm:e}",
@@ -155,23 +155,23 @@ fn every_case_is_reproduced_from_nothing_and_from_the_right_memory() {
         );
         assert_eq!(
             warm_report.fallback, 0,
-            "{}: a right guess needs no fallback",
+            "{}: fallback in spite of the exact warm start",
             case.name
         );
         assert!(report.residual <= solve::TARGET && warm_report.residual <= solve::TARGET);
         assert_eq!(report.active, after.warm_start.contacts.len());
         let pushes = after.warm_start.contacts.iter();
         let found: Vec<_> = pushes
-            .map(|c| (name(c.first, c.second, c.code), c.multiplier))
+            .map(|c| (key(c.first, c.second, c.code), c.multiplier))
             .collect();
-        compare_pushes(&case, &found, "guess");
+        compare_pushes(&case, &found, "exact solver");
         worst = worst.max(cold).max(warm);
     }
-    println!("worst difference to the exact step, by guess: {worst:e}");
+    println!("worst difference from the exact step, exact solver: {worst:e}");
 }
 
 #[test]
-fn every_case_is_reproduced_by_the_referee_alone() {
+fn every_case_is_reproduced_by_the_fallback_alone() {
     let (mut worst, mut contacts): (f64, usize) = (0.0, 0);
     for case in all() {
         let qp = program(&case.state);
@@ -209,16 +209,16 @@ fn every_case_is_reproduced_by_the_referee_alone() {
         assert!(error <= TOLERANCE, "{}: {error:e}", case.name);
         let pushes = qp.contacts.iter().zip(&solution.multipliers);
         let found: Vec<_> = pushes
-            .map(|(c, &value)| (name(c.i, c.j, c.code), value))
+            .map(|(c, &value)| (key(c.i, c.j, c.code), value))
             .collect();
         compare_pushes(&case, &found, "fallback");
         worst = worst.max(error);
     }
-    assert!(contacts > 500, "the cases hardly touch: {contacts}");
-    println!("worst difference to the exact step, by the fallback: {worst:e}");
+    assert!(contacts > 500, "too few contacts in the cases: {contacts}");
+    println!("worst difference from the exact step, fallback: {worst:e}");
 }
 
-/// The program of one step, with every contact nearer than its first list reaches.
+/// Returns the program of one step with all contacts within the reach of the stepper's first list.
 fn program(state: &State) -> Qp {
     let reach = state.parameters.reach(state.configuration.largest_weight());
     crate::program(state, reach)

@@ -1,4 +1,4 @@
-//! The paper's section 3.2: a minority that knows where to go takes the others along, by pushing.
+//! The paper's section 3.2: an informed minority leads the group by contact forces.
 
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -11,18 +11,18 @@ use jostle_physics::stepper::Stepper;
 
 use crate::drawn;
 
-/// Runs with informed individuals. Two dozen are too few to tell: of 300 runs apart from these
-/// 269 were led, so that five sixths of 24 would be missed about one time in ten by chance.
+/// Number of runs with informed individuals. 24 runs are too few: of 300 other runs 269 were led,
+/// so that 24 runs would miss the limit of five sixths by chance about one time in ten.
 const LED_SEEDS: u64 = 120;
 
-/// Runs without.
+/// Number of runs without informed individuals.
 const CHANCE_SEEDS: u64 = 24;
 
 const INFORMED_AT: f64 = 50.0;
 const MEASURED_FROM: f64 = 200.0;
 const MEASURED_TO: f64 = 400.0;
 
-/// What one run gave.
+/// Result of one run.
 #[derive(Clone, Copy, Debug)]
 struct Run {
     /// Mean velocity along +x over the measured time.
@@ -32,7 +32,7 @@ struct Run {
     fallback: usize,
 }
 
-/// Runs one swarm of 50; `informed` of them get the direction 0 at t = 50.
+/// Runs one swarm of 50 individuals. At t = 50, `informed` of them get the direction 0.
 fn run(seed: u64, informed: usize) -> Run {
     let mut state = drawn(Parameters::default(), 50, seed);
     let dt = state.parameters.dt;
@@ -67,10 +67,9 @@ fn run(seed: u64, informed: usize) -> Run {
 }
 
 fn inform(state: &mut State, count: usize) {
-    let everybody = Candidates::All;
     let selected = select(
         &state.configuration,
-        everybody,
+        Candidates::All,
         &Selection::Count(count),
         state.seed,
         1,
@@ -81,7 +80,7 @@ fn inform(state: &mut State, count: usize) {
         .for_each(|index| state.configuration.inform(index, 0.5, 0.0, None));
 }
 
-/// Runs all seeds on all cores; a run depends on its seed alone.
+/// Runs all seeds on all cores. A run depends only on its seed and `informed`.
 fn all(informed: usize, seeds: u64) -> Vec<Run> {
     let next = AtomicU64::new(1);
     let runs = Mutex::new(Vec::new());
@@ -111,9 +110,9 @@ fn mean(runs: &[Run]) -> f64 {
     runs.iter().map(|run| run.drift).sum::<f64>() / runs.len() as f64
 }
 
-/// One test for both, so that the two sets of runs do not compete for the cores.
+/// One test for both sets of runs, so that they do not compete for the cores.
 #[test]
-fn ten_informed_of_fifty_take_the_group_along_and_nobody_does_by_chance() {
+fn ten_informed_of_fifty_lead_the_group_and_uninformed_groups_do_not_drift() {
     let informed = all(10, LED_SEEDS);
     let led = |runs: &[Run]| runs.iter().filter(|run| run.drift > 0.3).count();
     println!(
@@ -138,7 +137,7 @@ fn ten_informed_of_fifty_take_the_group_along_and_nobody_does_by_chance() {
     );
     assert!(
         mean(&chance).abs() < 0.15,
-        "{} without a reason",
+        "mean drift {} without informed individuals",
         mean(&chance)
     );
     assert!(informed.iter().chain(&chance).all(|run| run.degraded == 0));

@@ -1,4 +1,5 @@
-//! Every step is exact, whatever the parameters: many random groups, and the fallback beside them.
+//! Random groups over the parameter ranges: every step meets its target residual, and the fallback
+//! agrees with the exact solver.
 
 use std::f64::consts::{PI, TAU};
 use std::fmt;
@@ -11,36 +12,36 @@ use jostle_physics::stepper::{StepError, StepReport, Stepper};
 
 use crate::with;
 
-/// Steps of one `cargo test`; ten times as many with `JOSTLE_LONG` in the environment.
+/// Steps of one `cargo test`; ten times as many if `JOSTLE_LONG` is set in the environment.
 const STEPS: u64 = 100_000;
 
-/// Every so many steps the fallback takes the same one.
-const REFEREED: u64 = 100;
+/// Steps between two that are computed by the fallback too.
+const CHECK_INTERVAL: u64 = 100;
 
-/// What displacements of two solutions may differ by, for each unit of their residuals. A gap
-/// wrong by ε moves a body by ε over the sine of the angle between gradients: contacts that
-/// nearly depend on each other amplify, in a million steps 55 times at most.
-const AMPLIFIED: f64 = 100.0;
+/// Largest difference of the displacements of two solutions, per unit of their residuals. An error
+/// ε of a gap moves a body by ε over the sine of the angle between gradients: nearly dependent
+/// contacts amplify errors, at most 55 times in a million steps.
+const MAX_AMPLIFICATION: f64 = 100.0;
 
-/// What they may differ by where both residuals are nothing: rounding, amplified alike.
+/// Largest difference if both residuals are 0: amplified rounding.
 const ROUNDING: f64 = 1e-10;
 
-/// What many steps were like.
+/// Totals and maxima over many steps.
 #[derive(Clone, Debug, Default)]
 pub struct Tally {
     /// Steps taken.
     pub steps: u64,
-    /// Contacts listed, in all.
+    /// Contacts listed, in total.
     pub contacts: usize,
-    /// Contacts that pushed, in all and at most.
+    /// Contacts that pushed, in total and at most in a step.
     pub active: usize,
-    pub most_active: usize,
-    /// Systems factored, in all and at most.
+    pub max_active: usize,
+    /// Systems factored, in total and at most in a step.
     pub iterations: usize,
-    pub most_iterations: usize,
-    /// Steps for which the fallback was asked.
+    pub max_iterations: usize,
+    /// Steps that called the fallback.
     pub fallbacks: u64,
-    /// The largest residual.
+    /// Largest residual.
     pub residual: f64,
 }
 
@@ -49,9 +50,9 @@ impl AddAssign<&StepReport> for Tally {
         self.steps += 1;
         self.contacts += report.contacts;
         self.active += report.active;
-        self.most_active = self.most_active.max(report.active);
+        self.max_active = self.max_active.max(report.active);
         self.iterations += report.iterations;
-        self.most_iterations = self.most_iterations.max(report.iterations);
+        self.max_iterations = self.max_iterations.max(report.iterations);
         self.fallbacks += u64::from(report.fallback > 0);
         self.residual = self.residual.max(report.residual);
     }
@@ -67,21 +68,21 @@ impl fmt::Display for Tally {
             self.steps,
             mean(self.contacts),
             mean(self.active),
-            self.most_active,
+            self.max_active,
             mean(self.iterations),
-            self.most_iterations,
+            self.max_iterations,
             self.fallbacks,
             self.residual
         )
     }
 }
 
-/// A number between two, its logarithm uniform.
+/// Draws a number between `low` and `high` with a uniform logarithm.
 fn logarithmic(stream: &mut Stream, low: f64, high: f64) -> f64 {
     low * (high / low).powf(stream.uniform())
 }
 
-/// A crowded group with parameters from all of their ranges, and how many steps it takes.
+/// Draws a crowded group, its parameters, and its number of steps.
 fn draw(seed: u64) -> (State, u64) {
     let mut stream = Stream::new(seed, 0, 0, Purpose::Selection);
     let stream = &mut stream;
@@ -101,7 +102,7 @@ fn draw(seed: u64) -> (State, u64) {
     let (h, r) = (parameters.half_length(), parameters.radius());
     let fill = 0.1 + 0.2 * stream.uniform();
     let mut radius = (n as f64 * (4.0 * h * r + PI * r * r) / fill / PI).sqrt();
-    // Long bodies at random fill a disc less densely than round ones.
+    // Randomly placed long bodies fill a disc less densely than discs.
     let mut configuration = loop {
         match start::disc(&parameters, n, Some(radius), seed) {
             Ok(configuration) => break configuration,
@@ -117,39 +118,42 @@ fn draw(seed: u64) -> (State, u64) {
     (with(parameters, seed, configuration), steps)
 }
 
-/// What the fallback said of the steps that it took too.
+/// Comparison of the exact solver with the fallback.
 #[derive(Clone, Copy, Debug, Default)]
-struct Refereed {
-    /// Steps that pushed.
+struct Comparison {
+    /// Compared steps; each has contacts that push.
     steps: u64,
-    /// Of these, steps that it did not solve to the target, as interior points sometimes do not.
+    /// Compared steps that the fallback did not solve to the target. An interior-point solver
+    /// sometimes misses it.
     missed: u64,
-    /// The largest way between a body's places, of any point on its axis.
+    /// Largest distance between a body's two results, over the points of its axis.
     worst: f64,
-    /// The largest share of what it may be.
+    /// Largest ratio of that distance to its bound.
     share: f64,
-    /// The seed of that.
+    /// Seed of the group with that ratio.
     seed: u64,
 }
 
-impl Refereed {
-    /// Takes the step of `before` as well, which the stepper says led to `after`.
-    fn judge(&mut self, before: &State, after: &State, report: &StepReport) {
+impl Comparison {
+    /// Computes the step from `before` with the fallback and compares the result with `after`, the
+    /// result of the exact solver.
+    fn compare(&mut self, before: &State, after: &State, report: &StepReport) {
         self.steps += 1;
-        let mut refereed = before.clone();
-        let judged = Stepper::with_backend(Backend::Fallback).step(&mut refereed);
-        let Some(judged) = judged.ok().filter(|judged| !judged.degraded) else {
+        let mut reference = before.clone();
+        let checked = Stepper::with_backend(Backend::Fallback).step(&mut reference);
+        let Some(checked) = checked.ok().filter(|checked| !checked.degraded) else {
             self.missed += 1;
             return;
         };
-        let (ours, theirs) = (&after.configuration, &refereed.configuration);
+        let (ours, theirs) = (&after.configuration, &reference.configuration);
         let h = before.parameters.half_length();
         let apart = |k: usize| {
             let (x, y) = (ours.x[k] - theirs.x[k], ours.y[k] - theirs.y[k]);
             x.hypot(y) + h * (ours.alpha[k] - theirs.alpha[k]).abs()
         };
         let worst = (0..ours.n()).map(apart).fold(0.0, f64::max);
-        let share = worst / (AMPLIFIED * (report.residual + judged.residual) + ROUNDING);
+        let bound = MAX_AMPLIFICATION * (report.residual + checked.residual) + ROUNDING;
+        let share = worst / bound;
         self.worst = self.worst.max(worst);
         if share > self.share {
             (self.share, self.seed) = (share, before.seed);
@@ -158,20 +162,20 @@ impl Refereed {
 }
 
 #[test]
-fn every_step_of_random_groups_is_exact_and_the_referee_agrees() {
+fn every_step_of_random_groups_is_exact_and_the_fallback_agrees() {
     let long = std::env::var_os("JOSTLE_LONG").is_some();
     let steps = if long { 10 * STEPS } else { STEPS };
-    let (mut tally, mut refereed, mut crossed) = (Tally::default(), Refereed::default(), 0);
+    let (mut tally, mut comparison, mut crossed) = (Tally::default(), Comparison::default(), 0);
     let mut seed = 0;
     while tally.steps < steps {
         seed += 1;
         let (mut state, lasts) = draw(seed);
         let mut stepper = Stepper::new();
         for _ in 0..lasts {
-            let before = (tally.steps % REFEREED == 0).then(|| state.clone());
+            let before = (tally.steps % CHECK_INTERVAL == 0).then(|| state.clone());
             let report = match stepper.step(&mut state) {
                 Ok(report) => report,
-                // Some of these steps are too long for their drag.
+                // For some of the drawn drags the step is too long.
                 Err(StepError::CrossedBodies { .. }) => {
                     crossed += 1;
                     break;
@@ -180,7 +184,7 @@ fn every_step_of_random_groups_is_exact_and_the_referee_agrees() {
             };
             tally += &report;
             if let Some(before) = before.filter(|_| report.active > 0) {
-                refereed.judge(&before, &state, &report);
+                comparison.compare(&before, &state, &report);
             }
             if report.fallback > 0 {
                 println!("seed {seed}, step {}: {report:?}", state.step - 1);
@@ -192,11 +196,14 @@ fn every_step_of_random_groups_is_exact_and_the_referee_agrees() {
             );
         }
     }
-    println!("seeds 1 to {seed}, {crossed} of them until axes crossed: {tally}");
-    println!("the fallback: {refereed:?}");
-    assert!(tally.active as u64 > 5 * tally.steps, "too few push");
+    println!("seeds 1 to {seed}, {crossed} of them ended by crossed axes: {tally}");
+    println!("fallback: {comparison:?}");
     assert!(
-        refereed.share <= 1.0 && refereed.missed * 100 <= refereed.steps,
-        "{refereed:?}"
+        tally.active as u64 > 5 * tally.steps,
+        "too few contacts push"
+    );
+    assert!(
+        comparison.share <= 1.0 && comparison.missed * 100 <= comparison.steps,
+        "{comparison:?}"
     );
 }

@@ -1,4 +1,4 @@
-//! What the solver, the assembly and the model must satisfy, whatever the parameters.
+//! Invariants of the solver, the assembly and the model, over random parameters.
 
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
@@ -11,26 +11,29 @@ use jostle_physics::stepper::{StepReport, Stepper, solve};
 
 use crate::{advance, drawn, program, with};
 
-/// How far contacts are looked for when a step is judged: much further than any step goes, so a
-/// contact that the stepper should have listed and did not is seen here.
+/// Reach of the contacts with which a step is checked, in body sizes. It exceeds the displacement
+/// of any step, so that a contact which is missing from the stepper's list is found.
 const FAR: f64 = 0.5;
 
-/// What rounding may leave of a sum over a group that should cancel.
+/// Bound of the rounding in a sum over a group that cancels.
 const ROUNDING: f64 = 1e-11;
 
-/// One judged step: the state before, its program, and what the step made of it.
+/// A step with the state before, the program and the result.
 struct Step {
     seed: u64,
     before: State,
     after: State,
     report: StepReport,
+    /// The program with all contacts within [`FAR`].
     qp: Qp,
+    /// Multipliers of the contacts of `qp`.
     multipliers: Vec<f64>,
-    /// Actual displacements.
+    /// Displacements: n rows of x, y, alpha.
     moved: Vec<[f64; 3]>,
 }
 
-fn judged_step(stepper: &mut Stepper, state: &mut State) -> Step {
+/// Takes a step, and assembles its program again from all pairs.
+fn checked_step(stepper: &mut Stepper, state: &mut State) -> Step {
     let before = state.clone();
     let report = stepper
         .step(state)
@@ -49,11 +52,11 @@ fn judged_step(stepper: &mut Stepper, state: &mut State) -> Step {
     assert_eq!(
         found,
         pushed.len(),
-        "seed {}: a push from nowhere",
+        "seed {}: a contact pushes that is not within FAR",
         before.seed
     );
     let (old, new) = (&before.configuration, &state.configuration);
-    assert_eq!(old.origin, new.origin, "these groups stay near home");
+    assert_eq!(old.origin, new.origin, "the origin was shifted");
     let difference = |k: usize| {
         [
             new.x[k] - old.x[k],
@@ -73,7 +76,7 @@ fn judged_step(stepper: &mut Stepper, state: &mut State) -> Step {
     }
 }
 
-/// Random parameters over most of their ranges, and a crowded start.
+/// Returns a state with random parameters over most of their ranges and a crowded start.
 fn random_state(seed: u64) -> State {
     let mut stream = Stream::new(seed, 0, 0, Purpose::Selection);
     let mut between = |low: f64, high: f64| low + (high - low) * stream.uniform();
@@ -96,7 +99,7 @@ fn random_state(seed: u64) -> State {
     let n = between(2.0, 45.0) as usize;
     let weight = between(0.0, 2.0);
     parameters.dt = parameters.longest_step(weight).min(0.1) * between(0.05, 0.5);
-    // Crowded, yet with places to find: a quarter of the disc is covered.
+    // Bodies cover a quarter of the disc: crowded, and the draw succeeds.
     let (h, r) = (parameters.half_length(), parameters.radius());
     let area = 4.0 * h * r + PI * r * r;
     let radius = (n as f64 * area / 0.25 / PI).sqrt().max(0.5);
@@ -107,14 +110,15 @@ fn random_state(seed: u64) -> State {
     with(parameters, seed, configuration)
 }
 
-/// Judges some steps of many random groups, from the start and once they push.
-fn judge(check: impl Fn(&Step)) {
+/// Calls `check` for 12 steps of each of 60 random groups, with more steps between them, so that
+/// the later ones have many contacts.
+fn check_steps(check: impl Fn(&Step)) {
     let (mut steps, mut pushes) = (0, 0);
     for seed in 1..=60 {
         let mut state = random_state(seed);
         let mut stepper = Stepper::new();
         for round in 0..12 {
-            let step = judged_step(&mut stepper, &mut state);
+            let step = checked_step(&mut stepper, &mut state);
             steps += 1;
             pushes += step.report.active;
             check(&step);
@@ -126,13 +130,13 @@ fn judge(check: impl Fn(&Step)) {
     println!("{steps} steps with {pushes} pushes");
     assert!(
         pushes > 5 * steps,
-        "too few push for these facts to mean anything: {pushes}"
+        "too few contacts push: {pushes} in {steps} steps"
     );
 }
 
 #[test]
-fn every_step_solves_its_program_and_moves_as_it_says() {
-    judge(|step| {
+fn every_step_solves_its_program_and_moves_by_the_solution() {
+    check_steps(|step| {
         let Step {
             seed,
             qp,
@@ -141,11 +145,11 @@ fn every_step_solves_its_program_and_moves_as_it_says() {
             report,
             ..
         } = step;
-        // Rounding of positions up to a few tens.
+        // Rounding of coordinates of a few tens.
         let scale = 1e-14;
         let mut displacement = Vec::new();
         let residual = qp.residual(multipliers, &mut displacement);
-        // Contacts beyond the stepper's own list count here too.
+        // Contacts that are not in the stepper's list count too.
         assert!(
             residual <= solve::TARGET,
             "seed {seed}: {residual:e}, reported {:e}",
@@ -176,7 +180,7 @@ fn every_step_solves_its_program_and_moves_as_it_says() {
 }
 
 #[test]
-fn pushing_only_takes_from_the_free_motion() {
+fn contacts_do_not_increase_the_weighted_norm_of_the_displacement() {
     let squares = |weights: [f64; 3], all: &[[f64; 3]]| -> f64 {
         all.iter()
             .map(|one| {
@@ -186,8 +190,8 @@ fn pushing_only_takes_from_the_free_motion() {
             })
             .sum()
     };
-    let judged = std::cell::Cell::new(0);
-    judge(|step| {
+    let checked = std::cell::Cell::new(0);
+    check_steps(|step| {
         let Step {
             seed,
             qp,
@@ -198,21 +202,21 @@ fn pushing_only_takes_from_the_free_motion() {
         if qp.contacts.iter().any(|contact| contact.gap < 0.0) {
             return;
         }
-        judged.set(judged.get() + usize::from(step.report.active > 0));
+        checked.set(checked.get() + usize::from(step.report.active > 0));
         let slack = multipliers.iter().sum::<f64>() * solve::TARGET + 1e-13;
         let (pushed, free) = (squares(qp.weights, moved), squares(qp.weights, &qp.free));
         assert!(pushed <= free + slack, "seed {seed}: {pushed} above {free}");
     });
     assert!(
-        judged.get() > 20,
+        checked.get() > 20,
         "only {} steps without overlap",
-        judged.get()
+        checked.get()
     );
 }
 
 #[test]
-fn pushes_are_internal_and_carry_no_moment() {
-    judge(|step| {
+fn contact_forces_are_internal_and_carry_no_moment() {
+    check_steps(|step| {
         let Step {
             seed,
             qp,
@@ -267,11 +271,11 @@ fn attraction_cancels_over_the_group() {
 fn without_contact_the_step_is_the_free_one_to_the_bit() {
     for seed in 1..=40 {
         let mut state = random_state(seed);
-        // Spread out, nobody is near anybody.
+        // Spread the group so that no two bodies are near each other.
         let spread = |column: &mut Vec<f64>| column.iter_mut().for_each(|value| *value *= 30.0);
         spread(&mut state.configuration.x);
         spread(&mut state.configuration.y);
-        let step = judged_step(&mut Stepper::new(), &mut state);
+        let step = checked_step(&mut Stepper::new(), &mut state);
         if !step.qp.contacts.is_empty() {
             continue;
         }
@@ -288,7 +292,7 @@ fn without_contact_the_step_is_the_free_one_to_the_bit() {
     }
 }
 
-/// Steps a group and its image under a map of the plane; the images must be each other's.
+/// Asserts that a step commutes with `image`: the step of the image is the image of the step.
 fn commutes(name: &str, image: impl Fn(&State) -> State) {
     for seed in 1..=40 {
         let mut state = random_state(seed);
@@ -307,20 +311,21 @@ fn commutes(name: &str, image: impl Fn(&State) -> State) {
             .zip(columns(&expected))
             .map(|(a, b)| (a - b).abs())
             .fold(0.0, f64::max);
-        // Both are exact to the target in their gaps; a displacement may differ by somewhat more.
+        // Gaps are exact to the target; displacements can differ by more.
         assert!(worst < 1e-8, "{name}, seed {seed}: {worst:e}");
     }
 }
 
+/// Returns the state with positions mapped by `position`, and headings and directions by `angle`.
 fn mapped(
     state: &State,
-    place: impl Fn(f64, f64) -> (f64, f64),
+    position: impl Fn(f64, f64) -> (f64, f64),
     angle: impl Fn(f64) -> f64,
 ) -> State {
     let mut image = state.clone();
     let configuration = &mut image.configuration;
     for k in 0..configuration.n() {
-        (configuration.x[k], configuration.y[k]) = place(configuration.x[k], configuration.y[k]);
+        (configuration.x[k], configuration.y[k]) = position(configuration.x[k], configuration.y[k]);
         configuration.alpha[k] = angle(configuration.alpha[k]);
         if configuration.weight[k] > 0.0 {
             configuration.direction[k] = angle(configuration.direction[k]);
@@ -330,7 +335,7 @@ fn mapped(
 }
 
 #[test]
-fn nothing_depends_on_place_bearing_handedness_or_numbering() {
+fn steps_commute_with_translation_rotation_reflection_and_renumbering() {
     commutes("translation", |state| {
         mapped(state, |x, y| (x + 30.0, y - 20.0), |angle| angle)
     });
@@ -358,22 +363,22 @@ fn nothing_depends_on_place_bearing_handedness_or_numbering() {
         [x, y, alpha, weight, direction]
             .into_iter()
             .for_each(|column| column.reverse());
-        // What is remembered names individuals that are now others: start without it.
+        // The warm start refers to individuals by id, and the ids now have other poses: clear it.
         image.warm_start = Default::default();
         image
     });
 }
 
 #[test]
-fn a_far_group_is_moved_by_whole_cells_and_steps_as_at_home() {
-    let home = drawn(Parameters::default(), 20, 3);
-    let mut far = home.clone();
+fn a_group_far_from_the_origin_is_recentred_by_whole_cells() {
+    let mut near = drawn(Parameters::default(), 20, 3);
+    let mut far = near.clone();
     far.configuration
         .x
         .iter_mut()
         .for_each(|x| *x += 3.0 * 1024.0);
     far.configuration.y.iter_mut().for_each(|y| *y -= 1024.0);
-    let (mut near, mut stepper) = (home, Stepper::new());
+    let mut stepper = Stepper::new();
     stepper.step(&mut near).unwrap();
     stepper.step(&mut far).unwrap();
     assert_eq!(far.configuration.origin, [3, -1]);
@@ -383,110 +388,8 @@ fn a_far_group_is_moved_by_whole_cells_and_steps_as_at_home() {
     }
 }
 
-/// `tan((α - α_p)/2)` decays as `exp(-c_p t)`; the error of the steps is proportional to dt.
-#[test]
-fn one_informed_individual_turns_as_the_solution_says() {
-    let error = |dt: f64| {
-        let parameters = Parameters {
-            pi3: 2.0,
-            dt,
-            ..Parameters::default()
-        };
-        let mut configuration = start::given(&parameters, &[0.0], &[0.0], &[2.5]).unwrap();
-        configuration.inform(0, 0.5, 0.3, None);
-        let mut state = with(parameters, 1, configuration);
-        advance(&mut Stepper::new(), &mut state, (2.0 / dt).round() as u64);
-        // The weight 0.5 is in units of c_s = π3 = 2, so c_p = 1.
-        let exact = 0.3 + 2.0 * ((1.1f64).tan() * (-2.0f64).exp()).atan();
-        (state.configuration.alpha[0] - exact).abs()
-    };
-    let errors = [0.02, 0.01, 0.005].map(error);
-    assert!(errors[0] < 0.01, "{errors:?}");
-    for pair in errors.windows(2) {
-        assert!((1.9..2.1).contains(&(pair[0] / pair[1])), "{errors:?}");
-    }
-}
-
-fn two(parameters: Parameters, poses: [[f64; 3]; 2]) -> State {
-    let column = |axis: usize| [poses[0][axis], poses[1][axis]];
-    with(
-        parameters,
-        1,
-        start::given(&parameters, &column(0), &column(1), &column(2)).unwrap(),
-    )
-}
-
-#[test]
-fn two_discs_head_on_stop_each_other() {
-    let parameters = Parameters {
-        pi1: 1.0,
-        ..Parameters::default()
-    };
-    let mut state = two(parameters, [[0.0, 0.0, 0.0], [1.03, 0.0, PI]]);
-    let mut stepper = Stepper::new();
-    advance(&mut stepper, &mut state, 2);
-    let stopped = state.configuration.clone();
-    assert!(
-        (stopped.x[1] - stopped.x[0] - 1.0).abs() < 1e-9,
-        "they touch"
-    );
-    advance(&mut stepper, &mut state, 100);
-    assert!(
-        (state.configuration.x[0] - stopped.x[0]).abs() < 1e-9,
-        "and stay"
-    );
-    assert!(
-        (state.warm_start.contacts[0].multiplier - 0.02).abs() < 1e-9,
-        "each takes the other's push"
-    );
-}
-
-/// The rate is `∓π3 / (1 + h² π4)`: half of the pull's turning goes into pushing apart.
-#[test]
-fn two_side_by_side_turn_into_each_other_slowly_and_part() {
-    for (pi3, pi4) in [(1.0, 10.0), (0.3, 50.0)] {
-        let parameters = Parameters {
-            pi3,
-            pi4,
-            ..Parameters::default()
-        };
-        let (h, width) = (parameters.half_length(), 2.0 * parameters.radius());
-        let mut state = two(parameters, [[0.0, 0.0, 0.0], [0.0, width, 0.0]]);
-        advance(&mut Stepper::new(), &mut state, 1);
-        let configuration = &state.configuration;
-        let rate = pi3 / (1.0 + h * h * pi4);
-        assert!(
-            (configuration.alpha[0] / 0.02 - rate).abs() < 1e-6,
-            "{:?} {rate}",
-            configuration.alpha
-        );
-        assert!((configuration.alpha[1] / 0.02 + rate).abs() < 1e-6);
-        let apart = configuration.y[1] - configuration.y[0] - width;
-        assert!((apart - 2.0 * h * rate * 0.02).abs() < 1e-9, "{apart}");
-    }
-}
-
-#[test]
-fn without_attraction_two_side_by_side_slide_along_without_turning() {
-    let parameters = Parameters {
-        pi3: 1e-12,
-        ..Parameters::default()
-    };
-    let mut state = two(
-        parameters,
-        [[0.0, 0.0, 0.0], [0.5, 2.0 * parameters.radius(), 0.0]],
-    );
-    advance(&mut Stepper::new(), &mut state, 100);
-    let configuration = &state.configuration;
-    assert!(
-        configuration.alpha.iter().all(|alpha| alpha.abs() < 1e-9),
-        "{:?}",
-        configuration.alpha
-    );
-    assert!((configuration.x[0] - 2.0).abs() < 1e-9 && (configuration.x[1] - 2.5).abs() < 1e-9);
-}
-
-/// A body pressed into another in passing would be missed by a list as far as free bodies go.
+/// The overlap of the first two discs pushes the second one into the third, whose gap exceeds the
+/// reach of the first list.
 #[test]
 fn a_contact_beyond_the_first_list_is_found_when_the_step_closes_it() {
     let parameters = Parameters {
@@ -500,15 +403,15 @@ fn a_contact_beyond_the_first_list_is_found_when_the_step_closes_it() {
         "the third is beyond the first list"
     );
     let mut state = with(parameters, 1, configuration);
-    let step = judged_step(&mut Stepper::new(), &mut state);
+    let step = checked_step(&mut Stepper::new(), &mut state);
     assert_eq!(step.report.contacts, 2);
     let residual = step.qp.residual(&step.multipliers, &mut Vec::new());
     assert!(residual <= solve::TARGET, "{residual:e}");
 }
 
-/// Overlap is what linearisation leaves, of order dt².
+/// The linearisation leaves an overlap of order dt².
 #[test]
-fn overlap_stays_small_and_nobody_crosses() {
+fn overlap_stays_small_and_no_axes_cross() {
     let mut overlaps = [0.0f64; 2];
     for (overlap, dt) in overlaps.iter_mut().zip([0.02, 0.005]) {
         for seed in 1..=4 {
@@ -537,7 +440,7 @@ fn overlap_stays_small_and_nobody_crosses() {
 }
 
 #[test]
-fn who_is_informed_for_a_time_is_not_afterwards() {
+fn an_informed_individual_lapses_at_its_step() {
     let mut state = drawn(Parameters::default(), 5, 1);
     state.configuration.inform(2, 0.5, 1.0, Some(3));
     state.configuration.inform(4, 0.5, 1.0, None);

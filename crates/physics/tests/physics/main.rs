@@ -1,15 +1,22 @@
-//! The physics against exact cases, the model's facts, itself, and the paper's claim.
+//! Tests of the physics: exact cases, invariants of the model, reproducibility, and a claim of the
+//! paper.
 #![expect(
     clippy::unwrap_used,
     clippy::cast_possible_truncation,
     clippy::cast_sign_loss,
-    reason = "a test that is wrong about a number fails, and says where"
+    reason = "a test with a wrong number fails and reports the line"
+)]
+// The walls of the crate are for its library.
+#![expect(
+    clippy::disallowed_methods,
+    reason = "tests read cases and start threads"
 )]
 
 mod adversarial;
 mod allocation;
 mod cases;
 mod claim;
+mod closed_form;
 mod exact;
 mod facts;
 mod reference;
@@ -22,7 +29,7 @@ use jostle_physics::model::{Configuration, Parameters, State, start};
 use jostle_physics::stepper::qp::Qp;
 use jostle_physics::stepper::{Stepper, contact, free};
 
-/// A state of `n` individuals drawn in the default disc.
+/// Returns a state of `n` individuals drawn in the default disc.
 fn drawn(parameters: Parameters, n: usize, seed: u64) -> State {
     let configuration = start::disc(&parameters, n, None, seed).unwrap();
     with(parameters, seed, configuration)
@@ -43,15 +50,16 @@ fn advance(stepper: &mut Stepper, state: &mut State, steps: u64) {
     }
 }
 
-/// The program of one step with every contact nearer than `reach`, from all pairs.
+/// Returns the quadratic program of one step with all contacts whose gap is at most `reach`. All
+/// pairs are examined.
 fn program(state: &State, reach: f64) -> Qp {
     let State {
         parameters,
         configuration,
         ..
     } = state;
-    let mut alone = free::Free::default();
-    alone.compute(parameters, configuration);
+    let mut free = free::Free::default();
+    free.compute(parameters, configuration);
     let n = u32::try_from(configuration.n()).unwrap();
     let pairs: Vec<(u32, u32)> = (0..n)
         .flat_map(|i| (i + 1..n).map(move |j| (i, j)))
@@ -61,7 +69,7 @@ fn program(state: &State, reach: f64) -> Qp {
         Level::default(),
         parameters,
         configuration,
-        &alone.heading,
+        &free.heading,
         &pairs,
         |_, _| reach,
         &mut contacts,
@@ -69,7 +77,7 @@ fn program(state: &State, reach: f64) -> Qp {
     .unwrap();
     Qp {
         weights: [1.0, 1.0, parameters.rho2()],
-        free: alone.displacement,
+        free: free.displacement,
         contacts,
     }
 }

@@ -1,7 +1,9 @@
-//! Single steps under every rule, law and option, as a slow dense reference takes them.
+//! Single steps compared with a slow dense reference implementation, for each law of attraction,
+//! contact rule, stepping and option that the reference implements.
 //!
-//! `tests/reference/` holds the reference, in Python, and what it computed; its README says what
-//! each case is. It was written from the model's description, apart from this implementation.
+//! `tests/reference/` contains the reference, in Python, and the cases that it computed; its README
+//! describes them. The reference was written from the model's description, independently of this
+//! implementation.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -14,14 +16,15 @@ use jostle_physics::stepper::Stepper;
 use jostle_physics::stepper::solve::Backend;
 use serde_json::Value;
 
-/// What two exact implementations may differ by.
+/// Largest difference between two exact implementations, in body sizes or radians.
 const TOLERANCE: f64 = 1e-9;
 
 struct Case {
     name: String,
     state: State,
     after: [Vec<f64>; 3],
-    /// Pair and code of those that push, with their multipliers; none where those are not unique.
+    /// Pair (indices), code and multiplier of each contact that pushes. None if the multipliers are
+    /// not unique.
     pushing: Option<BTreeMap<(u32, u32, u8), f64>>,
     crossed: usize,
 }
@@ -45,7 +48,7 @@ fn attraction(law: &Value) -> Attraction {
         "power" => Attraction::Power {
             exponent: number("exponent"),
         },
-        other => panic!("no law is called {other}"),
+        other => panic!("unknown law of attraction {other:?}"),
     }
 }
 
@@ -126,7 +129,7 @@ fn cases() -> Vec<Case> {
 }
 
 #[test]
-fn every_step_is_the_reference_s_by_both_backends() {
+fn both_backends_match_the_reference() {
     for case in cases() {
         for backend in [Backend::Exact, Backend::Fallback] {
             let (name, mut state) = (&case.name, case.state.clone());
@@ -146,8 +149,8 @@ fn every_step_is_the_reference_s_by_both_backends() {
                 continue;
             };
             let index_of = |id: u32| {
-                let place = case.state.configuration.id.binary_search(&id).unwrap();
-                u32::try_from(place).unwrap()
+                let index = case.state.configuration.id.binary_search(&id).unwrap();
+                u32::try_from(index).unwrap()
             };
             let contacts = state.warm_start.contacts.iter();
             let ours: BTreeMap<_, _> = contacts
@@ -158,13 +161,13 @@ fn every_step_is_the_reference_s_by_both_backends() {
                     )
                 })
                 .collect();
-            // What rounding alone makes push is on one side only.
-            for name_of in ours.keys().chain(pushing.keys()) {
+            // A contact whose multiplier is rounding noise can be in one of the lists only.
+            for key in ours.keys().chain(pushing.keys()) {
                 let [one, other] =
-                    [&ours, pushing].map(|side| side.get(name_of).copied().unwrap_or(0.0));
+                    [&ours, pushing].map(|side| side.get(key).copied().unwrap_or(0.0));
                 assert!(
                     (one - other).abs() < TOLERANCE,
-                    "{name}, {name_of:?}: {one} {other}"
+                    "{name}, {key:?}: {one} {other}"
                 );
             }
         }
@@ -172,8 +175,8 @@ fn every_step_is_the_reference_s_by_both_backends() {
 }
 
 #[test]
-fn a_step_tells_the_overlap_that_parry_measures() {
-    let mut told = 0;
+fn a_step_reports_the_overlap_that_parry_measures() {
+    let mut compared = 0;
     for mut case in cases() {
         let State {
             parameters,
@@ -182,7 +185,8 @@ fn a_step_tells_the_overlap_that_parry_measures() {
         } = &case.state;
         let gaps = body::gaps(parameters, configuration);
         let report = Stepper::new().step(&mut case.state).unwrap();
-        // Where axes cross parry measures the axes themselves, a step the distances of their ends.
+        // If axes cross, parry measures the distance of the axes, and a step the distances of their
+        // ends.
         if let (Some(gap), 0) = (report.least_gap, gaps.crossed) {
             let measured = gaps.worst_gap.unwrap();
             assert!(
@@ -190,8 +194,8 @@ fn a_step_tells_the_overlap_that_parry_measures() {
                 "{}: {gap} {measured}",
                 case.name
             );
-            told += 1;
+            compared += 1;
         }
     }
-    assert!(told > 30, "{told}");
+    assert!(compared > 30, "{compared}");
 }

@@ -1,4 +1,5 @@
-//! Same bytes: one state has one future, wherever and however often it is computed.
+//! Reproducibility: the future of a state is the same to the bit, on any thread, stepper and
+//! processor level.
 
 use std::thread;
 
@@ -11,7 +12,7 @@ use jostle_physics::stepper::solve::Backend;
 
 use crate::{advance, drawn};
 
-/// Steps until a drawn group of 74 has closed up and pushes: t = 20.
+/// Steps until a drawn group of 74 is packed and in contact: t = 20.
 const SETTLING: u64 = 1000;
 
 fn hex(state: &State) -> String {
@@ -22,7 +23,7 @@ fn hex(state: &State) -> String {
         .collect()
 }
 
-/// A group of `n` in contact, from the seed alone.
+/// Returns a group of `n` in contact, always drawn with the same seed.
 fn settled(n: usize, stepper: &mut Stepper) -> State {
     let mut state = drawn(Parameters::default(), n, 1);
     state
@@ -30,12 +31,12 @@ fn settled(n: usize, stepper: &mut Stepper) -> State {
         .inform(3, 0.5, 1.0, Some(SETTLING + 150));
     advance(stepper, &mut state, SETTLING);
     let pushing = state.warm_start.contacts.len();
-    assert!(2 * pushing > n, "{pushing} push");
+    assert!(2 * pushing > n, "only {pushing} contacts push");
     state
 }
 
-/// The hash of one run to the last bit. It may change with the model's version or the solver,
-/// never with the machine, the thread or the build.
+/// The hash of one run. It may change with the model's version or the solver, and must not change
+/// with the machine, the thread or the build.
 #[test]
 fn two_hundred_steps_in_contact_end_in_the_golden_state() {
     let mut stepper = Stepper::new();
@@ -46,11 +47,12 @@ fn two_hundred_steps_in_contact_end_in_the_golden_state() {
 
 const GOLDEN: &str = "292b6ba2b9ad2ed2dc620e00971bb26eabf39745c25908e915a84b49aadbc538";
 
-/// How far a restored state is followed.
+/// Steps taken from each restored state.
 const AHEAD: usize = 200;
 
-/// Steps on from `state`, and again with a new stepper each from the first `points` states on
-/// the way: [`AHEAD`] steps after any of them the hash is that of the one run straight through.
+/// Steps `state` with the stepper `straight`, and again each of its first `points` states with a
+/// stepper from `new`. Asserts that [`AHEAD`] steps after each restored state the hash equals that
+/// of the uninterrupted run.
 fn restore(mut state: State, points: usize, mut straight: Stepper, new: impl Fn() -> Stepper) {
     let (mut restored, mut future) = (Vec::new(), Vec::new());
     for taken in 0..points + AHEAD {
@@ -77,10 +79,10 @@ fn a_hundred_restored_states_have_the_same_future() {
     }
 }
 
-/// A settled group that remembers nearly every contact of its next step as one that pushed, and
-/// how hard at random over eight decades, so that this step needs the fallback. It has to be large:
-/// of a few hundred none is at a loss.
-fn at_a_loss(stepper: &mut Stepper) -> State {
+/// Returns a settled group whose next step needs the fallback. Its warm start contains nearly every
+/// contact of that step, with random multipliers over eight decades. The group has to be large:
+/// with a few hundred individuals the exact solver needs no fallback.
+fn state_that_needs_the_fallback(stepper: &mut Stepper) -> State {
     let mut settled = drawn(Parameters::default(), 800, 1);
     advance(stepper, &mut settled, SETTLING);
     let mut pull = Vec::new();
@@ -91,41 +93,43 @@ fn at_a_loss(stepper: &mut Stepper) -> State {
     );
     stepper.assemble(&settled, &pull).unwrap();
     let contacts = &stepper.program().0.contacts.clone();
-    let mut confused = (0..20).map(|seed| {
+    let mut candidates = (0..20).map(|seed| {
         let mut stream = Stream::new(seed, 0, 0, Purpose::Selection);
         let mut state = settled.clone();
-        let remembered = contacts.iter().map(|contact| WarmContact {
+        let warm = contacts.iter().map(|contact| WarmContact {
             first: state.configuration.id[contact.i as usize],
             second: state.configuration.id[contact.j as usize],
             code: contact.code,
             multiplier: libm::pow(10.0, -8.0 * stream.uniform()),
         });
-        state.warm_start.contacts = remembered.collect();
+        state.warm_start.contacts = warm.collect();
         state.warm_start.contacts.retain(|_| stream.uniform() < 0.9);
         state
     });
-    let is_at_a_loss = |state: &State| stepper.step(&mut state.clone()).unwrap().fallback > 0;
-    confused.find(is_at_a_loss).expect("nearly all are")
+    let needs_fallback = |state: &State| stepper.step(&mut state.clone()).unwrap().fallback > 0;
+    candidates
+        .find(needs_fallback)
+        .expect("nearly every candidate needs the fallback")
 }
 
 #[test]
-fn a_state_restored_into_a_step_of_the_referee_has_the_same_future() {
+fn a_state_restored_before_a_fallback_step_has_the_same_future() {
     let mut stepper = Stepper::new();
-    let state = at_a_loss(&mut stepper);
+    let state = state_that_needs_the_fallback(&mut stepper);
     restore(state, 10, stepper, Stepper::new);
 }
 
 #[test]
-fn the_referee_alone_remembers_nothing() {
+fn restored_states_have_the_same_future_with_the_fallback_alone() {
     let state = settled(74, &mut Stepper::new());
     let fallback = || Stepper::with_backend(Backend::Fallback);
     restore(state, 3, fallback(), fallback);
 }
 
-/// Vector lanes decide how long a step takes and nothing else. The groups are solved by the small
-/// factor and by the large one, of discs and of bodies that turn.
+/// The SIMD level affects only the time of a step. The groups use the dense solver for few contacts
+/// and the sparse factorisation, with discs and with elongated bodies.
 #[test]
-fn every_level_of_the_processor_takes_the_same_steps() {
+fn every_simd_level_takes_the_same_steps() {
     for (pi1, n) in [(1.0, 60), (4.0, 5), (4.0, 20), (4.0, 74), (8.0, 200)] {
         let parameters = Parameters {
             pi1,
@@ -141,7 +145,7 @@ fn every_level_of_the_processor_takes_the_same_steps() {
         let plain = run(Level::BASELINE);
         assert!(
             n < 20 || 2 * plain.warm_start.contacts.len() > n,
-            "too few push"
+            "too few contacts push"
         );
         for level in Level::available() {
             assert_eq!(
@@ -153,7 +157,8 @@ fn every_level_of_the_processor_takes_the_same_steps() {
     }
 }
 
-/// The workspace may not know what it did before: one that has seen another swarm changes nothing.
+/// No result may depend on the history of the workspace: a stepper that has stepped another swarm
+/// gives the same future.
 #[test]
 fn a_used_stepper_and_another_thread_change_nothing() {
     let mut here = settled(74, &mut Stepper::new());
@@ -180,19 +185,19 @@ fn a_used_stepper_and_another_thread_change_nothing() {
     assert_eq!(far.join().unwrap(), here);
 }
 
-/// The solver's memory decides last bits, so it must be in the state: without it the hash
-/// differs from the first step on.
+/// The warm start affects the last bits of a step and must be part of the state: a state without it
+/// has another hash. After a step the positions agree to 1e-8.
 #[test]
-fn a_state_without_its_memory_has_another_hash() {
+fn a_state_without_its_warm_start_has_another_hash() {
     let mut stepper = Stepper::new();
     let mut state = settled(74, &mut stepper);
-    let mut forgetful = State {
+    let mut cold = State {
         warm_start: Default::default(),
         ..state.clone()
     };
-    assert_ne!(forgetful.hash(), state.hash());
+    assert_ne!(cold.hash(), state.hash());
     stepper.step(&mut state).unwrap();
-    stepper.step(&mut forgetful).unwrap();
+    stepper.step(&mut cold).unwrap();
     let apart = |a: &[f64], b: &[f64]| {
         a.iter()
             .zip(b)
@@ -200,7 +205,7 @@ fn a_state_without_its_memory_has_another_hash() {
             .fold(0.0, f64::max)
     };
     assert!(
-        apart(&state.configuration.x, &forgetful.configuration.x) < 1e-8,
-        "only last bits differ"
+        apart(&state.configuration.x, &cold.configuration.x) < 1e-8,
+        "positions differ by more than rounding"
     );
 }

@@ -1,5 +1,5 @@
-//! Same bytes whatever the threads: they share the work of large groups, and no sum depends on
-//! how many they are.
+//! Results do not depend on the number of threads. Threads share the work of large groups, and the
+//! order of every sum is independent of their number.
 
 use std::sync::Arc;
 
@@ -15,8 +15,9 @@ fn shared(threads: usize) -> Stepper {
     Stepper::with_pool(Pool::new(Arc::new(pool.unwrap())))
 }
 
-/// Steps `n` drawn in a disc of a radius in roots of n, without a pool and with some.
-fn the_same_steps(attraction: Attraction, n: usize, radius: f64, steps: u64) {
+/// Asserts that the state hash after `steps` steps is the same without a pool and with pools of 1,
+/// 2 and 4 threads. The `n` individuals are drawn in a disc of radius `radius * sqrt(n)`.
+fn compare_threads(attraction: Attraction, n: usize, radius: f64, steps: u64) {
     let parameters = Parameters {
         attraction,
         ..Parameters::default()
@@ -30,21 +31,21 @@ fn the_same_steps(attraction: Attraction, n: usize, radius: f64, steps: u64) {
     };
     let alone = run(Stepper::new());
     let pushing = alone.warm_start.contacts.len();
-    assert!(10 * pushing > n, "only {pushing} of {n} push");
+    assert!(10 * pushing > n, "only {pushing} contacts push at n = {n}");
     for threads in [1, 2, 4] {
         let hash = run(shared(threads)).hash();
-        assert_eq!(hash, alone.hash(), "{n} with {threads} threads");
+        assert_eq!(hash, alone.hash(), "n = {n}, {threads} threads");
     }
 }
 
 #[test]
 fn threads_change_no_bit_of_the_direct_sum_nor_of_contacts() {
     let direct = Attraction::All { accuracy: None };
-    the_same_steps(direct, 2000, 0.64, 200);
+    compare_threads(direct, 2000, 0.64, 200);
 }
 
 #[test]
-fn threads_change_no_bit_of_far_groups_taken_as_a_whole() {
+fn threads_change_no_bit_of_the_tree_code() {
     let accuracy = Some(1e-6);
-    the_same_steps(Attraction::All { accuracy }, 20_000, 0.8, 10);
+    compare_threads(Attraction::All { accuracy }, 20_000, 0.8, 10);
 }

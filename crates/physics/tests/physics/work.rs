@@ -1,4 +1,5 @@
-//! How little a step takes: a defect of the exact solver shows here, for the residual hides it.
+//! Work of a step. A defect of the exact solver does not show in the residual, since the fallback
+//! corrects it; it shows in the counts of factorisations and fallbacks.
 
 use jostle_physics::model::{Parameters, State};
 use jostle_physics::stepper::Stepper;
@@ -8,15 +9,17 @@ use crate::{advance, drawn};
 /// Steps in contact that are counted.
 const COUNTED: usize = 500;
 
-/// What steps of one group took.
+/// Work of [`COUNTED`] steps of one group.
 struct Work {
-    /// Factors a step, on average.
+    /// Mean factorisations per step.
     factors: f64,
+    /// Calls of the fallback, in total.
     fallback: usize,
+    /// Largest residual.
     worst: f64,
 }
 
-/// Steps a group of `n` from its seed until it pushes, and then counts.
+/// Steps a group of `n` for `settling` steps, then counts the work of [`COUNTED`] steps.
 fn counted(n: usize, settling: u64) -> Work {
     let mut stepper = Stepper::new();
     let mut state: State = drawn(Parameters::default(), n, 1);
@@ -38,14 +41,14 @@ fn counted(n: usize, settling: u64) -> Work {
         pushes += report.active;
     }
     let (pushes, factors) = (pushes / COUNTED, work.factors);
-    println!("n = {n}: {pushes} push, {factors:.3} factors a step");
+    println!("n = {n}: {pushes} contacts push, {factors:.3} factorisations per step");
     work
 }
 
-/// The exact solver is right by itself: the fallback is for what no ordinary step is.
+/// The exact solver solves settled groups without the fallback.
 #[test]
-fn ordinary_steps_take_one_factor_and_no_referee() {
-    for (n, settling, most) in [
+fn ordinary_steps_take_one_factorisation_and_no_fallback() {
+    for (n, settling, max_factors) in [
         (20, 500, 1.3),
         (50, 1000, 1.1),
         (120, 1500, 1.1),
@@ -54,6 +57,10 @@ fn ordinary_steps_take_one_factor_and_no_referee() {
         let work = counted(n, settling);
         assert_eq!(work.fallback, 0, "n = {n}");
         assert!(work.worst <= 1e-9, "n = {n}: {}", work.worst);
-        assert!(work.factors <= most, "n = {n}: {} factors", work.factors);
+        assert!(
+            work.factors <= max_factors,
+            "n = {n}: {} factorisations",
+            work.factors
+        );
     }
 }

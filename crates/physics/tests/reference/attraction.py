@@ -1,7 +1,7 @@
-"""Whom an individual is drawn to, and how: the five laws of `MODEL.md`.
+"""The five laws of attraction of the model.
 
-A law counts some of the others and returns the mean of what each contributes. Whether somebody is
-counted is decided in rational arithmetic on the doubles as they stand, so that no tie depends on
+A law counts some of the other individuals and returns the mean of their contributions. The choice
+is made in rational arithmetic on the exact values of the doubles, so that no tie depends on
 rounding.
 """
 
@@ -29,39 +29,40 @@ def pulls(law: dict[str, Any], ids: list[int], x: list[float], y: list[float]) -
 def counted_by(
     law: dict[str, Any], ids: list[int], x: list[float], y: list[float]
 ) -> list[list[int]]:
-    """Returns, per individual, the indices of those that its law counts, in increasing order."""
-    places = [(Fraction(a), Fraction(b)) for a, b in zip(x, y, strict=True)]
-    everyone = range(len(places))
-    others = [[j for j in everyone if j != i] for i in everyone]
+    """Returns, per individual, the ascending indices of the individuals that its law counts."""
+    points = [(Fraction(a), Fraction(b)) for a, b in zip(x, y, strict=True)]
+    indices = range(len(points))
+    others = [[j for j in indices if j != i] for i in indices]
     match law["kind"]:
         case "all" | "power":
             return others
         case "metric":
             reach = Fraction(law["radius"]) ** 2
             return [
-                [j for j in others[i] if _squared(places[i], places[j]) <= reach] for i in everyone
+                [j for j in others[i] if _squared(points[i], points[j]) <= reach] for i in indices
             ]
         case "topological":
             return [
                 sorted(
-                    sorted(others[i], key=lambda j: (_squared(places[i], places[j]), ids[j]))[
+                    sorted(others[i], key=lambda j: (_squared(points[i], points[j]), ids[j]))[
                         : law["neighbours"]
                     ]
                 )
-                for i in everyone
+                for i in indices
             ]
         case "voronoi":
-            return _voronoi(places, others)
+            return _voronoi(points, others)
         case kind:
-            raise ValueError(f"no attraction law {kind!r}")
+            raise ValueError(f"unknown law of attraction {kind!r}")
 
 
 def share_an_edge(a: Point, b: Point, sites: list[Point]) -> bool:
-    """Says whether the Voronoi cells of `a` and `b` have an edge of positive length in common.
+    """Returns whether the Voronoi cells of `a` and `b` share an edge of positive length.
 
-    The points equally far from both are p(t) = (a + b)/2 + t perp(b - a). Another site c leaves of
-    them those that are not nearer to it: with a as the origin, |c|^2 - b.c - 2 t (b x c) >= 0, a
-    half-line in t, or by (b x c) = 0 all or nothing. The edge is what every c leaves.
+    The points at equal distance from both are p(t) = (a + b)/2 + t perp(b - a). Another site c
+    restricts them to those that are not nearer to c: with a as the origin,
+    |c|^2 - b.c - 2 t (b x c) >= 0. This is a half-line in t; if b x c = 0 it is the whole line or
+    empty. The edge is the intersection over all c.
     """
     along = _minus(b, a)
     low, high = None, None
@@ -80,15 +81,15 @@ def share_an_edge(a: Point, b: Point, sites: list[Point]) -> bool:
     return low is None or high is None or low < high
 
 
-def _voronoi(places: list[Point], others: list[list[int]]) -> list[list[int]]:
-    # Those at exactly the same place share one site, and are neighbours of each other.
-    sites = sorted(set(places))
+def _voronoi(points: list[Point], others: list[list[int]]) -> list[list[int]]:
+    # Individuals at the same point share one site and are neighbours of each other.
+    sites = sorted(set(points))
     neighbours = {(site, site) for site in sites}
     for a, b in combinations(sites, 2):
         if share_an_edge(a, b, sites):
             neighbours |= {(a, b), (b, a)}
     return [
-        [j for j in others[i] if (places[i], places[j]) in neighbours] for i in range(len(places))
+        [j for j in others[i] if (points[i], points[j]) in neighbours] for i in range(len(points))
     ]
 
 
@@ -103,7 +104,7 @@ def _mean_pull(
 
 def _pull(dx: float, dy: float, exponent: float) -> tuple[float, float]:
     distance = math.hypot(dx, dy)
-    # A coincident centre has no direction, whatever the exponent: it is counted and adds nothing.
+    # A coincident centre has no direction: for every exponent it is counted and contributes 0.
     if distance == 0.0:
         return 0.0, 0.0
     weight = distance**exponent

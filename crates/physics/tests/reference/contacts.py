@@ -1,4 +1,4 @@
-"""Where bodies constrain each other: the two contact rules of `MODEL.md`."""
+"""Contacts of pairs of bodies, under the contact rules `endpoints` and `closest`."""
 
 import math
 from collections.abc import Iterator
@@ -12,14 +12,14 @@ HEAD, TAIL = 0, 1
 
 @dataclass(frozen=True)
 class Body:
-    """A segment of half a length, swept by a disc."""
+    """A segment of length 2 * half_length, swept by a disc."""
 
     half_length: float
     radius: float
 
     @classmethod
     def of_aspect_ratio(cls, pi1: float) -> "Body":
-        """Makes the body of length over width `pi1` whose size s is 1."""
+        """Returns the body of size s = 1 with length over width `pi1`."""
         p = pi1 - 1.0
         radius = 1.0 / (2.0 + p)
         return cls(half_length=p * radius, radius=radius)
@@ -38,7 +38,7 @@ class Contact:
     lever_j: float
 
     def row(self, count: int) -> np.ndarray:
-        """Returns the gradient of the gap by (x, y, alpha) of all, 3 n numbers."""
+        """Returns the gradient of the gap by (x, y, alpha) of all individuals, 3 n numbers."""
         row = np.zeros((count, 3))
         row[self.i] = [*-self.normal_i_to_j, -self.lever_i]
         row[self.j] = [*self.normal_i_to_j, self.lever_j]
@@ -46,7 +46,10 @@ class Contact:
 
 
 def find_contacts(rule: str, body: Body, configuration: np.ndarray, reach: float) -> list[Contact]:
-    """Lists the contacts with a gap up to `reach`, by pair and code; n rows (x, y, alpha) in."""
+    """Lists the contacts with a gap of at most `reach`, ordered by pair and code.
+
+    `configuration` has n rows (x, y, alpha).
+    """
     count = len(configuration)
     farthest = 2.0 * (body.half_length + body.radius) + reach
     found = []
@@ -58,20 +61,20 @@ def find_contacts(rule: str, body: Body, configuration: np.ndarray, reach: float
             if rule == "closest":
                 pair = sorted(pair, key=lambda contact: (contact.gap, contact.code))[:1]
             elif rule != "endpoints":
-                raise ValueError(f"no contact rule {rule!r}")
+                raise ValueError(f"unknown contact rule {rule!r}")
             found += [contact for contact in pair if contact.gap <= reach]
     return found
 
 
 def pair_contacts(body: Body, configuration: np.ndarray, i: int, j: int) -> list[Contact]:
-    """Lists the contacts of one pair under `endpoints`, by code, whether its axes cross or not."""
+    """Lists the contacts of one pair under `endpoints`, ordered by code; its axes may cross."""
     found = []
     for code, on_i, on_j in sorted(
         _candidates(body, configuration, i, j), key=lambda found: found[0]
     ):
         apart = on_j - on_i
         distance = math.sqrt(apart[0] * apart[0] + apart[1] * apart[1])
-        # Two points in one place have no normal, so they cannot constrain.
+        # Coincident points have no normal: leave the contact out.
         if distance == 0.0:
             continue
         normal = apart / distance
@@ -94,12 +97,12 @@ def crossed_pairs(body: Body, configuration: np.ndarray) -> list[list[int]]:
 
 
 def perpendicular(vector: np.ndarray) -> np.ndarray:
-    """Turns a vector by a quarter, counter-clockwise."""
+    """Rotates a vector by a quarter turn, counter-clockwise."""
     return np.array([-vector[1], vector[0]])
 
 
 def ends(body: Body, individual: np.ndarray) -> list[np.ndarray]:
-    """Returns the head and the tail of an axis."""
+    """Returns the points of the head and the tail of an axis."""
     x, y, alpha = individual
     heading = np.array([math.cos(alpha), math.sin(alpha)])
     return [np.array([x, y]) + sign * body.half_length * heading for sign in (1.0, -1.0)]
@@ -108,11 +111,12 @@ def ends(body: Body, individual: np.ndarray) -> list[np.ndarray]:
 def _candidates(
     body: Body, configuration: np.ndarray, i: int, j: int
 ) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
-    """Yields (code, point of i, point of j) of ends inside the other and ends that face."""
+    """Yields (code, point of i, point of j) of ends against sides and ends against ends."""
     if body.half_length == 0.0:
         yield 0, configuration[i, :2], configuration[j, :2]
         return
     ends_i, ends_j = ends(body, configuration[i]), ends(body, configuration[j])
+    # For each end, the end of the other axis that is nearest to it, or None if an inner point is.
     faced_by_i, faced_by_j = [], []
     for end in (HEAD, TAIL):
         foot, faced = _projection(body, ends_i[end], configuration[j])
@@ -130,7 +134,7 @@ def _candidates(
 
 
 def _projection(body: Body, point: np.ndarray, other: np.ndarray) -> tuple[np.ndarray, int | None]:
-    """Returns the foot of a point on an axis, and at which end it is if it is at one."""
+    """Returns the nearest point of an axis, and its end if that is HEAD or TAIL."""
     heading = np.array([math.cos(other[2]), math.sin(other[2])])
     along = float((point - other[:2]) @ heading)
     if along >= body.half_length:
@@ -145,7 +149,7 @@ def _exact_ends(body: Body, individual: np.ndarray) -> list[tuple[Fraction, Frac
 
 
 def _intersect(first: list, second: list) -> bool:
-    """Says whether two closed segments have a point in common."""
+    """Returns whether two closed segments have a point in common."""
     sides = [
         _side(*first, second[0]),
         _side(*first, second[1]),
@@ -153,7 +157,7 @@ def _intersect(first: list, second: list) -> bool:
         _side(*second, first[1]),
     ]
     if sides == [0, 0, 0, 0]:
-        # On one line: they meet when their shadows on both coordinate axes do.
+        # On one line: they intersect if their projections on both coordinate axes do.
         return all(
             max(min(a[axis] for a in first), min(b[axis] for b in second))
             <= min(max(a[axis] for a in first), max(b[axis] for b in second))

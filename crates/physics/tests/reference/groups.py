@@ -1,4 +1,4 @@
-"""The specifications and states that the cases start from."""
+"""Specifications and initial states of the cases."""
 
 import json
 import math
@@ -11,8 +11,8 @@ from contacts import Body, crossed_pairs
 from step import advance, configuration_of
 
 EXACT_CASES = Path(__file__).parent.parent / "cases"
-# Two hundred time units at dt = 0.1: several times what crossing takes in a group that crosses.
-LONGEST_RUN = 2000
+# Steps: 200 time units at dt = 0.1, several times what a group needs until axes cross.
+MAX_STEPS = 2000
 DEFAULTS: dict[str, Any] = {
     "pi1": 4.0,
     "pi3": 1.0,
@@ -27,18 +27,18 @@ DEFAULTS: dict[str, Any] = {
 
 
 def specification(**changes: Any) -> dict[str, Any]:
-    """Returns the default specification with some settings changed."""
+    """Returns the default specification with `changes`."""
     return DEFAULTS | changes
 
 
 def exact_case(number: int, **changes: Any) -> tuple[dict[str, Any], dict[str, Any]]:
     """Returns specification and state of one of the twenty exact cases."""
     (path,) = EXACT_CASES.glob(f"case_{number:02}_*.json")
-    known = json.loads(path.read_text())
-    params = known["params"]
+    case = json.loads(path.read_text())
+    params = case["params"]
     spec = specification(**{key: params[key] for key in ("pi1", "pi3", "pi4", "dt")}) | changes
     informed, count = params["informed"], params["n"]
-    before = rounded(known["before"], 10)
+    before = rounded(case["before"], 10)
     before["weight"] = [params["c_p_informed"] / params["c_s"]] * informed + [0.0] * (
         count - informed
     )
@@ -47,7 +47,7 @@ def exact_case(number: int, **changes: Any) -> tuple[dict[str, Any], dict[str, A
 
 
 def relaxed(spec: dict[str, Any], before: dict[str, Any], steps: int) -> dict[str, Any]:
-    """Returns a state some steps later."""
+    """Returns the state `steps` steps later, computed without `relinearise`."""
     for step in range(steps):
         after = advance(spec | {"relinearise": 0}, before, 0, step).configuration
         before = before | dict(zip(("x", "y", "alpha"), after.T.tolist(), strict=True))
@@ -55,27 +55,27 @@ def relaxed(spec: dict[str, Any], before: dict[str, Any], steps: int) -> dict[st
 
 
 def run_until_crossed(spec: dict[str, Any], before: dict[str, Any]) -> dict[str, Any]:
-    """Returns the state some steps after the first in which axes cross."""
+    """Returns the state three steps after the first state with crossed axes."""
     body = Body.of_aspect_ratio(spec["pi1"])
-    for _ in range(LONGEST_RUN):
+    for _ in range(MAX_STEPS):
         before = relaxed(spec, before, 1)
         if crossed_pairs(body, configuration_of(before)):
             return relaxed(spec, before, 3)
-    raise ValueError("nobody crossed")
+    raise ValueError(f"no axes cross within {MAX_STEPS} steps")
 
 
 def rounded(before: dict[str, Any], digits: int) -> dict[str, Any]:
-    """Cuts digits, which keeps the files short."""
+    """Rounds positions and angles to `digits` decimals, which keeps the files short."""
     return before | {
         key: [round(value, digits) for value in before[key]] for key in ("x", "y", "alpha")
     }
 
 
 def jiggled(before: dict[str, Any]) -> dict[str, Any]:
-    """Turns everybody by some thousandths.
+    """Turns each individual by up to 0.003 rad.
 
-    In a group that has settled, bodies lie flat on each other with gaps of zero: which end is
-    nearest, and on which side of zero a gap is, are matters of rounding there.
+    In a settled group bodies are flush with gaps of 0: the nearest end and the sign of a gap would
+    depend on rounding.
     """
     draws = np.random.Generator(np.random.PCG64(2))
     turned = np.array(before["alpha"]) + draws.uniform(-3e-3, 3e-3, len(before["alpha"]))
@@ -83,7 +83,7 @@ def jiggled(before: dict[str, Any]) -> dict[str, Any]:
 
 
 def scaled(before: dict[str, Any], factor: float) -> dict[str, Any]:
-    """Draws everybody together about the origin."""
+    """Scales the positions about the origin by `factor`."""
     return rounded(
         before | {key: [factor * value for value in before[key]] for key in ("x", "y")}, 10
     )
@@ -95,7 +95,7 @@ def group(x: list[float], y: list[float], alpha: list[float]) -> dict[str, Any]:
 
 
 def stack(x: list[float], *gaps: float) -> dict[str, Any]:
-    """Lays bodies of pi1 = 3 on each other, at these x and gaps; the last gap repeats."""
+    """Returns a stack of parallel bodies of pi1 = 3 with given x and gaps; the last gap repeats."""
     width, y = 0.5, [0.0]
     for k in range(len(x) - 1):
         y.append(y[-1] + width + gaps[min(k, len(gaps) - 1)])
@@ -103,28 +103,28 @@ def stack(x: list[float], *gaps: float) -> dict[str, Any]:
 
 
 def lattice(ticks: list[float]) -> dict[str, Any]:
-    """Returns a square grid of bodies of several headings."""
-    places = [(x, y) for y in ticks for x in ticks]
+    """Returns a square grid of bodies with different headings."""
+    points = [(x, y) for y in ticks for x in ticks]
     return group(
-        [p[0] for p in places], [p[1] for p in places], [0.7 * k for k in range(len(places))]
+        [p[0] for p in points], [p[1] for p in points], [0.7 * k for k in range(len(points))]
     )
 
 
 def turned_by(angle: float, before: dict[str, Any]) -> dict[str, Any]:
-    """Turns the places of a group about the origin, to rounding."""
+    """Rotates the positions of a group about the origin, up to rounding."""
     cos, sin = math.cos(angle), math.sin(angle)
-    places = list(zip(before["x"], before["y"], strict=True))
-    turned = [(cos * x - sin * y, sin * x + cos * y) for x, y in places]
-    return before | {"x": [place[0] for place in turned], "y": [place[1] for place in turned]}
+    points = list(zip(before["x"], before["y"], strict=True))
+    turned = [(cos * x - sin * y, sin * x + cos * y) for x, y in points]
+    return before | {"x": [point[0] for point in turned], "y": [point[1] for point in turned]}
 
 
 def scattered(count: int, seed: int) -> dict[str, Any]:
-    """Draws a group in which nobody is near enough to touch."""
+    """Draws a group without contacts: all distances exceed 2."""
     draws = np.random.Generator(np.random.PCG64(seed))
-    side, places = 2.6 * math.sqrt(count), []
-    while len(places) < count:
-        place = np.round(draws.uniform(0.0, side, 2), 3)
-        if all(np.hypot(*(place - other)) > 2.0 for other in places):
-            places.append(place)
-    x, y = np.array(places).T.tolist()
+    side, points = 2.6 * math.sqrt(count), []
+    while len(points) < count:
+        point = np.round(draws.uniform(0.0, side, 2), 3)
+        if all(np.hypot(*(point - other)) > 2.0 for other in points):
+            points.append(point)
+    x, y = np.array(points).T.tolist()
     return group(x, y, np.round(draws.uniform(0.0, 2.0 * math.pi, count), 3).tolist())

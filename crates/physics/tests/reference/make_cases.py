@@ -1,6 +1,6 @@
-"""Writes `cases/*.json`: single steps that say what every setting of a step does.
+"""Writes `cases/*.json`: single steps for the settings of a step.
 
-Run as `python make_cases.py`; the same versions write the same bytes.
+Run `python make_cases.py [FOLDER]`. The same versions of the dependencies write the same bytes.
 """
 
 import json
@@ -32,21 +32,21 @@ from step import Solution, advance, configuration_of, ids_of, weights_of
 
 HERE = Path(__file__).parent
 TOUCHING = 0.0
-# A sixty-fourth: exact in doubles, and small beside a radius.
+# 1/64: exact in doubles, and small compared with a radius.
 SLIVER = 2.0**-6
-# Below this a slack or a multiplier could as well be zero, and a contact be in the list or not.
+# A slack or a multiplier below this may be 0, up to rounding.
 CLEAR = 1e-8
-# Rows less independent than this would leave fewer than ten digits of the multipliers.
+# With a smaller least singular value, multipliers would have fewer than ten digits.
 INDEPENDENT = 1e-4
 # Far below every length of a case and far above its rounding.
 NUDGE = 1e-9
-# Beyond this digits say nothing: positions are of order ten.
+# Decimals written. Positions are of order ten: further digits are rounding.
 DIGITS = 13
 
 
 @dataclass
 class Case:
-    """What a file is made from. An exact one hangs on ties, which a nudge would undo."""
+    """Input of a case file. An `exact` case depends on ties, which a perturbation would resolve."""
 
     name: str
     spec: dict[str, Any]
@@ -57,14 +57,14 @@ class Case:
 
 
 def main() -> None:
-    """Writes every case, and says how large they are together."""
+    """Writes every case, and prints their total size."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else HERE / "cases"
     folder.mkdir(parents=True, exist_ok=True)
     total = 0
     for case in cases():
         solution = advance(case.spec, case.before, case.seed, case.step)
         if not case.exact:
-            _survives_a_nudge(case, solution)
+            _check_perturbed(case, solution)
         text = written(case, solution)
         (folder / f"{case.name}.json").write_text(text)
         total += len(text)
@@ -72,7 +72,7 @@ def main() -> None:
 
 
 def cases() -> Iterator[Case]:
-    """Yields all cases, by what they show."""
+    """Yields all cases, by subject."""
     yield from closest_in_packed_groups()
     yield from closest_at_ties()
     yield from closest_with_crossed_axes()
@@ -86,7 +86,7 @@ def cases() -> Iterator[Case]:
 
 
 def written(case: Case, solution: Solution) -> str:
-    """Returns the text of a case, one line a key."""
+    """Returns the text of a case, one line per key."""
     before = configuration_of(case.before)
     entries = {
         "name": case.name,
@@ -106,7 +106,7 @@ def written(case: Case, solution: Solution) -> str:
 
 
 def contact_entries(spec: dict[str, Any], solution: Solution) -> list[list[float]] | None:
-    """Returns the contacts that push, or None where several sets of multipliers solve the step."""
+    """Returns the contacts that push, or None if the multipliers are not unique."""
     tight = solution.slacks < CLEAR
     if tight.any():
         scaled = solution.rows[tight] / np.sqrt(weights_of(spec, len(solution.free)))
@@ -115,7 +115,7 @@ def contact_entries(spec: dict[str, Any], solution: Solution) -> list[list[float
             or np.linalg.svd(scaled, compute_uv=False)[-1] < INDEPENDENT
         ):
             return None
-        # One that is tight and does not push may push a little elsewhere.
+        # A tight contact without a clear multiplier may push in another implementation.
         if solution.multipliers[tight].min() < CLEAR:
             return None
     return [
@@ -126,7 +126,7 @@ def contact_entries(spec: dict[str, Any], solution: Solution) -> list[list[float
 
 
 def closest_in_packed_groups() -> Iterator[Case]:
-    """Groups that `endpoints` settled, and that `closest` itself led to overlap and cross."""
+    """Groups settled under `endpoints`, and groups that overlap or cross under `closest`."""
     for number, pi1 in ((4, "1.5"), (10, "3"), (13, "4"), (17, "8")):
         spec, before = exact_case(number, contacts="closest")
         yield Case(f"closest_packed_pi{pi1}_n{len(before['x'])}", spec, jiggled(before))
@@ -144,7 +144,7 @@ def closest_in_packed_groups() -> Iterator[Case]:
 
 
 def closest_at_ties() -> Iterator[Case]:
-    """Parallel bodies whose two gaps are the same double: the lower code is kept."""
+    """Parallel bodies with two equal gaps: the lower code is kept."""
     spec = specification(pi1=3.0, contacts="closest")
     for word, gap in (("touching", TOUCHING), ("overlapping", -SLIVER), ("apart", SLIVER / 8)):
         yield Case(f"closest_tie_shifted_{word}", spec, stack([0.0, 0.25], gap), exact=True)
@@ -162,7 +162,7 @@ def closest_at_ties() -> Iterator[Case]:
 
 
 def closest_with_crossed_axes() -> Iterator[Case]:
-    """Crossed pairs: the nearest end still counts, and its gradient may point the wrong way."""
+    """Crossed pairs: the nearest end is a contact, whose gradient may point the wrong way."""
     spec = specification(contacts="closest")
     near_an_end = group([0.0, 0.38], [0.0, 0.5], [0.1, 1.3])
     yield Case("closest_crossed_overlap", spec, near_an_end)
@@ -176,7 +176,7 @@ def closest_with_crossed_axes() -> Iterator[Case]:
 
 
 def closest_without_normals() -> Iterator[Case]:
-    """Contacts whose two points are one: they are left out."""
+    """Contacts with two coincident points: they are left out."""
     spec = specification(pi1=3.0, contacts="closest")
     yield Case(
         "closest_axes_in_one_line",
@@ -195,7 +195,7 @@ def closest_without_normals() -> Iterator[Case]:
 
 
 def velocity() -> Iterator[Case]:
-    """Gaps of zero and below constrain velocities, as if they were zero; those above do not."""
+    """Contacts with a gap of at most 0 constrain velocities as if it were 0; others do not."""
     for rule in ("endpoints", "closest"):
         spec = specification(pi1=3.0, contacts=rule, stepping="velocity")
         for word, gap in (("touching", TOUCHING), ("overlapping", -SLIVER), ("apart", 2.0**-12)):
@@ -212,7 +212,7 @@ def velocity() -> Iterator[Case]:
 
 
 def relinearised() -> Iterator[Case]:
-    """A second QP about the state that the first one predicts."""
+    """A second QP, linearised about the state that the first one predicts."""
     for number in (12, 17):
         for rule in ("endpoints", "closest"):
             spec, before = exact_case(number, contacts=rule, relinearise=1, dt=0.05)
@@ -224,7 +224,7 @@ def relinearised() -> Iterator[Case]:
 
 
 def attraction_in_random_groups() -> Iterator[Case]:
-    """Every law where nothing ties: scattered without contact, and packed."""
+    """Every law without ties: scattered groups without contacts, and packed groups."""
     laws = {
         "all": {"kind": "all"},
         "voronoi": {"kind": "voronoi"},
@@ -242,7 +242,7 @@ def attraction_in_random_groups() -> Iterator[Case]:
         scattered(50, 12),
     )
     for name in ("voronoi", "topological", "power_2"):
-        # The squares of distances would spin everybody many times as fast.
+        # The squares of distances would make all individuals turn many times as fast.
         spec, before = exact_case(12, attraction=laws[name], pi3=0.05 if name == "power_2" else 1.0)
         yield Case(f"attraction_{name}_cluster", spec, before)
 
@@ -271,7 +271,8 @@ def attraction_at_edges() -> Iterator[Case]:
     )
     grid = lattice([0.0, 2.0, 4.0])
     yield Case("attraction_voronoi_grid", voronoi, grid, exact=True)
-    # Turned, the circles are not quite common: the last bits say which diagonals are neighbours.
+    # After a rotation the four sites of a cell are not exactly cocircular: the last bits of the
+    # coordinates decide which diagonals are neighbours.
     turned_grid = turned_by(0.3, lattice([0.0, 2.0, 4.0]))
     yield Case("attraction_voronoi_grid_not_quite", voronoi, turned_grid, exact=True)
     octagon = [(5, 0), (4, 3), (0, 5), (-3, 4), (-5, 0), (-4, -3), (3, -4), (0, -5)]
@@ -309,9 +310,9 @@ def attraction_at_edges() -> Iterator[Case]:
 
 
 def attraction_of_coincident_centres() -> Iterator[Case]:
-    """Somebody in the same place is counted and contributes nothing; discs, as those never push."""
-    places = [(0.0, 0.0), (3.0, 1.0), (0.0, 0.0), (-2.0, 3.0), (3.0, 1.0), (3.0, 1.0), (5.0, 5.0)]
-    before = group([p[0] for p in places], [p[1] for p in places], [0.9 * k for k in range(7)])
+    """Coincident individuals are counted and contribute 0; coincident discs have no contact."""
+    points = [(0.0, 0.0), (3.0, 1.0), (0.0, 0.0), (-2.0, 3.0), (3.0, 1.0), (3.0, 1.0), (5.0, 5.0)]
+    before = group([p[0] for p in points], [p[1] for p in points], [0.9 * k for k in range(7)])
     for law in edge_laws():
         spec = specification(pi1=1.0, contacts="closest", attraction=law)
         yield Case(f"attraction_{law['kind']}_coincident", spec, before, exact=True)
@@ -322,7 +323,7 @@ def attraction_of_coincident_centres() -> Iterator[Case]:
 
 
 def noise() -> Iterator[Case]:
-    """Noise by seed, step and id, alone and beside preferred directions and contacts."""
+    """Noise by seed, step and id, alone and with informed individuals and contacts."""
     before = scattered(4, 14)
     noisy = specification(noise=0.1)
     yield Case("noise_seed_0_step_0", noisy, before, 0, 0)
@@ -349,7 +350,7 @@ def noise() -> Iterator[Case]:
 
 
 def edge_laws() -> list[dict[str, Any]]:
-    """Returns each law once, with numbers that small groups feel."""
+    """Returns each law once, with parameters that affect small groups."""
     return [
         {"kind": "all"},
         {"kind": "voronoi"},
@@ -363,8 +364,8 @@ def _cut(values: Any) -> list:
     return np.round(values, DIGITS).tolist()
 
 
-def _survives_a_nudge(case: Case, solution: Solution) -> None:
-    """Refuses a case whose outcome hangs on a tie that it is not meant to show."""
+def _check_perturbed(case: Case, solution: Solution) -> None:
+    """Raises ValueError if a perturbation of NUDGE changes neighbours, contacts or the result."""
     draws = np.random.Generator(np.random.PCG64(1))
     nudged = dict(case.before)
     for key in ("x", "y", "alpha"):
@@ -379,7 +380,7 @@ def _survives_a_nudge(case: Case, solution: Solution) -> None:
     moved = np.abs(other.configuration - solution.configuration).max()
     listed = [[(c.i, c.j, c.code) for c in found.contacts] for found in (solution, other)]
     if counted[0] != counted[1] or listed[0] != listed[1] or moved > 1e3 * NUDGE:
-        raise ValueError(f"{case.name} hangs on a tie: moved by {moved}")
+        raise ValueError(f"{case.name} depends on a tie: a perturbation moves it by {moved}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
-"""One step of the model, slow and dense, written from `MODEL.md` alone.
+"""One step of the model, slow and dense, written from the model's description alone.
 
-A state goes in as a dictionary of lists, as the cases have it, with a specification as a
-dictionary; nothing is kept between two steps.
+A step takes a specification and a state, dictionaries with the keys of the cases' `spec` and
+`before`. No data are kept between two steps.
 """
 
 import math
@@ -15,19 +15,24 @@ import attraction
 import stream
 from contacts import Body, Contact, crossed_pairs, find_contacts
 
-# Twice the list of the exact cases. What it leaves out is proved idle after every solution.
+# Twice the reach of the exact cases. `_solve_about` doubles the reach until no contact beyond it
+# could constrain the solution.
 REACH_IN_STEPS = 6.0
-# What rounding leaves of the conditions of optimality after the polish, lengths being of order one.
+# Rounding in the optimality conditions after the polish; lengths are of order one.
 KKT_TOLERANCE = 1e-12
 
 
 class CrossedBodies(Exception):
-    """Two axes cross under `endpoints`: they would never be pushed apart."""
+    """Two axes cross under `endpoints`; no contact would push them apart."""
 
 
 @dataclass(frozen=True)
 class Solution:
-    """What a step did: its free motion, the contacts and rows of its last QP, and its end."""
+    """Result of a step: free motion, contacts and rows of its last QP, and the configuration.
+
+    `free` and `configuration` have n rows of three; `rows` has 3 n columns and, like `slacks` and
+    `multipliers`, an entry for each contact.
+    """
 
     free: np.ndarray
     contacts: list[Contact]
@@ -40,8 +45,8 @@ class Solution:
 def advance(spec: dict[str, Any], state: dict[str, Any], seed: int, step: int) -> Solution:
     """Advances a state by one step.
 
-    Source: paper, Principle 1, eq. (7), and the appendix; `relinearise` solves once more about
-    where the first solution led, against the same objective.
+    Source: paper, Principle 1, eq. (7), and the appendix. `relinearise` solves a second QP with the
+    same objective, linearised about the configuration after the first one.
     """
     body = Body.of_aspect_ratio(spec["pi1"])
     before = configuration_of(state)
@@ -49,7 +54,7 @@ def advance(spec: dict[str, Any], state: dict[str, Any], seed: int, step: int) -
     solution = _solve_about(spec, body, state, before, free, np.zeros_like(free))
     if spec["relinearise"]:
         if spec["stepping"] != "position":
-            raise ValueError("relinearise is of position stepping only")
+            raise ValueError("relinearise requires position stepping")
         predicted = solution.configuration - before
         solution = _solve_about(spec, body, state, before, free, predicted)
     return solution
@@ -61,7 +66,7 @@ def configuration_of(state: dict[str, Any]) -> np.ndarray:
 
 
 def free_motion(spec: dict[str, Any], state: dict[str, Any], seed: int, step: int) -> np.ndarray:
-    """Returns what each would do alone, eqs. (1) to (4) and noise: n rows (dx, dy, dalpha)."""
+    """Returns the free motion, eqs. (1) to (4), with noise: n rows (dx, dy, dalpha)."""
     c_s, dt = spec["pi3"], spec["dt"]
     ids = ids_of(state)
     social = attraction.pulls(spec["attraction"], ids, state["x"], state["y"])
@@ -79,7 +84,7 @@ def free_motion(spec: dict[str, Any], state: dict[str, Any], seed: int, step: in
 
 
 def ids_of(state: dict[str, Any]) -> list[int]:
-    """Returns the ids, which count up from 0 unless the state names them."""
+    """Returns the ids of the state; without ids, 0 to n - 1."""
     return state.get("id", list(range(len(state["x"]))))
 
 
@@ -96,18 +101,18 @@ def _solve_about(
     free: np.ndarray,
     predicted: np.ndarray,
 ) -> Solution:
-    """Solves the QP whose contacts are linearised where `predicted` leads."""
-    place = before + predicted
-    if spec["contacts"] == "endpoints" and crossed_pairs(body, place):
-        raise CrossedBodies(crossed_pairs(body, place))
-    fastest_turn = spec["pi3"] * (1.0 + max(state["weight"], default=0.0))
-    reach = REACH_IN_STEPS * spec["dt"] * (1.0 + body.half_length * fastest_turn)
+    """Solves the QP with contacts linearised about `before + predicted`."""
+    about = before + predicted
+    if spec["contacts"] == "endpoints" and crossed_pairs(body, about):
+        raise CrossedBodies(crossed_pairs(body, about))
+    omega = spec["pi3"] * (1.0 + max(state["weight"], default=0.0))
+    reach = REACH_IN_STEPS * spec["dt"] * (1.0 + body.half_length * omega)
     while True:
-        contacts = find_contacts(spec["contacts"], body, place, reach)
+        contacts = find_contacts(spec["contacts"], body, about, reach)
         if spec["stepping"] == "velocity":
             contacts = [contact for contact in contacts if contact.gap <= 0.0]
         elif spec["stepping"] != "position":
-            raise ValueError(f"no stepping {spec['stepping']!r}")
+            raise ValueError(f"unknown stepping {spec['stepping']!r}")
         rows = np.array([contact.row(len(before)) for contact in contacts]).reshape(-1, before.size)
         gaps = np.array([contact.gap for contact in contacts])
         if spec["stepping"] == "velocity":
@@ -124,7 +129,7 @@ def _solve_about(
 
 
 def _closable(body: Body, moved: np.ndarray) -> float:
-    """Bounds the gap that a linearised contact could lose: no lever exceeds the half-length."""
+    """Bounds the decrease of a linearised gap by `moved`: no lever exceeds the half-length."""
     each = np.hypot(moved[:, 0], moved[:, 1]) + body.half_length * np.abs(moved[:, 2])
     return 2.0 * float(each.max(initial=0.0))
 
@@ -132,10 +137,14 @@ def _closable(body: Body, moved: np.ndarray) -> float:
 def solve_qp(
     weights: np.ndarray, free: np.ndarray, rows: np.ndarray, offsets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Minimises 1/2 (d - u)' W (d - u) with rows d + offsets >= 0; returns d and multipliers."""
+    """Minimises 1/2 (d - u)' W (d - u) subject to rows d + offsets >= 0.
+
+    Returns d (3 n numbers) and a multiplier for each row. Raises ArithmeticError if the residual
+    of the optimality conditions exceeds KKT_TOLERANCE.
+    """
     if len(rows) == 0:
         return free, np.zeros(0)
-    # In units where W is the identity the library sees a well scaled problem.
+    # In units in which W is the identity the problem is well scaled.
     scale = np.sqrt(weights)
     scaled_rows = rows / scale
     result = quadprog.solve_qp(np.eye(len(free)), scale * free, scaled_rows.T, -offsets)
@@ -143,12 +152,12 @@ def solve_qp(
     displacement = free + (rows.T @ multipliers) / weights
     residual = np.abs(np.minimum(multipliers, rows @ displacement + offsets)).max()
     if residual > KKT_TOLERANCE:
-        raise ArithmeticError(f"the solution misses its conditions by {residual}")
+        raise ArithmeticError(f"the residual of the optimality conditions is {residual}")
     return displacement, multipliers
 
 
 def _polish(scaled_rows: np.ndarray, free_slacks: np.ndarray, active: np.ndarray) -> np.ndarray:
-    """Solves again with the active contacts as equations, and refines once."""
+    """Solves with the active contacts as equations, and refines once."""
     multipliers = np.zeros(len(free_slacks))
     if active.any():
         held = scaled_rows[active]

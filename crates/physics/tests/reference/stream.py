@@ -1,4 +1,8 @@
-"""The random streams of `src/model/random.rs`, written again: ChaCha8 keyed by its purpose."""
+"""The random streams of `src/model/random.rs`: ChaCha8.
+
+The key is (seed, occasion, individual, purpose). This implementation is independent of the Rust
+one.
+"""
 
 import math
 import struct
@@ -10,7 +14,7 @@ WORD = 0xFFFFFFFF
 
 
 def keystream_block(key: bytes, counter: int) -> bytes:
-    """Returns 64 bytes of ChaCha8, IETF layout: a 32 bit counter and a nonce of zeros."""
+    """Returns 64 bytes of ChaCha8 in the IETF layout: a 32-bit counter and a nonce of zeros."""
     start = [
         *struct.unpack("<4I", b"expand 32-byte k"),
         *struct.unpack("<8I", key),
@@ -29,7 +33,7 @@ def keystream_block(key: bytes, counter: int) -> bytes:
 
 
 def bits(seed: int, occasion: int, individual: int, purpose: int) -> Iterator[int]:
-    """Yields the 64 bit words of one stream, without end."""
+    """Yields the 64-bit words of one stream, without end."""
     key = struct.pack("<4Q", seed, occasion, individual, purpose)
     counter = 0
     while True:
@@ -38,10 +42,10 @@ def bits(seed: int, occasion: int, individual: int, purpose: int) -> Iterator[in
 
 
 def standard_normal(seed: int, step: int, individual: int) -> float:
-    """Returns the noise of one individual in one step, by Box and Muller from two uniforms."""
+    """Returns the noise of one individual in one step: two uniforms, Box-Muller."""
     words = bits(seed, step, individual, NOISE_PURPOSE)
     first, second = _uniform(next(words)), _uniform(next(words))
-    # One minus a number in [0, 1) is never zero, so the logarithm is finite.
+    # The uniform is in [0, 1), so 1 - first is not 0 and the logarithm is finite.
     return math.sqrt(-2.0 * math.log(1.0 - first)) * math.cos(2.0 * math.pi * second)
 
 

@@ -1,4 +1,4 @@
-"""Checks the reference itself, and that it still gives the committed cases."""
+"""Checks the reference implementation, and that it reproduces the committed cases."""
 
 import json
 import math
@@ -19,7 +19,7 @@ HERE = Path(__file__).parent
 CASES = sorted((HERE / "cases").glob("*.json"))
 EXACT_CASES = sorted((HERE.parent / "cases").glob("*.json"))
 EXACT_CONTACTS = "contacts_i_j_code_gap_nx_ny_ri_rj_lambda"
-# What multipliers of different sets of constraints, or of one degenerate set, never reach.
+# A contact pushes if its multiplier is above this; below, a multiplier is rounding.
 PUSHES = 1e-12
 GOLDEN = [
     0x9174D24963FF5496,
@@ -46,7 +46,7 @@ def test_noise_is_standard_normal() -> None:
 
 
 @pytest.mark.parametrize("path", EXACT_CASES, ids=lambda path: path.stem)
-def test_the_exact_cases_come_out(path: Path) -> None:
+def test_the_exact_cases_are_reproduced(path: Path) -> None:
     case = json.loads(path.read_text())
     params = case["params"]
     count, informed = params["n"], params["informed"]
@@ -68,21 +68,21 @@ def test_the_exact_cases_come_out(path: Path) -> None:
     np.testing.assert_allclose(
         solution.free.ravel(), case["unconstrained_displacement"], rtol=0, atol=1e-15
     )
-    known = {tuple(entry[:3]): entry[3:] for entry in case[EXACT_CONTACTS] if entry[8] > PUSHES}
+    expected = {tuple(entry[:3]): entry[3:] for entry in case[EXACT_CONTACTS] if entry[8] > PUSHES}
     found = {
         (c.i, c.j, c.code): [c.gap, *c.normal_i_to_j, c.lever_i, c.lever_j, multiplier]
         for c, multiplier in zip(solution.contacts, solution.multipliers, strict=True)
         if multiplier > PUSHES
     }
-    # Packed discs hold each other in more ways than one: of them only the motion is unique.
+    # The multipliers of packed discs are not unique: compare only the motion.
     if params["pi1"] > 1.0:
-        assert found.keys() == known.keys()
+        assert found.keys() == expected.keys()
         for identity, entry in found.items():
-            np.testing.assert_allclose(entry, known[identity], rtol=0, atol=1e-9)
+            np.testing.assert_allclose(entry, expected[identity], rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize("path", CASES, ids=lambda path: path.stem)
-def test_the_committed_cases_come_out(path: Path) -> None:
+def test_the_committed_cases_are_reproduced(path: Path) -> None:
     case = json.loads(path.read_text())
     assert case["name"] == path.stem
     solution = advance(case["spec"], case["before"], case["seed"], case["step"])
@@ -181,7 +181,7 @@ def test_a_power_of_zero_is_all(other: str) -> None:
 
 
 def _distance(body: Body, end_of: np.ndarray, other: np.ndarray, sign: int) -> float:
-    """Measures from an end to the nearest of many points of another axis, then refines."""
+    """Returns the distance of an end of one axis (sign 1: head) from the other axis."""
     heading = np.array([math.cos(end_of[2]), math.sin(end_of[2])])
     end = end_of[:2] + sign * body.half_length * heading
     along = np.array([math.cos(other[2]), math.sin(other[2])])
@@ -190,7 +190,7 @@ def _distance(body: Body, end_of: np.ndarray, other: np.ndarray, sign: int) -> f
 
 
 def _delaunay_edges(x: list[float], y: list[float]) -> set[tuple[int, int]]:
-    """Finds the edges of all triangles whose circumcircle is empty, for points in general place."""
+    """Returns the edges of all triangles with an empty circumcircle; points in general position."""
     points = [(Fraction(a), Fraction(b)) for a, b in zip(x, y, strict=True)]
     edges: set[tuple[int, int]] = set()
     for corners in combinations(range(len(points)), 3):
@@ -201,7 +201,7 @@ def _delaunay_edges(x: list[float], y: list[float]) -> set[tuple[int, int]]:
 
 
 def _in_circle(a: Any, b: Any, c: Any, point: Any) -> Fraction:
-    """Is positive inside the circle through three points, whichever way round they are."""
+    """Returns a number that is positive inside the circle through a, b, c, in any orientation."""
     rows = [(p[0] - point[0], p[1] - point[1]) for p in (a, b, c)]
     lifted = [(u, v, u * u + v * v) for u, v in rows]
     (a0, a1, a2), (b0, b1, b2), (c0, c1, c2) = lifted

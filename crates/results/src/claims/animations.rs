@@ -1,4 +1,4 @@
-//! Claim 6: what the paper's animations [35] show when one number is changed.
+//! Claim 6: the effect of changing one parameter in the paper's animations [35].
 
 use super::{Answer, Case, Claim, Evidence, Verdict};
 use crate::touch::Touch;
@@ -29,7 +29,7 @@ pub(super) const CLAIMS: [Claim; 4] = [
     Claim {
         name: "6c",
         says: "π4 = 1: excentric contacts hardly rotate individuals.",
-        criterion: "contacts turn whoever they displace less than a quarter as much as at π4 = 10",
+        criterion: "contacts turn the bodies that they displace less than a quarter as much as at π4 = 10",
         ask: |evidence| {
             let turned = |it: &Touch| it.turned / it.shifted;
             let what = "angle turned for a body size of displacement by contacts";
@@ -46,7 +46,7 @@ pub(super) const CLAIMS: [Claim; 4] = [
     },
 ];
 
-/// The mean over the runs of bodies with π1 = 4 at the given π3 and π4.
+/// Returns the mean over the runs with π1 = 4 at the given π3 and π4; `None` without such runs.
 fn mean(evidence: &Evidence, (pi3, pi4): (f64, f64), of: fn(&Touch) -> f64) -> Option<f64> {
     let all = evidence.touches.iter();
     let of_them = all.filter(|it| it.pi1 == 4.0 && it.pi3 == pi3 && it.pi4 == pi4);
@@ -54,6 +54,7 @@ fn mean(evidence: &Evidence, (pi3, pi4): (f64, f64), of: fn(&Touch) -> f64) -> O
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
 
+/// Compares the mean at `changed` π3 and π4 with that at the usual π3 = 1 and π4 = 10.
 fn compare(
     evidence: &Evidence,
     changed: (f64, f64),
@@ -63,7 +64,7 @@ fn compare(
 ) -> Answer {
     let (Some(usual), Some(there)) = (mean(evidence, (1.0, 10.0), of), mean(evidence, changed, of))
     else {
-        return Answer::untold();
+        return Answer::no_runs();
     };
     Answer {
         measured: format!("{what}: {there:.4}, usually {usual:.4}"),
@@ -77,7 +78,7 @@ fn pairs_at_high_drag(evidence: &Evidence) -> Answer {
         mean(evidence, (1.0, 10.0), beside),
         mean(evidence, (1.0, 100.0), beside),
     ) else {
-        return Answer::untold();
+        return Answer::no_runs();
     };
     let is_met = there > usual && there >= 0.5;
     Answer {

@@ -1,22 +1,22 @@
-//! Bands that quick runs must fall into: what an experiment measured at length, give or take chance.
+//! Bands for the means of quick runs: the mean of many runs, plus and minus a statistical error.
 
 use std::io::Write as _;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
+use crate::Run;
 use crate::table::TableError;
 use crate::touch::Touch;
-use crate::{Run, atomic_file};
 
-/// How many standard errors of the difference between short and long a band is wide, each way:
-/// of a hundred numbers drawn anew one leaves its band in a hundred and fifty tries.
+/// The half-width of a band in standard errors of the difference between few and many runs. With a
+/// hundred bands, one of them is left by chance in one of about a hundred and fifty tries.
 const ERRORS: f64 = 4.0;
 
-/// What rounding may leave of a number that is zero: discs, say, overlap by nothing else.
+/// The tolerance for rounding in values that are otherwise zero, such as the overlap of discs.
 const ROUNDING: f64 = 1e-6;
 
-/// What is measured: a number of each run, or of each run's contacts.
+/// A measured quantity: a value of each run, or of each run's contacts.
 enum Quantity {
     OfRun(fn(&Run) -> f64),
     OfTouch(fn(&Touch) -> f64),
@@ -33,32 +33,32 @@ const QUANTITIES: [(&str, Quantity); 8] = [
     ("beside", Quantity::OfTouch(|it| it.beside)),
 ];
 
-/// Where the mean of a quantity over the runs of one condition should lie.
+/// The interval that should contain the mean of a quantity over the runs of one condition.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Band {
-    /// A column of the results, or of what contacts do.
+    /// A column of the results or of the measurements of contacts.
     pub quantity: String,
     /// Length over width of a body.
     pub pi1: f64,
-    /// Individuals.
+    /// Number of individuals.
     pub n: u64,
-    /// The least mean.
+    /// The smallest mean inside the band.
     pub low: f64,
-    /// The largest mean.
+    /// The largest mean inside the band.
     pub high: f64,
 }
 
-/// A band and what was measured.
+/// A band and the measured mean.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Judged {
     /// The band.
     pub band: Band,
-    /// The mean; none if there are no such runs.
+    /// The measured mean; none without runs of the condition.
     pub mean: Option<f64>,
 }
 
 impl Judged {
-    /// Whether the mean lies in its band.
+    /// Returns whether the mean is inside the band.
     #[must_use]
     pub fn is_inside(&self) -> bool {
         let Band { low, high, .. } = self.band;
@@ -79,7 +79,7 @@ pub fn judge(bands: &[Band], runs: &[Run], touches: &[Touch]) -> Vec<Judged> {
     judged.collect()
 }
 
-/// Makes the bands of `count` runs each, from what many have measured.
+/// Computes the bands for the means of `count` runs of a condition from many `runs` and `touches`.
 #[must_use]
 pub fn make(runs: &[Run], touches: &[Touch], count: usize) -> Vec<Band> {
     let mut conditions: Vec<(f64, u64)> = runs.iter().map(|run| (run.pi1, run.n)).collect();
@@ -109,7 +109,7 @@ pub fn make(runs: &[Run], touches: &[Touch], count: usize) -> Vec<Band> {
 ///
 /// # Errors
 ///
-/// [`TableError::Malformed`], also where no band stands.
+/// [`TableError::Malformed`], also if the file has no bands.
 pub fn read(path: &Path) -> Result<Vec<Band>, TableError> {
     let explain = |reason: String| TableError::Malformed {
         path: path.to_owned(),
@@ -123,7 +123,7 @@ pub fn read(path: &Path) -> Result<Vec<Band>, TableError> {
         return Err(explain(format!("no quantity is called {}", band.quantity)));
     }
     if bands.is_empty() {
-        return Err(explain("it holds no band".to_owned()));
+        return Err(explain("it has no bands".to_owned()));
     }
     Ok(bands)
 }
@@ -138,7 +138,7 @@ pub fn write(path: &Path, bands: &[Band]) -> Result<(), TableError> {
         path: path.to_owned(),
         source,
     };
-    let mut file = atomic_file::begin(path).map_err(io)?;
+    let mut file = jostle_atomic_file::begin(path).map_err(io)?;
     writeln!(file, "quantity,pi1,n,low,high").map_err(io)?;
     for band in bands {
         let Band {
@@ -150,7 +150,7 @@ pub fn write(path: &Path, bands: &[Band]) -> Result<(), TableError> {
         } = band;
         writeln!(file, "{quantity},{pi1},{n},{low:.7},{high:.7}").map_err(io)?;
     }
-    atomic_file::publish(file, path).map_err(io)
+    jostle_atomic_file::publish(file, path).map_err(io)
 }
 
 fn values(quantity: &str, pi1: f64, n: u64, runs: &[Run], touches: &[Touch]) -> Vec<f64> {
@@ -186,11 +186,11 @@ mod tests {
     }
 
     #[test]
-    fn a_band_is_as_wide_as_chance_and_tells_what_leaves_it() {
+    fn a_band_is_four_standard_errors_wide_each_way() {
         let many: Vec<Run> = [0.4, 0.6].repeat(50).into_iter().map(with_v).collect();
         let bands = make(&many, &[], 25);
         let band = bands.iter().find(|it| it.quantity == "v").unwrap();
-        // The variance is 0.01 · 100 / 99; short and long together 1/100 + 1/25 of it.
+        // The variance is 0.01 · 100 / 99; that of the difference is 1/100 + 1/25 of it.
         let width = 4.0 * (0.01 * 100.0 / 99.0 * 0.05f64).sqrt();
         assert!((band.low - (0.5 - width)).abs() < 1.1e-6);
         assert!((band.high - (0.5 + width)).abs() < 1.1e-6);
@@ -207,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn a_band_of_contacts_is_of_the_runs_of_its_size_and_shape() {
+    fn a_contact_band_uses_only_runs_of_its_condition() {
         let n = sample().n;
         let touch = |pi1: f64, n: u64, pushing: f64| Touch {
             pi1,
@@ -227,7 +227,7 @@ mod tests {
     }
 
     #[test]
-    fn bands_survive_a_file_and_nonsense_is_refused() {
+    fn bands_round_trip_and_invalid_files_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("bands.csv");
         let bands = make(&[with_v(0.5), with_v(0.75)], &[], 4);

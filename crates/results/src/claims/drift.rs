@@ -1,4 +1,4 @@
-//! Claim 5: how far informed individuals lead the others (Figure 6).
+//! Claim 5: the drift of groups with informed individuals (Figure 6).
 
 use super::{
     Answer, Case, Claim, Evidence, Verdict, at_most, counts, of_difference, ratio, with_error,
@@ -40,7 +40,7 @@ pub(super) const CLAIMS: [Claim; 5] = [
     },
 ];
 
-/// Weak elongation is not what the paper calls elongated.
+/// The smallest `pi1` that counts as elongated: the paper does not call weaker elongation so.
 const ELONGATED_FROM: f64 = 2.0;
 
 fn share(it: &Summary) -> f64 {
@@ -81,7 +81,7 @@ fn elongation_helps(evidence: &Evidence) -> Answer {
         }
     }
     let Some((largest, error, place)) = best else {
-        return Answer::untold();
+        return Answer::no_runs();
     };
     let verdict = match Verdict::of_cases(&cases) {
         Verdict::Holds if largest < 1.5 => Verdict::InPart,
@@ -112,7 +112,7 @@ fn more_than_their_share(evidence: &Evidence) -> Answer {
     }
     gains.sort_by(f64::total_cmp);
     let Some(median) = gains.get(gains.len() / 2) else {
-        return Answer::untold();
+        return Answer::no_runs();
     };
     Answer {
         measured: format!(
@@ -145,7 +145,7 @@ fn larger_groups_are_slower(evidence: &Evidence) -> Answer {
         losses.push(2.0 * forty.mean / (ten.mean + twenty.mean));
     }
     if losses.is_empty() {
-        return Answer::untold();
+        return Answer::no_runs();
     }
     let mean = losses.iter().sum::<f64>() / losses.len() as f64;
     Answer {
@@ -170,23 +170,23 @@ fn moderate_is_sometimes_better(evidence: &Evidence) -> Answer {
         all += 1;
         let error = of_difference(moderate.error, eight.error).unwrap_or(f64::INFINITY);
         let errors = (moderate.mean - eight.mean) / error;
-        // Among so many comparisons two errors would come by chance.
+        // Among this many comparisons, differences of two standard errors occur by chance.
         met += usize::from(errors > 3.0);
         if best.as_ref().is_none_or(|best| errors > best.0) {
-            let told = format!(
+            let comparison = format!(
                 "{} against {} at π1 = 8 ({}), {errors:.1} standard errors",
                 with_error(moderate.mean, moderate.error),
                 with_error(eight.mean, eight.error),
                 name(it)
             );
-            best = Some((errors, told));
+            best = Some((errors, comparison));
         }
     }
-    let Some((_, told)) = best else {
-        return Answer::untold();
+    let Some((_, clearest)) = best else {
+        return Answer::no_runs();
     };
     Answer {
-        measured: format!("in {met} of {all} conditions; clearest: {told}"),
+        measured: format!("in {met} of {all} conditions; clearest: {clearest}"),
         verdict: Verdict::of_cases(&[Case::sure(met > 0)]),
     }
 }
@@ -202,7 +202,7 @@ fn runs_differ(evidence: &Evidence) -> Answer {
     let [ten, twenty, forty] = [10, 20, 40].map(of);
     let discs = mean(&|it: &Summary| it.condition.pi1 == 1.0 && it.condition.n == 10);
     if [ten, twenty, forty, discs].iter().any(|it| it.is_nan()) {
-        return Answer::untold();
+        return Answer::no_runs();
     }
     let cases = [ten >= 1.5 * forty, ten > discs].map(Case::sure);
     Answer {

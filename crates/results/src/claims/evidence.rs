@@ -1,10 +1,10 @@
-//! The runs that claims are asked of.
+//! The runs on which claims are judged.
 
 use crate::Run;
 use crate::statistics::{Spread, Summary, summarise};
 use crate::touch::Touch;
 
-/// The paper's turning and drag numbers, for all but its animations.
+/// The paper's π3 and π4, for all runs but its animations.
 const PI3: f64 = 1.0;
 const PI4: f64 = 10.0;
 
@@ -20,13 +20,13 @@ pub struct Rule {
 /// The runs of one rule.
 #[derive(Clone, Debug, Default)]
 pub struct Evidence {
-    /// The conditions of both series.
+    /// The summaries of the conditions of both series.
     pub summaries: Vec<Summary>,
-    /// What was seen of contacts in the animations.
+    /// The measurements of contacts in the animations.
     pub touches: Vec<Touch>,
 }
 
-/// Which rules there are runs of, `endpoints` first.
+/// Lists the rules of `runs` at the paper's π3 and π4, `endpoints` first.
 #[must_use]
 pub fn rules(runs: &[Run]) -> Vec<Rule> {
     let mut rules = Vec::new();
@@ -44,7 +44,7 @@ pub fn rules(runs: &[Run]) -> Vec<Rule> {
 }
 
 impl Evidence {
-    /// Takes the runs of `rule`. Those that ended early, by a fault, do not count.
+    /// Selects the runs of `rule`. Runs that a fault ended early are excluded.
     #[must_use]
     pub fn new(rule: &Rule, runs: &[Run], touches: &[Touch]) -> Self {
         let steps_of = |run: &&Run| run.contacts == rule.contacts && run.dt == rule.dt;
@@ -63,27 +63,27 @@ impl Evidence {
         }
     }
 
-    /// The conditions of the first series with bodies of `pi1`, by n.
+    /// Returns the conditions of the first series with bodies of `pi1`, ordered by n.
     pub fn uninformed(&self, pi1: f64) -> Vec<&Summary> {
         let all = self.summaries.iter();
         all.filter(|it| it.condition.informed == 0 && it.condition.pi1 == pi1)
             .collect()
     }
 
-    /// One condition of the first series.
+    /// Returns one condition of the first series.
     pub fn one(&self, pi1: f64, n: u64) -> Option<&Summary> {
         self.uninformed(pi1)
             .into_iter()
             .find(|it| it.condition.n == n)
     }
 
-    /// The conditions of the second series.
+    /// Returns the conditions of the second series.
     pub fn informed(&self) -> impl Iterator<Item = &Summary> {
         let all = self.summaries.iter();
         all.filter(|it| it.condition.informed > 0)
     }
 
-    /// The drift of one condition of the second series.
+    /// Returns the drift of one condition of the second series.
     pub fn drift(&self, pi1: f64, n: u64, informed: u64) -> Option<Spread> {
         let mut all = self.informed();
         let found = all.find(|it| {

@@ -1,4 +1,5 @@
-//! Claims 3 and 4: how long order takes to come and stays, and the size of clusters (Figures 4, 5).
+//! Claims 3 and 4: the times of build-up and breakdown of order, and the size of clusters (Figures
+//! 4 and 5).
 
 use super::order::ELONGATED;
 use super::{Answer, Case, Claim, Evidence, Verdict, counts, of_difference, with_error};
@@ -39,7 +40,8 @@ pub(super) const CLAIMS: [Claim; 5] = [
     },
 ];
 
-/// The share of the scatter of `y` that a straight line over `x` explains, and its slope.
+/// Fits a straight line to points (x, y). Returns the explained share of the variance, R², and the
+/// slope.
 fn line(points: &[(f64, f64)]) -> (f64, f64) {
     let count = points.len() as f64;
     let mean = |of: fn(&(f64, f64)) -> f64| points.iter().map(of).sum::<f64>() / count;
@@ -53,7 +55,7 @@ fn line(points: &[(f64, f64)]) -> (f64, f64) {
 }
 
 fn build_up_grows(evidence: &Evidence) -> Answer {
-    let (mut cases, mut told) = (Vec::new(), Vec::new());
+    let (mut cases, mut fits) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let all = evidence.uninformed(pi1);
         let of = |it: &&Summary| Some((it.condition.n as f64, it.build_up?.mean));
@@ -63,7 +65,7 @@ fn build_up_grows(evidence: &Evidence) -> Answer {
             .filter(|it| it.0 >= 10.0)
             .collect();
         if points.len() < 3 {
-            told.push(format!(
+            fits.push(format!(
                 "{} points where every run reached order (π1 = {pi1})",
                 points.len()
             ));
@@ -75,7 +77,7 @@ fn build_up_grows(evidence: &Evidence) -> Answer {
         let ((fit, slope), (other, _)) = (line(&exponential), line(&power));
         cases.push(Case::sure(fit >= 0.9 && fit >= other && slope > 0.0));
         let (first, last) = (points[0], points[points.len() - 1]);
-        told.push(format!(
+        fits.push(format!(
             "×{:.2} each 10 individuals, R² {fit:.3} (over log n {other:.3}); {:.1} at n = {} to {:.1} \
              at n = {} (π1 = {pi1})",
             (10.0 * slope).exp(),
@@ -86,41 +88,42 @@ fn build_up_grows(evidence: &Evidence) -> Answer {
         ));
     }
     if evidence.uninformed(ELONGATED[0]).is_empty() {
-        return Answer::untold();
+        return Answer::no_runs();
     }
     Answer {
-        measured: told.join("; "),
+        measured: fits.join("; "),
         verdict: Verdict::of_cases(&cases),
     }
 }
 
 fn breakdown_at_50(evidence: &Evidence) -> Answer {
-    let (mut cases, mut told) = (Vec::new(), Vec::new());
+    let (mut cases, mut times) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let Some(it) = evidence.one(pi1, 50) else {
-            return Answer::untold();
+            return Answer::no_runs();
         };
         match it.breakdown {
             Some(time) => {
                 cases.push(Case::new(time.mean - 2.0, time.error));
-                told.push(format!(
+                times.push(format!(
                     "{} (π1 = {pi1})",
                     with_error(time.mean, time.error)
                 ));
             }
             None => {
                 cases.push(Case::sure(false));
-                told.push(format!("not every run reached order (π1 = {pi1})"));
+                times.push(format!("not every run reached order (π1 = {pi1})"));
             }
         }
     }
     Answer {
-        measured: told.join(", "),
+        measured: times.join(", "),
         verdict: Verdict::of_cases(&cases),
     }
 }
 
-/// `n_eff` and half the range that one standard error of `v` up and down gives.
+/// Returns `n_eff` and its standard error: half the change of `n_eff` between the mean `v` minus
+/// and plus its standard error.
 fn cluster(it: &Summary) -> Option<(f64, Option<f64>)> {
     let n = it.condition.n;
     let size = it.n_eff?;
@@ -142,7 +145,7 @@ fn few_are_one_cluster(evidence: &Evidence) -> Answer {
         })
         .collect();
     let Some((least, error, it)) = shares.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else {
-        return Answer::untold();
+        return Answer::no_runs();
     };
     let cases = shares.iter().map(|it| Case::new(it.0 - 0.8, it.1));
     let cases: Vec<Case> = cases.collect();
@@ -159,46 +162,46 @@ fn few_are_one_cluster(evidence: &Evidence) -> Answer {
 }
 
 fn ten_of_fifty(evidence: &Evidence) -> Answer {
-    let (mut cases, mut told) = (Vec::new(), Vec::new());
+    let (mut cases, mut sizes) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let Some(it) = evidence.one(pi1, 50) else {
-            return Answer::untold();
+            return Answer::no_runs();
         };
         let Some((size, error)) = cluster(it) else {
-            told.push(format!("none: v is below v_ind (π1 = {pi1})"));
+            sizes.push(format!("none: v is below v_ind (π1 = {pi1})"));
             cases.push(Case::sure(false));
             continue;
         };
         cases.push(Case::new(f64::min(size - 7.0, 14.0 - size), error));
-        told.push(format!("{} (π1 = {pi1})", with_error(size, error)));
+        sizes.push(format!("{} (π1 = {pi1})", with_error(size, error)));
     }
     Answer {
-        measured: format!("n_eff = {}", told.join(", ")),
+        measured: format!("n_eff = {}", sizes.join(", ")),
         verdict: Verdict::of_cases(&cases),
     }
 }
 
 fn saturates(evidence: &Evidence) -> Answer {
-    let (mut cases, mut told) = (Vec::new(), Vec::new());
+    let (mut cases, mut sizes) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let (Some(fifty), Some(more)) = (evidence.one(pi1, 50), evidence.one(pi1, 74)) else {
-            return Answer::untold();
+            return Answer::no_runs();
         };
         let (Some(before), Some(after)) = (cluster(fifty), cluster(more)) else {
-            told.push(format!("none: v is below v_ind (π1 = {pi1})"));
+            sizes.push(format!("none: v is below v_ind (π1 = {pi1})"));
             cases.push(Case::sure(false));
             continue;
         };
         let error = of_difference(before.1.map(|error| 1.25 * error), after.1);
         cases.push(Case::new(1.25 * before.0 - after.0, error));
-        told.push(format!(
+        sizes.push(format!(
             "{} at n = 50, {} at 74 (π1 = {pi1})",
             with_error(before.0, before.1),
             with_error(after.0, after.1)
         ));
     }
     Answer {
-        measured: format!("n_eff = {}", told.join("; ")),
+        measured: format!("n_eff = {}", sizes.join("; ")),
         verdict: Verdict::of_cases(&cases),
     }
 }
@@ -210,7 +213,7 @@ mod tests {
     use crate::run::sample;
     use crate::statistics::summarise;
 
-    /// The evidence of runs whose time without order grows by e each 10 individuals.
+    /// The evidence of runs whose time without order grows by a factor of e per 10 individuals.
     fn growing(sizes: &[u64]) -> Evidence {
         let run = |pi1: f64, n: u64| Run {
             pi1,
@@ -263,7 +266,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_explains_what_is_straight() {
+    fn a_fit_finds_the_slope_and_explained_share_of_a_line() {
         let (fit, slope) = line(&[(1.0, 2.0), (2.0, 4.0), (4.0, 8.0)]);
         assert!((fit - 1.0).abs() < 1e-12 && (slope - 2.0).abs() < 1e-12);
         let (fit, _) = line(&[(0.0, 0.0), (1.0, 1.0), (2.0, 0.0)]);

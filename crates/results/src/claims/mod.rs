@@ -1,7 +1,7 @@
-//! What the paper reports, each claim beside what runs say of it.
+//! The paper's claims, each compared with the results of runs.
 //!
-//! A claim is asked of the runs of one contact rule and time step. Its verdict follows from the
-//! numbers by the criterion that stands beside it, the same for every rule.
+//! A claim is judged on the runs of one contact rule and time step. The verdict follows from the
+//! measured numbers by the claim's criterion, which is the same for every rule.
 
 mod animations;
 pub mod bands;
@@ -18,20 +18,21 @@ pub use verdict::Verdict;
 use crate::statistics::Spread;
 use verdict::{Case, counts};
 
-/// What the runs of one rule say of a claim.
+/// The result of judging a claim on the runs of one rule.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Answer {
-    /// What was measured, with standard errors.
+    /// The measured values, with standard errors.
     pub measured: String,
-    /// What follows.
+    /// The verdict that follows from them.
     pub verdict: Verdict,
 }
 
 impl Answer {
-    fn untold() -> Self {
+    /// The answer to a claim for which runs are missing.
+    fn no_runs() -> Self {
         Self {
             measured: "no such runs".to_owned(),
-            verdict: Verdict::Untold,
+            verdict: Verdict::NoData,
         }
     }
 }
@@ -39,17 +40,17 @@ impl Answer {
 /// One claim of the paper.
 #[derive(Clone, Copy)]
 pub struct Claim {
-    /// Its number in the list of claims, and a letter for each of its parts.
+    /// The number of the claim in the paper's order, and a letter for each of its parts.
     pub name: &'static str,
-    /// What the paper says, in our words.
+    /// The claim, paraphrased.
     pub says: &'static str,
-    /// When it holds.
+    /// The condition under which it holds.
     pub criterion: &'static str,
-    /// Asks it.
+    /// Judges the claim.
     pub ask: fn(&Evidence) -> Answer,
 }
 
-/// Every claim, in the paper's order.
+/// Returns every claim, in the paper's order.
 #[must_use]
 pub fn claims() -> Vec<Claim> {
     [
@@ -61,7 +62,7 @@ pub fn claims() -> Vec<Claim> {
     .concat()
 }
 
-/// A number with its standard error, rounded to the error's second digit.
+/// Formats a number with its standard error, rounded to the error's second significant digit.
 fn with_error(value: f64, error: Option<f64>) -> String {
     let Some(error) = error.filter(|error| *error > 0.0 && error.is_finite()) else {
         return format!("{value:.3}");
@@ -76,18 +77,19 @@ fn with_error(value: f64, error: Option<f64>) -> String {
     format!("{value:.digits$} ± {error:.digits$}")
 }
 
-/// The standard error of a difference of independent means; unknown if either is.
+/// Returns the standard error of a difference of independent means; `None` if either is unknown.
 fn of_difference(one: Option<f64>, other: Option<f64>) -> Option<f64> {
     Some(one?.hypot(other?))
 }
 
-/// Whether one mean is at most so many times another: without a division, since the other may be near 0.
+/// Returns the case that `one` is at most `times` times `other`. It does not divide, since `other`
+/// may be near 0.
 fn at_most(times: f64, one: Spread, other: Spread) -> Case {
     let error = of_difference(one.error, other.error.map(|error| times * error));
     Case::new(times * other.mean - one.mean, error)
 }
 
-/// The ratio of two independent means, and its standard error.
+/// Returns the ratio of two independent means, and its standard error.
 fn ratio(one: Spread, other: Spread) -> (f64, Option<f64>) {
     let ratio = one.mean / other.mean;
     let relative = |spread: Spread| spread.error.map(|error| error / spread.mean);
@@ -100,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn errors_decide_how_many_digits_are_shown() {
+    fn the_standard_error_sets_the_number_of_digits() {
         assert_eq!(with_error(0.123_456, Some(0.0123)), "0.123 ± 0.012");
         assert_eq!(with_error(12.345, Some(1.23)), "12.3 ± 1.2");
         assert_eq!(with_error(1234.5, Some(123.0)), "1234 ± 123");
@@ -108,13 +110,13 @@ mod tests {
     }
 
     #[test]
-    fn without_runs_nothing_is_told_and_names_are_used_once() {
+    fn claims_have_unique_names_and_no_verdict_without_runs() {
         let evidence = Evidence::default();
         let mut names = Vec::new();
         for claim in claims() {
             assert_eq!(
                 (claim.ask)(&evidence).verdict,
-                Verdict::Untold,
+                Verdict::NoData,
                 "{}",
                 claim.name
             );

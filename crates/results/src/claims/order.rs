@@ -1,11 +1,11 @@
-//! Claims 1 and 2: how ordered groups without preferences are (Figure 2).
+//! Claims 1 and 2: the order of groups without preferences (Figure 2).
 
 use super::{
     Answer, Case, Claim, Evidence, Verdict, at_most, counts, of_difference, ratio, with_error,
 };
 use crate::disorder::v_ind;
 
-/// The lengths over widths of which the paper speaks as elongated.
+/// The values of `pi1` that the paper's claims about elongated bodies refer to.
 pub(super) const ELONGATED: [f64; 2] = [4.0, 8.0];
 
 pub(super) const CLAIMS: [Claim; 5] = [
@@ -44,7 +44,7 @@ pub(super) const CLAIMS: [Claim; 5] = [
 fn discs_are_below_chance(evidence: &Evidence) -> Answer {
     let discs = evidence.uninformed(1.0);
     if discs.is_empty() {
-        return Answer::untold();
+        return Answer::no_runs();
     }
     let cases: Vec<Case> = discs
         .iter()
@@ -66,7 +66,7 @@ fn discs_are_below_chance(evidence: &Evidence) -> Answer {
 
 fn discs_rise(evidence: &Evidence) -> Answer {
     let (Some(three), Some(seven)) = (evidence.one(1.0, 3), evidence.one(1.0, 7)) else {
-        return Answer::untold();
+        return Answer::no_runs();
     };
     let error = of_difference(three.v.error, seven.v.error);
     let rises = Case::new(seven.v.mean - three.v.mean, error);
@@ -85,7 +85,7 @@ fn almost_perfect(evidence: &Evidence) -> Answer {
     let few = ELONGATED.map(|pi1| evidence.uninformed(pi1)).concat();
     let few: Vec<_> = few.iter().filter(|it| it.condition.n <= 10).collect();
     let Some(least) = few.iter().min_by(|a, b| a.v.mean.total_cmp(&b.v.mean)) else {
-        return Answer::untold();
+        return Answer::no_runs();
     };
     let cases = few.iter().map(|it| Case::new(it.v.mean - 0.9, it.v.error));
     let cases: Vec<Case> = cases.collect();
@@ -116,7 +116,7 @@ fn close_to_each_other(evidence: &Evidence) -> Answer {
         }
     }
     let Some((n, value, error)) = furthest else {
-        return Answer::untold();
+        return Answer::no_runs();
     };
     Answer {
         measured: format!(
@@ -130,19 +130,19 @@ fn close_to_each_other(evidence: &Evidence) -> Answer {
 
 fn order_at_74(evidence: &Evidence) -> Answer {
     let chance = v_ind(74);
-    let (mut cases, mut told) = (Vec::new(), Vec::new());
+    let (mut cases, mut orders) = (Vec::new(), Vec::new());
     for pi1 in ELONGATED {
         let Some(it) = evidence.one(pi1, 74) else {
-            return Answer::untold();
+            return Answer::no_runs();
         };
         cases.push(Case::new(it.v.mean - chance, it.v.error));
-        told.push(format!(
+        orders.push(format!(
             "{} (π1 = {pi1})",
             with_error(it.v.mean, it.v.error)
         ));
     }
     Answer {
-        measured: format!("v = {}; v_ind(74) = {chance:.4}", told.join(", ")),
+        measured: format!("v = {}; v_ind(74) = {chance:.4}", orders.join(", ")),
         verdict: Verdict::of_cases(&cases),
     }
 }

@@ -1,4 +1,5 @@
-//! A page of every claim, what was measured, and the figures: all that stands in it is computed.
+//! A page of every claim with the measured values and the figures. All of its contents are
+//! computed.
 
 use std::fmt::Write as _;
 
@@ -6,19 +7,19 @@ use super::{Claim, Evidence, Rule, Verdict, claims, of_difference, rules, with_e
 use crate::Run;
 use crate::touch::Touch;
 
-/// How the results on the page came to be, each a command and where its results are.
+/// The origin of the results on a page.
 #[derive(Clone, Debug)]
 pub struct Origin {
-    /// The commands, one a line.
+    /// The commands that produced the results, one a line.
     pub commands: String,
-    /// The figures: their titles and where they are, relative to the page.
+    /// The figures: their titles and their paths relative to the page.
     pub figures: Vec<(String, String)>,
 }
 
-/// The verdicts of one claim, rule by rule.
+/// A claim and its answers, rule by rule.
 type Row<'a> = (&'a Claim, Vec<super::Answer>);
 
-/// Writes the page in Markdown: the same results give the same bytes.
+/// Writes the page in Markdown. The same results give the same bytes.
 #[must_use]
 pub fn page(runs: &[Run], touches: &[Touch], origin: &Origin) -> String {
     let rules = rules(runs);
@@ -65,7 +66,7 @@ commands from the tables that the others make; nothing is typed by hand.
 
 ";
 
-/// How a verdict follows from the cases of a claim.
+/// The explanation of how a verdict follows from the cases of a claim.
 const HOW: &str = "\
 A claim speaks of one or more conditions. A condition meets its criterion, or misses it, if the
 measured value is more than two standard errors away from the limit. A claim *holds* if all conditions
@@ -78,11 +79,11 @@ fn title(rule: &Rule) -> String {
     format!("`{}`, dt = {}", rule.contacts, rule.dt)
 }
 
-/// What the runs of each rule were like.
+/// Writes the table of the runs of each rule.
 fn of_the_rules(runs: &[Run], rules: &[Rule]) -> String {
     let mut table = String::from(
         "| contacts | runs | steps | ended by a fault | time with crossed bodies | at the worst \
-         condition | deepest overlap | worst residual | degraded steps | left to the referee |\n\
+         condition | deepest overlap | worst residual | degraded steps | left to the fallback |\n\
          |---|---|---|---|---|---|---|---|---|---|\n",
     );
     for rule in rules {
@@ -121,7 +122,7 @@ fn of_the_rules(runs: &[Run], rules: &[Rule]) -> String {
     table
 }
 
-/// What it means for the paper that contacts may be read in two ways.
+/// Writes the section on the two readings of contacts and their consequences for the paper.
 fn meaning(rules: &[Rule], evidence: &[Evidence]) -> String {
     let of = |name: &str| {
         let index = rules.iter().position(|rule| rule.contacts == name)?;
@@ -131,9 +132,9 @@ fn meaning(rules: &[Rule], evidence: &[Evidence]) -> String {
         return String::new();
     };
     let mut text = String::from(
-        "## What the rule decides\n\nThe paper tells neither its time step nor what it did with bodies \
+        "## What the rule decides\n\nThe paper states neither its time step nor its treatment of bodies \
          side by side, whose closest points are not unique. `endpoints` imposes every smooth \
-         distance of a pair that no smaller one implies; `closest` takes the appendix at its word, \
+         distance of a pair that no smaller one implies; `closest` follows the appendix literally, \
          one distance a pair. Held by one point, bodies side by side turn into each other, and axes \
          come to cross.\n\n| π1, n | rule | v | n_eff | build-up | breakdown | share of time ordered | \
          share of time with crossed bodies |\n|---|---|---|---|---|---|---|---|\n",
@@ -204,7 +205,7 @@ fn meaning(rules: &[Rule], evidence: &[Evidence]) -> String {
     text
 }
 
-/// All verdicts at a glance, and which of them depend on the rule.
+/// Writes the table of all verdicts, their totals and the claims whose verdict depends on the rule.
 fn summary(rules: &[Rule], rows: &[Row]) -> String {
     let mut text = format!("## Verdicts\n\n{HOW}\n| claim |");
     rules.iter().for_each(|rule| {

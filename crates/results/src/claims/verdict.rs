@@ -1,40 +1,41 @@
-//! From measured cases to the verdict on a claim.
+//! The verdict on a claim from measured cases.
 
 use std::fmt;
 
-/// How many standard errors make a difference.
+/// The number of standard errors beyond which a difference counts.
 pub(super) const ERRORS: f64 = 2.0;
 
-/// What is made of a claim.
+/// The verdict on a claim.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Verdict {
     /// All cases meet the criterion.
     Holds,
     /// At least half of the cases meet it, and the mean of all cases is on the claim's side.
     InPart,
-    /// Fewer meet it, or the mean of all cases is on the other side.
+    /// Fewer than half of the cases meet it, or the mean of all cases is on the other side.
     Fails,
-    /// Cases within two standard errors of the limit decide between two of the above.
+    /// The verdict depends on cases within two standard errors of the limit.
     Undecided,
-    /// The runs do not tell.
-    Untold,
+    /// The runs that the claim refers to are missing.
+    NoData,
 }
 
-/// One condition of a claim: how far the measured value is on the claim's side of the limit, in standard
-/// errors. Negative on the other side.
+/// One condition of a claim: the distance of the measured value from the limit in standard errors,
+/// positive on the claim's side.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Case(f64);
 
 impl Case {
-    /// A value that is `margin` on the claim's side of its limit, with its standard error. Without an
-    /// error, of a single run, it is as near to the limit as can be.
+    /// Creates a case from the value's distance from the limit, positive on the claim's side, and
+    /// its standard error. Without a standard error, as for a single run, the case counts as being
+    /// at the limit.
     pub fn new(margin: f64, error: Option<f64>) -> Self {
         let errors = margin / error.unwrap_or(f64::INFINITY);
-        // 0 / 0: exactly at the limit.
+        // 0 / 0: the value is exactly at the limit.
         Case(if errors.is_nan() { 0.0 } else { errors })
     }
 
-    /// A case that has no standard error: it meets the criterion or does not.
+    /// Creates a case without statistical uncertainty, which meets the criterion or misses it.
     pub fn sure(is_met: bool) -> Self {
         Case(if is_met {
             f64::INFINITY
@@ -43,7 +44,7 @@ impl Case {
         })
     }
 
-    /// Both must meet the criterion.
+    /// Combines two cases, both of which must meet the criterion.
     pub fn and(self, other: Self) -> Self {
         Case(self.0.min(other.0))
     }
@@ -57,7 +58,7 @@ impl Case {
     }
 }
 
-/// How many cases meet the criterion, and how many are too near to its limit.
+/// Describes how many cases meet the criterion, and how many are too near to its limit to decide.
 pub(super) fn counts(cases: &[Case]) -> String {
     let met = cases.iter().filter(|case| case.is_met()).count();
     let missed = cases.iter().filter(|case| case.is_missed()).count();
@@ -68,28 +69,29 @@ pub(super) fn counts(cases: &[Case]) -> String {
 }
 
 impl Verdict {
-    /// The verdict on `cases`. `mean_agrees` is whether the mean over all cases is on the claim's side.
+    /// Returns the verdict on `cases`. `mean_agrees` is whether the mean over all cases is on the
+    /// claim's side.
     pub(super) fn of(cases: &[Case], mean_agrees: bool) -> Self {
         if cases.is_empty() {
-            return Self::Untold;
+            return Self::NoData;
         }
-        let with_so_many = |met: usize| match met {
+        let with_met = |met: usize| match met {
             _ if met == cases.len() => Self::Holds,
             _ if 2 * met >= cases.len() && mean_agrees => Self::InPart,
             _ => Self::Fails,
         };
         let met = cases.iter().filter(|case| case.is_met()).count();
         let not_missed = cases.iter().filter(|case| !case.is_missed()).count();
-        let (least, most) = (with_so_many(met), with_so_many(not_missed));
+        let (least, most) = (with_met(met), with_met(not_missed));
         match least == most {
             true => least,
             false => Self::Undecided,
         }
     }
 
-    /// The verdict on cases whose mean is that of their margins.
+    /// Returns the verdict on `cases`, with the mean of their margins as the mean over all cases.
     pub(super) fn of_cases(cases: &[Case]) -> Self {
-        // Where a case is sure its margin is infinite: then the majority counts for the mean.
+        // The margin of a sure case is infinite: then the majority decides instead of the mean.
         let mean_agrees = match cases.iter().all(|case| case.0.is_finite()) {
             true => cases.iter().map(|case| case.0).sum::<f64>() > 0.0,
             false => 2 * cases.iter().filter(|case| case.0 > 0.0).count() >= cases.len(),
@@ -105,7 +107,7 @@ impl fmt::Display for Verdict {
             Self::InPart => "holds in part",
             Self::Fails => "does not hold",
             Self::Undecided => "undecided",
-            Self::Untold => "not told",
+            Self::NoData => "no data",
         })
     }
 }
@@ -127,11 +129,11 @@ mod tests {
         assert_eq!(of(&[3.0, -4.0, -3.0, 4.0, -4.0]), Verdict::Fails);
         assert_eq!(of(&[30.0, -4.0, -3.0]), Verdict::Fails);
         assert_eq!(of(&[-3.0]), Verdict::Fails);
-        assert_eq!(of(&[]), Verdict::Untold);
+        assert_eq!(of(&[]), Verdict::NoData);
     }
 
     #[test]
-    fn a_contrary_mean_is_no_part() {
+    fn a_contrary_mean_excludes_holding_in_part() {
         assert_eq!(of(&[3.0, 4.0, -30.0, 4.0]), Verdict::Fails);
         let cases = [1.0, 1.0, 1.0, 0.0].map(|it| Case::sure(it > 0.0));
         assert_eq!(Verdict::of(&cases, true), Verdict::InPart);
@@ -139,15 +141,15 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_within_two_errors_of_a_limit_is_undecided_where_it_decides() {
+    fn a_verdict_that_depends_on_cases_within_two_errors_is_undecided() {
         assert_eq!(of(&[1.9]), Verdict::Undecided);
         assert_eq!(of(&[-1.9]), Verdict::Undecided);
         assert_eq!(of(&[2.1]), Verdict::Holds);
         assert_eq!(of(&[3.0, 3.0, 3.0, 1.0]), Verdict::Undecided);
-        // Whatever becomes of the third, half hold and one does not.
+        // With or without the third, at least half hold, but not all.
         assert_eq!(of(&[3.0, 3.0, 1.0, -3.0]), Verdict::InPart);
         assert_eq!(of(&[1.0, -3.0, -3.0, -3.0]), Verdict::Fails);
-        // Without a standard error nothing is clear.
+        // Without a standard error no case is clear.
         assert_eq!(
             Verdict::of_cases(&[Case::new(5.0, None)]),
             Verdict::Undecided

@@ -1,23 +1,24 @@
-//! Axes: from values to shares of a length, and the ticks along it.
+//! Axes: the mapping of values to positions, and the ticks.
 
-/// What an axis measures.
+/// An axis of a plot.
 #[derive(Clone, Debug)]
 pub struct Axis {
-    /// What stands beside it.
+    /// The label beside it.
     pub label: String,
-    /// Whether equal lengths are equal ratios, not differences.
+    /// Whether the axis is logarithmic.
     pub logarithmic: bool,
-    /// The values at its ends, the lower first.
+    /// The values at its ends, the smaller one first.
     pub ends: (f64, f64),
-    /// Ticks at these values only; round ones if there are none.
+    /// The values of the ticks; if empty, the ticks are at round values.
     pub values: Vec<f64>,
 }
 
-/// The free space beyond the outermost values, as a share of their distance.
+/// The margin beyond the outermost values, as a share of their distance.
 const MARGIN: f64 = 0.05;
 
 impl Axis {
-    /// An axis that has room for all of `values`; a logarithmic one passes over those not above 0.
+    /// Creates an axis that spans all of `values`. Values that are not finite are ignored, on a
+    /// logarithmic axis also those that are not positive.
     pub fn around(label: &str, logarithmic: bool, values: impl IntoIterator<Item = f64>) -> Self {
         let (mut low, mut high) = (f64::INFINITY, f64::NEG_INFINITY);
         for value in values {
@@ -29,7 +30,7 @@ impl Axis {
         let ends = match (low <= high, logarithmic) {
             (false, _) => (1.0, 10.0),
             (true, true) => {
-                // Within this ratio a round tick is certain to lie.
+                // The ratio of the ends is at least 2.5, so that the axis contains a round tick.
                 let least = (2.5 * low / high).sqrt();
                 let ratio = libm::pow(high / low, MARGIN).max(least);
                 (low / ratio, high * ratio)
@@ -47,7 +48,8 @@ impl Axis {
         }
     }
 
-    /// Where `value` is: 0 at the lower end, 1 at the upper, and never beyond.
+    /// Returns the position of `value` along the axis, from 0 at the lower to 1 at the upper end.
+    /// Values beyond an end are clamped to it.
     pub fn share(&self, value: f64) -> f64 {
         let (low, high) = self.ends;
         let share = if self.logarithmic {
@@ -58,7 +60,7 @@ impl Axis {
         share.clamp(0.0, 1.0)
     }
 
-    /// The values of its ticks, those with a label first.
+    /// Returns the values of the ticks with a label, and of those without.
     pub fn ticks(&self) -> (Vec<f64>, Vec<f64>) {
         let within = |value: &f64| *value >= self.ends.0 && *value <= self.ends.1;
         if !self.values.is_empty() {
@@ -71,7 +73,7 @@ impl Axis {
             return (ticks.take_while(within).collect(), vec![]);
         }
         let decades = (-12..=12).map(|power| libm::pow(10.0, f64::from(power)));
-        // Over many decades only their own ticks have room for labels.
+        // Over many decades only the powers of ten have space for labels.
         let labelled: &[u8] = if self.ends.1 / self.ends.0 > 2e3 {
             &[1]
         } else {
@@ -95,9 +97,9 @@ impl Axis {
     }
 }
 
-/// Writes a value as short as it can be told from its neighbours on an axis.
+/// Formats the value of a tick, without trailing zeros.
 pub fn tick_label(value: f64) -> String {
-    // Twelve digits are more than an axis shows, and hide what rounding left of 3 · 0.1.
+    // Twelve digits are more than an axis resolves, and hide the rounding error of 3 · 0.1.
     let rounded = format!("{value:.12}");
     match rounded.trim_end_matches('0').trim_end_matches('.') {
         "-0" => "0".to_owned(),
@@ -105,7 +107,7 @@ pub fn tick_label(value: f64) -> String {
     }
 }
 
-/// The least of 1, 2, 5, 10 … that is not below `step`.
+/// Returns the smallest of 1, 2 and 5 times a power of ten that is not below `step`.
 fn round_step(step: f64) -> f64 {
     let decade = libm::pow(10.0, libm::floor(libm::log10(step)));
     [1.0, 2.0, 5.0]
@@ -133,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    fn over_many_decades_only_these_have_labels() {
+    fn over_many_decades_only_powers_of_ten_have_labels() {
         let mut axis = Axis::around("", true, [1.0]);
         axis.ends = (0.5, 5000.0);
         let (with, without) = axis.ticks();
@@ -154,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn one_value_or_none_still_has_an_axis() {
+    fn an_axis_of_one_value_or_none_is_valid() {
         for logarithmic in [true, false] {
             for values in [vec![], vec![3.0]] {
                 let axis = Axis::around("", logarithmic, values);

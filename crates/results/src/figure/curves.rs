@@ -1,15 +1,15 @@
-//! From summaries to the panels and curves that figures share.
+//! Panels, curves and axes from summaries, shared by the figures.
 
 use super::axis::{Axis, tick_label};
 use super::plot::{Curve, Mark, Panel, Point, Style};
 use super::svg::{GREY, PALETTE};
 use crate::statistics::{Condition, Summary};
 
-/// Beyond this many whole numbers a guide over n takes only some of them.
+/// The approximate maximum number of points of a guide over n.
 const GUIDE_POINTS: u64 = 150;
 
 /// Builds a panel for each contact rule and time step, and for each `pi2`, `pi3` and `pi4` if the
-/// table holds several. The summaries are ordered by these first.
+/// table holds several. The summaries must be ordered by these parameters first.
 pub fn panels(summaries: &[Summary], curves: impl Fn(&[Summary]) -> Vec<Curve>) -> Vec<Panel> {
     let family = |summary: &Summary| {
         let Condition {
@@ -38,7 +38,7 @@ pub fn panels(summaries: &[Summary], curves: impl Fn(&[Summary]) -> Vec<Curve>) 
         .collect()
 }
 
-/// Says for how long bodies were crossed, without which no reading of a rule can be judged.
+/// Describes for how long bodies were crossed, which limits the validity of a contact rule.
 fn crossed(summaries: &[Summary]) -> String {
     let shares = summaries
         .iter()
@@ -78,7 +78,7 @@ pub fn over_n(
         .collect()
 }
 
-/// The style of a `pi1` among all those of the table.
+/// Returns the style of a `pi1`; `all` are the values in the table.
 pub fn elongation_style(all: &[f64], pi1: f64, mark: Mark) -> Style {
     Style {
         colour: colour_of(all, pi1),
@@ -87,13 +87,13 @@ pub fn elongation_style(all: &[f64], pi1: f64, mark: Mark) -> Style {
     }
 }
 
-/// The colour of `value` among `all`.
+/// Returns the colour of `value` by its index in `all`.
 pub fn colour_of(all: &[f64], value: f64) -> &'static str {
     let index = all.iter().position(|other| *other == value).unwrap_or(0);
     PALETTE[index % PALETTE.len()]
 }
 
-/// A dashed line that nothing was measured for.
+/// Creates a dashed guide, a curve without measurements.
 pub fn guide(label: &str, points: impl IntoIterator<Item = (f64, f64)>) -> Curve {
     let points = points.into_iter();
     Curve {
@@ -111,7 +111,7 @@ pub fn guide(label: &str, points: impl IntoIterator<Item = (f64, f64)>) -> Curve
     }
 }
 
-/// Lists whole numbers from the smallest n to the largest, for a guide.
+/// Lists whole numbers from the smallest to the largest n of `summaries`, for a guide.
 pub fn guide_numbers(summaries: &[Summary]) -> Vec<u64> {
     let numbers = summaries.iter().map(|summary| summary.condition.n);
     let first = numbers.clone().min().unwrap_or(1).max(1);
@@ -124,7 +124,7 @@ pub fn guide_numbers(summaries: &[Summary]) -> Vec<u64> {
     numbers
 }
 
-/// The values that `pick` finds, each once, ascending.
+/// Returns the distinct values of `pick`, ascending.
 pub fn distinct(summaries: &[Summary], pick: impl Fn(&Condition) -> f64) -> Vec<f64> {
     let mut values: Vec<f64> = summaries
         .iter()
@@ -135,14 +135,15 @@ pub fn distinct(summaries: &[Summary], pick: impl Fn(&Condition) -> f64) -> Vec<
     values
 }
 
-/// A logarithmic axis with a tick at each of `values`.
+/// Creates a logarithmic axis with a tick at each of `values`.
 pub fn axis_at(label: &str, values: Vec<f64>) -> Axis {
     let mut axis = Axis::around(label, true, values.iter().copied());
     axis.values = values;
     axis
 }
 
-/// The ends of every point and its bar; below 0 a logarithmic axis passes over them.
+/// Returns the value of every point and the ends of its error bar. A logarithmic axis ignores those
+/// that are not positive.
 pub fn extents(panels: &[Panel]) -> impl Iterator<Item = f64> {
     let curves = panels.iter().flat_map(|panel| &panel.curves);
     let points = curves.flat_map(|curve| curve.points.iter().flatten());
@@ -152,7 +153,7 @@ pub fn extents(panels: &[Panel]) -> impl Iterator<Item = f64> {
     })
 }
 
-/// Says how many runs a point stands for.
+/// Describes the number of runs of a point.
 pub fn runs_each(summaries: &[Summary]) -> String {
     let runs = summaries.iter().map(|summary| summary.runs);
     let (least, most) = (runs.clone().min().unwrap_or(0), runs.max().unwrap_or(0));

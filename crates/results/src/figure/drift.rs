@@ -1,4 +1,4 @@
-//! The paper's Figure 6: how far a few informed individuals lead the others.
+//! The paper's Figure 6: the drift of groups along the direction of a few informed individuals.
 
 use super::axis::{Axis, tick_label};
 use super::curves::{axis_at, colour_of, distinct, extents, panels, runs_each};
@@ -6,11 +6,12 @@ use super::plot::{Curve, Mark, Plot, Point, Sample, Style};
 use super::svg::INK;
 use crate::statistics::{Condition, Summary};
 
-/// Dashes of the sizes that the paper shows, and of all others.
+/// The dashes of the group sizes that the paper shows, and of all others.
 const DASHES: [(f64, &str); 3] = [(10.0, ""), (20.0, "1.5 3.5"), (40.0, "8 4")];
 const OTHER_DASH: &str = "8 3 1.5 3";
 
-/// How far curves of neighbouring sizes are moved apart, and of neighbouring shares within.
+/// The horizontal distance in pixels of curves of neighbouring sizes, and within a size of
+/// neighbouring shares.
 const ASIDE: (f64, f64) = (9.0, 1.5);
 
 /// Builds the figure.
@@ -97,9 +98,9 @@ fn dash_of(n: f64) -> &'static str {
     found.map_or(OTHER_DASH, |(_, dash)| dash)
 }
 
-/// The share of informed individuals.
+/// Returns the share of informed individuals.
 fn informed_share(condition: &Condition) -> f64 {
-    // To four digits, so that 4 of 13 and 8 of 26 are one curve.
+    // Rounded to four digits, so that 4 of 13 and 8 of 26 are one curve.
     (1e4 * condition.informed as f64 / condition.n as f64).round() / 1e4
 }
 

@@ -4,22 +4,22 @@ use super::axis::tick_label;
 use super::plot::{CELL, Curve, Mark, Panel, Plot, Point, Style, draw_mark};
 use super::svg::{Anchor, Canvas, FAINT, GREY, INK, Stroke};
 
-/// The frame within the cell: left, top, right and bottom margin.
+/// The left, top, right and bottom margins of the frame within its cell, in pixels.
 const MARGINS: [f64; 4] = [72.0, 58.0, 36.0, 58.0];
 
-/// More of the right margin, for labels.
+/// The additional right margin for labels, in pixels.
 const LABELS: f64 = 84.0;
 
-/// How far beyond the end of its curve a label still gets a line that leads to it.
+/// A label within this distance of the end of its curve gets a leader line, in pixels.
 const LEADER: f64 = 60.0;
 
-/// The least distance of two labels at the ends of curves.
+/// The minimum vertical distance of two labels, in pixels.
 const LABEL_DISTANCE: f64 = 25.0;
 
-/// The length that bodies beside labels are drawn with for each body size.
+/// The length of a body size of the bodies beside labels, in pixels.
 const BODY_SIZE: f64 = 17.0;
 
-/// A panel's rectangle on the canvas.
+/// A panel's rectangle on the canvas, in pixels.
 pub struct Frame<'a> {
     plot: &'a Plot,
     left: f64,
@@ -29,7 +29,7 @@ pub struct Frame<'a> {
 }
 
 impl<'a> Frame<'a> {
-    /// Places a panel of `plot` whose cell begins at `left` and `top`.
+    /// Places a panel of `plot` in the cell whose upper left corner is at `left` and `top`.
     pub fn new(plot: &'a Plot, left: f64, top: f64) -> Self {
         let mut curves = plot.panels.iter().flat_map(|panel| &panel.curves);
         let labels = if curves.any(|curve| curve.label.is_some()) {
@@ -144,7 +144,8 @@ impl<'a> Frame<'a> {
         }
     }
 
-    /// Writes labels beside the ends of their curves, apart from each other.
+    /// Writes the labels to the right of the panel, as near to the ends of their curves as
+    /// [`LABEL_DISTANCE`] permits.
     fn draw_labels(&self, canvas: &mut Canvas, panel: &Panel) {
         let mut labels: Vec<_> = panel
             .curves
@@ -156,12 +157,8 @@ impl<'a> Frame<'a> {
             })
             .collect();
         labels.sort_by(|one, two| one.0.total_cmp(&two.0));
-        let wanted: Vec<f64> = labels.iter().map(|label| label.0).collect();
-        let heights = spread_apart(
-            &wanted,
-            LABEL_DISTANCE,
-            (self.top - 10.0, self.bottom - 8.0),
-        );
+        let ends: Vec<f64> = labels.iter().map(|label| label.0).collect();
+        let heights = spread_apart(&ends, LABEL_DISTANCE, (self.top - 10.0, self.bottom - 8.0));
         for ((end, x, style, text, body), y) in labels.into_iter().zip(heights) {
             let begin = self.right + 12.0;
             if begin - x < LEADER {
@@ -190,15 +187,15 @@ impl<'a> Frame<'a> {
     }
 }
 
-/// Half the axis and the radius of the capsule beside a label. It is `pi1` times as long as wide, and
-/// length plus width is the same for all.
+/// Returns half the axis and the radius of the capsule beside a label, in pixels. The capsule is
+/// `pi1` times as long as wide, and its length plus width is the same for all `pi1`.
 fn sample_body(pi1: f64) -> (f64, f64) {
     let radius = BODY_SIZE / (1.0 + pi1);
     ((pi1 - 1.0) * radius, radius)
 }
 
-/// Moves `heights`, which ascend, until they are `distance` apart, and within `ends` if that is
-/// possible.
+/// Moves `heights`, which must be ascending, until they are at least `distance` apart, and within
+/// `ends` if possible.
 fn spread_apart(heights: &[f64], distance: f64, ends: (f64, f64)) -> Vec<f64> {
     let mut spread = heights.to_vec();
     for index in 1..spread.len() {
@@ -232,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn labels_keep_their_distance_and_stay_within() {
+    fn labels_keep_a_minimum_distance_within_the_panel() {
         assert_eq!(spread_apart(&[5.0, 50.0], 10.0, (0.0, 90.0)), [5.0, 50.0]);
         assert_eq!(
             spread_apart(&[5.0, 6.0, 88.0, 89.0], 10.0, (0.0, 90.0)),

@@ -1,4 +1,4 @@
-//! Pictures as files: SVG as it is, PNG with the font that this crate brings.
+//! Image files: SVG unchanged, PNG rendered with the font that this crate embeds.
 
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
@@ -7,39 +7,37 @@ use std::sync::Arc;
 use resvg::tiny_skia::{Pixmap, Transform};
 use resvg::usvg::{Options, Tree, fontdb};
 
-use crate::atomic_file;
-
-/// Pixels of a PNG for each of the picture's: sharp on dense screens and in print.
+/// Pixels of a PNG per pixel of the picture: sharp on high-density screens and in print.
 const DENSITY: f32 = 2.0;
 
-/// Why a picture cannot be saved.
+/// An error of saving a picture.
 #[derive(Debug, thiserror::Error)]
 pub enum SaveError {
-    /// A name that does not say what to write.
+    /// The file name has none of the known extensions.
     #[error("save {}: its name ends in neither .svg nor .png", path.display())]
     UnknownKind {
         /// The file.
         path: PathBuf,
     },
-    /// The text is no SVG, or one too large to be drawn.
+    /// The text is no valid SVG, or the picture is too large.
     #[error("draw {}: {reason}", path.display())]
     Picture {
         /// The file.
         path: PathBuf,
-        /// What is wrong with it.
+        /// The defect.
         reason: String,
     },
-    /// The system refused.
+    /// A system call failed.
     #[error("save {}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
 }
 
-/// Saves the picture `svg` whole or not at all, as SVG or PNG after the name's ending.
+/// Saves the picture `svg` atomically, as SVG or PNG according to the extension of `path`.
 ///
 /// # Errors
 ///
@@ -57,9 +55,9 @@ pub fn save(svg: &str, path: &Path) -> Result<(), SaveError> {
         }
     };
     let write = || {
-        let mut file = atomic_file::begin(path)?;
+        let mut file = jostle_atomic_file::begin(path)?;
         file.write_all(&bytes)?;
-        atomic_file::publish(file, path)
+        jostle_atomic_file::publish(file, path)
     };
     write().map_err(|source| SaveError::Io {
         path: path.to_owned(),
@@ -94,7 +92,7 @@ mod tests {
     use crate::figure::svg::{Anchor, Canvas, INK};
 
     #[test]
-    fn the_ending_decides_and_others_are_refused() {
+    fn the_extension_selects_the_format_and_others_are_refused() {
         let directory = tempfile::tempdir().unwrap();
         let picture = Canvas::new(40.0, 30.0).finish();
         let path = directory.path().join("a.svg");

@@ -1,4 +1,4 @@
-//! The paper's Figure 4: how long order takes to build up and to break down.
+//! The paper's Figure 4: the times of build-up and breakdown of order.
 
 use super::axis::Axis;
 use super::curves::{axis_at, distinct, extents, over_n, panels, runs_each};
@@ -54,8 +54,8 @@ pub fn plot(summaries: &[Summary]) -> Plot {
     }
 }
 
-/// Both curves of a `pi1` have its colour: the name stands at the end of the one that goes on
-/// longer.
+/// Keeps one label for the two curves of a `pi1`, which have the same colour: that of the curve
+/// that extends further.
 fn label_once((mut build_up, mut breakdown): (Curve, Curve)) -> [Curve; 2] {
     let end = |curve: &Curve| {
         let last = curve.points.iter().flatten().next_back();

@@ -1,6 +1,6 @@
-//! The paper's figures, drawn from tables of runs: the same table gives the same bytes.
+//! The paper's figures, drawn from tables of runs. The same table gives the same bytes.
 //!
-//! Each shows one panel for each contact rule and time step in the table.
+//! Each figure has one panel for each contact rule and time step in the table.
 
 mod axis;
 mod clusters;
@@ -9,6 +9,7 @@ mod drift;
 mod frame;
 mod image;
 mod intervals;
+mod layout;
 mod order;
 mod plot;
 mod snapshot;
@@ -20,58 +21,58 @@ use crate::statistics::summarise;
 pub use image::{SaveError, save};
 pub use snapshot::{Group, Member, snapshot};
 
-/// Which figure.
+/// A figure of the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// The paper's Figure 2: the mean order over n.
     Order,
-    /// Its Figure 4: how long order takes to build up and to break down, over n.
+    /// The paper's Figure 4: the times of build-up and breakdown of order, over n.
     Intervals,
-    /// Its Figure 5: the effective size of ordered clusters over n.
+    /// The paper's Figure 5: the effective size of ordered clusters over n.
     Clusters,
-    /// Its Figure 6: the drift along the informed individuals' direction over π1.
+    /// The paper's Figure 6: the drift along the informed individuals' direction over π1.
     Drift,
 }
 
-/// Why a figure cannot be drawn.
+/// An error of drawing a figure.
 #[derive(Debug, thiserror::Error)]
 pub enum FigureError {
-    /// A table without runs.
+    /// The table has no runs.
     #[error("draw a figure: the table has no runs")]
     Empty,
-    /// No runs of the kind that the figure shows.
+    /// The table has none of the runs that the figure shows.
     #[error("draw figure {}: it needs {needed}, and none of the {runs} runs is one", kind.number())]
     Unsuitable {
         /// The figure.
         kind: Kind,
-        /// Which runs it shows.
+        /// The runs that it shows.
         needed: &'static str,
-        /// How many runs there are.
+        /// The number of runs in the table.
         runs: usize,
     },
-    /// There are such runs, but nothing that is defined for them.
+    /// The quantity of the figure is undefined for all of its runs.
     #[error("draw figure {}: {missing}", kind.number())]
     Undefined {
         /// The figure.
         kind: Kind,
-        /// What is defined for no condition of the table.
+        /// The reason.
         missing: &'static str,
     },
-    /// A snapshot of nobody.
+    /// A snapshot without groups, or a group without individuals.
     #[error("draw a snapshot: it needs at least one group, and in each at least one individual")]
     Nobody,
-    /// A body that cannot be drawn.
+    /// A body has no finite position or angle.
     #[error("draw a snapshot: group {group}, individual {index}: not a finite position and angle")]
     NotFinite {
-        /// Which group, from 0.
+        /// The index of the group, from 0.
         group: usize,
-        /// Which of its individuals, from 0.
+        /// The index of the individual in it, from 0.
         index: usize,
     },
-    /// A body that does not exist.
+    /// The elongation of a group's bodies is invalid.
     #[error("draw a snapshot: group {group}: pi1 is {pi1}, not 1 or more")]
     Elongation {
-        /// Which group, from 0.
+        /// The index of the group, from 0.
         group: usize,
         /// Its `pi1`.
         pi1: f64,
@@ -82,7 +83,7 @@ impl Kind {
     /// Every figure, in the paper's order.
     pub const ALL: [Self; 4] = [Self::Order, Self::Intervals, Self::Clusters, Self::Drift];
 
-    /// The paper's number of the figure.
+    /// Returns the paper's number of the figure.
     pub fn number(self) -> u8 {
         match self {
             Self::Order => 2,
@@ -92,17 +93,18 @@ impl Kind {
         }
     }
 
-    /// Finds the figure by the paper's number.
+    /// Returns the figure with the paper's number, if any.
     pub fn from_number(number: u8) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.number() == number)
     }
 }
 
-/// Draws a figure of `runs` as SVG. Runs that it does not show are passed over.
+/// Draws a figure of `runs` as SVG. Runs that it does not show are ignored.
 ///
 /// # Errors
 ///
-/// [`FigureError`] if it would be empty.
+/// [`FigureError::Empty`], [`FigureError::Unsuitable`] or [`FigureError::Undefined`] if the figure
+/// would be empty.
 pub fn draw(kind: Kind, runs: &[Run]) -> Result<String, FigureError> {
     if runs.is_empty() {
         return Err(FigureError::Empty);
@@ -113,7 +115,7 @@ pub fn draw(kind: Kind, runs: &[Run]) -> Result<String, FigureError> {
         "runs with informed individuals and a v_pd"
     } else {
         summaries.retain(|summary| summary.condition.informed == 0);
-        "runs in which nobody is informed"
+        "runs without informed individuals"
     };
     if summaries.is_empty() {
         let runs = runs.len();
@@ -131,8 +133,8 @@ pub fn draw(kind: Kind, runs: &[Run]) -> Result<String, FigureError> {
         return Ok(plot.draw());
     }
     let missing = match kind {
-        Kind::Intervals => "there is no n and pi1 at which every run reached order",
-        Kind::Clusters => "every mean speed is below what disorder gives",
+        Kind::Intervals => "at no n and pi1 every run reached order",
+        Kind::Clusters => "every mean speed is below v_ind, that of independent headings",
         Kind::Order | Kind::Drift => "no mean can be drawn",
     };
     Err(FigureError::Undefined { kind, missing })
@@ -189,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn a_figure_says_what_it_needs() {
+    fn figure_errors_name_the_required_runs() {
         assert!(matches!(draw(Kind::Order, &[]), Err(FigureError::Empty)));
         let unsuitable = draw(Kind::Drift, &[sample()]).unwrap_err();
         let text = unsuitable.to_string();

@@ -1,4 +1,4 @@
-//! The paper's Figure 2: mean order over n, against what disorder gives.
+//! The paper's Figure 2: the mean order over n, beside that of independent headings.
 
 use super::axis::Axis;
 use super::curves::{axis_at, distinct, extents, guide, guide_numbers, over_n, panels, runs_each};
@@ -6,7 +6,8 @@ use super::plot::{Mark, Plot};
 use crate::disorder::v_ind;
 use crate::statistics::Summary;
 
-/// Error bars on a logarithmic axis end here below the least mean, not at the bar's end near 0.
+/// Lower ends of error bars, which may be near 0, extend the logarithmic axis at most to this
+/// multiple of the smallest value.
 const ROOM_BELOW: f64 = 0.7;
 
 /// Builds the figure.

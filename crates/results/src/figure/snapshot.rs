@@ -1,4 +1,4 @@
-//! Groups as the paper's Figure 3 shows them: outlines of bodies, their heads marked by stars.
+//! Snapshots of groups, as in the paper's Figure 3: outlines of bodies, stars at their heads.
 
 use std::f64::consts::TAU;
 
@@ -8,7 +8,7 @@ use super::svg::{Anchor, Canvas, GREY, INK, PALETTE, Stroke};
 /// A group at one step.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Group {
-    /// What stands above it; `_x` and `_{xyz}` are subscripts.
+    /// The title above it; `_x` and `_{xyz}` are subscripts.
     pub title: String,
     /// Length over width of its bodies.
     pub pi1: f64,
@@ -19,32 +19,32 @@ pub struct Group {
 /// An individual of a group.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Member {
-    /// Its centre, in body sizes.
+    /// The x coordinate of its centre, in body sizes.
     pub x: f64,
-    /// Its centre, in body sizes.
+    /// The y coordinate of its centre, in body sizes.
     pub y: f64,
-    /// Its heading, counter-clockwise from +x.
+    /// Its heading in radians, counter-clockwise from +x.
     pub alpha: f64,
-    /// The weight of its own preference; above 0 it is informed.
+    /// The weight of its own preference; positive if it is informed.
     pub weight: f64,
-    /// The direction it prefers.
+    /// The direction that it prefers, in radians.
     pub direction: f64,
 }
 
-/// The room of a group, its margin, and the room for its title.
+/// The width of a group's cell, its margin, and the height of its title, in pixels.
 const SIDE: f64 = 600.0;
 const MARGIN: f64 = 24.0;
 const HEAD: f64 = 40.0;
 
-/// No body size is drawn longer than this: a few bodies need not fill the picture.
-const LARGEST_SCALE: f64 = 95.0;
+/// The maximum length of a body size in pixels, so that a few bodies do not fill the picture.
+const MAX_SCALE: f64 = 95.0;
 
-/// How far a body reaches from its centre at most, in body sizes.
+/// The maximum distance of a body's points from its centre, in body sizes.
 const REACH: f64 = 1.0;
 
 const INFORMED: &str = PALETTE[0];
 
-/// Draws `groups` side by side, all to the same scale.
+/// Draws `groups` side by side, all to the same scale, as SVG.
 ///
 /// # Errors
 ///
@@ -75,8 +75,8 @@ pub fn snapshot(groups: &[Group]) -> Result<String, FigureError> {
     let extents: Vec<Extent> = groups.iter().map(Extent::around).collect();
     let most = |pick: fn(&Extent) -> f64| extents.iter().map(pick).fold(0.0, f64::max);
     let (width, height) = (most(|extent| extent.size.0), most(|extent| extent.size.1));
-    let scale = ((SIDE - 2.0 * MARGIN) / width.max(height)).min(LARGEST_SCALE);
-    // As high as the highest group needs: groups are often wider than high.
+    let scale = ((SIDE - 2.0 * MARGIN) / width.max(height)).min(MAX_SCALE);
+    // The height is that of the highest group, since groups are often wider than high.
     let bottom = HEAD + scale * height + 2.0 * MARGIN;
     let mut canvas = Canvas::new(SIDE * groups.len() as f64, bottom + HEAD);
     for (index, (group, extent)) in groups.iter().zip(&extents).enumerate() {
@@ -107,7 +107,7 @@ pub fn snapshot(groups: &[Group]) -> Result<String, FigureError> {
     Ok(canvas.finish())
 }
 
-/// The least rectangle that holds a group.
+/// The bounding rectangle of a group, in body sizes.
 struct Extent {
     centre: (f64, f64),
     size: (f64, f64),
@@ -149,12 +149,12 @@ fn draw_group(
         let (turn, size) = (member.alpha, (half_length, radius - line / 2.0));
         canvas.capsule(centre, turn, size, fill, Stroke::solid(colour, line));
     }
-    // Above all bodies, which may overlap a little.
+    // The stars are above all bodies, since bodies may overlap slightly.
     for member in &group.members {
         let (x, y) = place(member.x, member.y);
         let (cos, sin) = (libm::cos(member.alpha), libm::sin(member.alpha));
         let reach = (0.62 * radius).min(0.15 * scale);
-        // In a disc the star would otherwise sit at the centre and say nothing of its heading.
+        // In a disc the star would otherwise be at the centre and not show the heading.
         let ahead = half_length.max(0.92 * radius - reach);
         let head = (x + ahead * cos, y - ahead * sin);
         if member.weight > 0.0 {
@@ -167,7 +167,7 @@ fn draw_group(
     }
 }
 
-/// The corners of a star of five points, one of them ahead.
+/// Returns the corners of a five-pointed star, one point of which is in the direction `angle`.
 fn star(centre: (f64, f64), radius: f64, angle: f64) -> Vec<(f64, f64)> {
     (0..10)
         .map(|corner| {
@@ -209,7 +209,7 @@ mod tests {
     fn every_body_has_an_outline_and_a_star() {
         let picture = snapshot(&[group(3), group(2)]).unwrap();
         assert_eq!(picture.matches("<polygon").count(), 5);
-        // One for the background.
+        // One rectangle is the background.
         assert_eq!(picture.matches("<rect").count(), 6);
         assert!(picture.contains("informed"), "{picture}");
         assert_eq!(picture, snapshot(&[group(3), group(2)]).unwrap());
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_drawn_is_named() {
+    fn errors_name_the_group_and_individual() {
         assert!(matches!(snapshot(&[]), Err(FigureError::Nobody)));
         let empty = snapshot(&[group(1), group(0)]);
         assert!(matches!(empty, Err(FigureError::Nobody)));

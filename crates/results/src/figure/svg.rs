@@ -1,50 +1,51 @@
-//! Pictures as SVG text, of the few elements that the figures need.
+//! A writer of SVG with the few elements that the figures need.
 
 use std::fmt::Write;
 
-/// Axes, text and outlines.
+/// The colour of axes, text and outlines.
 pub const INK: &str = "#222222";
 
-/// What explains and must not draw the eye.
+/// The colour of notes and other secondary elements.
 pub const GREY: &str = "#6b6b6b";
 
-/// What only guides the eye.
+/// The colour of grid lines.
 pub const FAINT: &str = "#e3e3e3";
 
-/// Okabe and Ito's colours, told apart by every kind of sight; their yellow is too pale for lines.
+/// The colours of Okabe and Ito, which people with colour blindness can distinguish, without the
+/// yellow, which is too pale for lines.
 pub const PALETTE: [&str; 7] = [
     "#D55E00", "#E69F00", "#009E73", "#56B4E9", "#0072B2", "#CC79A7", "#000000",
 ];
 
-/// A picture being drawn, in pixels from the upper left corner.
+/// A picture being drawn. Coordinates are pixels from the upper left corner.
 pub struct Canvas {
     text: String,
 }
 
-/// Where a text's position is within it.
+/// The point of a text that is at its position.
 #[derive(Clone, Copy)]
 pub enum Anchor {
-    /// At its beginning.
+    /// Its beginning.
     Start,
-    /// In its middle.
+    /// Its middle.
     Middle,
-    /// At its end.
+    /// Its end.
     End,
 }
 
-/// How a line is drawn.
+/// The style of a line.
 #[derive(Clone, Copy)]
 pub struct Stroke<'a> {
     /// Its colour.
     pub colour: &'a str,
     /// Its width.
     pub width: f64,
-    /// Lengths of dashes and gaps as SVG writes them, or nothing for a solid line.
+    /// Lengths of dashes and gaps in SVG syntax; empty for a solid line.
     pub dash: &'a str,
 }
 
 impl<'a> Stroke<'a> {
-    /// A solid line.
+    /// Creates a solid line.
     pub fn solid(colour: &'a str, width: f64) -> Self {
         let dash = "";
         Self {
@@ -56,7 +57,7 @@ impl<'a> Stroke<'a> {
 }
 
 impl Canvas {
-    /// Begins a white picture.
+    /// Begins a picture with a white background.
     pub fn new(width: f64, height: f64) -> Self {
         let mut canvas = Self {
             text: String::new(),
@@ -94,7 +95,7 @@ impl Canvas {
         ));
     }
 
-    /// Draws a closed outline.
+    /// Draws a filled polygon.
     pub fn polygon(&mut self, points: &[(f64, f64)], fill: &str) {
         let points: Vec<String> = points
             .iter()
@@ -106,7 +107,7 @@ impl Canvas {
         ));
     }
 
-    /// Draws a body: the outline of a capsule, its axis turned counter-clockwise from +x.
+    /// Draws a body: a capsule whose axis is turned by `angle` radians counter-clockwise from +x.
     pub fn capsule(
         &mut self,
         centre: (f64, f64),
@@ -141,7 +142,7 @@ impl Canvas {
         self.turned_text(at, Anchor::Middle, size, colour, text, -90.0);
     }
 
-    /// Ends the picture.
+    /// Ends the picture and returns its text.
     pub fn finish(mut self) -> String {
         self.push("</svg>");
         self.text
@@ -185,7 +186,7 @@ impl Canvas {
     }
 }
 
-/// Writes a coordinate to a hundredth of a pixel, without zeros that say nothing.
+/// Formats a coordinate to a hundredth of a pixel, without trailing zeros.
 fn number(value: f64) -> String {
     let text = format!("{value:.2}");
     let text = text.trim_end_matches('0').trim_end_matches('.');
@@ -208,7 +209,7 @@ fn stroke_of(stroke: Stroke<'_>) -> String {
     text
 }
 
-/// Lowers subscripts by shifting what follows: not every viewer knows `baseline-shift`.
+/// Lowers subscripts by shifting the text, since not every viewer supports `baseline-shift`.
 fn with_subscripts(text: &str, size: f64) -> String {
     let (drop, small) = (number(0.22 * size), number(0.75 * size));
     let mut spans = String::new();

@@ -1,4 +1,4 @@
-//! What a whole part holds, as its end tells: nothing else of it is read.
+//! The extent of a whole part, read from its footer or summary alone.
 
 use std::fs::File;
 use std::io;
@@ -8,24 +8,25 @@ use std::path::Path;
 use mcap::sans_io::summary_reader::{SummaryReadEvent, SummaryReader};
 use parquet::file::reader::{FileReader as _, SerializedFileReader};
 
-use super::{Format, RecordingError, io_error, mcap as written};
+use super::error::io_error;
+use super::{Format, RecordingError, mcap as written};
 
-/// By what name a part says how many frames it has.
+/// The metadata key for the number of frames of a part.
 pub const FRAMES: &str = "frames";
 
-/// What a whole part holds.
+/// The extent of a whole part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Extent {
-    /// How many frames.
+    /// The number of frames.
     pub frames: u64,
-    /// When the last message comes, in nanoseconds; 0 of Parquet, which has no such clock.
+    /// The log time of the last message, in nanoseconds; 0 for Parquet, which stores no log time.
     pub last: u64,
-    /// How long the file is.
+    /// The length of the file.
     pub bytes: u64,
 }
 
 impl Extent {
-    /// Reads the end of a part.
+    /// Reads the extent from the end of a part.
     pub fn of(part: &Path) -> Result<Self, RecordingError> {
         let file = File::open(part).map_err(|source| io_error(part, source))?;
         let bytes = file.metadata().map_err(|source| io_error(part, source))?;
@@ -45,13 +46,13 @@ impl Extent {
 fn frames_of_parquet(part: &Path, file: File) -> Result<u64, RecordingError> {
     let reader =
         SerializedFileReader::new(file).map_err(|error| unreadable(part, &error.to_string()))?;
-    let said = reader.metadata().file_metadata().key_value_metadata();
-    let frames = said
+    let metadata = reader.metadata().file_metadata().key_value_metadata();
+    let frames = metadata
         .into_iter()
         .flatten()
         .find(|pair| pair.key == FRAMES)
         .and_then(|pair| pair.value.as_ref()?.parse().ok());
-    frames.ok_or_else(|| unreadable(part, "it does not say how many frames it has"))
+    frames.ok_or_else(|| unreadable(part, "its metadata have no number of frames"))
 }
 
 fn of_mcap(part: &Path, mut file: File) -> Result<(u64, u64), RecordingError> {
@@ -63,7 +64,7 @@ fn of_mcap(part: &Path, mut file: File) -> Result<(u64, u64), RecordingError> {
                 reader.notify_read(read.map_err(|source| io_error(part, source))?);
             }
             SummaryReadEvent::SeekRequest(to) => {
-                // Too short for what it should end in.
+                // The file is shorter than an MCAP ending.
                 let at = file.seek(to).map_err(|source| match source.kind() {
                     io::ErrorKind::InvalidInput => unreadable(part, "it is cut short"),
                     _ => io_error(part, source),

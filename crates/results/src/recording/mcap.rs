@@ -1,4 +1,4 @@
-//! MCAP: what was published, byte for byte, with an index by time.
+//! The MCAP writer: the published bytes unchanged, with an index by time.
 
 use std::fs::File;
 use std::io::BufWriter;
@@ -8,53 +8,54 @@ use std::time::SystemTime;
 use mcap::records::{MessageHeader, Metadata};
 use mcap::{McapError, WriteOptions, Writer};
 
+use super::error::io_error;
 use super::temp_file::Draft;
-use super::{About, Moment, RecordingError, io_error};
+use super::{About, Moment, RecordingError};
 
-/// The channels, in their order: topics, and how their messages are encoded.
+/// The channels in order: the topic and the encoding of its messages.
 pub const CHANNELS: [(&str, &str); 3] = [("state", "cbor"), ("order", "json"), ("event", "json")];
 
 /// The id that the MCAP writer assigns to the first channel.
 pub const FIRST_CHANNEL: u16 = 1;
 
-/// The channel of states, in CBOR as they are published.
+/// The index of the channel of states, in CBOR as published.
 pub const STATE: usize = 0;
-/// The channel of orders, in JSON as they are published.
+/// The index of the channel of orders, in JSON as published.
 pub const ORDER: usize = 1;
-/// The channel of events, in JSON as they are published.
+/// The index of the channel of events, in JSON as published.
 pub const EVENT: usize = 2;
 
-/// The metadata records that say what was recorded; what a later one says adds to an earlier.
+/// The name of the metadata records of a recording; a later record adds to the earlier ones.
 pub const METADATA: &str = "jostle";
 
-/// What stands around a message at most: its header, its entries in the indexes and, if it fills a
-/// chunk of its own, that chunk's.
-const AROUND_MESSAGE: u64 = 512;
+/// The maximum overhead of a message in bytes: its header, its index entries and, if it fills a
+/// chunk of its own, the overhead of that chunk.
+const MESSAGE_OVERHEAD: u64 = 512;
 
-/// What stands at the beginning and at the end at most, besides what the recording says of itself.
-const AROUND_FILE: u64 = 64 * 1024;
+/// The maximum overhead of a file's beginning and end in bytes, without the recording's metadata.
+const FILE_OVERHEAD: u64 = 64 * 1024;
 
-/// A file that is being written.
+/// An MCAP file that is being written.
 pub struct McapPart {
     path: PathBuf,
     writer: Writer<BufWriter<File>>,
     channels: Vec<u16>,
-    /// How long the file is at most, ended now.
+    /// An upper bound for the file's length if it ended now.
     bytes: u64,
-    /// The bytes of all messages.
+    /// The length of all messages' data together.
     data_bytes: u64,
-    /// Whether the chunk in hand holds a message.
+    /// Whether the current chunk holds a message.
     is_dirty: bool,
     /// The metadata that the last [`McapPart::flush`] wrote.
     flushed_about: About,
 }
 
 impl McapPart {
-    /// Begins the file with what the recording says of itself, which thus is in a partial file too.
+    /// Begins the file with the metadata `about`, so that a partial file has them too.
     pub fn begin(draft: &Draft, about: &About) -> Result<Self, RecordingError> {
         let failed = |error| failed(draft, error);
         let mut writer = WriteOptions::new()
-            // Doubles of moving bodies hardly compress, and so no reader needs a library for it.
+            // Doubles of moving bodies hardly compress, and readers need no decompression library.
             .compression(None)
             .profile("jostle")
             .library(concat!("jostle-results ", env!("CARGO_PKG_VERSION")))
@@ -63,7 +64,7 @@ impl McapPart {
         if !about.is_empty() {
             writer.write_metadata(&metadata(about)).map_err(failed)?;
         }
-        // A partial file says what it is from the beginning.
+        // The metadata reach the partial file before the first message.
         writer.flush().map_err(failed)?;
         let channels = CHANNELS
             .iter()
@@ -74,14 +75,14 @@ impl McapPart {
             path: draft.path.clone(),
             writer,
             channels,
-            bytes: AROUND_FILE + 2 * length(about),
+            bytes: FILE_OVERHEAD + 2 * length(about),
             data_bytes: 0,
             is_dirty: false,
             flushed_about: About::new(),
         })
     }
 
-    /// Writes a message if there is room for it.
+    /// Writes a message if the disk has space for it.
     pub fn message(
         &mut self,
         draft: &mut Draft,
@@ -103,7 +104,7 @@ impl McapPart {
         self.write(draft, &header, data)
     }
 
-    /// Writes a message of another file as it is, if there is room for it.
+    /// Copies a message of another file unchanged, if the disk has space for it.
     pub fn copy(
         &mut self,
         draft: &mut Draft,
@@ -125,7 +126,7 @@ impl McapPart {
         header: &MessageHeader,
         data: &[u8],
     ) -> Result<(), RecordingError> {
-        let bytes = self.bytes + data.len() as u64 + AROUND_MESSAGE;
+        let bytes = self.bytes + data.len() as u64 + MESSAGE_OVERHEAD;
         draft.reserve(bytes)?;
         self.is_dirty = true;
         self.writer
@@ -136,7 +137,7 @@ impl McapPart {
         Ok(())
     }
 
-    /// Ends the chunk in hand and flushes the file to the operating system, with the metadata
+    /// Ends the current chunk and flushes the file to the operating system, with the metadata
     /// `so_far` if it has changed. Returns whether anything was written.
     pub fn flush(&mut self, draft: &mut Draft, so_far: &About) -> Result<bool, RecordingError> {
         let has_changed = !so_far.is_empty() && self.flushed_about != *so_far;
@@ -144,7 +145,7 @@ impl McapPart {
             return Ok(false);
         }
         if has_changed {
-            let bytes = self.bytes + 2 * length(so_far) + AROUND_MESSAGE;
+            let bytes = self.bytes + 2 * length(so_far) + MESSAGE_OVERHEAD;
             draft.reserve(bytes)?;
             self.bytes = bytes;
             self.writer
@@ -157,7 +158,7 @@ impl McapPart {
         Ok(true)
     }
 
-    /// Ends the file.
+    /// Adds the metadata `closing` and ends the file.
     pub fn finish(mut self, draft: &Draft, closing: &About) -> Result<(), RecordingError> {
         let failed = |error| failed(draft, error);
         if !closing.is_empty() {
@@ -172,12 +173,12 @@ impl McapPart {
         Ok(())
     }
 
-    /// How long the file is at most, ended now.
+    /// Returns an upper bound for the file's length if it ended now.
     pub fn bytes(&self) -> u64 {
         self.bytes
     }
 
-    /// The bytes of all messages that were taken.
+    /// Returns the length of all written messages' data together.
     pub fn data_bytes(&self) -> u64 {
         self.data_bytes
     }
@@ -190,7 +191,7 @@ fn metadata(about: &About) -> Metadata {
     }
 }
 
-/// The bytes of what a recording says of itself, at most.
+/// Returns an upper bound for the encoded length of `about`.
 pub fn length(about: &About) -> u64 {
     let of = |(key, value): (&String, &String)| (key.len() + value.len() + 64) as u64;
     about.iter().map(of).sum()

@@ -1,4 +1,4 @@
-//! Parquet, tidy: a row for each individual and frame.
+//! The Parquet writer of recordings: tidy, one row for each individual and frame.
 
 use std::fs::File;
 use std::path::{Path, PathBuf};
@@ -18,25 +18,27 @@ use crate::table::TableError;
 use crate::table::column::Cell;
 use crate::table::parquet::{group, write_column};
 
-/// An origin counts in units of so many body sizes.
+/// The unit of an origin, in body sizes.
 const ORIGIN_UNIT: f64 = 1024.0;
 
-/// Rows kept in memory until they are written together, about.
+/// A row group is written once this many rows are buffered.
 const ROWS: usize = 64 * 1024;
 
-/// What a row takes on the disk at most: its values twice, once in a dictionary that is given up.
-const ROW_BYTES: u64 = 280;
+/// The maximum length of a row on disk, in bytes: its values twice, once in a dictionary that the
+/// writer abandons.
+const MAX_ROW_BYTES: u64 = 280;
 
-/// What a row takes at least: positions and headings of moving bodies hardly compress.
-const LEAST_ROW_BYTES: u64 = 24;
+/// The minimum length of a row on disk, in bytes: positions and headings of moving bodies hardly
+/// compress.
+const MIN_ROW_BYTES: u64 = 24;
 
-/// What a group of rows adds at most: its pages' heads, its columns' statistics.
+/// The maximum overhead of a row group, in bytes: page headers and column statistics.
 const GROUP_BYTES: u64 = 32 * 1024;
 
 /// Lists the columns once: their names, their order and their types.
 macro_rules! columns {
     ($($field:ident: $cell:ty),* $(,)?) => {
-        /// Rows that are not written yet, as columns of one length.
+        /// Rows that are not written yet, in columns of one length.
         #[derive(Default)]
         struct Columns { $($field: Vec<$cell>),* }
 
@@ -45,7 +47,7 @@ macro_rules! columns {
                 vec![$(<$cell as Cell>::schema(stringify!($field))),*]
             }
 
-            /// Writes the rows as a group and forgets them.
+            /// Writes the rows as a row group and clears the columns.
             fn write(&mut self, part: &mut SerializedFileWriter<File>, path: &Path)
                 -> Result<(), TableError>
             {
@@ -82,23 +84,24 @@ columns! {
     contacts: u64,
 }
 
-/// A file that is being written.
+/// A Parquet file that is being written.
 pub struct ParquetPart {
     path: PathBuf,
     writer: SerializedFileWriter<File>,
     columns: Columns,
     groups: u64,
+    /// An upper bound for the encoded length of the metadata.
     about: u64,
 }
 
 impl ParquetPart {
-    /// Begins the file.
+    /// Begins the file with the metadata `about`.
     pub fn begin(draft: &Draft, about: &About) -> Result<Self, RecordingError> {
         let mut properties = WriterProperties::builder()
             .set_compression(Compression::SNAPPY)
             .set_created_by(concat!("jostle-results ", env!("CARGO_PKG_VERSION")).to_owned())
             .set_key_value_metadata(Some(key_values(about)));
-        // No two bodies are in one place: looking for repetitions would only take time.
+        // These values hardly repeat, so a dictionary would only cost time.
         for column in ["x", "y", "alpha"] {
             properties = properties.set_column_dictionary_enabled(ColumnPath::from(column), false);
         }
@@ -117,10 +120,10 @@ impl ParquetPart {
         })
     }
 
-    /// Takes a frame if there is room for it.
+    /// Buffers a frame if the disk has space for it; writes a row group once enough are buffered.
     pub fn frame(&mut self, draft: &mut Draft, frame: &Frame<'_>) -> Result<(), RecordingError> {
         let n = frame.id.len();
-        draft.reserve(self.bytes() + n as u64 * ROW_BYTES)?;
+        draft.reserve(self.bytes() + n as u64 * MAX_ROW_BYTES)?;
         let columns = &mut self.columns;
         columns.swarm.extend(vec![Arc::from(frame.swarm); n]);
         columns.epoch.extend(vec![frame.moment.epoch; n]);
@@ -164,9 +167,9 @@ impl ParquetPart {
         Ok(())
     }
 
-    /// Ends the file; what the recording says of itself stands at its end.
+    /// Adds the metadata `closing` and ends the file; Parquet stores metadata at the end.
     pub fn finish(mut self, draft: &Draft, closing: &About) -> Result<(), RecordingError> {
-        // A group without rows is legal but some readers stumble over it.
+        // An empty row group is valid, but some readers fail on it.
         if !self.columns.id.is_empty() {
             self.write_group()?;
         }
@@ -179,15 +182,15 @@ impl ParquetPart {
         Ok(())
     }
 
-    /// How long the file is at most, ended now.
+    /// Returns an upper bound for the file's length if it ended now.
     pub fn bytes(&self) -> u64 {
-        let rows = self.columns.id.len() as u64 * ROW_BYTES;
+        let rows = self.columns.id.len() as u64 * MAX_ROW_BYTES;
         self.writer.bytes_written() as u64 + rows + (self.groups + 2) * GROUP_BYTES + self.about
     }
 
-    /// The bytes that were written, and those that the rows in hand take at least.
+    /// Returns the bytes written, plus a lower bound for those of the buffered rows.
     pub fn data_bytes(&self) -> u64 {
-        let rows = self.columns.id.len() as u64 * LEAST_ROW_BYTES;
+        let rows = self.columns.id.len() as u64 * MIN_ROW_BYTES;
         self.writer.bytes_written() as u64 + rows
     }
 

@@ -1,4 +1,4 @@
-//! Reading MCAP back: every message in the order it was written, and where it lies.
+//! Reading MCAP: every message in the order in which it was written, with its offset in the file.
 
 use std::collections::HashMap;
 use std::fs::File;
@@ -11,68 +11,68 @@ use mcap::records::{MessageHeader, Record, op};
 use super::mcap::{CHANNELS, FIRST_CHANNEL, METADATA};
 use super::{About, RecordingError};
 
-/// What a file begins and ends with.
+/// The bytes at the beginning and the end of an MCAP file.
 pub const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
 
-/// The length of what stands before a record: what it is, and how long.
-const AROUND_RECORD: usize = 9;
+/// The length of a record's header: its code and its length.
+const RECORD_HEADER: usize = 9;
 
-/// The length of what stands before a message's data.
-const AROUND_MESSAGE: u64 = 22;
+/// The length of a message's header, which precedes its data.
+const MESSAGE_HEADER: u64 = 22;
 
-/// The longest record that is read.
-const MOST_BYTES: u64 = 256 * 1024 * 1024;
+/// The maximum length of a record. A longer one counts as damage.
+const MAX_BYTES: u64 = 256 * 1024 * 1024;
 
-/// The bytes of a chunk's record before its data, if it is not compressed: code, length, two times,
+/// The length of the fields before the data of an uncompressed chunk: code, length, two times,
 /// uncompressed size, checksum, the empty name of the compression, and the size of the data.
-const CHUNK_HEAD: usize = AROUND_RECORD + 8 + 8 + 8 + 4 + 4 + 8;
+const CHUNK_HEAD: usize = RECORD_HEADER + 8 + 8 + 8 + 4 + 4 + 8;
 
-/// Bytes that are searched for a chunk at once.
+/// The length of the window in which a chunk is searched for.
 const WINDOW_BYTES: u64 = 1024 * 1024;
 
 /// A message of a recording.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Message<'a> {
-    /// What it is about: `state`, `order` or `event`.
+    /// Its topic: `state`, `order` or `event`.
     pub topic: &'a str,
-    /// Where its bytes begin in the file.
+    /// The offset of its bytes in the file.
     pub offset: u64,
-    /// Its bytes, as they were published.
+    /// The published bytes.
     pub bytes: &'a [u8],
-    /// Its number and its times, as they were written.
+    /// Its number and its times, as written.
     pub header: MessageHeader,
 }
 
-/// What could be read of a file that may have no end.
+/// The result of reading a file that may have no end.
 #[derive(Debug)]
 pub struct Unfinished {
-    /// What the recording says of itself.
+    /// The metadata of the recording.
     pub about: About,
-    /// Why the file ends where it does; nothing if it is whole.
+    /// The reason why the file has no end; `None` if it is whole.
     pub cut: Option<String>,
-    /// Places that are damaged: chunks of which nothing was read, and bytes between records.
+    /// The number of damaged places: damaged records, and bytes between records.
     pub damaged: u64,
-    /// Bytes at the end of the file that hold no whole record.
+    /// The number of bytes at the end of the file that hold no whole record.
     pub unread: u64,
 }
 
-/// Why a file is not read on.
+/// The reason why reading stops.
 enum Stop<E> {
-    /// Nothing can be read from here on.
+    /// The rest of the file is missing or cannot be read.
     Cut(String),
-    /// The chunk or the record in hand is damaged.
+    /// The current chunk or record is damaged.
     Damaged(String),
-    /// The caller has enough.
+    /// The callback returned an error.
     Caller(E),
 }
 
-/// Reads a whole file: hands every message to `each` in the order in which they were written, and
-/// returns what the recording says of itself.
+/// Reads a whole file: calls `each` with every message in the order in which they were written, and
+/// returns the metadata of the recording.
 ///
 /// # Errors
 ///
-/// [`RecordingError::Unreadable`] for what is no MCAP, cut short, damaged or compressed, and with
-/// whatever `each` returns.
+/// [`RecordingError::Unreadable`] if the file is no MCAP file, cut short, damaged or compressed, or
+/// if `each` fails, with its reason.
 pub fn read(
     path: &Path,
     each: impl FnMut(Message<'_>) -> Result<(), String>,
@@ -86,11 +86,11 @@ pub fn read(
     }
 }
 
-/// Reads every whole chunk of a file, as [`read`] does of one that is whole.
+/// Reads every whole chunk of a file that may have no end, and skips damaged ones.
 ///
 /// # Errors
 ///
-/// [`RecordingError::Unreadable`] for what is no MCAP, and whatever `each` returns.
+/// [`RecordingError::Unreadable`] if the file is no MCAP file, and the errors of `each`.
 pub fn read_unfinished(
     path: &Path,
     each: impl FnMut(Message<'_>) -> Result<(), RecordingError>,
@@ -115,11 +115,11 @@ fn unreadable(path: &Path, reason: String) -> RecordingError {
     RecordingError::Unreadable { path, reason }
 }
 
-/// The bytes of a message, from where they lie.
+/// Reads the bytes of a message at its offset in the file.
 ///
 /// # Errors
 ///
-/// What the system says.
+/// The system's error.
 pub fn bytes_at(file: &mut File, offset: u64, length: usize) -> io::Result<Vec<u8>> {
     file.seek(SeekFrom::Start(offset))?;
     let mut bytes = vec![0; length];
@@ -131,24 +131,24 @@ struct Reading<F> {
     each: F,
     about: About,
     topics: HashMap<u16, String>,
-    /// Whether a damaged chunk is passed over.
-    passes_over: bool,
+    /// Whether damaged chunks are skipped.
+    skips_damage: bool,
     damaged: u64,
     unread: u64,
 }
 
 impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
-    fn new(each: F, passes_over: bool) -> Self {
+    fn new(each: F, skips_damage: bool) -> Self {
         Reading {
             each,
             about: About::new(),
             // The first chunk maps channel ids to topics. It may be damaged, so start with the ids
             // that jostle assigns: a file without jostle's metadata is not recovered.
-            topics: match passes_over {
+            topics: match skips_damage {
                 true => known_topics(),
                 false => HashMap::new(),
             },
-            passes_over,
+            skips_damage,
             damaged: 0,
             unread: 0,
         }
@@ -167,24 +167,24 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
         let (mut at, mut body) = (MAGIC.len() as u64, Vec::new());
         loop {
             self.unread = length.saturating_sub(at);
-            let mut head = [0; AROUND_RECORD];
+            let mut head = [0; RECORD_HEADER];
             file.read_exact(&mut head)
                 .map_err(|error| explain(&error))?;
-            at += AROUND_RECORD as u64;
+            at += RECORD_HEADER as u64;
             let [code, bytes @ ..] = head;
             let bytes = u64::from_le_bytes(bytes);
             let is_known = (op::HEADER..=op::DATA_END).contains(&code);
-            if bytes > length.saturating_sub(at) || bytes > MOST_BYTES || !is_known {
-                if !self.passes_over {
+            if bytes > length.saturating_sub(at) || bytes > MAX_BYTES || !is_known {
+                if !self.skips_damage {
                     return Err(cut_short());
                 }
                 // Either a record whose write was interrupted, or damage.
-                at -= AROUND_RECORD as u64;
+                at -= RECORD_HEADER as u64;
                 let found = next_chunk(&mut file, at).map_err(|error| explain(&error))?;
                 let is_torn = match code {
                     // The length of a chunk that is still being written.
                     op::CHUNK => bytes == u64::MAX || may_be_chunk(&mut file, at)?,
-                    _ => is_known && bytes <= MOST_BYTES,
+                    _ => is_known && bytes <= MAX_BYTES,
                 };
                 if found.is_some() || !is_torn {
                     self.damaged += 1;
@@ -204,7 +204,7 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
                     file.read_exact(&mut body)
                         .map_err(|error| explain(&error))?;
                     match self.record(code, at, &body) {
-                        Err(Stop::Damaged(_)) if self.passes_over => self.damaged += 1,
+                        Err(Stop::Damaged(_)) if self.skips_damage => self.damaged += 1,
                         taken => taken?,
                     }
                 }
@@ -218,14 +218,14 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
         }
     }
 
-    /// Takes a record, whose body begins at `from` in the file.
+    /// Processes a record, whose body begins at `from` in the file.
     fn record(&mut self, code: u8, from: u64, body: &[u8]) -> Result<(), Stop<E>> {
         let parsed = parse_record(code, body);
         match parsed.map_err(|error| Stop::Damaged(error.to_string()))? {
             Record::Chunk { header, data } => {
                 if !header.compression.is_empty() {
                     return Err(Stop::Damaged(format!(
-                        "another program has compressed it ({}): take the file as it was recorded",
+                        "another program compressed it ({}): use the original file",
                         header.compression
                     )));
                 }
@@ -246,7 +246,7 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
                 if let Some(topic) = self.topics.get(&header.channel_id) {
                     (self.each)(Message {
                         topic,
-                        offset: from + AROUND_MESSAGE,
+                        offset: from + MESSAGE_HEADER,
                         bytes: &data,
                         header,
                     })
@@ -258,11 +258,11 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
         Ok(())
     }
 
-    /// Takes the records of a chunk, which begins at `from` in the file.
+    /// Processes the records of a chunk, which begins at `from` in the file.
     fn chunk(&mut self, from: u64, chunk: &[u8]) -> Result<(), Stop<E>> {
         let mut at = 0;
         while at < chunk.len() {
-            let begin = at + AROUND_RECORD;
+            let begin = at + RECORD_HEADER;
             let head = chunk.get(at..begin).ok_or_else(overrun)?;
             let bytes = head[1..]
                 .iter()
@@ -274,7 +274,7 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
             let body = end.and_then(|end| chunk.get(begin..end));
             let body = body.ok_or_else(overrun)?;
             if head[0] == op::CHUNK {
-                let reason = "it is damaged: a chunk lies in a chunk".to_owned();
+                let reason = "it is damaged: a chunk contains a chunk".to_owned();
                 return Err(Stop::Damaged(reason));
             }
             self.record(head[0], from + begin as u64, body)?;
@@ -284,7 +284,7 @@ impl<E, F: FnMut(Message<'_>) -> Result<(), E>> Reading<F> {
     }
 }
 
-/// The first whole chunk that begins behind `at`.
+/// Returns the offset of the first whole chunk that begins after `at`.
 fn next_chunk(file: &mut BufReader<File>, at: u64) -> io::Result<Option<u64>> {
     let length = file.get_ref().metadata()?.len();
     let mut window = Vec::new();
@@ -301,7 +301,7 @@ fn next_chunk(file: &mut BufReader<File>, at: u64) -> io::Result<Option<u64>> {
         };
         let begin = from + offset as u64;
         let bytes = chunk_bytes(&window[offset..offset + CHUNK_HEAD]).unwrap_or_default();
-        if bytes <= length - begin - AROUND_RECORD as u64 {
+        if bytes <= length - begin - RECORD_HEADER as u64 {
             return Ok(Some(begin));
         }
         from = begin + 1;
@@ -309,20 +309,20 @@ fn next_chunk(file: &mut BufReader<File>, at: u64) -> io::Result<Option<u64>> {
     Ok(None)
 }
 
-/// The length field of a chunk's record, if `head` can be the start of an uncompressed chunk: all
-/// of its lengths agree.
+/// Returns the length field of a chunk's record if `head` can be the start of an uncompressed
+/// chunk: all of its lengths agree.
 fn chunk_bytes(head: &[u8]) -> Option<u64> {
     let number = |at: usize| {
         let bytes = head.get(at..at + 8)?;
         Some(u64::from_le_bytes(bytes.try_into().ok()?))
     };
     let bytes = number(1)?;
-    let data = bytes.checked_sub((CHUNK_HEAD - AROUND_RECORD) as u64)?;
+    let data = bytes.checked_sub((CHUNK_HEAD - RECORD_HEADER) as u64)?;
     let agrees = number(25)? == data && number(41)? == data && head.get(37..41)? == [0; 4];
-    (head.first() == Some(&op::CHUNK) && agrees && bytes <= MOST_BYTES).then_some(bytes)
+    (head.first() == Some(&op::CHUNK) && agrees && bytes <= MAX_BYTES).then_some(bytes)
 }
 
-/// Whether the chunk at `at` was cut short while it was written, and is not damaged.
+/// Returns whether the record at `at` can be a chunk whose write was interrupted, and not damage.
 fn may_be_chunk<E>(file: &mut BufReader<File>, at: u64) -> Result<bool, Stop<E>> {
     let mut head = Vec::new();
     let read = file
@@ -332,7 +332,7 @@ fn may_be_chunk<E>(file: &mut BufReader<File>, at: u64) -> Result<bool, Stop<E>>
     Ok(head.len() < CHUNK_HEAD || chunk_bytes(&head).is_some())
 }
 
-/// The topics by the channel ids that jostle assigns.
+/// Returns the topics by the channel ids that jostle assigns.
 fn known_topics() -> HashMap<u16, String> {
     let topics = CHANNELS.iter().map(|(topic, _)| (*topic).to_owned());
     (FIRST_CHANNEL..).zip(topics).collect()
@@ -346,12 +346,12 @@ fn explain<E>(error: &io::Error) -> Stop<E> {
 }
 
 fn cut_short<E>() -> Stop<E> {
-    let reason = "it is cut short: what recorded it was killed, or still records; if it was \
-                  killed, `jostle record --recover FILE` makes a whole file of it";
+    let reason = "it is cut short: its recorder was killed or is still running; if it was killed, \
+                  `jostle record --recover FILE` makes a whole file of it";
     Stop::Cut(reason.to_owned())
 }
 
 fn overrun<E>() -> Stop<E> {
-    let reason = "it is damaged: a record is longer than the chunk that holds it";
+    let reason = "it is damaged: a record is longer than its chunk";
     Stop::Damaged(reason.to_owned())
 }

@@ -1,4 +1,5 @@
-//! Makes a whole file of one that has no end: its recorder was killed, or the disk was full.
+//! Recovery: makes a whole file of one without an end, whose recorder was killed or had no disk
+//! space left.
 
 use std::fs::{self, File};
 use std::io::{self, Read as _};
@@ -6,11 +7,12 @@ use std::path::{Path, PathBuf};
 
 use parquet::file::reader::SerializedFileReader;
 
+use super::error::io_error;
 use super::mcap::{CHANNELS, McapPart, STATE};
 use super::parquet::ParquetPart;
 use super::reading::{self, Unfinished, read_unfinished};
 use super::temp_file::{self, Draft, PARTIAL};
-use super::{About, Decode, Format, RecordingError, extent, io_error};
+use super::{About, Decode, Format, RecordingError, extent};
 
 /// The metadata key that marks a recovered recording.
 const RECOVERED: &str = "recovered";
@@ -27,32 +29,34 @@ pub enum Recovery {
     Recovered(Recovered),
 }
 
-/// A whole file, and what it holds.
+/// A recovered file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Recovered {
     /// The file.
     pub path: PathBuf,
-    /// How many states it holds.
+    /// The number of states that it holds.
     pub frames: u64,
-    /// The step of the first.
+    /// The step of the first state.
     pub first_step: u64,
-    /// The step of the last.
+    /// The step of the last state.
     pub last_step: u64,
-    /// The file's length.
+    /// The length of the file.
     pub bytes: u64,
-    /// Damaged places of the partial file, which are left out. It is kept if there are any.
+    /// The number of damaged places of the partial file, which are skipped. If it is not 0, the
+    /// partial file is kept.
     pub damaged: u64,
-    /// Bytes at the end of the partial file that hold no whole record, and are left out.
+    /// The number of bytes at the end of the partial file that hold no whole record.
     pub unread: u64,
 }
 
-/// Makes a whole file of a recording that has no end. `path` names either the file that the
-/// recording was to become or the partial one. What was recorded is removed only after the whole
-/// file is on the disk.
+/// Makes a whole file of a recording that has no end. `path` names either the recording's final
+/// file or its partial file. The partial file is removed only after the whole file is on the disk,
+/// and not if it is damaged.
 ///
 /// # Errors
 ///
-/// [`RecordingError`]; all files are as they were then.
+/// [`RecordingError`]. No file has changed then, unless the error is that the partial file could
+/// not be removed.
 pub fn recover(path: &Path, replace: bool, decode: Decode) -> Result<Recovery, RecordingError> {
     let is_partial = path.extension().is_some_and(|it| it == PARTIAL);
     let target = if is_partial {
@@ -70,7 +74,7 @@ pub fn recover(path: &Path, replace: bool, decode: Decode) -> Result<Recovery, R
     };
     let metadata = fs::metadata(&source).map_err(|error| io_error(&source, error))?;
     if !metadata.is_file() {
-        return Err(unreadable(&source, "it is no file"));
+        return Err(unreadable(&source, "it is no regular file"));
     }
     if source == target {
         if is_whole(&target, format)? {
@@ -87,7 +91,7 @@ pub fn recover(path: &Path, replace: bool, decode: Decode) -> Result<Recovery, R
         return Err(RecordingError::BeingWritten { path: source });
     };
     if begins_with(&source, &PARQUET)? {
-        let reason = "an earlier version recorded it, as Parquet without an end: it cannot be read";
+        let reason = "an earlier version recorded it as Parquet without an end: it cannot be read";
         return Err(unreadable(&source, reason));
     }
     let about = About::from([(RECOVERED.to_owned(), true.to_string())]);
@@ -100,7 +104,7 @@ pub fn recover(path: &Path, replace: bool, decode: Decode) -> Result<Recovery, R
     Ok(Recovery::Recovered(recovered))
 }
 
-/// Makes a whole file of the whole chunks of another, with `about` added to its metadata.
+/// Makes a whole file from the whole chunks of `source`, with `about` added to its metadata.
 pub fn rebuild(
     source: &Path,
     target: &Path,
@@ -144,7 +148,7 @@ struct Rebuilding<'a> {
     source: &'a Path,
     decode: Decode,
     frames: u64,
-    /// The first and the last.
+    /// The first and the last step.
     steps: Option<(u64, u64)>,
 }
 
@@ -196,17 +200,17 @@ impl Rebuilding<'_> {
         taken
     }
 
-    /// The metadata of the whole file.
+    /// Returns the metadata of the whole file.
     fn closing(&self, read: &Unfinished, about: &About) -> Result<About, RecordingError> {
         if self.frames == 0 && read.damaged > 0 {
             let reason = format!(
-                "it holds no state that can be read, and is damaged in {} places",
+                "it holds no readable state and is damaged in {} places",
                 read.damaged
             );
             return Err(unreadable(self.source, &reason));
         }
         if self.frames == 0 && read.cut.is_some() {
-            let reason = "it holds no state, so there is nothing to recover: remove it";
+            let reason = "it holds no state to recover: remove it";
             return Err(unreadable(self.source, reason));
         }
         if read.about.is_empty() {
@@ -219,19 +223,19 @@ impl Rebuilding<'_> {
     }
 }
 
-/// Whether a file of its own name has an end.
+/// Returns whether a file under its final name has an end.
 fn is_whole(path: &Path, format: Format) -> Result<bool, RecordingError> {
     match format {
         Format::Mcap => {
             let read = read_unfinished(path, |_| Ok(()))?;
             match read.damaged {
                 0 => Ok(read.cut.is_none()),
-                // Replacing it would lose what is damaged for good.
+                // Replacing the file would destroy its damaged chunks.
                 damaged => Err(unreadable(
                     path,
                     &format!(
-                        "{damaged} of its chunks are damaged: rename it to end in .mcap.partial, \
-                         and recover what is not"
+                        "{damaged} of its chunks are damaged: rename it to end in .mcap.partial \
+                         and recover the others"
                     ),
                 )),
             }
@@ -243,11 +247,11 @@ fn is_whole(path: &Path, format: Format) -> Result<bool, RecordingError> {
     }
 }
 
-/// Whether a file is an MCAP file that has no end: its recording was killed, or goes on.
+/// Returns whether a file is an MCAP file without an end: its recorder was killed or is running.
 ///
 /// # Errors
 ///
-/// When it cannot be read.
+/// The system's error if the file cannot be read.
 pub fn is_unfinished(path: &Path) -> io::Result<bool> {
     let mut file = File::open(path)?;
     let mut first = [0; reading::MAGIC.len()];

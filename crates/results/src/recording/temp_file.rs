@@ -1,4 +1,4 @@
-//! A file on its way: under another name until it is whole, with room set aside on the disk.
+//! A file that has a temporary name until it is whole, with disk space reserved for it.
 
 use std::ffi::OsString;
 use std::fs::{self, File, OpenOptions, TryLockError};
@@ -8,25 +8,29 @@ use std::path::{Path, PathBuf};
 use rustix::fs::{FallocateFlags, fallocate};
 use rustix::io::Errno;
 
-use super::{RecordingError, io_error};
+use super::RecordingError;
+use super::error::io_error;
 
-/// What the names of files end in that are not whole.
+/// The extension of files that are not whole.
 pub const PARTIAL: &str = "partial";
 
-/// The suffix of a file that is made from another one; what an earlier attempt left is overwritten.
+/// The extension of a file that is rebuilt from another one. A leftover of an earlier attempt is
+/// overwritten.
 const REBUILT: &str = "rebuilt";
 
-/// Room is set aside in steps of so many bytes.
-const ROOM: u64 = 1024 * 1024;
+/// Disk space is reserved this many bytes ahead.
+const RESERVE_AHEAD: u64 = 1024 * 1024;
 
-/// A file on its way.
+/// A file that is not whole yet.
 pub struct Draft {
-    /// Its name once it is whole.
+    /// Its path once it is whole.
     pub path: PathBuf,
     partial: PathBuf,
     file: File,
-    room: u64,
-    keeps_room: bool,
+    /// The number of bytes that are reserved on the disk.
+    reserved: u64,
+    /// Whether the file system supports reserving space.
+    can_reserve: bool,
     /// How many times its length is reserved on the disk.
     times: u64,
     #[cfg(test)]
@@ -34,8 +38,8 @@ pub struct Draft {
 }
 
 impl Draft {
-    /// Begins the file, and locks it until it is published or this process ends. Hidden, readers of a
-    /// whole folder overlook it: its name begins with a dot.
+    /// Creates the partial file and locks it until all its handles are closed. With `is_hidden` its
+    /// name begins with a dot, so that programs that read a whole folder skip it.
     pub fn begin(path: &Path, replace: bool, is_hidden: bool) -> Result<Self, RecordingError> {
         if path.file_name().is_none() {
             let source = io::ErrorKind::InvalidFilename.into();
@@ -46,7 +50,7 @@ impl Draft {
             return Err(RecordingError::Exists { path });
         }
         let partial = partial_of(path, is_hidden);
-        // Created here and by nobody else: two that record to one name would ruin each other's.
+        // `create_new`: two processes that record to one name would corrupt each other's file.
         let file = OpenOptions::new()
             .write(true)
             .create_new(true)
@@ -63,13 +67,13 @@ impl Draft {
                 },
                 _ => io_error(path, source),
             })?;
-        // Another process holds the lock for a moment only, to see whether this one does. Where the
-        // file system has no locks, a recovery cannot see that the file is being written.
+        // Another process holds the lock only briefly, to test whether this process holds it. If
+        // the file system has no locks, a recovery cannot detect that the file is being written.
         let _ = file.lock();
         Ok(Draft::of(path, partial, file))
     }
 
-    /// Begins the file from the contents of another one, under a temporary name.
+    /// Creates a temporary file for contents that are rebuilt from another one. It is not locked.
     pub fn rebuild(path: &Path) -> Result<Self, RecordingError> {
         let rebuilt = with_ending(path, REBUILT);
         let file = File::create(&rebuilt).map_err(|source| io_error(path, source))?;
@@ -81,54 +85,54 @@ impl Draft {
             path: path.to_owned(),
             partial,
             file,
-            room: 0,
-            keeps_room: true,
+            reserved: 0,
+            can_reserve: true,
             times: 1,
             #[cfg(test)]
             disk_bytes: u64::MAX,
         }
     }
 
-    /// Reserves twice its length: another file is to be made from this one.
+    /// Reserves twice the file's length, since another file will be made from it.
     pub fn doubled(self) -> Self {
         Draft { times: 2, ..self }
     }
 
-    /// The file, to be written to.
+    /// Returns another handle of the file, for writing.
     pub fn file(&self) -> Result<File, RecordingError> {
         self.file.try_clone().map_err(|source| self.error(source))
     }
 
-    /// Sets room aside, so that the file can become `bytes` long whatever else fills the disk.
+    /// Reserves disk space, so that the file can grow to `bytes` even if the disk fills meanwhile.
     pub fn reserve(&mut self, bytes: u64) -> Result<(), RecordingError> {
         let bytes = bytes.saturating_mul(self.times);
         #[cfg(test)]
         if bytes > self.disk_bytes {
             return Err(self.error(io::ErrorKind::StorageFull.into()));
         }
-        if bytes <= self.room || !self.keeps_room {
+        if bytes <= self.reserved || !self.can_reserve {
             return Ok(());
         }
-        // Ahead, if there is so much.
-        for room in [bytes.saturating_add(ROOM), bytes] {
-            match fallocate(&self.file, FallocateFlags::KEEP_SIZE, 0, room) {
+        // Reserve ahead if the disk has the space.
+        for length in [bytes.saturating_add(RESERVE_AHEAD), bytes] {
+            match fallocate(&self.file, FallocateFlags::KEEP_SIZE, 0, length) {
                 Ok(()) => {
-                    self.room = room;
+                    self.reserved = length;
                     return Ok(());
                 }
-                Err(Errno::NOSPC | Errno::DQUOT) if room == bytes => {
+                Err(Errno::NOSPC | Errno::DQUOT) if length == bytes => {
                     return Err(self.error(io::ErrorKind::StorageFull.into()));
                 }
                 Err(Errno::NOSPC | Errno::DQUOT | Errno::INTR) => {}
-                // Not every file system can: there a write may fail.
-                Err(Errno::OPNOTSUPP | Errno::NOSYS) => self.keeps_room = false,
+                // On a file system that cannot reserve space, a write may fail.
+                Err(Errno::OPNOTSUPP | Errno::NOSYS) => self.can_reserve = false,
                 Err(error) => return Err(self.error(error.into())),
             }
         }
         Ok(())
     }
 
-    /// Gives back the room that the file does not need and syncs it; returns its bytes.
+    /// Frees the reserved space beyond the file's end and syncs it. Returns its length in bytes.
     pub fn sync(&self) -> Result<u64, RecordingError> {
         let error = |source| self.error(source);
         let bytes = self.file.metadata().map_err(error)?.len();
@@ -137,7 +141,7 @@ impl Draft {
         Ok(bytes)
     }
 
-    /// Where the file is until it is published.
+    /// Returns the path of the file until it is published.
     pub fn partial(&self) -> &Path {
         &self.partial
     }
@@ -147,14 +151,14 @@ impl Draft {
         let _ = fs::remove_file(self.partial);
     }
 
-    /// Gives the file its name, once all of it is on the disk; returns its bytes.
+    /// Syncs the file and gives it its name. Returns its length in bytes.
     pub fn publish(&self, replace: bool) -> Result<u64, RecordingError> {
         let error = |source| self.error(source);
         let bytes = self.sync()?;
         if replace {
             fs::rename(&self.partial, &self.path).map_err(error)?;
         } else {
-            // Unlike a renaming it fails where a file is.
+            // Unlike a rename, a hard link fails if the target exists.
             fs::hard_link(&self.partial, &self.path).map_err(|source| match source.kind() {
                 io::ErrorKind::AlreadyExists => RecordingError::Exists {
                     path: self.path.clone(),
@@ -163,7 +167,7 @@ impl Draft {
             })?;
             fs::remove_file(&self.partial).map_err(error)?;
         }
-        // The name is an entry of the folder, which is written apart from the file.
+        // The name is an entry of the folder, which is synced separately from the file.
         File::open(folder(&self.path))
             .and_then(|folder| folder.sync_all())
             .map_err(error)?;
@@ -175,7 +179,7 @@ impl Draft {
     }
 }
 
-/// What a file is called until it is whole.
+/// Returns the path of a file until it is whole.
 fn partial_of(path: &Path, is_hidden: bool) -> PathBuf {
     let path = with_ending(path, PARTIAL);
     if !is_hidden {
@@ -186,7 +190,7 @@ fn partial_of(path: &Path, is_hidden: bool) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// The partial file of a recording that is written to one file.
+/// Returns the partial file of a recording that is written to one file.
 #[must_use]
 pub fn partial(path: &Path) -> PathBuf {
     partial_of(path, false)
@@ -199,22 +203,23 @@ fn with_ending(path: &Path, ending: &str) -> PathBuf {
     path.with_file_name(name)
 }
 
-/// Whether a process has the file locked.
+/// Returns whether another process or handle has the file locked.
 #[must_use]
 pub fn is_being_written(partial: &Path) -> bool {
     lock(partial).is_ok_and(|locked| locked.is_none())
 }
 
-/// Locks a partial file; `None` if another process writes it. The lock ends with the file's handle.
+/// Locks a partial file. Returns `None` if another process is writing it. Closing the returned
+/// handle releases the lock.
 ///
 /// # Errors
 ///
-/// When the file cannot be opened.
+/// The system's error if the file cannot be opened.
 pub fn lock(partial: &Path) -> io::Result<Option<File>> {
     let file = File::open(partial)?;
     match file.try_lock() {
         Err(TryLockError::WouldBlock) => Ok(None),
-        // A file system without locks is no reason to leave a recording unreadable.
+        // On a file system without locks the recording must remain readable.
         Ok(()) | Err(TryLockError::Error(_)) => Ok(Some(file)),
     }
 }

@@ -1,32 +1,32 @@
-//! The time that players lay messages out by.
+//! The log time of messages, by which players order them.
 
 use super::Moment;
 
-/// Nanoseconds of a unit of simulated time: players show seconds.
+/// Nanoseconds per unit of simulated time, `s/v0`: players show a unit as a second.
 const UNIT: f64 = 1e9;
 
-/// Turns simulated time into nanoseconds that never fall.
+/// Converts simulated time to nanoseconds such that each epoch begins after the last log time.
 ///
-/// It is the simulated time, because plots are to be over that: a swarm that runs as fast as it
-/// can, stands still for an hour or is stepped by hand would be squeezed or torn by the wall
-/// clock, which messages carry as the time of publishing. What begins anew, such as a reset, is
-/// laid a nanosecond behind all that was before.
+/// The log time is the simulated time, since plots are drawn over it. The wall clock, which
+/// messages carry as the publish time, would compress or stretch a swarm that runs as fast as
+/// possible, pauses for an hour or is stepped by hand. If an epoch, such as that of a reset, would
+/// begin at or before the last log time, it begins one nanosecond after it.
 #[derive(Clone, Debug, Default)]
 pub struct Timeline {
-    /// Where each epoch's time 0 lies.
+    /// Each epoch and the log time of its time 0, in nanoseconds.
     epochs: Vec<(u64, i128)>,
     last: i128,
 }
 
 impl Timeline {
-    /// Lays what is to come behind what ended there.
-    pub fn go_on(&mut self, last: u64) {
+    /// Places later messages after `last`, the last log time of a recorded part in nanoseconds.
+    pub fn resume(&mut self, last: u64) {
         self.last = self.last.max(i128::from(last));
     }
 
-    /// When something comes, in nanoseconds.
+    /// Returns the log time of `moment`, in nanoseconds.
     pub fn at(&mut self, moment: &Moment) -> u64 {
-        #[expect(clippy::cast_possible_truncation, reason = "a float becomes what fits")]
+        #[expect(clippy::cast_possible_truncation, reason = "the cast saturates")]
         let own = (moment.time * UNIT).round() as i128;
         let known = self.epochs.iter().find(|(epoch, _)| *epoch == moment.epoch);
         let offset = known.map(|(_, offset)| *offset).unwrap_or_else(|| {
@@ -65,11 +65,11 @@ mod tests {
         };
         assert_eq!(at(0, 0.0), 0);
         assert_eq!(at(0, 1.5), 1_500_000_000);
-        // A reset, and an event of before that comes late.
+        // A reset, and a late event of the previous epoch.
         assert_eq!(at(1, 0.0), 1_500_000_001);
         assert_eq!(at(0, 1.5), 1_500_000_000);
         assert_eq!(at(1, 2.0), 3_500_000_001);
-        // What goes on further ahead goes on there.
+        // An epoch that begins after the last log time keeps the previous epoch's offset.
         assert_eq!(at(2, 3.0), 4_500_000_001);
     }
 }

@@ -1,4 +1,4 @@
-//! Columns of Parquet: which values they hold, how those are written and read.
+//! Columns of Parquet: the types of their values, and how these are written and read.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -14,23 +14,23 @@ use parquet::schema::types::Type;
 
 use super::TableError;
 
-/// What one row holds in one column.
+/// The value of one row in one column.
 pub trait Cell: Sized {
-    /// The column's entry in the schema.
+    /// Returns the column's entry in the schema.
     fn schema(name: &str) -> Result<Type, ParquetError>;
 
-    /// Writes a chunk of the column; an error is the row from 0 and what is wrong with it.
+    /// Writes a chunk of the column.
     fn write(values: &[Self], column: &mut SerializedColumnWriter<'_>) -> Result<(), CellError>;
 
     /// Reads a chunk of `rows` rows.
     fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError>;
 }
 
-/// What stopped a column.
+/// An error of writing or reading a column.
 pub enum CellError {
-    /// The file.
+    /// The Parquet library failed.
     Parquet(ParquetError),
-    /// A value, in a row from 0.
+    /// A value is invalid: its row from 0, and the defect.
     Value(usize, String),
 }
 
@@ -41,7 +41,7 @@ impl From<ParquetError> for CellError {
 }
 
 impl CellError {
-    /// Says in which file and column; `first` is the row from 0 at which the chunk begins.
+    /// Adds the file and the column; `first` is the row, from 0, at which the chunk begins.
     pub fn within(self, path: &Path, column: &str, first: usize) -> TableError {
         match self {
             Self::Parquet(error) => TableError::Malformed {
@@ -73,13 +73,13 @@ impl Cell for bool {
 
     fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
         let ColumnReader::BoolColumnReader(reader) = column else {
-            return Err(CellError::Value(0, "no boolean".to_owned()));
+            return Err(CellError::Value(0, "not a boolean".to_owned()));
         };
         required(reader, rows)
     }
 }
 
-/// Text that many rows share.
+/// Shared text, for columns in which many rows have the same value.
 impl Cell for Arc<str> {
     fn schema(name: &str) -> Result<Type, ParquetError> {
         String::schema(name)
@@ -117,7 +117,7 @@ impl Cell for String {
 
     fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
         let ColumnReader::ByteArrayColumnReader(reader) = column else {
-            return Err(CellError::Value(0, "no text".to_owned()));
+            return Err(CellError::Value(0, "not text".to_owned()));
         };
         convert(required(reader, rows)?, |bytes| {
             Ok(bytes
@@ -147,7 +147,7 @@ impl Cell for u64 {
 
     fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
         let ColumnReader::Int64ColumnReader(reader) = column else {
-            return Err(CellError::Value(0, "no whole number of 64 bits".to_owned()));
+            return Err(CellError::Value(0, "not a 64-bit integer".to_owned()));
         };
         convert(required(reader, rows)?, |value| {
             Self::try_from(value).map_err(|_| format!("{value} is negative"))
@@ -173,7 +173,7 @@ impl Cell for u32 {
 
     fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
         let ColumnReader::Int32ColumnReader(reader) = column else {
-            return Err(CellError::Value(0, "no whole number of 32 bits".to_owned()));
+            return Err(CellError::Value(0, "not a 32-bit integer".to_owned()));
         };
         let signed = required(reader, rows)?;
         Ok(signed.into_iter().map(i32::cast_unsigned).collect())
@@ -196,7 +196,7 @@ impl Cell for f64 {
 
     fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
         let ColumnReader::DoubleColumnReader(reader) = column else {
-            return Err(CellError::Value(0, "no number of 64 bits".to_owned()));
+            return Err(CellError::Value(0, "not a 64-bit number".to_owned()));
         };
         required(reader, rows)
     }
@@ -220,7 +220,7 @@ impl Cell for Option<f64> {
 
     fn read(column: ColumnReader, rows: usize) -> Result<Vec<Self>, CellError> {
         let ColumnReader::DoubleColumnReader(reader) = column else {
-            return Err(CellError::Value(0, "no number of 64 bits".to_owned()));
+            return Err(CellError::Value(0, "not a 64-bit number".to_owned()));
         };
         optional(reader, rows)
     }
@@ -236,7 +236,8 @@ fn convert<T, U>(
         .collect()
 }
 
-/// Other writers may declare every column optional: only an absent value is an error.
+/// Reads values that must be present. Other writers may declare every column optional, so only an
+/// absent value is an error.
 fn required<D: DataType>(reader: ColumnReaderImpl<D>, rows: usize) -> Result<Vec<D::T>, CellError> {
     convert(optional(reader, rows)?, |value| {
         value.ok_or_else(|| "no value".to_owned())

@@ -1,4 +1,4 @@
-//! Comma-separated text: what a spreadsheet opens.
+//! Comma-separated text, for spreadsheets.
 
 use std::io::Write;
 use std::path::Path;
@@ -7,18 +7,18 @@ use csv::{ErrorKind, StringRecord};
 
 use super::parquet::COLUMNS;
 use super::{TableError, io_error};
-use crate::{Run, atomic_file};
+use crate::Run;
 
 pub fn write(path: &Path, runs: &[Run]) -> Result<(), TableError> {
     let io = |source| io_error(path, source);
-    let mut file = atomic_file::begin(path).map_err(io)?;
+    let mut file = jostle_atomic_file::begin(path).map_err(io)?;
     write_to(&mut file, runs).map_err(|error| explain(path, COLUMNS, error))?;
-    atomic_file::publish(file, path).map_err(io)
+    jostle_atomic_file::publish(file, path).map_err(io)
 }
 
 pub fn write_to(to: impl Write, runs: &[Run]) -> Result<(), csv::Error> {
     let mut writer = csv::WriterBuilder::new()
-        // Written below, so that a table without rows has its header too.
+        // The header is written below, so that a table without rows has one too.
         .has_headers(false)
         .from_writer(to);
     writer.write_record(COLUMNS)?;
@@ -57,7 +57,7 @@ pub fn read(path: &Path) -> Result<Vec<Run>, TableError> {
     Ok(runs)
 }
 
-/// Says where in `path` the parser stopped, by the column's name and not its index.
+/// Converts a parser error; it names the line and, rather than by its index, the column.
 fn explain(path: &Path, columns: &[&str], error: csv::Error) -> TableError {
     if let ErrorKind::Deserialize { pos, err } = error.kind() {
         let column = err
@@ -88,7 +88,7 @@ mod tests {
     use crate::run::{sample, samples};
 
     #[test]
-    fn rows_survive_to_the_bit() {
+    fn rows_round_trip_exactly() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("results.csv");
         for runs in [vec![], samples()] {
@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bad_value_is_found_by_line_and_column() {
+    fn an_invalid_value_is_reported_by_line_and_column() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("results.csv");
         write(&path, &[sample(), sample()]).unwrap();

@@ -1,7 +1,7 @@
-//! Tables of results, as Parquet and as CSV, whole files or none.
+//! Tables of results, as Parquet and as CSV, written atomically.
 //!
-//! Both hold the same rows to the bit. A reader of the CSV must parse numbers exactly, which
-//! older pandas do only with `read_csv(..., float_precision="round_trip")`.
+//! Both hold exactly the same values. A reader of the CSV must parse numbers exactly, which older
+//! versions of pandas do only with `read_csv(..., float_precision="round_trip")`.
 
 pub mod order;
 
@@ -16,41 +16,41 @@ use crate::Run;
 
 pub use order::{OrderSeries, OrderWriter};
 
-/// The name of a table as Parquet within its directory.
+/// The file name of a Parquet table within its directory.
 pub const PARQUET_NAME: &str = "results.parquet";
 
-/// The name of a table as CSV within its directory.
+/// The file name of a CSV table within its directory.
 pub const CSV_NAME: &str = "results.csv";
 
-/// Why a table cannot be written or read.
+/// An error of writing or reading a table.
 #[derive(Debug, thiserror::Error)]
 pub enum TableError {
-    /// The system refused.
+    /// A system call failed.
     #[error("use {}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
-        /// What the system says.
+        /// The system's error.
         source: io::Error,
     },
-    /// A directory without results.
+    /// The directory has no results.
     #[error("find results in {}: it holds neither {PARQUET_NAME} nor {CSV_NAME}", directory.display())]
     Absent {
         /// The directory.
         directory: PathBuf,
     },
-    /// A name that does not say how to read the file.
+    /// The file name has none of the known extensions.
     #[error("read {}: its name ends in neither .parquet nor .csv", path.display())]
     UnknownKind {
         /// The file.
         path: PathBuf,
     },
-    /// The file is not of the kind its name says, or is damaged.
+    /// The file is not of the kind of its extension, is damaged, or cannot be encoded.
     #[error("read or write {}: {reason}", path.display())]
     Malformed {
         /// The file.
         path: PathBuf,
-        /// What its parser says.
+        /// The message of its parser or writer.
         reason: String,
     },
     /// A column is missing.
@@ -66,18 +66,18 @@ pub enum TableError {
     Value {
         /// The file.
         path: PathBuf,
-        /// What `row` counts: lines of text or rows of a table, from 1.
+        /// The unit of `row`: `line` of text or `row` of a table.
         place: &'static str,
-        /// Which one.
+        /// The number of the row or line, from 1.
         row: u64,
         /// The column.
         column: String,
-        /// What is wrong with it.
+        /// The defect.
         reason: String,
     },
 }
 
-/// Writes `runs` to both files of `directory`, which exists.
+/// Writes `runs` to both files of `directory`, which must exist.
 ///
 /// # Errors
 ///
@@ -96,7 +96,7 @@ pub fn write_parquet(path: &Path, runs: &[Run]) -> Result<(), TableError> {
     parquet::write(path, runs)
 }
 
-/// Writes `runs` as CSV, numbers in the shortest form that reads back to the bit.
+/// Writes `runs` as CSV, numbers in the shortest form that is read back exactly.
 ///
 /// # Errors
 ///
@@ -105,12 +105,12 @@ pub fn write_csv(path: &Path, runs: &[Run]) -> Result<(), TableError> {
     csv::write(path, runs)
 }
 
-/// The CSV of `runs`, as [`write_csv`] writes it.
+/// Returns `runs` as CSV, as [`write_csv`] writes it.
 #[must_use]
 pub fn csv(runs: &[Run]) -> String {
     let mut bytes = Vec::new();
-    csv::write_to(&mut bytes, runs).expect("memory takes numbers and names");
-    String::from_utf8(bytes).expect("numbers and names are text")
+    csv::write_to(&mut bytes, runs).expect("writing to memory cannot fail");
+    String::from_utf8(bytes).expect("CSV is UTF-8")
 }
 
 /// Reads a table: a file of either kind, or the one that a directory holds.
@@ -119,7 +119,7 @@ pub fn csv(runs: &[Run]) -> String {
 ///
 /// # Errors
 ///
-/// [`TableError`] with the file, and where it applies the column and the row.
+/// [`TableError`] with the file and, if applicable, the column and the row.
 pub fn read(path: &Path) -> Result<Vec<Run>, TableError> {
     if path.is_dir() {
         let found = [PARQUET_NAME, CSV_NAME].map(|name| path.join(name));
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_must_tell_the_kind() {
+    fn unknown_extensions_and_missing_files_are_refused() {
         let unknown = read(Path::new("results.txt")).unwrap_err();
         assert!(matches!(unknown, TableError::UnknownKind { .. }));
         let missing = read(Path::new("/nowhere/results.csv")).unwrap_err();

@@ -1,4 +1,5 @@
-//! The order over time, run by run: far more rows than runs, so a run is written when it ends.
+//! The order over time, run by run. It has far more rows than runs, so each run is written when it
+//! ends.
 
 use std::path::{Path, PathBuf};
 
@@ -11,27 +12,28 @@ use super::TableError;
 use super::column::Cell;
 use super::parquet::{begin, finish, for_each_group, group, read_column, write_column};
 
-/// The name of the orders over time within their directory.
+/// The file name of the table within its directory.
 pub const ORDER_NAME: &str = "order.parquet";
 
-/// How the order of one run went, in columns of one length.
+/// The order of one run over time, in columns of one length.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct OrderSeries {
     /// The run's name, as in the table of runs.
     pub run: String,
     /// The steps.
     pub steps: Vec<u64>,
-    /// Their times.
+    /// The time of each step.
     pub times: Vec<f64>,
-    /// The order at each.
+    /// The order at each step.
     pub orders: Vec<f64>,
-    /// The drift along the informed individuals' direction at each, or nothing at all.
+    /// The drift along the informed individuals' direction at each step; empty without one.
     pub drifts: Vec<f64>,
 }
 
 /// Writes a file of rows `run, step, time, order, drift`, a row group for each run.
 ///
-/// The file appears under its name when it is finished; dropped before, it never does.
+/// [`OrderWriter::finish`] gives the file its name; if the writer is dropped before, the file is
+/// deleted.
 pub struct OrderWriter {
     path: PathBuf,
     writer: SerializedFileWriter<NamedTempFile>,
@@ -54,11 +56,11 @@ impl OrderWriter {
     ///
     /// # Errors
     ///
-    /// [`TableError::Malformed`] if the disk is full; the file is then lost.
+    /// [`TableError::Malformed`] if the disk is full; the file is lost then.
     ///
     /// # Panics
     ///
-    /// If the columns are not of one length.
+    /// If the columns differ in length.
     pub fn append(&mut self, series: &OrderSeries) -> Result<(), TableError> {
         let rows = series.steps.len();
         assert_eq!((rows, rows), (series.times.len(), series.orders.len()));
@@ -92,11 +94,11 @@ impl OrderWriter {
     }
 }
 
-/// Reads what an [`OrderWriter`] wrote; a run that fills several row groups comes out whole.
+/// Reads a file of an [`OrderWriter`]. Consecutive row groups of one run are joined.
 ///
 /// # Errors
 ///
-/// [`TableError`] with the file, and where it applies the column and the row.
+/// [`TableError`] with the file and, if applicable, the column and the row.
 pub fn read(path: &Path) -> Result<Vec<OrderSeries>, TableError> {
     let mut all: Vec<OrderSeries> = Vec::new();
     let mut first = 0;
@@ -145,7 +147,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn series_come_back_run_by_run() {
+    fn series_round_trip_run_by_run() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join(ORDER_NAME);
         let quiet = OrderSeries {
@@ -163,7 +165,7 @@ mod tests {
         let mut writer = OrderWriter::begin(&path).unwrap();
         writer.append(&quiet).unwrap();
         writer.append(&led).unwrap();
-        assert!(!path.exists(), "it has its name before it is whole");
+        assert!(!path.exists(), "the file has its name before it is whole");
         writer.finish().unwrap();
         assert_eq!(read(&path).unwrap(), [quiet, led]);
     }

@@ -1,4 +1,4 @@
-//! Parquet: what a data frame loads.
+//! Parquet tables, for data frames.
 
 use std::fs::File;
 use std::io::Write;
@@ -15,10 +15,10 @@ use tempfile::NamedTempFile;
 
 use super::column::{Cell, CellError};
 use super::{TableError, io_error};
-use crate::{Run, atomic_file};
+use crate::Run;
 
-/// Lists the columns of a [`Run`] once: their names, and how a table is taken apart and put
-/// together again.
+/// Lists the columns of a [`Run`] once, and derives from the list their names, the schema, the
+/// writer and the reader.
 macro_rules! columns {
     ($($field:ident: $cell:ty),* $(,)?) => {
         /// The columns of a table, in their order.
@@ -91,7 +91,7 @@ columns! {
 pub fn write(path: &Path, runs: &[Run]) -> Result<(), TableError> {
     let mut writer = begin(path, schema())?;
     let malformed = |error| malformed(path, &error);
-    // A group without rows is legal but some readers stumble over it.
+    // An empty row group is valid, but some readers fail on it.
     if !runs.is_empty() {
         let mut group = writer.next_row_group().map_err(malformed)?;
         write_group(path, &mut group, runs)?;
@@ -106,12 +106,12 @@ pub fn read(path: &Path) -> Result<Vec<Run>, TableError> {
     Ok(runs)
 }
 
-/// Begins a file of `schema`, whose bytes depend on its values alone.
+/// Begins a file of `schema`. Its bytes depend only on its values.
 pub fn begin(
     path: &Path,
     schema: Result<Type, ParquetError>,
 ) -> Result<SerializedFileWriter<NamedTempFile>, TableError> {
-    let file = atomic_file::begin(path).map_err(|source| io_error(path, source))?;
+    let file = jostle_atomic_file::begin(path).map_err(|source| io_error(path, source))?;
     let properties = WriterProperties::builder()
         .set_compression(Compression::SNAPPY)
         .build();
@@ -125,7 +125,7 @@ pub fn finish(path: &Path, writer: SerializedFileWriter<NamedTempFile>) -> Resul
     let file = writer
         .into_inner()
         .map_err(|error| malformed(path, &error))?;
-    atomic_file::publish(file, path).map_err(|source| io_error(path, source))
+    jostle_atomic_file::publish(file, path).map_err(|source| io_error(path, source))
 }
 
 /// Calls `each` with the row groups of `path`, in order.
@@ -142,7 +142,7 @@ pub fn for_each_group(
     Ok(())
 }
 
-/// Builds the schema of a table from those of its columns.
+/// Builds the schema of a table from the schemas of its columns.
 pub fn group(name: &str, columns: Vec<Result<Type, ParquetError>>) -> Result<Type, ParquetError> {
     let columns: Result<Vec<_>, _> = columns
         .into_iter()
@@ -151,7 +151,7 @@ pub fn group(name: &str, columns: Vec<Result<Type, ParquetError>>) -> Result<Typ
     Type::group_type_builder(name).with_fields(columns?).build()
 }
 
-/// Writes the next column of a row group, `column` in the schema.
+/// Writes the next column of a row group, which must be `column` in the schema.
 pub fn write_column<C: Cell, W: Write + Send>(
     path: &Path,
     group: &mut SerializedRowGroupWriter<'_, W>,
@@ -168,7 +168,7 @@ pub fn write_column<C: Cell, W: Write + Send>(
     write().map_err(|error| error.within(path, column, 0))
 }
 
-/// Reads a column of a row group whose rows follow `first` others.
+/// Reads a column of a row group; `first` is the number of rows in the groups before it.
 pub fn read_column<C: Cell>(
     path: &Path,
     group: &dyn RowGroupReader,
@@ -190,7 +190,7 @@ pub fn read_column<C: Cell>(
         .map_err(|error| error.within(path, column, first))
 }
 
-/// How many rows a group has.
+/// Returns the number of rows of a group.
 pub fn rows(group: &dyn RowGroupReader) -> usize {
     usize::try_from(group.metadata().num_rows()).unwrap_or(0)
 }
@@ -209,7 +209,7 @@ mod tests {
     use crate::run::{sample, samples};
 
     #[test]
-    fn rows_survive_to_the_bit() {
+    fn rows_round_trip_exactly() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("results.parquet");
         for runs in [vec![], samples()] {
@@ -243,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn a_column_missing_or_of_another_kind_is_named() {
+    fn a_missing_or_mistyped_column_is_named() {
         let directory = tempfile::tempdir().unwrap();
         let path = directory.path().join("results.parquet");
         let text = |name: &str| vec![String::schema(name)];

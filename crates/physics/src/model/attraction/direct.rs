@@ -1,24 +1,25 @@
-//! The sum over all the others, term by term.
+//! The sum over all others, term by term.
 
 use std::ops::Range;
 
 use crate::model::simd::{Lanes, Level, WIDTH, multiversion};
 use crate::model::threads::Pool;
 
-/// What a lane without an individual holds. The square of its distance to anybody rounds to an
-/// infinite `f32`, so it pulls with exactly 0.
-const NOWHERE: f64 = 1e30;
+/// Coordinate of a lane without an individual. The square of its distance from any individual
+/// rounds to an infinite `f32`, so its unit vectors are exactly 0.
+const PADDING: f64 = 1e30;
 
-/// Added to the square of a distance: an individual itself, and any at the same place, is then
-/// at exactly zero without a branch. Beside the square of any distance that doubles resolve
-/// within a cell it vanishes; its inverse root is a normal `f32`.
+/// Added to the square of a distance, so that an individual itself, and any other at the same
+/// point, contributes exactly 0 without a branch. Its inverse root is a normal `f32`. For
+/// distances from 2e-10 on it is below rounding; at 1e-13, the resolution of doubles at half a
+/// cell, it shortens the unit vector by 5e-11.
 const SAME_PLACE: f64 = 1e-36;
 
-/// How many sources are pushed back at a time: what they gather, 128 B each, then stays in the
-/// processor's nearest cache.
+/// Number of sources per tile. The lanes that accumulate the opposite vectors of the sources, 128 B
+/// per source, then stay in the L1 cache.
 const TILE: usize = 256;
 
-/// The groups of lanes that hold a tile.
+/// Number of groups of lanes that hold a tile.
 const GROUPS: usize = TILE / WIDTH;
 
 const NOTHING: [Lanes; 2] = [[0.0; WIDTH]; 2];
@@ -34,9 +35,10 @@ pub(super) struct Direct {
 }
 
 impl Direct {
-    /// Sums the unit vectors from everyone to everyone else.
+    /// Sums, for every individual, the unit vectors to all others.
     ///
-    /// - Shapes: n coordinates each in; the sums of x and of y, n of each and some more, out.
+    /// - Shapes: n coordinates each in; the sums of x and of y out, n of each, padded to whole
+    ///   lanes.
     pub fn sum(&mut self, level: Level, pool: Option<&Pool>, x: &[f64], y: &[f64]) -> [&[f64]; 2] {
         fill_lanes(&mut self.x, x.iter().copied());
         fill_lanes(&mut self.y, y.iter().copied());
@@ -44,29 +46,29 @@ impl Direct {
             sum.clear();
             sum.resize(self.x.len(), [0.0; WIDTH]);
         }
-        let everybody = Everybody {
+        let pairs = AllPairs {
             level,
             at: [&self.x, &self.y],
             sources: [x, y],
         };
         let sums = [&mut self.sum_x[..], &mut self.sum_y];
         if let Some(pool) = pool {
-            everybody.meet_at_once(pool, sums);
+            pairs.sum_parallel(pool, sums);
         } else {
-            everybody.meet_in_turn(sums, &mut self.back);
+            pairs.sum_serial(sums, &mut self.back);
         }
         [self.sum_x.as_flattened(), self.sum_y.as_flattened()]
     }
 }
 
-/// Everybody as targets, in lanes, and as sources.
-struct Everybody<'a> {
+/// All individuals, as targets in lanes and as sources.
+struct AllPairs<'a> {
     level: Level,
     at: [&'a [Lanes]; 2],
     sources: [&'a [f64]; 2],
 }
 
-impl Everybody<'_> {
+impl AllPairs<'_> {
     fn n(&self) -> usize {
         self.sources[0].len()
     }
@@ -75,8 +77,8 @@ impl Everybody<'_> {
         tile * TILE..self.n().min((tile + 1) * TILE)
     }
 
-    /// All pairs, tile by tile of the sources.
-    fn meet_in_turn(&self, [sum_x, sum_y]: [&mut [Lanes]; 2], back: &mut Vec<[Lanes; 2]>) {
+    /// Sums all pairs, one tile of sources after the other.
+    fn sum_serial(&self, [sum_x, sum_y]: [&mut [Lanes]; 2], back: &mut Vec<[Lanes; 2]>) {
         back.resize(TILE, NOTHING);
         for tile in (0..self.n().div_ceil(TILE)).map(|tile| self.tile(tile)) {
             back[..tile.len()].fill(NOTHING);
@@ -86,9 +88,9 @@ impl Everybody<'_> {
         }
     }
 
-    /// All pairs, the tiles of sources being taken by the threads of `pool` and those of targets
-    /// in their order: every sum is added up as in [`Self::meet_in_turn`], whoever adds.
-    fn meet_at_once(&self, pool: &Pool, [sum_x, sum_y]: [&mut [Lanes]; 2]) {
+    /// Sums all pairs. The threads of `pool` share the tiles of sources; each processes the tiles
+    /// of targets in order, so every sum has the order of [`Self::sum_serial`].
+    fn sum_parallel(&self, pool: &Pool, [sum_x, sum_y]: [&mut [Lanes]; 2]) {
         let targets = sum_x.chunks_mut(GROUPS).zip(sum_y.chunks_mut(GROUPS));
         let nothing = || [NOTHING; TILE];
         pool.rounds(targets, nothing, |back, tile, targets, (sum_x, sum_y)| {
@@ -100,20 +102,19 @@ impl Everybody<'_> {
     }
 }
 
-/// Fills whole lanes with `values`, and the rest of the last ones with nobody.
+/// Fills lanes with `values`, and the rest of the last ones with padding.
 pub(super) fn fill_lanes(lanes: &mut Vec<Lanes>, values: impl ExactSizeIterator<Item = f64>) {
     lanes.clear();
-    lanes.resize(values.len().div_ceil(WIDTH), [NOWHERE; WIDTH]);
+    lanes.resize(values.len().div_ceil(WIDTH), [PADDING; WIDTH]);
     for (place, value) in lanes.as_flattened_mut().iter_mut().zip(values) {
         *place = value;
     }
 }
 
 multiversion! {
-    /// Adds to `sums` the unit vectors from the targets `at` to every one of `sources`, in
-    /// their order.
+    /// Adds to `sums` the unit vectors from the targets `at` to each of `sources`, in order.
     ///
-    /// - Shapes: targets and sums in lanes; any number of sources; axes x and y.
+    /// - Shapes: targets and sums in lanes; any number of sources; two axes, x and y.
     pub(super) fn pull_from(
         level,
         at: [&[Lanes]; 2],
@@ -134,12 +135,14 @@ multiversion! {
 }
 
 multiversion! {
-    /// As [`pull_from`] with targets as sources, those of `groups` and those of one `tile`, but
-    /// each pair of different lanes' groups is taken once: what pulls the one forth pulls the
-    /// other back. That gathers in `back`, by the lane of the target, and is folded into the
-    /// sums with the tile's last group.
+    /// Adds the unit vectors between the targets in `groups` and the sources in one `tile`.
     ///
-    /// - Shapes: all the targets, all the sources; the sums of `groups` alone.
+    /// Pairs within one group of lanes are computed in both directions. A pair in two different
+    /// groups is computed once, and the opposite vector is added to the sums of the source. The
+    /// opposite vectors accumulate in `back`, one entry per source and one lane per lane of the
+    /// targets, and are folded into the sums after the last group that holds a part of the tile.
+    ///
+    /// - Shapes: `at` and `sources` hold all individuals; `sums` only those of `groups`.
     fn each_pair_once(
         level,
         at: [&[Lanes]; 2],
@@ -185,7 +188,7 @@ multiversion! {
     }
 }
 
-/// The sum of all lanes, by halves.
+/// Returns the sum of all lanes, by halves.
 #[inline(always)]
 fn folded(lanes: &Lanes) -> f64 {
     let [a, b, c, d, e, f, g, h] = *lanes;
@@ -206,15 +209,17 @@ fn subtract(from: &mut Lanes, terms: &Lanes) {
     }
 }
 
-/// The unit vectors from every lane to one place, to the last digit or two.
+/// Returns the unit vectors from every lane to one point, up to one or two units in the last
+/// place.
 #[inline(always)]
 fn unit_vectors(at_x: &Lanes, at_y: &Lanes, x: f64, y: f64) -> [Lanes; 2] {
     let (mut unit_x, mut unit_y) = ([0.0; WIDTH], [0.0; WIDTH]);
     for lane in 0..WIDTH {
         let (dx, dy) = (x - at_x[lane], y - at_y[lane]);
         let square = dx * dx + (dy * dy + SAME_PLACE);
-        // A root in single precision takes a third of the time and is as exact everywhere. Its
-        // error e < 4e-7 is then taken out up to 5/16 e^3, which is below the last place.
+        // A root in single precision takes a third of the time and gives the same bits on every
+        // processor. The correction then removes its error e < 4e-7 up to 5/16 e^3, which is
+        // below the last place.
         #[expect(clippy::cast_possible_truncation, reason = "a first guess")]
         let guess = f64::from(1.0 / (square as f32).sqrt());
         let error = 1.0 - square * (guess * guess);

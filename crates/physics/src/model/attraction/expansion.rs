@@ -1,9 +1,10 @@
-//! Far groups as power series: what a group pulls with, and how another feels it.
+//! Power series of far groups: the moments of a source group and the local series of a target
+//! group.
 //!
-//! With places as complex numbers, the unit vector along `D` is `D^(1/2) conj(D)^(-1/2)`. Let
-//! `D = Z + s - t`, from a target at `t` off its group's centre to a source at `s` off its own,
-//! the centres `Z` apart. Both powers expand in `(s - t) / Z` by the binomial series, cut at
-//! power `N`, and with them the sum over all sources becomes
+//! Points are complex numbers. The unit vector along `D` is `D^(1/2) conj(D)^(-1/2)`. Let
+//! `D = Z + s - t`, where the target is at `t` from its group's centre, the source at `s` from its
+//! own, and `Z` is the vector between the centres. Both powers expand in `(s - t) / Z` by the
+//! binomial series, cut at power `N`. The sum over all sources becomes
 //!
 //!   `sum over k, q of L[k][q] t^k conj(t)^q`, and `L` is linear in
 //!   `M[a][b] = sum over sources of s^a conj(s)^b`,
@@ -12,7 +13,7 @@
 
 #![expect(
     clippy::needless_range_loop,
-    reason = "rows and columns are named by the powers they belong to"
+    reason = "the indices of rows and columns are the powers"
 )]
 
 use crate::model::simd::{Lanes, Level, WIDTH, multiversion};
@@ -35,7 +36,7 @@ impl<const N: usize> Series<N> {
 struct Table<const N: usize>;
 
 impl<const N: usize> Table<N> {
-    /// `C(n, k)`, 0 for k > n.
+    /// By `[n][k]`: `C(n, k)`, 0 for k > n.
     const BINOMIAL: [[f64; N]; N] = {
         let mut table = [[0.0; N]; N];
         let mut n = 0;
@@ -132,7 +133,7 @@ fn product<const N: usize>(factor: [&[f64; N]; 2], row: [&[f64; N]; 2]) -> [[f64
 }
 
 multiversion! {
-    /// The moments `M` of `places` about `centre`.
+    /// Returns the moments `M` of `places` about `centre`.
     pub(super) fn gather<const N: usize>(
         level,
         centre: [f64; 2],
@@ -152,7 +153,7 @@ multiversion! {
 }
 
 multiversion! {
-    /// Adds the moments of a part whose centre is `offset` off the whole's.
+    /// Adds to the moments of `whole` those of a part whose centre is at `offset` from its own.
     pub(super) fn raise<const N: usize>(
         level,
         whole: &mut Series<N>,
@@ -161,8 +162,8 @@ multiversion! {
     ) {
         let [re, im] = powers::<N>(offset);
         let binomial = &Table::<N>::BINOMIAL;
-        // (s + offset)^a conj(s + offset)^b, first by a, then by b; row b of `across` holds the
-        // coefficients that conj(s)^j has in it.
+        // (s + offset)^a conj(s + offset)^b, first by a, then by b; entry b of `across` is the
+        // coefficient of conj(s)^j in it.
         for a in 0..N {
             let (mut row_re, mut row_im) = ([0.0; N], [0.0; N]);
             for i in 0..=a {
@@ -202,7 +203,7 @@ impl<const N: usize> Apart<N> {
         }
     }
 
-    /// By `column`: the product of a factor and the conjugate's power.
+    /// Returns the products of `factor` and the powers of the conjugate, by column.
     #[inline(always)]
     fn row(&self, factor: [f64; 2]) -> [[f64; N]; 2] {
         let [mut re, mut im] = [[0.0; N]; 2];
@@ -216,7 +217,7 @@ impl<const N: usize> Apart<N> {
 }
 
 multiversion! {
-    /// The first half of a transfer: every moment in units of its powers of `Z`, summed over `a`.
+    /// The first half of a transfer: divides every moment by its powers of `Z` and sums over `a`.
     fn transfer_rows<const N: usize>(
         level,
         halfway: &mut Series<N>,
@@ -246,7 +247,7 @@ multiversion! {
 }
 
 multiversion! {
-    /// The other half: summed over `b`, and back in units of the target's powers.
+    /// The second half of a transfer: sums over `b` and divides by the target's powers of `Z`.
     fn transfer_columns<const N: usize>(
         level,
         local: &mut Series<N>,
@@ -281,11 +282,11 @@ multiversion! {
     }
 }
 
-/// Adds to the local series of a target what the `moments` of a source pull with; `apart` is
-/// from the target's centre to the source's.
+/// Adds to the local series of a target the pull of a source with these `moments`; `apart` is the
+/// vector from the target's centre to the source's.
 ///
-/// It is done in two parts with `halfway` between them in memory: held in registers, its rows
-/// would be taken to pieces at more cost than reading single numbers.
+/// The two halves pass `halfway` in memory: if its rows stayed in registers, extracting single
+/// numbers from them would cost more than reading them from memory.
 pub(super) fn transfer<const N: usize>(
     level: Level,
     local: &mut Series<N>,
@@ -299,7 +300,7 @@ pub(super) fn transfer<const N: usize>(
 }
 
 multiversion! {
-    /// The local series of a part whose centre is `offset` off the whole's.
+    /// Returns the local series of a part whose centre is at `offset` from the whole's.
     pub(super) fn lower<const N: usize>(
         level,
         whole: &Series<N>,
@@ -329,7 +330,9 @@ multiversion! {
 }
 
 multiversion! {
-    /// Adds to `sums` the local series about `centre` at the targets `at`.
+    /// Evaluates the local series about `centre` at the targets `at` and adds it to `sums`.
+    ///
+    /// - Shapes: targets and sums in lanes; two axes, x and y.
     pub(super) fn evaluate<const N: usize>(
         level,
         local: &Series<N>,

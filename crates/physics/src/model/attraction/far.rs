@@ -1,4 +1,4 @@
-//! The sum over all the others, with far groups taken as a whole.
+//! The sum over all others, with series for far groups.
 
 use crate::model::simd::{Lanes, Level, WIDTH};
 use crate::model::threads::{Pool, both, inside};
@@ -7,20 +7,21 @@ use super::direct::pull_from;
 use super::expansion::{Series, evaluate, gather, lower, raise, transfer};
 use super::tree::{Group, SHARED, Tree};
 
-/// Centres nearer than this are never taken as apart: no power of their distance can leave the
-/// range of doubles. Positions resolve no such distance.
+/// Groups whose centres are at most this far apart, in body sizes, are not summed by series, so
+/// that no power of the distance leaves the range of doubles. The limit is about ten times the
+/// resolution of positions at half a cell, 1e-13.
 const NEAREST: f64 = 1e-12;
 
-/// The largest ratio of two groups' radii to their distance at which series stand for them.
-/// They converge up to 1, so slowly near it that the estimate of what they leave out fails.
+/// The ratio of the sum of two groups' radii to their distance below which series are used. The
+/// series converge up to 1, but near 1 so slowly that the estimate of the truncation error fails.
 const WIDEST: f64 = 0.7;
 
-/// The share of everybody from which on a group counts more than its share: where a swarm is a
-/// few flocks, what their series leave out does not cancel as it does among many groups.
+/// The share of all individuals at which a group's truncation error counts twice its share. In a
+/// swarm of a few flocks the errors of their series do not cancel as those of many groups do.
 const FEW: f64 = 0.01;
 
-/// What a transfer between two series costs, beside the square of its order, in hundredths of
-/// what one source costs eight targets. Measured; anything from 10 to 100 does as well.
+/// Cost of a transfer between two series, divided by the square of its order, in hundredths of
+/// the cost of one source for eight targets. Measured; values from 10 to 100 do as well.
 const TRANSFER_COST: usize = 30;
 
 /// The buffers of a sum with series of order `N`.
@@ -32,13 +33,14 @@ pub(super) struct Far<const N: usize> {
     lists: Lists,
 }
 
-/// The lists of one walk.
+/// The lists of one traversal.
 #[derive(Clone, Debug, Default)]
 struct Lists {
-    /// The sources whose members pull one by one.
+    /// Sources that are summed member by member.
     near: Vec<u32>,
+    /// Sources not yet processed for the current target.
     waiting: Vec<u32>,
-    /// The sources left to each target on the way down, one after the other.
+    /// Sources that each target on the path from the root leaves to its halves, in order of depth.
     candidates: Vec<u32>,
 }
 
@@ -54,9 +56,13 @@ impl<const N: usize> Default for Far<N> {
 }
 
 impl<const N: usize> Far<N> {
-    /// Sums the unit vectors from everyone to everyone else, in the tree's order.
+    /// Sums, for every individual, the unit vectors to all others.
     ///
-    /// What a group's series leave out may be `tolerance` of the whole, to order of magnitude.
+    /// The truncation error of one group's series is at most about `tolerance` of the whole sum,
+    /// in order of magnitude.
+    ///
+    /// - Shapes: the sums of x and of y out, one of each per individual in the tree's order,
+    ///   padded to whole lanes.
     pub fn sum(
         &mut self,
         level: Level,
@@ -95,9 +101,9 @@ impl<const N: usize> Far<N> {
     }
 }
 
-/// Computes the moments of a group and of all its halves.
+/// Computes the moments of a group, of its halves and of theirs.
 ///
-/// - Shapes: as many `moments` as these are, in the tree's order.
+/// - Shapes: one entry of `moments` for each of these groups, in the tree's order.
 fn gather_all<const N: usize>(
     level: Level,
     shared: bool,
@@ -106,7 +112,7 @@ fn gather_all<const N: usize>(
     moments: &mut [Series<N>],
 ) {
     let group = &tree.groups[own];
-    let (whole, halves) = moments.split_first_mut().expect("a group is one at least");
+    let (whole, halves) = moments.split_first_mut().expect("a group has an entry");
     if group.is_leaf() {
         *whole = gather(level, group.centre, tree.places(group));
         return;
@@ -130,10 +136,10 @@ fn from_to(one: &Group, other: &Group) -> [f64; 2] {
     ]
 }
 
-/// A walk over all target groups, each after the one it is half of.
+/// A traversal of all target groups, each before its halves.
 struct Descent<'a, const N: usize> {
     level: Level,
-    /// Whether there may be threads for both halves of a group at once.
+    /// Whether the halves of a group may be processed in parallel.
     shared: bool,
     tree: &'a Tree,
     tolerance: f64,
@@ -143,8 +149,8 @@ struct Descent<'a, const N: usize> {
 }
 
 impl<const N: usize> Descent<'_, N> {
-    /// Adds what the candidates from `start` on pull the members of a target group with, and
-    /// its local series. The sums are those of the target's lanes.
+    /// Adds to the sums of a target group's members its local series and the pull of the
+    /// candidates from `start` on. `sums` holds the lanes of the target.
     fn visit(&mut self, target: usize, local: &Series<N>, start: usize, sums: [&mut [Lanes]; 2]) {
         let group = &self.tree.groups[target];
         let mut local = *local;
@@ -154,7 +160,7 @@ impl<const N: usize> Descent<'_, N> {
             self.lists.waiting.clear();
             self.lists.waiting.push(self.lists.candidates[k]);
             while let Some(source) = self.lists.waiting.pop() {
-                self.meet(group, source, &mut local);
+                self.add_source(group, source, &mut local);
             }
         }
         let [sum_x, sum_y] = sums;
@@ -207,8 +213,9 @@ impl<const N: usize> Descent<'_, N> {
         );
     }
 
-    /// Whether the series of a source may stand for it: what they leave out is of order `N` in
-    /// the ratio of the radii to the distance, and counts by the source's share of everybody.
+    /// Returns whether the series of a source are accurate enough for a target. Their truncation
+    /// error is of order `N` in the ratio of the radii to the distance, and is weighted by the
+    /// source's share of all individuals.
     fn are_apart(&self, target: &Group, source: &Group, apart: [f64; 2]) -> bool {
         let distance = (apart[0] * apart[0] + apart[1] * apart[1]).sqrt();
         let ratio = (target.radius + source.radius) / distance;
@@ -220,8 +227,9 @@ impl<const N: usize> Descent<'_, N> {
             && left_out * share * (1.0 + share / FEW) < self.tolerance
     }
 
-    /// Takes a source as a whole, member by member, by halves, or leaves it to the target's.
-    fn meet(&mut self, target: &Group, source: u32, local: &mut Series<N>) {
+    /// Adds a source to a target: by its series or member by member. If neither is possible yet,
+    /// splits the source or leaves it to the target's halves.
+    fn add_source(&mut self, target: &Group, source: u32, local: &mut Series<N>) {
         let group = &self.tree.groups[source as usize];
         let apart = from_to(target, group);
         if self.are_apart(target, group, apart) {
@@ -237,7 +245,7 @@ impl<const N: usize> Descent<'_, N> {
             let second = group.second as u32;
             self.lists.waiting.extend([second, source + 1]);
         } else if target.is_leaf() {
-            // Halves of the source would be as far in ratio, and leave out as much together.
+            // The halves of the source would have a similar ratio and the same error together.
             self.lists.near.push(source);
         } else {
             self.lists.candidates.push(source);

@@ -1,8 +1,8 @@
-//! Laws that look at each pair by itself: plain sums in the order of individuals.
+//! Attraction laws that are computed pair by pair: plain sums in the order of individuals.
 
 use crate::model::Configuration;
 
-/// The unit vector from `from` to `to` and their distance; at one place both are zero.
+/// Returns the unit vector from `from` to `to` and their distance; at the same point both are 0.
 pub(super) fn towards(configuration: &Configuration, from: usize, to: usize) -> ([f64; 2], f64) {
     let Configuration { x, y, .. } = configuration;
     let (dx, dy) = (x[to] - x[from], y[to] - y[from]);
@@ -13,7 +13,7 @@ pub(super) fn towards(configuration: &Configuration, from: usize, to: usize) -> 
     ([dx / distance, dy / distance], distance)
 }
 
-/// The mean of the unit vectors from `from` to `others`; of none it is zero.
+/// Returns the mean of the unit vectors from `from` to `others`; 0 if `others` is empty.
 pub(super) fn mean(
     configuration: &Configuration,
     from: usize,
@@ -31,12 +31,12 @@ pub(super) fn mean(
     sum.map(|component| component / count)
 }
 
-/// Everybody but one, by index.
+/// Returns all indices below `n` but one.
 fn others(n: usize, one: usize) -> impl Iterator<Item = usize> {
     (0..n).filter(move |&other| other != one)
 }
 
-/// The mean over all within `radius`.
+/// Computes the mean over all others at a distance of at most `radius`.
 pub(super) fn metric(configuration: &Configuration, radius: f64, pull: &mut [[f64; 2]]) {
     let n = pull.len();
     for (one, pull) in pull.iter_mut().enumerate() {
@@ -45,7 +45,8 @@ pub(super) fn metric(configuration: &Configuration, radius: f64, pull: &mut [[f6
     }
 }
 
-/// The mean over the nearest `neighbours`, of those equally far the first.
+/// Computes the mean over the `neighbours` nearest others; of several at one distance those with
+/// the lower indices.
 pub(super) fn topological(configuration: &Configuration, neighbours: u32, pull: &mut [[f64; 2]]) {
     let (n, neighbours) = (pull.len(), neighbours as usize);
     let mut by_distance = Vec::with_capacity(n);
@@ -71,7 +72,7 @@ pub(super) fn topological(configuration: &Configuration, neighbours: u32, pull: 
     }
 }
 
-/// The mean over all the others, each unit vector times the distance to `exponent`.
+/// Computes the mean over all others, each unit vector times the distance to the power `exponent`.
 pub(super) fn power(configuration: &Configuration, exponent: f64, pull: &mut [[f64; 2]]) {
     let n = pull.len();
     let share = 1.0 / (n as f64 - 1.0);
@@ -104,11 +105,11 @@ mod tests {
         pull
     }
 
-    /// On a line, at 0, 1, 3 and 7.
+    /// Points on a line, at 0, 1, 3 and 7.
     const LINE: [[f64; 2]; 4] = [[0.0, 0.0], [1.0, 0.0], [3.0, 0.0], [7.0, 0.0]];
 
     #[test]
-    fn a_radius_counts_whoever_is_on_it_and_nobody_further() {
+    fn the_radius_itself_counts_and_larger_distances_do_not() {
         let right: Vec<f64> = pull(Attraction::Metric { radius: 3.0 }, &LINE)
             .iter()
             .map(|pull| pull[0])
@@ -127,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn a_power_weighs_by_distance_and_its_zeroth_is_the_plain_mean() {
+    fn a_power_weights_by_distance_and_exponent_zero_is_the_plain_mean() {
         let right = |exponent| pull(Attraction::Power { exponent }, &LINE)[1][0];
         assert!((right(1.0) - (-1.0 + 2.0 + 6.0) / 3.0).abs() < 1e-15);
         assert!((right(-1.0) - (-1.0 + 0.5 + 1.0 / 6.0) / 3.0).abs() < 1e-15);
@@ -136,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn whoever_is_at_the_same_place_counts_and_pulls_nowhere() {
+    fn an_individual_at_the_same_point_counts_and_contributes_zero() {
         let places = [[0.0, 0.0], [0.0, 0.0], [2.0, 0.0]];
         for (attraction, expected) in [
             (Attraction::Metric { radius: 5.0 }, 0.5),

@@ -1,4 +1,4 @@
-//! AttractionWorkspace attraction: where each individual wants to turn because of the others.
+//! Social attraction: the vector `p_s` with which the others pull each individual.
 
 mod direct;
 mod expansion;
@@ -15,18 +15,21 @@ use direct::Direct;
 use far::Far;
 use tree::Tree;
 
-/// How an accuracy is reached: the number of powers of the series, what they may leave out, and
-/// from how many individuals on that is quicker than the direct sum, which is taken below.
+/// Settings of the series that reach an accuracy.
 struct Rung {
     accuracy: f64,
+    /// Number of powers of the series.
     powers: usize,
+    /// Truncation error allowed for one group, as a share of the whole sum.
     tolerance: f64,
+    /// Number of individuals from which on the series are faster than the direct sum; smaller
+    /// groups use the direct sum.
     from: usize,
 }
 
-/// An accuracy takes the first rung that is no coarser. The errors are not bounded but measured:
-/// in one group of any shape the largest is 0.02 to 0.7 times the accuracy, where a swarm has
-/// fallen into a few flocks up to 10 times.
+/// An accuracy uses the first rung that is not coarser. The errors are measured, not bounded: the
+/// largest is 0.02 to 0.7 times the accuracy in one group of any shape, and up to 10 times the
+/// accuracy in a swarm that has split into a few flocks.
 const RUNGS: [Rung; 7] = [
     rung(1e-3, 4, 4e-3, 1000),
     rung(1e-4, 4, 4e-4, 2000),
@@ -46,13 +49,14 @@ const fn rung(accuracy: f64, powers: usize, tolerance: f64, from: usize) -> Rung
     }
 }
 
-/// Computes the social pull of every individual; holds what is reused from call to call.
+/// Computes the social pull of every individual, and reuses its buffers from call to call.
 #[derive(Clone, Debug, Default)]
 pub struct AttractionWorkspace {
-    /// Which version of the kernels runs; it changes no bit.
+    /// Selects the version of the kernels; it changes no bit.
     pub level: Level,
-    /// Whose threads share the work of large groups; they change no bit. A call then allocates
-    /// some lists: one of the direct sum's tiles, three for every group cut in two.
+    /// Pool whose threads share the work for large groups; it changes no bit. With a pool a call
+    /// allocates lists: one of tiles in the direct sum, or three for every group whose halves are
+    /// processed in parallel.
     pub pool: Option<Pool>,
     direct: Direct,
     tree: Tree,
@@ -65,11 +69,12 @@ impl AttractionWorkspace {
     /// Computes `p_s` of every individual into `pull`.
     ///
     /// - Shapes: n individuals in, n vectors out.
-    /// - Units: lengths at most 1, to the accuracy. Alone, an individual is pulled nowhere; one
-    ///   at the same place pulls nowhere but is counted.
-    /// - Source: paper, eq. (4). Deviation: with an accuracy, far groups pull as a whole, and
-    ///   `p_s` sums up to 0 over the group to that accuracy only, not to rounding. The other laws
-    ///   are means over those they count, zero if they count nobody; a power may be longer than 1.
+    /// - Units: none. Lengths are at most 1, up to the accuracy; under `power` they may exceed 1.
+    /// - Source: paper, eq. (4). A single individual has `p_s = 0`. Of two individuals at the same
+    ///   point each contributes 0 to the other and is counted. Deviations: with an accuracy, far
+    ///   groups are summed by series, and `p_s` sums to 0 over the group only to that accuracy,
+    ///   not to rounding. The other laws are means over the individuals that they count, and 0 if
+    ///   they count none.
     pub fn compute(
         &mut self,
         attraction: Attraction,
@@ -93,7 +98,7 @@ impl AttractionWorkspace {
         }
     }
 
-    /// The mean over all the others, eq. (4).
+    /// Computes the mean over all others, eq. (4).
     fn all(&mut self, accuracy: Option<f64>, configuration: &Configuration, pull: &mut [[f64; 2]]) {
         let Configuration { x, y, .. } = configuration;
         let n = x.len();
@@ -172,25 +177,25 @@ mod tests {
     }
 
     #[test]
-    fn one_alone_is_pulled_nowhere() {
+    fn a_single_individual_has_pull_zero() {
         assert_eq!(pull_of(&[[3.0, 4.0]]), [[0.0, 0.0]]);
     }
 
     #[test]
-    fn two_are_pulled_towards_each_other_whatever_their_distance() {
+    fn two_individuals_are_pulled_towards_each_other_at_any_distance() {
         let pull = pull_of(&[[0.0, 0.0], [30.0, 40.0]]);
         assert!((pull[0][0] - 0.6).abs() < 1e-15 && (pull[0][1] - 0.8).abs() < 1e-15);
         assert_eq!(pull[1], [-pull[0][0], -pull[0][1]]);
     }
 
     #[test]
-    fn an_individual_at_the_same_place_counts_but_pulls_nowhere() {
+    fn an_individual_at_the_same_point_counts_and_contributes_zero() {
         let pull = pull_of(&[[0.0, 0.0], [0.0, 0.0], [5.0, 0.0]]);
         assert_eq!(pull, [[0.5, 0.0], [0.5, 0.0], [-1.0, 0.0]]);
     }
 
     #[test]
-    fn every_number_of_individuals_adds_up_to_the_plain_sum_at_every_level() {
+    fn the_direct_sum_equals_the_plain_sum_for_every_n_and_level() {
         for n in 1..=200 {
             let configuration = example(n);
             let mut pull = Vec::new();
@@ -215,9 +220,9 @@ mod tests {
         }
     }
 
-    /// Far more than a tile of sources, and used before for a larger group.
+    /// Several tiles of sources, and buffers that an earlier, larger group has used.
     #[test]
-    fn tiles_add_up_and_leave_nothing_behind() {
+    fn tiles_add_up_and_buffers_carry_nothing_over() {
         let mut social = AttractionWorkspace::default();
         let mut pull = Vec::new();
         for n in [1100, 519, 513, 257, 9] {
@@ -232,8 +237,8 @@ mod tests {
 
     const ACCURACIES: [f64; 7] = [1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8, 1e-9];
 
-    /// The largest error of a configuration's pulls at each accuracy, far groups as a whole
-    /// however few they are.
+    /// Returns the largest error of a configuration's pulls at each accuracy, with series for any
+    /// number of individuals.
     fn errors(configuration: &Configuration) -> Vec<f64> {
         let Configuration { x, y, .. } = configuration;
         let mut direct = Vec::new();
@@ -265,7 +270,7 @@ mod tests {
         configuration
     }
 
-    /// A number in [0, 1) without any pattern that matters here.
+    /// Returns a number in [0, 1) without a pattern that matters here.
     fn drawn(k: f64, purpose: f64) -> f64 {
         let wild = libm::sin(k * 12.9898 + purpose * 78.233) * 43_758.545_3;
         wild - wild.floor()
@@ -279,7 +284,8 @@ mod tests {
         })
     }
 
-    /// Groups of the density of touching bodies, as many of their radii apart.
+    /// Returns `count` groups of the density of touching bodies, about `apart` of their radii
+    /// apart.
     fn flocks(n: u32, count: f64, apart: f64) -> Configuration {
         let radius = (f64::from(n) / count).sqrt();
         let spread = apart * radius * count.sqrt();
@@ -310,7 +316,7 @@ mod tests {
     }
 
     #[test]
-    fn far_groups_as_a_whole_are_as_accurate_as_asked() {
+    fn series_of_far_groups_reach_the_accuracy() {
         for n in [2, 3, 8, 31, 100, 500, 1000, 3000] {
             let side = f64::from(n).sqrt();
             assert_accurate("disc", &disc(n), 1.0);
@@ -324,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn in_far_flocks_the_error_may_be_ten_times_what_was_asked() {
+    fn in_far_flocks_the_error_is_at_most_ten_times_the_accuracy() {
         for n in [500, 3000] {
             for (count, apart) in [(3.0, 4.0), (5.0, 4.0), (5.0, 40.0), (20.0, 40.0)] {
                 assert_accurate("few flocks", &flocks(n, count, apart), 10.0);
@@ -333,7 +339,7 @@ mod tests {
     }
 
     #[test]
-    fn coincident_places_neither_pull_nor_spoil_the_others() {
+    fn coincident_points_keep_the_accuracy() {
         let pairs = made(600, |k| [(k / 2.0).floor(), 0.0]);
         let all = made(300, |_| [7.0, -7.0]);
         let two = made(300, |k| [1e-200 * (k % 2.0), 1e3 * (k / 100.0).floor()]);
@@ -345,7 +351,7 @@ mod tests {
     }
 
     #[test]
-    fn an_accuracy_gives_the_same_bytes_at_every_level_and_whatever_came_before() {
+    fn series_give_the_same_bytes_at_every_level_and_after_any_other_call() {
         let configuration = disc(9000);
         for accuracy in ACCURACIES {
             let attraction = Attraction::All {

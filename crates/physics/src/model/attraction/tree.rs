@@ -1,19 +1,19 @@
-//! The groups of a configuration: halved along the longer side until they are small.
+//! The tree of groups of a configuration: a group is halved along its longer side down to leaves.
 
 use crate::model::simd::{Lanes, WIDTH};
 use crate::model::threads::{Pool, both, inside};
 
 use super::direct::fill_lanes;
 
-/// The most individuals of a group that is not halved further. Between 24 and 64 it hardly
-/// matters; larger leaves need less memory.
-const LARGEST_LEAF: usize = 48;
+/// Maximum number of individuals in a leaf. Values between 24 and 64 hardly differ in speed;
+/// larger leaves need less memory.
+const MAX_LEAF: usize = 48;
 
-/// The least individuals of a group whose halves are taken at once where there are threads for
-/// it: some 0.2 ms of work, which handing it over costs little beside.
+/// Minimum number of individuals of a group whose halves are processed in parallel if a pool is
+/// given: about 0.2 ms of work, to which the transfer to another thread adds little.
 pub(super) const SHARED: usize = 250;
 
-/// Someone at a place.
+/// An individual and its position.
 #[derive(Clone, Copy, Debug)]
 struct Placed {
     x: f64,
@@ -21,21 +21,21 @@ struct Placed {
     index: u32,
 }
 
-/// A group of individuals, those of `first..last` in the tree's order.
+/// A group of individuals: `first..last` in the tree's order.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Group {
     pub first: usize,
     pub last: usize,
-    /// The middle of the box that holds them.
+    /// The middle of the members' bounding box.
     pub centre: [f64; 2],
-    /// How far the furthest of them is from the centre.
+    /// The largest distance of a member from the centre.
     pub radius: f64,
-    /// The second half; the first half follows the group itself. 0 for a leaf.
+    /// Index of the second half; the first half follows the group itself. 0 for a leaf.
     pub second: usize,
 }
 
 impl Group {
-    /// How many they are.
+    /// Returns the number of members.
     pub fn n(&self) -> usize {
         self.last - self.first
     }
@@ -44,16 +44,16 @@ impl Group {
         self.second == 0
     }
 
-    /// The lanes that hold the group: they hold nobody else.
+    /// Returns the lanes that hold the group; they hold no other individual.
     pub fn lanes(&self) -> std::ops::Range<usize> {
         self.first / WIDTH..self.last.div_ceil(WIDTH)
     }
 }
 
-/// All groups, each before its halves, and everybody in the order of the leaves.
+/// All groups, each before its halves, and all individuals in the order of the leaves.
 ///
-/// It depends on the configuration alone: halves are told apart by (coordinate, index) and a
-/// leaf is ordered by index. That the last order is where the next one starts only saves time.
+/// The tree depends on the configuration alone: halves are separated by (coordinate, index) and a
+/// leaf is sorted by index. Sorting starts from the order of the last tree, which only saves time.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Tree {
     pub groups: Vec<Group>,
@@ -63,7 +63,7 @@ pub(super) struct Tree {
 }
 
 impl Tree {
-    /// Sorts everybody into groups.
+    /// Sorts all individuals into groups.
     pub fn build(&mut self, pool: Option<&Pool>, x: &[f64], y: &[f64]) {
         let n = x.len();
         if self.placed.len() != n {
@@ -88,12 +88,12 @@ impl Tree {
         fill_lanes(&mut self.y, self.placed.iter().map(|placed| placed.y));
     }
 
-    /// How many there are.
+    /// Returns the number of individuals.
     pub fn n(&self) -> usize {
         self.placed.len()
     }
 
-    /// The coordinates of a group.
+    /// Returns the coordinates of a group's members, x and y.
     pub fn places(&self, group: &Group) -> [&[f64]; 2] {
         let range = group.first..group.last;
         [
@@ -102,30 +102,31 @@ impl Tree {
         ]
     }
 
-    /// Whose turn it is in the tree's order.
+    /// Returns the indices of the individuals in the tree's order.
     pub fn indices(&self) -> impl Iterator<Item = usize> {
         self.placed.iter().map(|placed| placed.index as usize)
     }
 }
 
-/// How many of a group are in its first half: whole registers, so that no lane is shared.
+/// Returns the size of a group's first half: a multiple of [`WIDTH`], so that the halves share no
+/// group of lanes.
 fn half_of(n: usize) -> usize {
     n.div_ceil(2).next_multiple_of(WIDTH)
 }
 
-/// How many groups a group is with its halves and theirs.
+/// Returns the number of groups in a subtree of `n` individuals, itself included.
 fn groups_of(n: usize) -> usize {
-    if n <= LARGEST_LEAF {
+    if n <= MAX_LEAF {
         return 1;
     }
     let half = half_of(n);
     1 + groups_of(half) + groups_of(n - half)
 }
 
-/// Halves a group until it is small.
+/// Builds the subtree of a group: halves the group until its parts are leaves.
 ///
-/// - Shapes: the group with all its halves, and its members, out; in the tree they come from
-///   the two `places` on.
+/// - Shapes: `groups` receives the group and all groups below it; `placed` holds its members and
+///   is reordered. `places` is the index of the first of each in the tree.
 fn halve(shared: bool, groups: &mut [Group], placed: &mut [Placed], places: [usize; 2]) {
     let mut low = [f64::INFINITY; 2];
     let mut high = [f64::NEG_INFINITY; 2];
@@ -139,7 +140,7 @@ fn halve(shared: bool, groups: &mut [Group], placed: &mut [Placed], places: [usi
         largest.max(dx * dx + dy * dy)
     });
     let [own, first] = places;
-    let (group, halves) = groups.split_first_mut().expect("a group is one at least");
+    let (group, halves) = groups.split_first_mut().expect("a group has an entry");
     *group = Group {
         first,
         last: first + placed.len(),
@@ -147,7 +148,7 @@ fn halve(shared: bool, groups: &mut [Group], placed: &mut [Placed], places: [usi
         radius: square.sqrt(),
         second: 0,
     };
-    if placed.len() <= LARGEST_LEAF {
+    if placed.len() <= MAX_LEAF {
         placed.sort_unstable_by_key(|placed| placed.index);
         return;
     }

@@ -1,8 +1,8 @@
-//! Neighbours in the Voronoi diagram: whose cells share an edge of some length.
+//! Neighbours in the Voronoi diagram: points whose cells share an edge of positive length.
 //!
-//! The dual, Delaunay's triangulation, is not unique where four or more lie on an empty circle:
-//! their cells then meet in one point, and a diagonal drawn between them is arbitrary. Such
-//! diagonals are left out, so that neighbourhood depends on the places alone.
+//! The dual, the Delaunay triangulation, is not unique if four or more points are on an empty
+//! circle: their cells then meet in one point, and the diagonal that the triangulation draws is
+//! arbitrary. Such diagonals are left out, so that neighbours depend on the positions alone.
 
 use robust::{Coord, incircle};
 use spade::handles::DirectedEdgeHandle;
@@ -11,7 +11,7 @@ use spade::{DelaunayTriangulation, HasPosition, Point2, Triangulation};
 use super::local_laws;
 use crate::model::Configuration;
 
-/// A place where somebody is, named by the first who is there.
+/// A point with at least one individual, identified by the lowest index there.
 #[derive(Clone, Copy, Debug)]
 struct Site {
     at: [f64; 2],
@@ -26,7 +26,7 @@ impl HasPosition for Site {
     }
 }
 
-/// The mean over all neighbours, those at the same place among them.
+/// Computes the mean over all neighbours, individuals at the same point included.
 pub(super) fn voronoi(configuration: &Configuration, pull: &mut [[f64; 2]]) {
     let members = members(configuration);
     let mut neighbours = vec![Vec::new(); pull.len()];
@@ -44,22 +44,23 @@ pub(super) fn voronoi(configuration: &Configuration, pull: &mut [[f64; 2]]) {
         join(&members[other], &members[one]);
     }
     for (one, (pull, neighbours)) in pull.iter_mut().zip(&mut neighbours).enumerate() {
-        // Sums are taken in the order of individuals, whatever that of the triangles.
+        // Sums follow the order of individuals, not that of the triangles.
         neighbours.sort_unstable();
         *pull = local_laws::mean(configuration, one, neighbours.iter().copied());
     }
 }
 
-/// Coordinates nearer to zero than this are zero: the exact predicates would lose them.
+/// Coordinates nearer to 0 than this count as 0: the exact predicates do not support them.
 const SMALLEST: f64 = spade::MIN_ALLOWED_VALUE;
 
-/// Where individual `index` is; minus zero is zero.
+/// Returns the position of individual `index`; -0 becomes 0.
 fn place(configuration: &Configuration, index: usize) -> [f64; 2] {
     let coordinates = [configuration.x[index], configuration.y[index]];
     coordinates.map(|value| if value.abs() < SMALLEST { 0.0 } else { value })
 }
 
-/// Who is at one place, listed at the index of the first there; other lists are empty.
+/// Returns the individuals at each point, in the list of the lowest index there; the other lists
+/// are empty.
 fn members(configuration: &Configuration) -> Vec<Vec<usize>> {
     let n = configuration.n();
     let places: Vec<[f64; 2]> = (0..n).map(|index| place(configuration, index)).collect();
@@ -76,14 +77,16 @@ fn members(configuration: &Configuration) -> Vec<Vec<usize>> {
     members
 }
 
-/// The pairs of places whose cells share an edge of some length, by the first there.
+/// Returns the pairs of points whose cells share an edge of positive length, by the lowest index
+/// at each point.
 fn edges(configuration: &Configuration, members: &[Vec<usize>]) -> Vec<[usize; 2]> {
     let firsts = (0..members.len()).filter(|&index| !members[index].is_empty());
     let sites = firsts.map(|first| Site {
         at: place(configuration, first),
         first,
     });
-    // All that spade asks for are numbers neither too small nor infinite.
+    // This fails only for coordinates that spade rejects: NaN, too large, or too small. `place`
+    // replaces those that are too small by 0.
     let Ok(triangulation) = DelaunayTriangulation::<Site>::bulk_load_stable(sites.collect()) else {
         return Vec::new();
     };
@@ -95,7 +98,7 @@ fn edges(configuration: &Configuration, members: &[Vec<usize>]) -> Vec<[usize; 2
         .collect()
 }
 
-/// Whether the four at the corners of an edge's two triangles lie on one circle.
+/// Returns whether the four corners of an edge's two triangles are on one circle.
 fn is_diagonal(edge: DirectedEdgeHandle<'_, Site, (), (), ()>) -> bool {
     let corner = |edge: DirectedEdgeHandle<'_, Site, (), (), ()>| {
         edge.opposite_vertex().map(|vertex| vertex.data().at)
@@ -131,7 +134,7 @@ mod tests {
     }
 
     #[test]
-    fn the_diagonals_of_a_square_are_no_neighbours_and_of_a_rhombus_the_short_one_is() {
+    fn a_square_has_no_diagonal_edges_and_a_rhombus_has_the_short_one() {
         let square = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]];
         assert_eq!(neighbours(&square), [[0, 1], [0, 3], [1, 2], [2, 3]]);
         let rhombus = [[0.0, 0.0], [1.0, -0.5], [2.0, 0.0], [1.0, 0.5]];
@@ -140,7 +143,7 @@ mod tests {
     }
 
     #[test]
-    fn a_grid_has_its_sides_alone() {
+    fn a_grid_has_no_diagonal_edges() {
         let grid: Vec<[f64; 2]> = (0..9)
             .map(|k| [f64::from(k % 3), f64::from(k / 3)])
             .collect();
@@ -153,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn next_to_nothing_is_the_place_of_zero() {
+    fn coordinates_nearer_to_zero_than_the_smallest_are_zero() {
         let places = [[0.0, 2.0], [-0.0, 0.0], [0.0, 0.0], [1e-60, -1e-60]];
         assert_eq!(neighbours(&places), [[0, 1]]);
     }

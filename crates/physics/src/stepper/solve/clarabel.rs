@@ -1,22 +1,27 @@
-//! The program of one step as Clarabel wants it.
+//! Conversion of the program of one step to Clarabel's form, and its solution by Clarabel.
 
 use clarabel::algebra::CscMatrix;
 use clarabel::solver::{DefaultSettings, DefaultSolver, IPSolver, SupportedConeT};
 
 use crate::stepper::qp::Qp;
 
-/// The tolerance asked for, in scaled units. It is not always reached, and the status is no
-/// guide to when; the caller measures.
+/// Tolerance set in Clarabel, in scaled units. Clarabel does not always reach it, and its status is
+/// not a reliable indication; the caller computes the residual.
 const TOLERANCE: f64 = 1e-12;
 
-/// What is added to the systems' diagonals. At Clarabel's own 1e-8 it stalls on packed groups,
-/// short of the tolerance by six orders.
+/// Value added to the diagonals of Clarabel's systems. With its default of 1e-8 Clarabel stalls on
+/// packed groups, six orders of magnitude above the tolerance.
 const REGULARISATION: f64 = 1e-12;
 
-/// Finds multipliers of `qp` by an interior point method, with how many systems it factored.
+/// Computes multipliers of `qp` by an interior-point method; returns them with the number of
+/// iterations, each of which factors a system.
 ///
-/// In `w = d - u` the program is: minimise `½ wᵀ W w` subject to `A w + (g + A u) ≥ 0`. Nothing
-/// is promised about the answer. None if Clarabel does not take the program.
+/// In `w = d - u` the program is: minimise `½ wᵀ W w` subject to `A w + (g + A u) ≥ 0`. The
+/// right-hand side `g + A u` is multiplied by `scale`, and the multipliers are divided by it. The
+/// accuracy is not guaranteed. Returns `None` if the right-hand side is not finite or Clarabel
+/// rejects the program.
+///
+/// - Shapes: m multipliers, one for each contact.
 pub fn multipliers(qp: &Qp, scale: f64) -> Option<(Vec<f64>, usize)> {
     let (n, m) = (qp.free.len(), qp.contacts.len());
     let slack: Vec<f64> = qp
@@ -57,7 +62,7 @@ pub fn multipliers(qp: &Qp, scale: f64) -> Option<(Vec<f64>, usize)> {
 fn settings() -> DefaultSettings<f64> {
     DefaultSettings {
         verbose: false,
-        // A limit in time would make the answer depend on the clock.
+        // A time limit would make the result depend on the clock.
         time_limit: f64::INFINITY,
         max_threads: 1,
         tol_gap_abs: TOLERANCE,
@@ -68,7 +73,7 @@ fn settings() -> DefaultSettings<f64> {
     }
 }
 
-/// `-A` by columns: one row per contact, three columns per individual.
+/// Returns `-A` by columns, m × 3n: a row for each contact, three columns for each individual.
 fn negative_gradients(qp: &Qp) -> CscMatrix<f64> {
     let mut columns: Vec<Vec<(usize, f64)>> = vec![Vec::new(); 3 * qp.free.len()];
     for (row, contact) in qp.contacts.iter().enumerate() {

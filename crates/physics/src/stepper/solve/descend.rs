@@ -1,27 +1,30 @@
-//! The slow and sure way from rough multipliers to exact ones.
+//! The last resort from approximate multipliers to exact ones: slow, and without cycles.
 //!
-//! One contact changes sides at a time, and never so that the dual objective grows: towards the
-//! multipliers that close the active gaps, up to where the first would pull; that one is
-//! dropped. Once none pulls, the worst overlap is added. This is the active set method of
-//! Lawson and Hanson on the dual. It cannot wander, but needs a system for every change, so it
-//! only finishes what the other routes left nearly done.
+//! This is the active-set method of Lawson and Hanson on the dual. One contact changes sides at a
+//! time, and the dual objective never grows. The multipliers move towards those that close the
+//! active gaps, up to the first that would become negative; that contact leaves the active set.
+//! If none becomes negative, the contact with the deepest overlap joins. The method cannot cycle,
+//! but factors a system for every change, so it serves only to finish a solution in which few
+//! contacts are wrong.
 
 use super::polish::{WRONG, Workspace};
 use crate::stepper::qp::Qp;
 
-/// Systems to factor at most. Interior point multipliers are wrong in a handful of contacts, two
-/// systems each.
-const MOST_ROUNDS: usize = 60;
+/// Rounds at most, each with at most one factorisation. Interior-point multipliers are wrong in a
+/// handful of contacts, and each takes about two rounds.
+const MAX_ROUNDS: usize = 60;
 
 impl Workspace {
-    /// Descends from multipliers that are not negative, and returns how many systems that took.
-    /// The multipliers are left in the workspace, whether exact or not.
+    /// Descends from non-negative multipliers and returns the number of rounds.
+    /// [`Workspace::multipliers`] has the result, which may be inexact.
+    ///
+    /// - Shapes: m multipliers in `start`.
     pub fn descend(&mut self, qp: &Qp, start: &[f64]) -> usize {
         self.normalise(qp);
         let mut reached = start.to_vec();
         let mut active: Vec<bool> = start.iter().map(|&value| value > 0.0).collect();
         self.multipliers.clone_from(&reached);
-        for round in 1..=MOST_ROUNDS {
+        for round in 1..=MAX_ROUNDS {
             if active.contains(&true) {
                 self.factor(qp, &active);
             }
@@ -38,11 +41,11 @@ impl Workspace {
             }
             self.multipliers.clone_from(&reached);
         }
-        MOST_ROUNDS
+        MAX_ROUNDS
     }
 
-    /// Moves `reached` towards the workspace's multipliers until one would pull, drops that one,
-    /// and tells whether the way was free.
+    /// Moves `reached` towards the workspace's multipliers until the first would become negative.
+    /// That contact leaves the active set. Returns whether no contact did.
     fn advance(&self, reached: &mut [f64], active: &mut [bool]) -> bool {
         let mut share = 1.0;
         let mut blocking = None;

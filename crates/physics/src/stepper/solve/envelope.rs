@@ -1,27 +1,28 @@
 //! Cholesky factors of symmetric matrices whose graph is almost planar.
 //!
-//! Individuals are ordered breadth first, so that neighbours stay close, and every row is kept
-//! from its first entry on. A packed group of n costs about `n · (√n)²` instead of n³.
+//! Individuals are ordered breadth first, so that neighbours stay close, and every row is stored
+//! from its first non-zero entry to the diagonal. The cost for a packed group of n individuals is
+//! about `n · (√n)²` instead of n³.
 
-/// Sums run side by side in so many lanes, so that the compiler may use vector registers
-/// without changing the order of any sum.
+/// Number of lanes of a sum. With fixed lanes the compiler can use vector registers without
+/// changing the order of a sum.
 const LANES: usize = 4;
 
-/// A positive definite matrix of `axes` × `axes` blocks, then its factor.
+/// A positive definite matrix of `axes` × `axes` blocks; after [`Envelope::factor`], its factor.
 #[derive(Clone, Debug, Default)]
 pub struct Envelope {
     axes: usize,
-    /// The place of each individual in the order; none if it is not in the matrix.
+    /// Place of each individual in the order; `None` if it is not in the matrix.
     place: Vec<Option<usize>>,
-    /// First column and start in `values` of each row.
+    /// First column of each row, and its start in `values`.
     rows: Vec<(usize, usize)>,
     values: Vec<f64>,
 }
 
 impl Envelope {
-    /// Prepares the unit matrix over the individuals that `edges` name.
+    /// Sets the unit matrix over the individuals in `edges`, with space for an entry at each edge.
     ///
-    /// - Shapes: `n` individuals in all, edges (i, j) with i < j in any order.
+    /// - Shapes: `n` individuals in all; edges (i, j) with i < j, in any order.
     pub fn prepare(&mut self, n: usize, axes: usize, edges: &[(usize, usize)]) {
         self.axes = axes;
         let order = breadth_first(n, edges);
@@ -50,10 +51,10 @@ impl Envelope {
         }
     }
 
-    /// Adds `factor b bᵀ`, where `b` has the entries `parts` at individuals `i` and `j`.
+    /// Adds `factor b bᵀ`, where `b` has the entries `parts` at individuals `i` and `j`. The pair
+    /// must be one of the edges.
     pub fn add(&mut self, i: usize, j: usize, parts: [[f64; 3]; 2], factor: f64) {
-        let rows =
-            [i, j].map(|individual| self.axes * self.place[individual].expect("named by an edge"));
+        let rows = [i, j].map(|individual| self.axes * self.place[individual].expect("in an edge"));
         let axes = self.axes;
         let entries = || {
             rows.into_iter()
@@ -83,14 +84,16 @@ impl Envelope {
             }
             let this = &self.values[start..=start + row - first];
             let (diagonal, left) = this.split_last().expect("a row holds its diagonal");
-            // Never below the unit matrix it began as, but for rounding.
+            // The matrix is at least the unit matrix, so a smaller pivot is a rounding error.
             let pivot = (diagonal - dot(left, left)).max(1.0).sqrt();
             self.values[start + row - first] = pivot;
         }
     }
 
-    /// Solves for the right-hand side `vector`, three entries an individual, with the factor.
-    /// Entries of individuals not in the matrix are left alone.
+    /// Replaces the right-hand side `vector` by the solution, using the factor. Entries of
+    /// individuals that are not in the matrix do not change.
+    ///
+    /// - Shapes: n rows of three entries.
     pub fn solve(&self, vector: &mut [[f64; 3]]) {
         let mut solution = vec![0.0; self.rows.len()];
         self.each(|individual, axis, row| solution[row] = vector[individual][axis]);
@@ -113,6 +116,7 @@ impl Envelope {
         self.each(|individual, axis, row| vector[individual][axis] = solution[row]);
     }
 
+    /// Calls `visit` with individual, axis and row of every row.
     fn each(&self, mut visit: impl FnMut(usize, usize, usize)) {
         for (individual, place) in self.place.iter().enumerate() {
             let Some(place) = place else { continue };
@@ -120,8 +124,9 @@ impl Envelope {
         }
     }
 
+    /// Returns the places of both individuals, the lower first.
     fn places(&self, i: usize, j: usize) -> (usize, usize) {
-        let [a, b] = [i, j].map(|individual| self.place[individual].expect("named by an edge"));
+        let [a, b] = [i, j].map(|individual| self.place[individual].expect("in an edge"));
         (a.min(b), a.max(b))
     }
 
@@ -131,8 +136,8 @@ impl Envelope {
     }
 }
 
-/// Orders all individuals that `edges` name so that neighbours are near: breadth first from the
-/// outskirts, turned round (the reverse Cuthill-McKee order). Ties go to the lower index.
+/// Orders all individuals in `edges` so that neighbours are close: breadth first from the border,
+/// reversed (the reverse Cuthill-McKee order). Of equal degrees the lower index comes first.
 fn breadth_first(n: usize, edges: &[(usize, usize)]) -> Vec<usize> {
     let mut neighbours: Vec<Vec<usize>> = vec![Vec::new(); n];
     for &(i, j) in edges {
@@ -155,7 +160,7 @@ fn breadth_first(n: usize, edges: &[(usize, usize)]) -> Vec<usize> {
         if seen[start] {
             continue;
         }
-        // The last one reached is on the far side, a better place to begin.
+        // The individual reached last is on the far side, which makes it a better start.
         let begin = order.len();
         visit(start, &neighbours, &mut seen, &mut order);
         let far = order[order.len() - 1];
@@ -166,6 +171,7 @@ fn breadth_first(n: usize, edges: &[(usize, usize)]) -> Vec<usize> {
     order
 }
 
+/// Appends all individuals connected with `start` to `order`, breadth first.
 fn visit(start: usize, neighbours: &[Vec<usize>], seen: &mut [bool], order: &mut Vec<usize>) {
     let mut next = order.len();
     order.push(start);
@@ -181,6 +187,7 @@ fn visit(start: usize, neighbours: &[Vec<usize>], seen: &mut [bool], order: &mut
     }
 }
 
+/// Returns the scalar product, summed in lanes.
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     let (a_blocks, a_rest) = a.as_chunks::<LANES>();
     let (b_blocks, b_rest) = b.as_chunks::<LANES>();
@@ -203,10 +210,10 @@ mod tests {
     use crate::model::random::{Purpose, Stream};
 
     #[test]
-    fn the_factor_solves_what_a_dense_one_solves() {
+    fn the_factor_solves_like_a_dense_factor() {
         let mut stream = Stream::new(1, 0, 0, Purpose::Start);
         for axes in [2, 3] {
-            // Two rings that do not meet, and individual 4 in neither.
+            // Two rings without a common individual; individual 4 is in neither.
             let edges = [
                 (0, 3),
                 (3, 7),
@@ -249,16 +256,16 @@ mod tests {
 
     #[test]
     fn neighbours_stay_close_in_the_order() {
-        // A strip of 3 × 40, named in a scrambled way: rows stay a few blocks long.
-        let name = |column: usize, row: usize| (37 * (3 * column + row)) % 120;
+        // A strip of 3 × 40 with permuted indices: rows stay a few blocks long.
+        let index = |column: usize, row: usize| (37 * (3 * column + row)) % 120;
         let mut edges = Vec::new();
         for column in 0..40 {
             for row in 0..3 {
                 if column < 39 {
-                    edges.push((name(column, row), name(column + 1, row)));
+                    edges.push((index(column, row), index(column + 1, row)));
                 }
                 if row < 2 {
-                    edges.push((name(column, row), name(column, row + 1)));
+                    edges.push((index(column, row), index(column, row + 1)));
                 }
             }
         }
@@ -268,7 +275,7 @@ mod tests {
     }
 
     #[test]
-    fn lanes_add_up() {
+    fn dot_sums_all_lanes() {
         let a: Vec<f64> = (0..11).map(f64::from).collect();
         assert_eq!(dot(&a, &a), 385.0);
     }

@@ -1,10 +1,10 @@
-//! Solves the program of one step to its accuracy.
+//! Solution of the program of one step to the accuracy [`TARGET`].
 //!
 //! The exact solver (`exact`) starts from the contacts that pushed in the last step and resolves
-//! the few that change sides. Where it fails, and in tests that judge it, the fallback is asked:
-//! Clarabel finds who pushes, and its answer is made exact by exchanging the few that are wrong
-//! (`polish`) or more slowly and surely (`descend`). Nothing is believed: the residual decides,
-//! computed from the multipliers alone.
+//! the few that change sides. If it fails, the fallback runs; tests also run it alone, as an
+//! independent solver. In the fallback, Clarabel finds the active set. `polish` exchanges the few
+//! contacts that are wrong; if that does not converge, `descend` changes one contact at a time.
+//! No solver's status is used: the residual, computed from the multipliers alone, decides.
 
 mod clarabel;
 mod descend;
@@ -16,36 +16,36 @@ use super::qp::Qp;
 pub use exact::Exact;
 use polish::Workspace as Polish;
 
-/// The accuracy asked of a step, in body sizes: far below the `dt²` of a step, far above
+/// Target residual of a step, in body sizes: far below the `dt²` of linearisation, far above
 /// rounding.
 pub const TARGET: f64 = 1e-9;
 
-/// A step less accurate than this is not taken.
+/// Largest residual with which a step is taken, in body sizes.
 pub const ACCEPTABLE: f64 = 1e-6;
 
-/// What the right-hand side is multiplied by before Clarabel sees it. Gaps are of the order of
-/// dt, multipliers too, and its tolerances are meant for numbers of order one. Where one scale
-/// stalls another may not.
+/// Factors of the right-hand side in Clarabel's program, tried in turn. Gaps and multipliers are of
+/// the order of `dt`, whereas Clarabel's tolerances are meant for numbers of order one. If Clarabel
+/// stalls with one scale, it may not with another.
 const SCALES: [f64; 2] = [1e3, 1e4];
 
-/// Who solves.
+/// Selects the solver.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Backend {
-    /// The exact solver, and the fallback where it fails.
+    /// The exact solver, and the fallback if it fails.
     #[default]
     Exact,
-    /// The fallback alone: slow, and nothing it does depends on the last step.
+    /// The fallback alone: slow. Of the hints it uses only whether any multiplier is positive.
     Fallback,
 }
 
-/// What the last step tells about this one.
+/// Input from the last step.
 #[derive(Clone, Copy, Debug)]
 pub struct Hints<'a> {
     /// A guess of the multipliers, one per contact.
     pub multipliers: &'a [f64],
-    /// Where the individuals are, from which an order of elimination is found.
+    /// Coordinates of the n individuals, from which an elimination order is computed.
     pub x: &'a [f64],
-    /// Where the individuals are.
+    /// Coordinates of the n individuals.
     pub y: &'a [f64],
 }
 
@@ -54,26 +54,28 @@ pub struct Hints<'a> {
 pub struct Solution {
     /// λ, one per contact, never negative.
     pub multipliers: Vec<f64>,
-    /// `d`, computed from λ.
+    /// `d` of each individual, computed from λ.
     pub displacement: Vec<[f64; 3]>,
     /// `max |min(λ, s)|`.
     pub residual: f64,
-    /// How many linear systems were factored.
+    /// Number of linear systems factored, including one for each iteration of Clarabel.
     pub iterations: usize,
-    /// How often Clarabel was asked.
+    /// Number of calls of Clarabel.
     pub fallback: usize,
     offered: Vec<f64>,
     moved: Vec<[f64; 3]>,
 }
 
 impl Solution {
-    /// Starts over, without a solution.
+    /// Resets the residual and the counters.
     fn clear(&mut self) {
         self.residual = f64::INFINITY;
         (self.iterations, self.fallback) = (0, 0);
     }
 
-    /// Keeps `multipliers`, cut off at 0, if they are better than what there is.
+    /// Keeps `multipliers`, negative ones replaced by 0, if their residual is the least so far.
+    ///
+    /// - Shapes: m multipliers.
     fn offer(&mut self, qp: &Qp, multipliers: impl ExactSizeIterator<Item = f64>) {
         self.offered.clear();
         let cut = |value: f64| if value > 0.0 { value } else { 0.0 };
@@ -87,16 +89,18 @@ impl Solution {
     }
 }
 
-/// Memory that solutions reuse, and the order of elimination found on the way.
+/// Buffers that solutions reuse, and the elimination order.
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
-    /// The exact solver's.
+    /// The exact solver with its buffers and elimination order.
     pub exact: Exact,
     polish: Polish,
 }
 
-/// Solves `qp`; the best solution found is left in `solution`, and its residual says how good it
-/// is.
+/// Solves `qp` and stores the best solution found in `solution`. Its residual may exceed
+/// [`TARGET`]; it is infinite if there is no solution.
+///
+/// - Shapes: n individuals and m contacts in `qp`; m multipliers and n coordinates in `hints`.
 pub fn solve(
     backend: Backend,
     qp: &Qp,
@@ -119,7 +123,7 @@ pub fn solve(
     }
 }
 
-/// Asks Clarabel who pushes.
+/// Solves by Clarabel, `polish` and `descend`, until the residual is at most [`TARGET`].
 fn by_fallback(qp: &Qp, workspace: &mut Polish, solution: &mut Solution) {
     let mut displacement = Vec::new();
     for scale in SCALES {
@@ -149,7 +153,7 @@ mod tests {
     use super::*;
     use crate::stepper::contact::Contact;
 
-    /// `count` discs in a row, all driven right at half a gap a step, the last one standing.
+    /// `count` touching discs in a row: all move right by 0.02 but the last, which stands.
     fn row(count: u32) -> Qp {
         let contact = |i| Contact {
             i,
@@ -187,29 +191,29 @@ mod tests {
     }
 
     #[test]
-    fn a_row_moves_together_by_either_route() {
+    fn a_row_moves_together_with_either_backend() {
         let qp = row(9);
-        // What is left of a residual in the multipliers, over the least eigenvalue of `A W⁻¹ Aᵀ`.
+        // The error that the residual allows: the target over the least eigenvalue of `A W⁻¹ Aᵀ`.
         let tolerance = TARGET / (2.0 - 2.0 * libm::cos(std::f64::consts::PI / 9.0));
-        for (backend, asked) in [(Backend::Exact, 0), (Backend::Fallback, 1)] {
+        for (backend, calls) in [(Backend::Exact, 0), (Backend::Fallback, 1)] {
             for guess in [[0.0; 8], [1.0; 8]] {
                 let solution = solved(backend, &qp, &guess);
                 assert!(solution.residual <= TARGET);
                 for displacement in &solution.displacement {
                     assert!((displacement[0] - 0.02 * 8.0 / 9.0).abs() < tolerance);
                 }
-                // Contact k carries what the k + 1 behind it lose.
+                // The multiplier of contact k is what the k + 1 discs behind it lose.
                 for (k, &multiplier) in solution.multipliers.iter().enumerate() {
                     assert!((multiplier - (k + 1) as f64 * 0.02 / 9.0).abs() < tolerance);
                 }
-                assert_eq!(solution.fallback, asked);
+                assert_eq!(solution.fallback, calls);
             }
         }
     }
 
     #[test]
     fn contacts_that_depend_on_each_other_are_solved() {
-        // The same contact five times over: any split of the push is right.
+        // The same contact five times: every split of the multiplier is a solution.
         let mut qp = row(2);
         qp.contacts = vec![qp.contacts[0]; 5];
         for guess in [[0.0; 5], [1.0; 5], [0.0, 0.0, 1.0, 0.0, 1.0]] {
@@ -221,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn descending_needs_no_good_start() {
+    fn descend_converges_from_any_start() {
         let (qp, mut polish) = (row(9), Polish::default());
         for start in [
             [0.0; 8],
@@ -237,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_guess_costs_nothing_but_time() {
+    fn a_wrong_guess_does_not_change_the_solution() {
         let qp = row(9);
         let right = solved(Backend::Exact, &qp, &[1.0; 8]);
         let wrong = [1e6, 0.0, 0.0, 1e-9, 0.0, 3.0, 0.0, 0.0];
@@ -248,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_push_all_move_freely() {
+    fn without_pushing_contacts_all_move_freely() {
         let mut qp = row(3);
         qp.contacts.iter_mut().for_each(|contact| contact.gap = 0.1);
         for guess in [[0.0; 2], [0.5; 2]] {
@@ -258,7 +262,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_a_number_is_never_a_solution() {
+    fn nan_in_a_gap_gives_no_solution() {
         let mut qp = row(3);
         qp.contacts[1].gap = f64::NAN;
         let solution = solved(Backend::Exact, &qp, &[0.5, 0.5]);

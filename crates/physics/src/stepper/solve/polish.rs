@@ -1,46 +1,52 @@
-//! From a guess of who pushes to the exact multipliers.
+//! From a guess of the active set to the exact multipliers.
 //!
-//! With the set of pushing contacts fixed, their gaps close exactly: linear equations. Those
-//! that would then pull are dropped, those that would overlap added, and again, until nobody
-//! changes sides. Mostly few are wrong and this takes a few rounds. It may also wander, so it
-//! gives up when rounds stop paying; the caller then asks elsewhere.
+//! For a fixed active set, the condition that all its gaps close is a linear system. Contacts with
+//! a negative multiplier then leave the set and overlapping contacts join, until no contact changes
+//! sides. Usually few contacts are wrong and this takes a few rounds. It may also cycle, so it
+//! gives up when rounds make no progress; the caller then uses another method.
 //!
-//! The equations are solved by multipliers with a penalty: `K = W + σ A_Aᵀ A_A` lives on the
-//! individuals, and is positive definite even when contacts depend on each other, as those of
-//! packed discs do.
+//! The system is solved by the method of multipliers: `K = W + Σ σ_k ∇g_k ∇g_kᵀ` over the active
+//! set has a row for each coordinate of an individual. It is positive definite even if contacts
+//! depend on each other, as in packed groups of discs.
 
 use super::TARGET;
 use super::envelope::Envelope;
 use crate::stepper::qp::Qp;
 
-/// The penalty, with rows of unit length in the metric of `W`. Each pass shrinks the error by
-/// about `σ` times the least eigenvalue of `A W⁻¹ Aᵀ`; beyond 1e8 rounding in `K` takes over.
+/// σ, the penalty on a gap whose gradient has unit length in the metric of `W`. Each pass shrinks
+/// the error by about `σ` times the least eigenvalue of `A W⁻¹ Aᵀ`; beyond 1e8 rounding in `K`
+/// dominates.
 const PENALTY: f64 = 1e8;
 
-/// A gap or multiplier this far on the wrong side changes sides: well below the target, so that
-/// what stays is no part of the residual.
+/// An inactive contact is wrong if it overlaps by more than this: well below the target, so that
+/// the overlap that remains does not decide whether the residual reaches it. A negative multiplier
+/// of any size is wrong.
 pub(super) const WRONG: f64 = 0.1 * TARGET;
 
-/// A gap closed to this is closed.
+/// Largest open gap of an active contact that counts as closed.
 const CLOSED: f64 = 0.01 * TARGET;
 
-/// Passes of one system. Two nearly always do; what four cannot close is a set without solution.
-const MOST_PASSES: usize = 4;
+/// Passes with one factor. Two nearly always suffice; a set that four passes cannot close has no
+/// solution.
+const MAX_PASSES: usize = 4;
 
-/// A round pays if it leaves so much fewer on the wrong side than the best before it.
+/// A round makes progress if the number of wrong contacts falls below this share of the least so
+/// far.
 const PROGRESS: f64 = 0.7;
 
-/// Rounds in all that may fail to pay, before wandering is dearer than an interior point method.
-const PATIENCE: usize = 20;
+/// Rounds without progress before this gives up: more would cost more than another interior-point
+/// solution.
+const MAX_IDLE_ROUNDS: usize = 20;
 
-/// After so many rounds that failed to pay, only the worst change sides: in packed groups one
-/// wrong contact swings many multipliers, and most of those seen wrong are only swung.
-const HASTE: usize = 2;
+/// From this number of rounds without progress on, only the worst contacts change sides. In a
+/// packed group one wrong contact changes the signs of many multipliers, and most of the contacts
+/// that appear wrong are not.
+const PARTIAL_FROM: usize = 2;
 
-/// The share of the wrong ones that then changes sides, one in so many.
+/// One in this many of the wrong contacts then changes sides.
 const WORST_SHARE: usize = 3;
 
-/// The memory of one polish; nothing in it outlives a call.
+/// Buffers of [`Workspace::polish`] and `descend`; only the result outlives a call.
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
     envelope: Envelope,
@@ -50,7 +56,7 @@ pub struct Workspace {
     change: Vec<[f64; 3]>,
 }
 
-/// A constraint's gradient divided by `√W`, brought to length 1, and the length it had.
+/// A constraint's gradient divided by `√W`, normalised to length 1, and its length before.
 #[derive(Clone, Copy, Debug)]
 struct Row {
     parts: [[f64; 3]; 2],
@@ -58,12 +64,15 @@ struct Row {
 }
 
 impl Workspace {
-    /// The multipliers that the last polish ended with; some may be negative.
+    /// Returns the m multipliers of the last polish or descent; some may be negative.
     pub fn multipliers(&self) -> &[f64] {
         &self.multipliers
     }
 
-    /// Tells who pushes by rough multipliers: those whose push is larger than their gap.
+    /// Guesses the active set from approximate multipliers: the contacts whose multiplier exceeds
+    /// their gap, both as lengths in the metric of `W`.
+    ///
+    /// - Shapes: m multipliers and n displacements; m flags.
     pub fn pushing(
         &mut self,
         qp: &Qp,
@@ -78,13 +87,15 @@ impl Workspace {
         .collect()
     }
 
-    /// Exchanges contacts until nobody is on the wrong side, and returns how many systems that
-    /// took. The multipliers are left in the workspace, whether exact or not.
+    /// Exchanges contacts until none is on the wrong side, and returns the number of
+    /// factorisations. [`Workspace::multipliers`] has the result, which may be inexact.
+    ///
+    /// - Shapes: m multipliers in `guess`, m flags in `active`.
     pub fn polish(&mut self, qp: &Qp, guess: &[f64], mut active: Vec<bool>) -> usize {
         self.normalise(qp);
         self.multipliers.clear();
         self.multipliers.extend_from_slice(guess);
-        let (mut best, mut unpaid, mut rounds) = (f64::INFINITY, 0, 0);
+        let (mut best, mut idle, mut rounds) = (f64::INFINITY, 0, 0);
         loop {
             if active.contains(&true) {
                 self.factor(qp, &active);
@@ -98,12 +109,12 @@ impl Workspace {
             if (wrong.len() as f64) < PROGRESS * best {
                 best = wrong.len() as f64;
             } else {
-                unpaid += 1;
+                idle += 1;
             }
-            if unpaid > PATIENCE {
+            if idle > MAX_IDLE_ROUNDS {
                 return rounds;
             }
-            if unpaid >= HASTE {
+            if idle >= PARTIAL_FROM {
                 let count = wrong.len().div_ceil(WORST_SHARE);
                 wrong.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
                 wrong.truncate(count);
@@ -112,6 +123,7 @@ impl Workspace {
         }
     }
 
+    /// Fills the rows from the program.
     pub(super) fn normalise(&mut self, qp: &Qp) {
         let scale = qp.weights.map(f64::sqrt);
         self.rows.clear();
@@ -137,12 +149,13 @@ impl Workspace {
         }));
     }
 
-    /// Factors `K` of the active set, in the metric of `W`, where it starts from the unit matrix.
+    /// Assembles and factors `K` of the active set in the metric of `W`, in which `W` becomes the
+    /// unit matrix.
     pub(super) fn factor(&mut self, qp: &Qp, active: &[bool]) {
         let chosen = || (0..active.len()).filter(|&k| active[k]);
         let ends = |k: usize| (qp.contacts[k].i as usize, qp.contacts[k].j as usize);
         let edges: Vec<(usize, usize)> = chosen().map(ends).collect();
-        // Discs turn freely: their angles are no part of any constraint.
+        // Discs turn freely: no constraint depends on their angles.
         let turns = qp
             .contacts
             .iter()
@@ -156,14 +169,14 @@ impl Workspace {
         self.envelope.factor();
     }
 
-    /// Finds the multipliers that close the active gaps; the others are 0.
+    /// Computes the multipliers that close the active gaps; all others become 0.
     pub(super) fn close(&mut self, qp: &Qp, active: &[bool]) {
         for (multiplier, &active) in self.multipliers.iter_mut().zip(active) {
             if !active {
                 *multiplier = 0.0;
             }
         }
-        for pass in 0..=MOST_PASSES {
+        for pass in 0..=MAX_PASSES {
             qp.displace(&self.multipliers, &mut self.displacement);
             let gaps: Vec<f64> = qp
                 .contacts
@@ -174,8 +187,9 @@ impl Workspace {
                 .filter(|&k| active[k])
                 .fold(0.0, |open, k| f64::max(open, gaps[k].abs()));
             let pulls = self.multipliers.iter().any(|&multiplier| multiplier < 0.0);
-            // With somebody pulling this is not the last set, and one pass tells who is wrong.
-            if open <= CLOSED || pass == MOST_PASSES || pass > 0 && pulls {
+            // If a multiplier is negative, the set will change, and one pass suffices to find the
+            // wrong contacts.
+            if open <= CLOSED || pass == MAX_PASSES || pass > 0 && pulls {
                 return;
             }
             self.pass(qp, active, &gaps);
@@ -212,8 +226,8 @@ impl Workspace {
         }
     }
 
-    /// Lists who is on the wrong side, and how far, all in lengths of the metric of `W`: active
-    /// and pulling, or inactive and overlapping.
+    /// Lists the contacts on the wrong side and by how much, as lengths in the metric of `W`:
+    /// active contacts with a negative multiplier, and inactive contacts that overlap.
     fn wrong(&self, qp: &Qp, active: &[bool]) -> Vec<(usize, f64)> {
         let mut wrong = Vec::new();
         for (k, contact) in qp.contacts.iter().enumerate() {

@@ -1,37 +1,38 @@
-//! The few contacts on the wrong side, resolved jointly.
+//! The closure: the few contacts on the wrong side, resolved jointly.
 //!
-//! In a packed group one wrong contact swings many multipliers, so exchanging all that look
-//! wrong wanders. Instead a set of doubtful contacts grows by the worst offenders, and is solved
-//! exactly as a small dense complementarity problem with everybody else following. It only
-//! grows, so this ends.
+//! In a packed group one wrong contact changes the signs of many multipliers, so an exchange of all
+//! contacts that appear wrong need not converge. Instead the worst contacts become members of a
+//! small dense complementarity problem, which is solved exactly. All other contacts keep their
+//! status, and their values follow. Members are never dismissed within one factorisation, so the
+//! rounds are finite.
 
 use super::factor::{Factor, Path};
 use super::rows::{NONE, Part, Row};
 use super::tableau::Tableau;
 use super::{WRONG, clear, not_negative};
 
-/// How many contacts join a round at most, and one more for every so many rows: a round costs a
-/// sweep over all of them.
-const JOIN: usize = 16;
-const ROWS_TO_JOIN: usize = 1024;
+/// Contacts that join in a round at most, plus one for every [`ROWS_PER_JOIN`] rows, since a round
+/// costs a sweep over all rows.
+const MAX_JOIN: usize = 16;
+const ROWS_PER_JOIN: usize = 1024;
 
-/// How many contacts may be in doubt: beyond, another factorisation is cheaper.
-const MOST_MEMBERS: usize = 384;
+/// Members at most; beyond that, another factorisation is cheaper.
+const MAX_MEMBERS: usize = 384;
 
-/// The doubtful contacts.
+/// The members with their complementarity problem.
 #[derive(Clone, Debug, Default)]
 pub struct Closure {
-    /// Which rows they are.
+    /// Row indices of the members.
     members: Vec<u32>,
-    /// Where each member's path begins, and where the last one ends.
+    /// Start of each member's path in `path`, and the end of the last.
     path_start: Vec<usize>,
     path: Path,
-    /// From where on each member's path is one way up.
+    /// Index in `path` from which on a member's path is a single way to the root.
     joined: Vec<usize>,
-    /// `b_a K⁻¹ b_b` of all pairs of members, row by row.
+    /// `b_aᵀ K⁻¹ b_b` of all pairs of members: the lower triangle, row by row.
     gram: Vec<f64>,
     tableau: Tableau,
-    /// By how much each member had opened its gap or pushed in the pass at hand.
+    /// `z` of each member that the current pass includes.
     before: Vec<f64>,
     wrong: Vec<(f64, u32)>,
     exchanged: Vec<u32>,
@@ -39,7 +40,7 @@ pub struct Closure {
 }
 
 impl Closure {
-    /// Forgets all members.
+    /// Removes all members.
     pub fn clear(&mut self) {
         self.members.clear();
         self.exchanged.clear();
@@ -50,8 +51,9 @@ impl Closure {
         self.tableau.clear();
     }
 
-    /// Collects who is on the wrong side: those that would pull, by who stops pushing first,
-    /// and before them those that would overlap, the deepest first.
+    /// Collects the worst contacts on the wrong side that are not members: first those that would
+    /// overlap, the deepest first, then those that would pull, in the order in which they reach
+    /// `λ = 0`.
     #[inline(always)]
     fn find_wrong(&mut self, rows: &[Row]) {
         self.wrong.clear();
@@ -67,11 +69,11 @@ impl Closure {
             };
             #[expect(
                 clippy::cast_possible_truncation,
-                reason = "contacts are named by 32 bits"
+                reason = "indices of contacts have 32 bits"
             )]
             self.wrong.push((depth, k as u32));
         }
-        let join = JOIN + rows.len() / ROWS_TO_JOIN;
+        let join = MAX_JOIN + rows.len() / ROWS_PER_JOIN;
         if self.wrong.len() > join {
             let by_value = |a: &(f64, u32), b: &(f64, u32)| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1));
             self.wrong.select_nth_unstable_by(join - 1, by_value);
@@ -80,8 +82,10 @@ impl Closure {
         }
     }
 
-    /// Finds multipliers with nobody on the wrong side of the pass's problem, and who then pushes.
-    /// Tells whether it came to an end; the multipliers are of use all the same.
+    /// Computes multipliers and the active set, such that after the pass no contact is on the wrong
+    /// side. Returns whether it succeeded; if not, the multipliers are inexact but usable.
+    ///
+    /// - Shapes: m rows; a vector of n parts in `change`, which is overwritten.
     #[inline(always)]
     pub fn close(&mut self, rows: &mut [Row], factor: &Factor, change: &mut Vec<Part>) -> bool {
         self.resume(rows);
@@ -91,7 +95,7 @@ impl Closure {
             if self.wrong.is_empty() && self.tableau.value.iter().all(|&value| value >= -WRONG) {
                 break true;
             }
-            if self.members.len() + self.wrong.len() > MOST_MEMBERS {
+            if self.members.len() + self.wrong.len() > MAX_MEMBERS {
                 break false;
             }
             clear(change, factor.structure.place.len());
@@ -100,7 +104,7 @@ impl Closure {
             if !self.tableau.solve(0.1 * WRONG, &mut pivots) {
                 break false;
             }
-            // Everybody outside follows.
+            // The values of all other contacts follow.
             for (a, before) in self.before.iter().enumerate() {
                 let more = self.tableau.raised(a) - before;
                 if more != 0.0 {
@@ -141,8 +145,8 @@ impl Closure {
         closed
     }
 
-    /// Goes on from a pass that those who have changed sides were part of; at first from one that
-    /// nobody has.
+    /// Continues with the members so far. The pass includes those that have changed sides, so their
+    /// values are the start of the next round.
     #[inline(always)]
     fn resume(&mut self, rows: &mut [Row]) {
         self.before.clear();
@@ -154,7 +158,7 @@ impl Closure {
         }
     }
 
-    /// Takes those found wrong for members, with their paths and products. `zeros` are zero
+    /// Adds the contacts found wrong to the members, with their paths and products. `zeros` is zero
     /// before and after.
     #[inline(always)]
     fn join(&mut self, rows: &mut [Row], factor: &Factor, zeros: &mut [Part]) {
@@ -180,7 +184,7 @@ impl Closure {
         }
     }
 
-    /// `b_a K⁻¹ b_b`: the sum of products at the nodes that two paths share.
+    /// Returns `b_aᵀ K⁻¹ b_b`: the sum of products at the nodes that two paths share.
     #[inline(always)]
     fn product(&self, a: usize, b: usize) -> f64 {
         let [mut one, mut other] =
@@ -205,17 +209,18 @@ impl Closure {
             one.start += usize::from(here <= there);
             other.start += usize::from(there <= here);
         }
-        // Where both are one way up, once met they stay together.
+        // Two single ways to the root stay together once they meet.
         let common = common_end(&nodes[one.clone()], &nodes[other.clone()]);
         let parts = &parts[one.end - common..one.end];
         let scaled = &scaled[other.end - common..other.end];
         sum(forked) + dot(parts.as_flattened(), scaled.as_flattened())
     }
 
-    /// Poses the complementarity problem of the members, those from before being solved.
+    /// Extends the complementarity problem to all members; for the previous members it is solved.
     ///
-    /// A member that was taken to push is free to open its gap, by `z`, and its multiplier must
-    /// not become negative; one that was not is free to push, by `z`, and its gap must not.
+    /// For a member that was active when `K` was factored, `z` is its gap and its multiplier must
+    /// not become negative. For any other member, `z` is its multiplier and its gap must not become
+    /// negative.
     #[inline(always)]
     fn pose(&mut self, rows: &[Row]) {
         let Self {
@@ -239,10 +244,10 @@ impl Closure {
         tableau.extend(members.len(), entry);
     }
 
-    /// Adds to a refining pass what those that have changed sides contribute.
+    /// Corrects a refining pass for the members that have changed sides.
     ///
-    /// `change` is `K⁻¹` of the pass's right-hand side, made of those that have not; the proposed
-    /// multipliers of those that now push are changed too.
+    /// On entry `change` is `K⁻¹` times the right-hand side of the other contacts. The correction
+    /// is added to it, and the proposed multipliers of the members that now push change, too.
     #[inline(always)]
     pub fn correct(
         &mut self,
@@ -288,7 +293,8 @@ impl Closure {
     }
 }
 
-/// What the unknown of a member multiplies `b_k` by: a gap that opens is worth its penalty.
+/// Returns the factor of `b_k` for a unit of a member's `z`: the penalty for a gap, 1 for a
+/// multiplier.
 #[inline(always)]
 fn cause(row: &Row) -> f64 {
     if row.active { row.penalty } else { 1.0 }
@@ -299,10 +305,10 @@ fn sum([x, y, z, _]: Part) -> f64 {
     (x + y) + z
 }
 
-/// How many nodes two paths to a root share at their ends.
+/// Returns the number of nodes that two paths to a root share at their ends.
 #[inline(always)]
 fn common_end(a: &[u32], b: &[u32]) -> usize {
-    // Once met, paths stay together, so the shared lengths are all those up to the answer.
+    // Paths stay together once they meet, so a binary search finds the shared length.
     let (mut shared, mut apart) = (0, a.len().min(b.len()) + 1);
     while apart - shared > 1 {
         let middle = shared + (apart - shared) / 2;
@@ -315,7 +321,7 @@ fn common_end(a: &[u32], b: &[u32]) -> usize {
     shared
 }
 
-/// The sum of products, in lanes whose order no machine changes.
+/// Returns the scalar product, summed in lanes whose order is the same on every processor.
 #[inline(always)]
 fn dot(a: &[f64], b: &[f64]) -> f64 {
     const LANES: usize = 8;

@@ -1,7 +1,8 @@
 //! The factor of `K = 1 + Σ σ_k b_k b_kᵀ` over the active contacts, in 3×3 blocks.
 //!
-//! `K` lives on the individuals and is positive definite whatever contacts depend on each other.
-//! It is factored as `L D Lᵀ`, column by column, each gathering from the columns to its left.
+//! `K` has a row of blocks for each individual and is positive definite even if contacts depend on
+//! each other. It is factored as `L D Lᵀ` by columns; each column subtracts the products of the
+//! columns to its left.
 
 use std::hint::black_box;
 use std::ops::Range;
@@ -24,29 +25,29 @@ const UNIT: Square = [
 #[derive(Clone, Copy, Debug)]
 struct Block {
     entries: Square,
-    /// The place of its row.
+    /// Row, as a place.
     row: u32,
 }
 
-/// A diagonal block, and then its share of the factor in its place: entries (1, 0), (2, 0),
-/// (2, 1) of `L`; `D`; its inverse.
+/// A diagonal block. After the factorisation `entries` has three rows: the entries (1, 0), (2, 0)
+/// and (2, 1) of `L`; `D`; `D⁻¹`.
 #[derive(Clone, Copy, Debug)]
 struct Corner {
-    /// The blocks below it.
+    /// Range of the blocks below the diagonal in this column.
     begin: u32,
     end: u32,
     entries: Square,
 }
 
 impl Corner {
-    /// Of the unit matrix.
+    /// A diagonal block of the unit matrix.
     const UNIT: Self = Self {
         begin: 0,
         end: 0,
         entries: UNIT,
     };
 
-    /// Of an individual that nobody pushes, factored.
+    /// The factor of the block of an individual without active contacts.
     const ALONE: Self = Self {
         begin: 0,
         end: 0,
@@ -63,7 +64,7 @@ impl Corner {
         &self.entries[2]
     }
 
-    /// The blocks below it.
+    /// Returns the blocks below the diagonal in this column.
     #[inline(always)]
     fn of<'a>(&self, below: &'a [Block]) -> &'a [Block] {
         &below[self.begin as usize..self.end as usize]
@@ -79,16 +80,17 @@ impl Corner {
     #[inline(always)]
     fn backward(&self, part: Part) -> Part {
         let [a, b, c, _] = self.entries[0];
-        // In lanes, to be stored in one: the next column waits for it.
+        // As operations on all lanes, so that one store writes the result: the next column waits
+        // for it.
         let part = less(part, [b, c, 0.0, 0.0], part[2]);
         less(part, [a, 0.0, 0.0, 0.0], part[1])
     }
 }
 
-/// Vectors `L⁻¹ b_k` where they are not zero, one after the other.
+/// The non-zero parts of vectors `L⁻¹ b_k`, one vector after the other.
 #[derive(Clone, Debug, Default)]
 pub struct Path {
-    /// Places.
+    /// Places of the parts.
     pub nodes: Vec<u32>,
     /// `L⁻¹ b_k`.
     pub parts: Vec<Part>,
@@ -97,14 +99,15 @@ pub struct Path {
 }
 
 impl Path {
-    /// Forgets all.
+    /// Removes all vectors.
     pub fn clear(&mut self) {
         self.nodes.clear();
         self.parts.clear();
         self.scaled.clear();
     }
 
-    /// Adds `factor D⁻¹ L⁻¹ b_k` of one vector to what [`Factor::back`] is to be given.
+    /// Adds `factor D⁻¹ L⁻¹ b_k` of the vector at `range` to `vector`, the input of
+    /// [`Factor::back`].
     #[inline(always)]
     pub fn descend(&self, range: Range<usize>, factor: f64, vector: &mut [Part]) {
         for (&node, part) in self.nodes[range.clone()].iter().zip(&self.scaled[range]) {
@@ -116,10 +119,10 @@ impl Path {
     }
 }
 
-/// The factor's numbers.
+/// The numeric factor.
 #[derive(Clone, Debug, Default)]
 pub struct Factor {
-    /// Where they are.
+    /// The positions of the blocks.
     pub structure: Structure,
     below: Vec<Block>,
     corner: Vec<Corner>,
@@ -127,7 +130,7 @@ pub struct Factor {
 }
 
 impl Factor {
-    /// Factors `K` of the active rows.
+    /// Assembles and factors `K` of the active rows.
     #[inline(always)]
     pub fn factor(&mut self, rows: &[Row]) {
         self.assemble(rows);
@@ -204,7 +207,7 @@ impl Factor {
                     }
                 }
             }
-            // Unseen by the compiler, which would otherwise sum in pairs of axes, not in lanes.
+            // Hidden from the compiler, which would otherwise sum in pairs of axes, not in lanes.
             let sums = black_box(sums);
             let [x, y, z] =
                 [0, 1, 2].map(|lane| [sums[0][lane], sums[1][lane], sums[2][lane], 0.0]);
@@ -216,9 +219,9 @@ impl Factor {
         }
     }
 
-    /// Appends to `path` where `L⁻¹ b_k` is not zero: the ways up the elimination tree from both
-    /// individuals, in the order of places. Tells from where in `path` on it is one way, each node
-    /// the parent of the last. `sparse` is zero before and after.
+    /// Appends the non-zero parts of `L⁻¹ b_k` to `path`: those on the paths from both individuals
+    /// to the root of the elimination tree, in the order of places. Returns the index in `path`
+    /// from which on each node is the parent of the last. `sparse` is zero before and after.
     #[inline(always)]
     pub fn climb(&self, row: &Row, path: &mut Path, sparse: &mut [Part]) -> usize {
         let Self {
@@ -230,7 +233,7 @@ impl Factor {
         for (place, part) in row.place.iter().zip(row.parts) {
             sparse[*place as usize] = part;
         }
-        // Two ways up, which may meet.
+        // The paths from both individuals, which may meet.
         let [mut one, mut other] = row.place;
         let mut expected = one.min(other);
         let mut joined = path.nodes.len();
@@ -331,13 +334,14 @@ fn less(mut part: Part, column: Part, factor: f64) -> Part {
     part
 }
 
-/// What a pivot is at least: `K` is never below the unit matrix, but for rounding.
+/// Raises a pivot to at least 1: `K` is at least the unit matrix, so a smaller one is a rounding
+/// error.
 #[inline(always)]
 fn at_least_one(pivot: f64) -> f64 {
     if pivot > 1.0 { pivot } else { 1.0 }
 }
 
-/// Factors a diagonal block; the columns of a [`Corner`].
+/// Factors a diagonal block; returns the entries of a factored [`Corner`].
 #[inline(always)]
 fn pivot(block: &Square) -> Square {
     let first = at_least_one(block[0][0]);
@@ -397,7 +401,7 @@ mod tests {
     use crate::stepper::contact::Contact;
     use crate::stepper::qp::Qp;
 
-    /// Two rings that share an individual, a pair apart, and one that is listed but not active.
+    /// Two rings that share an individual, a separate pair, and a contact that is not active.
     fn rows(factor: &mut Factor) -> Vec<Row> {
         let mut stream = Stream::new(5, 0, 0, Purpose::Start);
         let mut pairs = [
@@ -457,10 +461,10 @@ mod tests {
     }
 
     #[test]
-    fn the_factor_solves_what_a_dense_one_solves() {
+    fn the_factor_solves_like_a_dense_factor() {
         let mut factor = Factor::default();
         let rows = rows(&mut factor);
-        assert_eq!(factor.structure.columns, 8, "nobody touches the last");
+        assert_eq!(factor.structure.columns, 8, "one individual has no contact");
         let mut matrix = DMatrix::<f64>::identity(27, 27);
         for row in rows.iter().filter(|row| row.active) {
             matrix += row.penalty * dense(row) * dense(row).transpose();
@@ -476,8 +480,8 @@ mod tests {
         for (k, expected) in expected.iter().enumerate() {
             assert!((vector[k / 3][k % 3] - expected).abs() < 1e-12, "{k}");
         }
-        // Paths climbed give the same products, also of the contact that is not active and joins
-        // two trees.
+        // The paths give the same products as the dense matrix, also for the inactive contact,
+        // which connects two trees.
         let mut forked = 0;
         for one in &rows {
             for other in &rows {
@@ -490,7 +494,7 @@ mod tests {
                 assert!((one.along(&down) - expected).abs() < 1e-12);
             }
         }
-        assert!(forked > 0, "no path has two ways up");
+        assert!(forked > 0, "no path has two branches");
         assert_eq!(rows.iter().filter(|row| row.block == NONE).count(), 1);
     }
 }

@@ -1,10 +1,11 @@
-//! The exact solver: one factorisation, and the few contacts that change sides resolved jointly.
+//! The exact solver: one factorisation, and a small problem for the contacts that change sides.
 //!
-//! From one step to the next a handful of contacts change sides, so those that pushed are taken
-//! for those that push (`rows`, `order`, `structure`, `factor`). One pass by multipliers with a
-//! penalty closes their gaps; whoever then pulls or overlaps is in doubt and is resolved in a
-//! small dense complementarity problem (`closure`, `tableau`). Passes with the same factor refine.
-//! Nothing here judges the result: the residual does, computed from the multipliers alone.
+//! From one step to the next a handful of contacts change sides, so the contacts that pushed in the
+//! last step are the first active set (`rows`, `order`, `structure`, `factor`). A pass of the
+//! method of multipliers closes their gaps. The contacts that then pull or overlap become members
+//! of a small dense complementarity problem (`closure`, `tableau`). Further passes with the same
+//! factor refine the solution. If few contacts push, a dense factor is used instead (`small`). The
+//! result is judged by the residual alone, computed from the multipliers.
 
 mod closure;
 mod factor;
@@ -23,81 +24,85 @@ use order::Dissection;
 use rows::{Part, Row};
 use small::Small;
 
-/// σ, the penalty on a gap whose gradient has unit length in the metric of `W`. Each pass
-/// shrinks the error by σ times the least eigenvalue of `A W⁻¹ Aᵀ`; beyond 1e8 rounding in `K`
-/// takes over.
+/// σ, the penalty on a gap whose gradient has unit length in the metric of `W`. Each pass shrinks
+/// the error by about σ times the least eigenvalue of `A W⁻¹ Aᵀ`; beyond 1e8 rounding in `K`
+/// dominates.
 const PENALTY: f64 = 1e8;
 
-/// A gap or multiplier this far on the wrong side is wrong: well below the target, so that what
-/// stays is no part of the residual.
+/// A multiplier or slack below minus this is on the wrong side: well below the target, so that the
+/// violation that remains does not decide whether the residual reaches it.
 const WRONG: f64 = 0.05 * TARGET;
 
-/// A solution this exact is done: well within the target, yet mostly reached by one pass.
+/// Residual at which the solver stops: well within the target, and usually reached by one pass.
 const DONE: f64 = 0.25 * TARGET;
 
-/// Passes with one factor. Each gains several digits or the set was wrong.
-const MOST_PASSES: usize = 6;
+/// Passes with one factor. Each gains several digits, unless the active set is wrong.
+const MAX_PASSES: usize = 6;
 
-/// A pass that gains less than this is not worth another.
-const GAIN: f64 = 3.0;
+/// If a pass shrinks the largest open gap by less than this factor, no further pass is made.
+const MIN_GAIN: f64 = 3.0;
 
-/// With more on the wrong side than this all of them change sides at once, and `K` is factored
-/// anew: more than this are not resolved jointly, and where a group is so large that they are so
-/// many, most are far from each other and settle alone.
-const MANY: usize = 1000;
+/// If the first pass with a factor leaves at least this many contacts on the wrong side, all of
+/// them change sides at once and `K` is factored again. The closure takes fewer members than that,
+/// and in a group large enough for so many wrong contacts most are far from each other, so that
+/// each can be decided by itself.
+const MIN_BULK: usize = 1000;
 
-/// Where that has left more than one in so many of them wrong they are not far from each other,
-/// and the next are resolved jointly, however many they are.
-const LEFT: usize = 2;
+/// After such an exchange, another is made only if the number of wrong contacts is below the last
+/// one divided by this. Otherwise they are not far from each other, and the closure resolves them,
+/// whatever their number.
+const BULK_REDUCTION: usize = 2;
 
-/// Factorisations before giving up; one is usual, two in a large group.
-const MOST_FACTORS: usize = 12;
+/// Factorisations before the solver gives up. One is usual, two in a large group.
+const MAX_FACTORS: usize = 12;
 
-/// An order of elimination serves so many steps: those in contact change slowly, and any order
-/// is right.
-const ORDER_LASTS: u32 = 50;
+/// Solutions for which an elimination order is kept. The contacts change slowly, and every order
+/// gives a correct factor.
+const MAX_ORDER_AGE: u32 = 50;
 
-/// The solver's memory within a step.
+/// The exact solver: its buffers, and the elimination order that it keeps between steps.
 #[derive(Clone, Debug, Default)]
 pub struct Exact {
-    /// Which version of the kernels runs; it changes no bit.
+    /// Instruction set of the kernels; it changes no bit of a result.
     pub level: Level,
     dissection: Dissection,
-    /// An order found in this step.
+    /// The elimination order, loaded from the state or computed here.
     order: Vec<u32>,
     age: u32,
     rows: Vec<Row>,
     factor: Factor,
     closure: Closure,
     small: Small,
-    /// `w`, then the change of a pass, then that of the closure.
+    /// `w`, then the change of `w` in a pass, then that in the closure.
     change: Vec<Part>,
     extra: Vec<Part>,
 }
 
 multiversion! {
-    /// Solves for few contacts, with everything that it calls compiled for one level.
+    /// Solves for few contacts by a dense factor. The body is compiled for each level.
     fn few(level, exact: &mut Exact, qp: &Qp, guess: &[f64], solution: &mut Solution) -> bool {
         exact.small.solve(qp, &exact.rows, guess, solution)
     }
 }
 
 multiversion! {
-    /// Solves with everything that it calls compiled for one level.
+    /// Solves by the sparse factor. The body is compiled for each level.
     fn attempt(level, exact: &mut Exact, qp: &Qp, solution: &mut Solution) {
         exact.attempt(qp, solution);
     }
 }
 
 impl Exact {
-    /// The order of elimination to be remembered, with how many solutions it has served.
+    /// Returns the elimination order and the number of solutions that have used it.
+    ///
+    /// - Shapes: n entries, or none before the first order is computed.
     #[must_use]
     pub fn order(&self) -> (&[u32], u32) {
         (&self.order, self.age)
     }
 
-    /// Takes over the order of elimination that a step before has found, with how many solutions
-    /// it has served. One of another length than n is none.
+    /// Loads an elimination order and the number of solutions that have used it. An order whose
+    /// length is not n is ignored: the solver then computes another.
     pub fn recall(&mut self, order: &[u32], age: u32) {
         if self.order != order {
             self.order.clear();
@@ -106,11 +111,13 @@ impl Exact {
         self.age = age;
     }
 
-    /// Solves `qp`; the best solution found is offered to `solution`.
+    /// Solves `qp`, and offers each solution found to `solution`.
+    ///
+    /// - Shapes: n individuals and m contacts in `qp`; m multipliers and n coordinates in `hints`.
     pub(super) fn solve(&mut self, qp: &Qp, hints: &Hints, solution: &mut Solution) {
         rows::fill(qp, &mut self.rows);
         let pushed = hints.multipliers.iter().filter(|&&value| value > 0.0);
-        if (1..=small::FEW).contains(&pushed.count())
+        if (1..=small::MAX_ACTIVE).contains(&pushed.count())
             && few(self.level, self, qp, hints.multipliers, solution)
         {
             return;
@@ -119,15 +126,16 @@ impl Exact {
         attempt(self.level, self, qp, solution);
     }
 
+    /// Factors and converges, until a solution is exact or the factorisations run out.
     #[inline(always)]
     fn attempt(&mut self, qp: &Qp, solution: &mut Solution) {
-        let mut most = usize::MAX;
-        for _ in 0..MOST_FACTORS {
+        let mut bulk_limit = usize::MAX;
+        for _ in 0..MAX_FACTORS {
             self.arrange(qp);
             self.factor.factor(&self.rows);
             solution.iterations += 1;
             self.closure.clear();
-            if self.converge(qp, &mut most, solution) {
+            if self.converge(qp, &mut bulk_limit, solution) {
                 return;
             }
             for row in &mut self.rows {
@@ -136,28 +144,29 @@ impl Exact {
         }
     }
 
+    /// Renews the elimination order if necessary, and sets multipliers and active set of the rows.
     fn prepare(&mut self, qp: &Qp, hints: &Hints) {
         let n = qp.free.len();
-        if self.order.len() != n || self.age >= ORDER_LASTS {
+        if self.order.len() != n || self.age >= MAX_ORDER_AGE {
             self.dissection
                 .order(&qp.contacts, hints.x, hints.y, &mut self.order);
             self.age = 0;
         }
         self.age += 1;
-        let mut anybody = false;
+        let mut any_active = false;
         for (row, &multiplier) in self.rows.iter_mut().zip(hints.multipliers) {
             row.multiplier = multiplier;
             row.active = multiplier > 0.0;
-            anybody |= row.active;
+            any_active |= row.active;
         }
         for row in &mut self.rows {
-            // Where nothing is known, those that free motion would let overlap.
-            row.active |= !anybody && row.gap < 0.0;
+            // Without a guess, the active set is the contacts that overlap after free motion.
+            row.active |= !any_active && row.gap < 0.0;
             row.pushing = row.active;
         }
     }
 
-    /// Gives everybody a place and every contact a block, by who pushes.
+    /// Sets the places and blocks of all rows, from the elimination order and the active set.
     fn arrange(&mut self, qp: &Qp) {
         let structure = &mut self.factor.structure;
         structure.update(&self.order, &qp.contacts, &self.rows);
@@ -168,22 +177,23 @@ impl Exact {
         }
     }
 
-    /// Passes with the present factor until the solution is exact; tells whether it is. Fewer
-    /// than `most` may change sides at once, and then `most` falls.
+    /// Makes passes with the present factor until the solution is exact; returns whether it is.
+    /// At least [`MIN_BULK`] and fewer than `bulk_limit` contacts may change sides at once, which
+    /// lowers `bulk_limit`.
     #[inline(always)]
-    fn converge(&mut self, qp: &Qp, most: &mut usize, solution: &mut Solution) -> bool {
+    fn converge(&mut self, qp: &Qp, bulk_limit: &mut usize, solution: &mut Solution) -> bool {
         let mut before = f64::INFINITY;
-        for pass in 0..MOST_PASSES {
+        for pass in 0..MAX_PASSES {
             let open = self.displace();
-            if GAIN * open > before {
-                self.reach_ahead(open / (before - open));
+            if MIN_GAIN * open > before {
+                self.extrapolate(open / (before - open));
                 return solution.residual <= TARGET;
             }
             before = open;
             let wrong = self.pass();
             if wrong > 0 {
-                if pass == 0 && (MANY..*most).contains(&wrong) {
-                    *most = wrong / LEFT;
+                if pass == 0 && (MIN_BULK..*bulk_limit).contains(&wrong) {
+                    *bulk_limit = wrong / BULK_REDUCTION;
                     self.exchange_wrong();
                     return false;
                 }
@@ -191,7 +201,7 @@ impl Exact {
                 if !self.closure.close(rows, factor, &mut self.change) {
                     return false;
                 }
-                // Exact up to the rounding of a small tableau, which another pass takes away.
+                // Exact up to the rounding errors of the tableau, which another pass removes.
                 before = f64::INFINITY;
             } else {
                 for row in &mut self.rows {
@@ -206,7 +216,7 @@ impl Exact {
         false
     }
 
-    /// Takes the last pass, and has all who are wrong change sides.
+    /// Applies the last pass, and exchanges all contacts on the wrong side.
     fn exchange_wrong(&mut self) {
         for row in &mut self.rows {
             row.pushing = row.active != (row.followed < -WRONG);
@@ -218,19 +228,19 @@ impl Exact {
         }
     }
 
-    /// Leaves no multiplier negative.
+    /// Replaces negative multipliers by 0.
     fn cut_off(&mut self) {
         for row in &mut self.rows {
             row.multiplier = not_negative(row.multiplier);
         }
     }
 
-    /// Goes on as the last pass went, `far` times as far or until the first would pull, which
-    /// then pushes no more.
+    /// Extends the multipliers along the last pass by `far` times its change, or up to the first
+    /// that would become negative; that contact leaves the active set.
     ///
-    /// Where contacts nearly depend on each other, passes gain nothing: each shifts the load by
-    /// as much as the penalty allows, along a line that ends where somebody lets go.
-    fn reach_ahead(&mut self, far: f64) {
+    /// If contacts nearly depend on each other, passes gain nothing: each shifts the multipliers by
+    /// as much as the penalty allows, along a line that ends where one of them becomes 0.
+    fn extrapolate(&mut self, far: f64) {
         let mut share = if far > 0.0 { far } else { f64::INFINITY };
         let mut blocking = None;
         for (k, row) in self.rows.iter().enumerate() {
@@ -252,7 +262,8 @@ impl Exact {
         self.cut_off();
     }
 
-    /// Computes `w` from the multipliers, and all gaps; returns the largest gap left open.
+    /// Computes `w` and all slacks from the multipliers; returns the largest open gap of the active
+    /// set.
     #[inline(always)]
     fn displace(&mut self) -> f64 {
         clear(&mut self.change, self.factor.structure.place.len());
@@ -272,8 +283,8 @@ impl Exact {
         open
     }
 
-    /// One pass: `K δ = -Σ σ_k s_k b_k`, then `λ_k -= σ_k (s_k + b_k·δ)`, over those that push.
-    /// Tells how many would pull or overlap.
+    /// One pass over the active set: `K δ = -Σ σ_k s_k b_k`, then `λ_k -= σ_k (s_k + b_k·δ)`.
+    /// Returns the number of contacts that would pull or overlap.
     #[inline(always)]
     fn pass(&mut self) -> usize {
         clear(&mut self.change, self.factor.structure.place.len());
@@ -303,7 +314,7 @@ impl Exact {
     }
 }
 
-/// A vector of zeros.
+/// Sets `vector` to `length` zeros.
 #[inline(always)]
 fn clear(vector: &mut Vec<Part>, length: usize) {
     vector.clear();

@@ -1,17 +1,18 @@
-//! The order of elimination: nested dissection by straight cuts, minimum degree in the leaves.
+//! The elimination order: nested dissection by straight cuts, minimum degree in the leaves.
 //!
-//! A group is planar, so a straight cut through it severs few contacts. Both sides are
-//! eliminated first, then those on the cut, and so on inwards.
+//! The contact graph of a group is planar, so a straight cut severs few contacts. The individuals
+//! on both sides of a cut are eliminated first, then those on the cut; each side is cut in turn.
 
 use crate::stepper::contact::Contact;
 
-/// A set no larger than this is ordered by minimum degree.
+/// Largest set that is ordered by minimum degree.
 const LEAF: usize = 192;
 
-/// A leaf and its neighbours outside, as bits; neighbours beyond are not counted.
+/// Words of a bit set of a leaf and its neighbours outside. If these are more than 256 in all, the
+/// rest of the neighbours is not counted.
 const WORDS: usize = 4;
 
-/// Cosine and sine of the directions cuts are tried across.
+/// Cosine and sine of the directions across which cuts are tried.
 const DIRECTIONS: [[f64; 2]; 4] = [
     [1.0, 0.0],
     [0.0, 1.0],
@@ -25,20 +26,20 @@ const DIRECTIONS: [[f64; 2]; 4] = [
     ],
 ];
 
-/// The smaller side of a cut has at least this share of the set.
-const LEAST_SHARE: f64 = 0.3;
+/// Least share of the set in the smaller side of a cut.
+const MIN_SHARE: f64 = 0.3;
 
-/// How much an uneven cut is worse than an even one.
+/// Weight of the squared imbalance in the cost of a cut.
 const UNEVEN: f64 = 6.0;
 
 type Bits = [u64; WORDS];
 
-/// Finds orders; keeps only memory between calls.
+/// Computes elimination orders. Only buffers outlive a call.
 #[derive(Clone, Debug, Default)]
 pub struct Dissection {
     start: Vec<u32>,
     neighbours: Vec<u32>,
-    /// A rank within the set at hand; none outside of it.
+    /// Rank within the current set; [`NONE`] outside of it.
     rank: Vec<u32>,
     side: Vec<Side>,
     along: Vec<(f64, u32)>,
@@ -59,7 +60,7 @@ enum Side {
 const NONE: u32 = u32::MAX;
 
 impl Dissection {
-    /// Writes an order of all individuals at (x, y) to `order`.
+    /// Computes an elimination order of all individuals at (x, y).
     ///
     /// - Shapes: n positions, contacts ordered by (i, j); n entries in the order.
     pub fn order(&mut self, contacts: &[Contact], x: &[f64], y: &[f64], order: &mut Vec<u32>) {
@@ -72,12 +73,13 @@ impl Dissection {
         order.clear();
         #[expect(
             clippy::cast_possible_truncation,
-            reason = "individuals are named by 32 bits"
+            reason = "indices of individuals have 32 bits"
         )]
         order.extend(0..n as u32);
         self.dissect(x, y, order);
     }
 
+    /// Builds the lists of neighbours; a pair counts once, whatever its number of contacts.
     fn connect(&mut self, n: usize, contacts: &[Contact]) {
         self.start.clear();
         self.start.resize(n + 2, 0);
@@ -114,7 +116,7 @@ impl Dissection {
         &self.neighbours[self.start[at] as usize..self.start[at + 1] as usize]
     }
 
-    /// Orders a set in place.
+    /// Orders a set in place, by recursion.
     fn dissect(&mut self, x: &[f64], y: &[f64], set: &mut [u32]) {
         if set.len() <= LEAF {
             self.minimum_degree(set);
@@ -130,7 +132,8 @@ impl Dissection {
                 Side::Second
             };
         }
-        // Those on one side with a neighbour on the other separate them; on the side with fewer.
+        // The individuals of one side with a neighbour on the other separate the sides. Those of
+        // the side that has fewer of them become the cut.
         let facing = |dissection: &Self, individual: u32| {
             let side = dissection.side[individual as usize];
             dissection.neighbours(individual).iter().any(|&other| {
@@ -162,7 +165,7 @@ impl Dissection {
         let cut = set.partition_point(|&k| self.side[k as usize] != Side::Cut);
         set.iter()
             .for_each(|&individual| self.rank[individual as usize] = NONE);
-        // Along the cut, neighbours follow each other.
+        // In order along the cut, neighbours are consecutive.
         let [cos, sin] = DIRECTIONS[direction];
         let across = |k: u32| cos * y[k as usize] - sin * x[k as usize];
         set[cut..].sort_unstable_by(|&a, &b| across(a).total_cmp(&across(b)).then(a.cmp(&b)));
@@ -172,7 +175,7 @@ impl Dissection {
         self.dissect(x, y, other);
     }
 
-    /// Sorts a set along a direction.
+    /// Sorts a set by position along a direction, into `along`.
     fn project(&mut self, x: &[f64], y: &[f64], set: &[u32], direction: usize) {
         let [cos, sin] = DIRECTIONS[direction];
         self.along.clear();
@@ -184,7 +187,8 @@ impl Dissection {
             .sort_unstable_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     }
 
-    /// Finds the direction and the size of the first side of the cut that severs fewest pairs.
+    /// Returns the direction of the cheapest cut and the size of its first side. The cost is the
+    /// number of severed pairs plus 1, increased for uneven sides.
     fn best_cut(&mut self, x: &[f64], y: &[f64], set: &[u32]) -> (usize, usize) {
         let n = set.len();
         #[expect(
@@ -192,7 +196,7 @@ impl Dissection {
             clippy::cast_sign_loss,
             reason = "a share of a length"
         )]
-        let least = (LEAST_SHARE * n as f64) as usize;
+        let least = (MIN_SHARE * n as f64) as usize;
         let mut best = (f64::INFINITY, 0, n / 2);
         for direction in 0..DIRECTIONS.len() {
             self.project(x, y, set, direction);
@@ -230,8 +234,8 @@ impl Dissection {
         (best.1, best.2)
     }
 
-    /// Orders a small set so that each next has fewest neighbours left, the neighbours outside
-    /// counted too. Ties go to the lower name.
+    /// Orders a small set by minimum degree: the next individual is the one with the fewest
+    /// remaining neighbours, including those outside. Of equal ones the lower index comes first.
     fn minimum_degree(&mut self, set: &mut [u32]) {
         set.sort_unstable();
         let n = set.len();
@@ -308,7 +312,7 @@ fn count(bits: &Bits) -> u32 {
 mod tests {
     use super::*;
 
-    /// A square grid of `side` × `side` individuals, each in contact with those beside it.
+    /// A square grid of `side` × `side` individuals, each in contact with its adjacent ones.
     fn grid(side: u32) -> (Vec<Contact>, Vec<f64>, Vec<f64>) {
         let contact = |i, j| Contact {
             i,
@@ -326,7 +330,7 @@ mod tests {
             y.push(f64::from(row));
             if column + 1 < side {
                 contacts.push(contact(k, k + 1));
-                // A pair with two contacts is one neighbour.
+                // A pair with two contacts counts as one neighbour.
                 contacts.push(contact(k, k + 1));
             }
             if row + 1 < side {
@@ -336,15 +340,15 @@ mod tests {
         (contacts, x, y)
     }
 
-    /// How many entries elimination in `order` fills.
+    /// Returns the number of blocks of the factor below the diagonal, for elimination in `order`.
     fn entries(contacts: &[Contact], order: &[u32]) -> usize {
         let mut place = vec![0; order.len()];
         (0..)
             .zip(order)
-            .for_each(|(k, &who)| place[who as usize] = k);
+            .for_each(|(k, &individual)| place[individual as usize] = k);
         let mut rows = vec![std::collections::BTreeSet::new(); order.len()];
         for contact in contacts {
-            let [a, b]: [usize; 2] = [contact.i, contact.j].map(|who| place[who as usize]);
+            let [a, b]: [usize; 2] = [contact.i, contact.j].map(|k| place[k as usize]);
             rows[a.min(b)].insert(a.max(b));
         }
         for column in 0..rows.len() {
@@ -357,7 +361,7 @@ mod tests {
     }
 
     #[test]
-    fn everybody_is_eliminated_once() {
+    fn each_individual_is_eliminated_once() {
         for side in [1, 3, 14, 40] {
             let (contacts, x, y) = grid(side);
             let (mut dissection, mut order) = (Dissection::default(), Vec::new());
@@ -371,13 +375,13 @@ mod tests {
     }
 
     #[test]
-    fn an_order_fills_far_less_than_the_one_by_name() {
+    fn an_order_fills_far_less_than_the_order_of_indices() {
         for (side, share) in [(10, 0.7), (40, 0.4)] {
             let (contacts, x, y) = grid(side);
             let mut order = Vec::new();
             Dissection::default().order(&contacts, &x, &y, &mut order);
-            let by_name: Vec<u32> = (0..side * side).collect();
-            let filled = entries(&contacts, &order) as f64 / entries(&contacts, &by_name) as f64;
+            let by_index: Vec<u32> = (0..side * side).collect();
+            let filled = entries(&contacts, &order) as f64 / entries(&contacts, &by_index) as f64;
             assert!(filled < share, "{side}: {filled}");
         }
     }

@@ -1,44 +1,48 @@
-//! The constraints as the exact solver wants them: in the metric of `W`, by place in the order.
+//! The constraints in the form of the exact solver: in the metric of `W`, by place in the
+//! elimination order.
 //!
-//! With `w = √W (d - u)` the program is: minimise `½ |w|²` subject to `b_k·w + g_k ≥ 0`, where
-//! `g_k` is the gap that free motion leaves. At the solution `w = Σ b_k λ_k`, `λ ≥ 0`.
+//! With `w = √W (d - u)` the program is: minimise `½ |w|²` subject to `b_k·w + γ_k ≥ 0`. The row
+//! `b_k` is the scaled gradient, and `γ_k = g_k + ∇g_k·u` is the gap after free motion, where `g_k`
+//! is the gap at the start of the step. At the solution `w = Σ b_k λ_k`, `λ ≥ 0`.
 
 use super::PENALTY;
 use crate::stepper::qp::Qp;
 
-/// An individual's share of a vector: x, y, angle, and a zero that fills four lanes.
+/// The entries of a vector for one individual: x, y, angle, and a zero that fills the fourth lane.
 pub type Part = [f64; 4];
 
-/// One constraint, and where its solution stands.
+/// One constraint with the state of its solution.
 ///
-/// All of it side by side: the sweeps over all rows are most of what a small group costs.
+/// All fields of a row are in one struct, since the sweeps over all rows are most of the cost of a
+/// small group.
 #[derive(Clone, Copy, Debug)]
 pub struct Row {
-    /// The places of the two individuals in vectors.
+    /// Places of the two individuals in vectors.
     pub place: [u32; 2],
-    /// `b_k` at each of them.
+    /// `b_k` at each of the two places.
     pub parts: [Part; 2],
-    /// The gap that free motion leaves.
+    /// `γ_k`, the gap after free motion.
     pub gap: f64,
-    /// σ_k, the penalty on this gap: σ where the row has unit length.
+    /// `σ_k`, the penalty on this gap: `σ / |b_k|²`.
     pub penalty: f64,
-    /// Which block of the factor joins the two.
+    /// The block of the factor that couples the two individuals.
     pub block: u32,
-    /// Its rank among the doubtful; [`NONE`] outside of them.
+    /// Rank among the members of the closure; [`NONE`] outside of it.
     pub rank: u32,
-    /// Whether it was taken to push when `K` was factored.
+    /// Whether the contact was in the active set when `K` was factored.
     pub active: bool,
-    /// Whether it is taken to push now.
+    /// Whether the contact is in the active set now.
     pub pushing: bool,
-    /// λ.
+    /// `λ_k`.
     pub multiplier: f64,
-    /// λ as the pass at hand would have it.
+    /// `λ_k` after the current pass.
     pub proposed: f64,
-    /// The gap left by the multipliers.
+    /// `s_k`, the gap that the multipliers leave.
     pub slack: f64,
-    /// The gap as the pass at hand would leave it.
+    /// The gap after the current pass.
     pub ahead: f64,
-    /// Of a pushing row λ, of another the gap, as the pass or the doubtful would have it.
+    /// `λ_k` of a pushing row, the gap of any other, after the current pass or round of the
+    /// closure.
     pub followed: f64,
 }
 
@@ -63,7 +67,7 @@ impl Row {
         self.gap + self.along(vector)
     }
 
-    /// Adds `factor b_k`.
+    /// Adds `factor b_k` to `vector`.
     #[inline(always)]
     pub fn add(&self, factor: f64, vector: &mut [Part]) {
         for (place, part) in self.place.iter().zip(&self.parts) {
@@ -75,7 +79,10 @@ impl Row {
     }
 }
 
-/// Fills `rows` from the program; places are individuals, until the factor has others.
+/// Fills `rows` from the program. Places are the indices of individuals until an elimination order
+/// replaces them.
+///
+/// - Shapes: m contacts; m rows.
 pub fn fill(qp: &Qp, rows: &mut Vec<Row>) {
     let [drag_x, drag_y, drag_angle] = qp.weights.map(|weight| 1.0 / weight.sqrt());
     rows.clear();

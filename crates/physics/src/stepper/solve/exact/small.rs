@@ -1,43 +1,47 @@
-//! Few contacts: their multipliers by a small dense factor.
+//! The solver for few pushing contacts: a small dense factor.
 //!
-//! With the pushing contacts `A` fixed, `(A W⁻¹ Aᵀ + δ) λ` closes their gaps: as many unknowns as
-//! contacts push, where the large factor has three an individual. Those on the wrong side are
-//! exchanged until nobody is; this may wander, and then the large factor's way is taken.
+//! For a fixed active set with gradients `A`, the multipliers that close its gaps solve a linear
+//! system with the dual matrix `A W⁻¹ Aᵀ`, its diagonal slightly enlarged. It has one unknown for
+//! each active contact, whereas the sparse factor has three for each individual. All contacts on
+//! the wrong side are exchanged, until there are none. This may cycle; the sparse factor is then
+//! used.
 
 use super::rows::{Part, Row};
 use super::{DONE, WRONG};
 use crate::stepper::qp::Qp;
 use crate::stepper::solve::Solution;
 
-/// So many contacts are few.
-pub const FEW: usize = 3 * LANES;
+/// Largest active set that this solver takes: three blocks of lanes.
+pub const MAX_ACTIVE: usize = 3 * LANES;
 
-/// Exchanges at most; one is usual.
-const MOST_ROUNDS: usize = 5;
+/// Rounds at most: each factors once, then exchanges the contacts on the wrong side. One is usual.
+const MAX_ROUNDS: usize = 5;
 
-/// Passes with one factor; where contacts depend on each other the first is not exact.
-const MOST_PASSES: usize = 2;
+/// Passes with one factor. If contacts depend on each other, the first is not exact.
+const MAX_PASSES: usize = 2;
 
-/// What is added to the diagonal, as a share of it, so that contacts may depend on each other.
+/// Share of the diagonal that is added to it, so that the matrix has a factor even if contacts
+/// depend on each other.
 const SHIFT: f64 = 1e-10;
 
-/// Lanes of a column.
+/// Lanes of a block of a column.
 const LANES: usize = 8;
 
-/// None, in lists of contacts.
+/// The end of a list of contacts.
 const NONE: u32 = u32::MAX;
 
 type Lanes = [f64; LANES];
 
-/// Memory of one solution.
+/// Buffers of one solution.
 #[derive(Clone, Debug, Default)]
 pub struct Small {
-    /// Who pushes, by row.
+    /// The active set: row indices, ascending.
     members: Vec<u32>,
-    /// The last member seen at each individual, and before it at the individual, by side.
+    /// Lists of the members at each individual: the last member at each individual, and for each
+    /// member and side the previous member at the same individual.
     head: Vec<u32>,
     before: Vec<[u32; 2]>,
-    /// The factor `L D Lᵀ`: `L` by columns and by rows, in blocks of lanes, and `D`.
+    /// The factor `L D Lᵀ`: `L` by columns and by rows, in blocks of lanes, and `D⁻¹`.
     columns: Vec<Lanes>,
     rows: Vec<Lanes>,
     inverse: Vec<f64>,
@@ -50,8 +54,10 @@ pub struct Small {
 }
 
 impl Small {
-    /// Solves from `guess`, and tells whether the solution offered is done. Rows have their
-    /// individuals for places.
+    /// Solves from `guess` and offers the result to `solution`; returns whether its residual is at
+    /// most [`DONE`]. The places of rows must be the indices of individuals.
+    ///
+    /// - Shapes: m rows, m multipliers in `guess`.
     #[inline(always)]
     pub fn solve(&mut self, qp: &Qp, rows: &[Row], guess: &[f64], solution: &mut Solution) -> bool {
         self.multipliers.clear();
@@ -59,18 +65,19 @@ impl Small {
         self.members.clear();
         for (k, &value) in guess.iter().enumerate() {
             if value > 0.0 {
-                self.members.push(name(k));
+                self.members.push(to_u32(k));
             }
         }
-        for _ in 0..MOST_ROUNDS {
-            // Once nobody is left to push there is nothing to factor; the large way starts over.
-            if !(1..=FEW).contains(&self.members.len()) {
+        for _ in 0..MAX_ROUNDS {
+            // An empty set has nothing to factor, and a larger one is too expensive here. The
+            // sparse solver then starts from the guess.
+            if !(1..=MAX_ACTIVE).contains(&self.members.len()) {
                 return false;
             }
             solution.iterations += 1;
             self.assemble(rows, qp.free.len());
             self.eliminate();
-            for _ in 0..MOST_PASSES {
+            for _ in 0..MAX_PASSES {
                 self.displace(rows, qp.free.len());
                 self.pass(rows);
                 if self.exchange(rows) {
@@ -85,12 +92,12 @@ impl Small {
         false
     }
 
-    /// How many blocks of lanes a column has.
+    /// Returns the number of blocks of lanes in a column.
     fn blocks(&self) -> usize {
         self.members.len().div_ceil(LANES)
     }
 
-    /// Fills the lower half of `A W⁻¹ Aᵀ`: members push each other where they share an individual.
+    /// Fills the lower half of `A W⁻¹ Aᵀ`; entries are non-zero if two members share an individual.
     #[expect(clippy::needless_range_loop, reason = "sides of several arrays")]
     #[inline(always)]
     fn assemble(&mut self, rows: &[Row], n: usize) {
@@ -119,7 +126,7 @@ impl Small {
                         product(part, &there.parts[its]);
                     other = self.before[b][its];
                 }
-                *head = name(a);
+                *head = to_u32(a);
             }
             self.before.push(before);
             self.columns[a * blocks + a / LANES][a % LANES] = squares * (1.0 + SHIFT);
@@ -139,8 +146,8 @@ impl Small {
         }
     }
 
-    /// Replaces the matrix by its factor, in columns of `B` blocks: each takes its share from all
-    /// to its right.
+    /// Replaces the matrix by its factor, in columns of `B` blocks. Each column is eliminated from
+    /// all columns to its right.
     #[inline(always)]
     fn eliminate_in<const B: usize>(&mut self) {
         let (columns, _) = self.columns.as_chunks_mut::<B>();
@@ -148,7 +155,7 @@ impl Small {
         for column in 0..columns.len() {
             let own = columns[column];
             let pivot = own.as_flattened()[column];
-            // Never below the shift, but for rounding.
+            // A pivot below the shift is a rounding error.
             let inverse = 1.0 / if pivot > SHIFT { pivot } else { SHIFT };
             self.inverse.push(inverse);
             let mut scaled = own;
@@ -166,7 +173,7 @@ impl Small {
                     }
                 }
             }
-            // The diagonal is one, and nothing is above it.
+            // The diagonal of `L` is 1, and the entries above it are 0.
             scaled.as_flattened_mut()[..=column].fill(0.0);
             columns[column] = scaled;
         }
@@ -199,7 +206,7 @@ impl Small {
         }
     }
 
-    /// Computes `w` from the multipliers, and all gaps.
+    /// Computes `w` and all slacks from the multipliers.
     #[inline(always)]
     fn displace(&mut self, rows: &[Row], n: usize) {
         self.vector.clear();
@@ -214,7 +221,7 @@ impl Small {
         }
     }
 
-    /// Closes the gaps of the members.
+    /// Changes the multipliers so that the gaps of the members close.
     #[inline(always)]
     fn pass(&mut self, rows: &[Row]) {
         self.right.clear();
@@ -232,14 +239,14 @@ impl Small {
         }
     }
 
-    /// Exchanges those on the wrong side; tells whether there were any.
+    /// Exchanges all contacts on the wrong side; returns whether any was.
     #[inline(always)]
     fn exchange(&mut self, rows: &[Row]) -> bool {
         let (mut next, mut exchanged) = (0, false);
         let mut members = std::mem::take(&mut self.scratch);
         members.clear();
         for (k, row) in rows.iter().enumerate() {
-            let pushed = self.members.get(next) == Some(&name(k));
+            let pushed = self.members.get(next) == Some(&to_u32(k));
             next += usize::from(pushed);
             let pushes = if pushed {
                 self.multipliers[k] >= -WRONG
@@ -248,7 +255,7 @@ impl Small {
             };
             exchanged |= pushes != pushed;
             if pushes {
-                members.push(name(k));
+                members.push(to_u32(k));
             } else {
                 self.multipliers[k] = 0.0;
             }
@@ -276,9 +283,9 @@ fn product(one: &Part, other: &Part) -> f64 {
 
 #[expect(
     clippy::cast_possible_truncation,
-    reason = "contacts are named by 32 bits"
+    reason = "indices of contacts have 32 bits"
 )]
 #[inline(always)]
-fn name(k: usize) -> u32 {
+fn to_u32(k: usize) -> u32 {
     k as u32
 }

@@ -1,39 +1,39 @@
-//! Where the factor of `K` has entries: elimination on the contact graph, without numbers.
+//! Symbolic factorisation: the non-zero blocks of the factor of `K`, from the contact graph.
 
 use super::rows::Row;
 use crate::stepper::contact::Contact;
 
-/// No column.
+/// No column, or no block.
 pub const NONE: u32 = u32::MAX;
 
-/// So many columns fit into the bits of one number.
-const FEW: usize = 128;
+/// Largest number of columns whose row sets are stored as bits of one integer.
+const MAX_BIT_COLUMNS: usize = 128;
 
-/// The columns of the factor, one for each individual that pushes or is pushed.
+/// The columns of the factor, one for each individual of an active pair.
 ///
-/// Depends on the order and on which pairs push, on nothing else; so it may be kept while both
-/// stay the same.
+/// The structure depends only on the elimination order and on the active pairs, so it is kept while
+/// both stay the same.
 #[derive(Clone, Debug, Default)]
 pub struct Structure {
-    /// How many columns there are.
+    /// Number of columns.
     pub columns: usize,
-    /// The place of each individual: a column, or after them all.
+    /// Place of each individual: its column, or a place after all columns.
     pub place: Vec<u32>,
-    /// Column `k` has the blocks `start[k]..start[k + 1]`; the places after the columns have none.
+    /// Column `k` has the blocks `start[k]..start[k + 1]`. Places after the columns have no blocks.
     pub start: Vec<u32>,
-    /// The place of each block's row, increasing within a column.
+    /// Row of each block as a place, ascending within a column.
     pub row: Vec<u32>,
     /// Row `k` has the entries `left_start[k]..left_start[k + 1]` of `left`.
     pub left_start: Vec<u32>,
-    /// Column and block of every entry left of the diagonal, by row.
+    /// Column and block of each entry left of the diagonal, by row.
     pub left: Vec<[u32; 2]>,
-    /// The first row below the diagonal of each column, its parent in the elimination tree.
+    /// First row below the diagonal of each column: its parent in the elimination tree.
     pub parent: Vec<u32>,
-    /// The block that joins the two individuals of each contact; [`NONE`] of pairs that do not
-    /// push.
+    /// The block that couples the two individuals of each contact; [`NONE`] if no contact of the
+    /// pair is active.
     pub block: Vec<u32>,
     order: Vec<u32>,
-    /// Every pair that pushes, once.
+    /// The active pairs, each once.
     pairs: Vec<[u32; 2]>,
     pair_block: Vec<u32>,
     scratch: Scratch,
@@ -55,10 +55,10 @@ struct Scratch {
 }
 
 impl Structure {
-    /// Builds the structure anew if the order or the pairs that push have changed.
+    /// Rebuilds the structure if the order or the active pairs have changed.
     ///
-    /// - Shapes: an order of all n individuals; m contacts ordered by (i, j), and their rows, the
-    ///   active of which push.
+    /// - Shapes: an order of all n individuals; m contacts ordered by (i, j), and m rows. A pair is
+    ///   active if one of its rows is.
     pub fn update(&mut self, order: &[u32], contacts: &[Contact], rows: &[Row]) {
         let pairs = &mut self.scratch.pairs;
         pairs.clear();
@@ -75,9 +75,9 @@ impl Structure {
             self.order.extend_from_slice(order);
             std::mem::swap(&mut self.pairs, pairs);
             self.number();
-            self.name_ends();
-            if self.columns <= FEW {
-                self.eliminate_few();
+            self.list_ends();
+            if self.columns <= MAX_BIT_COLUMNS {
+                self.eliminate_bits();
             } else {
                 self.point_upward();
                 self.eliminate();
@@ -98,7 +98,7 @@ impl Structure {
         }
     }
 
-    /// Gives places to all: in the order to those who push, after them to the others.
+    /// Numbers all individuals: first those of active pairs, in elimination order, then the others.
     fn number(&mut self) {
         let Self {
             place,
@@ -128,8 +128,8 @@ impl Structure {
         }
     }
 
-    /// Lists pairs by their places, the lower first.
-    fn name_ends(&mut self) {
+    /// Lists the places of each active pair, the lower first.
+    fn list_ends(&mut self) {
         let Self {
             place,
             pairs,
@@ -143,9 +143,9 @@ impl Structure {
         }));
     }
 
-    /// Finds the rows of every column as [`Structure::eliminate`] and [`Structure::sort`] do, all
-    /// rows of a column being bits of one number.
-    fn eliminate_few(&mut self) {
+    /// Finds the rows of every column, with the same result as [`Structure::eliminate`] and
+    /// [`Structure::sort`]. The rows of a column are bits of one integer.
+    fn eliminate_bits(&mut self) {
         let Scratch {
             ends, bits, next, ..
         } = &mut self.scratch;
@@ -158,7 +158,7 @@ impl Structure {
         self.start.clear();
         self.row.clear();
         for column in 0..self.columns {
-            self.start.push(small(self.row.len()));
+            self.start.push(to_u32(self.row.len()));
             let mut left = bits[column];
             let parent = left.trailing_zeros();
             self.parent.push(if left == 0 { NONE } else { parent });
@@ -172,8 +172,8 @@ impl Structure {
         }
         self.parent.resize(self.place.len(), NONE);
         self.start
-            .resize(self.place.len() + 1, small(self.row.len()));
-        count_up(&mut self.left_start, self.columns, self.row.iter().copied());
+            .resize(self.place.len() + 1, to_u32(self.row.len()));
+        bin_starts(&mut self.left_start, self.columns, self.row.iter().copied());
         next.clear();
         next.extend_from_slice(&self.left_start);
         self.left.clear();
@@ -181,13 +181,13 @@ impl Structure {
         for column in 0..self.columns {
             for block in self.start[column]..self.start[column + 1] {
                 let next = &mut next[self.row[block as usize] as usize];
-                self.left[*next as usize] = [small(column), block];
+                self.left[*next as usize] = [to_u32(column), block];
                 *next += 1;
             }
         }
     }
 
-    /// Lists the later neighbours of every column.
+    /// Lists the neighbours of every column that have a higher place.
     fn point_upward(&mut self) {
         let Scratch {
             ends,
@@ -196,7 +196,7 @@ impl Structure {
             next,
             ..
         } = &mut self.scratch;
-        count_up(upward_start, self.columns, ends.iter().map(|[low, _]| *low));
+        bin_starts(upward_start, self.columns, ends.iter().map(|[low, _]| *low));
         upward.clear();
         upward.resize(ends.len(), 0);
         next.clear();
@@ -208,7 +208,8 @@ impl Structure {
         }
     }
 
-    /// Finds the rows of every column: its own neighbours and what its children leave.
+    /// Finds the rows of every column: its higher neighbours and the rows of its children in the
+    /// elimination tree, without itself.
     fn eliminate(&mut self) {
         let Scratch {
             upward_start,
@@ -232,9 +233,9 @@ impl Structure {
         for column in 0..self.columns {
             let begin = unsorted.len();
             let mut first = NONE;
-            seen[column] = small(column);
+            seen[column] = to_u32(column);
             let mut take = |row: u32, unsorted: &mut Vec<u32>| {
-                if std::mem::replace(&mut seen[row as usize], small(column)) != small(column) {
+                if std::mem::replace(&mut seen[row as usize], to_u32(column)) != to_u32(column) {
                     unsorted.push(row);
                     first = first.min(row);
                 }
@@ -254,13 +255,13 @@ impl Structure {
             if unsorted.len() > begin {
                 self.parent[column] = first;
                 sibling[column] = child[first as usize];
-                child[first as usize] = small(column);
+                child[first as usize] = to_u32(column);
             }
-            unsorted_start.push(small(unsorted.len()));
+            unsorted_start.push(to_u32(unsorted.len()));
         }
     }
 
-    /// Sorts the rows of every column, by transposing twice.
+    /// Sorts the rows of every column by transposing twice.
     fn sort(&mut self) {
         let Scratch {
             unsorted_start,
@@ -268,7 +269,7 @@ impl Structure {
             next,
             ..
         } = &mut self.scratch;
-        count_up(&mut self.left_start, self.columns, unsorted.iter().copied());
+        bin_starts(&mut self.left_start, self.columns, unsorted.iter().copied());
         next.clear();
         next.extend_from_slice(&self.left_start);
         self.left.clear();
@@ -276,14 +277,14 @@ impl Structure {
         for column in 0..self.columns {
             for k in unsorted_start[column]..unsorted_start[column + 1] {
                 let next = &mut next[unsorted[k as usize] as usize];
-                self.left[*next as usize][0] = small(column);
+                self.left[*next as usize][0] = to_u32(column);
                 *next += 1;
             }
         }
         self.start.clear();
         self.start.extend_from_slice(unsorted_start);
         self.start
-            .resize(self.place.len() + 1, small(unsorted.len()));
+            .resize(self.place.len() + 1, to_u32(unsorted.len()));
         next.clear();
         next.extend_from_slice(unsorted_start);
         self.row.clear();
@@ -294,25 +295,26 @@ impl Structure {
             {
                 let next = &mut next[entry[0] as usize];
                 entry[1] = *next;
-                self.row[*next as usize] = small(row);
+                self.row[*next as usize] = to_u32(row);
                 *next += 1;
             }
         }
     }
 
+    /// Finds the block of each active pair.
     fn find_blocks(&mut self) {
         self.pair_block.clear();
         for &[low, high] in &self.scratch.ends {
             let begin = self.start[low as usize] as usize;
             let rows = &self.row[begin..self.start[low as usize + 1] as usize];
             let found = begin + rows.partition_point(|&row| row < high);
-            self.pair_block.push(small(found));
+            self.pair_block.push(to_u32(found));
         }
     }
 }
 
-/// Fills `start` so that bin `k` of `bins` begins at `start[k]` when all are sorted into bins.
-fn count_up(start: &mut Vec<u32>, bins: usize, all: impl Iterator<Item = u32>) {
+/// Fills `start` for a counting sort: bin `k` of `bins` begins at `start[k]`.
+fn bin_starts(start: &mut Vec<u32>, bins: usize, all: impl Iterator<Item = u32>) {
     start.clear();
     start.resize(bins + 1, 0);
     all.for_each(|bin| start[bin as usize + 1] += 1);
@@ -323,9 +325,9 @@ fn count_up(start: &mut Vec<u32>, bins: usize, all: impl Iterator<Item = u32>) {
 
 #[expect(
     clippy::cast_possible_truncation,
-    reason = "individuals are named by 32 bits, and a planar graph has few entries for each"
+    reason = "indices have 32 bits, and a planar graph has few entries for each individual"
 )]
-fn small(count: usize) -> u32 {
+fn to_u32(count: usize) -> u32 {
     count as u32
 }
 
@@ -335,7 +337,7 @@ mod tests {
     use crate::model::random::{Purpose, Stream};
 
     #[test]
-    fn few_columns_have_the_same_rows_by_bits() {
+    fn bit_sets_and_lists_give_the_same_structure() {
         for seed in 0..100 {
             let mut stream = Stream::new(seed, 0, 0, Purpose::Start);
             let mut structure = Structure::default();
@@ -349,9 +351,9 @@ mod tests {
                     .extend(pushing.map(|second| [first, second]));
             }
             structure.number();
-            structure.name_ends();
+            structure.list_ends();
             let mut by_bits = structure.clone();
-            by_bits.eliminate_few();
+            by_bits.eliminate_bits();
             structure.point_upward();
             structure.eliminate();
             structure.sort();

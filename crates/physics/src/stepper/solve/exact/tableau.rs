@@ -1,19 +1,20 @@
 //! A small dense linear complementarity problem: `w = q + T z`, `w ≥ 0`, `z ≥ 0`, `w·z = 0`.
 //!
-//! Solved by principal pivoting: Cottle and Dantzig (1968). Each major cycle raises the `z` of
-//! the most negative `w` until that is zero, exchanging on the way whatever would turn negative.
-//! It ends because every principal minor of `T` is positive.
+//! The method is principal pivoting: Cottle and Dantzig (1968). Each major cycle raises the `z` of
+//! the most negative basic variable until that variable is zero. A basic variable that would become
+//! negative on the way is exchanged. The method is finite since every principal minor of `T` is
+//! positive.
 
-/// Pivots in all before giving up; one for each true exchange is usual.
-const MOST_PIVOTS: usize = 2000;
+/// Pivots before the solver gives up. Usually there is one for each contact that changes sides.
+const MAX_PIVOTS: usize = 2000;
 
-/// An entry of a column this small blocks nothing: it is rounding.
+/// An entry of a column smaller than this is a rounding error and does not block.
 const NEGLIGIBLE: f64 = 1e-13;
 
 /// The problem, and after [`Tableau::solve`] its solution.
 #[derive(Clone, Debug, Default)]
 pub struct Tableau {
-    /// How many unknowns there are.
+    /// Number of unknowns.
     pub size: usize,
     /// `T`, then `T` in terms of the present basis, row by row at [`Tableau::stride`].
     entries: Vec<f64>,
@@ -28,7 +29,7 @@ pub struct Tableau {
 }
 
 impl Tableau {
-    /// Starts over, without unknowns.
+    /// Removes all unknowns.
     pub fn clear(&mut self) {
         self.size = 0;
         self.stride = 0;
@@ -36,8 +37,8 @@ impl Tableau {
         self.exchanged.clear();
     }
 
-    /// Takes more unknowns, up to `size` in all, `entry` being the entries of `T`. The basis stays,
-    /// of the new it is `w`; all values are then to be set.
+    /// Adds unknowns, up to `size` in all; `entry(row, column)` are the entries of `T`. The basis
+    /// stays, and for the new unknowns `w` is basic. The caller sets [`Tableau::value`] of all.
     #[inline(always)]
     pub fn extend(&mut self, size: usize, entry: impl Fn(usize, usize) -> f64) {
         let old = self.size;
@@ -49,8 +50,8 @@ impl Tableau {
         let (stride, exchanged) = (self.stride, &self.exchanged);
         self.raised.clear();
         self.raised.extend((0..old).filter(|&k| exchanged[k]));
-        // What the new z do to the basic variables: directly to a w, and by way of all the z that
-        // are basic to everybody.
+        // The columns of the new z: their direct effect on a basic w, and the effect by way of the
+        // basic z on all.
         self.moving.clear();
         for &basic in &self.raised {
             self.moving.extend((old..size).map(|new| entry(basic, new)));
@@ -65,7 +66,7 @@ impl Tableau {
                 subtract_scaled(new, own[basic], direct);
             }
         }
-        // And what the new w are in terms of the same.
+        // The rows of the new w, in terms of the same basis.
         for k in old..size {
             self.row.clear();
             let direct = |at: usize| if exchanged[at] { 0.0 } else { entry(k, at) };
@@ -78,7 +79,7 @@ impl Tableau {
         }
     }
 
-    /// Makes room for `size` unknowns.
+    /// Extends the buffer to `size` unknowns.
     #[inline(always)]
     fn widen(&mut self, size: usize) {
         let (before, stride) = (self.stride, size.next_multiple_of(8));
@@ -92,7 +93,7 @@ impl Tableau {
         (self.size, self.stride) = (size, stride);
     }
 
-    /// `z` of one unknown.
+    /// Returns `z` of one unknown.
     #[inline(always)]
     pub fn raised(&self, at: usize) -> f64 {
         if self.exchanged[at] {
@@ -102,13 +103,14 @@ impl Tableau {
         }
     }
 
-    /// One row of `T`, in terms of the present basis.
+    /// Returns a row of `T` in terms of the present basis.
     #[inline(always)]
     pub fn row(&self, row: usize) -> &[f64] {
         &self.entries[row * self.stride..][..self.size]
     }
 
-    /// Solves; values down to `-tolerance` count as not negative. Tells whether it ended.
+    /// Solves the problem; values down to `-tolerance` count as not negative. Adds the number of
+    /// pivots to `pivots`, and returns whether it ended within [`MAX_PIVOTS`].
     #[inline(always)]
     pub fn solve(&mut self, tolerance: f64, pivots: &mut usize) -> bool {
         loop {
@@ -123,7 +125,7 @@ impl Tableau {
             self.moving.extend_from_slice(&self.value);
             loop {
                 *pivots += 1;
-                if *pivots > MOST_PIVOTS {
+                if *pivots > MAX_PIVOTS {
                     return false;
                 }
                 let blocking = self.raise(driven, tolerance);
@@ -136,7 +138,8 @@ impl Tableau {
         }
     }
 
-    /// Raises `z` of `driven` until its `w` or another's is zero, and returns whose.
+    /// Raises the non-basic variable of `driven` until a basic variable is zero, and returns the
+    /// unknown of that variable.
     #[inline(always)]
     fn raise(&mut self, driven: usize, tolerance: f64) -> usize {
         let (stride, entries) = (self.stride, &self.entries);
@@ -161,7 +164,7 @@ impl Tableau {
         blocking
     }
 
-    /// Exchanges `w` and `z` of one unknown: a principal pivot.
+    /// Exchanges `w` and `z` of one unknown in the basis: a principal pivot.
     #[inline(always)]
     pub fn exchange(&mut self, at: usize) {
         self.exchanged[at] = !self.exchanged[at];
@@ -203,8 +206,8 @@ mod tests {
     use super::*;
     use crate::model::random::{Purpose, Stream};
 
-    /// `T = S + Sᵀ·S` with S skew plus a little of the unit matrix: not symmetric, every principal
-    /// minor positive, as those that members pose.
+    /// `T = Fᵀ F + F - Fᵀ` plus 1e-6 of the unit matrix, with a random `F`: not symmetric, with
+    /// positive principal minors, as in the problems of the closure.
     fn problem(size: usize, seed: u64) -> (Vec<Vec<f64>>, Vec<f64>) {
         let mut stream = Stream::new(seed, 0, 0, Purpose::Start);
         let mut draw = || stream.uniform() - 0.5;
@@ -224,14 +227,14 @@ mod tests {
     }
 
     #[test]
-    fn what_is_found_is_complementary() {
+    fn solutions_are_complementary() {
         let mut tableau = Tableau::default();
         let (mut raised, mut sizes) = (0, 0);
         for seed in 0..200 {
             let size = 1 + usize::try_from(seed).unwrap_or(0) % 40;
             let (matrix, start) = problem(size, seed);
             tableau.clear();
-            // In one go, or a few at a time, each time solved.
+            // All unknowns at once, or in three parts with a solution after each.
             let parts = if seed % 2 == 0 { 1 } else { 3 };
             for part in 1..=parts {
                 let size = size * part / parts;
@@ -262,7 +265,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_exchanged_where_nothing_is_negative() {
+    fn nothing_is_exchanged_if_no_value_is_negative() {
         let (matrix, _) = problem(5, 3);
         let mut tableau = Tableau::default();
         tableau.extend(5, |a, b| matrix[a][b]);

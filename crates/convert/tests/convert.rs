@@ -1,0 +1,512 @@
+//! Specs, changes, snapshots and errors, compared with literals and with the fixtures of the protocol.
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+use jostle_convert::change::{change, set_points};
+use jostle_convert::value::{count, publish_every, rate, weight, whole};
+use jostle_convert::{ArgsError, SnapshotError, error, snapshot, spec};
+use jostle_physics::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
+use jostle_physics::model::selection::Selection;
+use jostle_physics::simulation::{
+    Change, ChangeError, Placement, ReserveError, Settings, Simulation, Spec, Start,
+};
+use jostle_proto::snapshot::Doing;
+use jostle_proto::verbs::SetPoints;
+use jostle_proto::{ErrorCode, Reply, Snapshot};
+use serde_json::{Value, json};
+
+fn read(value: Value) -> Change {
+    change(serde_json::from_value(value).unwrap()).unwrap()
+}
+
+fn rejected(value: Value) -> String {
+    change(serde_json::from_value(value).unwrap())
+        .unwrap_err()
+        .to_string()
+}
+
+#[test]
+fn every_field_of_a_spec_is_read_and_written() {
+    let laws = [
+        (
+            json!({"kind": "all", "accuracy": 1e-6}),
+            Attraction::All {
+                accuracy: Some(1e-6),
+            },
+        ),
+        (json!({"kind": "voronoi"}), Attraction::Voronoi),
+        (
+            json!({"kind": "metric", "radius": 3.5}),
+            Attraction::Metric { radius: 3.5 },
+        ),
+        (
+            json!({"kind": "topological", "neighbours": 7}),
+            Attraction::Topological { neighbours: 7 },
+        ),
+        (
+            json!({"kind": "power", "exponent": -1.5}),
+            Attraction::Power { exponent: -1.5 },
+        ),
+    ];
+    let rules = [
+        ("endpoints", ContactRule::Endpoints),
+        ("closest", ContactRule::Closest),
+        ("clamped", ContactRule::Clamped),
+    ];
+    let steppings = [
+        ("position", Stepping::Position),
+        ("velocity", Stepping::Velocity),
+    ];
+    for (index, (law, attraction)) in laws.into_iter().enumerate() {
+        let ((rule, contacts), (kind, stepping)) = (rules[index % 3], steppings[index % 2]);
+        let (disc, start) = match index % 2 {
+            0 => (
+                json!({"kind": "disc", "radius": 9.0}),
+                Start::Disc(Some(9.0)),
+            ),
+            _ => {
+                let columns =
+                    json!({"kind": "given", "x": [0.0, 4.0], "y": [1.0, 5.0], "alpha": [2.0, 6.0]});
+                let (x, y, alpha) = (vec![0.0, 4.0], vec![1.0, 5.0], vec![2.0, 6.0]);
+                (columns, Start::Given { x, y, alpha })
+            }
+        };
+        let message = json!({
+            "n": 2, "pi1": 3.0, "pi2": 0.25, "pi3": 2.0, "pi4": 5.0, "dt": 0.01, "contacts": rule,
+            "stepping": kind, "relinearise": 1, "seed": 9, "start": disc, "attraction": law,
+            "noise": 0.5, "publish_every": 4, "rate": 2.5,
+        });
+        let expected = Spec {
+            n: 2,
+            parameters: Parameters {
+                pi1: 3.0,
+                pi2: 0.25,
+                pi3: 2.0,
+                pi4: 5.0,
+                dt: 0.01,
+                contacts,
+                stepping,
+                relinearise: true,
+                attraction,
+                noise: 0.5,
+            },
+            seed: 9,
+            start,
+            publish_every: 4,
+            rate: Some(2.5),
+        };
+        let found = spec::from_proto(&serde_json::from_value(message.clone()).unwrap(), 2).unwrap();
+        assert_eq!(found, expected);
+        let written = serde_json::to_value(spec::to_proto(&expected, 11)).unwrap();
+        let mut with_seed = message;
+        with_seed["seed"] = json!(11);
+        assert_eq!(written, with_seed);
+    }
+}
+
+#[test]
+fn a_spec_out_of_range_is_rejected_with_its_field() {
+    let rejected = |field: &str, value: Value| {
+        let mut message = json!({"n": 2});
+        message[field] = value;
+        let message = serde_json::from_value(message).unwrap();
+        spec::from_proto(&message, 2).unwrap_err().to_string()
+    };
+    let large = 1_u64 << 53;
+    for (field, value, part) in [
+        ("seed", json!(large), "seed = 9007199254740992"),
+        ("publish_every", json!(0), "publish_every = 0"),
+        (
+            "publish_every",
+            json!(1_000_000_001),
+            "publish_every = 1000000001",
+        ),
+        ("rate", json!(0.0), "rate = 0"),
+        ("rate", json!(1.1e6), "rate = 1100000"),
+        ("relinearise", json!(2), "relinearise = 2"),
+        (
+            "start",
+            json!({"kind": "given", "x": [0.0], "y": [0.0, 1.0], "alpha": [0.0, 1.0]}),
+            "start.x has 1 numbers, n is 2",
+        ),
+        (
+            "start",
+            json!({"kind": "given", "x": [0.0, 4.0], "y": [0.0], "alpha": [0.0, 1.0]}),
+            "start.y has 1",
+        ),
+        (
+            "start",
+            json!({"kind": "given", "x": [0.0, 4.0], "y": [0.0, 1.0], "alpha": []}),
+            "start.alpha has 0",
+        ),
+    ] {
+        let error = rejected(field, value);
+        assert!(error.contains(part), "{field}: {error}");
+    }
+    assert_eq!(whole("seed", large - 1).unwrap(), large - 1);
+    assert_eq!(rate(Some(1e6)).unwrap(), Some(1e6));
+    assert_eq!(rate(None).unwrap(), None);
+    assert!(
+        rate(Some(f64::NAN))
+            .unwrap_err()
+            .to_string()
+            .contains("NaN")
+    );
+    assert_eq!(publish_every(1_000_000_000).unwrap(), 1_000_000_000);
+    assert!(weight(0.0).is_err() && weight(f64::NAN).is_err());
+    assert!(weight(1e-9).is_ok());
+    assert_eq!(count(7), 7);
+}
+
+#[test]
+fn every_change_is_read() {
+    let settings = json!({
+        "pi1": 3.0, "pi2": 0.25, "pi3": 2.0, "pi4": 5.0, "contacts": "closest", "stepping": "velocity",
+        "relinearise": 0, "attraction": {"kind": "voronoi"}, "noise": 0.5, "publish_every": 4,
+        "make_room": true,
+    });
+    let expected = Settings {
+        pi1: Some(3.0),
+        pi2: Some(0.25),
+        pi3: Some(2.0),
+        pi4: Some(5.0),
+        contacts: Some(ContactRule::Closest),
+        stepping: Some(Stepping::Velocity),
+        relinearise: Some(false),
+        attraction: Some(Attraction::Voronoi),
+        noise: Some(0.5),
+        publish_every: Some(4),
+        make_room: true,
+    };
+    assert_eq!(
+        read(json!({"verb": "set", "args": settings})),
+        Change::Set(expected)
+    );
+    let selections = [
+        (json!({"ids": [3, 1]}), Selection::Ids(vec![3, 1])),
+        (json!({"count": 4}), Selection::Count(4)),
+        (json!({"fraction": 0.25}), Selection::Fraction(0.25)),
+        (
+            json!({"within": {"x": 1.0, "y": 2.0, "radius": 3.0}}),
+            Selection::Within {
+                x: 1.0,
+                y: 2.0,
+                radius: 3.0,
+            },
+        ),
+        (
+            json!({"foremost": {"count": 2, "along": 0.5}}),
+            Selection::Foremost {
+                count: 2,
+                along: 0.5,
+            },
+        ),
+    ];
+    for (select, selection) in selections {
+        let args = json!({"select": select, "direction": 1.5, "weight": 0.75, "for_time": 8.0});
+        let expected = Change::Inform {
+            selection: selection.clone(),
+            direction: 1.5,
+            weight: Some(0.75),
+            for_time: Some(8.0),
+        };
+        assert_eq!(read(json!({"verb": "inform", "args": args})), expected);
+        let args = json!({"select": select});
+        let uninform = read(json!({"verb": "uninform", "args": args}));
+        assert_eq!(uninform, Change::Uninform(selection.clone()));
+        let remove = read(json!({"verb": "remove", "args": args}));
+        assert_eq!(remove, Change::Remove(selection));
+    }
+    let inject = |args: Value| match read(json!({"verb": "inject", "args": args})) {
+        Change::Inject { place, informed } => (place, informed),
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(inject(json!({"count": 2})), (Placement::Border(2), None));
+    let (place, informed) = inject(json!({
+        "count": 2, "within": {"x": 1.0, "y": 2.0, "radius": 3.0}, "direction": 0.5, "weight": 2.0,
+    }));
+    assert!(
+        matches!(place, Placement::Within(2, region) if (region.x, region.y, region.radius) == (1.0, 2.0, 3.0))
+    );
+    assert_eq!(informed, Some((0.5, Some(2.0))));
+    let (place, informed) =
+        inject(json!({"at": [{"x": 1.0, "y": 2.0, "alpha": 3.0}], "direction": 0.5}));
+    assert!(
+        matches!(&place, Placement::At(poses) if (poses[0].x, poses[0].y, poses[0].alpha) == (1.0, 2.0, 3.0))
+    );
+    assert_eq!(informed, Some((0.5, None)));
+}
+
+#[test]
+fn arguments_that_do_not_fit_are_rejected_with_their_field() {
+    let pose = json!({"x": 0.0, "y": 0.0, "alpha": 0.0});
+    let disc = json!({"x": 0.0, "y": 0.0, "radius": 1.0});
+    for (verb, args, part) in [
+        ("set", json!({}), "args has no parameter"),
+        (
+            "set",
+            json!({"make_room": true, "pi2": 1.0}),
+            "make_room requires",
+        ),
+        ("set", json!({"relinearise": 2}), "relinearise = 2"),
+        ("set", json!({"publish_every": 0}), "publish_every = 0"),
+        (
+            "inform",
+            json!({"select": {"count": 1}, "direction": 0.0, "for_time": 0.0}),
+            "for_time = 0",
+        ),
+        (
+            "inform",
+            json!({"select": {"count": 1}, "direction": 0.0, "for_time": 1.1e9}),
+            "for_time = 1100000000",
+        ),
+        (
+            "inform",
+            json!({"select": {"count": 1}, "direction": 0.0, "weight": 0.0}),
+            "weight = 0",
+        ),
+        (
+            "inform",
+            json!({"select": {"within": {"x": 0.0, "y": 0.0, "radius": -1.0}}, "direction": 0.0}),
+            "radius = -1",
+        ),
+        ("inject", json!({}), "count or at is missing"),
+        ("inject", json!({"count": 0}), "count adds no"),
+        ("inject", json!({"at": []}), "at adds no"),
+        ("inject", json!({"count": 1, "at": [pose]}), "at and count"),
+        (
+            "inject",
+            json!({"at": [pose], "within": disc}),
+            "within requires count",
+        ),
+        (
+            "inject",
+            json!({"count": 1, "weight": 1.0}),
+            "weight requires direction",
+        ),
+    ] {
+        let error = rejected(json!({"verb": verb, "args": args}));
+        assert!(error.contains(part), "{verb}: {error}");
+    }
+    let points =
+        |ids: &[u32], direction: usize, weight: Option<usize>, turn: Option<usize>| SetPoints {
+            ids: ids.to_vec(),
+            direction: vec![0.5; direction],
+            weight: weight.map(|length| vec![2.0; length]),
+            turn: turn.map(|length| vec![Some(0.25); length]),
+            speed: None,
+        };
+    for (set, part) in [
+        (points(&[1, 2], 1, None, None), "set.direction"),
+        (points(&[1, 2], 2, Some(1), None), "set.weight"),
+        (points(&[1, 2], 2, None, Some(3)), "set.turn"),
+        (points(&[2, 2], 2, None, None), "set.ids"),
+    ] {
+        let error = set_points(set).unwrap_err();
+        assert!(
+            matches!(error, ArgsError::Field { field, .. } if field == part),
+            "{error}"
+        );
+    }
+    let read = set_points(points(&[2, 1], 2, Some(2), Some(2))).unwrap();
+    assert_eq!((read.ids, read.direction), (vec![2, 1], vec![0.5, 0.5]));
+    assert_eq!(read.weight, Some(vec![2.0, 2.0]));
+    let drives = read.drives.unwrap();
+    assert!(
+        drives
+            .iter()
+            .all(|drive| (drive.turn, drive.speed) == (Some(0.25), None))
+    );
+    assert_eq!(
+        set_points(points(&[1], 1, None, None)).unwrap().drives,
+        None
+    );
+}
+
+#[test]
+fn a_rejected_change_has_its_code_and_field() {
+    let mut simulation = Simulation::new(&Spec::new(4, 1)).unwrap();
+    let mut code_of = |value: Value| {
+        let error = simulation.apply(&read(value)).unwrap_err();
+        (error::code(&error), error::details(&error)["field"].clone())
+    };
+    let all = json!({"fraction": 1.0});
+    let at = json!([{"x": 1e7, "y": 0.0, "alpha": 0.0}]);
+    let tiny = json!({"x": 900.0, "y": 0.0, "radius": 1e-3});
+    for (value, code, field) in [
+        (
+            json!({"verb": "set", "args": {"pi1": 99.0}}),
+            ErrorCode::InvalidArgument,
+            json!("pi1"),
+        ),
+        (
+            json!({"verb": "remove", "args": {"select": all}}),
+            ErrorCode::InvalidArgument,
+            json!("select"),
+        ),
+        (
+            json!({"verb": "remove", "args": {"select": {"ids": [77]}}}),
+            ErrorCode::InvalidArgument,
+            json!("select.ids"),
+        ),
+        (
+            json!({"verb": "remove", "args": {"select": {"count": 9}}}),
+            ErrorCode::InvalidArgument,
+            json!("select.count"),
+        ),
+        (
+            json!({"verb": "inject", "args": {"at": at}}),
+            ErrorCode::InvalidArgument,
+            json!("at[0].x"),
+        ),
+        (
+            json!({"verb": "inject", "args": {"count": 9, "within": tiny}}),
+            ErrorCode::ResourceExhausted,
+            json!("count"),
+        ),
+    ] {
+        assert_eq!(code_of(value.clone()), (code, field), "{value}");
+    }
+    let reserve = ChangeError::from(ReserveError::NoMemory {
+        n: 9,
+        needed: 8,
+        free: 7,
+    });
+    assert_eq!(error::code(&reserve), ErrorCode::ResourceExhausted);
+    assert_eq!(
+        error::details(&reserve),
+        json!({"field": "n", "n": 9, "needed": 8, "free": 7})
+    );
+    let limit = ChangeError::from(ReserveError::TooMany { n: 9, limit: 8 });
+    assert_eq!(
+        error::details(&limit),
+        json!({"field": "n", "n": 9, "limit": 8})
+    );
+    let cross = ChangeError::AxesCross { pairs: 3 };
+    assert_eq!(error::code(&cross), ErrorCode::IncorrectState);
+    assert_eq!(
+        error::details(&cross),
+        json!({"field": "contacts", "pairs": 3})
+    );
+    let mut spec = Spec::new(50, 1);
+    spec.start = Start::Disc(Some(1.0));
+    let full = Simulation::new(&spec).err().unwrap();
+    assert_eq!(error::code(&full), ErrorCode::ResourceExhausted);
+    assert_eq!(error::details(&full)["field"], "start.radius");
+}
+
+fn recorded() -> Snapshot {
+    let text = include_str!("../../../proto/fixtures/snapshot.reply.json");
+    let reply: Reply<Snapshot> = serde_json::from_str(text).unwrap();
+    reply.result
+}
+
+#[test]
+fn a_snapshot_is_read_and_written_as_it_was() {
+    let snapshot = recorded();
+    let checkpoint = snapshot::from_proto(&snapshot).unwrap();
+    snapshot::check(&checkpoint).unwrap();
+    let doing = Doing::Running { until: Some(9) };
+    let written = snapshot::to_proto(&snapshot.swarm, &checkpoint, doing.clone());
+    let expected = Snapshot {
+        doing,
+        rate: snapshot.spec.rate,
+        scheduled: Vec::new(),
+        pending: None,
+        controllers: Vec::new(),
+        events: 0,
+        lines: 0,
+        is_last: false,
+        digest: None,
+        ..snapshot
+    };
+    assert_eq!(written, expected);
+}
+
+#[test]
+fn a_simulation_goes_on_from_its_snapshot_with_the_same_hashes() {
+    let mut spec = Spec::new(40, 3);
+    spec.parameters.noise = 0.1;
+    let mut simulation = Simulation::new(&spec).unwrap();
+    simulation
+        .apply(&Change::inform(Selection::Count(4), 0.5))
+        .unwrap();
+    let step = |simulation: &mut Simulation| {
+        simulation.step().unwrap();
+    };
+    (0..50).for_each(|_| step(&mut simulation));
+    let paused = Doing::Paused {
+        reason: "command".into(),
+    };
+    let message = snapshot::to_proto("school", &simulation.checkpoint(), paused);
+    let bytes = jostle_proto::to_cbor(&message);
+    let read = snapshot::from_proto(&Snapshot::from_cbor(&bytes).unwrap()).unwrap();
+    let mut other = Simulation::from_checkpoint(&read, Box::new(|_| Ok(())));
+    for _ in 0..50 {
+        step(&mut simulation);
+        step(&mut other);
+        assert_eq!(simulation.state_hash(), other.state_hash());
+    }
+    assert_eq!(simulation.means, other.means);
+}
+
+#[test]
+fn a_changed_snapshot_is_rejected() {
+    type Change = fn(&mut Snapshot);
+    let cases: [(&str, Change); 8] = [
+        ("of snapshots", |it| it.version += 1),
+        ("of the model", |it| it.model_version += 1),
+        ("hash", |it| it.x[0] += 0.5),
+        ("hash", |it| it.state_hash.replace_range(..1, "!")),
+        ("columns differ", |it| it.alpha.push(0.0)),
+        ("warm start differ", |it| it.memory.multiplier.push(0.0)),
+        ("unknown individual", |it| {
+            it.lapses.push(jostle_proto::snapshot::Lapse {
+                id: 4_000,
+                at_step: 9,
+            });
+        }),
+        ("publish_every", |it| it.spec.publish_every = 0),
+    ];
+    for (part, change) in cases {
+        let mut snapshot = recorded();
+        change(&mut snapshot);
+        let error = snapshot::from_proto(&snapshot).unwrap_err().to_string();
+        assert!(error.contains(part), "{part}: {error}");
+    }
+}
+
+#[test]
+fn a_state_that_no_simulation_can_have_is_rejected() {
+    type Change = fn(&mut jostle_physics::simulation::Checkpoint);
+    let cases: [(&str, Change); 15] = [
+        ("individuals", |it| it.state.configuration.id.clear()),
+        ("ids", |it| it.state.configuration.id.swap(0, 1)),
+        ("ids", |it| it.state.configuration.next_id = 0),
+        ("origin", |it| it.state.configuration.origin[1] = i64::MIN),
+        ("finite", |it| it.state.configuration.x[0] = f64::NAN),
+        ("finite", |it| {
+            it.state.configuration.direction[0] = f64::INFINITY
+        }),
+        ("finite", |it| it.means.drift = f64::INFINITY),
+        ("finite", |it| it.exactness.residual = f64::NAN),
+        ("weight", |it| it.state.configuration.weight[0] = -1.0),
+        ("pi1", |it| it.state.parameters.pi1 = 99.0),
+        ("publish_every", |it| it.publish_every = 0),
+        ("count", |it| it.state.step = u64::MAX),
+        ("solver", |it| it.state.warm_start.order[0] = 99),
+        ("solver", |it| it.state.warm_start.contacts[0].code = 8),
+        ("solver", |it| {
+            it.state.warm_start.contacts[0].multiplier = -1.0
+        }),
+    ];
+    for (part, change) in cases {
+        let mut checkpoint = snapshot::from_proto(&recorded()).unwrap();
+        change(&mut checkpoint);
+        let error = snapshot::check(&checkpoint).unwrap_err();
+        assert!(
+            matches!(error, SnapshotError::Impossible(_)),
+            "{part}: {error}"
+        );
+        assert!(error.to_string().contains(part), "{part}: {error}");
+    }
+}

@@ -1,0 +1,167 @@
+//! Tests of the folder: reopening, truncated and damaged files, locks.
+
+use super::*;
+use crate::run::conduct;
+
+const FILE: &str = "name = \"a\"\nduration = 1\nreplicates = 4\nspec = { n = 3 }\n\
+                    measure = { order_every = 10 }\n";
+
+struct Fixture {
+    directory: tempfile::TempDir,
+    plan: Plan,
+}
+
+impl Fixture {
+    fn new() -> Self {
+        Self {
+            directory: tempfile::tempdir().unwrap(),
+            plan: Plan::parse(FILE).unwrap(),
+        }
+    }
+
+    fn path(&self) -> &Path {
+        self.directory.path()
+    }
+
+    fn open(&self) -> Result<Folder, FolderError> {
+        Folder::open(self.path(), &self.plan)
+    }
+
+    fn append(&self, folder: &mut Folder, index: usize) {
+        let finished = conduct(&self.plan, &self.plan.runs()[index], |_| true).unwrap();
+        folder.append(&self.plan, vec![(index, finished)]).unwrap();
+    }
+
+    fn names(&self, folder: &Folder) -> Vec<String> {
+        let rows = folder.rows(&self.plan).into_iter();
+        rows.map(|row| row.run).collect()
+    }
+
+    /// Applies `change` to the bytes of the list of finished runs.
+    fn edit(&self, change: impl FnOnce(&mut Vec<u8>)) {
+        let path = self.path().join(RUNS);
+        let mut bytes = fs::read(&path).unwrap();
+        change(&mut bytes);
+        fs::write(path, bytes).unwrap();
+    }
+}
+
+#[test]
+fn a_reopened_folder_returns_rows_in_plan_order_with_their_series() {
+    let fixture = Fixture::new();
+    let mut folder = fixture.open().unwrap();
+    for index in [2, 0] {
+        fixture.append(&mut folder, index);
+    }
+    assert_eq!(fixture.names(&folder), ["#0", "#2"]);
+    let rows = folder.rows(&fixture.plan);
+    drop(folder);
+    let folder = fixture.open().unwrap();
+    assert_eq!(folder.rows(&fixture.plan), rows);
+    assert_eq!(Folder::read(fixture.path(), &fixture.plan).unwrap(), rows);
+    let finished = fixture
+        .plan
+        .runs()
+        .iter()
+        .map(|run| folder.is_finished(run));
+    assert_eq!(finished.collect::<Vec<_>>(), [true, false, true, false]);
+    folder.write_tables(&fixture.plan).unwrap();
+    assert_eq!(table::read(fixture.path()).unwrap(), rows);
+    let series = table::order::read(&fixture.path().join(ORDER_NAME)).unwrap();
+    let expected = [0, 2].map(|index| {
+        let run = &fixture.plan.runs()[index];
+        conduct(&fixture.plan, run, |_| true)
+            .unwrap()
+            .series
+            .unwrap()
+    });
+    assert_eq!(series, expected);
+}
+
+#[test]
+fn an_incomplete_last_line_is_dropped_and_earlier_runs_are_kept() {
+    let fixture = Fixture::new();
+    let mut folder = fixture.open().unwrap();
+    let header = fs::read(fixture.path().join(RUNS)).unwrap().len();
+    fixture.append(&mut folder, 0);
+    let first = fs::read(fixture.path().join(RUNS)).unwrap().len();
+    fixture.append(&mut folder, 1);
+    drop(folder);
+    let whole = fs::read(fixture.path().join(RUNS)).unwrap();
+    for length in (0..whole.len())
+        .step_by(7)
+        .chain([header, first, whole.len() - 1])
+    {
+        fixture.edit(|bytes| *bytes = whole[..length].to_vec());
+        let folder = fixture.open().unwrap();
+        let expected = usize::from(length >= first);
+        assert_eq!(fixture.names(&folder).len(), expected, "{length}");
+        let left = fs::read(fixture.path().join(RUNS)).unwrap();
+        assert_eq!(left.len(), if expected == 1 { first } else { header });
+    }
+    // A last line of zero bytes, as a file system may leave after a crash, is dropped too.
+    fixture.edit(|bytes| *bytes = [&whole[..first], b"\0\0\0\0\n"].concat());
+    assert_eq!(fixture.names(&fixture.open().unwrap()), ["#0"]);
+}
+
+#[test]
+fn a_damaged_line_is_reported_and_the_file_is_unchanged() {
+    let fixture = Fixture::new();
+    let mut folder = fixture.open().unwrap();
+    fixture.append(&mut folder, 0);
+    fixture.append(&mut folder, 1);
+    drop(folder);
+    let whole = fs::read(fixture.path().join(RUNS)).unwrap();
+    let text = String::from_utf8(whole).unwrap();
+    let lines: Vec<&str> = text.split_inclusive('\n').collect();
+    let seed = fixture.plan.runs()[0].seed.to_string();
+    for damaged in [
+        [lines[0], &lines[1][5..], lines[2]].concat(),
+        [lines[0], &lines[1].replace("#0", "#9"), lines[2]].concat(),
+        [lines[0], &lines[1].replace(&seed, "1"), lines[2]].concat(),
+    ] {
+        fixture.edit(|bytes| *bytes = damaged.clone().into_bytes());
+        match fixture.open().unwrap_err() {
+            FolderError::Damaged { line, .. } => assert_eq!(line, 2),
+            other => panic!("{other}"),
+        }
+        assert_eq!(
+            fs::read_to_string(fixture.path().join(RUNS)).unwrap(),
+            damaged
+        );
+    }
+    let old = lines
+        .concat()
+        .replace("\"model_version\":", "\"model_version\":9");
+    fixture.edit(|bytes| *bytes = old.into_bytes());
+    let other = fixture.open().unwrap_err();
+    assert!(matches!(other, FolderError::OtherModel { .. }), "{other}");
+}
+
+#[test]
+fn a_folder_has_one_experiment_and_one_writer() {
+    let fixture = Fixture::new();
+    let folder = fixture.open().unwrap();
+    let twice = fixture.open().unwrap_err();
+    assert!(matches!(twice, FolderError::InUse { .. }), "{twice}");
+    drop(folder);
+    let other = Plan::parse(&format!("{FILE}# another\n")).unwrap();
+    let rejected = Folder::open(fixture.path(), &other).unwrap_err();
+    assert!(
+        matches!(rejected, FolderError::OtherExperiment { .. }),
+        "{rejected}"
+    );
+    fixture.open().unwrap();
+    fs::remove_file(fixture.path().join(EXPERIMENT)).unwrap();
+    let orphan = fixture.open().unwrap_err();
+    assert!(
+        matches!(orphan, FolderError::NoExperiment { file: RUNS, .. }),
+        "{orphan}"
+    );
+    let file = fixture.path().join(RUNS);
+    let not_a_folder = Folder::open(&file, &fixture.plan).unwrap_err();
+    assert!(
+        matches!(not_a_folder, FolderError::Io { .. }),
+        "{not_a_folder}"
+    );
+}

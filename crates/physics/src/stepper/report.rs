@@ -1,0 +1,57 @@
+//! The report of a step, and the reasons for which a step fails.
+
+use thiserror::Error;
+
+/// Accuracy and work of a step, and what it found.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct StepReport {
+    /// The residual `max |min(λ, s)|` over the contacts, in body sizes.
+    pub residual: f64,
+    /// Whether the residual exceeds [`TARGET`](super::solve::TARGET), but not
+    /// [`ACCEPTABLE`](super::solve::ACCEPTABLE).
+    pub degraded: bool,
+    /// Number of contacts listed.
+    pub contacts: usize,
+    /// Number of contacts with a positive multiplier.
+    pub active: usize,
+    /// Number of linear systems factored, including one for each iteration of Clarabel.
+    pub iterations: usize,
+    /// Number of calls of Clarabel.
+    pub fallback: usize,
+    /// The least gap of any contact at the start of the step, in body sizes; `None` if no contact
+    /// was within the reach.
+    pub least_gap: Option<f64>,
+    /// Number of crossed pairs at the start of the step; 0 unless the contact rule is `closest`.
+    pub crossed: usize,
+    /// Ids of the individuals that became uninformed at the end of the step.
+    pub lapsed: Vec<u32>,
+}
+
+/// The reason for which a step failed.
+#[derive(Clone, Copy, Debug, PartialEq, Error)]
+pub enum StepError {
+    /// Two axes cross before or after the step, or in the configuration about which `relinearise`
+    /// linearises: their distance has no gradient. Does not occur under `closest`.
+    #[error(
+        "the bodies of individuals {first} and {second} cross: a shorter dt or a smaller pi4 avoids it"
+    )]
+    CrossedBodies {
+        /// Id of the first individual.
+        first: u32,
+        /// Id of the second individual.
+        second: u32,
+    },
+    /// No solution had a residual of at most [`ACCEPTABLE`](super::solve::ACCEPTABLE), or further
+    /// contacts were missed in every one of the lists.
+    #[error("the step is only solved to {residual}")]
+    NotSolved {
+        /// The least residual reached; infinite if there was no solution or the lists ran out.
+        residual: f64,
+    },
+    /// A position or angle is not a finite number before or after the step.
+    #[error("the position of individual {id} is not a finite number")]
+    NotFinite {
+        /// Id of the individual.
+        id: u32,
+    },
+}

@@ -1,0 +1,112 @@
+use super::*;
+use crate::model::body;
+use crate::model::random::{Purpose, Stream};
+
+/// Two touching bodies side by side, and one far away.
+fn touching() -> State {
+    let mut configuration = Configuration::default();
+    configuration.push(0.0, 0.0, 0.0);
+    configuration.push(0.1, 0.4, -0.01);
+    configuration.push(9.0, 9.0, 0.0);
+    State {
+        configuration,
+        ..State::default()
+    }
+}
+
+fn refusal(mut state: State) -> StepError {
+    let before = format!("{state:?}");
+    let error = Stepper::new().step(&mut state).unwrap_err();
+    assert_eq!(
+        format!("{state:?}"),
+        before,
+        "a failed step has changed the state"
+    );
+    error
+}
+
+#[test]
+fn a_step_is_counted_and_stores_the_pushing_contacts() {
+    let mut state = touching();
+    let report = Stepper::new().step(&mut state).unwrap();
+    assert_eq!(
+        (state.step, report.active),
+        (1, state.warm_start.contacts.len())
+    );
+    assert!(report.active > 0 && report.contacts >= report.active && report.iterations > 0);
+    assert!(
+        state
+            .warm_start
+            .contacts
+            .iter()
+            .all(|contact| contact.multiplier > 0.0)
+    );
+}
+
+#[test]
+fn crossed_bodies_are_refused() {
+    let mut state = touching();
+    state.configuration.alpha[1] = 1.5;
+    state.configuration.id = vec![4, 7, 9];
+    assert_eq!(
+        refusal(state),
+        StepError::CrossedBodies {
+            first: 4,
+            second: 7
+        }
+    );
+}
+
+#[test]
+fn a_step_after_which_bodies_would_cross_is_refused() {
+    // These steps are too long for the check of the parameters, so that linearisation fails.
+    let parameters = Parameters {
+        pi1: 32.0,
+        pi3: 20.0,
+        dt: 0.2,
+        ..Parameters::default()
+    };
+    let mut stream = Stream::new(1, 0, 0, Purpose::Start);
+    let mut refused = 0;
+    for _ in 0..2000 {
+        let mut state = State {
+            parameters,
+            ..State::default()
+        };
+        for _ in 0..3 {
+            let [x, y, alpha] = [0, 1, 2].map(|_| 3.0 * stream.uniform());
+            state.configuration.push(x, y, alpha);
+        }
+        let gaps = body::gaps(&parameters, &state.configuration);
+        let before = format!("{state:?}");
+        match Stepper::new().step(&mut state) {
+            Ok(_) => assert_eq!(body::gaps(&parameters, &state.configuration).crossed, 0),
+            Err(error) => {
+                assert!(matches!(error, StepError::CrossedBodies { .. }), "{error}");
+                assert_eq!(format!("{state:?}"), before);
+                refused += usize::from(gaps.crossed == 0);
+            }
+        }
+    }
+    assert!(refused > 0, "no step would have crossed");
+}
+
+#[test]
+fn a_position_that_is_not_finite_is_refused_with_its_id() {
+    for bad in [f64::NAN, f64::INFINITY] {
+        for column in 0..3 {
+            let mut state = touching();
+            let Configuration { x, y, alpha, .. } = &mut state.configuration;
+            [x, y, alpha][column][2] = bad;
+            assert_eq!(refusal(state), StepError::NotFinite { id: 2 });
+        }
+    }
+}
+
+#[test]
+fn a_program_without_solution_is_refused() {
+    let mut state = touching();
+    state.parameters.pi4 = f64::NAN;
+    let error = refusal(state);
+    assert!(matches!(error, StepError::NotSolved { residual } if residual > solve::ACCEPTABLE));
+}
