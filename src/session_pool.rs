@@ -126,6 +126,8 @@ fn close(sessions: Vec<Lease>) {
 
 #[cfg(test)]
 mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
     use zenoh::Config;
     use zenoh::internal::runtime::RuntimeBuilder;
 

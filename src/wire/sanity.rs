@@ -54,37 +54,17 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_is_refused_whatever_its_hash() {
-        type Harm = (&'static str, fn(&mut Checkpoint));
-        let harms: [Harm; 14] = [
-            ("individuals", |it| {
-                it.simulation.state.configuration.id.clear()
-            }),
-            ("ids", |it| it.simulation.state.configuration.id.swap(0, 1)),
-            ("ids", |it| it.simulation.state.configuration.next_id = 0),
-            ("origin", |it| {
-                it.simulation.state.configuration.origin[1] = i64::MIN
-            }),
-            ("finite", |it| {
-                it.simulation.state.configuration.x[0] = f64::NAN
-            }),
+    fn a_snapshot_that_no_swarm_can_have_is_rejected() {
+        type Change = (&'static str, fn(&mut Checkpoint));
+        let changes: [Change; 3] = [
+            // The other conditions of the simulation are tested in jostle-convert.
             ("finite", |it| it.simulation.means.drift = f64::INFINITY),
-            ("weight", |it| {
-                it.simulation.state.configuration.weight[0] = -1.0
-            }),
-            ("pi1", |it| it.simulation.state.parameters.pi1 = 99.0),
-            ("publish_every", |it| it.simulation.publish_every = 0),
             ("rate", |it| it.rate = Some(0.0)),
-            ("count", |it| it.simulation.state.step = u64::MAX),
             ("past", |it| it.simulation.state.step = 101),
-            ("solver", |it| it.simulation.state.warm_start.order[0] = 99),
-            ("solver", |it| {
-                it.simulation.state.warm_start.contacts[0].code = 8
-            }),
         ];
-        for (what, harm) in harms {
+        for (what, change) in changes {
             let mut checkpoint = recorded();
-            harm(&mut checkpoint);
+            change(&mut checkpoint);
             let error = check(&checkpoint).unwrap_err().to_string();
             assert!(error.contains(what), "{what}: {error}");
         }
