@@ -15,12 +15,13 @@ use tracing::debug;
 use zenoh::internal::runtime::DynamicRuntime;
 use zenoh::{Session, Wait};
 
-/// The most leases of one session.
-const MAX_LEASES: usize = 1_000;
+/// The most leases of one session. zenoh keeps a few hundred bytes of each session until its runtime
+/// is closed, so that sessions should be few.
+const MAX_LEASES: usize = 3_000;
 
-/// The most keys that may be declared with one lease: those of a swarm's queryables and one for each of
-/// its verbs. Publishers and subscribers of one swarm need fewer.
-const MAX_KEYS: usize = 4 + SWARM_VERBS.len();
+/// The most keys that may be declared with one lease: those of a swarm's three queryables and one for
+/// each of its verbs. The publishers of a swarm have four keys, a subscription to it three.
+const MAX_KEYS: usize = 3 + SWARM_VERBS.len();
 
 const _: () = assert!(MAX_LEASES * MAX_KEYS < u16::MAX as usize);
 
@@ -46,6 +47,17 @@ struct Sessions {
 pub struct Lease {
     session: Session,
     users: Arc<()>,
+}
+
+/// Keeps the session of a lease open, as the lease does. A callback that the session holds may hold it.
+#[derive(Clone)]
+pub struct LeaseGuard(#[expect(dead_code, reason = "held for its count")] Arc<()>);
+
+impl Lease {
+    /// A guard of this lease: until it is dropped, queries that the session received can be answered.
+    pub fn guard(&self) -> LeaseGuard {
+        LeaseGuard(self.users.clone())
+    }
 }
 
 impl Deref for Lease {
@@ -154,17 +166,23 @@ mod tests {
         let pool = pool().await;
         let first = pool.lease().unwrap();
         for _ in 1..MAX_LEASES {
-            assert_eq!(pool.lease().unwrap().zid(), first.zid());
+            assert!(pool.lease().unwrap().session == first.session);
         }
         assert_eq!(open(&pool), 1);
         let second = pool.lease().unwrap();
+        assert!(second.session != first.session);
         assert_eq!(open(&pool), 2);
         for _ in 0..MAX_LEASES {
             pool.lease().unwrap();
         }
         assert_eq!(open(&pool), 3, "two of them have a lease");
-        let closed = second.session.clone();
+        let (closed, guard) = (second.session.clone(), second.guard());
         drop(second);
+        for _ in 0..MAX_LEASES {
+            pool.lease().unwrap();
+        }
+        assert!(!closed.is_closed(), "a guard keeps it open");
+        drop(guard);
         for _ in 0..MAX_LEASES {
             pool.lease().unwrap();
         }

@@ -84,7 +84,8 @@ fn list_below(
             continue;
         };
         let extension = Path::new(name).extension().and_then(|it| it.to_str());
-        let is_unfinished = extension.is_some_and(|it| UNFINISHED.contains(&it));
+        let is_unfinished = name.starts_with(jostle_atomic_file::PREFIX)
+            || extension.is_some_and(|it| UNFINISHED.contains(&it));
         let rank = match extension {
             Some("json") => 0,
             Some("jsonl") => 1,
@@ -215,6 +216,7 @@ mod tests {
             "e/results.csv",
             "e/runs.jsonl",
             "e/standing.json",
+            "e/.jostle-standing.json-x1",
         ] {
             let path = root.path().join(path);
             fs::create_dir_all(path.parent().unwrap()).unwrap();

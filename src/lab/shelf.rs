@@ -116,7 +116,9 @@ impl Shelf {
     /// When it cannot be written; it stands as before then.
     pub fn note(&self, name: &str, standing: &Standing) -> io::Result<()> {
         let folder = self.folder(name);
-        atomic_file::write(&folder.join(STANDING), &serde_json::to_vec(standing)?)?;
+        let path = folder.join(STANDING);
+        atomic_file::remove_unfinished(&path)?;
+        atomic_file::write(&path, &serde_json::to_vec(standing)?)?;
         sync(&self.0)
     }
 

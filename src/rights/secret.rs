@@ -25,6 +25,7 @@ pub fn draw(bytes: usize) -> io::Result<String> {
 ///
 /// When it cannot be written.
 pub fn write(path: &Path, text: &str) -> io::Result<()> {
+    atomic_file::remove_unfinished(path)?;
     let mut file = atomic_file::begin_private(path)?;
     // Root writes into the folder of a daemon that runs as somebody else, who reads it.
     if geteuid().is_root()

@@ -19,6 +19,7 @@ use crate::command::CommandError;
 use crate::meter::Pulse;
 use crate::server::deadlines::{Deadlines, Due};
 use crate::server::ledger::Page;
+use crate::session_pool::LeaseGuard;
 use crate::swarm::outcome::OrderError;
 use crate::wire::Payload;
 
@@ -66,6 +67,8 @@ pub struct Asked {
     /// What came in.
     pub query: Query,
     _turn: Option<Arc<Turn>>,
+    /// Until the reply is sent, the session that received the query stays open.
+    guard: Option<LeaseGuard>,
     door: Option<Arc<Door>>,
 }
 
@@ -115,6 +118,7 @@ impl Asked {
         Asked {
             query: self.query.clone(),
             _turn: None,
+            guard: self.guard.clone(),
             door: None,
         }
     }
@@ -187,8 +191,14 @@ impl Desk {
     }
 
     /// Takes in a query, unless so much is unanswered already that it is to be turned away.
-    /// `turns` counts those that came in by the same door.
-    pub fn take_in(&self, query: &Query, turns: &Arc<AtomicUsize>) -> Option<Asked> {
+    /// `turns` counts the unanswered queries of its queryable; `guard` keeps the session open that
+    /// received it.
+    pub fn take_in(
+        &self,
+        query: &Query,
+        turns: &Arc<AtomicUsize>,
+        guard: Option<&LeaseGuard>,
+    ) -> Option<Asked> {
         let bytes = query.payload().map_or(0, ZBytes::len);
         // What is taken first and found to be too much is given back by its end.
         let others = turns.fetch_add(1, Ordering::Relaxed);
@@ -204,6 +214,7 @@ impl Desk {
         Some(Asked {
             query: query.clone(),
             _turn: Some(Arc::new(turn)),
+            guard: guard.cloned(),
             door: None,
         })
     }

@@ -106,8 +106,9 @@ impl Doors {
     /// When zenoh refuses a key.
     pub fn open_node(&mut self) -> zenoh::Result<()> {
         let (prefix, node) = (&self.prefix, &self.node);
-        let queryable =
-            |key: String, topic| queryable(&self.session, &key, topic, &self.intake, &self.clerk);
+        let queryable = |key: String, topic| {
+            queryable(&self.session, None, &key, topic, &self.intake, &self.clerk)
+        };
         let queryables = [
             queryable(keys::node_get(prefix, node, "**"), Topic::NodeGet)?,
             queryable(keys::node_cmd(prefix, node, "**"), Topic::NodeCommand)?,
@@ -175,10 +176,12 @@ impl Doors {
         }
     }
 
-    fn queryables(&self, session: &Session, swarm: &str) -> zenoh::Result<[Queryable<()>; 3]> {
+    fn queryables(&self, lease: &Lease, swarm: &str) -> zenoh::Result<[Queryable<()>; 3]> {
         let name: Arc<str> = swarm.into();
-        let queryable =
-            |key: String, topic| queryable(session, &key, topic, &self.intake, &self.clerk);
+        let queryable = |key: String, topic| {
+            let guard = Some(lease.guard());
+            queryable(lease, guard, &key, topic, &self.intake, &self.clerk)
+        };
         Ok([
             queryable(keys::state(&self.prefix, swarm), Topic::State(name.clone()))?,
             queryable(

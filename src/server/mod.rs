@@ -173,11 +173,12 @@ struct Connection {
 }
 
 impl Connection {
+    /// Closes the daemon's own session first: its liveliness token and claims are in it.
     fn close(&self) {
-        self.pool.close();
         if let Err(error) = self.session.close().wait() {
             warn!(%error, "failed to close the session");
         }
+        self.pool.close();
     }
 }
 

@@ -14,6 +14,7 @@ use zenoh::{Session, Wait};
 use crate::command::{CommandError, selector, shortened};
 use crate::server::clerk::Clerk;
 use crate::server::dispatch::Intake;
+use crate::session_pool::LeaseGuard;
 use crate::wire::Payload;
 
 /// What a query is about.
@@ -42,6 +43,7 @@ pub enum Topic {
 /// When zenoh refuses it.
 pub fn queryable(
     session: &Session,
+    guard: Option<LeaseGuard>,
     key: &str,
     topic: Topic,
     intake: &SyncSender<Intake>,
@@ -64,7 +66,7 @@ pub fn queryable(
                 // Where there is no room for it commands are found as before.
                 let _ = intake.try_send(Intake::Used(swarm.clone(), verb));
             }
-            let asked = clerk.desk.take_in(&query, &turns);
+            let asked = clerk.desk.take_in(&query, &turns, guard.as_ref());
             let is_taken = asked.is_some_and(|asked| {
                 if clerk.reads_at_the_door(&topic, &query, &asked) {
                     return true;

@@ -44,11 +44,11 @@ pub fn shot(bytes: &[u8], parameters: Parameters) -> Result<(Mark, Shot), String
         .chain([certificate.residual]);
     let mut all = numbers.chain(columns.into_iter().flatten().copied());
     if !all.all(f64::is_finite) {
-        return Err("a number of it is not finite".to_owned());
+        return Err("it has a number that is not finite".to_owned());
     }
     drop(all);
     if state.weight.iter().any(|weight| *weight < 0.0) {
-        return Err("a weight of it is negative".to_owned());
+        return Err("it has a negative weight".to_owned());
     }
     if state.epoch > LARGEST_WHOLE || state.step > LARGEST_WHOLE {
         return Err("its epoch or step is too large".to_owned());

@@ -24,7 +24,7 @@ pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
     }
     let at_steps = || checkpoint.scheduled.iter().map(|(at_step, _)| *at_step);
     if at_steps().any(|it| it > LARGEST_WHOLE) {
-        return impossible("a count of it is too large".to_owned());
+        return impossible("it has a count that is too large".to_owned());
     }
     if at_steps().any(|at_step| at_step < checkpoint.simulation.state.step) {
         return impossible("a command waits for a step that is past".to_owned());

@@ -1,19 +1,24 @@
 //! Files that exist as a whole or not at all.
 //!
 //! A file is written under a temporary name in the folder of its path, synced, and then renamed. After a
-//! crash the path has the old content or the new one, and a temporary file `.jostle-*` may be left.
+//! crash the path has the old content or the new one, and a temporary file may be left: its name begins
+//! with [`PREFIX`] and the name of the file, and [`remove_unfinished`] removes it.
 
-use std::fs::{File, Permissions};
-use std::io::{self, Write};
+use std::ffi::OsString;
+use std::fs::{self, File, Permissions};
+use std::io::{self, ErrorKind, Write};
 use std::path::Path;
 
 use tempfile::{Builder, NamedTempFile};
+
+/// What the names of temporary files begin with.
+pub const PREFIX: &str = ".jostle-";
 
 /// Writes a file, and replaces one that exists.
 ///
 /// # Errors
 ///
-/// If it cannot be written; a file that existed is as it was.
+/// If it cannot be written. A file that existed is as it was, unless syncing the folder failed.
 pub fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
     let mut file = begin(path)?;
     file.write_all(bytes)?;
@@ -39,8 +44,9 @@ pub fn write_new(path: &Path, bytes: &[u8]) -> io::Result<()> {
 ///
 /// If the folder cannot be written to.
 pub fn begin(path: &Path) -> io::Result<NamedTempFile> {
+    let prefix = prefix_of(path);
     let mut builder = Builder::new();
-    builder.prefix(PREFIX);
+    builder.prefix(&prefix);
     // The permissions of a usual file, less the umask.
     #[cfg(unix)]
     builder.permissions(<Permissions as std::os::unix::fs::PermissionsExt>::from_mode(0o666));
@@ -53,7 +59,29 @@ pub fn begin(path: &Path) -> io::Result<NamedTempFile> {
 ///
 /// If the folder cannot be written to.
 pub fn begin_private(path: &Path) -> io::Result<NamedTempFile> {
-    Builder::new().prefix(PREFIX).tempfile_in(folder_of(path))
+    Builder::new()
+        .prefix(&prefix_of(path))
+        .tempfile_in(folder_of(path))
+}
+
+/// Removes temporary files of `path` that a crash left. The caller must be its only writer.
+///
+/// # Errors
+///
+/// If the folder cannot be read, or one of them cannot be removed.
+pub fn remove_unfinished(path: &Path) -> io::Result<()> {
+    let prefix = prefix_of(path);
+    for entry in fs::read_dir(folder_of(path))? {
+        let entry = entry?;
+        let name = entry.file_name();
+        if name
+            .as_encoded_bytes()
+            .starts_with(prefix.as_encoded_bytes())
+        {
+            fs::remove_file(entry.path())?;
+        }
+    }
+    Ok(())
 }
 
 /// Syncs `file`, renames it to `path` and syncs the folder.
@@ -67,14 +95,30 @@ pub fn publish(file: NamedTempFile, path: &Path) -> io::Result<()> {
     sync_folder_of(path)
 }
 
-const PREFIX: &str = ".jostle-";
+fn prefix_of(path: &Path) -> OsString {
+    let mut prefix = OsString::from(PREFIX);
+    prefix.push(path.file_name().unwrap_or_default());
+    prefix.push("-");
+    prefix
+}
 
-/// The name of a file is an entry of its folder, which is synced apart from the file.
+/// The name of a file is an entry of its folder, which is synced apart from the file. Some folders may
+/// be written to but not read, and some file systems cannot sync one: the file is in its place then.
 fn sync_folder_of(path: &Path) -> io::Result<()> {
     #[cfg(unix)]
-    File::open(folder_of(path))?.sync_all()?;
+    match File::open(folder_of(path)).and_then(|folder| folder.sync_all()) {
+        Err(error) if !CANNOT_SYNC.contains(&error.kind()) => return Err(error),
+        _ => {}
+    }
     Ok(())
 }
+
+#[cfg(unix)]
+const CANNOT_SYNC: [ErrorKind; 3] = [
+    ErrorKind::PermissionDenied,
+    ErrorKind::InvalidInput,
+    ErrorKind::Unsupported,
+];
 
 fn folder_of(path: &Path) -> &Path {
     match path.parent() {
@@ -86,9 +130,6 @@ fn folder_of(path: &Path) -> &Path {
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
-    use std::fs;
-    use std::os::unix::fs::PermissionsExt;
-
     use super::*;
 
     #[test]
@@ -111,13 +152,33 @@ mod tests {
         let path = folder.path().join("school.snapshot");
         write_new(&path, b"one").unwrap();
         let error = write_new(&path, b"two").unwrap_err();
-        assert_eq!(error.kind(), io::ErrorKind::AlreadyExists);
+        assert_eq!(error.kind(), ErrorKind::AlreadyExists);
         assert_eq!(fs::read(&path).unwrap(), b"one");
         assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1);
     }
 
     #[test]
+    fn only_unfinished_files_of_a_path_are_removed() {
+        let folder = tempfile::tempdir().unwrap();
+        let [path, other] = ["token", "token.old"].map(|name| folder.path().join(name));
+        write(&path, b"new").unwrap();
+        for path in [&path, &other] {
+            // As after a crash.
+            begin(path).unwrap().keep().unwrap();
+        }
+        remove_unfinished(&path).unwrap();
+        let left = fs::read_dir(folder.path()).unwrap();
+        let mut left: Vec<_> = left.map(|it| it.unwrap().file_name()).collect();
+        left.sort();
+        assert!(left[0].to_str().unwrap().starts_with(".jostle-token.old-"));
+        assert_eq!(left[1..], ["token"]);
+    }
+
+    #[cfg(unix)]
+    #[test]
     fn a_private_file_is_for_its_owner_only() {
+        use std::os::unix::fs::PermissionsExt;
+
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("token");
         publish(begin_private(&path).unwrap(), &path).unwrap();

@@ -37,5 +37,16 @@ def atomic_file(path: str | os.PathLike[str], *, force: bool = True) -> Iterator
         else:
             # Unlike a rename, it fails if the file exists.
             os.link(draft, path)
+        _sync(path.parent)
     finally:
         draft.unlink(missing_ok=True)
+
+
+def _sync(folder: Path) -> None:
+    """Syncs the entries of a folder, where the system can."""
+    with contextlib.suppress(OSError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)
