@@ -3,98 +3,38 @@
 //! A folder contains:
 //!
 //! - `experiment.toml`, a copy of the experiment's file;
-//! - `runs.jsonl`, a header and a line for each finished run; a run counts as finished once its
-//!   line is durable;
-//! - `order/`, a file of numbers for each run, if the plan has `order_every`;
+//! - `runs.jsonl`, a header and a line for each finished run, with its order over time if the plan
+//!   has `order_every`; a run counts as finished once its line is durable;
+//! - `order/`, in folders of earlier versions, which stored the order over time there;
 //! - the tables, written from these: `results.parquet`, `results.csv`, `order.parquet` and
 //!   `touch.csv`;
 //! - `lock`, which a process that writes to the folder holds exclusively.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Seek as _, SeekFrom, Write as _};
+use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use jostle_physics::model::MODEL_VERSION;
 use jostle_results::Run;
 use jostle_results::table::order::ORDER_NAME;
-use jostle_results::table::{self, CSV_NAME, OrderSeries, OrderWriter, PARQUET_NAME, TableError};
+use jostle_results::table::{self, CSV_NAME, OrderSeries, OrderWriter, PARQUET_NAME};
 use jostle_results::touch::{self, TOUCH_NAME, Touch};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
-use thiserror::Error;
 
+pub use self::error::FolderError;
 use crate::plan::{Plan, PlannedRun};
 use crate::run::Finished;
+
+mod error;
 
 const EXPERIMENT: &str = "experiment.toml";
 const RUNS: &str = "runs.jsonl";
 const LOCK: &str = "lock";
 const SERIES: &str = "order";
-
-/// Why a folder cannot be used.
-#[derive(Debug, Error)]
-pub enum FolderError {
-    /// A system call failed.
-    #[error("use {}: {source}", path.display())]
-    Io {
-        /// The file.
-        path: PathBuf,
-        /// The system's error.
-        source: io::Error,
-    },
-    /// A table could not be written.
-    #[error(transparent)]
-    Table(#[from] TableError),
-    /// Another process has locked the folder.
-    #[error("use {}: another process is running this experiment", folder.display())]
-    InUse {
-        /// The folder.
-        folder: PathBuf,
-    },
-    /// The folder contains results of another file.
-    #[error(
-        "use {}: it contains results of another experiment.toml; choose another folder, or \
-         continue with that file", folder.display()
-    )]
-    OtherExperiment {
-        /// The folder.
-        folder: PathBuf,
-    },
-    /// The folder contains results, but no `experiment.toml`.
-    #[error(
-        "use {}: it contains {file} but no {EXPERIMENT}; choose another folder", folder.display()
-    )]
-    NoExperiment {
-        /// The folder.
-        folder: PathBuf,
-        /// The first file or folder of results that was found.
-        file: &'static str,
-    },
-    /// The runs were computed with another version of the model, which gives other results for the
-    /// same seeds.
-    #[error(
-        "use {}: its runs have model version {theirs}, this program has {MODEL_VERSION}; finish it \
-         with the jostled that started it, or choose another folder", folder.display()
-    )]
-    OtherModel {
-        /// The folder.
-        folder: PathBuf,
-        /// The model version of its runs.
-        theirs: u32,
-    },
-    /// A line of the list of runs is damaged.
-    #[error("read {}: line {line}: {reason}", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// The line, from 1.
-        line: usize,
-        /// What is wrong.
-        reason: String,
-    },
-}
 
 /// The first line of the list of finished runs.
 #[derive(Deserialize, Serialize)]
@@ -115,12 +55,44 @@ struct Record {
     touch: Option<Touch>,
 }
 
+/// A line of the list, with what is not kept in memory.
+#[derive(Serialize)]
+struct Line<'a> {
+    #[serde(flatten)]
+    record: &'a Record,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    order: Option<Series>,
+}
+
+/// The order over time of a line; other fields are skipped.
+#[derive(Deserialize)]
+struct OrderOfLine {
+    order: Option<Series>,
+}
+
+/// The order parameter every `order_every` steps, and the drift if individuals are informed.
+#[derive(Deserialize, Serialize)]
+struct Series {
+    order: Vec<f64>,
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    drift: Vec<f64>,
+}
+
+/// A finished run and the place of its line in the list.
+#[derive(Clone, Debug)]
+struct Entry {
+    record: Record,
+    line: Range<u64>,
+}
+
 /// The folder of an experiment, locked for writing.
 #[derive(Debug)]
 pub struct Folder {
     path: PathBuf,
     runs: File,
-    finished: BTreeMap<String, Record>,
+    /// The length of the list of runs, in bytes.
+    length: u64,
+    finished: BTreeMap<String, Entry>,
     /// The lock is released when this file is closed.
     _lock: File,
 }
@@ -158,16 +130,12 @@ impl Folder {
             runs.write_all(&line).map_err(fail)?;
             length = line.len() as u64;
         }
-        debug_assert!(length > 0);
         runs.sync_all().map_err(fail)?;
-        if plan.order_every.is_some() {
-            let series = path.join(SERIES);
-            fs::create_dir_all(&series).map_err(|source| io_error(&series, source))?;
-        }
         sync_folder(path)?;
         Ok(Self {
             path: path.to_owned(),
             runs,
+            length,
             finished,
             _lock: lock,
         })
@@ -189,9 +157,15 @@ impl Folder {
     ///
     /// # Errors
     ///
-    /// [`FolderError::Io`] if the run has no such series.
+    /// [`FolderError`], if the run has no such series, too.
     pub fn read_order(path: &Path, plan: &Plan, index: usize) -> Result<OrderSeries, FolderError> {
-        read_series(path, plan, index, plan.order_every.unwrap_or(1))
+        let bytes = read_or_empty(&path.join(RUNS))?;
+        let (finished, _) = parse_runs(path, plan, &bytes)?;
+        let line = match finished.get(&plan.runs()[index].name) {
+            Some(entry) => &bytes[to_range(&entry.line)],
+            None => &[],
+        };
+        read_series(path, plan, index, line)
     }
 
     /// The path of the folder.
@@ -216,7 +190,7 @@ impl Folder {
     #[must_use]
     pub fn faults(&self, plan: &Plan) -> Vec<(String, String)> {
         let records = plan.runs().iter().map(|run| self.finished.get(&run.name));
-        let faults = records.flatten().filter_map(|record| {
+        let faults = records.flatten().filter_map(|Entry { record, .. }| {
             let fault = record.fault.as_ref()?;
             Some((record.run.clone(), fault.clone()))
         });
@@ -234,30 +208,36 @@ impl Folder {
         batch: Vec<(usize, Finished)>,
     ) -> Result<(), FolderError> {
         let mut lines = Vec::new();
-        let mut records = Vec::with_capacity(batch.len());
+        let mut entries = Vec::with_capacity(batch.len());
         for (index, finished) in batch {
-            if let Some(series) = &finished.series {
-                self.write_series(index, series)?;
-            }
             let record = Record {
                 run: plan.runs()[index].name.clone(),
                 fault: finished.fault,
                 row: finished.row,
                 touch: finished.touch,
             };
-            lines.extend(to_line(&record));
-            records.push(record);
-        }
-        if plan.order_every.is_some() {
-            sync_folder(&self.path.join(SERIES))?;
+            let order = finished.series.map(|series| Series {
+                order: series.orders,
+                drift: series.drifts,
+            });
+            let start = self.length + lines.len() as u64;
+            lines.extend(to_line(&Line {
+                record: &record,
+                order,
+            }));
+            let line = start..self.length + lines.len() as u64;
+            entries.push((record.run.clone(), Entry { record, line }));
         }
         let written = self.runs.write_all(&lines);
         let synced = written.and_then(|()| self.runs.sync_data());
-        synced.map_err(|source| io_error(&self.path.join(RUNS), source))?;
-        let named = records
-            .into_iter()
-            .map(|record| (record.run.clone(), record));
-        self.finished.extend(named);
+        if let Err(source) = synced {
+            // A line that was written in part is not finished: the next one replaces it.
+            let _ = self.runs.set_len(self.length);
+            let _ = self.runs.seek(SeekFrom::Start(self.length));
+            return Err(io_error(&self.path.join(RUNS), source));
+        }
+        self.length += lines.len() as u64;
+        self.finished.extend(entries);
         Ok(())
     }
 
@@ -270,51 +250,55 @@ impl Folder {
         table::write(&self.path, &self.rows(plan))?;
         if plan.touch {
             let records = plan.runs().iter().map(|run| self.finished.get(&run.name));
-            let rows = records.flatten().filter_map(|record| record.touch.clone());
+            let rows = records
+                .flatten()
+                .filter_map(|entry| entry.record.touch.clone());
             touch::write(&self.path.join(TOUCH_NAME), &rows.collect::<Vec<_>>())?;
         }
-        let Some(every) = plan.order_every else {
+        if plan.order_every.is_none() {
             return Ok(());
-        };
+        }
+        let path = self.path.join(RUNS);
+        let fail = |source| io_error(&path, source);
+        let mut list = File::open(&path).map_err(fail)?;
         let mut writer = OrderWriter::begin(&self.path.join(ORDER_NAME))?;
         for (index, run) in plan.runs().iter().enumerate() {
-            let record = self.finished.get(&run.name);
-            if record.is_some_and(|record| record.row.is_some()) {
-                writer.append(&read_series(&self.path, plan, index, every)?)?;
+            if let Some(entry) = self.finished.get(&run.name)
+                && entry.record.row.is_some()
+            {
+                list.seek(SeekFrom::Start(entry.line.start)).map_err(fail)?;
+                let mut line = vec![0; to_range(&entry.line).len()];
+                list.read_exact(&mut line).map_err(fail)?;
+                writer.append(&read_series(&self.path, plan, index, &line)?)?;
             }
         }
         Ok(writer.finish()?)
     }
-
-    /// Writes the orders and then the drifts, if the series has drifts, as little-endian doubles
-    /// without a header.
-    fn write_series(&self, index: usize, series: &OrderSeries) -> Result<(), FolderError> {
-        let numbers = series.orders.iter().chain(&series.drifts);
-        let bytes: Vec<u8> = numbers.flat_map(|number| number.to_le_bytes()).collect();
-        write_atomically(&series_path(&self.path, index), &bytes)
-    }
 }
 
-fn series_path(folder: &Path, index: usize) -> PathBuf {
-    folder.join(SERIES).join(format!("{index:06}"))
+/// A place in a file that was read into memory.
+fn to_range(line: &Range<u64>) -> Range<usize> {
+    let index = |at| usize::try_from(at).unwrap_or(usize::MAX);
+    index(line.start)..index(line.end)
 }
 
+/// Reads the order over time of a run from its line of the list, or from the file in which earlier
+/// versions stored it.
 fn read_series(
     folder: &Path,
     plan: &Plan,
     index: usize,
-    every: u64,
+    line: &[u8],
 ) -> Result<OrderSeries, FolderError> {
     let run = &plan.runs()[index];
     let point = plan.point(run);
-    let path = series_path(folder, index);
-    let bytes = fs::read(&path).map_err(|source| io_error(&path, source))?;
-    let (numbers, _) = bytes.as_chunks();
-    let mut orders: Vec<f64> = numbers.iter().copied().map(f64::from_le_bytes).collect();
-    let drifts = match point.informed {
-        0 => Vec::new(),
-        _ => orders.split_off(orders.len() / 2),
+    let every = plan.order_every.unwrap_or(1);
+    let of_line = serde_json::from_slice(line).ok();
+    let series = match of_line.and_then(|it: OrderOfLine| it.order) {
+        Some(series) => series,
+        None => read_series_file(folder, index, point.informed > 0)?,
     };
+    let (orders, drifts) = (series.order, series.drift);
     let steps: Vec<u64> = (0..orders.len() as u64)
         .map(|entry| entry * every)
         .collect();
@@ -326,6 +310,20 @@ fn read_series(
         orders,
         drifts,
     })
+}
+
+/// Reads the file of a run's series: the orders and then the drifts, if the series has drifts, as
+/// little-endian doubles without a header.
+fn read_series_file(folder: &Path, index: usize, has_drift: bool) -> Result<Series, FolderError> {
+    let path = folder.join(SERIES).join(format!("{index:06}"));
+    let bytes = fs::read(&path).map_err(|source| io_error(&path, source))?;
+    let (numbers, _) = bytes.as_chunks();
+    let mut order: Vec<f64> = numbers.iter().copied().map(f64::from_le_bytes).collect();
+    let drift = match has_drift {
+        true => order.split_off(order.len() / 2),
+        false => Vec::new(),
+    };
+    Ok(Series { order, drift })
 }
 
 /// Locks a folder until the returned file is closed.
@@ -362,8 +360,8 @@ fn claim(folder: &Path, plan: &Plan) -> Result<(), FolderError> {
                 let folder = folder.to_owned();
                 return Err(FolderError::NoExperiment { folder, file });
             }
-            write_atomically(&path, plan.text.as_bytes())?;
-            sync_folder(folder)
+            jostle_atomic_file::write(&path, plan.text.as_bytes())
+                .map_err(|source| io_error(&path, source))
         }
         Err(source) => Err(io_error(&path, source)),
     }
@@ -375,7 +373,7 @@ fn parse_runs(
     folder: &Path,
     plan: &Plan,
     bytes: &[u8],
-) -> Result<(BTreeMap<String, Record>, u64), FolderError> {
+) -> Result<(BTreeMap<String, Entry>, u64), FolderError> {
     let damaged = |line: usize, reason: String| FolderError::Damaged {
         path: folder.join(RUNS),
         line: line + 1,
@@ -422,16 +420,19 @@ fn parse_runs(
                 }
                 Some(_) => {}
             }
-            finished.insert(record.run.clone(), record);
+            let line = length as u64..(length + line.len()) as u64;
+            finished.insert(record.run.clone(), Entry { record, line });
         }
         length += line.len();
     }
     Ok((finished, length as u64))
 }
 
-fn rows(plan: &Plan, finished: &BTreeMap<String, Record>) -> Vec<Run> {
-    let records = plan.runs().iter().filter_map(|run| finished.get(&run.name));
-    records.filter_map(|record| record.row.clone()).collect()
+fn rows(plan: &Plan, finished: &BTreeMap<String, Entry>) -> Vec<Run> {
+    let entries = plan.runs().iter().filter_map(|run| finished.get(&run.name));
+    entries
+        .filter_map(|entry| entry.record.row.clone())
+        .collect()
 }
 
 fn to_line(value: &impl Serialize) -> Vec<u8> {
@@ -446,16 +447,6 @@ fn read_or_empty(path: &Path) -> Result<Vec<u8>, FolderError> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
         read => read.map_err(|source| io_error(path, source)),
     }
-}
-
-/// Writes a file through a temporary one, so that a crash leaves no incomplete file.
-fn write_atomically(path: &Path, bytes: &[u8]) -> Result<(), FolderError> {
-    let fail = |source| io_error(path, source);
-    let draft = path.with_extension("part");
-    let mut file = File::create(&draft).map_err(fail)?;
-    file.write_all(bytes).map_err(fail)?;
-    file.sync_all().map_err(fail)?;
-    fs::rename(&draft, path).map_err(fail)
 }
 
 /// Makes the entries of a folder durable.

@@ -20,6 +20,7 @@ _FOLDER = ROOT / "target" / "mutants"
 _PACKAGES = {
     "proto": "jostle-proto",
     "clients": "jostle-cli",
+    "crates/atomic-file": "jostle-atomic-file",
     "crates/convert": "jostle-convert",
     "crates/experiment": "jostle-experiment",
     "crates/physics": "jostle-physics",

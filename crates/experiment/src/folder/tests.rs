@@ -76,6 +76,41 @@ fn a_reopened_folder_returns_rows_in_plan_order_with_their_series() {
             .unwrap()
     });
     assert_eq!(series, expected);
+    for (index, expected) in [0, 2].into_iter().zip(expected) {
+        let order = Folder::read_order(fixture.path(), &fixture.plan, index).unwrap();
+        assert_eq!(order, expected);
+    }
+    assert!(Folder::read_order(fixture.path(), &fixture.plan, 1).is_err());
+}
+
+#[test]
+fn series_that_earlier_versions_stored_in_files_are_read() {
+    let fixture = Fixture::new();
+    let mut folder = fixture.open().unwrap();
+    fixture.append(&mut folder, 1);
+    drop(folder);
+    let order = Folder::read_order(fixture.path(), &fixture.plan, 1).unwrap();
+    // The line and the file as earlier versions wrote them.
+    fixture.edit(|bytes| {
+        let text = String::from_utf8(bytes.clone()).unwrap();
+        let lines = text.lines().map(|line| {
+            let mut line: serde_json::Value = serde_json::from_str(line).unwrap();
+            line.as_object_mut().unwrap().remove("order");
+            format!("{line}\n")
+        });
+        *bytes = lines.collect::<String>().into_bytes();
+    });
+    assert!(Folder::read_order(fixture.path(), &fixture.plan, 1).is_err());
+    fs::create_dir(fixture.path().join(SERIES)).unwrap();
+    let numbers = order.orders.iter().chain(&order.drifts);
+    let bytes: Vec<u8> = numbers.flat_map(|number| number.to_le_bytes()).collect();
+    fs::write(fixture.path().join("order/000001"), bytes).unwrap();
+    let stored = Folder::read_order(fixture.path(), &fixture.plan, 1).unwrap();
+    assert_eq!(stored, order);
+    let folder = fixture.open().unwrap();
+    folder.write_tables(&fixture.plan).unwrap();
+    let table = table::order::read(&fixture.path().join(ORDER_NAME)).unwrap();
+    assert_eq!(table, [order]);
 }
 
 #[test]
