@@ -79,7 +79,7 @@ impl Solver {
                 let (hints, workspace) = (recorded.hints(), &mut ours.workspace);
                 let solution = &mut ours.solution;
                 let warm = &recorded.state.warm_start;
-                workspace.exact.recall(&warm.order, warm.order_age);
+                workspace.exact.load_order(&warm.order, warm.order_age);
                 solve::solve(ours.backend, &recorded.qp, &hints, workspace, solution);
             }
             Self::Clarabel(multipliers, iterations) => {

@@ -15,17 +15,17 @@
 //! # Ok::<(), Box<dyn std::error::Error>>(())
 //! ```
 //!
-//! [`simulation`] starts, steps and changes a swarm. A step is made by the [`stepper`]: it computes the
-//! free motion, finds the contacts, solves the program and moves the bodies. [`model`] has the
+//! [`simulation`] starts, steps and changes a swarm. A step is made by the [`stepper`]: it computes
+//! the free motion, finds the contacts, solves the program and moves the bodies. [`model`] has the
 //! parameters, the state and its hash; [`observables`] measures a state. `docs/model.md` has the
 //! equations, `docs/solver.md` the algorithm.
 //!
-//! Every function depends on its arguments alone. This crate reads no clock and no file and starts no
-//! thread, which `clippy.toml` beside it checks; it depends on no serialiser and no runtime. A caller
-//! may pass a pool of threads, which changes no bit of a result.
+//! Every function depends on its arguments alone. This crate reads no clock and no file and starts
+//! no thread, which `crates/physics/clippy.toml` checks; it uses no serialiser itself and no
+//! runtime. A caller may pass a pool of threads, which changes no bit of a result.
 //!
-//! Lengths are in body sizes, the mean of a body's length and width. Speeds are in the free speed of a
-//! body. Angles are in radians.
+//! Lengths are in body sizes, the mean of a body's length and width. Speeds are in the free speed
+//! of a body. Angles are in radians.
 
 pub mod model;
 pub mod observables;

@@ -54,8 +54,8 @@ pub struct Gaps {
 /// Larger gaps, in body sizes, are not measured: no rule depends on them.
 pub const HORIZON: f64 = 1.0;
 
-/// Axes cross only if their centres are within two half-lengths: the square of that factor, with
-/// a margin for rounding.
+/// Square of the largest centre distance at which axes cross, in half-lengths, with a margin for
+/// rounding.
 const CROSSING: f64 = 4.0 * (1.0 + 1e-9);
 
 /// [`gaps`] first measures the pairs with a gap below this, in body sizes. In a group such pairs

@@ -55,8 +55,8 @@ const BORDER: f64 = 1.6e-5;
 /// `libm` draws the limit at 2⁻¹⁶, by the exponents; this is twice that.
 const CANCELLATION: f64 = 1.0 / 32_768.0;
 
-/// Angles of this size or more are left to `libm`, which reduces in doubles up to 2²⁰ π/2, a
-/// little more.
+/// Angles of this size or more are left to `libm`. `libm` reduces in doubles up to 2²⁰ π/2, about
+/// 1.65e6.
 const LARGEST: f64 = 1.6e6;
 
 /// Angles of at most this size are left to `libm`, where zero keeps its sign. Above it the

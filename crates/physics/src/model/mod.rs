@@ -1,7 +1,7 @@
 //! The state of a swarm: parameters, individuals, their start and changes, and the state's hash.
 //!
-//! Everything here is a function of its arguments: no clock, thread, file or serialiser. The
-//! caller may pass a thread pool, which changes no bit of a result.
+//! Everything here is a function of its arguments: no clock, thread or file. This module uses no
+//! serialiser itself. The caller may pass a thread pool, which changes no bit of a result.
 //! Lengths are in body sizes and speeds in the free speed, so both of these units are 1.
 
 pub mod attraction;

@@ -12,7 +12,7 @@ const MARGIN: f64 = 1.0 + 1e-6;
 
 /// Finds pairs, and reuses its buffers from one search to the next.
 ///
-/// The plane is folded onto a square of cells, so coordinates may have any size. Points that are
+/// The plane is wrapped onto a square of cells, so coordinates may have any size. Points that are
 /// far apart may share a cell, which costs time and does not change the result.
 #[derive(Clone, Debug, Default)]
 pub struct PairSearch {
@@ -88,10 +88,11 @@ impl PairSearch {
         let side = count.isqrt().next_power_of_two().clamp(4, 1 << 15);
         self.cell.clear();
         let places = x.iter().zip(y);
-        self.cell
-            .extend(places.map(|(&x, &y)| {
-                folded(x * per_length, side) * side + folded(y * per_length, side)
-            }));
+        self.cell.extend(
+            places.map(|(&x, &y)| {
+                wrapped(x * per_length, side) * side + wrapped(y * per_length, side)
+            }),
+        );
         self.start.clear();
         self.start.resize((side * side) as usize + 1, 0);
         for &cell in &self.cell {
@@ -116,7 +117,7 @@ impl PairSearch {
 }
 
 /// Returns a coordinate rounded down, modulo `side`, a power of two.
-fn folded(coordinate: f64, side: u32) -> u32 {
+fn wrapped(coordinate: f64, side: u32) -> u32 {
     #[expect(
         clippy::cast_possible_truncation,
         reason = "a cast saturates, and only the last bits count"
@@ -258,8 +259,8 @@ mod tests {
     #[test]
     fn cells_find_the_pairs_of_a_thousand_scattered_points() {
         let mut stream = Stream::new(2, 0, 0, Purpose::Start);
-        // A dense group, a sparse one around it, and a few points so far away that they fold
-        // onto both.
+        // A dense group, a sparse one around it, and a few points so far away that they are
+        // wrapped onto both.
         let mut draw = |k: usize| {
             let width = [20.0, 200.0, 2e6][usize::from(k > 500) + usize::from(k > 990)];
             width * (stream.uniform() - 0.5)

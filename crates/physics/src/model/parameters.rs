@@ -25,8 +25,8 @@ pub enum Stepping {
     /// The gap after the step, to first order: the next step pushes overlap out, eq. (7).
     #[default]
     Position,
-    /// The speed at which touching bodies approach each other, eq. (19). Overlap from rounding
-    /// and curvature is not pushed out, and adds up.
+    /// The speed at which touching bodies approach each other: the paper's first approach, after
+    /// eq. (19). Overlap from rounding and curvature is not pushed out, and adds up.
     Velocity,
 }
 
@@ -35,11 +35,11 @@ pub enum Stepping {
 pub enum Attraction {
     /// All others at any distance, eq. (4).
     All {
-        /// The largest error of the mean of unit vectors, whose length is at most 1; within
+        /// The target error of the mean of unit vectors, whose length is at most 1; within
         /// [`ACCURACIES`]. Without an accuracy the mean is summed term by term. With one, far
         /// groups are summed by series if the swarm is large, and the means no longer cancel to
-        /// rounding. The error is measured, not bounded: it is within the accuracy in one group
-        /// of any shape, and up to 10 times the accuracy in far flocks.
+        /// rounding. The error is not bounded. Measured errors are within the accuracy for one
+        /// group of any shape, and up to 10 times larger for a few distant groups.
         accuracy: Option<f64>,
     },
     /// The individuals whose Voronoi cells share an edge of positive length with the individual's
@@ -139,13 +139,14 @@ pub enum ParametersError {
 pub const LARGEST_NUMBER: f64 = 1e6;
 
 /// The reach in units of the free travel of one body in a step. Free bodies approach each other at
-/// most twice as fast as one travels; half as much again leaves room for bodies that are pushed.
+/// most twice as fast as one travels. The factor 3 instead of 2 allows for pushed bodies.
 /// The value affects only the cost: after solving, the stepper checks all pairs that could meet
 /// given the computed displacements.
 const REACH_TRAVELS: f64 = 3.0;
 
 impl Default for Parameters {
-    /// The values of Table 1 for the second series, at the most used length over width.
+    /// The values of Table 1 for the paper's second series (section 3.2), with the `pi1` of the
+    /// elongated bodies in Figure 3.
     fn default() -> Self {
         Self {
             pi1: 4.0,

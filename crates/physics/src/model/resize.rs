@@ -46,8 +46,8 @@ pub enum ResizeError {
 /// were scaled about the centroid: 1 unless `make_room` was needed.
 ///
 /// No pair may overlap more than before, or cross. The factor is the least one that allows this,
-/// or at most 1e-9 more. The warm start is kept: it is only a guess of the active set, most
-/// contacts remain, and a wrong guess costs time, not accuracy.
+/// or at most a factor 1 + 1e-9 larger. The warm start is kept: it is only a guess of the active
+/// set, most contacts remain, and a wrong guess costs time, not accuracy.
 ///
 /// # Errors
 ///
@@ -106,9 +106,9 @@ fn is_allowed(nearness: Nearness, smallest: f64) -> bool {
     nearness.gap >= smallest && !nearness.crossed
 }
 
-/// Finds the least factor, not below `least`, that gives a pair room. A body is symmetric under a
-/// half turn, so the gap grows with the distance of the centres along their line, and bisection
-/// finds the least factor.
+/// Finds the least factor, not below `least`, that gives a pair room. A body is convex and
+/// symmetric under a half turn, so the gap grows with the distance of the centres along their line,
+/// and bisection finds the least factor.
 fn least_factor(body: Body, poses: [Pose; 2], smallest: f64, least: f64) -> f64 {
     let has_room = |factor: f64| {
         let apart = Pose {

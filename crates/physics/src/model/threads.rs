@@ -32,9 +32,8 @@ impl Pool {
     /// Processes `parts` in as many rounds as parts; round r processes the parts 0 to r in order.
     ///
     /// A thread takes the next round, creates a `scratch` for it, and waits before each part until
-    /// the previous round has finished that part. So each part goes through its rounds in order,
-    /// and each round through its parts, on whichever threads
-    /// `work(scratch, round, index of the part, part)` runs.
+    /// the previous round has finished that part. Rounds of a part run in order, and parts of a
+    /// round too, on any thread: each is `work(scratch, round, index of the part, part)`.
     pub fn rounds<P: Send, S>(
         &self,
         parts: impl Iterator<Item = P>,

@@ -32,7 +32,8 @@ pub struct Exactness {
     pub iterations: usize,
 }
 
-/// A simulation at one step: two simulations with equal checkpoints have the same future.
+/// A simulation at one step. Two simulations with equal checkpoints have the same future under the
+/// same commands on any x86-64 processor and any number of threads, with the same build.
 #[derive(Clone, Debug)]
 pub struct Checkpoint {
     /// The spec of its start.
@@ -43,7 +44,7 @@ pub struct Checkpoint {
     pub publish_every: u64,
     /// The number of the run: 1 at first, and one more after each reset.
     pub epoch: u64,
-    /// The number of commands that were applied.
+    /// The number of the last command; see [`Simulation::seq`].
     pub seq: u64,
     /// Means over the steps since the start or reset.
     pub means: RunningMeans,
@@ -61,7 +62,8 @@ pub struct Simulation {
     pub publish_every: u64,
     /// The number of the run: 1 at first, and one more after each reset.
     pub epoch: u64,
-    /// The number of commands that were applied; random draws are keyed by it.
+    /// The number of the present command, which keys its random draws. The caller increments it
+    /// before each command; [`Self::apply`] does not.
     pub seq: u64,
     /// Means over the steps since the start or reset.
     pub means: RunningMeans,
@@ -115,7 +117,7 @@ impl Simulation {
     }
 
     /// Continues from a checkpoint, with a callback that is called before the size of the group
-    /// changes.
+    /// changes. Checks nothing; `jostle_convert::snapshot::check` does, for snapshots from clients.
     pub fn from_checkpoint(checkpoint: &Checkpoint, reserve: ReserveMemory) -> Self {
         Simulation {
             spec: checkpoint.spec.clone(),
@@ -143,8 +145,9 @@ impl Simulation {
         }
     }
 
-    /// Returns the BLAKE3 hash of the state. Two simulations with equal hashes have the same
-    /// future.
+    /// Returns the BLAKE3 hash of the state. Two simulations with equal hashes take the same steps
+    /// on any x86-64 processor and any number of threads, with the same build. Random selections
+    /// and injections also depend on `seq`, which is not hashed.
     pub fn state_hash(&self) -> [u8; 32] {
         self.state.hash()
     }
@@ -260,7 +263,8 @@ impl Simulation {
         }
     }
 
-    /// Applies one change.
+    /// Applies one change. Its random draws are keyed by `seq`, which this does not increment: the
+    /// caller does so before each command.
     ///
     /// # Errors
     ///

@@ -20,11 +20,13 @@ pub struct Contact {
     /// tail of `j` on the side of `i`; 4 + 2e + f: end e of `i` with end f of `j`, where a head is
     /// 0 and a tail 1. Discs have 0.
     pub code: u8,
-    /// Signed distance of the surfaces in body sizes, negative for an overlap.
+    /// Signed distance of the surfaces in body sizes, negative for an overlap. In a program it is
+    /// the constant of the constraint: the stepper sets it to 0 under `velocity`, and in the second
+    /// program of `relinearise` to `g(z1) - ∇g(z1)·d1`, where `z1 = z + d1` is predicted.
     pub gap: f64,
     /// Unit vector from the point on the axis of `i` to the point on the axis of `j`.
     pub normal: [f64; 2],
-    /// Derivatives of the gap by the angles of `i`, with opposite sign, and of `j`.
+    /// `[-∂g/∂α_i, ∂g/∂α_j]`.
     pub lever: [f64; 2],
 }
 
@@ -37,7 +39,7 @@ impl Contact {
 
     /// Returns `∇g · d`, the change of the gap to first order, for n displacements.
     #[must_use]
-    pub fn closing(&self, displacement: &[[f64; 3]]) -> f64 {
+    pub fn gap_change(&self, displacement: &[[f64; 3]]) -> f64 {
         let (di, dj) = (displacement[self.i as usize], displacement[self.j as usize]);
         self.normal[0] * (dj[0] - di[0]) + self.normal[1] * (dj[1] - di[1]) + self.lever[1] * dj[2]
             - self.lever[0] * di[2]
@@ -46,7 +48,7 @@ impl Contact {
     /// Returns `g + ∇g · d`, the gap after n displacements to first order.
     #[must_use]
     pub fn linearised_gap(&self, displacement: &[[f64; 3]]) -> f64 {
-        self.gap + self.closing(displacement)
+        self.gap + self.gap_change(displacement)
     }
 }
 
@@ -70,7 +72,8 @@ const BLOCK: usize = 64;
 /// # Errors
 ///
 /// [`StepError::CrossedBodies`] if two axes cross, since their distance then has no gradient. Under
-/// `closest` this is no error, and the distances of the ends still constrain the pair.
+/// `closest` this is no error: the nearest of the pair's end contacts still constrains it, and its
+/// gradient may point the wrong way.
 pub fn find(
     level: Level,
     parameters: &Parameters,
@@ -463,7 +466,7 @@ mod tests {
             for contact in contacts {
                 // A rotation of both bodies about the centre of the first changes no gap.
                 let turned = [[0.0, 0.0, 1.0], [-pose.y, pose.x, 1.0]];
-                assert!(contact.closing(&turned).abs() < 1e-13, "{pose:?}");
+                assert!(contact.gap_change(&turned).abs() < 1e-13, "{pose:?}");
             }
         }
     }

@@ -29,8 +29,8 @@ use neighbours::Neighbours;
 use qp::Qp;
 pub use report::{StepError, StepReport};
 
-/// Lists of contacts in one step at most. Each list adds at least one contact to the last, and
-/// hardly any step needs a second list.
+/// Maximum number of contact lists in one program. Each list adds at least one contact to the last,
+/// and hardly any program needs a second list.
 const MAX_LISTS: usize = 20;
 
 /// Margin of a bound on a distance for rounding, at the largest coordinates and angles.
@@ -65,7 +65,7 @@ pub struct Stepper {
     carried: Vec<[f64; 3]>,
     /// The configuration about which the second program is linearised.
     predicted: Configuration,
-    /// Headings of the configuration of the other program.
+    /// Headings of the predicted configuration, or of the start during the second program.
     other_headings: Vec<[f64; 2]>,
     /// Solution of the first program, from which the second one is guessed.
     first_solution: WarmStart,
@@ -225,6 +225,7 @@ impl Stepper {
         self.least_gap = gaps.reduce(|least, gap| if gap < least { gap } else { least });
         if parameters.stepping == Stepping::Velocity {
             contacts.retain(|contact| contact.gap <= 0.0);
+            // The constraint becomes ∇g·d ≥ 0.
             contacts.iter_mut().for_each(|contact| contact.gap = 0.0);
         }
         Ok(())
@@ -257,8 +258,9 @@ impl Stepper {
         std::mem::swap(&mut self.free.heading, &mut self.other_headings);
         self.free.compute_headings(&predicted);
         let result = self.list(parameters, &predicted).and_then(|()| {
+            // The constraint becomes g(z1) + ∇g(z1)·(d - d1) ≥ 0.
             for contact in &mut self.qp.contacts {
-                contact.gap -= contact.closing(&self.carried);
+                contact.gap -= contact.gap_change(&self.carried);
             }
             warm_start::load(&self.first_solution, id, &self.qp.contacts, &mut self.guess);
             self.solve(state, &predicted, report)
@@ -302,7 +304,7 @@ impl Stepper {
         if self.carried.is_empty() {
             self.solver
                 .exact
-                .recall(&warm_start.order, warm_start.order_age);
+                .load_order(&warm_start.order, warm_start.order_age);
         }
         for _ in 0..MAX_LISTS {
             let hints = solve::Hints {
@@ -367,7 +369,9 @@ impl Stepper {
         self.missed.clear();
         let reach = reach(parameters, configuration);
         let bound = 2.0 * furthest_travel(h, self.relative());
-        // Velocities are limited only at contacts that touch at the start of the step.
+        // Velocities are limited only at contacts that touch at the start of the step. The
+        // neighbour list is then complete only up to `reach`: near the longest `dt` a pair that is
+        // not listed may cross. `check_result` does not find it, and the next step fails.
         if bound <= reach || parameters.stepping == Stepping::Velocity {
             return Ok(bound);
         }
@@ -398,7 +402,7 @@ impl Stepper {
         let displacement = &self.solution.displacement;
         self.missed.retain_mut(|contact| {
             if !carried.is_empty() {
-                contact.gap -= contact.closing(carried);
+                contact.gap -= contact.gap_change(carried);
             }
             let is_listed = listed.binary_search_by_key(&contact.key(), Contact::key);
             is_listed.is_err() && contact.linearised_gap(displacement) < 0.0
@@ -471,7 +475,8 @@ impl Stepper {
 fn reach(parameters: &Parameters, configuration: &Configuration) -> f64 {
     match parameters.stepping {
         Stepping::Position => parameters.reach(configuration.largest_weight()),
-        // Bodies that overlap count as touching, whatever the overlap.
+        // Contacts with a gap up to a margin for rounding are found, whatever the overlap; those
+        // with a gap above 0 are then removed.
         Stepping::Velocity => ROUNDING,
     }
 }

@@ -34,10 +34,10 @@ impl Qp {
     /// - Shapes: m multipliers; n displacements.
     pub fn displace(&self, multipliers: &[f64], displacement: &mut Vec<[f64; 3]>) {
         displacement.clone_from(&self.free);
-        let ease = self.weights.map(|drag| 1.0 / drag);
+        let mobility = self.weights.map(|drag| 1.0 / drag);
         for (contact, &multiplier) in self.contacts.iter().zip(multipliers) {
             if multiplier != 0.0 {
-                push(contact, multiplier, ease, displacement);
+                push(contact, multiplier, mobility, displacement);
             }
         }
     }
@@ -62,12 +62,12 @@ impl Qp {
     }
 }
 
-/// Adds `W⁻¹ ∇g λ` of one contact. The forces on the two bodies are opposite. `ease` is `W⁻¹`.
+/// Adds `W⁻¹ ∇g λ` of one contact. The forces on the two bodies are opposite. `mobility` is `W⁻¹`.
 #[inline(always)]
-fn push(contact: &Contact, multiplier: f64, ease: [f64; 3], displacement: &mut [[f64; 3]]) {
+fn push(contact: &Contact, multiplier: f64, mobility: [f64; 3], displacement: &mut [[f64; 3]]) {
     let [x, y] = contact.normal;
-    let (force_x, force_y) = (multiplier * x * ease[0], multiplier * y * ease[1]);
-    let [turn_i, turn_j] = contact.lever.map(|lever| multiplier * lever * ease[2]);
+    let (force_x, force_y) = (multiplier * x * mobility[0], multiplier * y * mobility[1]);
+    let [turn_i, turn_j] = contact.lever.map(|lever| multiplier * lever * mobility[2]);
     let first = &mut displacement[contact.i as usize];
     *first = [first[0] - force_x, first[1] - force_y, first[2] - turn_i];
     let second = &mut displacement[contact.j as usize];
@@ -79,7 +79,7 @@ mod tests {
     use super::*;
 
     /// Two discs in line: the first moves towards the second, which stands; each yields half.
-    fn shove() -> Qp {
+    fn two_discs() -> Qp {
         let contact = Contact {
             i: 0,
             j: 1,
@@ -100,7 +100,7 @@ mod tests {
     fn the_solution_of_one_contact_has_no_residual() {
         let mut displacement = Vec::new();
         // Free motion closes 0.5 of a gap of 0.1; each unit of multiplier opens 2.
-        assert!(shove().residual(&[0.2], &mut displacement) < 1e-16);
+        assert!(two_discs().residual(&[0.2], &mut displacement) < 1e-16);
         assert!(
             (displacement[0][0] - 0.3).abs() < 1e-16 && (displacement[1][0] - 0.2).abs() < 1e-16
         );
@@ -108,7 +108,7 @@ mod tests {
 
     #[test]
     fn every_kind_of_wrong_multiplier_raises_the_residual() {
-        let qp = shove();
+        let qp = two_discs();
         let residual = |multiplier: f64| qp.residual(&[multiplier], &mut Vec::new());
         assert!((residual(0.0) - 0.4).abs() < 1e-15, "penetration");
         assert!(
@@ -144,6 +144,6 @@ mod tests {
             assert!((0..3).all(|axis| (moved[axis] - expected[axis]).abs() < 1e-15));
         }
         // The gap opens by λ (1 + 1 + (0.09 + 0.36) / ρ2).
-        assert!((contact.closing(&displacement) - 0.5 * 6.5).abs() < 1e-15);
+        assert!((contact.gap_change(&displacement) - 0.5 * 6.5).abs() < 1e-15);
     }
 }

@@ -11,8 +11,8 @@ const MAX_PER_PAIR: usize = 8;
 /// Guesses the multipliers of `contacts` from those of the last step.
 ///
 /// A new contact of a pair that was in contact inherits the multiplier of an old contact of that
-/// pair that no longer exists and shares an end with it, as when a contact passes from a side to a
-/// cap.
+/// pair that no longer exists and shares an end with it, as when a contact passes from a side to
+/// an end.
 ///
 /// - Shapes: n ids, ascending; m contacts ordered by (i, j, code); m entries in `guess`.
 pub fn load(warm_start: &WarmStart, id: &[u32], contacts: &[Contact], guess: &mut Vec<f64>) {
@@ -38,7 +38,7 @@ pub fn load(warm_start: &WarmStart, id: &[u32], contacts: &[Contact], guess: &mu
             (k, index) = (previous.end, now.end);
             let most = previous.start + MAX_PER_PAIR;
             let previous = &old[previous.start..previous.end.min(most)];
-            inherit(previous, &contacts[now.clone()], &mut guess[now]);
+            transfer_multipliers(previous, &contacts[now.clone()], &mut guess[now]);
         } else {
             k += 1;
         }
@@ -89,7 +89,7 @@ fn pair_key(first: u32, second: u32) -> u64 {
 }
 
 /// Transfers the multipliers of a pair's previous contacts to its present contacts.
-fn inherit(previous: &[WarmContact], contacts: &[Contact], guess: &mut [f64]) {
+fn transfer_multipliers(previous: &[WarmContact], contacts: &[Contact], guess: &mut [f64]) {
     // Bit k: the multiplier of previous contact k has been transferred.
     let (mut taken, mut k) = (0u32, 0);
     for (contact, guess) in contacts.iter().zip(&mut *guess) {

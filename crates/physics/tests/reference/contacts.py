@@ -27,7 +27,7 @@ class Body:
 
 @dataclass(frozen=True)
 class Contact:
-    """One constraint of a pair i < j, in the terms of `cases/README.md`."""
+    """One constraint of a pair i < j, in the terms of `tests/cases/README.md`."""
 
     i: int
     j: int

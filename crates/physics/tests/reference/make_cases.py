@@ -272,7 +272,7 @@ def attraction_at_edges() -> Iterator[Case]:
     grid = lattice([0.0, 2.0, 4.0])
     yield Case("attraction_voronoi_grid", voronoi, grid, exact=True)
     # After a rotation the four sites of a cell are not exactly cocircular: the last bits of the
-    # coordinates decide which diagonals are neighbours.
+    # coordinates determine which diagonals are neighbours.
     turned_grid = turned_by(0.3, lattice([0.0, 2.0, 4.0]))
     yield Case("attraction_voronoi_grid_not_quite", voronoi, turned_grid, exact=True)
     octagon = [(5, 0), (4, 3), (0, 5), (-3, 4), (-5, 0), (-4, -3), (3, -4), (0, -5)]
@@ -287,7 +287,7 @@ def attraction_at_edges() -> Iterator[Case]:
         exact=True,
     )
     yield Case(
-        "attraction_metric_nobody_inside",
+        "attraction_metric_none_inside",
         specification(attraction={"kind": "metric", "radius": 1.5}),
         grid,
         exact=True,

@@ -140,7 +140,7 @@ multiversion! {
     /// Pairs within one group of lanes are computed in both directions. A pair in two different
     /// groups is computed once, and the opposite vector is added to the sums of the source. The
     /// opposite vectors accumulate in `back`, one entry per source and one lane per lane of the
-    /// targets, and are folded into the sums after the last group that holds a part of the tile.
+    /// targets, and are added to the sums after the last group that holds a part of the tile.
     ///
     /// - Shapes: `at` and `sources` hold all individuals; `sums` only those of `groups`.
     fn each_pair_once(
@@ -182,15 +182,15 @@ multiversion! {
         let tile_x = &mut sums_x.as_flattened_mut()[own.clone()];
         let tile_y = &mut sums_y.as_flattened_mut()[own];
         for ((x, y), back) in tile_x.iter_mut().zip(tile_y).zip(&*back) {
-            *x += folded(&back[0]);
-            *y += folded(&back[1]);
+            *x += sum_of(&back[0]);
+            *y += sum_of(&back[1]);
         }
     }
 }
 
 /// Returns the sum of all lanes, by halves.
 #[inline(always)]
-fn folded(lanes: &Lanes) -> f64 {
+fn sum_of(lanes: &Lanes) -> f64 {
     let [a, b, c, d, e, f, g, h] = *lanes;
     ((a + e) + (c + g)) + ((b + f) + (d + h))
 }

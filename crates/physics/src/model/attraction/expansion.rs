@@ -1,10 +1,14 @@
 //! Power series of far groups: the moments of a source group and the local series of a target
 //! group.
 //!
+//! These are the operators of a fast multipole method: `gather` is P2M, `raise` M2M, `transfer`
+//! M2L, `lower` L2L and `evaluate` L2P.
+//!
 //! Points are complex numbers. The unit vector along `D` is `D^(1/2) conj(D)^(-1/2)`. Let
 //! `D = Z + s - t`, where the target is at `t` from its group's centre, the source at `s` from its
 //! own, and `Z` is the vector between the centres. Both powers expand in `(s - t) / Z` by the
-//! binomial series, cut at power `N`. The sum over all sources becomes
+//! binomial series. The first is cut at power `N`; of the second, all terms are kept in which the
+//! powers of `s` and of `t` are below `N`. The sum over all sources becomes
 //!
 //!   `sum over k, q of L[k][q] t^k conj(t)^q`, and `L` is linear in
 //!   `M[a][b] = sum over sources of s^a conj(s)^b`,
@@ -54,7 +58,8 @@ impl<const N: usize> Table<N> {
     /// By `[k][a]`: `C(1/2, a + k) C(a + k, k) (-1)^k`, 0 from power `N` on.
     const ROOT: [[f64; N]; N] = Self::power(0.5, N);
 
-    /// By `[b][q]`: `C(-1/2, b + q) C(b + q, q) (-1)^q`, 0 from power `N` on.
+    /// By `[b][q]`: `C(-1/2, b + q) C(b + q, q) (-1)^q`. Not cut: all `b, q < N`, since
+    /// `transfer_columns` sums whole rows, and the terms from power `N` on cost nothing.
     const INVERSE_ROOT: [[f64; N]; N] = {
         let by_q = Self::power(-0.5, 2 * N);
         let mut table = [[0.0; N]; N];

@@ -1,4 +1,4 @@
-//! The sum over all others, with series for far groups.
+//! The sum over all others, with series for far groups: a fast multipole method.
 
 use crate::model::simd::{Lanes, Level, WIDTH};
 use crate::model::threads::{Pool, both, inside};
@@ -16,12 +16,12 @@ const NEAREST: f64 = 1e-12;
 /// series converge up to 1, but near 1 so slowly that the estimate of the truncation error fails.
 const WIDEST: f64 = 0.7;
 
-/// The share of all individuals at which a group's truncation error counts twice its share. In a
+/// Above this share of all individuals the error estimate of a group is more than doubled. In a
 /// swarm of a few flocks the errors of their series do not cancel as those of many groups do.
 const FEW: f64 = 0.01;
 
-/// Cost of a transfer between two series, divided by the square of its order, in hundredths of
-/// the cost of one source for eight targets. Measured; values from 10 to 100 do as well.
+/// Cost of `transfer` divided by `N²`, in hundredths of the cost of one source for eight targets.
+/// Measured; values from 10 to 100 are as fast.
 const TRANSFER_COST: usize = 30;
 
 /// The buffers of a sum with series of order `N`.

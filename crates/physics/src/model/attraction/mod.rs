@@ -16,7 +16,7 @@ use far::Far;
 use tree::Tree;
 
 /// Settings of the series that reach an accuracy.
-struct Rung {
+struct SeriesSettings {
     accuracy: f64,
     /// Number of powers of the series.
     powers: usize,
@@ -27,21 +27,21 @@ struct Rung {
     from: usize,
 }
 
-/// An accuracy uses the first rung that is not coarser. The errors are measured, not bounded: the
+/// An accuracy uses the first entry that is not coarser. The errors are measured, not bounded: the
 /// largest is 0.02 to 0.7 times the accuracy in one group of any shape, and up to 10 times the
 /// accuracy in a swarm that has split into a few flocks.
-const RUNGS: [Rung; 7] = [
-    rung(1e-3, 4, 4e-3, 1000),
-    rung(1e-4, 4, 4e-4, 2000),
-    rung(1e-5, 8, 2e-4, 2500),
-    rung(1e-6, 8, 2e-5, 3000),
-    rung(1e-7, 8, 2e-6, 4000),
-    rung(1e-8, 12, 4e-7, 5000),
-    rung(1e-9, 12, 4e-8, 6000),
+const SETTINGS: [SeriesSettings; 7] = [
+    settings(1e-3, 4, 4e-3, 1000),
+    settings(1e-4, 4, 4e-4, 2000),
+    settings(1e-5, 8, 2e-4, 2500),
+    settings(1e-6, 8, 2e-5, 3000),
+    settings(1e-7, 8, 2e-6, 4000),
+    settings(1e-8, 12, 4e-7, 5000),
+    settings(1e-9, 12, 4e-8, 6000),
 ];
 
-const fn rung(accuracy: f64, powers: usize, tolerance: f64, from: usize) -> Rung {
-    Rung {
+const fn settings(accuracy: f64, powers: usize, tolerance: f64, from: usize) -> SeriesSettings {
+    SeriesSettings {
         accuracy,
         powers,
         tolerance,
@@ -105,7 +105,10 @@ impl AttractionWorkspace {
         let share = 1.0 / (n as f64 - 1.0);
         let (level, pool) = (self.level, self.pool.as_ref());
         let pool = pool.filter(|_| n >= SHARED_FROM);
-        let Some(rung) = accuracy.map(rung_of).filter(|rung| n >= rung.from) else {
+        let Some(settings) = accuracy
+            .map(settings_of)
+            .filter(|settings| n >= settings.from)
+        else {
             let [sum_x, sum_y] = self.direct.sum(level, pool, x, y);
             for ((pull, x), y) in pull.iter_mut().zip(sum_x).zip(sum_y) {
                 *pull = [x * share, y * share];
@@ -114,10 +117,10 @@ impl AttractionWorkspace {
         };
         let tree = &mut self.tree;
         tree.build(pool, x, y);
-        let [sum_x, sum_y] = match rung.powers {
-            4 => self.far_4.sum(level, pool, tree, rung.tolerance),
-            8 => self.far_8.sum(level, pool, tree, rung.tolerance),
-            _ => self.far_12.sum(level, pool, tree, rung.tolerance),
+        let [sum_x, sum_y] = match settings.powers {
+            4 => self.far_4.sum(level, pool, tree, settings.tolerance),
+            8 => self.far_8.sum(level, pool, tree, settings.tolerance),
+            _ => self.far_12.sum(level, pool, tree, settings.tolerance),
         };
         for ((index, x), y) in tree.indices().zip(sum_x).zip(sum_y) {
             pull[index] = [x * share, y * share];
@@ -125,11 +128,10 @@ impl AttractionWorkspace {
     }
 }
 
-fn rung_of(accuracy: f64) -> &'static Rung {
-    let finest = &RUNGS[RUNGS.len() - 1];
-    let mut rungs = RUNGS.iter();
-    rungs
-        .find(|rung| rung.accuracy <= accuracy)
+fn settings_of(accuracy: f64) -> &'static SeriesSettings {
+    let finest = &SETTINGS[SETTINGS.len() - 1];
+    let mut all = SETTINGS.iter();
+    all.find(|settings| settings.accuracy <= accuracy)
         .unwrap_or(finest)
 }
 
@@ -246,19 +248,25 @@ mod tests {
         let share = 1.0 / (x.len() as f64 - 1.0);
         let mut social = AttractionWorkspace::default();
         social.tree.build(None, x, y);
-        let error_of = |rung: &Rung| {
+        let error_of = |settings: &SeriesSettings| {
             let tree = &social.tree;
-            let [sum_x, sum_y] = match rung.powers {
-                4 => social.far_4.sum(social.level, None, tree, rung.tolerance),
-                8 => social.far_8.sum(social.level, None, tree, rung.tolerance),
-                _ => social.far_12.sum(social.level, None, tree, rung.tolerance),
+            let [sum_x, sum_y] = match settings.powers {
+                4 => social
+                    .far_4
+                    .sum(social.level, None, tree, settings.tolerance),
+                8 => social
+                    .far_8
+                    .sum(social.level, None, tree, settings.tolerance),
+                _ => social
+                    .far_12
+                    .sum(social.level, None, tree, settings.tolerance),
             };
             let sums = tree.indices().zip(sum_x).zip(sum_y);
             let off =
                 sums.map(|((k, x), y)| (x * share - direct[k][0]).hypot(y * share - direct[k][1]));
             off.fold(0.0, f64::max)
         };
-        RUNGS.iter().map(error_of).collect()
+        SETTINGS.iter().map(error_of).collect()
     }
 
     fn made(n: u32, place: impl Fn(f64) -> [f64; 2]) -> Configuration {
@@ -272,8 +280,8 @@ mod tests {
 
     /// Returns a number in [0, 1) without a pattern that matters here.
     fn drawn(k: f64, purpose: f64) -> f64 {
-        let wild = libm::sin(k * 12.9898 + purpose * 78.233) * 43_758.545_3;
-        wild - wild.floor()
+        let scaled = libm::sin(k * 12.9898 + purpose * 78.233) * 43_758.545_3;
+        scaled - scaled.floor()
     }
 
     fn disc(n: u32) -> Configuration {

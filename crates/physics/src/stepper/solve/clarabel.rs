@@ -9,8 +9,8 @@ use crate::stepper::qp::Qp;
 /// not a reliable indication; the caller computes the residual.
 const TOLERANCE: f64 = 1e-12;
 
-/// Value added to the diagonals of Clarabel's systems. With its default of 1e-8 Clarabel stalls on
-/// packed groups, six orders of magnitude above the tolerance.
+/// Value added to the diagonals of Clarabel's systems. With its default of 1e-8 Clarabel makes
+/// no further progress on packed groups six orders of magnitude above the tolerance.
 const REGULARISATION: f64 = 1e-12;
 
 /// Computes multipliers of `qp` by an interior-point method; returns them with the number of

@@ -1,4 +1,5 @@
-//! The last resort from approximate multipliers to exact ones: slow, and without cycles.
+//! The last method of the fallback, from approximate multipliers to exact ones: slow, and without
+//! cycles.
 //!
 //! This is the active-set method of Lawson and Hanson on the dual. One contact changes sides at a
 //! time, and the dual objective never grows. The multipliers move towards those that close the
@@ -10,8 +11,8 @@
 use super::polish::{WRONG, Workspace};
 use crate::stepper::qp::Qp;
 
-/// Rounds at most, each with at most one factorisation. Interior-point multipliers are wrong in a
-/// handful of contacts, and each takes about two rounds.
+/// Maximum number of rounds, each with at most one factorisation. Interior-point multipliers are
+/// wrong in a few contacts, and each takes about two rounds.
 const MAX_ROUNDS: usize = 60;
 
 impl Workspace {

@@ -1,4 +1,4 @@
-//! Cholesky factors of symmetric matrices whose graph is almost planar.
+//! Cholesky factors of symmetric matrices whose graph is nearly planar.
 //!
 //! Individuals are ordered breadth first, so that neighbours stay close, and every row is stored
 //! from its first non-zero entry to the diagonal. The cost for a packed group of n individuals is

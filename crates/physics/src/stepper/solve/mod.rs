@@ -4,7 +4,8 @@
 //! the few that change sides. If it fails, the fallback runs; tests also run it alone, as an
 //! independent solver. In the fallback, Clarabel finds the active set. `polish` exchanges the few
 //! contacts that are wrong; if that does not converge, `descend` changes one contact at a time.
-//! No solver's status is used: the residual, computed from the multipliers alone, decides.
+//! No solver's status is used: a solution is checked by its residual, computed from the multipliers
+//! alone.
 
 mod clarabel;
 mod descend;
@@ -25,7 +26,7 @@ pub const ACCEPTABLE: f64 = 1e-6;
 
 /// Factors of the right-hand side in Clarabel's program, tried in turn. Gaps and multipliers are of
 /// the order of `dt`, whereas Clarabel's tolerances are meant for numbers of order one. If Clarabel
-/// stalls with one scale, it may not with another.
+/// makes no progress with one scale, it may with another.
 const SCALES: [f64; 2] = [1e3, 1e4];
 
 /// Selects the solver.

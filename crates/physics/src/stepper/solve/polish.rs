@@ -3,7 +3,7 @@
 //! For a fixed active set, the condition that all its gaps close is a linear system. Contacts with
 //! a negative multiplier then leave the set and overlapping contacts join, until no contact changes
 //! sides. Usually few contacts are wrong and this takes a few rounds. It may also cycle, so it
-//! gives up when rounds make no progress; the caller then uses another method.
+//! stops when rounds make no progress; the caller then uses another method.
 //!
 //! The system is solved by the method of multipliers: `K = W + Σ σ_k ∇g_k ∇g_kᵀ` over the active
 //! set has a row for each coordinate of an individual. It is positive definite even if contacts
@@ -13,13 +13,13 @@ use super::TARGET;
 use super::envelope::Envelope;
 use crate::stepper::qp::Qp;
 
-/// σ, the penalty on a gap whose gradient has unit length in the metric of `W`. Each pass shrinks
-/// the error by about `σ` times the least eigenvalue of `A W⁻¹ Aᵀ`; beyond 1e8 rounding in `K`
-/// dominates.
+/// σ, the penalty on a gap whose gradient has unit length in the metric of `W`. Each pass divides
+/// the error by about `σ` times the least eigenvalue of the dual matrix with rows of unit length;
+/// beyond 1e8 rounding in `K` dominates.
 const PENALTY: f64 = 1e8;
 
 /// An inactive contact is wrong if it overlaps by more than this: well below the target, so that
-/// the overlap that remains does not decide whether the residual reaches it. A negative multiplier
+/// the overlap that remains does not affect whether the residual reaches it. A negative multiplier
 /// of any size is wrong.
 pub(super) const WRONG: f64 = 0.1 * TARGET;
 
@@ -34,11 +34,11 @@ const MAX_PASSES: usize = 4;
 /// far.
 const PROGRESS: f64 = 0.7;
 
-/// Rounds without progress before this gives up: more would cost more than another interior-point
-/// solution.
+/// Total number of rounds without progress, not consecutive, that `polish` makes before it stops:
+/// more would cost more than another interior-point solution.
 const MAX_IDLE_ROUNDS: usize = 20;
 
-/// From this number of rounds without progress on, only the worst contacts change sides. In a
+/// From this total number of rounds without progress on, only the worst contacts change sides. In a
 /// packed group one wrong contact changes the signs of many multipliers, and most of the contacts
 /// that appear wrong are not.
 const PARTIAL_FROM: usize = 2;
@@ -46,7 +46,7 @@ const PARTIAL_FROM: usize = 2;
 /// One in this many of the wrong contacts then changes sides.
 const WORST_SHARE: usize = 3;
 
-/// Buffers of [`Workspace::polish`] and `descend`; only the result outlives a call.
+/// Buffers of [`Workspace::polish`] and `descend`; only the result is kept between calls.
 #[derive(Clone, Debug, Default)]
 pub struct Workspace {
     envelope: Envelope,

@@ -3,7 +3,7 @@
 //! In a packed group one wrong contact changes the signs of many multipliers, so an exchange of all
 //! contacts that appear wrong need not converge. Instead the worst contacts become members of a
 //! small dense complementarity problem, which is solved exactly. All other contacts keep their
-//! status, and their values follow. Members are never dismissed within one factorisation, so the
+//! status, and their values follow. Members are never removed within one factorisation, so the
 //! rounds are finite.
 
 use super::factor::{Factor, Path};
@@ -27,12 +27,13 @@ pub struct Closure {
     /// Start of each member's path in `path`, and the end of the last.
     path_start: Vec<usize>,
     path: Path,
-    /// Index in `path` from which on a member's path is a single way to the root.
+    /// Index in `path` from which on a member's path is a single chain of parents to the root.
     joined: Vec<usize>,
     /// `b_aᵀ K⁻¹ b_b` of all pairs of members: the lower triangle, row by row.
     gram: Vec<f64>,
     tableau: Tableau,
-    /// `z` of each member that the current pass includes.
+    /// `z` of each member when `close` began, 0 for those that joined since. The pass already
+    /// contains its effect.
     before: Vec<f64>,
     wrong: Vec<(f64, u32)>,
     exchanged: Vec<u32>,
@@ -209,7 +210,7 @@ impl Closure {
             one.start += usize::from(here <= there);
             other.start += usize::from(there <= here);
         }
-        // Two single ways to the root stay together once they meet.
+        // Two chains of parents stay together once they meet.
         let common = common_end(&nodes[one.clone()], &nodes[other.clone()]);
         let parts = &parts[one.end - common..one.end];
         let scaled = &scaled[other.end - common..other.end];
@@ -220,7 +221,8 @@ impl Closure {
     ///
     /// For a member that was active when `K` was factored, `z` is its gap and its multiplier must
     /// not become negative. For any other member, `z` is its multiplier and its gap must not become
-    /// negative.
+    /// negative. The passes solve `s + Δλ/σ = 0`, so this gap, `z` or `y`, contains `Δλ/σ`: hence
+    /// the terms with the penalty on the diagonal. The next pass removes it.
     #[inline(always)]
     fn pose(&mut self, rows: &[Row]) {
         let Self {

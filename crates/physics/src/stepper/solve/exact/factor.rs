@@ -207,7 +207,7 @@ impl Factor {
                     }
                 }
             }
-            // Hidden from the compiler, which would otherwise sum in pairs of axes, not in lanes.
+            // For speed: the compiler would otherwise sum in pairs of axes, not in lanes.
             let sums = black_box(sums);
             let [x, y, z] =
                 [0, 1, 2].map(|lane| [sums[0][lane], sums[1][lane], sums[2][lane], 0.0]);

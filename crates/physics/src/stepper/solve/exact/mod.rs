@@ -1,11 +1,11 @@
 //! The exact solver: one factorisation, and a small problem for the contacts that change sides.
 //!
-//! From one step to the next a handful of contacts change sides, so the contacts that pushed in the
+//! From one step to the next few contacts change sides, so the contacts that pushed in the
 //! last step are the first active set (`rows`, `order`, `structure`, `factor`). A pass of the
 //! method of multipliers closes their gaps. The contacts that then pull or overlap become members
 //! of a small dense complementarity problem (`closure`, `tableau`). Further passes with the same
 //! factor refine the solution. If few contacts push, a dense factor is used instead (`small`). The
-//! result is judged by the residual alone, computed from the multipliers.
+//! result is checked by the residual alone, computed from the multipliers.
 
 mod closure;
 mod factor;
@@ -24,19 +24,19 @@ use order::Dissection;
 use rows::{Part, Row};
 use small::Small;
 
-/// σ, the penalty on a gap whose gradient has unit length in the metric of `W`. Each pass shrinks
-/// the error by about σ times the least eigenvalue of `A W⁻¹ Aᵀ`; beyond 1e8 rounding in `K`
-/// dominates.
+/// σ, the penalty on a gap whose gradient has unit length in the metric of `W`. Each pass divides
+/// the error by about σ times the least eigenvalue of the dual matrix with rows of unit length;
+/// beyond 1e8 rounding in `K` dominates.
 const PENALTY: f64 = 1e8;
 
 /// A multiplier or slack below minus this is on the wrong side: well below the target, so that the
-/// violation that remains does not decide whether the residual reaches it.
+/// violation that remains does not affect whether the residual reaches it.
 const WRONG: f64 = 0.05 * TARGET;
 
 /// Residual at which the solver stops: well within the target, and usually reached by one pass.
 const DONE: f64 = 0.25 * TARGET;
 
-/// Passes with one factor. Each gains several digits, unless the active set is wrong.
+/// Passes with one factor. Each adds several digits, unless the active set is wrong.
 const MAX_PASSES: usize = 6;
 
 /// If a pass shrinks the largest open gap by less than this factor, no further pass is made.
@@ -45,7 +45,7 @@ const MIN_GAIN: f64 = 3.0;
 /// If the first pass with a factor leaves at least this many contacts on the wrong side, all of
 /// them change sides at once and `K` is factored again. The closure takes fewer members than that,
 /// and in a group large enough for so many wrong contacts most are far from each other, so that
-/// each can be decided by itself.
+/// each can be resolved separately.
 const MIN_BULK: usize = 1000;
 
 /// After such an exchange, another is made only if the number of wrong contacts is below the last
@@ -53,7 +53,7 @@ const MIN_BULK: usize = 1000;
 /// whatever their number.
 const BULK_REDUCTION: usize = 2;
 
-/// Factorisations before the solver gives up. One is usual, two in a large group.
+/// Factorisations before the solver stops. One is usual, two in a large group.
 const MAX_FACTORS: usize = 12;
 
 /// Solutions for which an elimination order is kept. The contacts change slowly, and every order
@@ -103,7 +103,7 @@ impl Exact {
 
     /// Loads an elimination order and the number of solutions that have used it. An order whose
     /// length is not n is ignored: the solver then computes another.
-    pub fn recall(&mut self, order: &[u32], age: u32) {
+    pub fn load_order(&mut self, order: &[u32], age: u32) {
         if self.order != order {
             self.order.clear();
             self.order.extend_from_slice(order);
@@ -111,7 +111,7 @@ impl Exact {
         self.age = age;
     }
 
-    /// Solves `qp`, and offers each solution found to `solution`.
+    /// Solves `qp`; `solution` keeps the best solution found.
     ///
     /// - Shapes: n individuals and m contacts in `qp`; m multipliers and n coordinates in `hints`.
     pub(super) fn solve(&mut self, qp: &Qp, hints: &Hints, solution: &mut Solution) {
@@ -144,7 +144,8 @@ impl Exact {
         }
     }
 
-    /// Renews the elimination order if necessary, and sets multipliers and active set of the rows.
+    /// Computes a new elimination order if necessary, and sets multipliers and active set of the
+    /// rows.
     fn prepare(&mut self, qp: &Qp, hints: &Hints) {
         let n = qp.free.len();
         if self.order.len() != n || self.age >= MAX_ORDER_AGE {
@@ -238,8 +239,9 @@ impl Exact {
     /// Extends the multipliers along the last pass by `far` times its change, or up to the first
     /// that would become negative; that contact leaves the active set.
     ///
-    /// If contacts nearly depend on each other, passes gain nothing: each shifts the multipliers by
-    /// as much as the penalty allows, along a line that ends where one of them becomes 0.
+    /// If contacts nearly depend on each other, passes make no progress: each shifts the
+    /// multipliers by as much as the penalty allows, along a line that ends where one of them
+    /// becomes 0.
     fn extrapolate(&mut self, far: f64) {
         let mut share = if far > 0.0 { far } else { f64::INFINITY };
         let mut blocking = None;

@@ -1,7 +1,8 @@
 //! The elimination order: nested dissection by straight cuts, minimum degree in the leaves.
 //!
-//! The contact graph of a group is planar, so a straight cut severs few contacts. The individuals
-//! on both sides of a cut are eliminated first, then those on the cut; each side is cut in turn.
+//! The contact graph of a group is nearly planar, so a straight cut severs few contacts. The
+//! individuals on both sides of a cut are eliminated first, then those on the cut; each side is cut
+//! in turn.
 
 use crate::stepper::contact::Contact;
 
@@ -34,7 +35,7 @@ const UNEVEN: f64 = 6.0;
 
 type Bits = [u64; WORDS];
 
-/// Computes elimination orders. Only buffers outlive a call.
+/// Computes elimination orders. Only buffers are kept between calls.
 #[derive(Clone, Debug, Default)]
 pub struct Dissection {
     start: Vec<u32>,

@@ -35,7 +35,7 @@ pub struct Row {
     pub pushing: bool,
     /// `λ_k`.
     pub multiplier: f64,
-    /// `λ_k` after the current pass.
+    /// `λ_k` after the current pass; once the pass is applied, `λ_k` before it.
     pub proposed: f64,
     /// `s_k`, the gap that the multipliers leave.
     pub slack: f64,

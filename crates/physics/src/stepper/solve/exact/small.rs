@@ -54,8 +54,8 @@ pub struct Small {
 }
 
 impl Small {
-    /// Solves from `guess` and offers the result to `solution`; returns whether its residual is at
-    /// most [`DONE`]. The places of rows must be the indices of individuals.
+    /// Solves from `guess`; `solution` keeps the result if it is the best. Returns whether its
+    /// residual is at most [`DONE`]. The places of rows must be the indices of individuals.
     ///
     /// - Shapes: m rows, m multipliers in `guess`.
     #[inline(always)]

@@ -325,7 +325,7 @@ fn bin_starts(start: &mut Vec<u32>, bins: usize, all: impl Iterator<Item = u32>)
 
 #[expect(
     clippy::cast_possible_truncation,
-    reason = "indices have 32 bits, and a planar graph has few entries for each individual"
+    reason = "indices have 32 bits, and a nearly planar graph has few entries for each individual"
 )]
 fn to_u32(count: usize) -> u32 {
     count as u32

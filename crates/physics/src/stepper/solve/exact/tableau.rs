@@ -5,7 +5,7 @@
 //! negative on the way is exchanged. The method is finite since every principal minor of `T` is
 //! positive.
 
-/// Pivots before the solver gives up. Usually there is one for each contact that changes sides.
+/// Pivots before the solver stops. Usually there is one for each contact that changes sides.
 const MAX_PIVOTS: usize = 2000;
 
 /// An entry of a column smaller than this is a rounding error and does not block.
