@@ -8,13 +8,14 @@
 #[path = "sequences/model.rs"]
 mod model;
 
+use std::fmt::Debug;
 use std::sync::mpsc::{Receiver, channel};
 use std::sync::{Arc, OnceLock, Weak};
 use std::time::{Duration, Instant};
 
 use jostle_physics::model::Parameters;
 use jostle_physics::model::selection::Selection;
-use jostle_physics::simulation::{Change, Placement, Settings, Spec, Start};
+use jostle_physics::simulation::{Change, ChangeError, Placement, Settings, Spec, Start};
 use jostled::host::{Created, Herald, Host, Limits};
 use jostled::swarm::frame::{EventKind, Frame, Place};
 use jostled::swarm::handle::{Command, Handle, Ticket};
@@ -166,12 +167,16 @@ fn name_of(error: &OrderError) -> String {
     match error {
         OrderError::InBatch { error, .. } => format!("InBatch({})", name_of(error)),
         OrderError::Phase(error) => format!("Phase({error:?})"),
-        other => {
-            let text = format!("{other:?}");
-            let end = text.find(|c: char| !c.is_alphanumeric());
-            text[..end.unwrap_or(text.len())].to_owned()
-        }
+        OrderError::Change(ChangeError::Reserve(error)) => variant(error),
+        OrderError::Change(error) => variant(error),
+        other => variant(other),
     }
+}
+
+fn variant(error: &impl Debug) -> String {
+    let text = format!("{error:?}");
+    let end = text.find(|c: char| !c.is_alphanumeric());
+    text[..end.unwrap_or(text.len())].to_owned()
 }
 
 fn answers() -> (Answer, Receiver<Answered>) {

@@ -269,7 +269,7 @@ fn changed(n: usize, change: Step) -> Result<usize, String> {
         Step::Inform(count) if count <= n => Ok(n),
         Step::Inject(count) if n + count <= LIMIT => Ok(n + count),
         Step::Inject(_) => Err("TooMany".into()),
-        Step::Remove(count) if count == n => Err("NobodyLeft".into()),
+        Step::Remove(count) if count == n => Err("NoneLeft".into()),
         Step::Remove(count) if count < n => Ok(n - count),
         Step::Inform(_) | Step::Remove(_) => Err("Selection".into()),
     }
