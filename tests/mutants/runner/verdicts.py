@@ -19,9 +19,9 @@ _SOURCES = [
     "clients/web/src",
 ]
 _HEAD = """\
-# Written by `tests/mutants/run --record`; not by hand. For each mutant the verdict of its last run: `red`
-# if the test that it names passes without it and fails with it. `commit` is the commit that was
-# changed, and `changes` the number of mutants in the same build.
+# Written by `tests/mutants/run --record`; not by hand. For each mutant the verdict of its last
+# run: `red` if the test that it names passes without it and fails with it. `commit` is the commit
+# that was changed, and `changes` the number of mutants in the same build.
 """
 
 
