@@ -3,7 +3,7 @@
 //! A session of zenoh 1.10 numbers the keys that it declares with a 16-bit counter and never reuses a
 //! number. After the counter has wrapped, a new key replaces another one that still has its number, and
 //! queries and samples of both are lost or delivered under the wrong key. Publishers, subscribers and
-//! queryables declare their keys, so that a session lasts for some 9,000 swarms. Therefore what is
+//! queryables declare their keys, so that one session lasts for some 9,000 swarms. Therefore what is
 //! declared for a swarm belongs to a session of this pool, which opens another session before the
 //! counter can wrap. All of them share the listeners and connections of one runtime.
 
@@ -41,7 +41,7 @@ struct Sessions {
     is_closed: bool,
 }
 
-/// A session of the pool for at most [`MAX_KEYS`] different keys. Keep it as long as what it declared:
+/// A session of the pool for at most `MAX_KEYS` different keys. Keep it as long as what it declared:
 /// the pool may close a session that has no lease.
 #[derive(Clone)]
 pub struct Lease {
