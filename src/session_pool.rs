@@ -195,39 +195,47 @@ mod tests {
 
     #[tokio::test(flavor = "multi_thread")]
     async fn queryables_answer_after_more_keys_than_a_session_has_numbers() {
-        const KEYS: usize = u16::MAX as usize + 2 * MAX_KEYS * MAX_LEASES;
+        const NUMBERS: usize = u16::MAX as usize + 1;
+        // The first ones have the numbers that a counter gives again after it has wrapped.
+        const KEPT: usize = 100;
+        const NEW: usize = 1_000;
         let pool = pool().await;
-        let queryable = |session: &Session, key: &'static str| {
-            let reply = move |query: zenoh::query::Query| query.reply(key, key).wait().unwrap();
-            session
-                .declare_queryable(key)
-                .callback(reply)
-                .wait()
-                .unwrap()
+        let queryable = |key: String| {
+            let lease = pool.lease().unwrap();
+            let reply = {
+                let key = key.clone();
+                move |query: zenoh::query::Query| query.reply(&key, key.as_str()).wait().unwrap()
+            };
+            let declared = lease.declare_queryable(key).callback(reply).wait();
+            (declared.unwrap(), lease)
         };
-        let asking = pool.lease().unwrap();
-        let kept = pool.lease().unwrap();
-        let _kept = queryable(&kept, "swarms/kept");
-        for lease in 0..KEYS / MAX_KEYS {
+        // Another session: a query to a session's own queryable takes another way.
+        let asking = zenoh::session::init(pool.runtime.clone()).wait().unwrap();
+        let ask = async |key: &str| {
+            let replies = asking.get(key).await.unwrap();
+            let reply = replies.recv_async().await.expect(key);
+            let reply = reply.into_result().unwrap();
+            assert_eq!(reply.payload().try_to_string().unwrap(), key);
+            assert!(replies.recv_async().await.is_err(), "{key}: two replies");
+        };
+        let kept = |k: usize| format!("swarms/kept-{k}/state");
+        let _kept: Vec<_> = (0..KEPT).map(|k| queryable(kept(k))).collect();
+        for lease in 0..(NUMBERS - NEW / 2 - KEPT) / MAX_KEYS {
             let session = pool.lease().unwrap();
             for key in 0..MAX_KEYS {
                 let key = format!("swarms/{lease}/{key}");
                 session.declare_keyexpr(key).wait().unwrap();
             }
         }
-        let new = pool.lease().unwrap();
-        let _new = queryable(&new, "swarms/new");
-        for key in ["swarms/kept", "swarms/new"] {
-            let replies = asking.get(key).await.unwrap();
-            let reply = replies
-                .recv_async()
-                .await
-                .expect(key)
-                .into_result()
-                .unwrap();
-            assert_eq!(reply.payload().try_to_string().unwrap(), key);
-            assert!(replies.recv_async().await.is_err(), "{key}: two replies");
+        for k in 0..NEW {
+            let key = format!("swarms/new-{k}/state");
+            let _new = queryable(key.clone());
+            ask(&key).await;
+        }
+        for k in 0..KEPT {
+            ask(&kept(k)).await;
         }
         pool.close();
+        asking.close().await.unwrap();
     }
 }
