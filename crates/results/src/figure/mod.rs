@@ -60,7 +60,7 @@ pub enum FigureError {
     },
     /// A snapshot without groups, or a group without individuals.
     #[error("draw a snapshot: it needs at least one group, and in each at least one individual")]
-    Nobody,
+    NoBodies,
     /// A body has no finite position or angle.
     #[error("draw a snapshot: group {group}, individual {index}: not a finite position and angle")]
     NotFinite {

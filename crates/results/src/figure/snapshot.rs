@@ -48,10 +48,10 @@ const INFORMED: &str = PALETTE[0];
 ///
 /// # Errors
 ///
-/// [`FigureError::Nobody`], [`FigureError::NotFinite`] or [`FigureError::Elongation`].
+/// [`FigureError::NoBodies`], [`FigureError::NotFinite`] or [`FigureError::Elongation`].
 pub fn snapshot(groups: &[Group]) -> Result<String, FigureError> {
     if groups.is_empty() || groups.iter().any(|group| group.members.is_empty()) {
-        return Err(FigureError::Nobody);
+        return Err(FigureError::NoBodies);
     }
     for (group, Group { pi1, members, .. }) in groups.iter().enumerate() {
         if !pi1.is_finite() || *pi1 < 1.0 {
@@ -218,9 +218,9 @@ mod tests {
 
     #[test]
     fn errors_name_the_group_and_individual() {
-        assert!(matches!(snapshot(&[]), Err(FigureError::Nobody)));
+        assert!(matches!(snapshot(&[]), Err(FigureError::NoBodies)));
         let empty = snapshot(&[group(1), group(0)]);
-        assert!(matches!(empty, Err(FigureError::Nobody)));
+        assert!(matches!(empty, Err(FigureError::NoBodies)));
         let mut lost = group(3);
         lost.members[1].x = f64::NAN;
         let found = snapshot(&[group(1), lost]).unwrap_err();
