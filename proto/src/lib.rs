@@ -21,6 +21,7 @@ mod gets;
 mod metrics;
 mod recording;
 mod replay;
+mod result_row;
 pub mod role;
 pub mod snapshot;
 mod spec;
@@ -34,7 +35,7 @@ pub use error::{Error, ErrorCode};
 pub use event::{Event, EventKind};
 pub use experiment::{
     ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult, Experiments, OrderPage,
-    Progress, ResultRow, ResultsPage, RunUnderWay, SubmitArgs,
+    Progress, ResultsPage, RunUnderWay, SubmitArgs,
 };
 pub use gets::{
     Awaited, Controller, ControllerList, Events, Hello, HistoryFrom, Journal, JournalEntry, Limits,
@@ -47,6 +48,7 @@ pub use recording::{
     RecordingName, RecordingPhase, RecordingPiece, Recordings,
 };
 pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArgs};
+pub use result_row::{COLUMNS, Cell, CellKind, Column, Measure, ResultRow, WrongKind};
 pub use role::{Credentials, Role, WhoAmI};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start, Stepping};

@@ -2,14 +2,14 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use jostle_results::Run;
+use jostle_results::ResultRow;
 use jostle_results::table::OrderSeries;
 
 use super::{Lab, LabError};
 use jostle_experiment::{Folder, Plan};
 
 /// The rows of one experiment as they were read last, each with its run's number in the plan.
-type Rows = Arc<Vec<(u64, Run)>>;
+type Rows = Arc<Vec<(u64, ResultRow)>>;
 
 /// The rows that were asked for last, of which experiment and of how many bytes of its list: who
 /// asks for a page asks for the next one too.
@@ -73,7 +73,7 @@ impl Lab {
 }
 
 /// Rows in the plan's order with the numbers of their runs.
-fn numbered(plan: &Plan, rows: Vec<Run>) -> Vec<(u64, Run)> {
+fn numbered(plan: &Plan, rows: Vec<ResultRow>) -> Vec<(u64, ResultRow)> {
     let mut runs = (1..).zip(plan.runs());
     rows.into_iter()
         .filter_map(|row| {

@@ -1,7 +1,6 @@
 //! What clients are told of experiments.
 
 use jostle_proto as proto;
-use jostle_results::Run;
 use jostle_results::table::OrderSeries;
 
 use crate::lab::{Phase, Report};
@@ -45,7 +44,7 @@ pub fn progress(report: Report) -> proto::Progress {
 /// The first of `rows`, which are numbered: at most `limit`, and about `most_bytes` as JSON.
 pub fn results_page(
     name: String,
-    rows: &[(u64, Run)],
+    rows: &[(u64, proto::ResultRow)],
     limit: usize,
     most_bytes: usize,
     finished: u64,
@@ -60,67 +59,12 @@ pub fn results_page(
     let (page, rest) = rows.split_at(count);
     proto::ResultsPage {
         name,
-        rows: page.iter().map(|(_, run)| row(run)).collect(),
+        rows: page.iter().map(|(_, row)| row.clone()).collect(),
         next: match (page.last(), rest.is_empty()) {
             (Some((number, _)), false) => Some(*number),
             _ => None,
         },
         finished,
-    }
-}
-
-fn row(run: &Run) -> proto::ResultRow {
-    let Run {
-        run,
-        seed,
-        n,
-        pi1,
-        pi2,
-        pi3,
-        pi4,
-        informed,
-        contacts,
-        dt,
-        time,
-        v,
-        v_pd,
-        ordered_intervals,
-        ordered_time,
-        unordered_intervals,
-        unordered_time,
-        worst_overlap,
-        crossed_share,
-        worst_residual,
-        degraded,
-        fallbacks,
-        steps,
-        state_hash,
-    } = run.clone();
-    proto::ResultRow {
-        run,
-        seed,
-        n,
-        pi1,
-        pi2,
-        pi3,
-        pi4,
-        informed,
-        contacts,
-        dt,
-        time,
-        v,
-        v_pd,
-        ordered_intervals,
-        ordered_time,
-        unordered_intervals,
-        unordered_time,
-        worst_overlap,
-        crossed_share,
-        worst_residual,
-        degraded,
-        fallbacks,
-        steps,
-        state_hash,
     }
 }
 
@@ -146,42 +90,23 @@ pub fn order_page(
 }
 
 #[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
 
-    fn run(number: u64) -> (u64, Run) {
-        let run = Run {
-            run: format!("n=10 #{number}"),
-            seed: number,
-            n: 10,
-            pi1: 4.0,
-            pi2: 0.0,
-            pi3: 1.0,
-            pi4: 10.0,
-            informed: 0,
-            contacts: "endpoints".to_owned(),
-            dt: 0.02,
-            time: 1.0,
-            v: 0.9,
-            v_pd: None,
-            ordered_intervals: 1,
-            ordered_time: 0.5,
-            unordered_intervals: 1,
-            unordered_time: 0.5,
-            worst_overlap: 0.0,
-            crossed_share: 0.0,
-            worst_residual: 1e-9,
-            degraded: 0,
-            fallbacks: 0,
-            steps: 50,
-            state_hash: "00ff".to_owned(),
-        };
-        (number, run)
+    /// A row that version bf41dde wrote, with another number.
+    fn row(number: u64) -> (u64, proto::ResultRow) {
+        let stored = include_str!("../../tests/stored/bf41dde/results/runs.jsonl");
+        let line: serde_json::Value = serde_json::from_str(stored.lines().nth(1).unwrap()).unwrap();
+        let row: proto::ResultRow = serde_json::from_value(line["row"].clone()).unwrap();
+        let run = format!("n=10 #{number}");
+        let seed = number;
+        (number, proto::ResultRow { run, seed, ..row })
     }
 
     #[test]
     fn pages_limited_by_rows_or_by_bytes_cover_every_row() {
-        let rows: Vec<_> = (0..20).map(run).collect();
+        let rows: Vec<_> = (0..20).map(row).collect();
         for (limit, most_bytes) in [(3, usize::MAX), (20, 5000), (1000, 5000), (3, 5000), (7, 0)] {
             let (mut seen, mut left) = (Vec::new(), &rows[..]);
             loop {

@@ -175,6 +175,8 @@ mod tests {
     use std::path::Path;
     use std::time::{Duration, Instant};
 
+    use jostle_results::Measure;
+
     use super::*;
 
     const FILE: &str = "name = \"a\"\nreplicates = 3\nduration = 20\n[[grid]]\npi1 = [1, 4]\n\
@@ -276,6 +278,6 @@ mod tests {
         assert!(reason.contains("cross"), "{reason}");
         let rows = folder.rows(&plan);
         let row = rows.iter().find(|row| row.run == *name).unwrap();
-        assert!(row.time < 40.0 && row.steps > 0 && row.v > 0.0);
+        assert!(row.time < 40.0 && row.steps > 0 && row.number(Measure::V) > 0.0);
     }
 }

@@ -17,7 +17,7 @@ use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use jostle_physics::model::MODEL_VERSION;
-use jostle_results::Run;
+use jostle_results::ResultRow;
 use jostle_results::table::order::ORDER_NAME;
 use jostle_results::table::{self, CSV_NAME, OrderSeries, OrderWriter, PARQUET_NAME};
 use jostle_results::touch::{self, TOUCH_NAME, Touch};
@@ -50,7 +50,7 @@ struct Record {
     /// Why the run ended early, if it did.
     fault: Option<String>,
     /// The row of the run; none if it ended before its first step.
-    row: Option<Run>,
+    row: Option<ResultRow>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     touch: Option<Touch>,
 }
@@ -147,7 +147,7 @@ impl Folder {
     /// # Errors
     ///
     /// [`FolderError`].
-    pub fn read(path: &Path, plan: &Plan) -> Result<Vec<Run>, FolderError> {
+    pub fn read(path: &Path, plan: &Plan) -> Result<Vec<ResultRow>, FolderError> {
         let bytes = read_or_empty(&path.join(RUNS))?;
         let (finished, _) = parse_runs(path, plan, &bytes)?;
         Ok(rows(plan, &finished))
@@ -182,7 +182,7 @@ impl Folder {
 
     /// Returns the rows of the finished runs, in the plan's order.
     #[must_use]
-    pub fn rows(&self, plan: &Plan) -> Vec<Run> {
+    pub fn rows(&self, plan: &Plan) -> Vec<ResultRow> {
         rows(plan, &self.finished)
     }
 
@@ -428,7 +428,7 @@ fn parse_runs(
     Ok((finished, length as u64))
 }
 
-fn rows(plan: &Plan, finished: &BTreeMap<String, Entry>) -> Vec<Run> {
+fn rows(plan: &Plan, finished: &BTreeMap<String, Entry>) -> Vec<ResultRow> {
     let entries = plan.runs().iter().filter_map(|run| finished.get(&run.name));
     entries
         .filter_map(|entry| entry.record.row.clone())

@@ -5,9 +5,9 @@ use jostle_physics::model::{ContactRule, State, body};
 use jostle_physics::observables::intervals::Intervals;
 use jostle_physics::observables::{self, CommonDirection, Order, RunningMeans};
 use jostle_physics::stepper::{StepReport, Stepper};
-use jostle_results::Run;
 use jostle_results::table::OrderSeries;
 use jostle_results::touch::Touch;
+use jostle_results::{Measure, ResultRow};
 
 use crate::contact_events::Meter;
 use crate::plan::{Plan, PlannedRun};
@@ -27,7 +27,7 @@ const DIRECTION: f64 = 0.0;
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Finished {
     /// The row of the run; none if it ended before its first step.
-    pub row: Option<Run>,
+    pub row: Option<ResultRow>,
     /// Why the run ended early, if it did.
     pub fault: Option<String>,
     /// The order over time, if the plan has `order_every`.
@@ -179,7 +179,7 @@ impl Measures {
         plan: &Plan,
         run: &PlannedRun,
         state: &State,
-    ) -> (Option<Run>, Option<OrderSeries>) {
+    ) -> (Option<ResultRow>, Option<OrderSeries>) {
         let State {
             parameters,
             configuration,
@@ -202,7 +202,8 @@ impl Measures {
             least_gap = least_gap.min(-2.0 * parameters.radius());
         }
         let taken = *step as f64;
-        let row = self.means.mean_order().map(|v| Run {
+        let time_of = |steps: u64| (steps as f64 * parameters.dt).into();
+        let row = self.means.mean_order().map(|v| ResultRow {
             run: run.name.clone(),
             seed: run.seed,
             n: configuration.n() as u64,
@@ -219,17 +220,25 @@ impl Measures {
             .to_owned(),
             dt: parameters.dt,
             time: state.time(),
-            v,
-            v_pd: self.means.mean_drift(),
-            ordered_intervals: self.intervals.ordered,
-            ordered_time: self.intervals.ordered_steps as f64 * parameters.dt,
-            unordered_intervals: self.intervals.unordered,
-            unordered_time: self.intervals.unordered_steps as f64 * parameters.dt,
-            worst_overlap: 0.0 - least_gap,
-            crossed_share: self.crossed as f64 / taken,
-            worst_residual: self.worst_residual,
-            degraded: self.degraded,
-            fallbacks: self.fallbacks,
+            measures: vec![
+                (Measure::V, v.into()),
+                (Measure::V_PD, self.means.mean_drift().into()),
+                (Measure::ORDERED_INTERVALS, self.intervals.ordered.into()),
+                (Measure::ORDERED_TIME, time_of(self.intervals.ordered_steps)),
+                (
+                    Measure::UNORDERED_INTERVALS,
+                    self.intervals.unordered.into(),
+                ),
+                (
+                    Measure::UNORDERED_TIME,
+                    time_of(self.intervals.unordered_steps),
+                ),
+                (Measure::WORST_OVERLAP, (0.0 - least_gap).into()),
+                (Measure::CROSSED_SHARE, (self.crossed as f64 / taken).into()),
+                (Measure::WORST_RESIDUAL, self.worst_residual.into()),
+                (Measure::DEGRADED, self.degraded.into()),
+                (Measure::FALLBACKS, self.fallbacks.into()),
+            ],
             steps: *step,
             state_hash: hexadecimal(&state.hash()),
         });
@@ -243,6 +252,7 @@ mod tests {
     use super::*;
     use jostle_physics::simulation::Change;
     use jostle_physics::simulation::Simulation;
+    use jostle_results::Cell;
 
     fn plan(rest: &str) -> Plan {
         Plan::parse(&format!("name = \"a\"\n{rest}")).unwrap()
@@ -261,14 +271,21 @@ mod tests {
         } = finish(&plan);
         let row = row.unwrap();
         assert_eq!((fault, row.steps, row.time), (None, 2000, 20.0));
-        assert!((row.v - 1.0).abs() < 1e-12 && row.v_pd.is_none());
-        assert_eq!((row.ordered_intervals, row.unordered_intervals), (1, 0));
-        assert_eq!((row.ordered_time, row.unordered_time), (20.0, 0.0));
-        assert_eq!((row.worst_overlap, row.crossed_share), (0.0, 0.0));
-        assert_eq!(
-            (row.worst_residual, row.degraded, row.fallbacks),
-            (0.0, 0, 0)
-        );
+        assert!((row.number(Measure::V) - 1.0).abs() < 1e-12);
+        for (measure, expected) in [
+            (Measure::V_PD, Cell::Absent),
+            (Measure::ORDERED_INTERVALS, Cell::Count(1)),
+            (Measure::UNORDERED_INTERVALS, Cell::Count(0)),
+            (Measure::ORDERED_TIME, Cell::Number(20.0)),
+            (Measure::UNORDERED_TIME, Cell::Number(0.0)),
+            (Measure::WORST_OVERLAP, Cell::Number(0.0)),
+            (Measure::CROSSED_SHARE, Cell::Number(0.0)),
+            (Measure::WORST_RESIDUAL, Cell::Number(0.0)),
+            (Measure::DEGRADED, Cell::Count(0)),
+            (Measure::FALLBACKS, Cell::Count(0)),
+        ] {
+            assert_eq!(row.value(measure), expected, "{measure:?}");
+        }
         assert_eq!(row.state_hash.len(), 64);
         let series = series.unwrap();
         assert_eq!(series.steps, [0, 500, 1000, 1500, 2000]);
@@ -291,11 +308,8 @@ mod tests {
         let row = finish(&plan(&text)).row.unwrap();
         let (c, q) = (0.5, libm::tan(1.0) * libm::tan(1.0));
         let mean = libm::log((q + libm::exp(2.0 * c * 10.0)) / (q + 1.0)) / (c * 10.0) - 1.0;
-        assert!(
-            (row.v_pd.unwrap() - mean).abs() < 2e-4,
-            "{:?} {mean}",
-            row.v_pd
-        );
+        let drift = row.number(Measure::V_PD);
+        assert!((drift - mean).abs() < 2e-4, "{drift} {mean}");
         assert_eq!((row.informed, row.pi2), (1, 0.5));
     }
 
@@ -330,10 +344,11 @@ mod tests {
                 hexadecimal(&swarm.state.hash()),
                 "{settings}"
             );
-            assert_eq!(Some(row.v), swarm.means.mean_order());
-            assert_eq!(row.v_pd, swarm.means.mean_drift());
-            assert!(row.worst_overlap > 0.0, "{settings}: no overlap");
-            assert!((row.worst_overlap + least_gap).abs() < 1e-9, "{settings}");
+            assert_eq!(row.optional_number(Measure::V), swarm.means.mean_order());
+            assert_eq!(row.optional_number(Measure::V_PD), swarm.means.mean_drift());
+            let overlap = row.number(Measure::WORST_OVERLAP);
+            assert!(overlap > 0.0, "{settings}: no overlap");
+            assert!((overlap + least_gap).abs() < 1e-9, "{settings}");
         }
     }
 

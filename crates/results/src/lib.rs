@@ -1,16 +1,17 @@
 //! Results of runs: tidy tables, the paper's statistics and its figures; and recordings of running
 //! swarms.
 //!
-//! This crate depends on neither the daemon nor the wire: its input are rows and frames, its output
-//! files and pictures.
+//! Its input are rows and frames, its output files and pictures. Of the wire it needs the definition
+//! of a row only.
 
 pub mod claims;
 pub mod disorder;
 pub mod figure;
 pub mod recording;
-pub mod run;
+#[cfg(test)]
+mod samples;
 pub mod statistics;
 pub mod table;
 pub mod touch;
 
-pub use run::Run;
+pub use jostle_proto::{COLUMNS, Cell, CellKind, Column, Measure, ResultRow};

@@ -2,8 +2,8 @@
 
 use std::cmp::Ordering;
 
-use crate::Run;
 use crate::disorder::n_eff;
+use crate::{Measure, ResultRow};
 
 /// The parameters that the replicates of a run share; replicates differ only in their seed.
 #[derive(Clone, Debug, PartialEq)]
@@ -71,7 +71,7 @@ pub struct Summary {
 
 impl Condition {
     /// Returns the condition of `run`.
-    pub fn of(run: &Run) -> Self {
+    pub fn of(run: &ResultRow) -> Self {
         Self {
             contacts: run.contacts.clone(),
             dt: run.dt,
@@ -109,41 +109,52 @@ impl Condition {
 
 /// Summarises each condition of `runs`, ordered by rule, `dt`, `pi3`, `pi4`, `pi2`, `pi1`,
 /// `n` and informed. Sums follow the order of `runs`.
-pub fn summarise(runs: &[Run]) -> Vec<Summary> {
-    let mut rows: Vec<(Condition, &Run)> =
+pub fn summarise(runs: &[ResultRow]) -> Vec<Summary> {
+    let mut rows: Vec<(Condition, &ResultRow)> =
         runs.iter().map(|run| (Condition::of(run), run)).collect();
     rows.sort_by(|(one, _), (two, _)| one.compare(two));
     rows.chunk_by(|(one, _), (two, _)| one.compare(two).is_eq())
         .map(|rows| {
-            let runs: Vec<&Run> = rows.iter().map(|(_, run)| *run).collect();
+            let runs: Vec<&ResultRow> = rows.iter().map(|(_, run)| *run).collect();
             summarise_condition(rows[0].0.clone(), &runs)
         })
         .collect()
 }
 
-fn summarise_condition(condition: Condition, runs: &[&Run]) -> Summary {
-    let v = spread(&runs.iter().map(|run| run.v).collect::<Vec<_>>());
-    let drifts: Vec<f64> = runs.iter().filter_map(|run| run.v_pd).collect();
-    let reached = runs.iter().all(|run| run.ordered_intervals > 0);
-    let interval = |pick: fn(&Run) -> (f64, u64)| {
-        let intervals: Vec<_> = runs.iter().map(|run| pick(run)).collect();
-        if reached {
-            mean_interval(&intervals)
-        } else {
-            None
-        }
+fn summarise_condition(condition: Condition, runs: &[&ResultRow]) -> Summary {
+    let numbers = |measure| -> Vec<f64> { runs.iter().map(|run| run.number(measure)).collect() };
+    let v = spread(&numbers(Measure::V));
+    let drifts = runs
+        .iter()
+        .filter_map(|run| run.optional_number(Measure::V_PD));
+    let drifts: Vec<f64> = drifts.collect();
+    let ordered = (
+        numbers(Measure::ORDERED_TIME),
+        numbers(Measure::ORDERED_INTERVALS),
+    );
+    let unordered = (
+        numbers(Measure::UNORDERED_TIME),
+        numbers(Measure::UNORDERED_INTERVALS),
+    );
+    let reached = ordered.1.iter().all(|&intervals| intervals > 0.0);
+    let interval = |(times, intervals): &(Vec<f64>, Vec<f64>)| {
+        let pairs: Vec<_> = times
+            .iter()
+            .copied()
+            .zip(intervals.iter().copied())
+            .collect();
+        if reached { mean_interval(&pairs) } else { None }
     };
-    let sum = |of: fn(&Run) -> f64| runs.iter().map(|run| of(run)).sum::<f64>();
-    let ordered = sum(|run| run.ordered_time);
-    let crossed: Vec<f64> = runs.iter().map(|run| run.crossed_share).collect();
+    let [ordered_time, unordered_time] =
+        [&ordered.0, &unordered.0].map(|it| it.iter().sum::<f64>());
     Summary {
         runs: runs.len(),
         v_pd: (drifts.len() == runs.len()).then(|| spread(&drifts)),
-        build_up: interval(|run| (run.unordered_time, run.unordered_intervals)),
-        breakdown: interval(|run| (run.ordered_time, run.ordered_intervals)),
+        build_up: interval(&unordered),
+        breakdown: interval(&ordered),
         n_eff: n_eff(condition.n, v.mean),
-        ordered_share: ordered / (ordered + sum(|run| run.unordered_time)),
-        crossed_share: spread(&crossed).mean,
+        ordered_share: ordered_time / (ordered_time + unordered_time),
+        crossed_share: spread(&numbers(Measure::CROSSED_SHARE)).mean,
         condition,
         v,
     }
@@ -169,17 +180,17 @@ fn spread(values: &[f64]) -> Spread {
 ///
 /// Runs with few long intervals weigh less than in a mean of per-run means. The error is that of a
 /// ratio of sums, `√(Σ (time - mean · intervals)² / (N (N - 1))) / mean intervals`.
-fn mean_interval(runs: &[(f64, u64)]) -> Option<Interval> {
+fn mean_interval(runs: &[(f64, f64)]) -> Option<Interval> {
     let count = runs.len() as f64;
     let time: f64 = runs.iter().map(|(time, _)| time).sum();
-    let intervals = runs.iter().map(|(_, intervals)| intervals).sum::<u64>() as f64;
+    let intervals: f64 = runs.iter().map(|(_, intervals)| intervals).sum();
     if intervals == 0.0 {
         return None;
     }
     let mean = time / intervals;
     let squares: f64 = runs
         .iter()
-        .map(|&(time, intervals)| time - mean * intervals as f64)
+        .map(|&(time, intervals)| time - mean * intervals)
         .map(|residual| residual * residual)
         .sum();
     let error = (squares / (count * (count - 1.0))).sqrt() / (intervals / count);
@@ -193,11 +204,11 @@ fn mean_interval(runs: &[(f64, u64)]) -> Option<Interval> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::run::sample;
+    use crate::samples::{sample, with};
 
     #[test]
     fn runs_that_differ_in_any_parameter_are_of_two_conditions() {
-        type Change = (&'static str, fn(&mut Run));
+        type Change = (&'static str, fn(&mut ResultRow));
         let changes: [Change; 8] = [
             ("n", |run| run.n = 20),
             ("pi1", |run| run.pi1 = 2.0),
@@ -209,7 +220,7 @@ mod tests {
             ("dt", |run| run.dt = 0.01),
         ];
         for (name, change) in changes {
-            let one = Run {
+            let one = ResultRow {
                 informed: 1,
                 ..sample()
             };
@@ -223,18 +234,18 @@ mod tests {
 
     #[test]
     fn runs_are_grouped_by_all_but_their_seed() {
-        let with = |change: fn(&mut Run)| {
+        let changed = |change: fn(&mut ResultRow)| {
             let mut run = sample();
             change(&mut run);
             run
         };
         let runs = [
-            with(|run| run.contacts = "closest".to_owned()),
-            with(|run| run.n = 20),
-            with(|run| run.seed = 7),
+            changed(|run| run.contacts = "closest".to_owned()),
+            changed(|run| run.n = 20),
+            changed(|run| run.seed = 7),
             // Without informed individuals their weight makes no difference.
-            with(|run| run.pi2 = 0.5),
-            with(|run| run.dt = 0.01),
+            changed(|run| run.pi2 = 0.5),
+            changed(|run| run.dt = 0.01),
         ];
         let summaries = summarise(&runs);
         let found: Vec<_> = summaries
@@ -273,20 +284,20 @@ mod tests {
 
     #[test]
     fn interval_lengths_are_time_over_intervals() {
-        let found = mean_interval(&[(30.0, 3), (10.0, 1), (20.0, 4)]).unwrap();
+        let found = mean_interval(&[(30.0, 3.0), (10.0, 1.0), (20.0, 4.0)]).unwrap();
         assert_eq!(found.mean, 7.5);
         // Residuals 7.5, 2.5, -10; squares sum to 162.5, over 3 · 2; 8/3 intervals a run.
         let expected = (162.5_f64 / 6.0).sqrt() / (8.0 / 3.0);
         assert!((found.error.unwrap() - expected).abs() < 1e-12);
-        assert_eq!(mean_interval(&[(30.0, 3)]).unwrap().error, None);
-        assert_eq!(mean_interval(&[(0.0, 0), (0.0, 0)]), None);
+        assert_eq!(mean_interval(&[(30.0, 3.0)]).unwrap().error, None);
+        assert_eq!(mean_interval(&[(0.0, 0.0), (0.0, 0.0)]), None);
     }
 
     #[test]
     fn intervals_are_shown_only_if_every_run_reached_order() {
         let reached = sample();
-        let mut never = sample();
-        (never.ordered_intervals, never.ordered_time) = (0, 0.0);
+        let never = with(sample(), Measure::ORDERED_INTERVALS, 0);
+        let never = with(never, Measure::ORDERED_TIME, 0.0);
         let both = &summarise(&[reached.clone(), never])[0];
         assert_eq!((both.build_up, both.breakdown), (None, None));
 

@@ -7,7 +7,7 @@ use jostle_results::claims::page::{Origin, page};
 use jostle_results::claims::{Evidence, bands, claims, rules};
 use jostle_results::figure::{Kind, draw, save};
 use jostle_results::touch::{self, Touch};
-use jostle_results::{Run, table};
+use jostle_results::{ResultRow, table};
 use serde_json::{Value, json};
 
 use crate::arguments::ClaimsArguments;
@@ -64,7 +64,7 @@ fn touches(places: &[PathBuf]) -> Result<Vec<Touch>, Failure> {
     Ok(touches)
 }
 
-fn tell(output: Output, runs: &[Run], touches: &[Touch]) -> Result<(), Failure> {
+fn tell(output: Output, runs: &[ResultRow], touches: &[Touch]) -> Result<(), Failure> {
     let mut rows = Vec::new();
     let mut told = Vec::new();
     for rule in rules(runs) {
@@ -94,7 +94,7 @@ fn tell(output: Output, runs: &[Run], touches: &[Touch]) -> Result<(), Failure> 
 fn against_bands(
     output: Output,
     bands: &[bands::Band],
-    runs: &[Run],
+    runs: &[ResultRow],
     touches: &[Touch],
 ) -> Result<(), Failure> {
     let judged = bands::judge(bands, runs, touches);
@@ -136,7 +136,12 @@ fn against_bands(
     Ok(())
 }
 
-fn write_page(output: Output, path: &Path, runs: &[Run], touches: &[Touch]) -> Result<(), Failure> {
+fn write_page(
+    output: Output,
+    path: &Path,
+    runs: &[ResultRow],
+    touches: &[Touch],
+) -> Result<(), Failure> {
     let folder = path.with_extension("");
     let name = folder.file_name().unwrap_or_default().to_string_lossy();
     let system = |error: std::io::Error| wrong(format!("{}: {error}", path.display()));

@@ -5,9 +5,9 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use crate::Run;
 use crate::table::TableError;
 use crate::touch::Touch;
+use crate::{Measure, ResultRow};
 
 /// The half-width of a band in standard errors of the difference between few and many runs. With a
 /// hundred bands, one of them is left by chance in one of about a hundred and fifty tries.
@@ -18,15 +18,15 @@ const ROUNDING: f64 = 1e-6;
 
 /// A measured quantity: a value of each run, or of each run's contacts.
 enum Quantity {
-    OfRun(fn(&Run) -> f64),
+    OfRun(Measure),
     OfTouch(fn(&Touch) -> f64),
 }
 
 const QUANTITIES: [(&str, Quantity); 8] = [
-    ("v", Quantity::OfRun(|it| it.v)),
-    ("ordered_time", Quantity::OfRun(|it| it.ordered_time)),
-    ("worst_overlap", Quantity::OfRun(|it| it.worst_overlap)),
-    ("crossed_share", Quantity::OfRun(|it| it.crossed_share)),
+    ("v", Quantity::OfRun(Measure::V)),
+    ("ordered_time", Quantity::OfRun(Measure::ORDERED_TIME)),
+    ("worst_overlap", Quantity::OfRun(Measure::WORST_OVERLAP)),
+    ("crossed_share", Quantity::OfRun(Measure::CROSSED_SHARE)),
     ("listed", Quantity::OfTouch(|it| it.listed)),
     ("pushing", Quantity::OfTouch(|it| it.pushing)),
     ("turned", Quantity::OfTouch(|it| it.turned)),
@@ -68,7 +68,7 @@ impl Judged {
 
 /// Measures the mean of each band's quantity.
 #[must_use]
-pub fn judge(bands: &[Band], runs: &[Run], touches: &[Touch]) -> Vec<Judged> {
+pub fn judge(bands: &[Band], runs: &[ResultRow], touches: &[Touch]) -> Vec<Judged> {
     let judged = bands.iter().map(|band| {
         let values = values(&band.quantity, band.pi1, band.n, runs, touches);
         Judged {
@@ -81,7 +81,7 @@ pub fn judge(bands: &[Band], runs: &[Run], touches: &[Touch]) -> Vec<Judged> {
 
 /// Computes the bands for the means of `count` runs of a condition from many `runs` and `touches`.
 #[must_use]
-pub fn make(runs: &[Run], touches: &[Touch], count: usize) -> Vec<Band> {
+pub fn make(runs: &[ResultRow], touches: &[Touch], count: usize) -> Vec<Band> {
     let mut conditions: Vec<(f64, u64)> = runs.iter().map(|run| (run.pi1, run.n)).collect();
     conditions.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
     conditions.dedup();
@@ -153,12 +153,12 @@ pub fn write(path: &Path, bands: &[Band]) -> Result<(), TableError> {
     jostle_atomic_file::publish(file, path).map_err(io)
 }
 
-fn values(quantity: &str, pi1: f64, n: u64, runs: &[Run], touches: &[Touch]) -> Vec<f64> {
+fn values(quantity: &str, pi1: f64, n: u64, runs: &[ResultRow], touches: &[Touch]) -> Vec<f64> {
     let of = QUANTITIES.iter().find(|(name, _)| *name == quantity);
     match of.map(|(_, of)| of) {
-        Some(Quantity::OfRun(of)) => {
+        Some(Quantity::OfRun(measure)) => {
             let runs = runs.iter().filter(|run| run.pi1 == pi1 && run.n == n);
-            runs.map(of).collect()
+            runs.map(|run| run.number(*measure)).collect()
         }
         Some(Quantity::OfTouch(of)) => {
             let touches = touches.iter().filter(|it| it.pi1 == pi1 && it.n == n);
@@ -179,15 +179,15 @@ fn mean_and_variance(values: &[f64]) -> Option<(f64, f64)> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::run::sample;
+    use crate::samples::{sample, with};
 
-    fn with_v(v: f64) -> Run {
-        Run { v, ..sample() }
+    fn with_v(v: f64) -> ResultRow {
+        with(sample(), Measure::V, v)
     }
 
     #[test]
     fn a_band_is_four_standard_errors_wide_each_way() {
-        let many: Vec<Run> = [0.4, 0.6].repeat(50).into_iter().map(with_v).collect();
+        let many: Vec<ResultRow> = [0.4, 0.6].repeat(50).into_iter().map(with_v).collect();
         let bands = make(&many, &[], 25);
         let band = bands.iter().find(|it| it.quantity == "v").unwrap();
         // The variance is 0.01 · 100 / 99; that of the difference is 1/100 + 1/25 of it.
@@ -196,7 +196,7 @@ mod tests {
         assert!((band.high - (0.5 + width)).abs() < 1.1e-6);
         let inside = |v: f64| judge(std::slice::from_ref(band), &[with_v(v)], &[])[0].is_inside();
         assert!(inside(0.5) && !inside(0.6) && !inside(0.4));
-        let elsewhere = Run {
+        let elsewhere = ResultRow {
             n: 3,
             ..with_v(0.5)
         };

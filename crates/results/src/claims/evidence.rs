@@ -1,6 +1,6 @@
 //! The runs on which claims are judged.
 
-use crate::Run;
+use crate::ResultRow;
 use crate::statistics::{Spread, Summary, summarise};
 use crate::touch::Touch;
 
@@ -28,7 +28,7 @@ pub struct Evidence {
 
 /// Lists the rules of `runs` at the paper's π3 and π4, `endpoints` first.
 #[must_use]
-pub fn rules(runs: &[Run]) -> Vec<Rule> {
+pub fn rules(runs: &[ResultRow]) -> Vec<Rule> {
     let mut rules = Vec::new();
     for summary in summarise(runs) {
         let condition = summary.condition;
@@ -46,16 +46,16 @@ pub fn rules(runs: &[Run]) -> Vec<Rule> {
 impl Evidence {
     /// Selects the runs of `rule`. Runs that a fault ended early are excluded.
     #[must_use]
-    pub fn new(rule: &Rule, runs: &[Run], touches: &[Touch]) -> Self {
-        let steps_of = |run: &&Run| run.contacts == rule.contacts && run.dt == rule.dt;
-        let longest = |run: &Run| {
+    pub fn new(rule: &Rule, runs: &[ResultRow], touches: &[Touch]) -> Self {
+        let steps_of = |run: &&ResultRow| run.contacts == rule.contacts && run.dt == rule.dt;
+        let longest = |run: &ResultRow| {
             let alike = runs.iter().filter(|it| it.n == run.n && it.dt == run.dt);
             alike.map(|it| it.time).fold(0.0, f64::max)
         };
         let whole = runs.iter().filter(steps_of);
         let whole = whole.filter(|run| run.time >= longest(run) * (1.0 - 1e-9));
         let paper = whole.filter(|run| run.pi3 == PI3 && run.pi4 == PI4);
-        let runs: Vec<Run> = paper.cloned().collect();
+        let runs: Vec<ResultRow> = paper.cloned().collect();
         let touches = touches.iter().filter(|it| it.contacts == rule.contacts);
         Self {
             summaries: summarise(&runs),

@@ -209,23 +209,25 @@ fn saturates(evidence: &Evidence) -> Answer {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::Run;
-    use crate::run::sample;
+    use crate::samples::{sample, with};
     use crate::statistics::summarise;
+    use crate::{Measure, ResultRow};
 
     /// The evidence of runs whose time without order grows by a factor of e per 10 individuals.
     fn growing(sizes: &[u64]) -> Evidence {
-        let run = |pi1: f64, n: u64| Run {
-            pi1,
-            n,
-            informed: 0,
-            unordered_time: (n as f64 / 10.0).exp(),
-            unordered_intervals: 1,
-            ordered_intervals: 1,
-            ..sample()
+        let run = |pi1: f64, n: u64| {
+            let run = ResultRow {
+                pi1,
+                n,
+                informed: 0,
+                ..sample()
+            };
+            let run = with(run, Measure::UNORDERED_TIME, (n as f64 / 10.0).exp());
+            let run = with(run, Measure::UNORDERED_INTERVALS, 1);
+            with(run, Measure::ORDERED_INTERVALS, 1)
         };
         let of_shape = |pi1: &f64| sizes.iter().map(|n| run(*pi1, *n)).collect::<Vec<_>>();
-        let runs: Vec<Run> = ELONGATED.iter().flat_map(of_shape).collect();
+        let runs: Vec<ResultRow> = ELONGATED.iter().flat_map(of_shape).collect();
         Evidence {
             summaries: summarise(&runs),
             touches: Vec::new(),
@@ -246,14 +248,14 @@ mod tests {
         let of_clusters = |clusters: u64| {
             let v = crate::disorder::v_ind(clusters);
             let pair = |pi1: &f64| {
-                [-1e-4, 1e-4].map(|by| Run {
+                let run = ResultRow {
                     pi1: *pi1,
                     n: 50,
-                    v: v + by,
                     ..sample()
-                })
+                };
+                [-1e-4, 1e-4].map(|by| with(run.clone(), Measure::V, v + by))
             };
-            let runs: Vec<Run> = ELONGATED.iter().flat_map(pair).collect();
+            let runs: Vec<ResultRow> = ELONGATED.iter().flat_map(pair).collect();
             ten_of_fifty(&Evidence {
                 summaries: summarise(&runs),
                 touches: Vec::new(),

@@ -4,8 +4,8 @@
 use std::fmt::Write as _;
 
 use super::{Claim, Evidence, Rule, Verdict, claims, of_difference, rules, with_error};
-use crate::Run;
 use crate::touch::Touch;
+use crate::{Measure, ResultRow};
 
 /// The origin of the results on a page.
 #[derive(Clone, Debug)]
@@ -21,7 +21,7 @@ type Row<'a> = (&'a Claim, Vec<super::Answer>);
 
 /// Writes the page in Markdown. The same results give the same bytes.
 #[must_use]
-pub fn page(runs: &[Run], touches: &[Touch], origin: &Origin) -> String {
+pub fn page(runs: &[ResultRow], touches: &[Touch], origin: &Origin) -> String {
     let rules = rules(runs);
     let evidence: Vec<Evidence> = rules
         .iter()
@@ -80,22 +80,26 @@ fn title(rule: &Rule) -> String {
 }
 
 /// Writes the table of the runs of each rule.
-fn of_the_rules(runs: &[Run], rules: &[Rule]) -> String {
+fn of_the_rules(runs: &[ResultRow], rules: &[Rule]) -> String {
     let mut table = String::from(
         "| contacts | runs | steps | ended by a fault | time with crossed bodies | at the worst \
          condition | deepest overlap | worst residual | degraded steps | left to the fallback |\n\
          |---|---|---|---|---|---|---|---|---|---|\n",
     );
     for rule in rules {
-        let these: Vec<&Run> = runs
+        let these: Vec<&ResultRow> = runs
             .iter()
             .filter(|run| run.contacts == rule.contacts && run.dt == rule.dt)
             .collect();
-        let sum = |of: fn(&Run) -> u64| these.iter().map(|run| of(run)).sum::<u64>();
-        let largest = |of: fn(&Run) -> f64| these.iter().map(|run| of(run)).fold(0.0, f64::max);
+        let numbers = |measure| these.iter().map(move |run| run.number(measure));
+        let sum = |measure| numbers(measure).sum::<f64>();
+        let largest = |measure| numbers(measure).fold(0.0, f64::max);
         let time: f64 = these.iter().map(|run| run.time).sum();
-        let crossed: f64 = these.iter().map(|run| run.crossed_share * run.time).sum();
-        let longest = largest(|run| run.time);
+        let crossed = these
+            .iter()
+            .map(|run| run.number(Measure::CROSSED_SHARE) * run.time);
+        let crossed: f64 = crossed.sum();
+        let longest = these.iter().map(|run| run.time).fold(0.0, f64::max);
         let ended = these.iter().filter(|run| run.time < longest * (1.0 - 1e-9));
         let conditions =
             crate::statistics::summarise(&these.iter().map(|&run| run.clone()).collect::<Vec<_>>());
@@ -108,14 +112,14 @@ fn of_the_rules(runs: &[Run], rules: &[Rule]) -> String {
             "| {} | {} | {} | {} | {:.1} % | {:.1} % | {:.2e} | {:.1e} | {} | {} |",
             title(rule),
             these.len(),
-            sum(|run| run.steps),
+            these.iter().map(|run| run.steps).sum::<u64>(),
             ended.count(),
             100.0 * crossed / time,
             100.0 * worst,
-            largest(|run| run.worst_overlap),
-            largest(|run| run.worst_residual),
-            sum(|run| run.degraded),
-            sum(|run| run.fallbacks),
+            largest(Measure::WORST_OVERLAP),
+            largest(Measure::WORST_RESIDUAL),
+            sum(Measure::DEGRADED),
+            sum(Measure::FALLBACKS),
         );
     }
     table.push('\n');

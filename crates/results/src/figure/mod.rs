@@ -15,7 +15,7 @@ mod plot;
 mod snapshot;
 mod svg;
 
-use crate::Run;
+use crate::ResultRow;
 use crate::statistics::summarise;
 
 pub use image::{SaveError, save};
@@ -105,7 +105,7 @@ impl Kind {
 ///
 /// [`FigureError::Empty`], [`FigureError::Unsuitable`] or [`FigureError::Undefined`] if the figure
 /// would be empty.
-pub fn draw(kind: Kind, runs: &[Run]) -> Result<String, FigureError> {
+pub fn draw(kind: Kind, runs: &[ResultRow]) -> Result<String, FigureError> {
     if runs.is_empty() {
         return Err(FigureError::Empty);
     }
@@ -144,23 +144,24 @@ pub fn draw(kind: Kind, runs: &[Run]) -> Result<String, FigureError> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::run::sample;
+    use crate::Measure;
+    use crate::samples::{sample, with};
 
-    fn series() -> Vec<Run> {
+    fn series() -> Vec<ResultRow> {
         let mut runs = Vec::new();
         for (contacts, dt) in [("endpoints", 0.02), ("closest", 0.1)] {
             for (n, v) in [(3, 0.99), (10, 0.95), (50, 0.5)] {
                 for v in [v, v - 0.01] {
                     for informed in [0, n / 5] {
-                        runs.push(Run {
+                        let v_pd = (informed > 0).then_some(v / 2.0);
+                        let row = ResultRow {
                             contacts: contacts.to_owned(),
                             dt,
                             n,
-                            v,
                             informed,
-                            v_pd: (informed > 0).then_some(v / 2.0),
                             ..sample()
-                        });
+                        };
+                        runs.push(with(with(row, Measure::V, v), Measure::V_PD, v_pd));
                     }
                 }
             }
@@ -186,7 +187,8 @@ mod tests {
             let picture = draw(kind, &[run.clone()]).unwrap();
             assert!(!picture.contains("NaN"), "{picture}");
         }
-        (run.informed, run.v_pd) = (1, Some(-0.1));
+        run.informed = 1;
+        let run = with(run, Measure::V_PD, -0.1);
         assert!(draw(Kind::Drift, &[run]).is_ok());
     }
 
@@ -200,10 +202,10 @@ mod tests {
             "{text}"
         );
 
-        let mut never = sample();
-        (never.v, never.ordered_intervals) = (0.01, 0);
+        let never = with(sample(), Measure::V, 0.01);
+        let never = with(never, Measure::ORDERED_INTERVALS, 0);
         for kind in [Kind::Intervals, Kind::Clusters] {
-            let undefined = draw(kind, &[never.clone()]).unwrap_err();
+            let undefined = draw(kind, std::slice::from_ref(&never)).unwrap_err();
             assert!(
                 matches!(undefined, FigureError::Undefined { .. }),
                 "{undefined}"

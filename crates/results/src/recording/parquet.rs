@@ -15,7 +15,7 @@ use super::mcap::length;
 use super::temp_file::Draft;
 use super::{About, Frame, RecordingError};
 use crate::table::TableError;
-use crate::table::column::Cell;
+use crate::table::column::ParquetValue;
 use crate::table::parquet::{group, write_column};
 
 /// The unit of an origin, in body sizes.
@@ -44,7 +44,7 @@ macro_rules! columns {
 
         impl Columns {
             fn schemas() -> Vec<Result<parquet::schema::types::Type, ParquetError>> {
-                vec![$(<$cell as Cell>::schema(stringify!($field))),*]
+                vec![$(<$cell as ParquetValue>::schema(stringify!($field))),*]
             }
 
             /// Writes the rows as a row group and clears the columns.

@@ -14,8 +14,8 @@ use parquet::schema::types::Type;
 
 use super::TableError;
 
-/// The value of one row in one column.
-pub trait Cell: Sized {
+/// A value of a Parquet column.
+pub trait ParquetValue: Sized {
     /// Returns the column's entry in the schema.
     fn schema(name: &str) -> Result<Type, ParquetError>;
 
@@ -59,7 +59,7 @@ impl CellError {
     }
 }
 
-impl Cell for bool {
+impl ParquetValue for bool {
     fn schema(name: &str) -> Result<Type, ParquetError> {
         Type::primitive_type_builder(name, Physical::BOOLEAN)
             .with_repetition(Repetition::REQUIRED)
@@ -80,7 +80,7 @@ impl Cell for bool {
 }
 
 /// Shared text, for columns in which many rows have the same value.
-impl Cell for Arc<str> {
+impl ParquetValue for Arc<str> {
     fn schema(name: &str) -> Result<Type, ParquetError> {
         String::schema(name)
     }
@@ -99,7 +99,7 @@ impl Cell for Arc<str> {
     }
 }
 
-impl Cell for String {
+impl ParquetValue for String {
     fn schema(name: &str) -> Result<Type, ParquetError> {
         Type::primitive_type_builder(name, Physical::BYTE_ARRAY)
             .with_repetition(Repetition::REQUIRED)
@@ -128,7 +128,7 @@ impl Cell for String {
     }
 }
 
-impl Cell for u64 {
+impl ParquetValue for u64 {
     fn schema(name: &str) -> Result<Type, ParquetError> {
         Type::primitive_type_builder(name, Physical::INT64)
             .with_repetition(Repetition::REQUIRED)
@@ -155,7 +155,7 @@ impl Cell for u64 {
     }
 }
 
-impl Cell for u32 {
+impl ParquetValue for u32 {
     fn schema(name: &str) -> Result<Type, ParquetError> {
         Type::primitive_type_builder(name, Physical::INT32)
             .with_repetition(Repetition::REQUIRED)
@@ -180,7 +180,7 @@ impl Cell for u32 {
     }
 }
 
-impl Cell for f64 {
+impl ParquetValue for f64 {
     fn schema(name: &str) -> Result<Type, ParquetError> {
         Type::primitive_type_builder(name, Physical::DOUBLE)
             .with_repetition(Repetition::REQUIRED)
@@ -202,7 +202,7 @@ impl Cell for f64 {
     }
 }
 
-impl Cell for Option<f64> {
+impl ParquetValue for Option<f64> {
     fn schema(name: &str) -> Result<Type, ParquetError> {
         Type::primitive_type_builder(name, Physical::DOUBLE)
             .with_repetition(Repetition::OPTIONAL)

@@ -3,74 +3,79 @@
 use std::io::Write;
 use std::path::Path;
 
-use csv::{ErrorKind, StringRecord};
+use csv::ErrorKind;
 
-use super::parquet::COLUMNS;
 use super::{TableError, io_error};
-use crate::Run;
+use crate::{COLUMNS, Cell, CellKind, ResultRow};
 
-pub fn write(path: &Path, runs: &[Run]) -> Result<(), TableError> {
+pub fn write(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
     let io = |source| io_error(path, source);
     let mut file = jostle_atomic_file::begin(path).map_err(io)?;
-    write_to(&mut file, runs).map_err(|error| explain(path, COLUMNS, error))?;
+    write_to(&mut file, runs).map_err(|error| explain(path, error))?;
     jostle_atomic_file::publish(file, path).map_err(io)
 }
 
-pub fn write_to(to: impl Write, runs: &[Run]) -> Result<(), csv::Error> {
+pub fn write_to(to: impl Write, runs: &[ResultRow]) -> Result<(), csv::Error> {
     let mut writer = csv::WriterBuilder::new()
         // The header is written below, so that a table without rows has one too.
         .has_headers(false)
         .from_writer(to);
-    writer.write_record(COLUMNS)?;
+    writer.write_record(COLUMNS.iter().map(|column| column.name))?;
     for run in runs {
-        writer.serialize(run)?;
+        writer.serialize(run.cells().collect::<Vec<_>>())?;
     }
     Ok(writer.flush()?)
 }
 
-pub fn read(path: &Path) -> Result<Vec<Run>, TableError> {
-    let mut reader = csv::Reader::from_path(path).map_err(|error| explain(path, &[], error))?;
-    let header = reader
-        .headers()
-        .map_err(|error| explain(path, &[], error))?
-        .clone();
-    let names: Vec<&str> = header.iter().collect();
+pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
+    let explain = |error| explain(path, error);
+    let mut reader = csv::Reader::from_path(path).map_err(explain)?;
+    let header = reader.headers().map_err(explain)?;
+    let mut places = Vec::with_capacity(COLUMNS.len());
     for column in COLUMNS {
-        if !names.contains(column) {
-            return Err(TableError::MissingColumn {
-                path: path.to_owned(),
-                column,
-            });
-        }
+        let place = header.iter().position(|name| name == column.name);
+        places.push(place.ok_or_else(|| TableError::MissingColumn {
+            path: path.to_owned(),
+            column: column.name,
+        })?);
     }
     let mut runs = Vec::new();
-    let mut record = StringRecord::new();
-    while reader
-        .read_record(&mut record)
-        .map_err(|error| explain(path, &names, error))?
-    {
-        let run = record
-            .deserialize(Some(&header))
-            .map_err(|error| explain(path, &names, error))?;
-        runs.push(run);
+    for record in reader.records() {
+        let record = record.map_err(explain)?;
+        let mut cells = Vec::with_capacity(COLUMNS.len());
+        for (column, &place) in COLUMNS.iter().zip(&places) {
+            let cell = parse(column.kind, record.get(place).unwrap_or_default());
+            cells.push(cell.map_err(|reason| TableError::Value {
+                path: path.to_owned(),
+                place: "line",
+                row: record.position().map_or(0, csv::Position::line),
+                column: column.name.to_owned(),
+                reason,
+            })?);
+        }
+        runs.push(ResultRow::from_cells(cells).expect("`parse` returns a value of its kind"));
     }
     Ok(runs)
 }
 
-/// Converts a parser error; it names the line and, rather than by its index, the column.
-fn explain(path: &Path, columns: &[&str], error: csv::Error) -> TableError {
-    if let ErrorKind::Deserialize { pos, err } = error.kind() {
-        let column = err
-            .field()
-            .and_then(|field| columns.get(usize::try_from(field).ok()?));
-        return TableError::Value {
-            path: path.to_owned(),
-            place: "line",
-            row: pos.as_ref().map_or(0, csv::Position::line),
-            column: column.map_or("?", |column| column).to_owned(),
-            reason: err.kind().to_string(),
-        };
+/// Parses a field. The error is the reason.
+fn parse(kind: CellKind, field: &str) -> Result<Cell, String> {
+    match kind {
+        CellKind::Text => Ok(Cell::Text(field.into())),
+        CellKind::Count => field
+            .parse()
+            .map(Cell::Count)
+            .map_err(|error| error.to_string()),
+        CellKind::OptionalNumber if field.is_empty() => Ok(Cell::Absent),
+        CellKind::Number | CellKind::OptionalNumber => field
+            .parse()
+            .map(Cell::Number)
+            .map_err(|error| error.to_string()),
     }
+}
+
+/// Converts a parser error.
+fn explain(path: &Path, error: csv::Error) -> TableError {
     let reason = error.to_string();
     match error.into_kind() {
         ErrorKind::Io(source) => io_error(path, source),
@@ -85,7 +90,7 @@ fn explain(path: &Path, columns: &[&str], error: csv::Error) -> TableError {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::run::{sample, samples};
+    use crate::samples::{sample, samples};
 
     #[test]
     fn rows_round_trip_exactly() {

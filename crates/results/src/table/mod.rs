@@ -12,7 +12,7 @@ pub(crate) mod parquet;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::Run;
+use crate::ResultRow;
 
 pub use order::{OrderSeries, OrderWriter};
 
@@ -82,7 +82,7 @@ pub enum TableError {
 /// # Errors
 ///
 /// [`TableError::Io`], or [`TableError::Value`] for a whole number beyond 2^63.
-pub fn write(directory: &Path, runs: &[Run]) -> Result<(), TableError> {
+pub fn write(directory: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
     write_parquet(&directory.join(PARQUET_NAME), runs)?;
     write_csv(&directory.join(CSV_NAME), runs)
 }
@@ -92,7 +92,7 @@ pub fn write(directory: &Path, runs: &[Run]) -> Result<(), TableError> {
 /// # Errors
 ///
 /// [`TableError::Io`], or [`TableError::Value`] for a whole number beyond 2^63.
-pub fn write_parquet(path: &Path, runs: &[Run]) -> Result<(), TableError> {
+pub fn write_parquet(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
     parquet::write(path, runs)
 }
 
@@ -101,13 +101,13 @@ pub fn write_parquet(path: &Path, runs: &[Run]) -> Result<(), TableError> {
 /// # Errors
 ///
 /// [`TableError::Io`].
-pub fn write_csv(path: &Path, runs: &[Run]) -> Result<(), TableError> {
+pub fn write_csv(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
     csv::write(path, runs)
 }
 
 /// Returns `runs` as CSV, as [`write_csv`] writes it.
 #[must_use]
-pub fn csv(runs: &[Run]) -> String {
+pub fn csv(runs: &[ResultRow]) -> String {
     let mut bytes = Vec::new();
     csv::write_to(&mut bytes, runs).expect("writing to memory cannot fail");
     String::from_utf8(bytes).expect("CSV is UTF-8")
@@ -120,7 +120,7 @@ pub fn csv(runs: &[Run]) -> String {
 /// # Errors
 ///
 /// [`TableError`] with the file and, if applicable, the column and the row.
-pub fn read(path: &Path) -> Result<Vec<Run>, TableError> {
+pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
     if path.is_dir() {
         let found = [PARQUET_NAME, CSV_NAME].map(|name| path.join(name));
         let Some(file) = found.iter().find(|file| file.exists()) else {
@@ -148,8 +148,11 @@ fn io_error(path: &Path, source: io::Error) -> TableError {
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use std::fs;
+
     use super::*;
-    use crate::run::sample;
+    use crate::Measure;
+    use crate::samples::sample;
 
     #[test]
     fn a_directory_is_read_from_parquet_else_from_csv() {
@@ -162,6 +165,42 @@ mod tests {
         assert_eq!(read(directory.path()).unwrap(), one);
         write_parquet(&directory.path().join(PARQUET_NAME), &two).unwrap();
         assert_eq!(read(directory.path()).unwrap(), two);
+    }
+
+    #[test]
+    fn stored_tables_of_both_kinds_are_read_and_written_to_the_byte() {
+        let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/stored");
+        for version in ["bf41dde", "1a581a9"] {
+            let stored = root.join(version).join("results");
+            let rows = read(&stored.join(CSV_NAME)).unwrap();
+            assert_eq!(rows.len(), 16, "{version}");
+            assert_eq!(read(&stored.join(PARQUET_NAME)).unwrap(), rows, "{version}");
+
+            let directory = tempfile::tempdir().unwrap();
+            write(directory.path(), &rows).unwrap();
+            for name in [CSV_NAME, PARQUET_NAME] {
+                let [old, new] =
+                    [stored.as_path(), directory.path()].map(|it| fs::read(it.join(name)).unwrap());
+                assert!(old == new, "{version}: {name}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_row_without_a_measure_is_refused_where_its_column_requires_one() {
+        let directory = tempfile::tempdir().unwrap();
+        let mut row = sample();
+        row.measures
+            .retain(|(measure, _)| *measure != Measure::V_PD);
+        write(directory.path(), &[row.clone()]).unwrap();
+        assert_eq!(read(directory.path()).unwrap(), [sample()]);
+
+        row.measures.retain(|(measure, _)| *measure != Measure::V);
+        match write(directory.path(), &[sample(), row]).unwrap_err() {
+            TableError::Value { row, column, .. } => assert_eq!((row, &*column), (2, "v")),
+            other => panic!("{other}"),
+        }
+        assert_eq!(read(directory.path()).unwrap(), [sample()]);
     }
 
     #[test]

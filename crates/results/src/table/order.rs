@@ -9,7 +9,7 @@ use parquet::schema::types::Type;
 use tempfile::NamedTempFile;
 
 use super::TableError;
-use super::column::Cell;
+use super::column::ParquetValue;
 use super::parquet::{begin, finish, for_each_group, group, read_column, write_column};
 
 /// The file name of the table within its directory.

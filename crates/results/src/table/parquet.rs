@@ -13,97 +13,103 @@ use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::Type;
 use tempfile::NamedTempFile;
 
-use super::column::{Cell, CellError};
+use super::column::{CellError, ParquetValue};
 use super::{TableError, io_error};
-use crate::Run;
+use crate::{COLUMNS, Cell, CellKind, Column, ResultRow};
 
-/// Lists the columns of a [`Run`] once, and derives from the list their names, the schema, the
-/// writer and the reader.
-macro_rules! columns {
-    ($($field:ident: $cell:ty),* $(,)?) => {
-        /// The columns of a table, in their order.
-        pub const COLUMNS: &[&str] = &[$(stringify!($field)),*];
-
-        fn schema() -> Result<Type, ParquetError> {
-            group("run", vec![$(<$cell as Cell>::schema(stringify!($field))),*])
-        }
-
-        fn write_group<W: Write + Send>(
-            path: &Path,
-            group: &mut SerializedRowGroupWriter<'_, W>,
-            runs: &[Run],
-        ) -> Result<(), TableError> {
-            $(
-                let values: Vec<$cell> = runs.iter().map(|run| run.$field.clone()).collect();
-                write_column(path, group, stringify!($field), &values)?;
-            )*
-            Ok(())
-        }
-
-        fn read_group(
-            path: &Path,
-            group: &dyn RowGroupReader,
-            runs: &mut Vec<Run>,
-        ) -> Result<(), TableError> {
-            let first = runs.len();
-            $(
-                let mut $field =
-                    read_column::<$cell>(path, group, stringify!($field), first)?.into_iter();
-            )*
-            for _ in 0..rows(group) {
-                let ($(Some($field),)*) = ($($field.next(),)*) else {
-                    unreachable!("`read_column` returns as many values as the group has rows");
-                };
-                runs.push(Run { $($field),* });
-            }
-            Ok(())
-        }
-    };
+fn schema() -> Result<Type, ParquetError> {
+    let columns = COLUMNS.iter().map(|column| match column.kind {
+        CellKind::Text => String::schema(column.name),
+        CellKind::Count => u64::schema(column.name),
+        CellKind::Number => f64::schema(column.name),
+        CellKind::OptionalNumber => Option::<f64>::schema(column.name),
+    });
+    group("run", columns.collect())
 }
 
-columns! {
-    run: String,
-    seed: u64,
-    n: u64,
-    pi1: f64,
-    pi2: f64,
-    pi3: f64,
-    pi4: f64,
-    informed: u64,
-    contacts: String,
-    dt: f64,
-    time: f64,
-    v: f64,
-    v_pd: Option<f64>,
-    ordered_intervals: u64,
-    ordered_time: f64,
-    unordered_intervals: u64,
-    unordered_time: f64,
-    worst_overlap: f64,
-    crossed_share: f64,
-    worst_residual: f64,
-    degraded: u64,
-    fallbacks: u64,
-    steps: u64,
-    state_hash: String,
-}
-
-pub fn write(path: &Path, runs: &[Run]) -> Result<(), TableError> {
+pub fn write(path: &Path, runs: &[ResultRow]) -> Result<(), TableError> {
     let mut writer = begin(path, schema())?;
     let malformed = |error| malformed(path, &error);
     // An empty row group is valid, but some readers fail on it.
     if !runs.is_empty() {
         let mut group = writer.next_row_group().map_err(malformed)?;
-        write_group(path, &mut group, runs)?;
+        for column in COLUMNS {
+            write_cells(path, &mut group, column, runs)?;
+        }
         group.close().map_err(malformed)?;
     }
     finish(path, writer)
 }
 
-pub fn read(path: &Path) -> Result<Vec<Run>, TableError> {
+pub fn read(path: &Path) -> Result<Vec<ResultRow>, TableError> {
     let mut runs = Vec::new();
-    for_each_group(path, |group| read_group(path, group, &mut runs))?;
+    for_each_group(path, |group| {
+        let first = runs.len();
+        let mut columns = Vec::with_capacity(COLUMNS.len());
+        for column in COLUMNS {
+            columns.push(read_cells(path, group, column, first)?.into_iter());
+        }
+        for _ in 0..rows(group) {
+            let cells = columns.iter_mut().filter_map(Iterator::next);
+            let row = ResultRow::from_cells(cells);
+            runs.push(row.expect("`read_cells` returns a value of its kind for each row"));
+        }
+        Ok(())
+    })?;
     Ok(runs)
+}
+
+/// Writes `column` of `runs` as the next column of a row group.
+fn write_cells<W: Write + Send>(
+    path: &Path,
+    group: &mut SerializedRowGroupWriter<'_, W>,
+    column: &Column,
+    runs: &[ResultRow],
+) -> Result<(), TableError> {
+    let name = column.name;
+    match column.kind {
+        CellKind::Text => write_column(path, group, name, &values::<String>(path, column, runs)?),
+        CellKind::Count => write_column(path, group, name, &values::<u64>(path, column, runs)?),
+        CellKind::Number => write_column(path, group, name, &values::<f64>(path, column, runs)?),
+        CellKind::OptionalNumber => {
+            let values = values::<Option<f64>>(path, column, runs)?;
+            write_column(path, group, name, &values)
+        }
+    }
+}
+
+/// Returns the values of `runs` in `column`.
+fn values<T: TryFrom<Cell>>(
+    path: &Path,
+    column: &Column,
+    runs: &[ResultRow],
+) -> Result<Vec<T>, TableError> {
+    let values = runs.iter().enumerate().map(|(row, run)| {
+        T::try_from(column.get(run)).map_err(|_| {
+            let reason = "no value, or one of another kind".to_owned();
+            CellError::Value(row, reason).within(path, column.name, 0)
+        })
+    });
+    values.collect()
+}
+
+/// Reads `column` of a row group; `first` is the number of rows in the groups before it.
+fn read_cells(
+    path: &Path,
+    group: &dyn RowGroupReader,
+    column: &Column,
+    first: usize,
+) -> Result<Vec<Cell>, TableError> {
+    fn cells<T: Into<Cell>>(values: Vec<T>) -> Vec<Cell> {
+        values.into_iter().map(Into::into).collect()
+    }
+    let name = column.name;
+    Ok(match column.kind {
+        CellKind::Text => cells(read_column::<String>(path, group, name, first)?),
+        CellKind::Count => cells(read_column::<u64>(path, group, name, first)?),
+        CellKind::Number => cells(read_column::<f64>(path, group, name, first)?),
+        CellKind::OptionalNumber => cells(read_column::<Option<f64>>(path, group, name, first)?),
+    })
 }
 
 /// Begins a file of `schema`. Its bytes depend only on its values.
@@ -152,7 +158,7 @@ pub fn group(name: &str, columns: Vec<Result<Type, ParquetError>>) -> Result<Typ
 }
 
 /// Writes the next column of a row group, which must be `column` in the schema.
-pub fn write_column<C: Cell, W: Write + Send>(
+pub fn write_column<C: ParquetValue, W: Write + Send>(
     path: &Path,
     group: &mut SerializedRowGroupWriter<'_, W>,
     column: &str,
@@ -169,7 +175,7 @@ pub fn write_column<C: Cell, W: Write + Send>(
 }
 
 /// Reads a column of a row group; `first` is the number of rows in the groups before it.
-pub fn read_column<C: Cell>(
+pub fn read_column<C: ParquetValue>(
     path: &Path,
     group: &dyn RowGroupReader,
     column: &'static str,
@@ -206,7 +212,7 @@ fn malformed(path: &Path, error: &ParquetError) -> TableError {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::run::{sample, samples};
+    use crate::samples::{sample, samples};
 
     #[test]
     fn rows_round_trip_exactly() {

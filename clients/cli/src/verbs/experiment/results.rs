@@ -5,7 +5,7 @@ use std::path::Path;
 
 use jostle_proto::OrderPage;
 use jostle_results::statistics::{Spread, Summary, summarise};
-use jostle_results::{Run, table as tables};
+use jostle_results::{ResultRow, table as tables};
 use serde::Deserialize;
 use serde_json::json;
 
@@ -22,7 +22,7 @@ const ROWS: usize = 1000;
 /// Rows of finished runs, in the words of the tables.
 #[derive(Deserialize)]
 struct Page {
-    rows: Vec<Run>,
+    rows: Vec<ResultRow>,
     next: Option<u64>,
 }
 
@@ -69,7 +69,7 @@ pub async fn results(
 }
 
 /// Every row there is, in the order of the plan.
-async fn fetch(bus: &Bus, name: &str) -> Result<Vec<Run>, Failure> {
+async fn fetch(bus: &Bus, name: &str) -> Result<Vec<ResultRow>, Failure> {
     let (mut rows, mut after) = (Vec::new(), 0);
     loop {
         let noun = format!("results?after={after};limit={ROWS}");
@@ -121,7 +121,7 @@ async fn print_order(bus: &Bus, output: Output, name: &str, run: &str) -> Result
 }
 
 /// Writes both tables into a folder, or one to a file; what was written.
-fn write(out: &Path, rows: &[Run]) -> Result<Vec<String>, Failure> {
+fn write(out: &Path, rows: &[ResultRow]) -> Result<Vec<String>, Failure> {
     let wrong = |error: tables::TableError| Failure::Results(error.to_string());
     match out.extension().and_then(|extension| extension.to_str()) {
         Some("csv") => tables::write_csv(out, rows).map_err(wrong)?,

@@ -8,7 +8,7 @@ use std::fs;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
-use jostle_results::Run;
+use jostle_results::ResultRow;
 use jostle_results::claims::bands;
 use serde_json::{Value, json};
 use tokio::task::JoinSet;
@@ -99,7 +99,7 @@ pub fn files() -> tempfile::TempDir {
     for name in ["present", "replaced", "present.mcap", "replaced.mcap"] {
         write(name, b"is there already");
     }
-    let runs: Vec<Run> =
+    let runs: Vec<ResultRow> =
         serde_json::from_value(canned::read("experiment.results")["rows"].take()).unwrap();
     let results = folder.path().join("results");
     fs::create_dir(&results).unwrap();
