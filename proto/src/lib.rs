@@ -10,6 +10,7 @@
 pub mod keys;
 
 pub mod asyncapi;
+mod cell;
 pub mod claim;
 mod column;
 pub mod contract;
@@ -29,6 +30,7 @@ mod state;
 mod told;
 pub mod verbs;
 
+pub use cell::{Cell, CellKind, WrongKind};
 pub use claim::{Claim, Claimant, Standing};
 pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request, RequestError};
 pub use error::{Error, ErrorCode};
@@ -48,7 +50,7 @@ pub use recording::{
     RecordingName, RecordingPhase, RecordingPiece, Recordings,
 };
 pub use replay::{OpenArgs, Replay, ReplayArgs, ReplayResult, SeekArgs, UploadArgs};
-pub use result_row::{COLUMNS, Cell, CellKind, Column, Measure, ResultRow, WrongKind};
+pub use result_row::{COLUMNS, Column, Measure, ResultRow};
 pub use role::{Credentials, Role, WhoAmI};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start, Stepping};

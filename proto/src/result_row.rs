@@ -8,11 +8,11 @@ use std::borrow::Cow;
 use std::fmt;
 
 use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
-use serde::de::{
-    Deserialize, DeserializeSeed, Deserializer, Error, IgnoredAny, MapAccess, Visitor,
-};
+use serde::de::{Deserialize, Deserializer, Error, IgnoredAny, MapAccess, Visitor};
 use serde::ser::{Serialize, Serializer};
 use serde_json::{Map, Value};
+
+use crate::cell::{Cell, CellKind};
 
 /// A column of the table of results.
 #[derive(Clone, Copy, Debug)]
@@ -32,33 +32,6 @@ impl Column {
     pub fn get(&self, row: &ResultRow) -> Cell {
         (self.get)(row)
     }
-}
-
-/// The kind of the values of a column.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum CellKind {
-    /// Text.
-    Text,
-    /// A whole number, 0 or more.
-    Count,
-    /// A number.
-    Number,
-    /// A number or [`Cell::Absent`].
-    OptionalNumber,
-}
-
-/// The value of one row in one column.
-#[derive(Clone, Debug, PartialEq, serde::Serialize)]
-#[serde(untagged)]
-pub enum Cell {
-    /// Text.
-    Text(Box<str>),
-    /// A whole number, 0 or more.
-    Count(u64),
-    /// A number.
-    Number(f64),
-    /// No value: `null` in JSON, an empty field in CSV.
-    Absent,
 }
 
 /// A quantity that was measured in a run, as a column of the table of results.
@@ -255,61 +228,6 @@ impl ResultRow {
     }
 }
 
-impl From<f64> for Cell {
-    fn from(number: f64) -> Self {
-        Self::Number(number)
-    }
-}
-
-impl From<Option<f64>> for Cell {
-    fn from(number: Option<f64>) -> Self {
-        number.map_or(Self::Absent, Self::Number)
-    }
-}
-
-impl From<String> for Cell {
-    fn from(text: String) -> Self {
-        Self::Text(text.into())
-    }
-}
-
-impl From<u64> for Cell {
-    fn from(count: u64) -> Self {
-        Self::Count(count)
-    }
-}
-
-impl CellKind {
-    /// Returns whether `cell` is a value of this kind.
-    #[must_use]
-    pub fn admits(self, cell: &Cell) -> bool {
-        matches!(
-            (self, cell),
-            (Self::Text, Cell::Text(_))
-                | (Self::Count, Cell::Count(_))
-                | (Self::Number, Cell::Number(_))
-                | (Self::OptionalNumber, Cell::Number(_) | Cell::Absent)
-        )
-    }
-
-    fn schema(self) -> Value {
-        match self {
-            Self::Text => serde_json::json!({"type": "string"}),
-            Self::Count => {
-                serde_json::json!({"type": "integer", "format": "uint64", "minimum": 0})
-            }
-            Self::Number => serde_json::json!({"type": "number", "format": "double"}),
-            Self::OptionalNumber => {
-                serde_json::json!({"type": ["number", "null"], "format": "double"})
-            }
-        }
-    }
-}
-
-/// A [`Cell`] of another kind was expected.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct WrongKind;
-
 /// The type of a fixed column.
 trait Field: Clone + Into<Cell> + TryFrom<Cell> {
     const KIND: CellKind;
@@ -325,50 +243,6 @@ impl Field for u64 {
 
 impl Field for f64 {
     const KIND: CellKind = CellKind::Number;
-}
-
-impl TryFrom<Cell> for String {
-    type Error = WrongKind;
-
-    fn try_from(cell: Cell) -> Result<Self, WrongKind> {
-        match cell {
-            Cell::Text(text) => Ok(text.into()),
-            _ => Err(WrongKind),
-        }
-    }
-}
-
-impl TryFrom<Cell> for u64 {
-    type Error = WrongKind;
-
-    fn try_from(cell: Cell) -> Result<Self, WrongKind> {
-        match cell {
-            Cell::Count(count) => Ok(count),
-            _ => Err(WrongKind),
-        }
-    }
-}
-
-impl TryFrom<Cell> for f64 {
-    type Error = WrongKind;
-
-    fn try_from(cell: Cell) -> Result<Self, WrongKind> {
-        match cell {
-            Cell::Number(number) => Ok(number),
-            _ => Err(WrongKind),
-        }
-    }
-}
-
-impl TryFrom<Cell> for Option<f64> {
-    type Error = WrongKind;
-
-    fn try_from(cell: Cell) -> Result<Self, WrongKind> {
-        match cell {
-            Cell::Absent => Ok(None),
-            cell => f64::try_from(cell).map(Some),
-        }
-    }
 }
 
 impl Serialize for ResultRow {
@@ -414,19 +288,6 @@ impl<'de> Visitor<'de> for RowVisitor {
     }
 }
 
-impl<'de> DeserializeSeed<'de> for CellKind {
-    type Value = Cell;
-
-    fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Cell, D::Error> {
-        Ok(match self {
-            Self::Text => Cell::Text(String::deserialize(deserializer)?.into()),
-            Self::Count => Cell::Count(u64::deserialize(deserializer)?),
-            Self::Number => Cell::Number(f64::deserialize(deserializer)?),
-            Self::OptionalNumber => Option::<f64>::deserialize(deserializer)?.into(),
-        })
-    }
-}
-
 impl JsonSchema for ResultRow {
     fn schema_name() -> Cow<'static, str> {
         "ResultRow".into()
@@ -437,8 +298,8 @@ impl JsonSchema for ResultRow {
             .iter()
             .map(|column| {
                 let mut schema = column.kind.schema();
-                schema["description"] = column.description.trim().into();
-                (column.name.to_owned(), schema)
+                schema.insert("description".to_owned(), column.description.trim().into());
+                (column.name.to_owned(), schema.into())
             })
             .collect();
         let required: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
