@@ -8,7 +8,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use jostle_physics::plural::counted;
-use jostle_physics::simulation::{ReserveError, ReserveMemory, Resize, Simulation, Spec};
+use jostle_physics::simulation::{Reservation, ReserveError, ReserveMemory, Simulation, Spec};
 use thiserror::Error;
 use tracing::warn;
 
@@ -439,11 +439,11 @@ impl Host {
     }
 
     /// Reserves memory for a swarm that is to have another size.
-    fn resize(&self, name: &str, size: Resize) -> Result<(), ReserveError> {
+    fn resize(&self, name: &str, size: Reservation) -> Result<(), ReserveError> {
         let limit = self.limits.max_individuals;
         let n = match size {
-            Resize::Grow(n) if n > limit => return Err(ReserveError::TooMany { n, limit }),
-            Resize::Grow(n) | Resize::Return(n) => n,
+            Reservation::Grow(n) if n > limit => return Err(ReserveError::TooMany { n, limit }),
+            Reservation::Grow(n) | Reservation::Return(n) => n,
         };
         let mut hosted = self.lock();
         let (total, needed) = (hosted.memory_bytes, memory_of(n));

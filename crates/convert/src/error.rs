@@ -2,7 +2,7 @@
 
 use jostle_physics::model::injection::InjectionError;
 use jostle_physics::model::parameters::ParametersError;
-use jostle_physics::model::resize::ResizeError;
+use jostle_physics::model::reshape::ReshapeError;
 use jostle_physics::model::selection::SelectionError;
 use jostle_physics::model::start::StartError;
 use jostle_physics::simulation::{ChangeError, ReserveError};
@@ -21,8 +21,8 @@ pub fn code(error: &ChangeError) -> ErrorCode {
         | ChangeError::Reserve(_) => ErrorCode::ResourceExhausted,
         ChangeError::Start(_)
         | ChangeError::Injection(_)
-        | ChangeError::Resize(ResizeError::Parameters(_)) => ErrorCode::InvalidArgument,
-        ChangeError::Resize(_) => ErrorCode::ResourceExhausted,
+        | ChangeError::Reshape(ReshapeError::Parameters(_)) => ErrorCode::InvalidArgument,
+        ChangeError::Reshape(_) => ErrorCode::ResourceExhausted,
     }
 }
 
@@ -40,7 +40,7 @@ pub fn details(error: &ChangeError) -> Value {
         | ChangeError::Start(StartError::Parameters(error))
         | ChangeError::Selection(SelectionError::Number(error))
         | ChangeError::Injection(InjectionError::Parameters(error))
-        | ChangeError::Resize(ResizeError::Parameters(error)) => parameters(error),
+        | ChangeError::Reshape(ReshapeError::Parameters(error)) => parameters(error),
         ChangeError::NoneLeft(n) => json!({"field": "select", "selected": n, "n": n}),
         ChangeError::Injection(InjectionError::Pose { index, error }) => {
             let mut details = parameters(error);

@@ -119,7 +119,7 @@ struct Measures {
     means: RunningMeans,
     intervals: Intervals,
     /// The least gap of two bodies, at most 0.
-    least_gap: f64,
+    worst_gap: f64,
     /// Steps that started with crossed axes.
     crossed: u64,
     worst_residual: f64,
@@ -133,10 +133,10 @@ impl Measures {
     fn new(plan: &Plan, state: &State) -> Self {
         Self {
             // The set of informed individuals does not change during a run.
-            common_direction: observables::wish(&state.configuration),
+            common_direction: observables::common_direction(&state.configuration),
             means: RunningMeans::default(),
             intervals: Intervals::default(),
-            least_gap: 0.0,
+            worst_gap: 0.0,
             crossed: 0,
             worst_residual: 0.0,
             degraded: 0,
@@ -157,8 +157,8 @@ impl Measures {
         }
         self.means.add(&order);
         self.intervals.add(order.order);
-        if let Some(gap) = report.least_gap {
-            self.least_gap = self.least_gap.min(gap);
+        if let Some(gap) = report.worst_gap {
+            self.worst_gap = self.worst_gap.min(gap);
         }
         self.crossed += u64::from(report.crossed > 0);
         self.worst_residual = self.worst_residual.max(report.residual);
@@ -196,10 +196,10 @@ impl Measures {
             std::mem::take(&mut self.series)
         });
         let last = body::gaps(parameters, configuration);
-        let mut least_gap = self.least_gap.min(last.worst_gap.unwrap_or(0.0));
+        let mut worst_gap = self.worst_gap.min(last.worst_gap.unwrap_or(0.0));
         if self.crossed > 0 {
             // Bodies with crossed axes overlap by a width, whatever the gaps of their contacts are.
-            least_gap = least_gap.min(-2.0 * parameters.radius());
+            worst_gap = worst_gap.min(-2.0 * parameters.radius());
         }
         let taken = *step as f64;
         let time_of = |steps: u64| (steps as f64 * parameters.dt).into();
@@ -233,7 +233,7 @@ impl Measures {
                     Measure::UNORDERED_TIME,
                     time_of(self.intervals.unordered_steps),
                 ),
-                (Measure::WORST_OVERLAP, (0.0 - least_gap).into()),
+                (Measure::WORST_OVERLAP, (0.0 - worst_gap).into()),
                 (Measure::CROSSED_SHARE, (self.crossed as f64 / taken).into()),
                 (Measure::WORST_RESIDUAL, self.worst_residual.into()),
                 (Measure::DEGRADED, self.degraded.into()),
@@ -333,10 +333,10 @@ mod tests {
                 for_time: None,
             };
             swarm.apply_all(&[inform]).unwrap();
-            let mut least_gap = f64::INFINITY;
+            let mut worst_gap = f64::INFINITY;
             for _ in 0..row.steps {
                 let now = body::worst_gap(&swarm.state.parameters, &swarm.state.configuration);
-                least_gap = least_gap.min(now.unwrap_or(f64::INFINITY));
+                worst_gap = worst_gap.min(now.unwrap_or(f64::INFINITY));
                 swarm.step().unwrap();
             }
             assert_eq!(
@@ -348,7 +348,7 @@ mod tests {
             assert_eq!(row.optional_number(Measure::V_PD), swarm.means.mean_drift());
             let overlap = row.number(Measure::WORST_OVERLAP);
             assert!(overlap > 0.0, "{settings}: no overlap");
-            assert!((overlap + least_gap).abs() < 1e-9, "{settings}");
+            assert!((overlap + worst_gap).abs() < 1e-9, "{settings}");
         }
     }
 

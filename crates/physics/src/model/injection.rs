@@ -110,7 +110,7 @@ pub fn at(
             y,
             alpha: given.alpha,
         };
-        let gap = smallest_gap(body, &others, pose);
+        let gap = gap_to_nearest(body, &others, pose);
         if gap < 0.0 {
             return Err(InjectionError::Overlap { index, gap });
         }
@@ -188,7 +188,7 @@ pub fn within(
                 ..drawn
             }
         };
-        let fits = |pose: &Pose| smallest_gap(body, &others, *pose) >= 0.0;
+        let fits = |pose: &Pose| gap_to_nearest(body, &others, *pose) >= 0.0;
         let Some(pose) = (0..TRIES).map(draw_one).find(fits) else {
             return Err(InjectionError::NoRoom {
                 placed: individual,
@@ -266,7 +266,7 @@ fn all_poses(configuration: &Configuration) -> Vec<Pose> {
 
 /// Returns the smallest gap between `pose` and those of `others` that are near enough to touch
 /// it; infinity if none is.
-fn smallest_gap(body: Body, others: &[Pose], pose: Pose) -> f64 {
+fn gap_to_nearest(body: Body, others: &[Pose], pose: Pose) -> f64 {
     let near = body.centre_distance(CELL / 2.0 * f64::EPSILON);
     others
         .iter()

@@ -12,7 +12,7 @@ pub mod injection;
 pub mod pairs;
 pub mod parameters;
 pub mod random;
-pub mod resize;
+pub mod reshape;
 pub mod selection;
 pub mod simd;
 pub mod start;

@@ -37,7 +37,7 @@ pub struct Order {
 pub fn order(configuration: &Configuration) -> Order {
     let mut headings = Vec::new();
     unit_vectors(simd::level(), &configuration.alpha, &mut headings);
-    order_of(headings.into_iter(), wish(configuration))
+    order_of(headings.into_iter(), common_direction(configuration))
 }
 
 /// The common direction of the informed individuals: the sum of the unit vectors of their preferred
@@ -50,7 +50,7 @@ pub struct CommonDirection {
 
 /// Computes the common direction; `None` if no individual is informed or the directions cancel.
 #[must_use]
-pub fn wish(configuration: &Configuration) -> Option<CommonDirection> {
+pub fn common_direction(configuration: &Configuration) -> Option<CommonDirection> {
     let (mut sum, mut weights) = ([0.0, 0.0], 0.0);
     for (&weight, &direction) in configuration.weight.iter().zip(&configuration.direction) {
         if weight > 0.0 {
@@ -67,7 +67,7 @@ pub fn wish(configuration: &Configuration) -> Option<CommonDirection> {
 #[must_use]
 pub fn order_of(
     headings: impl ExactSizeIterator<Item = [f64; 2]>,
-    wish: Option<CommonDirection>,
+    common: Option<CommonDirection>,
 ) -> Order {
     let share = 1.0 / headings.len().max(1) as f64;
     let sum = headings.fold([0.0, 0.0], |sum, [cos, sin]| [sum[0] + cos, sum[1] + sin]);
@@ -76,8 +76,8 @@ pub fn order_of(
         // Rounding could make it larger than 1.
         order: length(velocity).min(1.0),
         velocity,
-        direction: wish.map(|CommonDirection { sum, .. }| libm::atan2(sum[1], sum[0])),
-        drift: wish.map(|CommonDirection { sum, strength }| {
+        direction: common.map(|CommonDirection { sum, .. }| libm::atan2(sum[1], sum[0])),
+        drift: common.map(|CommonDirection { sum, strength }| {
             (velocity[0] * sum[0] + velocity[1] * sum[1]) / strength
         }),
     }

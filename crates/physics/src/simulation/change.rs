@@ -219,11 +219,11 @@ pub struct SetPoints {
 }
 
 /// A callback that reserves memory for a group of another size, or rejects it.
-pub type ReserveMemory = Box<dyn Fn(Resize) -> Result<(), ReserveError> + Send>;
+pub type ReserveMemory = Box<dyn Fn(Reservation) -> Result<(), ReserveError> + Send>;
 
 /// A new size of the group.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Resize {
+pub enum Reservation {
     /// Individuals are added: the limit of individuals applies.
     Grow(usize),
     /// Individuals are removed, a change is rolled back, or the swarm is reset to its spec. The

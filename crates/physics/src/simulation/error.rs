@@ -4,7 +4,7 @@ use thiserror::Error;
 
 use crate::model::injection::InjectionError;
 use crate::model::parameters::ParametersError;
-use crate::model::resize::ResizeError;
+use crate::model::reshape::ReshapeError;
 use crate::model::selection::SelectionError;
 use crate::model::start::StartError;
 use crate::plural::counted;
@@ -26,7 +26,7 @@ pub enum ChangeError {
     Injection(#[from] InjectionError),
     /// Bodies of the new shape do not fit.
     #[error(transparent)]
-    Resize(#[from] ResizeError),
+    Reshape(#[from] ReshapeError),
     /// Axes cross, which the new contact rule does not allow.
     #[error(
         "the axes of {} cross, which only `closest` allows: run it until none do, or reset",

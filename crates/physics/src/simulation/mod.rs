@@ -9,13 +9,13 @@ use crate::model::body::gaps;
 use crate::model::configuration::Configuration;
 use crate::model::parameters::{ContactRule, Parameters, check_coordinate, check_weight};
 use crate::model::selection::{Candidates, Selection, select};
-use crate::model::{State, injection, resize, start};
+use crate::model::{State, injection, reshape, start};
 use crate::observables::{self, Order, RunningMeans};
 use crate::stepper::{StepError, StepReport, Stepper};
 
 pub use change::{
-    Change, ChangeKind, ChangeOutcome, Placement, Rate, ReserveMemory, Resize, SetPoints, Settings,
-    Spec, Start,
+    Change, ChangeKind, ChangeOutcome, Placement, Rate, Reservation, ReserveMemory, SetPoints,
+    Settings, Spec, Start,
 };
 pub use error::{ChangeError, ReserveError};
 
@@ -184,11 +184,11 @@ impl Simulation {
     pub fn build_start(&self, seed: Option<u64>) -> Result<Restart, ChangeError> {
         let mut spec = self.spec.clone();
         spec.seed = seed.unwrap_or(spec.seed);
-        (self.reserve)(Resize::Return(spec.n))?;
+        (self.reserve)(Reservation::Return(spec.n))?;
         match begin(&spec) {
             Ok(state) => Ok(Restart { spec, state }),
             Err(error) => {
-                (self.reserve)(Resize::Return(self.n()))?;
+                (self.reserve)(Reservation::Return(self.n()))?;
                 Err(error)
             }
         }
@@ -220,7 +220,7 @@ impl Simulation {
         self.publish_every = saved.publish_every;
         self.seq = saved.seq;
         // The callback admits a size that it admitted before.
-        let _ = (self.reserve)(Resize::Return(self.n()));
+        let _ = (self.reserve)(Reservation::Return(self.n()));
     }
 
     /// Applies the changes in turn. The first has the present `seq`, each further one the next.
@@ -314,7 +314,7 @@ impl Simulation {
         }
         let mut scaled_by = 1.0;
         if parameters.pi1 != before.0.pi1 {
-            scaled_by = resize::change_pi1(&mut self.state, parameters.pi1, settings.make_room)?;
+            scaled_by = reshape::change_pi1(&mut self.state, parameters.pi1, settings.make_room)?;
         }
         self.state.parameters = parameters;
         self.publish_every = settings.publish_every.unwrap_or(before.1);
@@ -357,7 +357,7 @@ impl Simulation {
             Placement::Border(count) | Placement::Within(count, _) => *count,
         };
         let before = self.n();
-        (self.reserve)(Resize::Grow(before.saturating_add(count)))?;
+        (self.reserve)(Reservation::Grow(before.saturating_add(count)))?;
         let draw = injection::Draw {
             seed: self.state.seed,
             seq: self.seq,
@@ -384,7 +384,7 @@ impl Simulation {
             Ok(ids) => ids,
             Err(error) => {
                 // Return the memory that was reserved for them.
-                (self.reserve)(Resize::Return(before))?;
+                (self.reserve)(Reservation::Return(before))?;
                 return Err(error.into());
             }
         };
@@ -396,7 +396,7 @@ impl Simulation {
         if chosen.len() == self.n() {
             return Err(ChangeError::NoneLeft(chosen.len()));
         }
-        (self.reserve)(Resize::Return(self.n() - chosen.len()))?;
+        (self.reserve)(Reservation::Return(self.n() - chosen.len()))?;
         let ids = self.ids(&chosen);
         self.state.configuration.remove(&chosen);
         Ok(ChangeOutcome::Ids { ids, n: self.n() })

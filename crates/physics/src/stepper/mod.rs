@@ -58,7 +58,7 @@ pub struct Stepper {
     missed: Vec<Contact>,
     listed: Vec<(Contact, f64)>,
     /// Least gap of the listed contacts, and number of crossed pairs.
-    least_gap: Option<f64>,
+    worst_gap: Option<f64>,
     crossed: usize,
     /// Displacement of the configuration about which the program is linearised. Empty for the first
     /// program; for the second, the solution of the first.
@@ -144,7 +144,7 @@ impl Stepper {
     ) -> Result<StepReport, StepError> {
         self.assemble(state, pull)?;
         let mut report = StepReport {
-            least_gap: self.least_gap,
+            worst_gap: self.worst_gap,
             crossed: self.crossed,
             ..StepReport::default()
         };
@@ -222,7 +222,7 @@ impl Stepper {
             contacts,
         )?;
         let gaps = contacts.iter().map(|contact| contact.gap);
-        self.least_gap = gaps.reduce(|least, gap| if gap < least { gap } else { least });
+        self.worst_gap = gaps.reduce(|least, gap| if gap < least { gap } else { least });
         if parameters.stepping == Stepping::Velocity {
             contacts.retain(|contact| contact.gap <= 0.0);
             // The constraint becomes ∇g·d ≥ 0.
@@ -444,7 +444,7 @@ impl Stepper {
         all_finite(configuration, sums)?;
         // Axes can cross only if the step closes their whole distance. The distance of a pair is
         // that of its nearest contact; without a contact it exceeds the reach.
-        let nearest = self.least_gap.unwrap_or(f64::INFINITY);
+        let nearest = self.worst_gap.unwrap_or(f64::INFINITY);
         let nearest = f64::min(nearest, reach(parameters, configuration));
         let distance = nearest + 2.0 * parameters.radius();
         if distance > closing + ROUNDING || parameters.contacts == ContactRule::Closest {

@@ -20,7 +20,7 @@ pub struct StepReport {
     pub fallback: usize,
     /// The least gap of any contact at the start of the step, in body sizes; `None` if no contact
     /// was within the reach.
-    pub least_gap: Option<f64>,
+    pub worst_gap: Option<f64>,
     /// Number of crossed pairs at the start of the step; 0 unless the contact rule is `closest`.
     pub crossed: usize,
     /// Ids of the individuals that became uninformed at the end of the step.

@@ -187,7 +187,7 @@ fn a_step_reports_the_overlap_that_parry_measures() {
         let report = Stepper::new().step(&mut case.state).unwrap();
         // If axes cross, parry measures the distance of the axes, and a step the distances of their
         // ends.
-        if let (Some(gap), 0) = (report.least_gap, gaps.crossed) {
+        if let (Some(gap), 0) = (report.worst_gap, gaps.crossed) {
             let measured = gaps.worst_gap.unwrap();
             assert!(
                 (gap - measured).abs() < 1e-12,

@@ -12,7 +12,7 @@ const FACTOR_TOLERANCE: f64 = 1e-9;
 
 /// Why a change of shape is rejected.
 #[derive(Clone, Copy, Debug, PartialEq, Error)]
-pub enum ResizeError {
+pub enum ReshapeError {
     /// `pi1` is outside its range, or needs a shorter step.
     #[error(transparent)]
     Parameters(#[from] ParametersError),
@@ -51,11 +51,11 @@ pub enum ResizeError {
 ///
 /// # Errors
 ///
-/// [`ResizeError::NoRoom`] if a pair has no room and `make_room` is not set;
-/// [`ResizeError::SamePlace`] if it is set and the centres of such a pair coincide;
-/// [`ResizeError::Parameters`] if the new shape is out of range or its tips could move too far in
+/// [`ReshapeError::NoRoom`] if a pair has no room and `make_room` is not set;
+/// [`ReshapeError::SamePlace`] if it is set and the centres of such a pair coincide;
+/// [`ReshapeError::Parameters`] if the new shape is out of range or its tips could move too far in
 /// one step. On an error the state is unchanged.
-pub fn change_pi1(state: &mut State, pi1: f64, make_room: bool) -> Result<f64, ResizeError> {
+pub fn change_pi1(state: &mut State, pi1: f64, make_room: bool) -> Result<f64, ReshapeError> {
     let configuration = &state.configuration;
     let parameters = Parameters {
         pi1,
@@ -73,7 +73,7 @@ pub fn change_pi1(state: &mut State, pi1: f64, make_room: bool) -> Result<f64, R
     };
     let [first, second] = [i, j].map(|k| configuration.id[k as usize]);
     if !make_room {
-        return Err(ResizeError::NoRoom {
+        return Err(ReshapeError::NoRoom {
             pairs: tight.len(),
             first,
             second,
@@ -85,7 +85,7 @@ pub fn change_pi1(state: &mut State, pi1: f64, make_room: bool) -> Result<f64, R
         let poses = [i, j].map(|k| pose(configuration, k as usize));
         if poses[0].x == poses[1].x && poses[0].y == poses[1].y {
             let [first, second] = [i, j].map(|k| configuration.id[k as usize]);
-            return Err(ResizeError::SamePlace { first, second });
+            return Err(ReshapeError::SamePlace { first, second });
         }
         factor = least_factor(new, poses, allowed(old, configuration, i, j), factor);
     }
@@ -176,7 +176,7 @@ mod tests {
         let before = state.clone();
         let refusal = change_pi1(&mut state, 8.0, false).unwrap_err();
         assert!(
-            matches!(refusal, ResizeError::NoRoom { pairs: 1, first: 0, second: 1, gap } if (gap - (1.7 - 16.0 / 9.0)).abs() < 1e-14)
+            matches!(refusal, ReshapeError::NoRoom { pairs: 1, first: 0, second: 1, gap } if (gap - (1.7 - 16.0 / 9.0)).abs() < 1e-14)
         );
         assert_eq!(state, before);
         let factor = change_pi1(&mut state, 8.0, true).unwrap();
@@ -214,7 +214,7 @@ mod tests {
         state.configuration.alpha = vec![0.0, 1.5];
         assert!(matches!(
             change_pi1(&mut state, 32.0, false),
-            Err(ResizeError::NoRoom { .. })
+            Err(ReshapeError::NoRoom { .. })
         ));
         assert!(change_pi1(&mut state, 32.0, true).unwrap() > 1.0);
         assert_eq!(gaps(&state.parameters, &state.configuration).crossed, 0);
@@ -241,18 +241,20 @@ mod tests {
         for pi1 in [0.5, 33.0, f64::NAN, 8.0] {
             assert!(matches!(
                 change_pi1(&mut state, pi1, true),
-                Err(ResizeError::Parameters(_))
+                Err(ReshapeError::Parameters(_))
             ));
         }
         assert!(matches!(
             change_pi1(&mut state, 8.0, true),
-            Err(ResizeError::Parameters(ParametersError::StepTooLong { .. }))
+            Err(ReshapeError::Parameters(
+                ParametersError::StepTooLong { .. }
+            ))
         ));
         let mut state_at_one_place = pair(0.0, 4.0);
         let refusal = change_pi1(&mut state_at_one_place, 3.0, true);
         assert_eq!(
             refusal,
-            Err(ResizeError::SamePlace {
+            Err(ReshapeError::SamePlace {
                 first: 0,
                 second: 1
             })
