@@ -200,3 +200,44 @@ fn a_folder_has_one_experiment_and_one_writer() {
         "{not_a_folder}"
     );
 }
+
+/// Names the folder in the child process of the test below.
+const LIMITED: &str = "JOSTLE_TEST_LIMITED_FOLDER";
+
+/// A process that may write files of 32 or 64 KiB only, as the units of `sh` are, appends a line that
+/// is longer, then a short one.
+#[cfg(unix)]
+#[test]
+fn a_line_that_is_written_in_part_is_replaced_by_the_next_one() {
+    let fixture = Fixture::new();
+    if let Some(path) = std::env::var_os(LIMITED) {
+        let mut folder = Folder::open(Path::new(&path), &fixture.plan).unwrap();
+        let run = |index: usize| conduct(&fixture.plan, &fixture.plan.runs()[index], |_| true);
+        fixture.append(&mut folder, 0);
+        let mut finished = run(1).unwrap();
+        if let Some(series) = &mut finished.series {
+            series.orders = vec![1.0 / 3.0; 10_000];
+        }
+        let failed = folder.append(&fixture.plan, vec![(1, finished)]);
+        assert!(matches!(failed, Err(FolderError::Io { .. })), "{failed:?}");
+        assert!(!folder.is_finished(&fixture.plan.runs()[1]));
+        fixture.append(&mut folder, 2);
+        return;
+    }
+    let limited = std::process::Command::new("sh")
+        .args(["-c", "trap '' XFSZ; ulimit -f 64; exec \"$0\" \"$@\""])
+        .arg(std::env::current_exe().unwrap())
+        .args([
+            "--exact",
+            "folder::tests::a_line_that_is_written_in_part_is_replaced_by_the_next_one",
+        ])
+        .env(LIMITED, fixture.path())
+        .output()
+        .unwrap();
+    let output = String::from_utf8_lossy(&limited.stdout);
+    assert!(limited.status.success(), "{output}");
+    assert!(output.contains("1 passed"), "{output}");
+    let folder = fixture.open().unwrap();
+    assert_eq!(fixture.names(&folder), ["#0", "#2"]);
+    folder.write_tables(&fixture.plan).unwrap();
+}

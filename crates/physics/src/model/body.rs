@@ -339,6 +339,28 @@ mod tests {
     }
 
     #[test]
+    fn pairs_are_near_at_gaps_below_the_limit_only() {
+        let discs = Parameters {
+            pi1: 1.0,
+            ..Parameters::default()
+        };
+        let mut configuration = Configuration::default();
+        for x in [0.0, 1.5, 4.0] {
+            configuration.push(x, 0.0, 0.0);
+        }
+        let near = |gap| -> Vec<_> {
+            let near = near_pairs(Body::new(&discs), &configuration, gap);
+            near.into_iter()
+                .map(|(i, j, nearness)| (i, j, nearness.gap))
+                .collect()
+        };
+        assert_eq!(near(0.5), []);
+        assert_eq!(near(0.5625), [(0, 1, 0.5)]);
+        assert_eq!(near(1.5), [(0, 1, 0.5)]);
+        assert_eq!(near(1.75), [(0, 1, 0.5), (1, 2, 1.5)]);
+    }
+
+    #[test]
     fn the_worst_gap_and_the_crossings_are_those_of_all_pairs() {
         let parameters = Parameters::default();
         let mut configuration = Configuration::default();

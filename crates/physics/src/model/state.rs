@@ -1,5 +1,7 @@
 //! The state of a swarm, which determines its future, and the hash that identifies a state.
 
+use std::io::{BufWriter, Write};
+
 use super::{Attraction, Configuration, ContactRule, Drive, Parameters, Stepping};
 
 /// Version of the model. It changes whenever the same state would have another future.
@@ -82,7 +84,7 @@ impl State {
             configuration,
             warm_start,
         } = self;
-        let mut bytes = Bytes::default();
+        let mut bytes = Bytes::new();
         bytes.put(MODEL_VERSION.to_le_bytes());
         let Parameters {
             pi1,
@@ -180,33 +182,26 @@ impl State {
 
 /// Bytes to be hashed. They are collected in a buffer: hashing one number at a time takes five
 /// times as long.
-#[derive(Default)]
-struct Bytes {
-    gathered: Vec<u8>,
-    hasher: blake3::Hasher,
-}
+struct Bytes(BufWriter<blake3::Hasher>);
 
 impl Bytes {
     /// Size of the buffer.
     const CAPACITY: usize = 16 * 1024;
 
+    fn new() -> Self {
+        Self(BufWriter::with_capacity(
+            Self::CAPACITY,
+            blake3::Hasher::new(),
+        ))
+    }
+
     fn put<const N: usize>(&mut self, bytes: [u8; N]) {
-        if self.gathered.len() + N > self.gathered.capacity() {
-            self.flush();
-        }
-        self.gathered.extend_from_slice(&bytes);
+        self.0.write_all(&bytes).expect("hashing does not fail");
     }
 
-    #[cold]
-    fn flush(&mut self) {
-        self.hasher.update(&self.gathered);
-        self.gathered.clear();
-        self.gathered.reserve(Self::CAPACITY);
-    }
-
-    fn hash(mut self) -> [u8; 32] {
-        self.hasher.update(&self.gathered);
-        *self.hasher.finalize().as_bytes()
+    fn hash(self) -> [u8; 32] {
+        let hasher = self.0.into_inner().expect("hashing does not fail");
+        *hasher.finalize().as_bytes()
     }
 
     fn column<const N: usize>(&mut self, entries: impl ExactSizeIterator<Item = [u8; N]>) {

@@ -484,3 +484,7 @@ pub fn steps_in(time: f64, dt: f64) -> u64 {
     let steps = steps.ceil() as u64;
     steps.min(MAX_STEPS)
 }
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests;

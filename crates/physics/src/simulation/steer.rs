@@ -74,3 +74,77 @@ impl Simulation {
         }
     }
 }
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::simulation::tests::row;
+
+    #[test]
+    fn set_points_apply_to_all_or_none_and_are_released() {
+        let mut swarm = row(&[0.0; 3]);
+        let drive = Drive {
+            turn: Some(0.5),
+            speed: None,
+        };
+        let none = Drive {
+            turn: None,
+            speed: None,
+        };
+        let mut points = SetPoints {
+            ids: vec![2, 0],
+            direction: vec![1.0, 2.0],
+            weight: None,
+            drives: Some(vec![drive, none]),
+        };
+        swarm.steer(&points).unwrap();
+        let pi2 = swarm.state.parameters.pi2;
+        assert_eq!(swarm.state.configuration.weight, [pi2, 0.0, pi2]);
+        assert_eq!(swarm.state.configuration.direction, [2.0, 0.0, 1.0]);
+        assert!(swarm.state.configuration.drives.keys().eq([&2]));
+        points.weight = Some(vec![0.25, 0.5]);
+        points.drives = None;
+        swarm.steer(&points).unwrap();
+        assert_eq!(swarm.state.configuration.weight, [0.5, 0.0, 0.25]);
+        assert!(swarm.state.configuration.drives.keys().eq([&2]));
+
+        let hash = swarm.state_hash();
+        let mut unknown = points.clone();
+        unknown.ids[1] = 9;
+        let error = swarm.steer(&unknown).unwrap_err();
+        let ChangeError::Selection(SelectionError::UnknownId {
+            id: 9,
+            candidates: 3,
+            ..
+        }) = error
+        else {
+            panic!("{error:?}");
+        };
+        for (direction, weight, turn, speed) in [
+            (f64::NAN, 0.5, 0.0, 0.5),
+            (0.0, -0.5, 0.0, 0.5),
+            (0.0, 1e9, 0.0, 0.5),
+            (0.0, 0.5, f64::INFINITY, 0.5),
+            (0.0, 0.5, 0.0, 1.5),
+        ] {
+            let drive = Drive {
+                turn: Some(turn),
+                speed: Some(speed),
+            };
+            let rejected = SetPoints {
+                ids: vec![0, 1],
+                direction: vec![0.0, direction],
+                weight: Some(vec![0.5, weight]),
+                drives: Some(vec![none, drive]),
+            };
+            let error = swarm.steer(&rejected).unwrap_err();
+            assert!(matches!(error, ChangeError::Parameters(_)), "{error:?}");
+        }
+        assert_eq!(swarm.state_hash(), hash);
+
+        swarm.release(&BTreeSet::from([2, 9]));
+        assert_eq!(swarm.state.configuration.weight, [0.5, 0.0, 0.0]);
+        assert!(swarm.state.configuration.drives.is_empty());
+    }
+}

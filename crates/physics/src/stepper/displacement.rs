@@ -71,3 +71,29 @@ pub fn two_largest(values: &[f64]) -> (f64, f64) {
         }
     })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_displacement_beyond_half_a_cell_is_reported_whichever_individual_it_is() {
+        for (far, axis) in [(0, 0), (1, 0), (0, 1), (1, 1)] {
+            let mut configuration = Configuration::default();
+            configuration.push(1.0, 2.0, 3.0);
+            configuration.push(4.0, 5.0, 6.0);
+            let mut displacement = [[0.5, 0.25, 0.125]; 2];
+            assert!(displace_all(&mut configuration, &displacement));
+            assert_eq!(
+                (&*configuration.x, &*configuration.y),
+                (&[1.5, 4.5][..], &[2.25, 5.25][..])
+            );
+            assert_eq!(configuration.alpha, [3.125, 6.125]);
+            displacement[far][axis] = -CELL;
+            assert!(
+                !displace_all(&mut configuration, &displacement),
+                "{far} {axis}"
+            );
+        }
+    }
+}

@@ -44,6 +44,37 @@ fn a_step_is_counted_and_stores_the_pushing_contacts() {
 }
 
 #[test]
+fn headings_and_displacements_are_those_of_the_last_step() {
+    let mut state = State::default();
+    state.configuration.push(1.0, 2.0, 0.5);
+    state.configuration.push(-50.0, 0.0, 3.0);
+    let mut stepper = Stepper::new();
+    let report = stepper.step(&mut state).unwrap();
+    assert_eq!((report.contacts, report.worst_gap), (0, None));
+    let dt = state.parameters.dt;
+    let headings = [0.5, 3.0].map(|alpha| [libm::cos(alpha), libm::sin(alpha)]);
+    for ((found, moved), [cos, sin]) in stepper
+        .headings()
+        .iter()
+        .zip(stepper.displacement())
+        .zip(headings)
+    {
+        for (found, expected) in [
+            (found[0], cos),
+            (found[1], sin),
+            (moved[0], dt * cos),
+            (moved[1], dt * sin),
+        ] {
+            assert!((found - expected).abs() < 1e-15, "{found} {expected}");
+        }
+    }
+    assert_eq!(
+        (stepper.headings().len(), stepper.displacement().len()),
+        (2, 2)
+    );
+}
+
+#[test]
 fn crossed_bodies_are_refused() {
     let mut state = touching();
     state.configuration.alpha[1] = 1.5;

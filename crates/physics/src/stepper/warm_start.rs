@@ -31,7 +31,7 @@ pub fn load(warm_start: &WarmStart, id: &[u32], contacts: &[Contact], guess: &mu
             (k, index) = (k + 1, index + 1);
         } else if pair > pair_now {
             index += 1;
-        } else if pair == pair_now || index > 0 && pair_of(&contacts[index - 1]) == pair {
+        } else if pair == pair_now {
             // The contacts of this pair have changed: match all of them together.
             let previous = around(old, k, |old| pair_then(old) == pair);
             let now = around(contacts, index, |contact| pair_of(contact) == pair);
@@ -127,6 +127,15 @@ fn ends(code: u8) -> u8 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn every_code_names_its_ends() {
+        // Heads and tails of the first body, 1 and 2, and of the second, 4 and 8.
+        let expected = [1, 2, 4, 8, 1 | 4, 1 | 8, 2 | 4, 2 | 8];
+        for (code, expected) in (0..).zip(expected) {
+            assert_eq!(ends(code), expected, "{code}");
+        }
+    }
 
     #[test]
     fn multipliers_are_loaded_by_code_then_by_a_shared_end() {

@@ -49,3 +49,38 @@ fn threads_change_no_bit_of_the_tree_code() {
     let accuracy = Some(1e-6);
     compare_threads(Attraction::All { accuracy }, 20_000, 0.8, 10);
 }
+
+/// Set in the child process of the test below, in which no other test runs.
+const ALONE: &str = "JOSTLE_TEST_WITHOUT_POOL";
+
+#[cfg(target_os = "linux")]
+#[expect(clippy::disallowed_types, reason = "a process of its own")]
+#[test]
+fn without_a_pool_no_thread_is_started() {
+    if std::env::var_os(ALONE).is_none() {
+        let child = std::process::Command::new(std::env::current_exe().unwrap())
+            .args(["--exact", "threads::without_a_pool_no_thread_is_started"])
+            .env(ALONE, "1")
+            .output()
+            .unwrap();
+        let output = String::from_utf8_lossy(&child.stdout);
+        assert!(child.status.success(), "{output}");
+        assert!(output.contains("1 passed"), "{output}");
+        return;
+    }
+    let threads = || std::fs::read_dir("/proc/self/task").unwrap().count();
+    let parameters = Parameters {
+        attraction: Attraction::All {
+            accuracy: Some(1e-6),
+        },
+        ..Parameters::default()
+    };
+    let disc = start::disc(&parameters, 20_000, Some(0.8 * 20_000_f64.sqrt()), 5).unwrap();
+    let mut state = with(parameters, 5, disc);
+    let before = threads();
+    advance(&mut Stepper::new(), &mut state, 1);
+    assert_eq!(threads(), before);
+    // The count is one of all threads of the process.
+    advance(&mut shared(3), &mut state, 1);
+    assert!(threads() > before);
+}

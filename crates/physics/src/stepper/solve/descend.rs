@@ -67,3 +67,62 @@ impl Workspace {
         blocking.is_none()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stepper::contact::Contact;
+
+    #[test]
+    fn an_advance_stops_where_the_first_active_multiplier_becomes_zero() {
+        let target = [-1.0, 2.0, -3.0, -0.5];
+        let mut workspace = Workspace::default();
+        workspace.multipliers = target.to_vec();
+        // The first reaches 0 at half of the way and the third at a quarter; the last is inactive.
+        let mut reached = [1.0, 1.0, 1.0, 0.0];
+        let mut active = [true, true, true, false];
+        assert!(!workspace.advance(&mut reached, &mut active));
+        assert_eq!(reached, [0.5, 1.25, 0.0, 0.0]);
+        assert_eq!(active, [true, true, false, false]);
+
+        assert!(!workspace.advance(&mut reached, &mut active));
+        assert_eq!(active, [false, true, false, false]);
+        assert_eq!(reached[0], 0.0);
+        assert!((reached[1] - 1.5).abs() < 1e-15);
+
+        assert!(workspace.advance(&mut reached, &mut active));
+        assert_eq!(reached, [0.0, 2.0, 0.0, 0.0]);
+    }
+
+    #[test]
+    fn a_contact_that_only_touches_does_not_join() {
+        // The first disc pushes the second by half of its way, up to the third.
+        let contact = |i, gap| Contact {
+            i,
+            j: i + 1,
+            code: 0,
+            gap,
+            normal: [1.0, 0.0],
+            lever: [0.0, 0.0],
+        };
+        let qp = Qp {
+            weights: [1.0, 1.0, 0.1],
+            free: vec![[0.02, 0.0, 0.0], [0.0; 3], [0.0; 3]],
+            contacts: vec![contact(0, 0.0), contact(1, 0.01)],
+        };
+        let mut workspace = Workspace::default();
+        assert_eq!(workspace.descend(&qp, &[0.01, 0.0]), 1);
+        assert!((workspace.multipliers()[0] - 0.01).abs() < 1e-12);
+        assert_eq!(workspace.multipliers()[1], 0.0);
+        // From nothing, each of two contacts joins in a round of its own if both overlap.
+        let qp = Qp {
+            contacts: vec![contact(0, 0.0), contact(1, 0.001)],
+            ..qp
+        };
+        assert_eq!(workspace.descend(&qp, &[0.0, 0.0]), 3);
+        // d = (0.02 - a, a - b, b), d_1 = d_0 and d_2 = d_1 - 0.001.
+        for (found, expected) in workspace.multipliers().iter().zip([0.013, 0.006]) {
+            assert!((found - expected).abs() < 1e-12, "{found} {expected}");
+        }
+    }
+}

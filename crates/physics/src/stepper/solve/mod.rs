@@ -150,6 +150,7 @@ fn by_fallback(qp: &Qp, workspace: &mut Polish, solution: &mut Solution) {
 }
 
 #[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
     use crate::stepper::contact::Contact;
@@ -208,6 +209,11 @@ mod tests {
                     assert!((multiplier - (k + 1) as f64 * 0.02 / 9.0).abs() < tolerance);
                 }
                 assert_eq!(solution.fallback, calls);
+                if backend == Backend::Fallback {
+                    // Clarabel's factorisations and the one of `polish`, which needs no second.
+                    let (_, factorisations) = clarabel::multipliers(&qp, SCALES[0]).unwrap();
+                    assert_eq!(solution.iterations, factorisations + 1);
+                }
             }
         }
     }
