@@ -61,6 +61,7 @@ const CIRCLES: [(&str, &[&[&str]]); 7] = [
     ("clients/cli/src/main.rs", &[]),
     ("crates/convert/src/lib.rs", &[]),
     ("crates/experiment/src/lib.rs", &[]),
+    ("crates/figures/src/lib.rs", &[]),
     ("crates/physics/src/lib.rs", &[]),
     ("crates/results/src/lib.rs", &[]),
     ("proto/src/lib.rs", &[]),

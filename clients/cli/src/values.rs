@@ -5,10 +5,10 @@
 use std::ops::RangeInclusive;
 
 use glob::Pattern;
+use jostle_figures::Kind;
 use jostle_proto::keys::{NAME_RULE, is_name};
 use jostle_proto::verbs::{Pose, Region};
 use jostle_proto::{LARGEST_WHOLE, MAX_LABEL_LENGTH};
-use jostle_results::figure::Kind;
 use serde_json::{Value, json};
 
 /// The most ids that a range may have; more than any swarm has individuals.

@@ -1,12 +1,10 @@
-//! Results of runs: tidy tables, the paper's statistics and its figures; and recordings of running
-//! swarms.
+//! Results of runs: tidy tables and the paper's statistics; and recordings of running swarms.
 //!
-//! Its input are rows and frames, its output files and pictures. Of the wire it needs the definition
+//! Its input are rows and frames, its output files. Of the wire it needs the definition
 //! of a row only.
 
 pub mod claims;
 pub mod disorder;
-pub mod figure;
 pub mod recording;
 #[cfg(test)]
 mod samples;

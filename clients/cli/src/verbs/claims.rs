@@ -3,9 +3,9 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
+use jostle_figures::{Kind, draw, save};
 use jostle_results::claims::page::{Origin, page};
 use jostle_results::claims::{Evidence, bands, claims, rules};
-use jostle_results::figure::{Kind, draw, save};
 use jostle_results::touch::{self, Touch};
 use jostle_results::{ResultRow, table};
 use serde_json::{Value, json};

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use jostle_figures::{Group, Member, draw, save, snapshot as draw_snapshot};
 use jostle_proto::{Reply, State, Status};
-use jostle_results::figure::{Group, Member, draw, save, snapshot as draw_snapshot};
 use jostle_results::table;
 use serde_json::json;
 

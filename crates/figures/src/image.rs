@@ -89,7 +89,7 @@ fn rasterise(svg: &str) -> Result<Vec<u8>, String> {
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
-    use crate::figure::svg::{Anchor, Canvas, INK};
+    use crate::svg::{Anchor, Canvas, INK};
 
     #[test]
     fn the_extension_selects_the_format_and_others_are_refused() {

@@ -1,9 +1,9 @@
 //! The paper's Figure 5: the effective size of ordered clusters.
 
-use super::axis::Axis;
-use super::curves::{axis_at, distinct, extents, guide, guide_numbers, over_n, panels, runs_each};
-use super::plot::{Mark, Plot};
-use crate::statistics::Summary;
+use crate::axis::Axis;
+use crate::curves::{axis_at, distinct, extents, guide, guide_numbers, over_n, panels, runs_each};
+use crate::plot::{Mark, Plot};
+use jostle_results::statistics::Summary;
 
 /// Builds the figure.
 pub fn plot(summaries: &[Summary]) -> Plot {

@@ -2,8 +2,8 @@
 
 use std::f64::consts::TAU;
 
-use super::FigureError;
-use super::svg::{Anchor, Canvas, GREY, INK, PALETTE, Stroke};
+use crate::FigureError;
+use crate::svg::{Anchor, Canvas, GREY, INK, PALETTE, Stroke};
 
 /// A group at one step.
 #[derive(Clone, Debug, PartialEq)]

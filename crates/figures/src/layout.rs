@@ -1,8 +1,8 @@
 //! The layout of a figure: its title, panels, key and note.
 
-use super::frame::Frame;
-use super::plot::{CELL, Plot, Sample, Style, draw_mark};
-use super::svg::{Anchor, Canvas, GREY, INK, Stroke};
+use crate::frame::Frame;
+use crate::plot::{CELL, Plot, Sample, Style, draw_mark};
+use crate::svg::{Anchor, Canvas, GREY, INK, Stroke};
 
 /// The width of the longest title, in pixels.
 const MIN_WIDTH: f64 = 760.0;

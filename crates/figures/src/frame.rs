@@ -1,8 +1,8 @@
 //! One panel: its axes, its curves, and the labels at their ends.
 
-use super::axis::tick_label;
-use super::plot::{CELL, Curve, Mark, Panel, Plot, Point, Style, draw_mark};
-use super::svg::{Anchor, Canvas, FAINT, GREY, INK, Stroke};
+use crate::axis::tick_label;
+use crate::plot::{CELL, Curve, Mark, Panel, Plot, Point, Style, draw_mark};
+use crate::svg::{Anchor, Canvas, FAINT, GREY, INK, Stroke};
 
 /// The left, top, right and bottom margins of the frame within its cell, in pixels.
 const MARGINS: [f64; 4] = [72.0, 58.0, 36.0, 58.0];

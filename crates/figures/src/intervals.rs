@@ -1,10 +1,10 @@
 //! The paper's Figure 4: the times of build-up and breakdown of order.
 
-use super::axis::Axis;
-use super::curves::{axis_at, distinct, extents, over_n, panels, runs_each};
-use super::plot::{Curve, Mark, Plot, Sample, Style};
-use super::svg::INK;
-use crate::statistics::{Interval, Summary};
+use crate::axis::Axis;
+use crate::curves::{axis_at, distinct, extents, over_n, panels, runs_each};
+use crate::plot::{Curve, Mark, Plot, Sample, Style};
+use crate::svg::INK;
+use jostle_results::statistics::{Interval, Summary};
 
 /// Builds the figure.
 pub fn plot(summaries: &[Summary]) -> Plot {

@@ -1,10 +1,10 @@
 //! The paper's Figure 2: the mean order over n, beside that of independent headings.
 
-use super::axis::Axis;
-use super::curves::{axis_at, distinct, extents, guide, guide_numbers, over_n, panels, runs_each};
-use super::plot::{Mark, Plot};
-use crate::disorder::v_ind;
-use crate::statistics::Summary;
+use crate::axis::Axis;
+use crate::curves::{axis_at, distinct, extents, guide, guide_numbers, over_n, panels, runs_each};
+use crate::plot::{Mark, Plot};
+use jostle_results::disorder::v_ind;
+use jostle_results::statistics::Summary;
 
 /// Lower ends of error bars, which may be near 0, extend the logarithmic axis at most to this
 /// multiple of the smallest value.

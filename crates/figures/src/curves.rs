@@ -1,9 +1,9 @@
 //! Panels, curves and axes from summaries, shared by the figures.
 
-use super::axis::{Axis, tick_label};
-use super::plot::{Curve, Mark, Panel, Point, Style};
-use super::svg::{GREY, PALETTE};
-use crate::statistics::{Condition, Summary};
+use crate::axis::{Axis, tick_label};
+use crate::plot::{Curve, Mark, Panel, Point, Style};
+use crate::svg::{GREY, PALETTE};
+use jostle_results::statistics::{Condition, Summary};
 
 /// The approximate maximum number of points of a guide over n.
 const GUIDE_POINTS: u64 = 150;

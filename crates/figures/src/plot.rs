@@ -1,7 +1,7 @@
 //! The contents of a figure: panels, curves, marks and the key.
 
-use super::axis::Axis;
-use super::svg::{Canvas, Stroke};
+use crate::axis::Axis;
+use crate::svg::{Canvas, Stroke};
 
 /// Panels side by side that share their axes.
 pub struct Plot {

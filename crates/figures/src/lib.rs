@@ -15,8 +15,8 @@ mod plot;
 mod snapshot;
 mod svg;
 
-use crate::ResultRow;
-use crate::statistics::summarise;
+use jostle_results::ResultRow;
+use jostle_results::statistics::summarise;
 
 pub use image::{SaveError, save};
 pub use snapshot::{Group, Member, snapshot};
@@ -143,9 +143,29 @@ pub fn draw(kind: Kind, runs: &[ResultRow]) -> Result<String, FigureError> {
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use std::path::Path;
+
     use super::*;
-    use crate::Measure;
-    use crate::samples::{sample, with};
+    use jostle_results::{Cell, Measure, table};
+
+    /// A stored row, in which the group was ordered for three intervals.
+    fn sample() -> ResultRow {
+        let stored = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../tests/stored/bf41dde");
+        let row = table::read(&stored.join("results/results.csv"))
+            .unwrap()
+            .swap_remove(0);
+        assert_eq!(row.informed, 0);
+        let row = with(ResultRow { n: 10, ..row }, Measure::V, 0.9);
+        let row = with(row, Measure::ORDERED_INTERVALS, 3);
+        let row = with(row, Measure::ORDERED_TIME, 950.0);
+        let row = with(row, Measure::UNORDERED_INTERVALS, 2);
+        with(row, Measure::UNORDERED_TIME, 50.0)
+    }
+
+    fn with(mut row: ResultRow, measure: Measure, value: impl Into<Cell>) -> ResultRow {
+        row.set(measure, value.into());
+        row
+    }
 
     fn series() -> Vec<ResultRow> {
         let mut runs = Vec::new();

@@ -1,10 +1,10 @@
 //! The paper's Figure 6: the drift of groups along the direction of a few informed individuals.
 
-use super::axis::{Axis, tick_label};
-use super::curves::{axis_at, colour_of, distinct, extents, panels, runs_each};
-use super::plot::{Curve, Mark, Plot, Point, Sample, Style};
-use super::svg::INK;
-use crate::statistics::{Condition, Summary};
+use crate::axis::{Axis, tick_label};
+use crate::curves::{axis_at, colour_of, distinct, extents, panels, runs_each};
+use crate::plot::{Curve, Mark, Plot, Point, Sample, Style};
+use crate::svg::INK;
+use jostle_results::statistics::{Condition, Summary};
 
 /// The dashes of the group sizes that the paper shows, and of all others.
 const DASHES: [(f64, &str); 3] = [(10.0, ""), (20.0, "1.5 3.5"), (40.0, "8 4")];
