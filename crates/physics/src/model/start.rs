@@ -229,10 +229,9 @@ impl Grid {
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
-            reason = "a cast saturates, and min limits it"
+            reason = "a pose is in the disc: less than `side`, and a cast saturates at 0"
         )]
-        [pose.x, pose.y]
-            .map(|value| (((value + self.radius) / self.cell) as usize).min(self.side - 1))
+        [pose.x, pose.y].map(|value| ((value + self.radius) / self.cell) as usize)
     }
 
     fn near(&self, pose: &Pose) -> impl Iterator<Item = &Pose> {

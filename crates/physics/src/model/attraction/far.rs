@@ -129,6 +129,12 @@ fn gather_all<const N: usize>(
     }
 }
 
+/// Returns whether adding a source of `n` individuals member by member to `blocks` blocks of eight
+/// targets costs at most as much as adding its series.
+const fn is_cheaper_directly<const N: usize>(blocks: usize, n: usize) -> bool {
+    blocks * n * 100 <= N * N * TRANSFER_COST
+}
+
 fn from_to(one: &Group, other: &Group) -> [f64; 2] {
     [
         other.centre[0] - one.centre[0],
@@ -233,8 +239,7 @@ impl<const N: usize> Descent<'_, N> {
         let group = &self.tree.groups[source as usize];
         let apart = from_to(target, group);
         if self.are_apart(target, group, apart) {
-            let rounds = target.lanes().len() * group.n();
-            if rounds * 100 <= N * N * TRANSFER_COST {
+            if is_cheaper_directly::<N>(target.lanes().len(), group.n()) {
                 self.lists.near.push(source);
             } else {
                 let moments = &self.moments[source as usize];
@@ -256,4 +261,28 @@ impl<const N: usize> Descent<'_, N> {
 fn split<'a>(lanes: &'a mut [Lanes], whole: &Group, second: &Group) -> [&'a mut [Lanes]; 2] {
     let (one, two) = lanes.split_at_mut(second.lanes().start - whole.lanes().start);
     [one, two]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn few_targets_or_sources_are_added_directly() {
+        // At order 10 a series costs as much as 0.3 · 10² sources for eight targets.
+        for (blocks, n, expected) in [
+            (1, 30, true),
+            (30, 1, true),
+            (5, 6, true),
+            (1, 31, false),
+            (31, 1, false),
+            (4, 8, false),
+        ] {
+            assert_eq!(
+                is_cheaper_directly::<10>(blocks, n),
+                expected,
+                "{blocks} {n}"
+            );
+        }
+    }
 }

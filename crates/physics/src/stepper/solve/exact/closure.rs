@@ -341,3 +341,93 @@ fn dot(a: &[f64], b: &[f64]) -> f64 {
     ((lanes[0] + lanes[4]) + (lanes[1] + lanes[5]))
         + ((lanes[2] + lanes[6]) + (lanes[3] + lanes[7]))
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn row() -> Row {
+        Row {
+            place: [0, 1],
+            parts: [[0.0; 4]; 2],
+            gap: 0.0,
+            penalty: 1.0,
+            block: 0,
+            rank: NONE,
+            active: false,
+            pushing: false,
+            multiplier: 0.0,
+            proposed: 0.0,
+            slack: 0.0,
+            ahead: 0.0,
+            followed: 0.0,
+        }
+    }
+
+    fn names(closure: &Closure) -> Vec<u32> {
+        closure.wrong.iter().map(|(_, name)| *name).collect()
+    }
+
+    #[test]
+    fn the_worst_join_first_one_more_for_every_1024_rows() {
+        for (count, joining) in [(20_u32, 16), (1023, 16), (1024, 17), (2048, 18)] {
+            // The deepest are the last, in reverse; each second row is a member already.
+            let mut rows = vec![row(); count as usize];
+            for (k, row) in rows.iter_mut().enumerate() {
+                row.followed = -1.0 - k as f64;
+                if k % 2 == 0 {
+                    row.rank = 3;
+                }
+            }
+            let mut closure = Closure::default();
+            closure.find_wrong(&rows);
+            let candidates = count as usize / 2;
+            let last = (0..count).filter(|k| k % 2 == 1);
+            let skipped = candidates.saturating_sub(joining);
+            let expected: Vec<u32> = last.skip(skipped).collect();
+            assert_eq!(names(&closure), expected, "{count}");
+        }
+    }
+
+    #[test]
+    fn contacts_that_pull_join_in_the_order_in_which_they_reach_zero_after_those_that_overlap() {
+        // Multipliers of 1 that fall to -1, -3, ... reach 0 at 1/2, 1/4, ... of the way.
+        let mut rows = vec![row(); 20];
+        for (k, row) in rows.iter_mut().enumerate() {
+            row.active = true;
+            row.multiplier = 1.0;
+            row.followed = -1.0 - 2.0 * k as f64;
+        }
+        // An overlap joins whatever its depth; what is only just wrong by rounding does not.
+        (rows[0].active, rows[0].followed) = (false, -2.0 * WRONG);
+        rows[19].followed = -0.5 * WRONG;
+        (rows[18].active, rows[18].followed) = (false, 1.0);
+        let mut closure = Closure::default();
+        closure.find_wrong(&rows);
+        let expected: Vec<u32> = [0].into_iter().chain(3..18).collect();
+        assert_eq!(names(&closure), expected);
+    }
+
+    #[test]
+    fn scalar_products_of_any_length_are_exact_for_small_integers() {
+        for length in [0, 1, 7, 8, 9, 16, 19] {
+            let a: Vec<f64> = (1..=length).map(f64::from).collect();
+            let b: Vec<f64> = (1..=length).map(|k| f64::from(2 * k - 1)).collect();
+            let expected: i32 = (1..=length).map(|k| k * (2 * k - 1)).sum();
+            assert_eq!(dot(&a, &b), f64::from(expected), "{length}");
+        }
+    }
+
+    #[test]
+    fn paths_share_their_common_end() {
+        let all = [1, 2, 3, 4, 5, 6, 7];
+        for shared in 0..=7 {
+            for other in 0..4 {
+                let mut b: Vec<u32> = (10..10 + other).collect();
+                b.extend(&all[7 - shared..]);
+                assert_eq!(common_end(&all, &b), shared, "{b:?}");
+                assert_eq!(common_end(&b, &all), shared, "{b:?}");
+            }
+        }
+    }
+}

@@ -327,3 +327,66 @@ fn clear(vector: &mut Vec<Part>, length: usize) {
 fn not_negative(value: f64) -> f64 {
     if value > 0.0 { value } else { 0.0 }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::stepper::contact::Contact;
+
+    /// A solver with rows of the multipliers `(now, before)`, all of which push.
+    fn after_a_pass(multipliers: &[(f64, f64)]) -> Exact {
+        let contact = Contact {
+            i: 0,
+            j: 1,
+            code: 0,
+            gap: 0.0,
+            normal: [1.0, 0.0],
+            lever: [0.0, 0.0],
+        };
+        let qp = Qp {
+            weights: [1.0; 3],
+            free: vec![[0.0; 3]; 2],
+            contacts: vec![contact; multipliers.len()],
+        };
+        let mut exact = Exact::default();
+        rows::fill(&qp, &mut exact.rows);
+        for (row, &(now, before)) in exact.rows.iter_mut().zip(multipliers) {
+            (row.multiplier, row.proposed, row.pushing) = (now, before, true);
+        }
+        exact
+    }
+
+    fn result(exact: &Exact) -> Vec<(f64, bool)> {
+        let rows = exact.rows.iter();
+        rows.map(|row| (row.multiplier, row.pushing)).collect()
+    }
+
+    #[test]
+    fn an_extrapolation_ends_at_the_first_multiplier_that_becomes_zero() {
+        // The first reaches 0 after one more change of 1, the second after three.
+        let multipliers = [(1.0, 2.0), (3.0, 4.0), (2.0, 1.5), (0.5, 0.5)];
+        let mut exact = after_a_pass(&multipliers);
+        exact.extrapolate(0.0);
+        let expected = [(0.0, false), (2.0, true), (2.5, true), (0.5, true)];
+        assert_eq!(result(&exact), expected);
+
+        let mut exact = after_a_pass(&multipliers);
+        exact.extrapolate(0.5);
+        let expected = [(0.5, true), (2.5, true), (2.25, true), (0.5, true)];
+        assert_eq!(result(&exact), expected);
+
+        // A contact that does not push neither ends it nor becomes negative.
+        let mut exact = after_a_pass(&multipliers);
+        exact.rows[0].pushing = false;
+        exact.extrapolate(2.0);
+        let expected = [(0.0, false), (1.0, true), (3.0, true), (0.5, true)];
+        assert_eq!(result(&exact), expected);
+
+        // If all rise, nothing ends it, and without a distance nothing moves.
+        let mut exact = after_a_pass(&[(2.0, 1.0), (1.0, 1.0)]);
+        exact.extrapolate(0.0);
+        assert_eq!(result(&exact), [(2.0, true), (1.0, true)]);
+        exact.extrapolate(1.0);
+        assert_eq!(result(&exact), [(3.0, true), (1.0, true)]);
+    }
+}
