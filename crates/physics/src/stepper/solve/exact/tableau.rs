@@ -274,4 +274,29 @@ mod tests {
         assert!(tableau.solve(1e-12, &mut pivots));
         assert_eq!((pivots, &tableau.exchanged[..]), (0, &[false; 5][..]));
     }
+
+    #[test]
+    fn a_variable_at_zero_that_would_fall_blocks_at_once() {
+        let matrix = [[1.0, 0.0, 0.0], [-1.0, 1.0, 0.0], [1e-14, 0.0, 1.0]];
+        let mut tableau = Tableau::default();
+        tableau.extend(3, |a, b| matrix[a][b]);
+        // The values before, the variable that blocks, and the step.
+        for (values, blocking, step) in [
+            ([-1.0, 0.0, 0.0], 1, 0.0),
+            ([-1.0, -1e-13, 0.0], 1, 0.0),
+            ([-1.0, 0.25, 0.0], 1, 0.25),
+            // One that is negative already, or does not fall, does not block.
+            ([-1.0, -0.5, 0.0], 0, 1.0),
+            ([-1.0, 2.0, 0.0], 0, 1.0),
+        ] {
+            tableau.moving = values.to_vec();
+            assert_eq!(tableau.raise(0, 1e-12), blocking, "{values:?}");
+            let moved: Vec<f64> = values
+                .iter()
+                .zip(matrix)
+                .map(|(v, t)| v + t[0] * step)
+                .collect();
+            assert_eq!(tableau.moving, moved, "{values:?}");
+        }
+    }
 }
