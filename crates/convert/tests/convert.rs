@@ -392,3 +392,37 @@ fn a_rejected_change_has_its_code_and_field() {
     assert_eq!(error::code(&full), ErrorCode::ResourceExhausted);
     assert_eq!(error::details(&full)["field"], "start.radius");
 }
+
+#[test]
+fn a_range_is_found_by_the_path_else_by_the_last_name_without_indices() {
+    for (field, range) in [
+        ("weight", Some("a number above 0, at most 1e6")),
+        ("set.weight", Some("a number from 0 to 1e6")),
+        ("set.weight[3]", Some("a number from 0 to 1e6")),
+        (
+            "commands[2].args.weight",
+            Some("a number above 0, at most 1e6"),
+        ),
+        ("poses[7].alpha", Some("a number from -1e6 to 1e6")),
+        ("start.alpha[1]", Some("a number from -1e6 to 1e6")),
+        (
+            "begin.steps",
+            Some("a whole number from 1 to 9007199254740991"),
+        ),
+        ("steps", Some("a whole number from 1 to 1e9")),
+        ("begin.format", Some("\"mcap\" or \"parquet\"")),
+        ("format", Some("json or cbor")),
+        ("offset", Some("a whole number of bytes")),
+        ("length", Some("a whole number of bytes")),
+        (
+            "n",
+            Some("a whole number from 1 to the daemon's max_individuals"),
+        ),
+        ("weights", None),
+        ("", None),
+        (".", None),
+        ("[", None),
+    ] {
+        assert_eq!(error::range_of(field), range, "{field}");
+    }
+}

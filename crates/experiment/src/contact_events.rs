@@ -152,6 +152,26 @@ mod tests {
     }
 
     #[test]
+    fn bodies_that_push_head_on_are_shifted_by_their_whole_way() {
+        // Along y, tip to tip: each would move 1 per time unit, and stays.
+        let up = std::f64::consts::FRAC_PI_2;
+        let touch = run(&[[0.0, 0.0, up], [0.0, 1.6, -up]], 50);
+        assert!((touch.shifted - 1.0).abs() < 1e-9, "{touch:?}");
+        assert!(touch.turned < 1e-9 && touch.way < 1e-9, "{touch:?}");
+        // One contact of two bodies.
+        assert_eq!((touch.pushing, touch.listed, touch.beside), (0.5, 0.5, 0.0));
+    }
+
+    #[test]
+    fn the_way_is_from_the_first_centroid_to_the_last() {
+        // 3 along x and 4 along y in 5 time units.
+        let touch = run(&[[7.0, -9.0, libm::atan2(4.0, 3.0)]], 250);
+        assert!((touch.way - 1.0).abs() < 1e-12, "{touch:?}");
+        let state = State::default();
+        assert_eq!(Meter::new(&state).conclude("a", "endpoints", &state), None);
+    }
+
+    #[test]
     fn distant_bodies_have_no_contacts() {
         let touch = run(&[[0.0, 0.0, 0.0], [9.0, 9.0, 3.0]], 50);
         let found = (touch.pushing, touch.turned, touch.beside);

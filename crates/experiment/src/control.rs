@@ -270,3 +270,95 @@ impl Watch<'_> {
         self.control.is(GOING) || self.control.wait()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Sets the time of the execution so far.
+    fn after(control: &Control, elapsed: Duration) {
+        let mut state = control.state();
+        state.clock = Clock {
+            past: elapsed,
+            since: None,
+        };
+    }
+
+    #[test]
+    fn progress_counts_the_steps_of_current_runs_and_estimates_the_remaining_time() {
+        let control = Control::new();
+        assert_eq!(control.progress(), Progress::default());
+        // Runs of 100 s in all, of which runs of 20 s were finished before.
+        control.begin(5, 1, 0, [100.0, 20.0]);
+        let watch = control.begin_run(1, "a", 10, 40.0);
+        let other = control.begin_run(2, "b", 10, 30.0);
+        after(&control, Duration::from_secs(10));
+        assert_eq!(control.progress().left_secs, None, "nothing is gained");
+        assert!(watch.go_on(5) && other.go_on(1));
+        let progress = control.progress();
+        assert_eq!(
+            (progress.runs, progress.finished, progress.faulted),
+            (5, 1, 0)
+        );
+        let running = [("a".to_owned(), 0.5), ("b".to_owned(), 0.1)];
+        assert_eq!(progress.running, running);
+        // 20 + 40/2 + 30/10 of 100 are done, and 23 were gained in 10 s.
+        assert_eq!((progress.share, progress.elapsed_secs), (0.43, 10.0));
+        let left = progress.left_secs.unwrap_or_default();
+        assert!((left - 10.0 * 57.0 / 23.0).abs() < 1e-12, "{left}");
+        after(&control, MIN_ELAPSED);
+        assert_eq!(control.progress().left_secs, None, "it is too early");
+
+        after(&control, Duration::from_secs(10));
+        control.end_run(1, true);
+        control.drop_run(2);
+        let progress = control.progress();
+        assert_eq!(
+            (progress.finished, progress.faulted, progress.share),
+            (2, 1, 0.6)
+        );
+        assert_eq!(progress.left_secs, Some(10.0));
+        assert!(progress.running.is_empty());
+    }
+
+    #[test]
+    fn the_end_names_the_runs_that_are_current_and_stops_the_clock() {
+        let control = Control::new();
+        control.begin(3, 0, 0, [3.0, 0.0]);
+        assert!(control.state().clock.since.is_some());
+        for (index, name) in ["a", "b", "c"].into_iter().enumerate() {
+            control.begin_run(index, name, 1, 1.0);
+        }
+        control.end_run(1, false);
+        assert_eq!(control.end(), ["a", "c"]);
+        assert!(control.state().clock.since.is_none());
+        assert!(control.progress().running.is_empty() && control.end().is_empty());
+    }
+
+    #[test]
+    fn the_clock_stands_while_paused_and_a_cancellation_is_final() {
+        let control = Control::new();
+        control.begin(1, 0, 0, [1.0, 0.0]);
+        let runs = |control: &Control| control.state().clock.since.is_some();
+        control.pause();
+        assert!(control.is_paused() && !runs(&control));
+        control.pause();
+        control.resume();
+        assert!(!control.is_paused() && runs(&control));
+        let watch = control.begin_run(0, "a", 1, 1.0);
+        assert!(watch.go_on(0));
+        control.cancel();
+        assert!(control.is_cancelled() && !watch.go_on(0));
+        control.pause();
+        control.resume();
+        assert!(control.is_cancelled() && !control.is_paused());
+
+        // An execution that begins paused has no running clock.
+        let control = Control::new();
+        control.pause();
+        control.begin(1, 0, 0, [1.0, 0.0]);
+        assert!(!runs(&control));
+        control.resume();
+        assert!(runs(&control));
+    }
+}

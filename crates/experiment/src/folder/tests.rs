@@ -85,11 +85,24 @@ fn a_reopened_folder_returns_rows_in_plan_order_with_their_series() {
 
 #[test]
 fn series_that_earlier_versions_stored_in_files_are_read() {
-    let fixture = Fixture::new();
+    for (grid, has_drift) in [("", false), ("[[grid]]\ninformed = 1\n", true)] {
+        read_stored_series(&format!("{FILE}{grid}"), has_drift);
+    }
+}
+
+fn read_stored_series(plan: &str, has_drift: bool) {
+    let fixture = Fixture {
+        plan: Plan::parse(plan).unwrap(),
+        ..Fixture::new()
+    };
     let mut folder = fixture.open().unwrap();
     fixture.append(&mut folder, 1);
     drop(folder);
     let order = Folder::read_order(fixture.path(), &fixture.plan, 1).unwrap();
+    assert_eq!(
+        (order.orders.len(), order.drifts.is_empty()),
+        (6, !has_drift)
+    );
     // The line and the file as earlier versions wrote them.
     fixture.edit(|bytes| {
         let text = String::from_utf8(bytes.clone()).unwrap();

@@ -340,24 +340,29 @@ mod tests {
 
     #[test]
     fn pairs_are_near_at_gaps_below_the_limit_only() {
-        let discs = Parameters {
-            pi1: 1.0,
-            ..Parameters::default()
-        };
-        let mut configuration = Configuration::default();
-        for x in [0.0, 1.5, 4.0] {
-            configuration.push(x, 0.0, 0.0);
+        // Discs of diameter 1 in a row, and bodies of width 1/2 abreast.
+        for (pi1, places, gaps) in [
+            (1.0, [[0.0, 0.0], [1.5, 0.0], [4.0, 0.0]], [0.5, 1.5]),
+            (3.0, [[0.0, 0.0], [0.0, 1.0], [0.0, 3.0]], [0.5, 1.5]),
+        ] {
+            let parameters = Parameters {
+                pi1,
+                ..Parameters::default()
+            };
+            let mut configuration = Configuration::default();
+            for [x, y] in places {
+                configuration.push(x, y, 0.0);
+            }
+            let near = |gap| -> Vec<_> {
+                let near = near_pairs(Body::new(&parameters), &configuration, gap);
+                let gaps = near.into_iter();
+                gaps.map(|(i, j, nearness)| (i, j, nearness.gap)).collect()
+            };
+            assert_eq!(near(gaps[0]), [], "{pi1}");
+            assert_eq!(near(gaps[0] + 0.125), [(0, 1, gaps[0])]);
+            assert_eq!(near(gaps[1]), [(0, 1, gaps[0])]);
+            assert_eq!(near(gaps[1] + 0.125), [(0, 1, gaps[0]), (1, 2, gaps[1])]);
         }
-        let near = |gap| -> Vec<_> {
-            let near = near_pairs(Body::new(&discs), &configuration, gap);
-            near.into_iter()
-                .map(|(i, j, nearness)| (i, j, nearness.gap))
-                .collect()
-        };
-        assert_eq!(near(0.5), []);
-        assert_eq!(near(0.5625), [(0, 1, 0.5)]);
-        assert_eq!(near(1.5), [(0, 1, 0.5)]);
-        assert_eq!(near(1.75), [(0, 1, 0.5), (1, 2, 1.5)]);
     }
 
     #[test]
