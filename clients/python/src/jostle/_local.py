@@ -17,7 +17,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import IO
 
-from . import _cancel
+from . import _cancel, _program
 from ._arguments import check_seconds
 from ._client import Client, open_link
 from ._errors import InvalidArgument, Unavailable
@@ -77,8 +77,8 @@ def local(
     Args:
         folder: Where everything is kept: swarms that are there already go on. None is a temporary
             folder, and nothing is kept.
-        jostled: The program; None is what the environment's `JOSTLED` names, or else `jostled` on
-            the `PATH`.
+        jostled: The program; None is what the environment's `JOSTLED` names, or else the one that
+            the wheel installed, or else `jostled` on the `PATH`.
         client: Who commands say they are from, as `connect` takes it.
         timeout: Seconds that every command may take unless it says otherwise.
         show: Show that it is being started; None is if that is seen, on a terminal or in a
@@ -92,7 +92,7 @@ def local(
         Unavailable: There is no `jostled`, or it does not start; its log says why.
     """
     seconds = check_seconds("timeout", timeout)
-    daemon = Daemon(_find(jostled), folder, settings, show)
+    daemon = Daemon(_program.find(jostled), folder, settings, show)
     try:
         link, node = open_link(daemon.endpoint, client=client, timeout=seconds)
     except BaseException:
@@ -285,29 +285,6 @@ def _forget_daemons() -> None:
 
 
 os.register_at_fork(after_in_child=_forget_daemons)
-
-
-def _find(jostled: str | os.PathLike[str] | None) -> str:
-    """The program's file.
-
-    Raises:
-        Unavailable: There is none.
-    """
-    named = jostled if jostled is not None else os.environ.get("JOSTLED") or None
-    found = shutil.which("jostled" if named is None else os.fspath(named))
-    if found is not None:
-        return str(Path(found).absolute())
-    if named is None:
-        where = "no `jostled` is on the PATH"
-    elif Path(named).exists():
-        where = f"{os.fspath(named)!r} is no program that this user can start"
-    else:
-        where = f"there is no {os.fspath(named)!r}"
-    raise Unavailable(
-        f"{where}: build it with `cargo build --release` in jostle's folder, which makes "
-        "target/release/jostled, and name it as `jostled=` or in JOSTLED, or put it on the PATH",
-        details={"field": "jostled"},
-    )
 
 
 def _flags(settings: Mapping[str, str | float]) -> list[str]:

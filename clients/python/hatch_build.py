@@ -1,0 +1,103 @@
+"""Puts the programs `jostled` and `jostle` into the wheel, and the workspace into the sdist.
+
+A wheel is made in one of three ways:
+
+- With the folder of built programs in `JOSTLE_BINARIES`, it has them, stripped. Its tag is
+  `py3-none-` and `JOSTLE_PLATFORM`, or this machine's platform.
+- In an unpacked sdist, they are built first: `cargo build --release --locked`.
+- In a checkout it is the package alone, `py3-none-any`. So is an editable installation.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sysconfig
+import tempfile
+from pathlib import Path
+from typing import Any
+
+from hatchling.builders.hooks.plugin.interface import BuildHookInterface
+
+PROGRAMS = ("jostled", "jostle")
+# What `cargo build` of the programs reads, below the root of the repository.
+WORKSPACE = (
+    *("Cargo.toml", "Cargo.lock", ".cargo/config.toml", "LICENSE-MIT", "LICENSE-APACHE"),
+    *("src", "proto", "crates", "benches/physics", "clients/cli", "clients/web/dist"),
+)
+
+
+class Programs(BuildHookInterface[Any]):
+    """The hook of hatchling."""
+
+    def initialize(self, version: str, build_data: dict[str, Any]) -> None:
+        """Adds files to a build. `version` is `standard` or `editable`."""
+        if self.target_name == "sdist":
+            build_data["force_include"].update(self._workspace())
+            return
+        folder = None if version == "editable" else self._binaries()
+        if folder is None:
+            return
+        self._stripped = tempfile.TemporaryDirectory()
+        scripts = {strip(folder / name, self._stripped.name): name for name in PROGRAMS}
+        build_data["shared_scripts"].update(scripts)
+        platform = os.environ.get("JOSTLE_PLATFORM") or sysconfig.get_platform()
+        build_data["tag"] = f"py3-none-{platform.replace('-', '_').replace('.', '_')}"
+        build_data["pure_python"] = False
+
+    def _binaries(self) -> Path | None:
+        """The folder of the programs, built if this is an sdist."""
+        if named := os.environ.get("JOSTLE_BINARIES"):
+            return Path(named)
+        workspace = Path(self.root, "workspace")
+        if not (workspace / "Cargo.toml").exists():
+            return None
+        if shutil.which("cargo") is None:
+            raise SystemExit(
+                "jostle: no wheel for this system has the programs, and to build them there is no "
+                "Rust: install it from rustup.rs, or take the Python package alone with "
+                "`pip install --only-binary :all: jostle`"
+            )
+        target = Path(self.root, "target")
+        command = ["cargo", "build", "--release", "--locked", "--target-dir", str(target)]
+        for name in PROGRAMS:
+            command += ["--bin", name]
+        # Below the workspace cargo finds `.cargo/config.toml`, which zenoh is compiled with.
+        subprocess.run(command, cwd=workspace, check=True)
+        return target / "release"
+
+    def _workspace(self) -> dict[str, str]:
+        """The files that the programs are built from, and their places in the sdist."""
+        root = Path(self.root, "../..").resolve()
+        if not (root / "Cargo.toml").exists():
+            root = Path(self.root, "workspace")
+        listed = subprocess.run(
+            ["git", "ls-files", "-z", "--", *WORKSPACE],
+            cwd=root,
+            check=False,
+            capture_output=True,
+            text=True,
+        )
+        names = listed.stdout.split("\0") if listed.returncode == 0 else files(root)
+        return {str(root / name): f"workspace/{name}" for name in names if name}
+
+
+def files(root: Path) -> list[str]:
+    """The names of all files of the workspace, without git."""
+    found = []
+    for name in WORKSPACE:
+        path = root / name
+        paths = [it for it in path.rglob("*") if it.is_file()] if path.is_dir() else [path]
+        found += [str(it.relative_to(root)) for it in paths]
+    return sorted(found)
+
+
+def strip(program: Path, folder: str) -> str:
+    """Copies a program without its symbols, and returns the copy's path."""
+    if not program.is_file():
+        raise SystemExit(f"jostle: JOSTLE_BINARIES has no {program.name}: {program}")
+    copy = Path(folder, program.name)
+    subprocess.run(["strip", "--strip-all", "-o", copy, program], check=True)
+    copy.chmod(0o755)
+    return str(copy)
