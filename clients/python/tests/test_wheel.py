@@ -6,7 +6,9 @@ import email
 import os
 import subprocess
 import sys
+import sysconfig
 import tomllib
+import venv
 import zipfile
 from pathlib import Path
 
@@ -15,6 +17,8 @@ import pytest
 from conftest import JOSTLED
 
 FOLDER = Path(__file__).resolve().parents[1]
+PROJECT = tomllib.loads((FOLDER / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+VERSION = PROJECT["version"]
 
 
 def pip(*arguments: str | Path) -> None:
@@ -36,8 +40,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_wheel_has_the_package_its_types_and_nothing_else(wheel: Path) -> None:
-    project = tomllib.loads((FOLDER / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    assert wheel.name == f"jostle-{project['version']}-py3-none-any.whl"
+    assert wheel.name == f"jostle-{VERSION}-py3-none-any.whl"
     with zipfile.ZipFile(wheel) as archive:
         files = {it for it in archive.namelist() if ".dist-info/" not in it}
         (metadata,) = [it for it in archive.namelist() if it.endswith("/METADATA")]
@@ -96,3 +99,133 @@ def test_what_is_installed_works_and_is_typed(wheel: Path, tmp_path: Path) -> No
         check=False,
     )
     assert checked.returncode == 0, checked.stdout
+
+
+@pytest.fixture(scope="module")
+def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The wheel with the programs that the other tests start."""
+    folder = tmp_path_factory.mktemp("programs")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("JOSTLE_BINARIES", str(JOSTLED.parent))
+        pip("wheel", "--no-deps", "--no-build-isolation", "-w", folder, FOLDER)
+    (made,) = folder.glob("*.whl")
+    return made
+
+
+class Environment:
+    """A virtual environment that sees the dependencies of these tests, without a `jostled`."""
+
+    def __init__(self, folder: Path) -> None:
+        venv.create(folder, with_pip=False)
+        self.folder = folder
+        self.python = folder / "bin" / "python"
+        self.environ = {name: it for name, it in os.environ.items() if name != "JOSTLED"}
+        self.environ |= {
+            "PATH": "/usr/bin:/bin",
+            "PYTHONPATH": sysconfig.get_path("purelib"),
+            "PYTHONDONTWRITEBYTECODE": "1",
+        }
+
+    def pip(self, *arguments: str | Path) -> None:
+        """Runs pip for this environment."""
+        pip("--python", self.python, *arguments)
+
+    def run(self, source: str) -> subprocess.CompletedProcess[str]:
+        """Runs a program, for which this environment's packages come first."""
+        site = self.folder / "lib" / f"python3.{sys.version_info.minor}" / "site-packages"
+        return subprocess.run(
+            [
+                self.python,
+                "-W",
+                "error::RuntimeWarning",
+                "-c",
+                f"import sys\nsys.path.insert(0, {str(site)!r})\n{source}",
+            ],
+            env=self.environ,
+            capture_output=True,
+            text=True,
+            timeout=60,
+            check=False,
+        )
+
+    def files(self) -> set[Path]:
+        """Returns every file of this environment."""
+        return {it for it in self.folder.rglob("*") if it.is_file()}
+
+
+STEP = (
+    "import jostle\n"
+    "with jostle.local() as client:\n"
+    "    swarm = client.create('school', jostle.Spec(n=5))\n"
+    "    print(swarm.step(5, state=True).time)\n"
+)
+
+
+def test_the_wheel_with_programs_needs_nothing_else_and_leaves_nothing(
+    programs: Path, tmp_path: Path
+) -> None:
+    platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+    assert programs.name.endswith(f"-py3-none-{platform}.whl")
+    environment = Environment(tmp_path / "venv")
+    before = environment.files()
+    environment.pip("install", "--no-deps", programs)
+    ran = environment.run(STEP)
+    assert (ran.returncode, ran.stdout) == (0, "0.1\n"), ran.stderr
+    for name in ("jostled", "jostle"):
+        program = environment.folder / "bin" / name
+        done = subprocess.run([program, "--version"], capture_output=True, text=True, check=True)
+        assert done.stdout.startswith(f"{name} {VERSION}")
+        # The symbols, of which these programs have tens of megabytes, are gone.
+        assert program.stat().st_size < JOSTLED.with_name(name).stat().st_size
+    environment.pip("uninstall", "-y", "jostle")
+    assert environment.files() == before
+
+
+def test_an_installation_without_its_program_says_so(programs: Path, tmp_path: Path) -> None:
+    environment = Environment(tmp_path / "venv")
+    environment.pip("install", "--no-deps", programs)
+    program = environment.folder / "bin" / "jostled"
+    program.chmod(0o644)
+    # The superuser may not start it either.
+    ran = environment.run(STEP)
+    assert ran.returncode == 1
+    assert f"{str(program)!r} is no program that this user can start" in ran.stderr
+    program.unlink()
+    ran = environment.run(STEP)
+    assert ran.returncode == 1
+    assert f"lacks its program {str(program)!r}: install it again" in ran.stderr
+
+
+def test_the_installed_program_precedes_one_on_the_path(
+    programs: Path, wheel: Path, tmp_path: Path
+) -> None:
+    other = tmp_path / "other"
+    other.mkdir()
+    (other / "jostled").write_text("#!/bin/sh\necho jostled 9.9.9\n", encoding="utf-8")
+    (other / "jostled").chmod(0o755)
+    environment = Environment(tmp_path / "venv")
+    environment.environ["PATH"] = f"{other}:/usr/bin:/bin"
+    environment.pip("install", "--no-deps", programs)
+    ran = environment.run(STEP)
+    assert (ran.returncode, ran.stdout) == (0, "0.1\n"), ran.stderr
+    # The package alone takes what is on the path, and warns of another version.
+    environment.pip("install", "--no-deps", "--force-reinstall", wheel)
+    ran = environment.run(STEP)
+    assert ran.returncode == 1
+    warned = f"{other / 'jostled'} on the PATH has version 9.9.9 and this package {VERSION}"
+    assert warned in ran.stderr
+    # Without any, the remedy names the wheel; everything else works.
+    environment.environ["PATH"] = "/usr/bin:/bin"
+    ran = environment.run(STEP)
+    assert ran.returncode == 1
+    assert "install the wheel that has it" in ran.stderr
+    assert environment.run("import jostle\njostle.Spec(n=5)").returncode == 0
+
+
+def test_a_folder_without_a_program_makes_no_wheel(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("JOSTLE_BINARIES", str(tmp_path))
+    with pytest.raises(subprocess.CalledProcessError) as failed:
+        pip("wheel", "--no-deps", "--no-build-isolation", "-w", tmp_path / "out", FOLDER)
+    assert f"JOSTLE_BINARIES has no jostled: {tmp_path / 'jostled'}" in str(failed.value.stderr)
