@@ -439,7 +439,7 @@ impl Host {
     }
 
     /// Reserves memory for a swarm that is to have another size.
-    fn resize(&self, name: &str, size: Reservation) -> Result<(), ReserveError> {
+    fn reserve(&self, name: &str, size: Reservation) -> Result<(), ReserveError> {
         let limit = self.limits.max_individuals;
         let n = match size {
             Reservation::Grow(n) if n > limit => return Err(ReserveError::TooMany { n, limit }),
@@ -514,7 +514,7 @@ impl Host {
     ) -> Result<Result<Guest, End>, OrderError> {
         let name = &handle.outlet.name;
         let (host, swarm) = (self.clone(), name.clone());
-        let admit: ReserveMemory = Box::new(move |size| host.resize(&swarm, size));
+        let admit: ReserveMemory = Box::new(move |size| host.reserve(&swarm, size));
         let shortest = Duration::from_secs(1) / self.limits.max_hz.max(1);
         let writer = (self.archive)(name);
         match beginning {

@@ -40,7 +40,7 @@ class Programs(BuildHookInterface[Any]):
         if folder is None:
             return
         self._stripped = tempfile.TemporaryDirectory()
-        scripts = {strip(folder / name, self._stripped.name): name for name in PROGRAMS}
+        scripts = {stripped(folder / name, self._stripped.name): name for name in PROGRAMS}
         build_data["shared_scripts"].update(scripts)
         platform = os.environ.get("JOSTLE_PLATFORM") or sysconfig.get_platform()
         build_data["tag"] = f"py3-none-{platform.replace('-', '_').replace('.', '_')}"
@@ -55,32 +55,37 @@ class Programs(BuildHookInterface[Any]):
             return None
         if shutil.which("cargo") is None:
             raise SystemExit(
-                "jostle: no wheel for this system has the programs, and to build them there is no "
-                "Rust: install it from rustup.rs, or take the Python package alone with "
-                "`pip install --only-binary :all: jostle`"
+                "jostle: cargo not found. The sdist builds jostled and jostle: install Rust from "
+                "https://rustup.rs, or build the package alone with `packaging/wheel` in a checkout"
             )
         target = Path(self.root, "target")
+        # As `strip` does below, also where there is none.
+        environ = {**os.environ, "CARGO_PROFILE_RELEASE_STRIP": "symbols"}
         command = ["cargo", "build", "--release", "--locked", "--target-dir", str(target)]
         for name in PROGRAMS:
             command += ["--bin", name]
         # Below the workspace cargo finds `.cargo/config.toml`, which zenoh is compiled with.
-        subprocess.run(command, cwd=workspace, check=True)
+        subprocess.run(command, cwd=workspace, env=environ, check=True)
         return target / "release"
 
     def _workspace(self) -> dict[str, str]:
         """The files that the programs are built from, and their places in the sdist."""
-        root = Path(self.root, "../..").resolve()
+        root = Path(self.root, "workspace")
         if not (root / "Cargo.toml").exists():
-            root = Path(self.root, "workspace")
-        listed = subprocess.run(
-            ["git", "ls-files", "-z", "--", *WORKSPACE],
-            cwd=root,
-            check=False,
-            capture_output=True,
-            text=True,
-        )
-        names = listed.stdout.split("\0") if listed.returncode == 0 else files(root)
-        return {str(root / name): f"workspace/{name}" for name in names if name}
+            root = Path(self.root, "../..").resolve()
+        names = tracked(root)
+        return {str(root / name): f"workspace/{name}" for name in names or files(root)}
+
+
+def tracked(root: Path) -> list[str]:
+    """The names of the files of the workspace that git tracks; none if it does not."""
+    command = ["git", "ls-files", "-z", "--", *WORKSPACE]
+    try:
+        listed = subprocess.run(command, cwd=root, check=False, capture_output=True, text=True)
+    except OSError:
+        return []
+    names = [name for name in listed.stdout.split("\0") if name]
+    return names if "Cargo.toml" in names else []
 
 
 def files(root: Path) -> list[str]:
@@ -93,11 +98,11 @@ def files(root: Path) -> list[str]:
     return sorted(found)
 
 
-def strip(program: Path, folder: str) -> str:
-    """Copies a program without its symbols, and returns the copy's path."""
+def stripped(program: Path, folder: str) -> str:
+    """Copies a program without its symbols, and returns the path of the copy."""
     if not program.is_file():
-        raise SystemExit(f"jostle: JOSTLE_BINARIES has no {program.name}: {program}")
+        raise SystemExit(f"jostle: there is no program {program.name}: {program}")
     copy = Path(folder, program.name)
-    subprocess.run(["strip", "--strip-all", "-o", copy, program], check=True)
-    copy.chmod(0o755)
+    shutil.copy(program, copy)
+    subprocess.run(["strip", copy], check=True)
     return str(copy)

@@ -17,11 +17,11 @@ use crate::cell::{Cell, CellKind};
 /// A column of the table of results.
 #[derive(Clone, Copy, Debug)]
 pub struct Column {
-    /// Its name: of the JSON member, and in the header of a table.
+    /// Its name in JSON and in the header of a table.
     pub name: &'static str,
     /// The kind of its values.
     pub kind: CellKind,
-    /// A sentence on its values.
+    /// A description of its values.
     pub description: &'static str,
     get: fn(&ResultRow) -> Cell,
 }
@@ -280,8 +280,13 @@ impl<'de> Visitor<'de> for RowVisitor {
                 }
             }
         }
-        if let Some(missing) = cells.iter().position(Option::is_none) {
-            return Err(Error::missing_field(COLUMNS[missing].name));
+        for (cell, column) in cells.iter_mut().zip(COLUMNS) {
+            if cell.is_none() {
+                if column.kind != CellKind::OptionalNumber {
+                    return Err(Error::missing_field(column.name));
+                }
+                *cell = Some(Cell::Absent);
+            }
         }
         ResultRow::from_cells(cells.into_iter().flatten())
             .ok_or_else(|| Error::custom("a value is not of its column's kind"))
@@ -304,8 +309,8 @@ impl JsonSchema for ResultRow {
             .collect();
         let required: Vec<&str> = COLUMNS.iter().map(|column| column.name).collect();
         json_schema!({
-            "description": "The result of one run of an experiment: a row of `results.csv`, its \
-                            columns the members.",
+            "description": "The result of one run of an experiment: a row of `results.csv`, one \
+                            member for each column.",
             "type": "object",
             "properties": properties,
             "required": required,
@@ -371,6 +376,15 @@ mod tests {
             .collect();
         let read: ResultRow = serde_json::from_str(&format!("{{{}}}", text.join(","))).unwrap();
         assert_eq!(read, rows()[1]);
+    }
+
+    #[test]
+    fn a_missing_optional_number_is_absent() {
+        let text = STORED[1].replace("\"v_pd\":", "\"w\":");
+        let read: ResultRow = serde_json::from_str(&text).unwrap();
+        let [_, mut expected] = rows();
+        expected.set(Measure::V_PD, Cell::Absent);
+        assert_eq!(read, expected);
     }
 
     #[test]

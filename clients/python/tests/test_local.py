@@ -122,7 +122,7 @@ def test_nothing_to_start_is_said_with_a_remedy(
     with pytest.raises(jostle.Unavailable, match=r"nowhere.*cargo build"):
         jostle.local(jostled=tmp_path / "nowhere")
     monkeypatch.setenv("JOSTLED", str(tmp_path))
-    with pytest.raises(jostle.Unavailable, match="no program"):
+    with pytest.raises(jostle.Unavailable, match="can execute"):
         jostle.local()
     monkeypatch.delenv("JOSTLED")
     monkeypatch.setenv("PATH", str(tmp_path))

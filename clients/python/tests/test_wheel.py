@@ -7,11 +7,13 @@ import os
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import tomllib
 import venv
 import zipfile
 from pathlib import Path
 
+import packaging.tags
 import pytest
 
 from conftest import JOSTLED
@@ -121,7 +123,7 @@ class Environment:
         self.python = folder / "bin" / "python"
         self.environ = {name: it for name, it in os.environ.items() if name != "JOSTLED"}
         self.environ |= {
-            "PATH": "/usr/bin:/bin",
+            "PATH": str(folder / "empty"),
             "PYTHONPATH": sysconfig.get_path("purelib"),
             "PYTHONDONTWRITEBYTECODE": "1",
         }
@@ -164,8 +166,8 @@ STEP = (
 def test_the_wheel_with_programs_needs_nothing_else_and_leaves_nothing(
     programs: Path, tmp_path: Path
 ) -> None:
-    platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
-    assert programs.name.endswith(f"-py3-none-{platform}.whl")
+    tags = [f"-py3-none-{it}.whl" for it in packaging.tags.platform_tags()]
+    assert programs.name.endswith(tuple(tags))
     environment = Environment(tmp_path / "venv")
     before = environment.files()
     environment.pip("install", "--no-deps", programs)
@@ -189,7 +191,7 @@ def test_an_installation_without_its_program_says_so(programs: Path, tmp_path: P
     # The superuser may not start it either.
     ran = environment.run(STEP)
     assert ran.returncode == 1
-    assert f"{str(program)!r} is no program that this user can start" in ran.stderr
+    assert f"{str(program)!r} is not a file that this user can execute" in ran.stderr
     program.unlink()
     ran = environment.run(STEP)
     assert ran.returncode == 1
@@ -204,7 +206,7 @@ def test_the_installed_program_precedes_one_on_the_path(
     (other / "jostled").write_text("#!/bin/sh\necho jostled 9.9.9\n", encoding="utf-8")
     (other / "jostled").chmod(0o755)
     environment = Environment(tmp_path / "venv")
-    environment.environ["PATH"] = f"{other}:/usr/bin:/bin"
+    environment.environ["PATH"] = str(other)
     environment.pip("install", "--no-deps", programs)
     ran = environment.run(STEP)
     assert (ran.returncode, ran.stdout) == (0, "0.1\n"), ran.stderr
@@ -215,10 +217,10 @@ def test_the_installed_program_precedes_one_on_the_path(
     warned = f"{other / 'jostled'} on the PATH has version 9.9.9 and this package {VERSION}"
     assert warned in ran.stderr
     # Without any, the remedy names the wheel; everything else works.
-    environment.environ["PATH"] = "/usr/bin:/bin"
+    environment.environ["PATH"] = str(tmp_path / "empty")
     ran = environment.run(STEP)
     assert ran.returncode == 1
-    assert "install the wheel that has it" in ran.stderr
+    assert "install the wheel that `packaging/wheel --programs` builds" in ran.stderr
     assert environment.run("import jostle\njostle.Spec(n=5)").returncode == 0
 
 
@@ -228,4 +230,28 @@ def test_a_folder_without_a_program_makes_no_wheel(
     monkeypatch.setenv("JOSTLE_BINARIES", str(tmp_path))
     with pytest.raises(subprocess.CalledProcessError) as failed:
         pip("wheel", "--no-deps", "--no-build-isolation", "-w", tmp_path / "out", FOLDER)
-    assert f"JOSTLE_BINARIES has no jostled: {tmp_path / 'jostled'}" in str(failed.value.stderr)
+    assert f"there is no program jostled: {tmp_path / 'jostled'}" in str(failed.value.stderr)
+
+
+def test_an_installation_into_a_folder_has_its_program(programs: Path, tmp_path: Path) -> None:
+    environment = Environment(tmp_path / "venv")
+    site = tmp_path / "site"
+    pip("install", "--no-deps", "--target", site, programs)
+    ran = environment.run(f"sys.path.insert(0, {str(site)!r})\n{STEP}")
+    assert (ran.returncode, ran.stdout) == (0, "0.1\n"), ran.stderr
+
+
+def test_the_sdist_holds_the_workspace(tmp_path: Path) -> None:
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)]
+    subprocess.run(build, cwd=FOLDER, check=True, capture_output=True, timeout=120)
+    (made,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(made) as archive:
+        names = {it.partition("/")[2] for it in archive.getnames()}
+    root = FOLDER.parents[1]
+    workspace = tomllib.loads((root / "Cargo.toml").read_text(encoding="utf-8"))["workspace"]
+    for member in workspace["members"]:
+        assert f"workspace/{Path(member, 'Cargo.toml')}" in names, member
+    for name in ("Cargo.lock", ".cargo/config.toml", "src/main.rs", "clients/web/dist/index.html"):
+        assert f"workspace/{name}" in names
+    assert {"src/jostle/__init__.py", "hatch_build.py", "pyproject.toml"} <= names
+    assert not [it for it in names if it.startswith(("workspace/target", "workspace/docs"))]

@@ -103,8 +103,8 @@ fn number(value: f64) -> Value {
     }
 }
 
-/// Descriptions of the valid values of fields. A name with a point is a path, and precedes the name
-/// of its last part.
+/// Descriptions of the valid values of fields. A name with a dot is a full path, which is looked up
+/// before the last part alone.
 const RANGES: &[(&str, &str)] = &[
     ("n", "a whole number from 1 to the daemon's max_individuals"),
     ("pi1", "a number from 1 to 32"),

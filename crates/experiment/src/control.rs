@@ -336,15 +336,15 @@ mod tests {
     }
 
     #[test]
-    fn the_clock_stands_while_paused_and_a_cancellation_is_final() {
+    fn the_clock_stops_while_paused_and_cancellation_is_final() {
         let control = Control::new();
         control.begin(1, 0, 0, [1.0, 0.0]);
-        let runs = |control: &Control| control.state().clock.since.is_some();
+        let is_running = |control: &Control| control.state().clock.since.is_some();
         control.pause();
-        assert!(control.is_paused() && !runs(&control));
+        assert!(control.is_paused() && !is_running(&control));
         control.pause();
         control.resume();
-        assert!(!control.is_paused() && runs(&control));
+        assert!(!control.is_paused() && is_running(&control));
         let watch = control.begin_run(0, "a", 1, 1.0);
         assert!(watch.go_on(0));
         control.cancel();
@@ -357,8 +357,8 @@ mod tests {
         let control = Control::new();
         control.pause();
         control.begin(1, 0, 0, [1.0, 0.0]);
-        assert!(!runs(&control));
+        assert!(!is_running(&control));
         control.resume();
-        assert!(runs(&control));
+        assert!(is_running(&control));
     }
 }

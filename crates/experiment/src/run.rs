@@ -118,7 +118,7 @@ struct Measures {
     common_direction: Option<CommonDirection>,
     means: RunningMeans,
     intervals: Intervals,
-    /// The least gap of two bodies, at most 0.
+    /// The worst gap of two bodies, at most 0.
     worst_gap: f64,
     /// Steps that started with crossed axes.
     crossed: u64,
@@ -306,6 +306,11 @@ mod tests {
         let text =
             format!("duration = 10\n[spec]\nn = 1\ndt = 0.0005\n{start}\n[[grid]]\ninformed = 1");
         let row = finish(&plan(&text)).row.unwrap();
+        assert_eq!(
+            ResultRow::from_cells(row.cells()),
+            Some(row.clone()),
+            "every measure"
+        );
         let (c, q) = (0.5, libm::tan(1.0) * libm::tan(1.0));
         let mean = libm::log((q + libm::exp(2.0 * c * 10.0)) / (q + 1.0)) / (c * 10.0) - 1.0;
         let drift = row.number(Measure::V_PD);

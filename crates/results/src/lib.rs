@@ -1,7 +1,7 @@
 //! Results of runs: tidy tables and the paper's statistics; and recordings of running swarms.
 //!
-//! Its input are rows and frames, its output files. Of the wire it needs the definition
-//! of a row only.
+//! Its inputs are rows and frames, its outputs files. It uses `jostle-proto` only for the definition
+//! of a row.
 
 pub mod claims;
 pub mod disorder;

@@ -13,7 +13,7 @@ from ._errors import Unavailable
 
 _VERSION_SECS = 10.0
 _REMEDY = (
-    "install the wheel that has it, `pip install jostle` on Linux x86-64, or build it with "
+    "install the wheel that `packaging/wheel --programs` builds, or build the program with "
     "`cargo build --release` in jostle's folder, which makes target/release/jostled, and name it "
     "as `jostled=` or in JOSTLED, or put it on the PATH"
 )
@@ -37,7 +37,7 @@ def find(named: str | os.PathLike[str] | None) -> str:
         found = shutil.which("jostled")
         if found is None:
             raise _unavailable(
-                "no `jostled` is on the PATH, and this package was installed without"
+                "no `jostled` is on the PATH, and the installed package has no program"
             )
         _warn_of_another_version(found)
         return str(Path(found).absolute())
@@ -45,19 +45,25 @@ def find(named: str | os.PathLike[str] | None) -> str:
     if found is not None:
         return str(Path(found).absolute())
     if Path(named).exists():
-        raise _unavailable(f"{os.fspath(named)!r} is no program that this user can start")
+        raise _unavailable(f"{os.fspath(named)!r} is not a file that this user can execute")
     raise _unavailable(f"there is no {os.fspath(named)!r}")
 
 
 def _installed() -> Path | None:
-    """The place of the program in the installation of this package; None if it has none."""
+    """The path of the program in the installation of this package; None if it has none."""
+    package = Path(__file__).resolve().parent
     try:
-        files = importlib.metadata.files("jostle") or []
+        distribution = importlib.metadata.distribution("jostle")
     except importlib.metadata.PackageNotFoundError:
         return None
-    for file in files:
-        if file.name == "jostled" and file.parent.name in ("bin", "Scripts"):
-            return Path(os.fspath(file.locate())).resolve()
+    # Another installation may precede the package that is imported.
+    if Path(str(distribution.locate_file("jostle"))).resolve() != package:
+        return None
+    for file in distribution.files or []:
+        if file.name == "jostled" and file.parent.name == "bin":
+            # `pip install --target` moves the program there, and keeps what the list says.
+            beside = package.parent / "bin" / "jostled"
+            return beside if beside.exists() else Path(str(file.locate())).resolve()
     return None
 
 
@@ -65,24 +71,29 @@ def _usable(own: Path) -> str:
     if not own.exists():
         raise Unavailable(
             f"the installation of this package lacks its program {str(own)!r}: install it again "
-            "with `pip install --force-reinstall jostle`",
+            "with `pip install --force-reinstall FILE.whl`",
             details={"field": "jostled"},
         )
     if not os.access(own, os.X_OK):
-        raise _unavailable(f"{str(own)!r} is no program that this user can start")
+        raise _unavailable(f"{str(own)!r} is not a file that this user can execute")
     return str(own)
 
 
 def _warn_of_another_version(program: str) -> None:
-    ours = importlib.metadata.version("jostle")
     try:
+        ours = importlib.metadata.version("jostle")
         done = subprocess.run(
             [program, "--version"],
+            stdin=subprocess.DEVNULL,
             capture_output=True,
             text=True,
+            errors="replace",
             timeout=_VERSION_SECS,
             check=False,
         )
+    except importlib.metadata.PackageNotFoundError:
+        # Imported from a folder of sources.
+        return
     except (OSError, subprocess.TimeoutExpired):
         # It fails again when it is started, and says why.
         return

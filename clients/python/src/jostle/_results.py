@@ -92,33 +92,38 @@ class Experiments(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class ResultRow(Shown, frozen=True, kw_only=True):
-    """What a run came to, its fields the columns of the table of results.
+    """The result of one run of an experiment: a row of the table of results.
+
+    Lengths are in body sizes, speeds in free speeds, times in body sizes over free speed.
 
     Attributes:
-        run: Its name: what varies, then the replicate.
-        seed: Of every draw.
-        n: Individuals.
+        run: The run's name within its experiment: the varied parameters, then the replicate.
+        seed: The seed of all random draws.
+        n: Number of individuals.
         pi1: Length over width of a body.
         pi2: Weight of the informed individuals' own preference.
         pi3: Body size over turning radius.
         pi4: Translational over rotational drag.
-        informed: How many individuals were informed.
-        contacts: The contact rule.
+        informed: Number of informed individuals.
+        contacts: The contact rule: "endpoints", "closest" or "clamped".
         dt: The time step.
-        time: How long it was; less than the experiment's duration if it faulted.
+        time: Duration of the run; less than that of the experiment if the run faulted.
         v: Time mean of the centroid's speed, eq. (8).
-        v_pd: Mean drift along the informed individuals' direction; None if nobody was informed.
-        ordered_intervals: Spent continuously with an order of at least 2/3.
-        ordered_time: They took together.
-        unordered_intervals: Spent continuously below.
-        unordered_time: They took together.
-        worst_overlap: The deepest of any two bodies, 0 or more.
-        crossed_share: Of time in which some two axes crossed.
-        worst_residual: Of any step.
-        degraded: Steps that missed the accuracy aimed at, yet were good enough.
-        fallbacks: Steps that the exact solver left to the referee.
-        steps: How many were taken.
-        state_hash: BLAKE3 of the last state, in hexadecimal.
+        v_pd: Mean drift along the informed individuals' direction; None without informed ones.
+        ordered_intervals: Number of intervals with an order of at least 2/3, including those that
+            the run's ends cut.
+        ordered_time: Total time of the ordered intervals.
+        unordered_intervals: Number of intervals with an order below 2/3, including those that the
+            run's ends cut.
+        unordered_time: Total time of the unordered intervals.
+        worst_overlap: The deepest overlap of any two bodies, 0 or more.
+        crossed_share: The share of time in which any two axes crossed.
+        worst_residual: The largest residual of any step.
+        degraded: Number of degraded steps: less accurate than the target, but acceptable.
+        fallbacks: Number of steps that the fallback solved because the exact solver missed its
+            target.
+        steps: Number of steps.
+        state_hash: The hash of the last state, BLAKE3 in hexadecimal.
     """
 
     run: str

@@ -215,6 +215,7 @@ fn a_folder_has_one_experiment_and_one_writer() {
 }
 
 /// Names the folder in the child process of the test below.
+#[cfg(unix)]
 const LIMITED: &str = "JOSTLE_TEST_LIMITED_FOLDER";
 
 /// A process that may write files of 32 or 64 KiB only, as the units of `sh` are, appends a line that

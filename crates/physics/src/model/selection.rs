@@ -399,7 +399,7 @@ mod tests {
         };
         assert_eq!(within(1024.0 + 4.0, 0.0, 1.0).unwrap(), [3, 4, 5]);
         assert!(within(4.0, 0.0, 1.0).unwrap().is_empty());
-        // From (x, 3), the nearest is 3 away and its neighbours √10: the radius counts.
+        // From (x, 3), the nearest is 3 away and its neighbours √10: the distance is Euclidean.
         assert!(within(1024.0 + 4.0, 3.0, 2.9).unwrap().is_empty());
         assert_eq!(within(1024.0 + 4.0, 3.0, 3.0).unwrap(), [4]);
         assert_eq!(within(1024.0 + 4.0, 3.0, 3.2).unwrap(), [3, 4, 5]);

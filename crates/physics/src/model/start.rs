@@ -229,7 +229,7 @@ impl Grid {
         #[expect(
             clippy::cast_possible_truncation,
             clippy::cast_sign_loss,
-            reason = "a pose is in the disc: less than `side`, and a cast saturates at 0"
+            reason = "a pose in the disc has an index below `side`; a negative number casts to 0"
         )]
         [pose.x, pose.y].map(|value| ((value + self.radius) / self.cell) as usize)
     }

@@ -221,7 +221,7 @@ pub struct SetPoints {
 /// A callback that reserves memory for a group of another size, or rejects it.
 pub type ReserveMemory = Box<dyn Fn(Reservation) -> Result<(), ReserveError> + Send>;
 
-/// A new size of the group.
+/// A request to reserve memory for a group of another size.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Reservation {
     /// Individuals are added: the limit of individuals applies.

@@ -57,7 +57,7 @@ pub struct Stepper {
     /// sorted.
     missed: Vec<Contact>,
     listed: Vec<(Contact, f64)>,
-    /// Least gap of the listed contacts, and number of crossed pairs.
+    /// Worst gap of the listed contacts, and number of crossed pairs.
     worst_gap: Option<f64>,
     crossed: usize,
     /// Displacement of the configuration about which the program is linearised. Empty for the first

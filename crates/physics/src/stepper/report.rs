@@ -18,7 +18,7 @@ pub struct StepReport {
     pub iterations: usize,
     /// Number of calls of Clarabel.
     pub fallback: usize,
-    /// The least gap of any contact at the start of the step, in body sizes; `None` if no contact
+    /// The worst gap of any contact at the start of the step, in body sizes; `None` if no contact
     /// was within the reach.
     pub worst_gap: Option<f64>,
     /// Number of crossed pairs at the start of the step; 0 unless the contact rule is `closest`.

@@ -51,6 +51,7 @@ fn threads_change_no_bit_of_the_tree_code() {
 }
 
 /// Set in the child process of the test below, in which no other test runs.
+#[cfg(target_os = "linux")]
 const ALONE: &str = "JOSTLE_TEST_WITHOUT_POOL";
 
 #[cfg(target_os = "linux")]

@@ -86,7 +86,7 @@ fn values<T: TryFrom<Cell>>(
 ) -> Result<Vec<T>, TableError> {
     let values = runs.iter().enumerate().map(|(row, run)| {
         T::try_from(column.get(run)).map_err(|_| {
-            let reason = "no value, or one of another kind".to_owned();
+            let reason = "missing, or of another kind than the column".to_owned();
             CellError::Value(row, reason).within(path, column.name, 0)
         })
     });

@@ -114,7 +114,8 @@ mod tests {
         assert_eq!(workspace.descend(&qp, &[0.01, 0.0]), 1);
         assert!((workspace.multipliers()[0] - 0.01).abs() < 1e-12);
         assert_eq!(workspace.multipliers()[1], 0.0);
-        // From nothing, each of two contacts joins in a round of its own if both overlap.
+        // From zero, the first contact joins; its push makes the second overlap, which joins in the
+        // next round.
         let qp = Qp {
             contacts: vec![contact(0, 0.0), contact(1, 0.001)],
             ..qp

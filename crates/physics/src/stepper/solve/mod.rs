@@ -210,7 +210,7 @@ mod tests {
                 }
                 assert_eq!(solution.fallback, calls);
                 if backend == Backend::Fallback {
-                    // Clarabel's factorisations and the one of `polish`, which needs no second.
+                    // The sum of Clarabel's own number and the one of `polish`, which needs no second.
                     let (_, factorisations) = clarabel::multipliers(&qp, SCALES[0]).unwrap();
                     assert_eq!(solution.iterations, factorisations + 1);
                 }

@@ -369,9 +369,9 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_join_first_one_more_for_every_1024_rows() {
+    fn at_most_16_of_the_worst_are_chosen_and_one_more_for_every_1024_rows() {
         for (count, joining) in [(20_u32, 16), (1023, 16), (1024, 17), (2048, 18)] {
-            // The deepest are the last, in reverse; each second row is a member already.
+            // The deepest are the last; each second row is a member already.
             let mut rows = vec![row(); count as usize];
             for (k, row) in rows.iter_mut().enumerate() {
                 row.followed = -1.0 - k as f64;
@@ -390,7 +390,7 @@ mod tests {
     }
 
     #[test]
-    fn contacts_that_pull_join_in_the_order_in_which_they_reach_zero_after_those_that_overlap() {
+    fn overlaps_are_chosen_first_then_contacts_that_reach_zero_soonest() {
         // Multipliers of 1 that fall to -1, -3, ... reach 0 at 1/2, 1/4, ... of the way.
         let mut rows = vec![row(); 20];
         for (k, row) in rows.iter_mut().enumerate() {

@@ -382,7 +382,7 @@ mod tests {
         let expected = [(0.0, false), (1.0, true), (3.0, true), (0.5, true)];
         assert_eq!(result(&exact), expected);
 
-        // If all rise, nothing ends it, and without a distance nothing moves.
+        // If none falls, none blocks, and without a distance nothing moves.
         let mut exact = after_a_pass(&[(2.0, 1.0), (1.0, 1.0)]);
         exact.extrapolate(0.0);
         assert_eq!(result(&exact), [(2.0, true), (1.0, true)]);
