@@ -3,7 +3,8 @@
 A wheel is made in one of three ways:
 
 - With the folder of built programs in `JOSTLE_BINARIES`, it has them, stripped. Its tag is
-  `py3-none-` and `JOSTLE_PLATFORM`, or this machine's platform.
+  `py3-none-` and `JOSTLE_PLATFORM`, or this machine's platform. `JOSTLE_LICENCES` names the file
+  with the licences of the libraries that they contain, which `packaging/licences` writes.
 - In an unpacked sdist, they are built first: `cargo build --release --locked`.
 - In a checkout it is the package alone, `py3-none-any`. So is an editable installation.
 """
@@ -42,6 +43,8 @@ class Programs(BuildHookInterface[Any]):
         self._stripped = tempfile.TemporaryDirectory()
         scripts = {stripped(folder / name, self._stripped.name): name for name in PROGRAMS}
         build_data["shared_scripts"].update(scripts)
+        if licences := os.environ.get("JOSTLE_LICENCES"):
+            build_data["shared_data"][licences] = "share/doc/jostle/third-party.txt"
         platform = os.environ.get("JOSTLE_PLATFORM") or sysconfig.get_platform()
         build_data["tag"] = f"py3-none-{platform.replace('-', '_').replace('.', '_')}"
         build_data["pure_python"] = False

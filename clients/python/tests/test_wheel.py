@@ -109,6 +109,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("programs")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("JOSTLE_BINARIES", str(JOSTLED.parent))
+        patch.setenv("JOSTLE_LICENCES", str(FOLDER / "LICENSE-MIT"))
         pip("wheel", "--no-deps", "--no-build-isolation", "-w", folder, FOLDER)
     (made,) = folder.glob("*.whl")
     return made
@@ -179,6 +180,8 @@ def test_the_wheel_with_programs_needs_nothing_else_and_leaves_nothing(
         assert done.stdout.startswith(f"{name} {VERSION}")
         # The symbols, of which these programs have tens of megabytes, are gone.
         assert program.stat().st_size < JOSTLED.with_name(name).stat().st_size
+    licences = environment.folder / "share" / "doc" / "jostle" / "third-party.txt"
+    assert licences.read_bytes() == (FOLDER / "LICENSE-MIT").read_bytes()
     environment.pip("uninstall", "-y", "jostle")
     assert environment.files() == before
 
