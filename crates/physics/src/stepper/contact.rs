@@ -52,6 +52,21 @@ impl Contact {
     }
 }
 
+#[cfg(test)]
+impl Contact {
+    /// Returns the contact of two discs in a row along x, `i` and the next.
+    pub fn in_row(i: u32, gap: f64) -> Self {
+        Self {
+            i,
+            j: i + 1,
+            code: 0,
+            gap,
+            normal: [1.0, 0.0],
+            lever: [0.0, 0.0],
+        }
+    }
+}
+
 /// Number of pairs whose signs are computed before their contacts. The kernel for the signs has no
 /// branches, and so does not wait for the mispredicted branches of the rest.
 const BLOCK: usize = 64;

@@ -80,19 +80,11 @@ mod tests {
 
     /// Two discs in line: the first moves towards the second, which stands; each yields half.
     fn two_discs() -> Qp {
-        let contact = Contact {
-            i: 0,
-            j: 1,
-            code: 0,
-            gap: 0.1,
-            normal: [1.0, 0.0],
-            lever: [0.0, 0.0],
-        };
         let free = vec![[0.5, 0.0, 0.0], [0.0, 0.0, 0.0]];
         Qp {
             weights: [1.0, 1.0, 0.1],
             free,
-            contacts: vec![contact],
+            contacts: vec![Contact::in_row(0, 0.1)],
         }
     }
 

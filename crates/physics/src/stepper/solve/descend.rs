@@ -97,18 +97,10 @@ mod tests {
     #[test]
     fn a_contact_that_only_touches_does_not_join() {
         // The first disc pushes the second by half of its way, up to the third.
-        let contact = |i, gap| Contact {
-            i,
-            j: i + 1,
-            code: 0,
-            gap,
-            normal: [1.0, 0.0],
-            lever: [0.0, 0.0],
-        };
         let qp = Qp {
             weights: [1.0, 1.0, 0.1],
             free: vec![[0.02, 0.0, 0.0], [0.0; 3], [0.0; 3]],
-            contacts: vec![contact(0, 0.0), contact(1, 0.01)],
+            contacts: vec![Contact::in_row(0, 0.0), Contact::in_row(1, 0.01)],
         };
         let mut workspace = Workspace::default();
         assert_eq!(workspace.descend(&qp, &[0.01, 0.0]), 1);
@@ -117,7 +109,7 @@ mod tests {
         // From zero, the first contact joins; its push makes the second overlap, which joins in the
         // next round.
         let qp = Qp {
-            contacts: vec![contact(0, 0.0), contact(1, 0.001)],
+            contacts: vec![Contact::in_row(0, 0.0), Contact::in_row(1, 0.001)],
             ..qp
         };
         assert_eq!(workspace.descend(&qp, &[0.0, 0.0]), 3);

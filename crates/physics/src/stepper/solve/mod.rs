@@ -157,20 +157,12 @@ mod tests {
 
     /// `count` touching discs in a row: all move right by 0.02 but the last, which stands.
     fn row(count: u32) -> Qp {
-        let contact = |i| Contact {
-            i,
-            j: i + 1,
-            code: 0,
-            gap: 0.0,
-            normal: [1.0, 0.0],
-            lever: [0.0, 0.0],
-        };
         let mut free = vec![[0.02, 0.0, 0.0]; count as usize];
         free[count as usize - 1] = [0.0; 3];
         Qp {
             weights: [1.0, 1.0, 0.1],
             free,
-            contacts: (0..count - 1).map(contact).collect(),
+            contacts: (0..count - 1).map(|i| Contact::in_row(i, 0.0)).collect(),
         }
     }
 

@@ -335,18 +335,10 @@ mod tests {
 
     /// A solver with rows of the multipliers `(now, before)`, all of which push.
     fn after_a_pass(multipliers: &[(f64, f64)]) -> Exact {
-        let contact = Contact {
-            i: 0,
-            j: 1,
-            code: 0,
-            gap: 0.0,
-            normal: [1.0, 0.0],
-            lever: [0.0, 0.0],
-        };
         let qp = Qp {
             weights: [1.0; 3],
             free: vec![[0.0; 3]; 2],
-            contacts: vec![contact; multipliers.len()],
+            contacts: vec![Contact::in_row(0, 0.0); multipliers.len()],
         };
         let mut exact = Exact::default();
         rows::fill(&qp, &mut exact.rows);
