@@ -67,6 +67,9 @@ export class Events {
 
   /** Shows the newest of those the daemon remembers, or what came since. */
   async catchUp(): Promise<void> {
+    if (this.ended) {
+      return;
+    }
     if (this.reading) {
       this.wanted = true;
       return;
@@ -84,15 +87,20 @@ export class Events {
     }
   }
 
-  /** Shows one that the socket told; a gap before it is read first. */
+  /** Shows an event from the WebSocket. Requests missing earlier events first, except for the
+   * last event: the events of a deleted swarm cannot be requested. */
   take(event: SwarmEvent): void {
-    if (this.reading || event.number > this.last + 1) {
+    if (event.event.kind === "deleted") {
+      this.end();
+      this.add(event);
+    } else if (this.reading || event.number > this.last + 1) {
       void this.catchUp();
     } else {
       this.add(event);
     }
   }
 
+  /** Stops requesting events. */
   end(): void {
     this.ended = true;
   }

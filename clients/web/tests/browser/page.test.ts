@@ -371,6 +371,8 @@ test("a swarm that goes is missed, and another of its name is shown", async () =
   await daemon.create("brief", { n: 12 });
   const page = await open("/swarm/brief");
   await until("its size", async () => (await number(page, "n").textContent()) === "12");
+  // A request that is sent before the deletion may be answered by 404.
+  await page.waitForLoadState("networkidle");
   await daemon.command("brief", "delete");
   await page.getByText("There is no swarm brief now").waitFor();
   await daemon.create("brief", { n: 7 });
@@ -378,6 +380,31 @@ test("a swarm that goes is missed, and another of its name is shown", async () =
   await until("no veil", async () => (await page.locator(".stage.dimmed").count()) === 0);
   await until("its events", async () => (await page.locator(".events li").count()) === 1);
   await daemon.command("brief", "delete");
+});
+
+test("no events of a deleted swarm are requested", async () => {
+  await daemon.create("brief", { n: 12 });
+  const tab = await openTab();
+  let release: () => void = () => {};
+  const deleted = new Promise<void>((resolve) => {
+    release = resolve;
+  });
+  let requests = 0;
+  // The first reply arrives after the event that the swarm was deleted.
+  await tab.page.route(/\/get\/events/, async (route) => {
+    requests += 1;
+    const response = await route.fetch();
+    await deleted;
+    await route.fulfill({ response });
+  });
+  await tab.page.goto(`${daemon.link}&/swarm/brief`);
+  await until("its size", async () => (await number(tab.page, "n").textContent()) === "12");
+  await daemon.command("brief", "delete");
+  await tab.page.getByText("There is no swarm brief now").waitFor();
+  release();
+  await tab.page.waitForLoadState("networkidle");
+  await tab.page.locator(".events li", { hasText: "deleted" }).waitFor();
+  assert.equal(requests, 1);
 });
 
 test("a swarm is shown as contested while another daemon holds its name", async () => {
