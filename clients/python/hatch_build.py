@@ -3,7 +3,7 @@
 A wheel is made in one of three ways:
 
 - With the folder of built programs in `JOSTLE_BINARIES`, it has them, stripped. Its tag is
-  `py3-none-` and `JOSTLE_PLATFORM`, or this machine's platform. `JOSTLE_LICENCES` names the file
+  `py3-none-` and `JOSTLE_PLATFORM`, or `platform_tag()`. `JOSTLE_LICENCES` names the file
   with the licences of the libraries that they contain, which `packaging/licences` writes.
 - In an unpacked sdist, they are built first: `cargo build --release --locked`.
 - In a checkout it is the package alone, `py3-none-any`. So is an editable installation.
@@ -45,8 +45,7 @@ class Programs(BuildHookInterface[Any]):
         build_data["shared_scripts"].update(scripts)
         if licences := os.environ.get("JOSTLE_LICENCES"):
             build_data["shared_data"][licences] = "share/doc/jostle/third-party.txt"
-        platform = os.environ.get("JOSTLE_PLATFORM") or sysconfig.get_platform()
-        build_data["tag"] = f"py3-none-{platform.replace('-', '_').replace('.', '_')}"
+        build_data["tag"] = f"py3-none-{os.environ.get('JOSTLE_PLATFORM') or platform_tag()}"
         build_data["pure_python"] = False
 
     def _binaries(self) -> Path | None:
@@ -78,6 +77,20 @@ class Programs(BuildHookInterface[Any]):
             root = Path(self.root, "../..").resolve()
         names = tracked(root)
         return {str(root / name): f"workspace/{name}" for name in names or files(root)}
+
+
+def platform_tag() -> str:
+    """The tag of systems that run what this machine's linker makes.
+
+    With glibc that is `manylinux_X_Y_ARCH` of this machine's glibc X.Y, so that pip rejects the
+    wheel on a system whose glibc is older.
+    """
+    platform = sysconfig.get_platform().replace("-", "_").replace(".", "_")
+    try:
+        _, version = (os.confstr("CS_GNU_LIBC_VERSION") or "").split()
+    except (AttributeError, OSError, ValueError):
+        return platform
+    return platform.replace("linux", f"manylinux_{version.replace('.', '_')}", 1)
 
 
 def tracked(root: Path) -> list[str]:

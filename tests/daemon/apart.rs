@@ -21,10 +21,13 @@ impl Drop for Process {
     }
 }
 
-/// A daemon with these arguments, not yet started.
+/// A daemon with these arguments, not yet started. Its program is the one that the environment's
+/// `JOSTLED` names, such as that of a wheel, or else the one that Cargo built with this test.
 pub fn jostled(arguments: &[&str]) -> Command {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_jostled"));
+    let named = std::env::var_os("JOSTLED");
+    let mut command = Command::new(named.unwrap_or_else(|| env!("CARGO_BIN_EXE_jostled").into()));
     command
+        .env_remove("JOSTLED")
         .args(arguments)
         // The usual port may be taken.
         .env("JOSTLED_HTTP", "")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import email
 import os
+import re
 import subprocess
 import sys
 import sysconfig
@@ -133,8 +134,8 @@ class Environment:
         """Runs pip for this environment."""
         pip("--python", self.python, *arguments)
 
-    def run(self, source: str) -> subprocess.CompletedProcess[str]:
-        """Runs a program, for which this environment's packages come first."""
+    def run(self, source: str, user: int | None = None) -> subprocess.CompletedProcess[str]:
+        """Runs a program as this or another user. This environment's packages come first."""
         site = self.folder / "lib" / f"python3.{sys.version_info.minor}" / "site-packages"
         return subprocess.run(
             [
@@ -149,6 +150,7 @@ class Environment:
             text=True,
             timeout=60,
             check=False,
+            user=user,
         )
 
     def files(self) -> set[Path]:
@@ -234,6 +236,52 @@ def test_a_folder_without_a_program_makes_no_wheel(
     with pytest.raises(subprocess.CalledProcessError) as failed:
         pip("wheel", "--no-deps", "--no-build-isolation", "-w", tmp_path / "out", FOLDER)
     assert f"there is no program jostled: {tmp_path / 'jostled'}" in str(failed.value.stderr)
+
+
+def test_pip_rejects_the_wheel_where_glibc_is_older(
+    programs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name, version = (os.confstr("CS_GNU_LIBC_VERSION") or "").split()
+    assert name == "glibc"
+    major, minor = version.split(".")
+    assert programs.name.endswith(f"-manylinux_{major}_{minor}_{os.uname().machine}.whl")
+    newer = f"manylinux_{major}_{int(minor) + 1}_{os.uname().machine}"
+    monkeypatch.setenv("JOSTLE_BINARIES", str(JOSTLED.parent))
+    monkeypatch.setenv("JOSTLE_PLATFORM", newer)
+    pip("wheel", "--no-deps", "--no-build-isolation", "-w", tmp_path, FOLDER)
+    (made,) = tmp_path.glob("*.whl")
+    with pytest.raises(subprocess.CalledProcessError) as failed:
+        pip("install", "--no-deps", "--target", tmp_path / "site", made)
+    assert f"{made.name} is not a supported wheel on this platform" in str(failed.value.stderr)
+
+
+def test_a_program_that_does_not_start_says_why(programs: Path, tmp_path: Path) -> None:
+    environment = Environment(tmp_path / "venv")
+    environment.pip("install", "--no-deps", programs)
+    program = environment.folder / "bin" / "jostled"
+    # The loader's message, as for a program that was linked to a newer glibc.
+    binary = program.read_bytes()
+    newest = max(re.findall(rb"\0GLIBC_2\.(\d\d)(?=\0)", binary), key=int)
+    program.write_bytes(binary.replace(b"\0GLIBC_2." + newest + b"\0", b"\0GLIBC_2.99\0"))
+    ran = environment.run(STEP)
+    assert ran.returncode == 1
+    assert "the daemon ended with 1 and did not start; it says:\n" in ran.stderr
+    assert re.search(r"version `GLIBC_2\.99' not found", ran.stderr), ran.stderr
+
+
+def test_a_folder_without_rights_is_an_error(programs: Path, tmp_path: Path) -> None:
+    environment = Environment(tmp_path / "venv")
+    environment.pip("install", "--no-deps", programs)
+    tmp_path.chmod(0o755)
+    folder = tmp_path / "folder"
+    folder.mkdir()
+    folder.chmod(0o555)
+    source = STEP.replace("local()", f"local({str(folder / 'kept')!r})")
+    # The superuser may write everywhere.
+    ran = environment.run(source, user=65534 if os.geteuid() == 0 else None)
+    assert ran.returncode == 1
+    assert f"PermissionError: [Errno 13] Permission denied: {str(folder / 'kept')!r}" in ran.stderr
+    assert not list(folder.iterdir())
 
 
 def test_an_installation_into_a_folder_has_its_program(programs: Path, tmp_path: Path) -> None:
