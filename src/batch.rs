@@ -16,7 +16,8 @@ use signal_hook::consts::{SIGINT, SIGTERM};
 use thiserror::Error;
 
 use jostle_experiment::{
-    Control, ExecuteError, Folder, FolderError, Outcome, Plan, PlanError, Progress, execute,
+    Control, ExecuteError, Execution, Folder, FolderError, Outcome, Plan, PlanError, Progress,
+    Subset, SubsetError, execute, unfinished,
 };
 
 /// How often the bar is renewed and Ctrl-C looked for.
@@ -38,10 +39,74 @@ pub struct Options {
     pub file: PathBuf,
     /// Where its results go; if nowhere, its runs are only listed.
     pub output: Option<PathBuf>,
+    /// Which of its runs.
+    pub which: Which,
     /// How many runs at a time; as many as there are cores if not given.
     pub threads: Option<NonZero<usize>>,
+    /// The time between two checkpoints of a run; none if no checkpoints are written.
+    pub checkpoint_every: Option<Duration>,
     /// Whether programs read what is printed.
     pub json: bool,
+}
+
+/// Which runs of an experiment to execute.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Which {
+    /// All of them.
+    All,
+    /// Part `number` of `of`, which count from 1.
+    Part {
+        /// The number of the part.
+        number: usize,
+        /// Number of parts.
+        of: usize,
+    },
+    /// Those with these numbers, such as `17,18,40-60`.
+    Runs(String),
+}
+
+impl Which {
+    fn subset(&self, plan: &Plan) -> Result<Subset, SubsetError> {
+        match self {
+            Which::All => Ok(Subset::all(plan)),
+            Which::Part { number, of } => Subset::part(plan, *number, *of),
+            Which::Runs(text) => Subset::parse(plan, text),
+        }
+    }
+
+    /// A label of the part in a file's name; none for all runs.
+    fn label(&self) -> Option<String> {
+        match self {
+            Which::All => None,
+            Which::Part { number, of } => Some(format!("{number}-of-{of}")),
+            Which::Runs(text) => {
+                let hash = blake3::hash(text.as_bytes()).to_hex();
+                Some(format!("runs-{}", &hash[..8]))
+            }
+        }
+    }
+
+    /// The options that select it on the command line, with a space before them.
+    fn options(&self) -> String {
+        match self {
+            Which::All => String::new(),
+            Which::Part { number, of } => format!(" --part {number}/{of}"),
+            Which::Runs(text) => format!(" --runs {text}"),
+        }
+    }
+}
+
+/// Parses the part of `--part`, such as `3/40`.
+///
+/// # Errors
+///
+/// The text is not of that form.
+pub fn part(text: &str) -> Result<Which, String> {
+    let parsed = text.split_once('/').and_then(|(number, of)| {
+        let (number, of) = (number.parse().ok()?, of.parse().ok()?);
+        Some(Which::Part { number, of })
+    });
+    parsed.ok_or_else(|| "use the number of a part and how many there are, such as 3/40".to_owned())
 }
 
 /// Why there are no results, or not all.
@@ -62,6 +127,14 @@ pub enum BatchError {
         file: PathBuf,
         /// Why.
         source: PlanError,
+    },
+    /// The experiment has no such part or runs.
+    #[error("failed to select runs of {}: {source}", file.display())]
+    Subset {
+        /// The file.
+        file: PathBuf,
+        /// Why.
+        source: SubsetError,
     },
     /// The folder cannot be used.
     #[error("failed to {0}")]
@@ -89,11 +162,21 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
         file: file.clone(),
         source,
     })?;
+    let subset = options.which.subset(&plan);
+    let subset = subset.map_err(|source| BatchError::Subset {
+        file: file.clone(),
+        source,
+    })?;
     let Some(output) = &options.output else {
-        list(&plan, options.json);
+        list(&plan, &subset, options.json);
         return Ok(0);
     };
-    let mut folder = Folder::open(output, &plan)?;
+    // A part gets its name when it is complete, unless there is a folder already, such as a mount.
+    let is_there = std::fs::symlink_metadata(output).is_ok();
+    let label = options.which.label().filter(|_| !is_there);
+    let path = label.as_ref().map(|label| unfinished(output, label));
+    let path = path.unwrap_or_else(|| output.clone());
+    let mut folder = Folder::open(&path, &plan)?;
     let control = Control::new();
     let interrupted = Arc::new(AtomicBool::new(false));
     for signal in [SIGINT, SIGTERM] {
@@ -106,8 +189,14 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
     let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
     let threads = options.threads.unwrap_or_else(cores).get();
     let outcome = thread::scope(|scope| {
-        let (plan, folder, control) = (&plan, &mut folder, &control);
-        let executing = scope.spawn(move || execute(plan, folder, threads, control));
+        let (folder, control) = (&mut folder, &control);
+        let execution = Execution {
+            plan: &plan,
+            subset: &subset,
+            threads,
+            checkpoint_every: options.checkpoint_every,
+        };
+        let executing = scope.spawn(move || execute(execution, folder, control));
         let mut display = Display::new(options.json);
         while !executing.is_finished() {
             if interrupted.load(Ordering::Relaxed) {
@@ -120,23 +209,29 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
         executing.join()
     });
     let outcome = outcome.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
-    conclude(options, output, &outcome, &control.progress());
+    if label.is_some() && !outcome.is_cancelled {
+        folder.rename(output)?;
+    }
+    conclude(options, folder.path(), &outcome, &control.progress());
     Ok(if outcome.is_cancelled { INTERRUPTED } else { 0 })
 }
 
-/// Lists the runs there would be.
-fn list(plan: &Plan, is_json: bool) {
+/// Lists runs without executing them.
+fn list(plan: &Plan, subset: &Subset, is_json: bool) {
     let mut out = std::io::stdout().lock();
-    for run in plan.runs() {
+    for &index in subset.indices() {
+        let run = &plan.runs()[index];
         let point = plan.point(run);
+        let number = index + 1;
         let told = match is_json {
             true => writeln!(
                 out,
                 "{}",
-                json!({"run": run.name, "seed": run.seed, "n": point.spec.n,
-                    "informed": point.informed, "steps": point.steps})
+                json!({"number": number, "run": run.name, "seed": run.seed, "n": point.spec.n,
+                    "informed": point.informed, "steps": point.steps,
+                    "expected_secs": point.expected_secs()})
             ),
-            false => writeln!(out, "{}\t{}", run.seed, run.name),
+            false => writeln!(out, "{number}\t{}\t{}", run.seed, run.name),
         };
         if told.is_err() {
             // Nobody reads on.
@@ -227,7 +322,11 @@ fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Prog
         finished,
         faults,
         is_cancelled,
+        checkpoint_error,
     } = outcome;
+    if let Some(error) = checkpoint_error {
+        eprintln!("jostled: failed to write a checkpoint: {error}");
+    }
     let mut out = std::io::stdout().lock();
     // Whoever started it may have closed its output.
     if options.json {
@@ -265,7 +364,8 @@ fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Prog
         let _ = writeln!(out, "and {more} more: see runs.jsonl");
     }
     if *is_cancelled {
-        let (file, output) = (options.file.display(), output.display());
-        eprintln!("jostled: interrupted; `jostled run {file} -o {output}` goes on from here");
+        let (file, which) = (options.file.display(), options.which.options());
+        let output = options.output.as_deref().unwrap_or(output).display();
+        eprintln!("jostled: interrupted; `jostled run {file}{which} -o {output}` continues");
     }
 }

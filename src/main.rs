@@ -12,7 +12,7 @@ use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
 use jostled::backup::{self, BackupError, Manifest};
-use jostled::batch;
+use jostled::batch::{self, Which};
 use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
 use jostled::demo;
 use jostled::gateway::{self, GatewayError, Token};
@@ -62,6 +62,17 @@ enum Command {
             required_unless_present = "dry_run"
         )]
         output: Option<PathBuf>,
+        /// Only part K of N parts that need about the same time. Without a folder of that name, it
+        /// appears when the part is complete. `jostle results merge` merges all parts.
+        #[arg(long, value_name = "K/N", value_parser = batch::part)]
+        part: Option<Which>,
+        /// Only the runs with these numbers, which `--dry-run` lists, such as `17,18,40-60`.
+        #[arg(long, value_name = "LIST", conflicts_with = "part")]
+        runs: Option<String>,
+        /// Write a checkpoint of each run this often, such as `5m`, and when interrupted. The next
+        /// execution continues from it, with the same results.
+        #[arg(long, value_name = "DURATION", value_parser = duration, conflicts_with = "dry_run")]
+        checkpoint: Option<Duration>,
         /// Runs at a time [default: one a core].
         #[arg(long, value_name = "N")]
         threads: Option<NonZero<usize>>,
@@ -284,6 +295,9 @@ fn main() -> ExitCode {
     if let Command::Run {
         file,
         output,
+        part,
+        runs,
+        checkpoint,
         threads,
         json,
         ..
@@ -292,6 +306,8 @@ fn main() -> ExitCode {
         let options = batch::Options {
             file,
             output,
+            which: part.or(runs.map(Which::Runs)).unwrap_or(Which::All),
+            checkpoint_every: checkpoint,
             threads,
             json,
         };

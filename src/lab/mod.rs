@@ -22,10 +22,13 @@ use tracing::{info, warn};
 pub use self::error::LabError;
 use self::results::Desk;
 use self::shelf::{Shelf, Standing};
-use jostle_experiment::{Control, Folder, Outcome, Plan, Progress, execute};
+use jostle_experiment::{Control, Execution, Folder, Outcome, Plan, Progress, Subset, execute};
 
 /// The most experiments that are kept: a list of them fits a message.
 const MOST: usize = 1000;
+
+/// The time between two checkpoints of a run: as much is computed again after a crash.
+const CHECKPOINT_EVERY: Duration = Duration::from_secs(300);
 
 /// How long the end of a cancelled experiment is waited for: its runs finish the step they are at.
 const PATIENCE: Duration = Duration::from_secs(3);
@@ -499,7 +502,13 @@ impl Lab {
             let path = lab.shelf().folder(&name);
             let carried_out = catch_unwind(AssertUnwindSafe(|| {
                 let mut folder = Folder::open(&path, &plan).map_err(|it| it.to_string())?;
-                execute(&plan, &mut folder, lab.0.threads, &going).map_err(|it| it.to_string())
+                let execution = Execution {
+                    plan: &plan,
+                    subset: &Subset::all(&plan),
+                    threads: lab.0.threads,
+                    checkpoint_every: Some(CHECKPOINT_EVERY),
+                };
+                execute(execution, &mut folder, &going).map_err(|it| it.to_string())
             }));
             let outcome = carried_out.unwrap_or_else(|_| Err("a defect of the daemon".to_owned()));
             lab.ended(&name, outcome);

@@ -166,11 +166,12 @@ fn a_dry_run_lists_the_runs_and_their_seeds() {
     let plain = listed(&[]);
     assert_eq!(plain.lines().count(), RUNS);
     let name = "pi1=1 n=20 informed_fraction=0.4 contacts=endpoints #0";
-    let (seed, first) = plain.lines().next().unwrap().split_once('\t').unwrap();
-    assert_eq!(first, name);
+    let fields: Vec<&str> = plain.lines().next().unwrap().split('\t').collect();
+    let [number, seed, first] = fields.try_into().unwrap();
+    assert_eq!((number, first), ("1", name));
     let json = listed(&["--json"]);
     let first: serde_json::Value = serde_json::from_str(json.lines().next().unwrap()).unwrap();
-    assert_eq!(first["run"], name);
+    assert_eq!((&first["number"], &first["run"]), (&1.into(), &name.into()));
     assert_eq!(first["seed"].to_string(), seed);
     assert_eq!(
         (&first["informed"], &first["steps"]),

@@ -30,6 +30,7 @@ mod once;
 mod overload;
 mod page;
 mod pages;
+mod parts;
 mod process;
 mod readers;
 mod recording;

@@ -125,6 +125,18 @@ pub fn number(text: &str) -> Result<f64, String> {
     }
 }
 
+/// Reads a share above 0 and at most 1.
+///
+/// # Errors
+///
+/// What is wrong with it.
+pub fn percentage(text: &str) -> Result<f64, String> {
+    match share(text)? {
+        share if share > 0.0 && share <= 1.0 => Ok(share),
+        _ => Err(format!("`{text}` is not above 0 and at most 100%")),
+    }
+}
+
 /// Reads a share: `0.1`, or in percent `10%`.
 ///
 /// # Errors

@@ -4,6 +4,7 @@ use jostle_physics::model::body::{Body, near_pairs};
 use jostle_physics::model::{CELL, Configuration, State};
 use jostle_physics::stepper::{StepReport, Stepper};
 use jostle_results::touch::Touch;
+use serde::{Deserialize, Serialize};
 
 /// The largest gap of two bodies that count as side by side, in body sizes.
 const NEAR: f64 = 0.05;
@@ -14,7 +15,8 @@ const PARALLEL: f64 = 0.25;
 /// Time units between two counts of bodies side by side.
 const EVERY: f64 = 1.0;
 
-/// Sums over a run from which [`Touch`] is computed.
+/// Sums over a run from which [`Touch`] is computed; a checkpoint contains them.
+#[derive(Clone, Deserialize, Serialize)]
 pub struct Meter {
     /// Centroid at the start.
     from: [f64; 2],

@@ -131,7 +131,8 @@ impl Control {
         }
     }
 
-    /// Stops every run before its next step. Finished runs are kept, unfinished ones are discarded.
+    /// Stops every run before its next step. Finished runs are kept; of unfinished ones,
+    /// checkpoints if the execution writes them.
     /// A cancellation cannot be undone.
     pub fn cancel(&self) {
         let _state = self.state();

@@ -2,15 +2,17 @@
 
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver};
+use std::sync::{Mutex, PoisonError};
 use std::thread;
+use std::time::{Duration, Instant};
 
-use jostle_physics::model::ContactRule;
 use thiserror::Error;
 
-use crate::control::Control;
-use crate::folder::{Folder, FolderError};
-use crate::plan::{Plan, Point};
-use crate::run::{Finished, conduct};
+use crate::control::{Control, Watch};
+use crate::folder::{Checkpoints, Folder, FolderError};
+use crate::plan::Plan;
+use crate::run::{Finished, conduct_from};
+use crate::subset::Subset;
 
 /// Nice value of an experiment's threads, so that live swarms have priority.
 const NICENESS: i32 = 10;
@@ -43,9 +45,26 @@ pub struct Outcome {
     pub faults: Vec<(String, String)>,
     /// Whether the execution was cancelled before all runs were finished.
     pub is_cancelled: bool,
+    /// Why a checkpoint could not be written, if one could not. No result depends on it.
+    pub checkpoint_error: Option<String>,
 }
 
-/// Executes every run of `plan` that is not finished in `folder`, and writes the tables.
+/// Which runs to execute, and how.
+#[derive(Clone, Copy, Debug)]
+pub struct Execution<'a> {
+    /// The experiment.
+    pub plan: &'a Plan,
+    /// Its runs that are executed.
+    pub subset: &'a Subset,
+    /// Number of runs at a time.
+    pub threads: usize,
+    /// The time between two checkpoints of a run; none if no checkpoints are written. With it, a
+    /// cancellation writes one of every current run.
+    pub checkpoint_every: Option<Duration>,
+}
+
+/// Executes every run of a subset that is not finished in `folder`, and writes the tables of the
+/// folder. A run that has a checkpoint there continues from it.
 ///
 /// The runs with the longest expected time start first, so that threads end at about the same time.
 /// No row depends on this order or on the number of threads.
@@ -54,46 +73,53 @@ pub struct Outcome {
 ///
 /// [`ExecuteError`]. Finished runs are kept.
 pub fn execute(
-    plan: &Plan,
+    execution: Execution<'_>,
     folder: &mut Folder,
-    threads: usize,
     control: &Control,
 ) -> Result<Outcome, ExecuteError> {
+    let Execution {
+        plan,
+        subset,
+        threads,
+        ..
+    } = execution;
     let runs = plan.runs();
-    let costs: Vec<f64> = runs
+    let cost = |index: usize| plan.point(&runs[index]).expected_secs();
+    let (done, mut left): (Vec<usize>, Vec<usize>) = subset
+        .indices()
         .iter()
-        .map(|run| expected_secs(plan.point(run)))
-        .collect();
-    let is_finished: Vec<bool> = runs.iter().map(|run| folder.is_finished(run)).collect();
-    let sum = |is_counted: &dyn Fn(usize) -> bool| -> f64 {
-        let indices = (0..runs.len()).filter(|&index| is_counted(index));
-        indices.map(|index| costs[index]).sum()
-    };
-    let done = is_finished.iter().filter(|&&it| it).count();
-    let sums = [sum(&|_| true), sum(&|index| is_finished[index])];
-    control.begin(runs.len(), done, folder.faults(plan).len(), sums);
-    let mut left: Vec<usize> = (0..runs.len()).filter(|&it| !is_finished[it]).collect();
-    left.sort_by(|&one, &other| costs[other].total_cmp(&costs[one]));
+        .partition(|&&index| folder.is_finished(&runs[index]));
+    let sum = |indices: &[usize]| indices.iter().map(|&index| cost(index)).sum();
+    let costs = [sum(subset.indices()), sum(&done)];
+    let faults = folder.faults(plan, subset).len();
+    control.begin(subset.indices().len(), done.len(), faults, costs);
+    left.sort_by(|&one, &other| cost(other).total_cmp(&cost(one)));
 
     let next = AtomicUsize::new(0);
     let (finished, received) = mpsc::channel();
-    let work = |finished: mpsc::Sender<(usize, Finished)>| {
+    let checkpoints = folder.checkpoints();
+    let unwritten = Mutex::new(None);
+    let work = |finished: mpsc::Sender<Executed>| {
         // None is the calling thread. If the call is not permitted, the nice value is unchanged.
         let _ = rustix::process::setpriority_process(None, NICENESS);
         while let Some(&index) = left.get(next.fetch_add(1, Ordering::Relaxed)) {
             let run = &runs[index];
             let steps = plan.point(run).steps;
-            let watch = control.begin_run(index, &run.name, steps, costs[index]);
+            let watch = control.begin_run(index, &run.name, steps, cost(index));
             let result = match watch.go_on(0) {
-                true => conduct(plan, run, |steps| watch.go_on(steps)),
-                false => None,
+                true => execute_run(execution, index, &checkpoints, &watch, &unwritten),
+                false => Ok(None),
             };
-            let Some(result) = result else {
-                control.drop_run(index);
-                return;
+            let result = match result {
+                Ok(Some(result)) => Ok((index, result)),
+                Ok(None) => return control.drop_run(index),
+                Err(error) => Err(error),
             };
-            control.end_run(index, result.fault.is_some());
-            if finished.send((index, result)).is_err() {
+            match &result {
+                Ok((_, it)) => control.end_run(index, it.fault.is_some()),
+                Err(_) => control.drop_run(index),
+            }
+            if finished.send(result).is_err() {
                 return;
             }
         }
@@ -128,13 +154,57 @@ pub fn execute(
     if !panicked.is_empty() {
         return Err(ExecuteError::Panicked { runs: panicked });
     }
-    let finished = runs.iter().filter(|run| folder.is_finished(run)).count();
+    if folder.finished() == runs.len() {
+        checkpoints.clear();
+    }
+    let unwritten = unwritten
+        .into_inner()
+        .unwrap_or_else(PoisonError::into_inner);
+    let is_finished = |index: &&usize| folder.is_finished(&runs[**index]);
+    let finished = subset.indices().iter().filter(is_finished).count();
     Ok(Outcome {
-        runs: runs.len(),
+        runs: subset.indices().len(),
         finished,
-        faults: folder.faults(plan),
-        is_cancelled: finished < runs.len(),
+        faults: folder.faults(plan, subset),
+        is_cancelled: finished < subset.indices().len(),
+        checkpoint_error: unwritten.map(|error| error.to_string()),
     })
+}
+
+/// A run that ended, with its index in the plan, or the error of reading its checkpoint.
+type Executed = Result<(usize, Finished), FolderError>;
+
+/// Executes a run from its last checkpoint. The result is none if the execution was cancelled. The
+/// last error of writing a checkpoint is stored in `unwritten`, and the run goes on.
+fn execute_run(
+    execution: Execution<'_>,
+    index: usize,
+    checkpoints: &Checkpoints,
+    watch: &Watch<'_>,
+    unwritten: &Mutex<Option<FolderError>>,
+) -> Result<Option<Finished>, FolderError> {
+    let Execution {
+        plan,
+        checkpoint_every,
+        ..
+    } = execution;
+    let checkpoint = checkpoints.read(index)?;
+    let mut last = Instant::now();
+    Ok(conduct_from(
+        plan,
+        &plan.runs()[index],
+        checkpoint,
+        |current| {
+            let goes_on = watch.go_on(current.steps());
+            if checkpoint_every.is_some_and(|every| !goes_on || last.elapsed() >= every) {
+                if let Err(error) = checkpoints.write(index, &current.checkpoint()) {
+                    *unwritten.lock().unwrap_or_else(PoisonError::into_inner) = Some(error);
+                }
+                last = Instant::now();
+            }
+            goes_on
+        },
+    ))
 }
 
 /// Appends finished runs to the folder, in batches of all runs received so far, until all threads
@@ -142,40 +212,29 @@ pub fn execute(
 fn write_finished(
     plan: &Plan,
     folder: &mut Folder,
-    received: &Receiver<(usize, Finished)>,
+    received: &Receiver<Executed>,
 ) -> Result<(), FolderError> {
     while let Ok(first) = received.recv() {
-        let batch = [first].into_iter().chain(received.try_iter()).collect();
+        let mut batch = Vec::new();
+        let mut failed = Ok(());
+        for executed in [first].into_iter().chain(received.try_iter()) {
+            match executed {
+                Ok(finished) => batch.push(finished),
+                Err(error) => failed = Err(error),
+            }
+        }
         folder.append(plan, batch)?;
+        failed?;
     }
     Ok(())
-}
-
-/// Estimates the time of a run, in seconds of one core.
-///
-/// Only the order of the runs and the reported progress depend on it. Measured for n from 3 to 74,
-/// π1 from 1 to 8, and the rules `endpoints` and `closest`: correct within a factor of 2, and
-/// within 3 for small or round bodies under `closest`, whose longer steps have more contacts.
-fn expected_secs(point: &Point) -> f64 {
-    let n = point.spec.n as f64;
-    let parameters = &point.spec.parameters;
-    let step = 0.5 + 0.2 * n + 0.003 * n * n;
-    let rule_factor = match parameters.contacts {
-        ContactRule::Closest if parameters.pi1 > 1.0 => 1.0 + n / 20.0,
-        _ => 1.0,
-    };
-    let programs = if parameters.relinearise { 2.0 } else { 1.0 };
-    point.steps as f64 * 1e-6 * step * rule_factor * programs
 }
 
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
+    use jostle_results::Measure;
     use std::fs;
     use std::path::Path;
-    use std::time::{Duration, Instant};
-
-    use jostle_results::Measure;
 
     use super::*;
 
@@ -186,12 +245,22 @@ mod tests {
         fs::read(folder.join("results.csv")).unwrap()
     }
 
+    fn execute_all(plan: &Plan, folder: &mut Folder, threads: usize, control: &Control) -> Outcome {
+        let execution = Execution {
+            plan,
+            subset: &Subset::all(plan),
+            threads,
+            checkpoint_every: None,
+        };
+        execute(execution, folder, control).unwrap()
+    }
+
     /// Executes `plan` in a new folder and returns the bytes of its table.
     fn executed(plan: &Plan, threads: usize) -> Vec<u8> {
         let directory = tempfile::tempdir().unwrap();
         let mut folder = Folder::open(directory.path(), plan).unwrap();
         let control = Control::new();
-        let outcome = execute(plan, &mut folder, threads, &control).unwrap();
+        let outcome = execute_all(plan, &mut folder, threads, &control);
         assert_eq!((outcome.runs, outcome.finished), (12, 12));
         assert!(outcome.faults.is_empty() && !outcome.is_cancelled);
         let progress = control.progress();
@@ -229,7 +298,7 @@ mod tests {
         control.pause();
         let outcome = thread::scope(|scope| {
             let (plan, folder, control) = (&plan, &mut folder, &control);
-            let executing = scope.spawn(move || execute(plan, folder, 2, control).unwrap());
+            let executing = scope.spawn(move || execute_all(plan, folder, 2, control));
             // Paused before the execution started: no run takes a step.
             wait_until("two runs", || control.progress().running.len() == 2);
             assert_eq!(control.progress().share, 0.0);
@@ -257,7 +326,7 @@ mod tests {
         assert_eq!(rows, outcome.finished);
 
         let control = Control::new();
-        let outcome = execute(&plan, &mut folder, 1, &control).unwrap();
+        let outcome = execute_all(&plan, &mut folder, 1, &control);
         assert_eq!((outcome.finished, outcome.is_cancelled), (12, false));
         assert_eq!(table(directory.path()), executed(&plan, 1));
     }
@@ -271,7 +340,7 @@ mod tests {
         let directory = tempfile::tempdir().unwrap();
         let mut folder = Folder::open(directory.path(), &plan).unwrap();
         let control = Control::new();
-        let outcome = execute(&plan, &mut folder, 2, &control).unwrap();
+        let outcome = execute_all(&plan, &mut folder, 2, &control);
         assert!(!outcome.faults.is_empty(), "no run ended early");
         assert_eq!(control.progress().faulted, outcome.faults.len());
         let (name, reason) = &outcome.faults[0];

@@ -8,11 +8,13 @@
 //! - `order/`, in folders of earlier versions, which stored the order over time there;
 //! - the tables, written from these: `results.parquet`, `results.csv`, `order.parquet` and
 //!   `touch.csv`;
+//! - `checkpoints/`, from which unfinished runs continue;
 //! - `lock`, which a process that writes to the folder holds exclusively.
 
 use std::collections::BTreeMap;
+use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Read as _, Seek as _, SeekFrom, Write as _};
+use std::io::{self, BufWriter, Read as _, Seek as _, SeekFrom, Write as _};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
 
@@ -25,11 +27,16 @@ use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 use serde::{Deserialize, Serialize};
 
+pub use self::checkpoints::Checkpoints;
 pub use self::error::FolderError;
+pub use self::part::{Part, parts_in};
 use crate::plan::{Plan, PlannedRun};
 use crate::run::Finished;
+use crate::subset::Subset;
 
+mod checkpoints;
 mod error;
+mod part;
 
 const EXPERIMENT: &str = "experiment.toml";
 const RUNS: &str = "runs.jsonl";
@@ -174,6 +181,12 @@ impl Folder {
         &self.path
     }
 
+    /// Returns the row of a run; none if it is not finished or ended before its first step.
+    #[must_use]
+    pub fn row(&self, run: &str) -> Option<&ResultRow> {
+        self.finished.get(run)?.record.row.as_ref()
+    }
+
     /// Returns whether a run is finished.
     #[must_use]
     pub fn is_finished(&self, run: &PlannedRun) -> bool {
@@ -186,10 +199,17 @@ impl Folder {
         rows(plan, &self.finished)
     }
 
-    /// Returns the names of the runs that ended early, each with its reason, in the plan's order.
+    /// Returns the checkpoints of its unfinished runs.
     #[must_use]
-    pub fn faults(&self, plan: &Plan) -> Vec<(String, String)> {
-        let records = plan.runs().iter().map(|run| self.finished.get(&run.name));
+    pub fn checkpoints(&self) -> Checkpoints {
+        Checkpoints::of(&self.path)
+    }
+
+    /// Returns the names of the runs of a subset that ended early, each with its reason.
+    #[must_use]
+    pub fn faults(&self, plan: &Plan, subset: &Subset) -> Vec<(String, String)> {
+        let runs = subset.indices().iter().map(|&index| &plan.runs()[index]);
+        let records = runs.map(|run| self.finished.get(&run.name));
         let faults = records.flatten().filter_map(|Entry { record, .. }| {
             let fault = record.fault.as_ref()?;
             Some((record.run.clone(), fault.clone()))
@@ -209,6 +229,7 @@ impl Folder {
     ) -> Result<(), FolderError> {
         let mut lines = Vec::new();
         let mut entries = Vec::with_capacity(batch.len());
+        let indices: Vec<usize> = batch.iter().map(|(index, _)| *index).collect();
         for (index, finished) in batch {
             let record = Record {
                 run: plan.runs()[index].name.clone(),
@@ -238,7 +259,66 @@ impl Folder {
         }
         self.length += lines.len() as u64;
         self.finished.extend(entries);
+        let checkpoints = self.checkpoints();
+        indices
+            .into_iter()
+            .for_each(|index| checkpoints.remove(index));
         Ok(())
+    }
+
+    /// Appends lines that were copied from other folders of the plan, and parses all lines again.
+    /// They are durable on return.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError`]. The caller must discard the folder.
+    pub fn append_copies(
+        &mut self,
+        plan: &Plan,
+        lines: impl Iterator<Item = Result<Vec<u8>, FolderError>>,
+    ) -> Result<(), FolderError> {
+        let path = self.path.join(RUNS);
+        let fail = |source| io_error(&path, source);
+        let mut writer = BufWriter::new(&self.runs);
+        for line in lines {
+            writer.write_all(&line?).map_err(fail)?;
+        }
+        writer.flush().map_err(fail)?;
+        drop(writer);
+        self.runs.sync_data().map_err(fail)?;
+        let bytes = fs::read(&path).map_err(fail)?;
+        (self.finished, self.length) = parse_runs(&self.path, plan, &bytes)?;
+        Ok(())
+    }
+
+    /// Returns the number of finished runs.
+    #[must_use]
+    pub fn finished(&self) -> usize {
+        self.finished.len()
+    }
+
+    /// Removes a folder that no process writes to, with everything in it.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError::InUse`] and [`FolderError::Io`].
+    pub fn discard(path: &Path) -> Result<(), FolderError> {
+        let _lock = lock(path)?;
+        fs::remove_dir_all(path).map_err(|source| io_error(path, source))
+    }
+
+    /// Renames the folder to `path`, where there must be no file and no folder but an empty one. The
+    /// new name is durable on return. Remaining checkpoints are removed.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError::Io`]. The folder keeps its name, unless only the sync of the parent failed.
+    pub fn rename(&mut self, path: &Path) -> Result<(), FolderError> {
+        self.checkpoints().clear();
+        sync_folder(&self.path)?;
+        fs::rename(&self.path, path).map_err(|source| io_error(path, source))?;
+        path.clone_into(&mut self.path);
+        sync_folder(parent(path))
     }
 
     /// Writes the tables of the finished runs, in the plan's order.
@@ -453,6 +533,24 @@ fn read_or_empty(path: &Path) -> Result<Vec<u8>, FolderError> {
 fn sync_folder(path: &Path) -> Result<(), FolderError> {
     let synced = File::open(path).and_then(|folder| folder.sync_all());
     synced.map_err(|source| io_error(path, source))
+}
+
+/// Returns where the folder `path` is written before it is renamed: beside it, with a name that
+/// patterns such as `part-*` do not match. `label` distinguishes what is written.
+#[must_use]
+pub fn unfinished(path: &Path, label: &str) -> PathBuf {
+    let mut name = OsString::from(jostle_atomic_file::PREFIX);
+    name.push(path.file_name().unwrap_or(OsStr::new("results")));
+    name.push(format!(".{label}"));
+    parent(path).join(name)
+}
+
+/// Returns the folder that contains `path`.
+fn parent(path: &Path) -> &Path {
+    match path.parent() {
+        Some(parent) if !parent.as_os_str().is_empty() => parent,
+        _ => Path::new("."),
+    }
 }
 
 fn io_error(path: &Path, source: io::Error) -> FolderError {

@@ -1,19 +1,21 @@
 //! One run, from its start to its row in the table of results.
 
+use jostle_physics::model::State;
 use jostle_physics::model::selection::{Candidates, Selection, select};
-use jostle_physics::model::{ContactRule, State, body};
-use jostle_physics::observables::intervals::Intervals;
-use jostle_physics::observables::{self, CommonDirection, Order, RunningMeans};
-use jostle_physics::stepper::{StepReport, Stepper};
+use jostle_physics::simulation::{self, ChangeError};
+use jostle_physics::stepper::Stepper;
+use jostle_results::ResultRow;
 use jostle_results::table::OrderSeries;
 use jostle_results::touch::Touch;
-use jostle_results::{Measure, ResultRow};
 
 use crate::contact_events::Meter;
 use crate::plan::{Plan, PlannedRun};
-use jostle_convert::hexadecimal;
-use jostle_physics::simulation;
-use jostle_physics::simulation::ChangeError;
+
+pub use self::checkpoint::RunCheckpoint;
+use self::measures::Measures;
+
+mod checkpoint;
+mod measures;
 
 /// The number of the first command after `create`, which is part of the key of a selection's draw.
 /// A swarm that is created with the seed of a run and whose first command is `inform` with the same
@@ -36,6 +38,16 @@ pub struct Finished {
     pub touch: Option<Touch>,
 }
 
+/// A run between two steps.
+pub struct CurrentRun<'a> {
+    plan: &'a Plan,
+    run: &'a PlannedRun,
+    state: State,
+    stepper: Stepper,
+    measures: Measures,
+    meter: Option<Meter>,
+}
+
 /// Executes one run. The result depends only on the plan and the run.
 ///
 /// After every step `go_on` is called with the number of steps taken. If it returns false, the run
@@ -45,9 +57,24 @@ pub fn conduct(
     run: &PlannedRun,
     mut go_on: impl FnMut(u64) -> bool,
 ) -> Option<Finished> {
-    let steps = plan.point(run).steps;
-    let mut state = match start(plan, run) {
-        Ok(state) => state,
+    conduct_from(plan, run, None, |current| go_on(current.steps()))
+}
+
+/// As [`conduct`], from a checkpoint of the run if there is one, with the same result as from the
+/// start.
+pub fn conduct_from(
+    plan: &Plan,
+    run: &PlannedRun,
+    checkpoint: Option<RunCheckpoint>,
+    mut go_on: impl FnMut(&CurrentRun<'_>) -> bool,
+) -> Option<Finished> {
+    let resumed = checkpoint.and_then(|checkpoint| CurrentRun::resume(plan, run, checkpoint));
+    let current = match resumed {
+        Some(current) => Ok(current),
+        None => CurrentRun::start(plan, run),
+    };
+    let mut current = match current {
+        Ok(current) => current,
         Err(error) => {
             return Some(Finished {
                 fault: Some(error.to_string()),
@@ -55,36 +82,64 @@ pub fn conduct(
             });
         }
     };
-    let mut stepper = Stepper::new();
-    let mut measures = Measures::new(plan, &state);
-    let mut meter = plan.touch.then(|| Meter::new(&state));
+    let steps = plan.point(run).steps;
     let mut fault = None;
-    while state.step < steps {
-        match stepper.step(&mut state) {
-            Ok(report) => {
-                measures.add(stepper.headings(), &report);
-                if let Some(meter) = &mut meter {
-                    meter.add(&stepper, &report, &state);
-                }
-            }
-            Err(error) => {
-                fault = Some(format!("step {}: {error}", state.step));
-                break;
-            }
+    while current.steps() < steps {
+        if let Err(reason) = current.step() {
+            fault = Some(reason);
+            break;
         }
-        if !go_on(state.step) {
+        if !go_on(&current) {
             return None;
         }
     }
-    let (row, series) = measures.conclude(plan, run, &state);
-    let touch = row.as_ref().zip(meter);
-    let touch = touch.and_then(|(row, meter)| meter.conclude(&run.name, &row.contacts, &state));
-    Some(Finished {
-        row,
-        fault,
-        series,
-        touch,
-    })
+    Some(current.conclude(fault))
+}
+
+impl<'a> CurrentRun<'a> {
+    fn start(plan: &'a Plan, run: &'a PlannedRun) -> Result<Self, ChangeError> {
+        let state = start(plan, run)?;
+        Ok(Self {
+            plan,
+            run,
+            measures: Measures::new(plan, &state),
+            meter: plan.touch.then(|| Meter::new(&state)),
+            state,
+            stepper: Stepper::new(),
+        })
+    }
+
+    /// Returns the number of steps taken.
+    #[must_use]
+    pub fn steps(&self) -> u64 {
+        self.state.step
+    }
+
+    /// Takes a step. The error is the reason of a fault.
+    fn step(&mut self) -> Result<(), String> {
+        let report = match self.stepper.step(&mut self.state) {
+            Ok(report) => report,
+            Err(error) => return Err(format!("step {}: {error}", self.state.step)),
+        };
+        self.measures.add(self.stepper.headings(), &report);
+        if let Some(meter) = &mut self.meter {
+            meter.add(&self.stepper, &report, &self.state);
+        }
+        Ok(())
+    }
+
+    fn conclude(self, fault: Option<String>) -> Finished {
+        let (row, series) = self.measures.conclude(self.plan, self.run, &self.state);
+        let touch = row.as_ref().zip(self.meter);
+        let touch = touch
+            .and_then(|(row, meter)| meter.conclude(&self.run.name, &row.contacts, &self.state));
+        Finished {
+            row,
+            fault,
+            series,
+            touch,
+        }
+    }
 }
 
 /// Returns the initial state of a run, with its informed individuals.
@@ -112,147 +167,15 @@ pub fn start(plan: &Plan, run: &PlannedRun) -> Result<State, ChangeError> {
     Ok(state)
 }
 
-/// Measurements of a run, of the state before each step.
-struct Measures {
-    /// The common direction of the informed individuals.
-    common_direction: Option<CommonDirection>,
-    means: RunningMeans,
-    intervals: Intervals,
-    /// The worst gap of two bodies, at most 0.
-    worst_gap: f64,
-    /// Steps that started with crossed axes.
-    crossed: u64,
-    worst_residual: f64,
-    degraded: u64,
-    fallbacks: u64,
-    order_every: Option<u64>,
-    series: OrderSeries,
-}
-
-impl Measures {
-    fn new(plan: &Plan, state: &State) -> Self {
-        Self {
-            // The set of informed individuals does not change during a run.
-            common_direction: observables::common_direction(&state.configuration),
-            means: RunningMeans::default(),
-            intervals: Intervals::default(),
-            worst_gap: 0.0,
-            crossed: 0,
-            worst_residual: 0.0,
-            degraded: 0,
-            fallbacks: 0,
-            order_every: plan.order_every,
-            series: OrderSeries::default(),
-        }
-    }
-
-    /// Adds a step; `headings` are the n unit vectors before it.
-    fn add(&mut self, headings: &[[f64; 2]], report: &StepReport) {
-        let order = observables::order_of(headings.iter().copied(), self.common_direction);
-        if self
-            .order_every
-            .is_some_and(|every| self.means.count.is_multiple_of(every))
-        {
-            self.record(&order);
-        }
-        self.means.add(&order);
-        self.intervals.add(order.order);
-        if let Some(gap) = report.worst_gap {
-            self.worst_gap = self.worst_gap.min(gap);
-        }
-        self.crossed += u64::from(report.crossed > 0);
-        self.worst_residual = self.worst_residual.max(report.residual);
-        self.degraded += u64::from(report.degraded);
-        self.fallbacks += u64::from(report.fallback > 0);
-    }
-
-    /// Adds an entry to the time series.
-    fn record(&mut self, order: &Order) {
-        self.series.steps.push(self.means.count);
-        self.series.orders.push(order.order);
-        self.series.drifts.extend(order.drift);
-    }
-
-    /// Returns the row and the time series; `state` is the last state.
-    fn conclude(
-        mut self,
-        plan: &Plan,
-        run: &PlannedRun,
-        state: &State,
-    ) -> (Option<ResultRow>, Option<OrderSeries>) {
-        let State {
-            parameters,
-            configuration,
-            step,
-            ..
-        } = state;
-        let series = self.order_every.map(|every| {
-            if step.is_multiple_of(every) {
-                self.record(&observables::order(configuration));
-            }
-            let steps = self.series.steps.iter();
-            self.series.times = steps.map(|&step| step as f64 * parameters.dt).collect();
-            self.series.run.clone_from(&run.name);
-            std::mem::take(&mut self.series)
-        });
-        let last = body::gaps(parameters, configuration);
-        let mut worst_gap = self.worst_gap.min(last.worst_gap.unwrap_or(0.0));
-        if self.crossed > 0 {
-            // Bodies with crossed axes overlap by a width, whatever the gaps of their contacts are.
-            worst_gap = worst_gap.min(-2.0 * parameters.radius());
-        }
-        let taken = *step as f64;
-        let time_of = |steps: u64| (steps as f64 * parameters.dt).into();
-        let row = self.means.mean_order().map(|v| ResultRow {
-            run: run.name.clone(),
-            seed: run.seed,
-            n: configuration.n() as u64,
-            pi1: parameters.pi1,
-            pi2: parameters.pi2,
-            pi3: parameters.pi3,
-            pi4: parameters.pi4,
-            informed: plan.point(run).informed as u64,
-            contacts: match parameters.contacts {
-                ContactRule::Endpoints => "endpoints",
-                ContactRule::Closest => "closest",
-                ContactRule::Clamped => "clamped",
-            }
-            .to_owned(),
-            dt: parameters.dt,
-            time: state.time(),
-            measures: vec![
-                (Measure::V, v.into()),
-                (Measure::V_PD, self.means.mean_drift().into()),
-                (Measure::ORDERED_INTERVALS, self.intervals.ordered.into()),
-                (Measure::ORDERED_TIME, time_of(self.intervals.ordered_steps)),
-                (
-                    Measure::UNORDERED_INTERVALS,
-                    self.intervals.unordered.into(),
-                ),
-                (
-                    Measure::UNORDERED_TIME,
-                    time_of(self.intervals.unordered_steps),
-                ),
-                (Measure::WORST_OVERLAP, (0.0 - worst_gap).into()),
-                (Measure::CROSSED_SHARE, (self.crossed as f64 / taken).into()),
-                (Measure::WORST_RESIDUAL, self.worst_residual.into()),
-                (Measure::DEGRADED, self.degraded.into()),
-                (Measure::FALLBACKS, self.fallbacks.into()),
-            ],
-            steps: *step,
-            state_hash: hexadecimal(&state.hash()),
-        });
-        (row, series)
-    }
-}
-
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use jostle_convert::hexadecimal;
+    use jostle_physics::model::body;
     use jostle_physics::simulation::Change;
     use jostle_physics::simulation::Simulation;
-    use jostle_results::Cell;
+    use jostle_results::{Cell, Measure};
 
     fn plan(rest: &str) -> Plan {
         Plan::parse(&format!("name = \"a\"\n{rest}")).unwrap()

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand, ValueHint};
 use clap_complete::engine::ArgValueCompleter;
 
-use crate::arguments::SenderArguments;
+use crate::arguments::{PlanArguments, SenderArguments};
 use crate::completion;
 use crate::values;
 
@@ -23,6 +23,8 @@ pub struct ExperimentArguments {
 pub enum Experiment {
     /// Has the daemon carry out an experiment, and shows how far it is; Ctrl-C only stops showing
     Run(RunExperimentArguments),
+    /// Splits an experiment into parts that several machines execute, without a daemon
+    Plan(PlanArguments),
     /// Lists experiments and how far they are
     List,
     /// Shows how far an experiment is
@@ -45,7 +47,7 @@ impl Experiment {
     /// The experiment that it is about, if that is on the daemon already.
     pub fn name(&self) -> Option<&str> {
         match self {
-            Experiment::Run(_) | Experiment::List => None,
+            Experiment::Run(_) | Experiment::Plan(_) | Experiment::List => None,
             Experiment::Status(arguments) | Experiment::Attach(arguments) => Some(&arguments.name),
             Experiment::Pause(arguments)
             | Experiment::Resume(arguments)

@@ -87,7 +87,9 @@ pub struct GlobalArguments {
 /// Whether an option has an effect on a verb, such as `experiment list`.
 fn has_effect(option: &str, verb: &str) -> bool {
     match verb {
-        "completions" | "man" | "claims" => !CONNECTION.contains(&option),
+        "completions" | "man" | "claims" | "results merge" | "experiment plan" => {
+            !CONNECTION.contains(&option)
+        }
         "auth link" => option != "json",
         verb => option != "node" || OF_A_DAEMON.contains(&verb),
     }

@@ -6,6 +6,7 @@ mod copies;
 mod experiment;
 mod global;
 mod looking;
+mod parts;
 mod recording;
 mod replay;
 mod sending;
@@ -19,6 +20,7 @@ pub use self::copies::*;
 pub use self::experiment::*;
 pub use self::global::*;
 pub use self::looking::*;
+pub use self::parts::*;
 pub use self::recording::*;
 pub use self::replay::*;
 pub use self::sending::*;
@@ -143,6 +145,8 @@ pub enum Verb {
     Auth(AuthArguments),
     /// Carries out experiments: grids of runs, on the daemon, whether anybody looks on or not
     Experiment(ExperimentArguments),
+    /// Merges results of experiments that several machines executed
+    Results(ResultsVerbArguments),
     /// Draws a figure of the paper from results, or swarms as they are
     Figure(FigureArguments),
     /// Holds results against the paper's claims, or against the bands of earlier ones

@@ -254,6 +254,14 @@ pub enum Failure {
     /// A table or a picture cannot be made.
     #[error("{0}")]
     Results(String),
+    /// Parts of an experiment cannot be merged.
+    #[error("{message}")]
+    Merge {
+        /// The kind of error.
+        code: &'static str,
+        /// Why.
+        message: String,
+    },
     /// The results were measured, and lie outside their bands.
     #[error("{outside} of {count} means lie outside their bands")]
     OutsideBands {
@@ -376,7 +384,9 @@ impl Failure {
             Failure::Interrupted { .. } | Failure::Declined => "interrupted",
             Failure::Pipe => "broken_pipe",
             Failure::DiskFull { .. } => "storage_full",
-            Failure::Unwell { code, .. } | Failure::Unfinished { code, .. } => code,
+            Failure::Unwell { code, .. }
+            | Failure::Unfinished { code, .. }
+            | Failure::Merge { code, .. } => code,
             Failure::Results(_) => "invalid_argument",
             Failure::Unreadable { .. }
             | Failure::File { .. }

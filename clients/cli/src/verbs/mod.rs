@@ -16,6 +16,7 @@ mod look;
 mod lookout;
 mod record;
 mod replay;
+mod results;
 mod run;
 mod schema;
 mod shell;
@@ -30,7 +31,9 @@ use jostle_proto::Reply;
 use jostle_proto::verbs::Scheduled;
 use serde::de::DeserializeOwned;
 
-use crate::arguments::{Arguments, GlobalArguments, RecordArguments, Verb};
+use crate::arguments::{
+    Arguments, Experiment, ExperimentArguments, GlobalArguments, RecordArguments, Verb,
+};
 use crate::bus::{Answer, Bus};
 use crate::failure::Failure;
 use crate::format;
@@ -51,6 +54,10 @@ pub async fn execute(arguments: Arguments, output: Output) -> Result<(), Failure
         Verb::Completions(arguments) => return shell::completions(output, &arguments),
         Verb::Man(arguments) => return shell::man(output, &arguments),
         Verb::Claims(arguments) => return claims::judge(output, &arguments),
+        Verb::Results(arguments) => return results::results(output, &arguments.what),
+        Verb::Experiment(ExperimentArguments {
+            what: Experiment::Plan(arguments),
+        }) => return experiment::plan(output, &arguments),
         Verb::Doctor => return interrupt::either(doctor::doctor(output, global)).await,
         Verb::Record(RecordArguments {
             recover: Some(file),
@@ -138,6 +145,7 @@ async fn once(bus: &Bus, output: Output, verb: Verb) -> Result<(), Failure> {
         | Verb::Record(_)
         | Verb::Experiment(_)
         | Verb::Claims(_)
+        | Verb::Results(_)
         | Verb::Doctor
         | Verb::Completions(_)
         | Verb::Man(_) => {

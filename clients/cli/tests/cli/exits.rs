@@ -38,7 +38,15 @@ const LISTS_ERRORS: &str = "nodes";
 const WAITS_FOR_THE_DAEMON: &str = "verify";
 
 /// What sends nothing to a daemon, or nothing in the form that the table has.
-const LOCAL: [&str; 5] = ["auth link", "claims", "completions", "jostle", "man"];
+const LOCAL: [&str; 7] = [
+    "auth link",
+    "claims",
+    "completions",
+    "experiment plan",
+    "jostle",
+    "man",
+    "results merge",
+];
 
 /// Forms of verbs that send other requests than the first row of the verb.
 const FORMS: [&str; 7] = [

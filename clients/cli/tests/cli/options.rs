@@ -15,7 +15,7 @@ use tokio::task::JoinSet;
 use crate::support::{Daemon, Ended, Running};
 
 /// A command line for each verb, with a verb of its own where it has any. `{}` is a folder.
-const LINES: [&str; 49] = [
+const LINES: [&str; 51] = [
     "auth can pause",
     "auth link",
     "auth whoami",
@@ -33,6 +33,7 @@ const LINES: [&str; 49] = [
     "experiment delete nothing",
     "experiment list",
     "experiment pause nothing",
+    "experiment plan {}/order.toml",
     "experiment results nothing",
     "experiment resume nothing",
     "experiment run {}/order.toml --detach",
@@ -53,6 +54,7 @@ const LINES: [&str; 49] = [
     "replay --recording nothing",
     "reset demo",
     "restore {}/demo.snapshot restored",
+    "results merge {}/nothing -o {}/merged",
     "run demo --until-step 1000000 --rate 1",
     "schema step.args",
     "seek demo --step 1",

@@ -90,6 +90,7 @@ from ._messages import (
 )
 from ._metrics import Metrics, RecordingMetrics, StoreMetrics, SwarmMetrics
 from ._node import Hello, Limits, NodeStatus, Schemas, SwarmSummary
+from ._objective import Objective
 from ._recording import RecordedFrame, Recording, read_recording
 from ._recordings import RecordingFormat, RecordingPhase, RecordingStatus
 from ._results import ExperimentPhase, OrderSeries, Progress, ResultRow, RunUnderWay
@@ -99,6 +100,7 @@ from ._spec import Disc, Given, Spec
 from ._state import State
 from ._stream import Stream
 from ._swarm import Swarm
+from ._sweep import Sweep, sweep
 from ._view import View
 
 __all__ = [
@@ -144,6 +146,7 @@ __all__ = [
     "News",
     "NodeStatus",
     "NotFound",
+    "Objective",
     "OnTimeout",
     "Options",
     "Order",
@@ -188,6 +191,7 @@ __all__ = [
     "Swarm",
     "SwarmMetrics",
     "SwarmSummary",
+    "Sweep",
     "Unavailable",
     "Uninform",
     "Verified",
@@ -205,5 +209,6 @@ __all__ = [
     "local",
     "poses",
     "read_recording",
+    "sweep",
     "within",
 ]

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Self
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,11 +23,10 @@ from ._errors import (
     JostleError,
     Unavailable,
 )
-from ._extras import need
 from ._link import Link
 from ._progress import Bar
 from ._reading import read_map, read_reply
-from ._results import ExperimentResult, OrderSeries, Progress, ResultRow, ResultsPage
+from ._results import ExperimentResult, OrderSeries, Progress, ResultRow, ResultsPage, of_rows
 from ._show import Listed, trouble
 
 if TYPE_CHECKING:
@@ -160,13 +158,7 @@ class Experiment:
         Raises:
             ImportError: pandas is missing; `pip install jostle[pandas]` brings it.
         """
-        pd = need("pandas", "pandas")
-        columns = ResultRow.__struct_fields__
-        frame: pandas.DataFrame = pd.DataFrame(
-            [msgspec.structs.astuple(row) for row in self.rows()], columns=columns
-        )
-        # Of no number at all pandas would make a column of objects.
-        return frame.astype({"v_pd": "float64"})
+        return of_rows(self.rows())
 
     def order(self, run: str) -> OrderSeries:
         """The order of one run over time, if the experiment measures it.

@@ -21,6 +21,7 @@ from . import _cancel, _program
 from ._arguments import check_seconds
 from ._client import Client, open_link
 from ._errors import InvalidArgument, Unavailable
+from ._keeper import kept
 from ._link import Link
 from ._progress import Bar
 
@@ -36,25 +37,6 @@ _OWN = {
     "data_dir": "is what `folder` says",
     "prefix": "is of no use to a daemon that nobody else knows of",
 }
-
-# The shell becomes the daemon. What it leaves behind reads from a pipe that this process holds: it
-# ends when this process does, however that comes about, and then the daemon is ended, too. What
-# the kernel offers for this is tied to the thread that started the daemon, and Linux's alone.
-_KEEPER = """
-exec 3<&0 </dev/null
-folder=$1
-shift
-(
-  exec >/dev/null 2>&1
-  read -r _ <&3 && exit
-  kill -TERM $$
-  tries=100
-  while kill -0 $$ && [ $tries -gt 0 ]; do sleep 0.1; tries=$((tries - 1)); done
-  kill -KILL $$
-  [ -z "$folder" ] || rm -rf -- "$folder"
-) &
-exec "$@" 3<&-
-"""
 
 
 def local(
@@ -218,13 +200,13 @@ class Daemon:
         """Starts it and returns its endpoint."""
         folder = str(self.folder)
         where = ["--listen", "tcp/127.0.0.1:0", "--data-dir", folder]
-        keep = ["/bin/sh", "-c", _KEEPER, "jostled", folder if self._is_temporary else ""]
+        command = [command[0], "serve", *where, *command[1:]]
         stdin, self._held = os.pipe()
         try:
             with self.log.open("ab") as log:
                 written = log.tell()
                 self._process = subprocess.Popen(
-                    [*keep, command[0], "serve", *where, *command[1:]],
+                    kept(command, folder if self._is_temporary else ""),
                     stdin=stdin,
                     stdout=subprocess.PIPE,
                     stderr=log,

@@ -49,6 +49,19 @@ def find(named: str | os.PathLike[str] | None) -> str:
     raise _unavailable(f"there is no {os.fspath(named)!r}")
 
 
+def beside(jostled: str, name: str) -> str:
+    """Returns the path of another program in the folder of `jostled`, or on the `PATH`.
+
+    Raises:
+        Unavailable: There is none.
+    """
+    path = Path(jostled).with_name(name)
+    found = str(path) if os.access(path, os.X_OK) else shutil.which(name)
+    if found is None:
+        raise _unavailable(f"no `{name}` is beside {jostled} or on the PATH")
+    return found
+
+
 def _installed() -> Path | None:
     """The path of the program in the installation of this package; None if it has none."""
     package = Path(__file__).resolve().parent

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from ._extras import need
 from ._show import Shown, bar
+
+if TYPE_CHECKING:
+    import pandas
 
 ExperimentPhase = Literal["queued", "running", "paused", "finished", "cancelled", "failed"]
 """What an experiment is doing."""
@@ -150,6 +155,20 @@ class ResultRow(Shown, frozen=True, kw_only=True):
     fallbacks: int
     steps: int
     state_hash: str
+
+
+def of_rows(rows: Sequence[ResultRow]) -> pandas.DataFrame:
+    """Rows as a table of pandas.
+
+    Raises:
+        ImportError: pandas is missing; `pip install jostle[pandas]` installs it.
+    """
+    pd = need("pandas", "pandas")
+    table: pandas.DataFrame = pd.DataFrame(
+        [msgspec.structs.astuple(row) for row in rows], columns=ResultRow.__struct_fields__
+    )
+    # Without any number the column would be one of objects.
+    return table.astype({"v_pd": "float64"})
 
 
 class ResultsPage(msgspec.Struct, frozen=True, kw_only=True):

@@ -18,7 +18,8 @@ pub struct Intervals {
     pub unordered: u64,
     /// Number of steps in unordered intervals.
     pub unordered_steps: u64,
-    last: Option<bool>,
+    /// Whether the last step was ordered; none before the first.
+    pub last: Option<bool>,
 }
 
 impl Intervals {

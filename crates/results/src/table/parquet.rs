@@ -1,7 +1,7 @@
 //! Parquet tables, for data frames.
 
 use std::fs::File;
-use std::io::Write;
+use std::io::{self, Write};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -202,6 +202,11 @@ pub fn rows(group: &dyn RowGroupReader) -> usize {
 }
 
 fn malformed(path: &Path, error: &ParquetError) -> TableError {
+    if let ParquetError::External(inner) = error
+        && let Some(system) = inner.downcast_ref::<io::Error>()
+    {
+        return io_error(path, io::Error::new(system.kind(), system.to_string()));
+    }
     TableError::Malformed {
         path: path.to_owned(),
         reason: error.to_string(),

@@ -1,7 +1,11 @@
 //! `experiment`: grids of runs on the daemon, which goes on whether anybody looks on or not.
 
 mod attach;
+mod plan;
 mod results;
+mod slurm;
+
+pub use self::plan::plan;
 
 use jostle_proto::{
     ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult, Experiments, NodeReply,
@@ -38,6 +42,7 @@ async fn carry_out(bus: &Bus, output: Output, what: &Experiment) -> Result<(), F
     match what {
         Experiment::Run(arguments) => run(bus, output, arguments).await,
         Experiment::Attach(arguments) => attach::attach(bus, output, &arguments.name).await,
+        Experiment::Plan(_) => unreachable!("it needs no daemon"),
         Experiment::List => interrupt::either(list(bus, output)).await,
         Experiment::Status(arguments) => {
             let answer = interrupt::either(bus.get_experiment(&arguments.name, "progress")).await?;

@@ -1,0 +1,152 @@
+//! `experiment plan`: splits an experiment into parts for several machines. Needs no daemon.
+
+use std::num::NonZero;
+
+use jostle_experiment::{MODEL_VERSION, Plan, Subset, missing};
+use serde_json::{Value, json};
+
+use super::slurm;
+use crate::arguments::{Emit, PlanArguments};
+use crate::failure::Failure;
+use crate::file;
+use crate::format;
+use crate::output::Output;
+use crate::table::table;
+use crate::verbs::results;
+
+/// Number of runs in a list of numbers that is an argument of a command.
+const MAX_RUNS_OF_LIST: usize = 10_000;
+
+/// One part of an experiment.
+pub struct Part {
+    /// Its number, from 1.
+    pub number: usize,
+    /// The runs of it that are to be executed.
+    pub runs: Subset,
+}
+
+/// Prints how an experiment is split.
+///
+/// # Errors
+///
+/// The file or a folder cannot be read.
+pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
+    let text = file::read(&arguments.file).map_err(|problem| Failure::Argument {
+        argument: "FILE".into(),
+        problem,
+    })?;
+    let plan = Plan::parse(&text).map_err(|error| Failure::Argument {
+        argument: arguments.file.display().to_string(),
+        problem: error.to_string(),
+    })?;
+    let left = match arguments.missing.as_slice() {
+        [] => Subset::all(&plan),
+        folders => missing(&plan, folders).map_err(results::failure)?,
+    };
+    let of = match (arguments.parts, arguments.secs) {
+        (Some(parts), _) => parts.get(),
+        (None, Some(secs)) => parts_of(left.expected_secs(&plan), secs),
+        (None, None) => 1,
+    };
+    // A list of runs is one argument of a command, of at most 128 KiB.
+    let of = of.max(left.indices().len().div_ceil(MAX_RUNS_OF_LIST));
+    // Empty parts would be elements of a job array without work.
+    let of = of.min(plan.runs().len()).max(1);
+    let parts = match arguments.secs {
+        Some(_) => left.split(&plan, of),
+        None => {
+            let whole = Subset::all(&plan).split(&plan, of);
+            whole.into_iter().map(|part| part.and(&left)).collect()
+        }
+    };
+    let parts: Vec<Part> = (1..)
+        .zip(parts)
+        .map(|(number, runs)| Part { number, runs })
+        .filter(|part| !part.runs.indices().is_empty())
+        .collect();
+    if parts.is_empty() {
+        output.note("no run is missing");
+        return match output.json && arguments.emit.is_none() {
+            true => output.data("[]"),
+            false => Ok(()),
+        };
+    }
+    let is_by_number = arguments.secs.is_none() || arguments.missing.is_empty();
+    let folder = match &arguments.out {
+        Some(folder) => folder.trim_end_matches('/').to_owned(),
+        None => format!("{}-parts", plan.name),
+    };
+    match arguments.emit {
+        Some(Emit::Slurm) if !is_by_number => Err(Failure::Argument {
+            argument: "--secs".into(),
+            problem: "a job array continues by the numbers of its parts: give the --parts that it \
+                      was submitted with"
+                .into(),
+        }),
+        Some(Emit::Slurm) => {
+            let file = arguments.file.display().to_string();
+            let script = slurm::script(&plan, &file, &parts, of, &folder);
+            output.data(script.trim_end())
+        }
+        Some(Emit::Jsonl) => {
+            for part in &parts {
+                output
+                    .data(&line(arguments, &plan, part, of, &folder, is_by_number).to_string())?;
+            }
+            Ok(())
+        }
+        None if output.json => {
+            let lines = parts
+                .iter()
+                .map(|part| line(arguments, &plan, part, of, &folder, is_by_number));
+            output.data(&Value::from(lines.collect::<Vec<_>>()).to_string())
+        }
+        None => {
+            let rows = parts.iter().map(|part| {
+                [
+                    format!("{}/{of}", part.number),
+                    part.runs.indices().len().to_string(),
+                    format::duration(part.runs.expected_secs(&plan)),
+                ]
+            });
+            output.data(&table(["part", "runs", "expected"], rows.collect()))
+        }
+    }
+}
+
+/// The number of parts that take `secs` each; saturates.
+#[expect(
+    clippy::cast_possible_truncation,
+    clippy::cast_sign_loss,
+    reason = "positive, and bounded by the number of runs afterwards"
+)]
+fn parts_of(total_secs: f64, secs: f64) -> usize {
+    NonZero::new((total_secs / secs).ceil() as usize).map_or(1, NonZero::get)
+}
+
+/// A part as JSON, with the command that executes it.
+fn line(
+    arguments: &PlanArguments,
+    plan: &Plan,
+    part: &Part,
+    of: usize,
+    folder: &str,
+    is_by_number: bool,
+) -> Value {
+    let name = format!("{}/{of}", part.number);
+    let runs = part.runs.to_string();
+    let which = if is_by_number {
+        ["--part", &name]
+    } else {
+        ["--runs", &runs]
+    };
+    let file = arguments.file.display().to_string();
+    let target = format!("{folder}/part-{}", part.number);
+    let command = ["jostled", "run", &file, which[0], which[1], "-o", &target];
+    json!({
+        "part": name, "runs": runs, "count": part.runs.indices().len(),
+        "expected_secs": part.runs.expected_secs(plan),
+        "longest_secs": part.runs.longest_secs(plan), "model_version": MODEL_VERSION,
+        "command": command,
+    })
+}

@@ -1,0 +1,111 @@
+//! `results`: tables of experiments on this machine. Needs no daemon.
+
+use std::io::ErrorKind;
+use std::num::NonZero;
+use std::thread;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use indicatif::{ProgressBar, ProgressStyle};
+use jostle_experiment::{FolderError, MergeError, Parts};
+use jostle_results::table::TableError;
+use serde_json::json;
+
+use crate::arguments::{MergeArguments, Results};
+use crate::failure::Failure;
+use crate::format;
+use crate::output::Output;
+
+/// Executes the verb.
+///
+/// # Errors
+///
+/// A folder that cannot be read, merged or written.
+pub fn results(output: Output, what: &Results) -> Result<(), Failure> {
+    match what {
+        Results::Merge(arguments) => merge(output, arguments),
+    }
+}
+
+fn merge(output: Output, arguments: &MergeArguments) -> Result<(), Failure> {
+    Parts::check_target(&arguments.out).map_err(failure)?;
+    let parts = Parts::read(&arguments.parts).map_err(failure)?;
+    let verified = match arguments.verify {
+        Some(share) => verify(output, &parts, share, arguments.threads)?,
+        None => 0,
+    };
+    let folder = parts.write(&arguments.out).map_err(failure)?;
+    let (runs, count) = (parts.plan().runs().len(), parts.count());
+    if output.json {
+        return output.data(
+            &json!({"runs": runs, "parts": count, "verified": verified, "folder": folder.path()})
+                .to_string(),
+        );
+    }
+    let mut text = format!(
+        "{} of {} in {}",
+        format::count(runs as u64, "run"),
+        format::count(count as u64, "part"),
+        folder.path().display()
+    );
+    if verified > 0 {
+        let verified = format::count(verified as u64, "run");
+        text += &format!("; {verified} repeated here with the same result");
+    }
+    output.data(&text)
+}
+
+/// Repeats a share of the runs and returns how many.
+fn verify(
+    output: Output,
+    parts: &Parts,
+    share: f64,
+    threads: Option<NonZero<usize>>,
+) -> Result<usize, Failure> {
+    let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH);
+    let nanos = since_epoch.map_or(0, |it| it.subsec_nanos());
+    let subset = parts.draw(
+        share,
+        u64::from(nanos) << 32 | u64::from(std::process::id()),
+    );
+    let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
+    let threads = threads.unwrap_or_else(cores).get();
+    let count = subset.indices().len();
+    let bar = if output.json {
+        ProgressBar::hidden()
+    } else {
+        ProgressBar::new(count as u64)
+    };
+    let template = "verify {bar:30} {pos} of {len} runs";
+    let bar = bar.with_style(ProgressStyle::with_template(template).expect("a constant"));
+    let verified = parts.verify(&subset, threads, |done| bar.set_position(done as u64));
+    bar.finish_and_clear();
+    verified.map_err(failure)?;
+    Ok(count)
+}
+
+/// Converts an error of merging.
+#[expect(clippy::needless_pass_by_value, reason = "`map_err` passes it")]
+pub fn failure(error: MergeError) -> Failure {
+    let system = match &error {
+        MergeError::Folder(
+            FolderError::Io { source, .. } | FolderError::Table(TableError::Io { source, .. }),
+        ) => Some(source.kind()),
+        _ => None,
+    };
+    let code = match (&error, system) {
+        (MergeError::Differs { .. }, _) => "mismatch",
+        (MergeError::Exists { .. }, _) => "already_exists",
+        (MergeError::Folder(FolderError::InUse { .. }), _) => "conflict",
+        (_, Some(ErrorKind::StorageFull | ErrorKind::QuotaExceeded)) => "storage_full",
+        (_, Some(ErrorKind::NotFound)) => "not_found",
+        (_, Some(ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem)) => {
+            "permission_denied"
+        }
+        (_, Some(_)) => "internal",
+        _ => "invalid_argument",
+    };
+    Failure::Merge {
+        code,
+        message: format!("failed to {error}"),
+    }
+}

@@ -1,0 +1,121 @@
+"""A part of an experiment, as a task of an executor: `jostled run` on any machine."""
+
+from __future__ import annotations
+
+import io
+import os
+import subprocess
+import tarfile
+import tempfile
+from pathlib import Path
+
+from . import _program
+from ._errors import Faulted
+from ._keeper import kept
+
+# The files that a task returns. Its tables are left out: merging writes them.
+FILES = ("experiment.toml", "runs.jsonl")
+_ERROR_LINES = 20
+
+
+class Processes:
+    """The programs of the tasks in this process, so that they can be ended."""
+
+    def __init__(self) -> None:
+        self._running: set[subprocess.Popen[bytes]] = set()
+        self._is_ended = False
+
+    def add(self, process: subprocess.Popen[bytes]) -> None:
+        """Adds a program, and ends it if all were ended."""
+        self._running.add(process)
+        if self._is_ended:
+            process.terminate()
+
+    def remove(self, process: subprocess.Popen[bytes]) -> None:
+        """Removes a program that has ended."""
+        self._running.discard(process)
+
+    def end(self) -> None:
+        """Ends all programs, also those that are added later."""
+        self._is_ended = True
+        for process in list(self._running):
+            process.terminate()
+
+
+def run_part(
+    toml: str, runs: str, jostled: str | None, processes: Processes | None = None
+) -> bytes:
+    """Executes runs of an experiment on one core, in a temporary folder of this machine.
+
+    Args:
+        toml: The text of the experiment's file.
+        runs: The numbers of the runs, such as `17,18,40-60`.
+        jostled: The program; None as in `jostle.local`.
+        processes: Where to add the program while it runs.
+
+    Returns:
+        The folder of the part, as a compressed tar archive.
+
+    Raises:
+        Faulted: The program failed; the message has the runs and its last lines.
+        Unavailable: There is no program.
+    """
+    try:
+        return _run(toml, runs, jostled, processes)
+    except OSError as error:
+        raise _failed(runs, str(error)) from error
+
+
+def _failed(runs: str, why: str) -> Faulted:
+    host = os.uname().nodename
+    return Faulted(f"runs {runs} on {host}: {why}", details={"runs": runs, "host": host})
+
+
+def _run(toml: str, runs: str, jostled: str | None, processes: Processes | None) -> bytes:
+    program = _program.find(jostled)
+    with tempfile.TemporaryDirectory(prefix="jostle-part-", ignore_cleanup_errors=True) as folder:
+        file = Path(folder, "experiment.toml")
+        file.write_text(toml, encoding="utf-8")
+        part = Path(folder, "part")
+        command = [program, "run", str(file), "--runs", runs, "--threads", "1", "--json"]
+        code, errors = _call([*command, "-o", str(part)], folder, processes)
+        if code != 0:
+            lines = errors.decode(errors="replace").strip().splitlines()[-_ERROR_LINES:]
+            raise _failed(runs, f"`jostled run` ended with {code}: " + "\n".join(lines))
+        archive = io.BytesIO()
+        with tarfile.open(fileobj=archive, mode="w:gz", compresslevel=1) as tar:
+            for name in FILES:
+                tar.add(part / name, arcname=name)
+        return archive.getvalue()
+
+
+def _call(command: list[str], folder: str, processes: Processes | None) -> tuple[int, bytes]:
+    """Runs a program that ends with this process. Returns its exit code and its errors."""
+    stdin, held = os.pipe()
+    try:
+        try:
+            process = subprocess.Popen(
+                kept(command, folder),
+                stdin=stdin,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                # The terminal sends SIGINT to this process alone, which ends the program.
+                start_new_session=True,
+            )
+        finally:
+            os.close(stdin)
+        if processes is not None:
+            processes.add(process)
+        try:
+            _, errors = process.communicate()
+        except BaseException:
+            process.terminate()
+            process.wait()
+            raise
+        finally:
+            if processes is not None:
+                processes.remove(process)
+            os.write(held, b"\n")
+        return process.returncode, errors
+    finally:
+        os.close(held)

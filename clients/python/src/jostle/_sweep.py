@@ -1,0 +1,480 @@
+"""Sweeps: an experiment whose runs are tasks of an executor, on this machine or on many."""
+
+from __future__ import annotations
+
+import concurrent.futures
+import contextlib
+import errno
+import fcntl
+import hashlib
+import io
+import os
+import shutil
+import subprocess
+import tarfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+import msgspec
+
+from . import _part, _program
+from ._arguments import check_seconds
+from ._atomic_file import atomic_file
+from ._errors import (
+    Conflict,
+    Faulted,
+    IncorrectState,
+    Internal,
+    InvalidArgument,
+    StorageFull,
+    Unavailable,
+)
+from ._experiment import Source, to_toml
+from ._extras import need
+from ._progress import Bar
+from ._results import ResultRow, of_rows
+from ._show import Listed
+
+if TYPE_CHECKING:
+    import pandas
+
+DASK = "dask:"
+"""What the address of a Dask scheduler begins with."""
+
+
+class _Task(msgspec.Struct, frozen=True):
+    """A line of `jostle experiment plan --emit jsonl`."""
+
+    runs: str
+    expected_secs: float
+    model_version: int
+
+
+class _Header(msgspec.Struct, frozen=True):
+    """The first line of a part."""
+
+    experiment: str
+    model_version: int
+
+
+class _Line(msgspec.Struct, frozen=True):
+    """A finished run of a part."""
+
+    run: str
+    fault: str | None = None
+    row: ResultRow | None = None
+
+
+def sweep(
+    source: Source,
+    executor: Executor | str | Any = None,
+    *,
+    folder: str | os.PathLike[str],
+    task_secs: float = 30.0,
+    jostled: str | os.PathLike[str] | None = None,
+) -> Sweep:
+    """Executes an experiment without a daemon, its runs as tasks of an executor.
+
+        with jostle.sweep("order.toml", folder="results") as sweep:
+            for row in sweep:
+                print(row.run, row.v)
+
+    A task is `jostled run` of some runs in a temporary folder of the worker; no disk is shared. Its
+    results are kept in `FOLDER.parts` and are merged into `folder` when all are finished. If a
+    sweep is interrupted, the next call with the same folder executes only the missing runs.
+
+    Args:
+        source: The experiment: a file, the text of one, or a mapping of its fields.
+        executor: Any `concurrent.futures.Executor`; a Dask client; `"dask:tcp://HOST:PORT"`, the
+            address of a Dask scheduler, which needs `jostle[dask]`; None is every core of this
+            machine. Workers need this package with its programs, in the same version.
+        folder: The folder of the results, the same as `jostled run` writes.
+        task_secs: Expected seconds of work of a task on one core.
+        jostled: The program, on every worker; None as in `local`.
+
+    Raises:
+        InvalidArgument: The experiment, the executor or `task_secs` is invalid.
+        IncorrectState: The folder contains another experiment, or an unfinished one.
+        Conflict: Another process is using the folder.
+        Unavailable: There is no program on this machine.
+        OSError: A file cannot be read or written.
+    """
+    secs = check_seconds("task_secs", task_secs)
+    if isinstance(executor, str):
+        if not executor.startswith(DASK):
+            raise InvalidArgument(
+                f"invalid executor {executor!r}: use dask:tcp://HOST:PORT, an Executor or a Dask "
+                "client",
+                details={"field": "executor"},
+            )
+    elif executor is not None and not callable(getattr(executor, "submit", None)):
+        raise InvalidArgument(
+            f"invalid executor {executor!r}: it has no method `submit`",
+            details={"field": "executor"},
+        )
+    return Sweep(to_toml(source), executor, Path(folder), secs, jostled)
+
+
+class Sweep:
+    """An experiment on an executor; `sweep` makes one.
+
+    Its tasks are submitted, and their results received, while it is iterated over or waited for.
+    Leaving a `with` block, the end of a loop by `break`, and an exception such as that of Ctrl-C
+    cancel the unfinished tasks.
+    """
+
+    def __init__(
+        self,
+        toml: str,
+        executor: Executor | str | Any,
+        folder: Path,
+        task_secs: float,
+        jostled: str | os.PathLike[str] | None,
+    ) -> None:
+        self._toml = toml
+        self._executor = executor
+        self._jostled = None if jostled is None else os.fspath(jostled)
+        self._programs = _Programs(self._jostled)
+        self._folder = folder
+        self._parts = folder.with_name(f"{folder.name}.parts")
+        self._rows: Listed[ResultRow] = Listed()
+        self._faults: dict[str, str] = {}
+        self._planned: list[_Task] = []
+        self._done_secs = 0.0
+        self._is_merged = False
+        self._is_cancelled = False
+        # What `cancel` closes, the last first.
+        self._open = contextlib.ExitStack()
+        try:
+            self._open.callback(_lock(self._parts))
+            self._open.callback(self._remove_empty)
+            self._begin(task_secs)
+        except BaseException:
+            self._open.close()
+            raise
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the results; it exists when all runs are finished."""
+        return self._folder
+
+    @property
+    def share(self) -> float:
+        """The share of the work of this sweep that is done, 0 to 1."""
+        total = sum(task.expected_secs for task in self._planned)
+        return min(self._done_secs / total, 1.0) if total > 0 else 1.0
+
+    def __repr__(self) -> str:
+        return f"Sweep({str(self._folder)!r}, {len(self._rows)} rows)"
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.cancel()
+
+    def __iter__(self) -> Iterator[ResultRow]:
+        """The rows of all runs: those that are finished already, then each when it arrives.
+
+        Raises:
+            Faulted: Tasks failed; the message names their runs. All others are finished.
+            Conflict: A worker has another version of the model.
+            IncorrectState: The sweep was cancelled.
+            StorageFull: The disk of this machine is full.
+            Unavailable: The executor lost its tasks. The next sweep continues.
+        """
+        yield from list(self._rows)
+        for rows in self._arriving():
+            yield from rows
+
+    def wait(self, *, show: bool | None = None) -> Self:
+        """Waits until all runs are finished and merged.
+
+        Args:
+            show: Show a bar; None shows it on a terminal and in a notebook.
+
+        Raises:
+            Faulted: Tasks failed; the message names their runs. All others are finished.
+            Conflict: A worker has another version of the model.
+            IncorrectState: The sweep was cancelled.
+            StorageFull: The disk of this machine is full.
+            Unavailable: The executor lost its tasks. The next sweep continues.
+        """
+        with Bar(self._folder.name, show) as bar:
+            bar.show(self.share, f"{len(self._rows)} runs")
+            for _ in self._arriving():
+                bar.show(self.share, f"{len(self._rows)} runs")
+        return self
+
+    def rows(self) -> list[ResultRow]:
+        """The rows of the finished runs; in the order of the plan once all are finished."""
+        return Listed(self._rows)
+
+    def faults(self) -> dict[str, str]:
+        """The runs that ended early, each with its reason."""
+        return dict(self._faults)
+
+    def frame(self) -> pandas.DataFrame:
+        """The rows as a table of pandas, with the columns of `results.csv`.
+
+        Raises:
+            ImportError: pandas is missing; `pip install jostle[pandas]` installs it.
+        """
+        return of_rows(self._rows)
+
+    def cancel(self) -> None:
+        """Cancels the unfinished tasks. Received results are kept for the next sweep."""
+        if not self._is_merged:
+            self._is_cancelled = True
+        self._open.close()
+
+    def _remove_empty(self) -> None:
+        """Removes the folder of the parts if it has none."""
+        if not self._done():
+            shutil.rmtree(self._parts, ignore_errors=True)
+
+    def _begin(self, task_secs: float) -> None:
+        """Reads the results that exist, and plans tasks for the missing runs."""
+        with contextlib.suppress(FileNotFoundError):
+            if any(self._folder.iterdir()):
+                self._check_merged()
+                self._read(self._folder)
+                self._end_merged()
+                return
+        file = self._parts / "experiment.toml"
+        done = self._done()
+        if done and file.read_bytes() != self._toml.encode():
+            raise IncorrectState(
+                f"{self._parts} contains parts of another experiment: remove it, or choose another "
+                "folder",
+                details={"field": "folder"},
+            )
+        file.write_bytes(self._toml.encode())
+        for draft in self._parts.glob(".*"):
+            # A part that was being written when an earlier sweep was killed.
+            shutil.rmtree(draft, ignore_errors=True)
+        self._planned = self._programs.plan(file, task_secs, self._parts)
+        for part in done:
+            self._read(part)
+
+    def _check_merged(self) -> None:
+        """Checks that the folder has all results of this experiment."""
+        file = self._folder / "experiment.toml"
+        # As `jostled run` compares them.
+        if not file.exists() or file.read_bytes() != self._toml.encode():
+            raise IncorrectState(
+                f"{self._folder} contains another experiment or other files: choose another folder",
+                details={"field": "folder"},
+            )
+        if self._programs.plan(file, 1e9, self._folder):
+            raise IncorrectState(
+                f"{self._folder} contains an unfinished experiment: finish it with `jostled run "
+                f"{file} -o {self._folder}`, or choose another folder",
+                details={"field": "folder"},
+            )
+
+    def _end_merged(self) -> None:
+        """All results are in the folder: removes the parts, which are still locked."""
+        self._is_merged = True
+        shutil.rmtree(self._parts, ignore_errors=True)
+        self._open.close()
+
+    def _submit(self) -> dict[Future[bytes], _Task]:
+        """Submits a task for the missing runs. `cancel` cancels them."""
+        executor: Any = self._executor
+        if isinstance(executor, str):
+            distributed = need("distributed", "dask")
+            address = executor.removeprefix(DASK)
+            try:
+                client = distributed.Client(address, set_as_default=False)
+            except (OSError, ValueError, TypeError) as error:
+                raise Unavailable(
+                    f"no Dask scheduler answers at {address}: {error}",
+                    details={"field": "executor"},
+                ) from None
+            # The connection may be lost already.
+            self._open.callback(lambda: _quietly(client.close))
+            executor = client
+        if hasattr(executor, "get_executor"):
+            # Equal tasks of another sweep are not this sweep's.
+            executor = executor.get_executor(pure=False)
+            self._open.callback(lambda: _quietly(executor.shutdown, wait=False))
+        arguments: tuple[Any, ...] = (self._jostled,)
+        if executor is None:
+            processes = _part.Processes()
+            executor = ThreadPoolExecutor(len(os.sched_getaffinity(0)))
+            self._open.callback(executor.shutdown, wait=True, cancel_futures=True)
+            self._open.callback(processes.end)
+            arguments = (self._jostled, processes)
+        tasks: dict[Future[bytes], _Task] = {}
+
+        def cancel() -> None:
+            for future in tasks:
+                future.cancel()
+
+        self._open.callback(_quietly, cancel)
+        for task in self._planned:
+            tasks[executor.submit(_part.run_part, self._toml, task.runs, *arguments)] = task
+        return tasks
+
+    def _arriving(self) -> Iterator[list[ResultRow]]:
+        """The rows of each task when it is finished. Then all are merged."""
+        if self._is_merged:
+            return
+        if self._is_cancelled:
+            raise IncorrectState(
+                "the sweep was cancelled: another one with this folder continues",
+                details={"field": "folder"},
+            )
+        failed: list[str] = []
+        try:
+            tasks = self._submit() if self._planned else {}
+            for future in concurrent.futures.as_completed(list(tasks)):
+                task = tasks[future]
+                try:
+                    archive = future.result()
+                except concurrent.futures.CancelledError:
+                    raise Unavailable(
+                        f"the tasks of runs {task.runs} and others were lost or cancelled: the "
+                        "next sweep with this folder continues",
+                        details={"runs": task.runs},
+                    ) from None
+                except Faulted as error:
+                    failed.append(error.message)
+                    continue
+                except Exception as error:
+                    # The executor's own, or of the worker before it executes the task.
+                    failed.append(f"runs {task.runs}: {error!r}")
+                    continue
+                part = self._keep(task, archive)
+                self._done_secs += task.expected_secs
+                yield self._read(part)
+            self._end(failed)
+        except BaseException:
+            self.cancel()
+            raise
+
+    def _end(self, failed: list[str]) -> None:
+        """Merges all parts, unless tasks failed."""
+        if failed:
+            more = f" and {len(failed) - 5} more" if len(failed) > 5 else ""
+            raise Faulted(
+                f"{len(failed)} tasks failed: {'; '.join(failed[:5])}{more}",
+                details={"failed": failed},
+            )
+        self._programs.merge(self._parts, self._folder)
+        self._rows, self._faults = Listed(), {}
+        self._read(self._folder)
+        self._end_merged()
+
+    def _keep(self, task: _Task, archive: bytes) -> Path:
+        """Writes a part, as a whole or not at all."""
+        name = hashlib.blake2b(task.runs.encode(), digest_size=8).hexdigest()
+        draft, part = (self._parts / f"{prefix}runs-{name}" for prefix in (".", ""))
+        try:
+            draft.mkdir()
+            _unpack(task, archive, draft)
+            draft.rename(part)
+        except BaseException as error:
+            shutil.rmtree(draft, ignore_errors=True)
+            if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+                raise StorageFull(f"failed to write a part to {self._parts}: {error}") from error
+            raise
+        return part
+
+    def _read(self, part: Path) -> list[ResultRow]:
+        """Adds the rows and faults of a folder, and returns the rows."""
+        rows = []
+        with (part / "runs.jsonl").open("rb") as lines:
+            # The header.
+            lines.readline()
+            for line in lines:
+                run = msgspec.json.decode(line, type=_Line)
+                if run.fault is not None:
+                    self._faults[run.run] = run.fault
+                if run.row is not None:
+                    rows.append(run.row)
+        self._rows += rows
+        return rows
+
+    def _done(self) -> list[Path]:
+        """The folders of the received parts."""
+        return sorted(self._parts.glob("runs-*"))
+
+
+class _Programs:
+    """The command line beside `jostled` on this machine."""
+
+    def __init__(self, jostled: str | None) -> None:
+        self._jostle = _program.beside(_program.find(jostled), "jostle")
+
+    def plan(self, file: Path, secs: float, done: Path) -> list[_Task]:
+        """Splits the runs of an experiment that are not finished in `done` into tasks of `secs`."""
+        arguments = ["experiment", "plan", str(file), "--secs", repr(secs), "--emit", "jsonl"]
+        arguments += ["--missing", str(done)]
+        lines = self._call(arguments).splitlines()
+        return [msgspec.json.decode(line, type=_Task) for line in lines]
+
+    def merge(self, parts: Path, folder: Path) -> None:
+        """Merges the parts in a folder."""
+        self._call(["results", "merge", str(parts), "-o", str(folder)])
+
+    def _call(self, arguments: list[str]) -> bytes:
+        command = [self._jostle, *arguments]
+        done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False)
+        if done.returncode == 0:
+            return done.stdout
+        message = done.stderr.decode(errors="replace").strip().removeprefix("jostle: ")
+        kinds = {2: InvalidArgument, 4: Conflict, 8: StorageFull}
+        raise kinds.get(done.returncode, Internal)(message)
+
+
+def _unpack(task: _Task, archive: bytes, folder: Path) -> None:
+    """Writes the files of a part, and checks the version of the model."""
+    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
+        for name in _part.FILES:
+            member = tar.extractfile(name)
+            if member is None:
+                raise Internal(f"the result of runs {task.runs} has no {name}")
+            with atomic_file(folder / name) as file:
+                file.write(member.read())
+    with (folder / "runs.jsonl").open("rb") as lines:
+        header = msgspec.json.decode(lines.readline(), type=_Header)
+    if header.model_version != task.model_version:
+        raise Conflict(
+            f"a worker has version {header.model_version} of the model and this machine "
+            f"{task.model_version}: install the same version of jostle on all of them",
+            details={"theirs": header.model_version, "ours": task.model_version},
+        )
+
+
+def _quietly(work: Callable[..., Any], **arguments: Any) -> None:
+    """Calls `work`, and ignores its errors: a connection that is closed may be lost already."""
+    with contextlib.suppress(Exception):
+        work(**arguments)
+
+
+def _lock(folder: Path) -> Callable[[], None]:
+    """Creates a folder and locks it. Returns how to unlock it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    file = (folder / "lock").open("ab")
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        file.close()
+        raise Conflict(f"another process is using {folder}", details={"field": "folder"}) from None
+
+    def unlock() -> None:
+        # Processes that an executor forked have the file open, too.
+        fcntl.flock(file, fcntl.LOCK_UN)
+        file.close()
+
+    return unlock

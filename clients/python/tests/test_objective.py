@@ -1,0 +1,71 @@
+"""A search over the parameters of an experiment, with real runs."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+
+import pytest
+
+import jostle
+from conftest import JOSTLED, PATIENCE_SECS
+
+EXPERIMENT = """
+name = "search"
+seed = 2
+replicates = 2
+duration = 10
+[spec]
+n = 8
+"""
+
+
+@pytest.fixture(autouse=True)
+def _named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("JOSTLED", str(JOSTLED))
+
+
+def times(folder: Path) -> dict[Path, int]:
+    return {file: file.stat().st_mtime_ns for file in folder.rglob("*")}
+
+
+def test_values_are_those_of_the_experiment_with_them(tmp_path: Path) -> None:
+    objective = jostle.Objective(EXPERIMENT, "v_pd", folder=tmp_path / "search")
+    value = objective(pi1=2.0, informed=3)
+    file = tmp_path / "one.toml"
+    file.write_text(f"{EXPERIMENT}pi1 = 2.0\n[[grid]]\ninformed = 3\n", encoding="utf-8")
+    command: list[str | Path] = [JOSTLED, "run", file, "-o", tmp_path / "one"]
+    subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_SECS)
+    rows = (tmp_path / "one" / "results.csv").read_text().splitlines()
+    column = rows[0].split(",").index("v_pd")
+    assert value == pytest.approx(sum(float(row.split(",")[column]) for row in rows[1:]) / 2)
+    # The same values cost nothing, whatever their order and in another object, too.
+    before = times(tmp_path / "search")
+    again = jostle.Objective(EXPERIMENT, "v_pd", folder=tmp_path / "search")
+    assert again(informed=3.0, pi1=2) == value
+    assert times(tmp_path / "search") == before
+    assert again(informed=4, pi1=2.0) != value
+    assert len(list((tmp_path / "search").iterdir())) == 2
+
+
+def test_a_value_of_the_spec_keeps_the_seeds(tmp_path: Path) -> None:
+    objective = jostle.Objective(EXPERIMENT, "v", folder=tmp_path)
+    one, other = objective.rows(pi1=2.0), objective.rows(pi1=3.0)
+    assert [row.seed for row in one] == [row.seed for row in other]
+    assert [row.pi1 for row in (*one, *other)] == [2.0, 2.0, 3.0, 3.0]
+
+
+def test_invalid_searches_are_errors(tmp_path: Path) -> None:
+    with pytest.raises(
+        jostle.InvalidArgument, match="unknown measure 'speed': use one of seed, n,"
+    ):
+        jostle.Objective(EXPERIMENT, "speed", folder=tmp_path)
+    with pytest.raises(jostle.InvalidArgument, match="the experiment: "):
+        jostle.Objective("name = \n=", "v", folder=tmp_path)
+    objective = jostle.Objective(EXPERIMENT, "v_pd", folder=tmp_path)
+    with pytest.raises(jostle.InvalidArgument, match="pi1"):
+        objective(pi1=-1.0)
+    with pytest.raises(jostle.InvalidArgument, match="colour"):
+        objective(colour="red")
+    with pytest.raises(jostle.Faulted, match="v_pd needs informed individuals"):
+        objective(pi1=2.0)

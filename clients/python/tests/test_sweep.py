@@ -1,0 +1,372 @@
+"""Sweeps: the same tables as one machine's, on executors whose workers are killed."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import random
+import signal
+import subprocess
+import sys
+import textwrap
+import threading
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+import dask
+import pytest
+
+import jostle
+from conftest import JOSTLED, PATIENCE_SECS, ROOT, eventually
+
+SMALL = """
+name = "small"
+seed = 3
+replicates = 3
+duration = 30
+[[grid]]
+n = [5, 20]
+pi1 = [1, 4]
+informed = [0, 2]
+[measure]
+order_every = 10
+touch = true
+"""
+RUNS = 24
+TABLES = ("results.csv", "results.parquet", "order.parquet", "touch.csv")
+# Some 20 tasks.
+TASK_SECS = 0.02
+
+
+@pytest.fixture(autouse=True)
+def _named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("JOSTLED", str(JOSTLED))
+
+
+def tables(folder: Path) -> dict[str, bytes]:
+    return {name: (folder / name).read_bytes() for name in TABLES}
+
+
+def alone(toml: str, folder: Path) -> dict[str, bytes]:
+    """The tables that `jostled run` writes on this machine."""
+    file = folder / "alone.toml"
+    file.write_text(toml, encoding="utf-8")
+    command: list[str | Path] = [JOSTLED, "run", file, "-o", folder / "alone"]
+    subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_SECS)
+    return tables(folder / "alone")
+
+
+def test_a_sweep_on_all_cores_writes_the_tables_of_one_program(tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    with jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS) as sweep:
+        rows = list(sweep)
+        assert sweep.share == 1.0
+        assert sweep.faults() == {}
+    assert len(rows) == RUNS
+    assert tables(folder) == alone(SMALL, tmp_path)
+    assert not (tmp_path / "results.parts").exists()
+    # The rows come in any order, and afterwards in the plan's.
+    assert sorted(rows, key=lambda it: it.run) == sorted(sweep.rows(), key=lambda it: it.run)
+    table = sweep.frame()
+    assert list(table["run"]) == [row.run for row in sweep.rows()]
+    assert list(table.columns)[:3] == ["run", "seed", "n"]
+    # The second call executes nothing.
+    before = {file: file.stat().st_mtime_ns for file in folder.iterdir()}
+    assert jostle.sweep(SMALL, folder=folder).wait().rows() == sweep.rows()
+    assert {file: file.stat().st_mtime_ns for file in folder.iterdir()} == before
+
+
+def test_an_interrupted_sweep_continues_on_another_executor(tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    with jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS) as sweep:
+        for _ in sweep:
+            break
+    assert not folder.exists()
+    assert list((tmp_path / "results.parts").glob("runs-*"))
+    with pytest.raises(jostle.IncorrectState, match="the sweep was cancelled"):
+        sweep.wait()
+    with ProcessPoolExecutor(2) as executor:
+        again = jostle.sweep(SMALL, executor, folder=folder, task_secs=1.0)
+        assert 0 < len(again.rows()) < RUNS
+        assert len(again.wait().rows()) == RUNS
+    assert tables(folder) == alone(SMALL, tmp_path)
+
+
+def wrapper(folder: Path, script: str) -> Path:
+    """A `jostled` that does what `script` says, beside the real command line."""
+    folder.mkdir()
+    (folder / "jostle").symlink_to(JOSTLED.with_name("jostle"))
+    program = folder / "jostled"
+    program.write_text(f"#!/bin/sh\nset -e\n{textwrap.dedent(script)}", encoding="utf-8")
+    program.chmod(0o755)
+    return program
+
+
+def test_a_task_that_fails_names_its_runs_and_the_others_finish(tmp_path: Path) -> None:
+    broken = wrapper(
+        tmp_path / "broken",
+        f"""
+        case " $* " in
+          *" 5 "* | *" 5,"* | *",5"*) echo "jostled: run 5 panicked" >&2; exit 3 ;;
+        esac
+        exec {JOSTLED} "$@"
+        """,
+    )
+    folder = tmp_path / "results"
+    sweep = jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS, jostled=broken)
+    with pytest.raises(jostle.Faulted, match=r"1 tasks failed: runs [\d,-]*5[\d,-]* on .*panicked"):
+        sweep.wait()
+    assert not folder.exists()
+    # All others are kept: only those of the task are missing.
+    again = jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS)
+    assert RUNS - 5 <= len(again.rows()) < RUNS
+    again.wait()
+    assert tables(folder) == alone(SMALL, tmp_path)
+
+
+def test_a_worker_of_another_version_is_an_error(tmp_path: Path) -> None:
+    other = wrapper(
+        tmp_path / "other",
+        f"""
+        {JOSTLED} "$@"
+        for last; do :; done
+        sed -i '1s/"model_version":[0-9]*/"model_version":999/' "$last/runs.jsonl"
+        """,
+    )
+    folder = tmp_path / "results"
+    sweep = jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS, jostled=other)
+    with pytest.raises(jostle.Conflict, match="a worker has version 999 of the model and this"):
+        sweep.wait()
+    assert not folder.exists()
+    assert not list((tmp_path / "results.parts").glob("runs-*"))
+    jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS).wait()
+
+
+def test_invalid_arguments_and_folders_change_nothing(tmp_path: Path) -> None:
+    folder = tmp_path / "results"
+    for source, arguments, message in (
+        ("name = 3\n", {}, "line 1"),
+        (SMALL, {"executor": "spark:here"}, "invalid executor 'spark:here'"),
+        (SMALL, {"executor": 3}, "invalid executor 3: it has no method `submit`"),
+        (SMALL, {"task_secs": 0.0}, "task_secs"),
+        (SMALL, {"task_secs": float("nan")}, "task_secs"),
+    ):
+        with pytest.raises(jostle.InvalidArgument, match=message):
+            jostle.sweep(source, folder=folder, **arguments)
+        assert not list(tmp_path.iterdir())
+    (folder / "experiment.toml").parent.mkdir()
+    (folder / "experiment.toml").write_text("name = 'another'", encoding="utf-8")
+    with pytest.raises(jostle.IncorrectState, match="contains another experiment"):
+        jostle.sweep(SMALL, folder=folder)
+    (folder / "experiment.toml").write_text(SMALL, encoding="utf-8")
+    (folder / "runs.jsonl").write_bytes(b"")
+    with pytest.raises(jostle.IncorrectState, match="finish it with `jostled run"):
+        jostle.sweep(SMALL, folder=folder)
+    held = jostle.sweep(SMALL, folder=tmp_path / "held", task_secs=TASK_SECS)
+    with pytest.raises(jostle.Conflict, match="another process is using"):
+        jostle.sweep(SMALL, folder=tmp_path / "held")
+    held.cancel()
+    for _ in range(2):
+        with pytest.raises(jostle.IncorrectState, match="the sweep was cancelled"):
+            held.wait()
+    assert not (tmp_path / "held.parts").exists()
+
+
+INTERRUPTED = """
+import sys, jostle
+for _ in jostle.sweep(open(sys.argv[1]).read(), folder=sys.argv[2], task_secs=1e9):
+    pass
+"""
+
+
+def command_of(process: int) -> bytes:
+    """The command line of a process; empty if it has ended."""
+    try:
+        return Path(f"/proc/{process}/cmdline").read_bytes()
+    except (FileNotFoundError, ProcessLookupError):
+        return b""
+
+
+def running(folder: Path) -> list[int]:
+    """The processes whose command line names a folder."""
+    processes = [int(it.name) for it in Path("/proc").iterdir() if it.name.isdigit()]
+    return [it for it in processes if str(folder).encode() in command_of(it)]
+
+
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGKILL])
+def test_the_end_of_the_caller_ends_its_programs(tmp_path: Path, by: signal.Signals) -> None:
+    file = tmp_path / "endless.toml"
+    file.write_text('name = "a"\nduration = 1e6\nspec = { n = 20 }\nreplicates = 2\n')
+    temporary = tmp_path / "temporary"
+    temporary.mkdir()
+    caller = subprocess.Popen(
+        [sys.executable, "-c", INTERRUPTED, file, tmp_path / "results"],
+        env={**os.environ, "TMPDIR": str(temporary)},
+        stderr=subprocess.DEVNULL,
+    )
+    eventually("a program", lambda: bool(running(temporary)))
+    caller.send_signal(by)
+    caller.wait(PATIENCE_SECS)
+    eventually("its end", lambda: not running(temporary))
+    eventually("no temporary folder", lambda: not list(temporary.glob("jostle-part-*")))
+    assert not (tmp_path / "results").exists()
+
+
+# Some 40 tasks of a second: a killed worker needs one or two to start again.
+KILLED = """
+name = "killed"
+seed = 5
+replicates = 6
+duration = 1500
+[[grid]]
+n = [20, 40]
+pi1 = [1, 4]
+informed = [0, 2]
+[measure]
+order_every = 100
+"""
+
+
+class Cluster:
+    """A Dask scheduler and its workers, each a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.address = ""
+        self.scheduler = self._start(
+            "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", "--host", "127.0.0.1"
+        )
+        log = folder / "scheduler.log"
+
+        def found() -> bool:
+            for line in log.read_text().splitlines():
+                if "Scheduler at:" in line:
+                    self.address = line.split()[-1]
+            return bool(self.address)
+
+        eventually("the scheduler", found)
+        self.workers = [
+            self._start(
+                *("distributed.cli.dask_worker", self.address, "--nthreads", "1", "--nanny"),
+                *("--no-dashboard", "--local-directory", str(folder)),
+            )
+            for _ in range(2)
+        ]
+
+    def _start(self, module: str, *arguments: str) -> subprocess.Popen[bytes]:
+        name = module.rpartition("_")[2]
+        environ = {
+            **os.environ,
+            # A killed worker is counted against its task.
+            "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "100",
+        }
+        with (self.folder / f"{name}.log").open("ab") as log:
+            return subprocess.Popen(
+                [sys.executable, "-m", module, *arguments], env=environ, stdout=log, stderr=log
+            )
+
+    def worker_processes(self) -> list[int]:
+        """The processes of workers, which their nannies started."""
+        found = []
+        for nanny in self.workers:
+            for children in Path(f"/proc/{nanny.pid}/task").glob("*/children"):
+                with contextlib.suppress(FileNotFoundError):
+                    found += [int(it) for it in children.read_text().split()]
+        return [it for it in found if b"spawn_main" in command_of(it)]
+
+    def stop(self) -> None:
+        """Ends all processes."""
+        for process in (*self.workers, self.scheduler):
+            process.terminate()
+        for process in (*self.workers, self.scheduler):
+            try:
+                process.wait(20)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+
+@pytest.fixture
+def start_cluster(tmp_path: Path) -> Iterator[Callable[[str], Cluster]]:
+    clusters: list[Cluster] = []
+
+    def start(name: str) -> Cluster:
+        folder = tmp_path / name
+        folder.mkdir()
+        clusters.append(Cluster(folder))
+        return clusters[-1]
+
+    yield start
+    for cluster in clusters:
+        cluster.stop()
+
+
+KILLS = 5
+KILL_EVERY_SECS = 4.0
+
+
+def kill(cluster: Cluster, killed: list[int]) -> None:
+    """Kills a random worker every few seconds, and then the scheduler."""
+    draw = random.Random(4)
+    while len(killed) < KILLS:
+        time.sleep(KILL_EVERY_SECS)
+        workers = cluster.worker_processes()
+        if workers:
+            killed.append(draw.choice(workers))
+            os.kill(killed[-1], signal.SIGKILL)
+    time.sleep(KILL_EVERY_SECS)
+    cluster.scheduler.kill()
+
+
+def test_a_sweep_on_dask_survives_killed_workers_and_a_killed_scheduler(
+    tmp_path: Path, start_cluster: Callable[[str], Cluster]
+) -> None:
+    folder = tmp_path / "results"
+    cluster = start_cluster("first")
+    sweep = jostle.sweep(KILLED, f"dask:{cluster.address}", folder=folder, task_secs=1.0)
+    killed: list[int] = []
+    killer = threading.Thread(target=kill, args=(cluster, killed))
+    killer.start()
+    with pytest.raises(jostle.Unavailable, match="the next sweep with this folder continues"):
+        sweep.wait()
+    killer.join()
+    assert len(killed) == KILLS
+    finished = len(sweep.rows())
+    assert 0 < finished < 48
+    second = start_cluster("second")
+    again = jostle.sweep(KILLED, f"dask:{second.address}", folder=folder, task_secs=1.0)
+    assert len(again.rows()) == finished
+    assert len(again.wait().rows()) == 48
+    written = {name: (folder / name).read_bytes() for name in TABLES[:3]}
+    file = tmp_path / "alone.toml"
+    file.write_text(KILLED, encoding="utf-8")
+    command: list[str | Path] = [JOSTLED, "run", file, "-o", tmp_path / "alone"]
+    subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_SECS)
+    assert written == {name: (tmp_path / "alone" / name).read_bytes() for name in TABLES[:3]}
+
+
+def test_the_page_about_clusters_sweeps_on_dask(
+    tmp_path: Path, start_cluster: Callable[[str], Cluster], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    page = (ROOT / "docs" / "cluster.md").read_text(encoding="utf-8")
+    toml = page.split("```toml\n")[1].split("```")[0]
+    (code,) = (it.split("```")[0] for it in page.split("```python\n")[1:])
+    address = start_cluster("page").address
+    code = code.replace("tcp://scheduler:8786", address)
+    assert address in code
+    (tmp_path / "order.toml").write_text(toml, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "cluster.md", "exec"), {})
+    assert len((tmp_path / "results" / "results.csv").read_text().splitlines()) == 41
+
+
+def test_a_scheduler_that_does_not_answer_is_unavailable(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    timeouts = dask.config.config["distributed"]["comm"]["timeouts"]
+    monkeypatch.setitem(timeouts, "connect", "1s")
+    expected = r"no Dask scheduler answers at tcp://127\.0\.0\.1:1"
+    with pytest.raises(jostle.Unavailable, match=expected):
+        jostle.sweep(SMALL, "dask:tcp://127.0.0.1:1", folder=tmp_path / "results").wait()

@@ -1,0 +1,164 @@
+//! Reads the folder of a part of an experiment, to copy its runs into another folder.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io::{self, Read as _, Seek as _, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{FlockOperation, flock};
+use rustix::io::Errno;
+
+use super::{
+    EXPERIMENT, Entry, FolderError, LOCK, Line, RUNS, Series, io_error, parse_runs, read_or_empty,
+    read_series, to_line, to_range,
+};
+use crate::plan::Plan;
+use crate::run::Finished;
+
+/// A folder that is only read. No file of it stays open: there can be many parts.
+pub struct Part {
+    path: PathBuf,
+    finished: BTreeMap<String, Entry>,
+}
+
+impl Part {
+    /// Returns whether a folder contains an experiment's file or results.
+    pub fn is_part(folder: &Path) -> bool {
+        [EXPERIMENT, RUNS]
+            .iter()
+            .any(|name| folder.join(name).exists())
+    }
+
+    /// Reads the text of the experiment's file of a folder.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError`].
+    pub fn text(folder: &Path) -> Result<String, FolderError> {
+        let path = folder.join(EXPERIMENT);
+        fs::read_to_string(&path).map_err(|source| io_error(&path, source))
+    }
+
+    /// Reads the folder of a part of `plan`.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError`]; also if another process writes to the folder.
+    pub fn read(folder: &Path, plan: &Plan) -> Result<Self, FolderError> {
+        let _lock = lock_shared(folder)?;
+        let (finished, _) = parse_runs(folder, plan, &read_or_empty(&folder.join(RUNS))?)?;
+        Ok(Self {
+            path: folder.to_owned(),
+            finished,
+        })
+    }
+
+    /// Its path.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Returns the indices of its finished runs in the plan, in ascending order.
+    pub fn finished(&self, plan: &Plan) -> Vec<usize> {
+        let runs = plan.runs().iter().enumerate();
+        runs.filter(|(_, run)| self.finished.contains_key(&run.name))
+            .map(|(index, _)| index)
+            .collect()
+    }
+
+    /// Reads the result of a finished run, as `conduct` returns it.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError`]; also if the run is not finished.
+    pub fn result(&self, plan: &Plan, index: usize) -> Result<Finished, FolderError> {
+        let line = self.line(plan, index)?;
+        let record = self.finished[&plan.runs()[index].name].record.clone();
+        let has_series = plan.order_every.is_some() && record.row.is_some();
+        let series = has_series.then(|| read_series(&self.path, plan, index, &line));
+        Ok(Finished {
+            row: record.row,
+            fault: record.fault,
+            series: series.transpose()?,
+            touch: record.touch,
+        })
+    }
+
+    /// Reads the line of a finished run, with its order over time, which folders of earlier versions
+    /// have in a file of its own.
+    ///
+    /// # Errors
+    ///
+    /// [`FolderError`]; also if the run is not finished.
+    pub fn line(&self, plan: &Plan, index: usize) -> Result<Vec<u8>, FolderError> {
+        let path = self.path.join(RUNS);
+        let Some(entry) = self.finished.get(&plan.runs()[index].name) else {
+            return Err(io_error(&path, io::ErrorKind::NotFound.into()));
+        };
+        let mut line = vec![0; to_range(&entry.line).len()];
+        let mut read = || {
+            let mut runs = File::open(&path)?;
+            runs.seek(SeekFrom::Start(entry.line.start))?;
+            runs.read_exact(&mut line)
+        };
+        read().map_err(|source| io_error(&path, source))?;
+        if plan.order_every.is_none() || entry.record.row.is_none() {
+            return Ok(line);
+        }
+        let series = read_series(&self.path, plan, index, &line)?;
+        Ok(to_line(&Line {
+            record: &entry.record,
+            order: Some(Series {
+                order: series.orders,
+                drift: series.drifts,
+            }),
+        }))
+    }
+}
+
+/// Returns the folders of parts in `folders`: each of these, or its subfolders with results if it has
+/// no results itself.
+///
+/// # Errors
+///
+/// [`FolderError::Io`].
+pub fn parts_in(folders: &[PathBuf]) -> Result<Vec<PathBuf>, FolderError> {
+    let mut parts = Vec::new();
+    for folder in folders {
+        let fail = |source| io_error(folder, source);
+        let mut inner = Vec::new();
+        if !folder.join(RUNS).exists() {
+            for entry in fs::read_dir(folder).map_err(fail)? {
+                let entry = entry.map_err(fail)?;
+                let is_hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
+                if !is_hidden && entry.path().join(RUNS).exists() {
+                    inner.push(entry.path());
+                }
+            }
+        }
+        // A folder without any is returned, and the caller's error names it.
+        if inner.is_empty() {
+            inner.push(folder.clone());
+        }
+        parts.append(&mut inner);
+    }
+    parts.sort();
+    Ok(parts)
+}
+
+/// Takes a shared lock on a folder. Another process that writes to it is an error.
+fn lock_shared(folder: &Path) -> Result<Option<File>, FolderError> {
+    let path = folder.join(LOCK);
+    let lock = match File::open(&path) {
+        Ok(lock) => lock,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+        Err(source) => return Err(io_error(&path, source)),
+    };
+    match flock(&lock, FlockOperation::NonBlockingLockShared) {
+        Ok(()) => Ok(Some(lock)),
+        Err(Errno::WOULDBLOCK) => Err(FolderError::InUse {
+            folder: folder.to_owned(),
+        }),
+        Err(error) => Err(io_error(&path, error.into())),
+    }
+}

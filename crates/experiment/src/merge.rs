@@ -1,0 +1,391 @@
+//! Merges the folders of an experiment's parts into one folder of results.
+
+use std::collections::BTreeMap;
+use std::fmt::{self, Display};
+use std::fs;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, PoisonError};
+use std::thread;
+
+use thiserror::Error;
+
+use crate::error::PlanError;
+use crate::folder::{Folder, FolderError, Part, parts_in, unfinished};
+use crate::plan::Plan;
+use crate::run::{Finished, conduct};
+use crate::subset::Subset;
+
+/// How many runs or folders an error names.
+const MAX_NAMED: usize = 10;
+
+/// Why parts cannot be merged.
+#[derive(Debug, Error)]
+pub enum MergeError {
+    /// A folder cannot be read or written.
+    #[error(transparent)]
+    Folder(#[from] FolderError),
+    /// A part's `experiment.toml` is not an experiment's file.
+    #[error("read {}: {source}", folder.display())]
+    Plan {
+        /// The part.
+        folder: PathBuf,
+        /// What is wrong.
+        source: PlanError,
+    },
+    /// No parts are given.
+    #[error("merge parts: none are given; name the folders that `jostled run --part` wrote")]
+    NoParts,
+    /// Parts are of another experiment than the first part.
+    #[error(
+        "merge {}: its experiment.toml differs from that of {}", join(others.iter().map(|it| it.display().to_string())), first.display()
+    )]
+    OtherExperiment {
+        /// The first part.
+        first: PathBuf,
+        /// The parts that differ from it.
+        others: Vec<PathBuf>,
+    },
+    /// A part is of another experiment.
+    #[error("use {}: its experiment.toml differs from the experiment's file", folder.display())]
+    ForeignPart {
+        /// The part.
+        folder: PathBuf,
+    },
+    /// Two parts contain the same runs.
+    #[error("merge {} and {}: both contain runs {runs}; leave out one of them", first.display(), second.display())]
+    Repeated {
+        /// One part.
+        first: PathBuf,
+        /// The other part.
+        second: PathBuf,
+        /// The runs that both contain.
+        runs: Subset,
+    },
+    /// Runs are in no part.
+    #[error(
+        "merge an incomplete experiment: {} of {of} runs are missing, {runs}; execute them with \
+         `jostled run FILE --runs {runs} -o FOLDER`, and merge that folder, too",
+        runs.indices().len()
+    )]
+    Missing {
+        /// The missing runs.
+        runs: Subset,
+        /// Number of runs of the experiment.
+        of: usize,
+    },
+    /// Runs that were repeated for verification have other results than in their part.
+    #[error("verify runs: {} of {of} differ when they are repeated here: {}", runs.len(), join(runs.iter().map(Difference::to_string)))]
+    Differs {
+        /// The runs that differ.
+        runs: Vec<Difference>,
+        /// Number of repeated runs.
+        of: usize,
+    },
+    /// Not all runs arrived in the merged folder.
+    #[error("merge parts: {finished} of {runs} runs were written; was a part changed meanwhile?")]
+    Incomplete {
+        /// Number of runs that were written.
+        finished: usize,
+        /// Number of runs of the experiment.
+        runs: usize,
+    },
+    /// The folder for the merged results exists.
+    #[error("write {}: it exists and is not empty; choose another folder", folder.display())]
+    Exists {
+        /// The folder.
+        folder: PathBuf,
+    },
+}
+
+/// A run whose repetition has another result.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Difference {
+    /// The run.
+    pub run: String,
+    /// The part that contains it.
+    pub folder: PathBuf,
+    /// The hash of its last state in that part; empty if it has no row there.
+    pub theirs: String,
+    /// The hash that was computed here.
+    pub ours: String,
+}
+
+impl Display for Difference {
+    fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [theirs, ours] =
+            [&self.theirs, &self.ours].map(|hash| hash.get(..8).unwrap_or("no row"));
+        let folder = self.folder.display();
+        write!(
+            to,
+            "{:?} of {folder} (hash {theirs}, here {ours})",
+            self.run
+        )
+    }
+}
+
+/// All parts of an experiment: each of its runs is in exactly one of them.
+pub struct Parts {
+    plan: Plan,
+    parts: Vec<Part>,
+    /// The part of each run, by the run's index in the plan.
+    part_of: Vec<usize>,
+}
+
+impl Parts {
+    /// Reads the folders of all parts of an experiment, or folders that contain them.
+    ///
+    /// # Errors
+    ///
+    /// [`MergeError`]: a folder cannot be read or is in use, is of another experiment or model
+    /// version, contains a run that another one contains, or a run is in none.
+    pub fn read(folders: &[PathBuf]) -> Result<Self, MergeError> {
+        let folders = &parts_in(folders)?;
+        let first = folders.first().ok_or(MergeError::NoParts)?;
+        let texts = folders.iter().map(|folder| Part::text(folder));
+        let texts = texts.collect::<Result<Vec<_>, _>>()?;
+        let others: Vec<PathBuf> = (folders.iter().zip(&texts))
+            .filter(|(_, text)| **text != texts[0])
+            .map(|(folder, _)| folder.clone())
+            .collect();
+        if !others.is_empty() {
+            let first = first.clone();
+            return Err(MergeError::OtherExperiment { first, others });
+        }
+        let plan = Plan::parse(&texts[0]).map_err(|source| MergeError::Plan {
+            folder: first.clone(),
+            source,
+        })?;
+        let parts = folders.iter().map(|folder| Part::read(folder, &plan));
+        let parts = parts.collect::<Result<Vec<_>, _>>()?;
+        let mut part_of = vec![None; plan.runs().len()];
+        for (number, part) in parts.iter().enumerate() {
+            let mut repeated: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+            for index in part.finished(&plan) {
+                match part_of[index] {
+                    None => part_of[index] = Some(number),
+                    Some(other) => repeated.entry(other).or_default().push(index),
+                }
+            }
+            if let Some((other, runs)) = repeated.pop_first() {
+                return Err(MergeError::Repeated {
+                    first: folders[other].clone(),
+                    second: folders[number].clone(),
+                    runs: Subset::of(runs),
+                });
+            }
+        }
+        let is_missing = |index: &usize| part_of[*index].is_none();
+        let missing: Vec<usize> = (0..part_of.len()).filter(is_missing).collect();
+        if !missing.is_empty() {
+            return Err(MergeError::Missing {
+                runs: Subset::of(missing),
+                of: plan.runs().len(),
+            });
+        }
+        let part_of = part_of.into_iter().flatten().collect();
+        Ok(Self {
+            plan,
+            parts,
+            part_of,
+        })
+    }
+
+    /// Number of parts.
+    #[must_use]
+    pub fn count(&self) -> usize {
+        self.parts.len()
+    }
+
+    /// The experiment.
+    #[must_use]
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
+    /// Draws runs to verify: of each part the share `share`, within (0, 1], and at least one run.
+    /// `draw` determines which.
+    #[must_use]
+    pub fn draw(&self, share: f64, draw: u64) -> Subset {
+        let key = |index: usize| {
+            let mut hasher = blake3::Hasher::new();
+            hasher.update(&draw.to_le_bytes());
+            hasher.update(&(index as u64).to_le_bytes());
+            *hasher.finalize().as_bytes()
+        };
+        let mut drawn = Vec::new();
+        for part in &self.parts {
+            let mut runs = part.finished(&self.plan);
+            runs.sort_by_cached_key(|&index| key(index));
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "at most the number of runs"
+            )]
+            let count = (runs.len() as f64 * share).ceil() as usize;
+            drawn.extend(runs.into_iter().take(count));
+        }
+        Subset::of(drawn)
+    }
+
+    /// Repeats runs on this machine and compares their results with those of the parts: rows, reasons
+    /// of faults, series and contacts. After each run `progress` is called with the number of
+    /// repeated runs.
+    ///
+    /// # Errors
+    ///
+    /// [`MergeError::Differs`] with all that differ; [`MergeError::Folder`] if a part cannot be read.
+    pub fn verify(
+        &self,
+        subset: &Subset,
+        threads: usize,
+        progress: impl Fn(usize) + Sync,
+    ) -> Result<(), MergeError> {
+        let indices = subset.indices();
+        let (next, done) = (AtomicUsize::new(0), AtomicUsize::new(0));
+        let differences = Mutex::new(Vec::new());
+        let work = || -> Result<(), FolderError> {
+            while let Some(&index) = indices.get(next.fetch_add(1, Ordering::Relaxed)) {
+                let difference = self.repeat(index)?;
+                let mut all = differences.lock().unwrap_or_else(PoisonError::into_inner);
+                all.extend(difference.map(|it| (index, it)));
+                drop(all);
+                progress(done.fetch_add(1, Ordering::Relaxed) + 1);
+            }
+            Ok(())
+        };
+        let ended: Vec<_> = thread::scope(|scope| {
+            let threads = (0..threads.clamp(1, indices.len().max(1))).map(|_| scope.spawn(work));
+            let threads: Vec<_> = threads.collect();
+            threads
+                .into_iter()
+                .map(thread::ScopedJoinHandle::join)
+                .collect()
+        });
+        for result in ended {
+            result.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+        }
+        let differences = differences.into_inner();
+        let mut differences = differences.unwrap_or_else(PoisonError::into_inner);
+        differences.sort_by_key(|(index, _)| *index);
+        match differences.is_empty() {
+            true => Ok(()),
+            false => Err(MergeError::Differs {
+                runs: differences.into_iter().map(|(_, it)| it).collect(),
+                of: indices.len(),
+            }),
+        }
+    }
+
+    /// Repeats a run; none if its result is that of its part.
+    fn repeat(&self, index: usize) -> Result<Option<Difference>, FolderError> {
+        let run = &self.plan.runs()[index];
+        let part = &self.parts[self.part_of[index]];
+        let theirs = part.result(&self.plan, index)?;
+        let ours = conduct(&self.plan, run, |_| true).unwrap_or_default();
+        let hash = |result: Finished| result.row.map_or_else(String::new, |row| row.state_hash);
+        Ok((ours != theirs).then(|| Difference {
+            run: run.name.clone(),
+            folder: part.path().to_owned(),
+            theirs: hash(theirs),
+            ours: hash(ours),
+        }))
+    }
+
+    /// Checks that results can be written to `to`.
+    ///
+    /// # Errors
+    ///
+    /// [`MergeError::Exists`] if `to` is there and is not an empty folder.
+    pub fn check_target(to: &Path) -> Result<(), MergeError> {
+        let is_free = match fs::read_dir(to) {
+            Ok(mut entries) => entries.next().is_none(),
+            Err(error) => error.kind() == io::ErrorKind::NotFound,
+        };
+        match is_free {
+            true => Ok(()),
+            false => Err(MergeError::Exists {
+                folder: to.to_owned(),
+            }),
+        }
+    }
+
+    /// Writes the folder of results, with the runs in the plan's order. It appears as a whole or
+    /// not at all.
+    ///
+    /// # Errors
+    ///
+    /// [`MergeError::Exists`] if `to` is not an empty folder; others if it cannot be written.
+    pub fn write(&self, to: &Path) -> Result<Folder, MergeError> {
+        Self::check_target(to)?;
+        let temporary = unfinished(to, "merge");
+        if temporary.exists() {
+            // A merge that was killed left it, or another one writes it.
+            Folder::discard(&temporary)?;
+        }
+        let mut folder = Folder::open(&temporary, &self.plan)?;
+        let written = self.fill(&mut folder).and_then(|()| Ok(folder.rename(to)?));
+        if let Err(error) = written {
+            // A folder that cannot be removed is discarded by the next merge.
+            let _ = fs::remove_dir_all(&temporary);
+            return Err(error);
+        }
+        Ok(folder)
+    }
+
+    fn fill(&self, folder: &mut Folder) -> Result<(), MergeError> {
+        let Self {
+            plan,
+            parts,
+            part_of,
+        } = self;
+        let lines = part_of.iter().enumerate();
+        folder.append_copies(
+            plan,
+            lines.map(|(index, &part)| parts[part].line(plan, index)),
+        )?;
+        let (finished, runs) = (folder.finished(), plan.runs().len());
+        if finished != runs {
+            return Err(MergeError::Incomplete { finished, runs });
+        }
+        Ok(folder.write_tables(plan)?)
+    }
+}
+
+/// Returns the runs of `plan` that are finished in none of `folders`, or of the folders in these.
+///
+/// # Errors
+///
+/// [`MergeError::ForeignPart`], and [`MergeError::Folder`] for a folder that cannot be read or
+/// is in use.
+pub fn missing(plan: &Plan, folders: &[PathBuf]) -> Result<Subset, MergeError> {
+    let mut is_finished = vec![false; plan.runs().len()];
+    for folder in &parts_in(folders)? {
+        let is_empty = fs::read_dir(folder).is_ok() && !Part::is_part(folder);
+        if is_empty {
+            // No part of it is complete.
+            continue;
+        }
+        if Part::text(folder)? != plan.text {
+            return Err(MergeError::ForeignPart {
+                folder: folder.clone(),
+            });
+        }
+        for index in Part::read(folder, plan)?.finished(plan) {
+            is_finished[index] = true;
+        }
+    }
+    let missing = (0..is_finished.len()).filter(|&index| !is_finished[index]);
+    Ok(Subset::of(missing.collect()))
+}
+
+/// Joins texts, at most [`MAX_NAMED`] of them.
+fn join(texts: impl ExactSizeIterator<Item = String>) -> String {
+    let more = texts.len().saturating_sub(MAX_NAMED);
+    let mut joined = texts.take(MAX_NAMED).collect::<Vec<_>>().join(", ");
+    if more > 0 {
+        joined.push_str(&format!(" and {more} more"));
+    }
+    joined
+}

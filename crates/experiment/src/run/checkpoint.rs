@@ -1,0 +1,155 @@
+//! A run at one of its steps, in a file from which another process continues it.
+
+use jostle_convert::snapshot;
+use jostle_physics::simulation::{Checkpoint, Exactness};
+use jostle_physics::stepper::Stepper;
+use jostle_proto::Snapshot;
+use jostle_proto::snapshot::Doing;
+use serde::{Deserialize, Serialize};
+
+use super::CurrentRun;
+use super::measures::Measures;
+use crate::contact_events::Meter;
+use crate::plan::{Plan, PlannedRun};
+
+/// A run at one of its steps: its snapshot and its measurements so far.
+#[derive(Deserialize, Serialize)]
+pub struct RunCheckpoint {
+    run: String,
+    snapshot: Snapshot,
+    measures: Measures,
+    meter: Option<Meter>,
+}
+
+impl RunCheckpoint {
+    /// Returns the checkpoint as CBOR.
+    #[must_use]
+    pub fn to_bytes(&self) -> Vec<u8> {
+        jostle_proto::to_cbor(self)
+    }
+
+    /// Parses a checkpoint; none if it is damaged or has another layout.
+    #[must_use]
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        ciborium::from_reader(bytes).ok()
+    }
+}
+
+impl<'a> CurrentRun<'a> {
+    /// Returns the checkpoint of the run at this step.
+    #[must_use]
+    pub fn checkpoint(&self) -> RunCheckpoint {
+        let checkpoint = Checkpoint {
+            spec: self.plan.spec(self.run),
+            state: self.state.clone(),
+            publish_every: 1,
+            epoch: 1,
+            seq: 0,
+            means: self.measures.means,
+            exactness: Exactness::default(),
+        };
+        let doing = Doing::Paused {
+            reason: String::new(),
+        };
+        RunCheckpoint {
+            run: self.run.name.clone(),
+            snapshot: snapshot::to_proto("run", &checkpoint, doing),
+            measures: self.measures.clone(),
+            meter: self.meter.clone(),
+        }
+    }
+
+    /// Continues a run from a checkpoint; none if it is of another run or of another version.
+    pub(super) fn resume(
+        plan: &'a Plan,
+        run: &'a PlannedRun,
+        checkpoint: RunCheckpoint,
+    ) -> Option<Self> {
+        let restored = snapshot::from_proto(&checkpoint.snapshot).ok()?;
+        let state = restored.state;
+        let is_of_run = checkpoint.run == run.name
+            && restored.spec == plan.spec(run)
+            && checkpoint.meter.is_some() == plan.touch
+            && state.step <= plan.point(run).steps;
+        is_of_run.then(|| Self {
+            plan,
+            run,
+            measures: checkpoint.measures.restored(&state, restored.means),
+            meter: checkpoint.meter,
+            state,
+            stepper: Stepper::new(),
+        })
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+    use crate::run::{conduct, conduct_from};
+
+    fn plan(seed: u64, more: &str) -> Plan {
+        let text = format!(
+            "name = \"a\"\nseed = {seed}\nduration = 6\n[measure]\norder_every = 7\n{more}\n[spec]\n\
+             n = 12\nnoise = 0.1\nrelinearise = 1\n[[grid]]\ninformed = 3\nreplicates = 2\n"
+        );
+        Plan::parse(&text).unwrap()
+    }
+
+    /// The checkpoint of a run after `steps` steps, as its file has it.
+    fn checkpoint(plan: &Plan, run: usize, steps: u64) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        conduct_from(plan, &plan.runs()[run], None, |current| {
+            bytes = current.checkpoint().to_bytes();
+            current.steps() < steps
+        });
+        bytes
+    }
+
+    #[test]
+    fn a_run_continues_after_the_step_of_its_checkpoint_with_the_same_result() {
+        let plan = plan(1, "touch = true");
+        let run = &plan.runs()[0];
+        let expected = conduct(&plan, run, |_| true).unwrap();
+        assert!(expected.touch.is_some() && expected.series.is_some());
+        for steps in [1, 150, 299, 300] {
+            let checkpoint = RunCheckpoint::from_bytes(&checkpoint(&plan, 0, steps)).unwrap();
+            let mut first = None;
+            let finished = conduct_from(&plan, run, Some(checkpoint), |current| {
+                first.get_or_insert(current.steps());
+                true
+            });
+            assert_eq!(finished.unwrap(), expected, "{steps}");
+            assert_eq!(first, (steps < 300).then_some(steps + 1));
+        }
+    }
+
+    #[test]
+    fn a_checkpoint_of_another_run_is_ignored() {
+        let first_step = |plan: &Plan, checkpoint: RunCheckpoint| {
+            let mut first = None;
+            conduct_from(plan, &plan.runs()[0], Some(checkpoint), |current| {
+                first = Some(current.steps());
+                false
+            });
+            first.unwrap()
+        };
+        let read = |bytes: &[u8]| RunCheckpoint::from_bytes(bytes).unwrap();
+        let touch = plan(1, "touch = true");
+        let bytes = checkpoint(&touch, 0, 10);
+        assert_eq!(first_step(&touch, read(&bytes)), 11);
+        for other in [plan(2, "touch = true"), plan(1, "")] {
+            assert_eq!(first_step(&other, read(&bytes)), 1);
+        }
+        assert_eq!(first_step(&touch, read(&checkpoint(&touch, 1, 10))), 1);
+        let mut changed = read(&bytes);
+        changed.snapshot.x[0] += 0.1;
+        assert_eq!(first_step(&touch, changed), 1);
+        let mut older = read(&bytes);
+        older.snapshot.model_version += 1;
+        assert_eq!(first_step(&touch, older), 1);
+        for end in [0, 1, bytes.len() / 2, bytes.len() - 1] {
+            assert!(RunCheckpoint::from_bytes(&bytes[..end]).is_none());
+        }
+    }
+}
