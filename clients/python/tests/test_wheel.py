@@ -53,7 +53,7 @@ def test_the_wheel_has_the_package_its_types_and_nothing_else(wheel: Path) -> No
         str(it.relative_to(source)) for it in source.rglob("*") if it.suffix in (".py", ".typed")
     }
     assert "jostle/py.typed" in files
-    extras = {"pandas", "matplotlib", "notebook", "progress", "recording", "env"}
+    extras = {"pandas", "matplotlib", "notebook", "progress", "recording", "dask", "search", "env"}
     assert extras <= set(told.get_all("Provides-Extra", []))
     needs = [it for it in told.get_all("Requires-Dist", []) if "extra ==" not in it]
     assert sorted(it.split("~")[0].split(">")[0] for it in needs) == [
