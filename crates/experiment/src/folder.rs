@@ -15,20 +15,23 @@ use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, BufWriter, Read as _, Seek as _, SeekFrom, Write as _};
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use jostle_physics::model::MODEL_VERSION;
 use jostle_results::ResultRow;
 use jostle_results::table::order::ORDER_NAME;
 use jostle_results::table::{self, CSV_NAME, OrderSeries, OrderWriter, PARQUET_NAME};
-use jostle_results::touch::{self, TOUCH_NAME, Touch};
+use jostle_results::touch::{self, TOUCH_NAME};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
-use serde::{Deserialize, Serialize};
 
 pub use self::checkpoints::Checkpoints;
 pub use self::error::FolderError;
+use self::error::io_error;
+use self::list::{
+    Entry, Header, Line, RUNS, Record, SERIES, Series, parse_runs, read_or_empty, read_series,
+    to_line, to_range,
+};
 pub use self::part::{Part, parts_in};
 use crate::plan::{Plan, PlannedRun};
 use crate::run::Finished;
@@ -36,61 +39,11 @@ use crate::subset::Subset;
 
 mod checkpoints;
 mod error;
+mod list;
 mod part;
 
 const EXPERIMENT: &str = "experiment.toml";
-const RUNS: &str = "runs.jsonl";
 const LOCK: &str = "lock";
-const SERIES: &str = "order";
-
-/// The first line of the list of finished runs.
-#[derive(Deserialize, Serialize)]
-struct Header {
-    experiment: String,
-    model_version: u32,
-}
-
-/// A finished run.
-#[derive(Clone, Debug, Deserialize, Serialize)]
-struct Record {
-    run: String,
-    /// Why the run ended early, if it did.
-    fault: Option<String>,
-    /// The row of the run; none if it ended before its first step.
-    row: Option<ResultRow>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    touch: Option<Touch>,
-}
-
-/// A line of the list, with what is not kept in memory.
-#[derive(Serialize)]
-struct Line<'a> {
-    #[serde(flatten)]
-    record: &'a Record,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    order: Option<Series>,
-}
-
-/// The order over time of a line; other fields are skipped.
-#[derive(Deserialize)]
-struct OrderOfLine {
-    order: Option<Series>,
-}
-
-/// The order parameter every `order_every` steps, and the drift if individuals are informed.
-#[derive(Deserialize, Serialize)]
-struct Series {
-    order: Vec<f64>,
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    drift: Vec<f64>,
-}
-
-/// A finished run and the place of its line in the list.
-#[derive(Clone, Debug)]
-struct Entry {
-    record: Record,
-    line: Range<u64>,
-}
 
 /// The folder of an experiment, locked for writing.
 #[derive(Debug)]
@@ -356,56 +309,6 @@ impl Folder {
     }
 }
 
-/// A place in a file that was read into memory.
-fn to_range(line: &Range<u64>) -> Range<usize> {
-    let index = |at| usize::try_from(at).unwrap_or(usize::MAX);
-    index(line.start)..index(line.end)
-}
-
-/// Reads the order over time of a run from its line of the list, or from the file in which earlier
-/// versions stored it.
-fn read_series(
-    folder: &Path,
-    plan: &Plan,
-    index: usize,
-    line: &[u8],
-) -> Result<OrderSeries, FolderError> {
-    let run = &plan.runs()[index];
-    let point = plan.point(run);
-    let every = plan.order_every.unwrap_or(1);
-    let of_line = serde_json::from_slice(line).ok();
-    let series = match of_line.and_then(|it: OrderOfLine| it.order) {
-        Some(series) => series,
-        None => read_series_file(folder, index, point.informed > 0)?,
-    };
-    let (orders, drifts) = (series.order, series.drift);
-    let steps: Vec<u64> = (0..orders.len() as u64)
-        .map(|entry| entry * every)
-        .collect();
-    let dt = point.spec.parameters.dt;
-    Ok(OrderSeries {
-        run: run.name.clone(),
-        times: steps.iter().map(|&step| step as f64 * dt).collect(),
-        steps,
-        orders,
-        drifts,
-    })
-}
-
-/// Reads the file of a run's series: the orders and then the drifts, if the series has drifts, as
-/// little-endian doubles without a header.
-fn read_series_file(folder: &Path, index: usize, has_drift: bool) -> Result<Series, FolderError> {
-    let path = folder.join(SERIES).join(format!("{index:06}"));
-    let bytes = fs::read(&path).map_err(|source| io_error(&path, source))?;
-    let (numbers, _) = bytes.as_chunks();
-    let mut order: Vec<f64> = numbers.iter().copied().map(f64::from_le_bytes).collect();
-    let drift = match has_drift {
-        true => order.split_off(order.len() / 2),
-        false => Vec::new(),
-    };
-    Ok(Series { order, drift })
-}
-
 /// Locks a folder until the returned file is closed.
 fn lock(folder: &Path) -> Result<File, FolderError> {
     let path = folder.join(LOCK);
@@ -447,86 +350,11 @@ fn claim(folder: &Path, plan: &Plan) -> Result<(), FolderError> {
     }
 }
 
-/// Parses the list of runs. Returns the finished runs by name, and the number of bytes in complete
-/// lines.
-fn parse_runs(
-    folder: &Path,
-    plan: &Plan,
-    bytes: &[u8],
-) -> Result<(BTreeMap<String, Entry>, u64), FolderError> {
-    let damaged = |line: usize, reason: String| FolderError::Damaged {
-        path: folder.join(RUNS),
-        line: line + 1,
-        reason,
-    };
-    let seeds: BTreeMap<&str, u64> = plan
-        .runs()
-        .iter()
-        .map(|run| (run.name.as_str(), run.seed))
-        .collect();
-    let (mut finished, mut length) = (BTreeMap::new(), 0);
-    for (number, line) in bytes.split_inclusive(|&byte| byte == b'\n').enumerate() {
-        let is_last = length + line.len() == bytes.len();
-        if number == 0 {
-            let header: Header = match serde_json::from_slice(line) {
-                Ok(header) if line.ends_with(b"\n") => header,
-                _ if is_last => break,
-                Ok(_) => unreachable!("only the last line can lack a newline"),
-                Err(error) => return Err(damaged(number, error.to_string())),
-            };
-            if header.model_version != MODEL_VERSION {
-                return Err(FolderError::OtherModel {
-                    folder: folder.to_owned(),
-                    theirs: header.model_version,
-                });
-            }
-        } else {
-            let record: Record = match serde_json::from_slice(line) {
-                Ok(record) if line.ends_with(b"\n") => record,
-                // The process ended while it wrote the line.
-                _ if is_last => break,
-                Ok(_) => unreachable!("only the last line can lack a newline"),
-                Err(error) => return Err(damaged(number, error.to_string())),
-            };
-            let seed = record.row.as_ref().map(|row| row.seed);
-            match seeds.get(record.run.as_str()) {
-                None => {
-                    let reason = format!("the experiment has no run {:?}", record.run);
-                    return Err(damaged(number, reason));
-                }
-                Some(&planned) if seed.is_some_and(|seed| seed != planned) => {
-                    let reason = format!("the seed of run {:?} is {planned}", record.run);
-                    return Err(damaged(number, reason));
-                }
-                Some(_) => {}
-            }
-            let line = length as u64..(length + line.len()) as u64;
-            finished.insert(record.run.clone(), Entry { record, line });
-        }
-        length += line.len();
-    }
-    Ok((finished, length as u64))
-}
-
 fn rows(plan: &Plan, finished: &BTreeMap<String, Entry>) -> Vec<ResultRow> {
     let entries = plan.runs().iter().filter_map(|run| finished.get(&run.name));
     entries
         .filter_map(|entry| entry.record.row.clone())
         .collect()
-}
-
-fn to_line(value: &impl Serialize) -> Vec<u8> {
-    let mut line = serde_json::to_vec(value).expect("names and numbers are valid JSON");
-    line.push(b'\n');
-    line
-}
-
-/// Reads a file; empty if it does not exist.
-fn read_or_empty(path: &Path) -> Result<Vec<u8>, FolderError> {
-    match fs::read(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Vec::new()),
-        read => read.map_err(|source| io_error(path, source)),
-    }
 }
 
 /// Makes the entries of a folder durable.
@@ -550,13 +378,6 @@ fn parent(path: &Path) -> &Path {
     match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
-    }
-}
-
-fn io_error(path: &Path, source: io::Error) -> FolderError {
-    FolderError::Io {
-        path: path.to_owned(),
-        source,
     }
 }
 

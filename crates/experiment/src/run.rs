@@ -1,9 +1,11 @@
 //! One run, from its start to its row in the table of results.
 
+use jostle_convert::snapshot;
 use jostle_physics::model::State;
 use jostle_physics::model::selection::{Candidates, Selection, select};
-use jostle_physics::simulation::{self, ChangeError};
+use jostle_physics::simulation::{self, ChangeError, Checkpoint, Exactness};
 use jostle_physics::stepper::Stepper;
+use jostle_proto::snapshot::Doing;
 use jostle_results::ResultRow;
 use jostle_results::table::OrderSeries;
 use jostle_results::touch::Touch;
@@ -104,6 +106,47 @@ impl<'a> CurrentRun<'a> {
             run,
             measures: Measures::new(plan, &state),
             meter: plan.touch.then(|| Meter::new(&state)),
+            state,
+            stepper: Stepper::new(),
+        })
+    }
+
+    /// Returns the checkpoint of the run at this step.
+    #[must_use]
+    pub fn checkpoint(&self) -> RunCheckpoint {
+        let checkpoint = Checkpoint {
+            spec: self.plan.spec(self.run),
+            state: self.state.clone(),
+            publish_every: 1,
+            epoch: 1,
+            seq: 0,
+            means: self.measures.means,
+            exactness: Exactness::default(),
+        };
+        let doing = Doing::Paused {
+            reason: String::new(),
+        };
+        RunCheckpoint {
+            run: self.run.name.clone(),
+            snapshot: snapshot::to_proto("run", &checkpoint, doing),
+            measures: self.measures.clone(),
+            meter: self.meter.clone(),
+        }
+    }
+
+    /// Continues a run from a checkpoint; none if it is of another run or of another version.
+    fn resume(plan: &'a Plan, run: &'a PlannedRun, checkpoint: RunCheckpoint) -> Option<Self> {
+        let restored = snapshot::from_proto(&checkpoint.snapshot).ok()?;
+        let state = restored.state;
+        let is_of_run = checkpoint.run == run.name
+            && restored.spec == plan.spec(run)
+            && checkpoint.meter.is_some() == plan.touch
+            && state.step <= plan.point(run).steps;
+        is_of_run.then(|| Self {
+            plan,
+            run,
+            measures: checkpoint.measures.restored(&state, restored.means),
+            meter: checkpoint.meter,
             state,
             stepper: Stepper::new(),
         })

@@ -4,7 +4,7 @@ use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
-use super::{FolderError, io_error};
+use super::error::{FolderError, io_error};
 use crate::run::RunCheckpoint;
 
 const CHECKPOINTS: &str = "checkpoints";

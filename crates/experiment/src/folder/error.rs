@@ -1,7 +1,7 @@
 //! Why the folder of an experiment cannot be used.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use jostle_physics::model::MODEL_VERSION;
 use jostle_results::table::TableError;
@@ -70,4 +70,12 @@ pub enum FolderError {
         /// What is wrong.
         reason: String,
     },
+}
+
+/// Returns the error of a system call on `path`.
+pub fn io_error(path: &Path, source: io::Error) -> FolderError {
+    FolderError::Io {
+        path: path.to_owned(),
+        source,
+    }
 }

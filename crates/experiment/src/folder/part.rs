@@ -8,10 +8,11 @@ use std::path::{Path, PathBuf};
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 
-use super::{
-    EXPERIMENT, Entry, FolderError, LOCK, Line, RUNS, Series, io_error, parse_runs, read_or_empty,
-    read_series, to_line, to_range,
+use super::error::{FolderError, io_error};
+use super::list::{
+    Entry, Line, RUNS, Series, parse_runs, read_or_empty, read_series, to_line, to_range,
 };
+use super::{EXPERIMENT, LOCK};
 use crate::plan::Plan;
 use crate::run::Finished;
 

@@ -1,24 +1,18 @@
 //! A run at one of its steps, in a file from which another process continues it.
 
-use jostle_convert::snapshot;
-use jostle_physics::simulation::{Checkpoint, Exactness};
-use jostle_physics::stepper::Stepper;
 use jostle_proto::Snapshot;
-use jostle_proto::snapshot::Doing;
 use serde::{Deserialize, Serialize};
 
-use super::CurrentRun;
 use super::measures::Measures;
 use crate::contact_events::Meter;
-use crate::plan::{Plan, PlannedRun};
 
 /// A run at one of its steps: its snapshot and its measurements so far.
 #[derive(Deserialize, Serialize)]
 pub struct RunCheckpoint {
-    run: String,
-    snapshot: Snapshot,
-    measures: Measures,
-    meter: Option<Meter>,
+    pub(super) run: String,
+    pub(super) snapshot: Snapshot,
+    pub(super) measures: Measures,
+    pub(super) meter: Option<Meter>,
 }
 
 impl RunCheckpoint {
@@ -35,57 +29,11 @@ impl RunCheckpoint {
     }
 }
 
-impl<'a> CurrentRun<'a> {
-    /// Returns the checkpoint of the run at this step.
-    #[must_use]
-    pub fn checkpoint(&self) -> RunCheckpoint {
-        let checkpoint = Checkpoint {
-            spec: self.plan.spec(self.run),
-            state: self.state.clone(),
-            publish_every: 1,
-            epoch: 1,
-            seq: 0,
-            means: self.measures.means,
-            exactness: Exactness::default(),
-        };
-        let doing = Doing::Paused {
-            reason: String::new(),
-        };
-        RunCheckpoint {
-            run: self.run.name.clone(),
-            snapshot: snapshot::to_proto("run", &checkpoint, doing),
-            measures: self.measures.clone(),
-            meter: self.meter.clone(),
-        }
-    }
-
-    /// Continues a run from a checkpoint; none if it is of another run or of another version.
-    pub(super) fn resume(
-        plan: &'a Plan,
-        run: &'a PlannedRun,
-        checkpoint: RunCheckpoint,
-    ) -> Option<Self> {
-        let restored = snapshot::from_proto(&checkpoint.snapshot).ok()?;
-        let state = restored.state;
-        let is_of_run = checkpoint.run == run.name
-            && restored.spec == plan.spec(run)
-            && checkpoint.meter.is_some() == plan.touch
-            && state.step <= plan.point(run).steps;
-        is_of_run.then(|| Self {
-            plan,
-            run,
-            measures: checkpoint.measures.restored(&state, restored.means),
-            meter: checkpoint.meter,
-            state,
-            stepper: Stepper::new(),
-        })
-    }
-}
-
 #[cfg(test)]
 #[expect(clippy::unwrap_used, reason = "tests")]
 mod tests {
     use super::*;
+    use crate::plan::Plan;
     use crate::run::{conduct, conduct_from};
 
     fn plan(seed: u64, more: &str) -> Plan {
