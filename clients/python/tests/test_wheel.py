@@ -5,6 +5,7 @@ from __future__ import annotations
 import email
 import os
 import re
+import shutil
 import subprocess
 import sys
 import sysconfig
@@ -134,11 +135,12 @@ class Environment:
         """Runs pip for this environment."""
         pip("--python", self.python, *arguments)
 
-    def run(self, source: str, user: int | None = None) -> subprocess.CompletedProcess[str]:
-        """Runs a program as this or another user. This environment's packages come first."""
+    def run(self, source: str, *within: str) -> subprocess.CompletedProcess[str]:
+        """Runs a program, `within` another command. This environment's packages come first."""
         site = self.folder / "lib" / f"python3.{sys.version_info.minor}" / "site-packages"
         return subprocess.run(
             [
+                *within,
                 self.python,
                 "-W",
                 "error::RuntimeWarning",
@@ -150,7 +152,6 @@ class Environment:
             text=True,
             timeout=60,
             check=False,
-            user=user,
         )
 
     def files(self) -> set[Path]:
@@ -272,13 +273,15 @@ def test_a_program_that_does_not_start_says_why(programs: Path, tmp_path: Path) 
 def test_a_folder_without_rights_is_an_error(programs: Path, tmp_path: Path) -> None:
     environment = Environment(tmp_path / "venv")
     environment.pip("install", "--no-deps", programs)
-    tmp_path.chmod(0o755)
     folder = tmp_path / "folder"
     folder.mkdir()
     folder.chmod(0o555)
     source = STEP.replace("local()", f"local({str(folder / 'kept')!r})")
-    # The superuser may write everywhere.
-    ran = environment.run(source, user=65534 if os.geteuid() == 0 else None)
+    # With this capability the superuser may write everywhere.
+    setpriv = shutil.which("setpriv")
+    assert setpriv is not None
+    limits = (f"--{name}=-dac_override" for name in ("bounding-set", "inh-caps"))
+    ran = environment.run(source, *((setpriv, *limits) if os.geteuid() == 0 else ()))
     assert ran.returncode == 1
     assert f"PermissionError: [Errno 13] Permission denied: {str(folder / 'kept')!r}" in ran.stderr
     assert not list(folder.iterdir())
