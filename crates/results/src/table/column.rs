@@ -1,5 +1,6 @@
 //! Columns of Parquet: the types of their values, and how these are written and read.
 
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -44,10 +45,7 @@ impl CellError {
     /// Adds the file and the column; `first` is the row, from 0, at which the chunk begins.
     pub fn within(self, path: &Path, column: &str, first: usize) -> TableError {
         match self {
-            Self::Parquet(error) => TableError::Malformed {
-                path: path.to_owned(),
-                reason: format!("column `{column}`: {error}"),
-            },
+            Self::Parquet(error) => failed(path, &error, &format!("column `{column}`: ")),
             Self::Value(row, reason) => TableError::Value {
                 path: path.to_owned(),
                 place: "row",
@@ -56,6 +54,26 @@ impl CellError {
                 reason,
             },
         }
+    }
+}
+
+/// Returns the error of the Parquet library at `place` of a file, or that of the system call that it
+/// passes on, such as one on a full disk.
+pub fn failed(path: &Path, error: &ParquetError, place: &str) -> TableError {
+    let path = path.to_owned();
+    let system = match error {
+        ParquetError::External(inner) => inner.downcast_ref::<io::Error>(),
+        _ => None,
+    };
+    match system {
+        Some(system) => TableError::Io {
+            path,
+            source: io::Error::new(system.kind(), system.to_string()),
+        },
+        None => TableError::Malformed {
+            path,
+            reason: format!("{place}{error}"),
+        },
     }
 }
 

@@ -9,7 +9,7 @@ use parquet::schema::types::Type;
 use tempfile::NamedTempFile;
 
 use super::TableError;
-use super::column::ParquetValue;
+use super::column::{ParquetValue, failed};
 use super::parquet::{begin, finish, for_each_group, group, read_column, write_column};
 
 /// The file name of the table within its directory.
@@ -56,7 +56,7 @@ impl OrderWriter {
     ///
     /// # Errors
     ///
-    /// [`TableError::Malformed`] if the disk is full; the file is lost then.
+    /// [`TableError::Io`] if the disk is full; the file is lost then.
     ///
     /// # Panics
     ///
@@ -69,10 +69,7 @@ impl OrderWriter {
             0 => vec![None; rows],
             _ => series.drifts.iter().copied().map(Some).collect(),
         };
-        let malformed = |error: ParquetError| TableError::Malformed {
-            path: self.path.clone(),
-            reason: error.to_string(),
-        };
+        let malformed = |error| failed(&self.path, &error, "");
         let mut group = self.writer.next_row_group().map_err(malformed)?;
         let path = &self.path;
         write_column(path, &mut group, "run", &vec![series.run.clone(); rows])?;
@@ -88,7 +85,7 @@ impl OrderWriter {
     ///
     /// # Errors
     ///
-    /// [`TableError::Io`] or, if the disk is full, [`TableError::Malformed`].
+    /// [`TableError::Io`].
     pub fn finish(self) -> Result<(), TableError> {
         finish(&self.path, self.writer)
     }

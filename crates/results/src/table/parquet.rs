@@ -1,7 +1,7 @@
 //! Parquet tables, for data frames.
 
 use std::fs::File;
-use std::io::{self, Write};
+use std::io::Write;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -13,7 +13,7 @@ use parquet::file::writer::{SerializedFileWriter, SerializedRowGroupWriter};
 use parquet::schema::types::Type;
 use tempfile::NamedTempFile;
 
-use super::column::{CellError, ParquetValue};
+use super::column::{CellError, ParquetValue, failed};
 use super::{TableError, io_error};
 use crate::{COLUMNS, Cell, CellKind, Column, ResultRow};
 
@@ -202,15 +202,7 @@ pub fn rows(group: &dyn RowGroupReader) -> usize {
 }
 
 fn malformed(path: &Path, error: &ParquetError) -> TableError {
-    if let ParquetError::External(inner) = error
-        && let Some(system) = inner.downcast_ref::<io::Error>()
-    {
-        return io_error(path, io::Error::new(system.kind(), system.to_string()));
-    }
-    TableError::Malformed {
-        path: path.to_owned(),
-        reason: error.to_string(),
-    }
+    failed(path, error, "")
 }
 
 #[cfg(test)]

@@ -1,6 +1,7 @@
 //! `experiment`: grids of runs on the daemon, which goes on whether anybody looks on or not.
 
 mod attach;
+mod part;
 mod plan;
 mod results;
 mod slurm;

@@ -5,6 +5,7 @@ use std::num::NonZero;
 use jostle_experiment::{MODEL_VERSION, Plan, Subset, missing};
 use serde_json::{Value, json};
 
+use super::part::Part;
 use super::slurm;
 use crate::arguments::{Emit, PlanArguments};
 use crate::failure::Failure;
@@ -16,14 +17,6 @@ use crate::verbs::results;
 
 /// Number of runs in a list of numbers that is an argument of a command.
 const MAX_RUNS_OF_LIST: usize = 10_000;
-
-/// One part of an experiment.
-pub struct Part {
-    /// Its number, from 1.
-    pub number: usize,
-    /// The runs of it that are to be executed.
-    pub runs: Subset,
-}
 
 /// Prints how an experiment is split.
 ///

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 
 use jostle_experiment::{Plan, Subset};
 
-use super::plan::Part;
+use super::part::Part;
 use crate::format;
 
 /// The expected time of a part is correct within this factor.
