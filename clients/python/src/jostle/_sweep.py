@@ -465,7 +465,7 @@ def _quietly(work: Callable[..., Any], **arguments: Any) -> None:
 def _lock(folder: Path) -> Callable[[], None]:
     """Creates a folder and locks it. Returns how to unlock it."""
     folder.mkdir(parents=True, exist_ok=True)
-    file = (folder / "lock").open("ab")
+    file = (folder / "sweep.lock").open("ab")
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
