@@ -61,9 +61,10 @@ def draw(study: optuna.Study, file: Path) -> None:
     axes.set_xlabel("informed individuals of 40")
     axes.set_ylabel("mean drift, free speeds")
     axes.set_xlim(0, 21)
-    axes.set_ylim(0, 1)
+    axes.set_xticks(range(0, 21, 2))
+    axes.set_ylim(-0.1, 1)
     axes.legend(loc="lower right", frameon=False)
-    figure.savefig(file)
+    figure.savefig(file, metadata={"Date": None})
 
 
 def main() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -69,3 +70,29 @@ def test_invalid_searches_are_errors(tmp_path: Path) -> None:
         objective(colour="red")
     with pytest.raises(jostle.Faulted, match="v_pd needs informed individuals"):
         objective(pi1=2.0)
+
+
+def test_a_killed_study_continues(tmp_path: Path) -> None:
+    script = Path(__file__).parents[1] / "examples" / "threshold.py"
+    command: list[str | Path] = [sys.executable, script, tmp_path, "--trials"]
+    killed = subprocess.Popen([*command, "16"], stdout=subprocess.PIPE, text=True)
+    assert killed.stdout is not None
+    with killed.stdout:
+        first = killed.stdout.readline()
+        killed.kill()
+        killed.wait()
+    assert " informed: drift " in first
+    before = times(tmp_path / "experiments")
+    done = subprocess.run(
+        [*command, "3"], check=True, capture_output=True, text=True, timeout=4 * PATIENCE_SECS
+    )
+    # The first trial is in the study, and its results are not computed again.
+    lines = done.stdout.splitlines()
+    assert len(lines) == 3
+    assert first.strip() not in [line.strip() for line in lines]
+    assert lines[-1].endswith(str(tmp_path / "threshold.svg"))
+    assert "<svg" in (tmp_path / "threshold.svg").read_text()
+    kept = {file: time for file, time in before.items() if file.name == "results.csv"}
+    assert kept
+    after = times(tmp_path / "experiments")
+    assert {file: after[file] for file in kept} == kept
