@@ -34,9 +34,10 @@ def search(folder: Path, trials: int) -> optuna.Study:
     study = optuna.create_study(
         storage=f"sqlite:///{folder}/study.db",
         study_name="threshold",
-        sampler=optuna.samplers.TPESampler(seed=1),
         load_if_exists=True,
     )
+    # The same seed again would ask for the same values again.
+    study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
     objective = jostle.Objective(EXPERIMENT, "v_pd", folder=folder / "experiments")
     complete = (optuna.trial.TrialState.COMPLETE,)
     while len(study.get_trials(states=complete)) < trials:

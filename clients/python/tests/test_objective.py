@@ -89,7 +89,6 @@ def test_a_killed_study_continues(tmp_path: Path) -> None:
     # The first trial is in the study, and its results are not computed again.
     lines = done.stdout.splitlines()
     assert len(lines) == 3
-    assert first.strip() not in [line.strip() for line in lines]
     assert lines[-1].endswith(str(tmp_path / "threshold.svg"))
     assert "<svg" in (tmp_path / "threshold.svg").read_text()
     kept = {file: time for file, time in before.items() if file.name == "results.csv"}
