@@ -8,6 +8,7 @@ use std::fs;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 
+use jostle_experiment::{Control, Execution, Folder, Plan, Subset, execute};
 use jostle_results::ResultRow;
 use jostle_results::claims::bands;
 use serde_json::{Value, json};
@@ -83,6 +84,22 @@ pub fn verb(row: &Row) -> String {
     }
 }
 
+/// An experiment of two short runs.
+const GRID: &str = "name = \"grid\"\nduration = 1\nreplicates = 2\n[spec]\nn = 3\n";
+
+/// Executes runs of [`GRID`] into a folder.
+fn part(folder: &Path, runs: &str) {
+    let plan = Plan::parse(GRID).unwrap();
+    let execution = Execution {
+        plan: &plan,
+        subset: &Subset::parse(&plan, runs).unwrap(),
+        threads: 1,
+        checkpoint_every: None,
+    };
+    let mut folder = Folder::open(folder, &plan).unwrap();
+    execute(execution, &mut folder, &Control::new()).unwrap();
+}
+
 /// A folder with all that the command lines read.
 pub fn files() -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
@@ -104,6 +121,10 @@ pub fn files() -> tempfile::TempDir {
     let results = folder.path().join("results");
     fs::create_dir(&results).unwrap();
     jostle_results::table::write(&results, &runs).unwrap();
+    write("grid.toml", GRID.as_bytes());
+    for (name, run) in [("one", "1"), ("two", "2")] {
+        part(&folder.path().join("parts").join(name), run);
+    }
     let bands = bands::make(&runs, &[], 4);
     bands::write(&folder.path().join("old-bands.csv"), &bands).unwrap();
     let snapshot = fs::read(canned::path("snapshot.reply.cbor")).unwrap();

@@ -640,6 +640,29 @@ fn local() -> Vec<Row> {
         row("man --out {}/man", &[]).writes("man/jostle-run.1"),
         row("man -o {}/manual", &[]).writes("manual/jostle-run.1"),
         row("figure <kind>2 <of>{}/results --out {}/two.svg", &[]).writes("two.svg"),
+        row("experiment plan <file>{}/grid.toml", &[]).says("1/1"),
+        row(
+            "experiment plan <file>{}/grid.toml --parts 2 --emit slurm --out {}/parts",
+            &[],
+        )
+        .says("#SBATCH --array=1,2\n")
+        .says(" -o {}/parts/part-"),
+        row(
+            "experiment plan <file>{}/grid.toml --secs 60 --emit jsonl -o parts --missing {}/parts/one",
+            &[],
+        )
+        .says(r#""runs":"2""#)
+        .says(r#""parts/part-1""#),
+        row("results merge <parts>{}/parts --out {}/merged", &[])
+            .says("2 runs of 2 parts in")
+            .writes("merged/results.csv")
+            .writes("merged/results.parquet"),
+        row(
+            "results merge <parts>{}/parts -o {}/verified --verify 100% --threads 1",
+            &[],
+        )
+        .says("2 runs repeated here with the same result")
+        .writes("verified/results.csv"),
         row("claims <results>{}/results", &[]),
         row("claims <results>{}/results --animations {}/results", &[]),
         row("claims <results>{}/results --page {}/page.md", &[]).writes("page.md"),
