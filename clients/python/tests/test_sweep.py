@@ -304,19 +304,23 @@ def start_cluster(tmp_path: Path) -> Iterator[Callable[[str], Cluster]]:
 
 
 KILLS = 5
-KILL_EVERY_SECS = 4.0
+# Results between two kills, of 48.
+BETWEEN = 4
 
 
-def kill(cluster: Cluster, killed: list[int]) -> None:
-    """Kills a random worker every few seconds, and then the scheduler."""
+def kill(cluster: Cluster, parts: Path, killed: list[int]) -> None:
+    """Kills a random worker whenever some results have arrived, and then the scheduler."""
     draw = random.Random(4)
+
+    def arrived() -> bool:
+        return len(list(parts.glob("runs-*"))) >= BETWEEN * (len(killed) + 1)
+
     while len(killed) < KILLS:
-        time.sleep(KILL_EVERY_SECS)
-        workers = cluster.worker_processes()
-        if workers:
-            killed.append(draw.choice(workers))
-            os.kill(killed[-1], signal.SIGKILL)
-    time.sleep(KILL_EVERY_SECS)
+        eventually("more results", arrived)
+        eventually("a worker", lambda: bool(cluster.worker_processes()))
+        killed.append(draw.choice(cluster.worker_processes()))
+        os.kill(killed[-1], signal.SIGKILL)
+    eventually("more results", arrived)
     cluster.scheduler.kill()
 
 
@@ -327,7 +331,7 @@ def test_a_sweep_on_dask_survives_killed_workers_and_a_killed_scheduler(
     cluster = start_cluster("first")
     sweep = jostle.sweep(KILLED, f"dask:{cluster.address}", folder=folder, task_secs=1.0)
     killed: list[int] = []
-    killer = threading.Thread(target=kill, args=(cluster, killed))
+    killer = threading.Thread(target=kill, args=(cluster, tmp_path / "results.parts", killed))
     killer.start()
     with pytest.raises(jostle.Unavailable, match="the next sweep with this folder continues"):
         sweep.wait()
