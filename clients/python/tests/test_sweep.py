@@ -10,7 +10,6 @@ import subprocess
 import sys
 import textwrap
 import threading
-import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -214,12 +213,12 @@ def test_the_end_of_the_caller_ends_its_programs(tmp_path: Path, by: signal.Sign
     assert not (tmp_path / "results").exists()
 
 
-# Half a minute on two cores, in tasks of a second or two: a killed worker starts again in as much.
+# Twenty seconds on two cores, a task for each run: a killed worker starts again in a second or two.
 KILLED = """
 name = "killed"
 seed = 5
 replicates = 6
-duration = 2500
+duration = 1500
 [[grid]]
 n = [20, 40]
 pi1 = [1, 4]
@@ -317,9 +316,9 @@ def kill(cluster: Cluster, parts: Path, killed: list[int]) -> None:
 
     while len(killed) < KILLS:
         eventually("more results", arrived)
-        eventually("a worker", lambda: bool(cluster.worker_processes()))
-        killed.append(draw.choice(cluster.worker_processes()))
-        os.kill(killed[-1], signal.SIGKILL)
+        if workers := cluster.worker_processes():
+            killed.append(draw.choice(workers))
+            os.kill(killed[-1], signal.SIGKILL)
     eventually("more results", arrived)
     cluster.scheduler.kill()
 
