@@ -101,6 +101,12 @@ NOT_SENT: dict[tuple[str, str], str] = {
     ("read_recording", "path"): _FILE,
     ("frame", "records"): "makes a table on this machine",
     ("WhoAmI.may", "verb"): "looks into a reply",
+    **{
+        ("sweep", argument): "a sweep needs no daemon: test_sweep.py"
+        for argument in ("source", "executor", "folder", "task_secs", "jostled")
+    },
+    ("Sweep.wait", "show"): _PICTURE,
+    ("Objective.rows", "values"): "a search needs no daemon: test_objective.py",
     ("env.ParallelEnv", "neighbours"): "is about what agents observe: test_env.py",
     ("env.ParallelEnv", "sight"): "is about what agents observe: test_env.py",
     ("env.ParallelEnv.action_space", "agent"): "is about the environment's spaces: test_env.py",
@@ -121,6 +127,10 @@ NO_REQUEST: dict[str, str] = {
     "Swarm.close": "ends its streams",
     "Stream.close": "ends it",
     "Recording.frame": "makes a table of a file",
+    **dict.fromkeys(
+        ["Sweep.cancel", "Sweep.faults", "Sweep.frame", "Sweep.rows"],
+        "a sweep needs no daemon: test_sweep.py",
+    ),
     "View.show": _PICTURE,
     "View.stop": _PICTURE,
     "env.ParallelEnv.render": _PICTURE,
