@@ -63,7 +63,8 @@ fn finished(folder: &Path, output: &str) -> Vec<String> {
     whole.map(str::to_owned).collect()
 }
 
-fn until(what: &str, mut is_true: impl FnMut() -> bool) {
+/// Waits until `is_true`, or fails.
+pub fn until(what: &str, mut is_true: impl FnMut() -> bool) {
     let began = Instant::now();
     while !is_true() {
         assert!(began.elapsed() < PATIENCE, "waiting for {what}");

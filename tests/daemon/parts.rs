@@ -4,12 +4,11 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
-use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use crate::apart::{Process, jostled};
 use crate::crash::disk::Small;
-use crate::support::PATIENCE;
+use crate::experiment::until;
 
 /// 24 runs of very different length, some seconds of one core in all.
 const EXPERIMENT: &str = r#"
@@ -103,14 +102,6 @@ impl Fixture {
         let path = self.path(folder).join("runs.jsonl");
         let text = fs::read_to_string(&path).unwrap();
         fs::write(path, change(text)).unwrap();
-    }
-}
-
-fn until(what: &str, mut is_true: impl FnMut() -> bool) {
-    let began = Instant::now();
-    while !is_true() {
-        assert!(began.elapsed() < PATIENCE, "waiting for {what}");
-        sleep(Duration::from_millis(2));
     }
 }
 

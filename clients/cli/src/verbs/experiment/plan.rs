@@ -38,11 +38,11 @@ pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
     };
     let of = match (arguments.parts, arguments.secs) {
         (Some(parts), _) => parts.get(),
-        (None, Some(secs)) => parts_of(left.expected_secs(&plan), secs),
+        // A list of runs is one argument of a command, of at most 128 KiB.
+        (None, Some(secs)) => parts_of(left.expected_secs(&plan), secs)
+            .max(left.indices().len().div_ceil(MAX_RUNS_OF_LIST)),
         (None, None) => 1,
     };
-    // A list of runs is one argument of a command, of at most 128 KiB.
-    let of = of.max(left.indices().len().div_ceil(MAX_RUNS_OF_LIST));
     // Empty parts would be elements of a job array without work.
     let of = of.min(plan.runs().len()).max(1);
     let parts = match arguments.secs {

@@ -1,0 +1,78 @@
+"""The overhead of `jostle.sweep` on all cores of this machine, in CPU time.
+
+    target/venv/bin/python benches/sweep.py [TASKS]
+
+It executes runs of the paper's size, n = 50 for 1,000 time units, in tasks that are planned for 30 s,
+and compares the CPU time of everything else with that of `jostled run`. Limit: 5 %.
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+import jostle
+
+ROOT = Path(__file__).resolve().parents[1]
+LIMIT = 0.05
+TASK_SECS = 30.0
+# Expected seconds of one run, by which the number of runs follows from that of the tasks.
+RUN_SECS = 0.9
+EXPERIMENT = """
+name = "overhead"
+duration = 1000
+replicates = {}
+spec = {{ n = 50 }}
+grid = [{{ pi1 = 4, informed = 5 }}]
+measure = {{ order_every = 50 }}
+"""
+# Appends the CPU time of each program that a task starts.
+TIMED = """#!/bin/bash
+TIMEFORMAT='%U %S'
+{{ time {} "$@" 2>&3; }} 3>&2 2>>{}
+"""
+
+
+def used(who: int) -> float:
+    """CPU seconds of this process or of the programs that it started."""
+    usage = resource.getrusage(who)
+    return usage.ru_utime + usage.ru_stime
+
+
+def main() -> None:
+    """Executes the sweep and prints the figures."""
+    tasks = int(sys.argv[1]) if len(sys.argv) > 1 else 10
+    release = ROOT / "target" / "release"
+    runs = round(tasks * TASK_SECS / RUN_SECS)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        times = folder / "times"
+        (folder / "jostle").symlink_to(release / "jostle")
+        program = folder / "jostled"
+        program.write_text(TIMED.format(release / "jostled", times), encoding="utf-8")
+        program.chmod(0o755)
+        began = time.monotonic()
+        with jostle.sweep(
+            EXPERIMENT.format(runs),
+            folder=folder / "results",
+            task_secs=TASK_SECS,
+            jostled=program,
+        ) as sweep:
+            rows = sweep.wait(show=False).rows()
+        wall = time.monotonic() - began
+        lines = times.read_text(encoding="utf-8").splitlines()
+        in_runs = sum(float(it) for line in lines for it in line.split())
+    others = used(resource.RUSAGE_SELF) + used(resource.RUSAGE_CHILDREN) - in_runs
+    print(
+        f"{len(rows)} runs in {len(lines)} tasks: {wall:.0f} s, {in_runs / len(rows):.2f} s of CPU each"
+    )
+    share = others / in_runs
+    print(f"everything else: {others:.2f} s, {share:.2%} of the runs' CPU time (limit {LIMIT:.0%})")
+    sys.exit(share > LIMIT)
+
+
+if __name__ == "__main__":
+    main()
