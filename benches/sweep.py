@@ -2,8 +2,8 @@
 
     target/venv/bin/python benches/sweep.py [TASKS]
 
-It executes runs of the paper's size, n = 50 for 1,000 time units, in tasks that are planned for 30 s,
-and compares the CPU time of everything else with that of `jostled run`. Limit: 5 %.
+It executes runs of the paper's size, n = 50 for 1,000 time units, in tasks that are planned for
+30 s, and compares the CPU time of everything else with that of `jostled run`. Limit: 5 %.
 """
 
 from __future__ import annotations
@@ -66,9 +66,8 @@ def main() -> None:
         lines = times.read_text(encoding="utf-8").splitlines()
         in_runs = sum(float(it) for line in lines for it in line.split())
     others = used(resource.RUSAGE_SELF) + used(resource.RUSAGE_CHILDREN) - in_runs
-    print(
-        f"{len(rows)} runs in {len(lines)} tasks: {wall:.0f} s, {in_runs / len(rows):.2f} s of CPU each"
-    )
+    each = in_runs / len(rows)
+    print(f"{len(rows)} runs in {len(lines)} tasks: {wall:.0f} s, {each:.2f} s of CPU each")
     share = others / in_runs
     print(f"everything else: {others:.2f} s, {share:.2%} of the runs' CPU time (limit {LIMIT:.0%})")
     sys.exit(share > LIMIT)

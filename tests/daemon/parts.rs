@@ -226,6 +226,23 @@ fn parts_that_do_not_fit_together_are_named_and_rejected() {
 }
 
 #[test]
+fn a_plan_has_as_many_parts_as_requested() {
+    let fixture = Fixture::new();
+    let text = "name = \"many\"\nduration = 1\nreplicates = 30000\nspec = { n = 3 }\n";
+    fs::write(fixture.path("many.toml"), text).unwrap();
+    for (option, value, parts) in [("--parts", "2", 2), ("--secs", "1e9", 3)] {
+        let plan = ["experiment", "plan", "many.toml", "--json", option, value];
+        let output = fixture.jostle(&plan);
+        let listed: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+        let listed = listed.as_array().unwrap();
+        // A list of numbers, which `--secs` is for, is limited in length.
+        assert_eq!(listed.len(), parts, "{option}");
+        let counts = listed.iter().map(|part| part["count"].as_u64().unwrap());
+        assert_eq!(counts.sum::<u64>(), 30_000);
+    }
+}
+
+#[test]
 fn a_verified_merge_finds_a_run_with_another_result() {
     let fixture = Fixture::new();
     for (name, part) in [("one", "1/2"), ("two", "2/2")] {
