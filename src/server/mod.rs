@@ -238,12 +238,20 @@ async fn reload_people(rights: Arc<LiveRights>) {
     }
 }
 
+/// A future behind a pointer.
+type BoxedFuture<'a, T> = std::pin::Pin<Box<dyn Future<Output = T> + Send + 'a>>;
+
 /// Opens the session and serves.
 ///
 /// # Errors
 ///
 /// [`ServerError`].
-pub async fn start(config: &Config) -> Result<Server, ServerError> {
+pub fn start(config: &Config) -> BoxedFuture<'_, Result<Server, ServerError>> {
+    Box::pin(open(config))
+}
+
+/// [`start`], which is compiled here and not once more in each program that starts a server.
+async fn open(config: &Config) -> Result<Server, ServerError> {
     let (prefix, node) = (&config.prefix, &config.node);
     check_name("node", node).map_err(ServerError::Name)?;
     check_name("prefix", prefix).map_err(ServerError::Name)?;
