@@ -137,10 +137,10 @@ pub enum BatchError {
         source: SubsetError,
     },
     /// The folder cannot be used.
-    #[error("failed to {0}")]
+    #[error(transparent)]
     Folder(#[from] FolderError),
     /// The experiment came to no end.
-    #[error("failed to go on: {0}")]
+    #[error("failed to execute the experiment: {0}")]
     Execute(#[from] ExecuteError),
     /// Ctrl-C cannot be waited for.
     #[error("failed to wait for signals: {0}")]

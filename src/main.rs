@@ -50,11 +50,11 @@ enum Command {
         #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
         lasting: Option<Duration>,
     },
-    /// Carry out an experiment, without a network; what is finished is never done again.
+    /// Execute an experiment without a daemon; finished runs are not executed again.
     Run {
         /// The experiment, a TOML file.
         file: PathBuf,
-        /// Keep results here, and go on from what is there.
+        /// Folder of the results; an interrupted experiment in it is resumed.
         #[arg(
             short,
             long,
@@ -62,24 +62,24 @@ enum Command {
             required_unless_present = "dry_run"
         )]
         output: Option<PathBuf>,
-        /// Only part K of N parts that need about the same time. Without a folder of that name, it
-        /// appears when the part is complete. `jostle results merge` merges all parts.
+        /// Execute only part K of N; parts have nearly equal expected times. FOLDER is created when
+        /// the part is complete, unless it exists before. `jostle results merge` merges all parts.
         #[arg(long, value_name = "K/N", value_parser = batch::part)]
         part: Option<Which>,
-        /// Only the runs with these numbers, which `--dry-run` lists, such as `17,18,40-60`.
+        /// Execute only these runs, such as `17,18,40-60`; `--dry-run` lists their numbers.
         #[arg(long, value_name = "LIST", conflicts_with = "part")]
         runs: Option<String>,
-        /// Write a checkpoint of each run this often, such as `5m`, and when interrupted. The next
-        /// execution continues from it, with the same results.
+        /// Interval between checkpoints of each run, such as `5m`; also written on Ctrl-C and
+        /// SIGTERM. The next execution resumes from them, with the same results.
         #[arg(long, value_name = "DURATION", value_parser = duration, conflicts_with = "dry_run")]
         checkpoint: Option<Duration>,
-        /// Runs at a time [default: one a core].
+        /// Number of runs executed in parallel [default: number of cores].
         #[arg(long, value_name = "N")]
         threads: Option<NonZero<usize>>,
         /// As JSON.
         #[arg(long)]
         json: bool,
-        /// List the runs and their seeds, and do nothing.
+        /// List the runs with their numbers and seeds; execute nothing.
         #[arg(long, conflicts_with = "output")]
         dry_run: bool,
     },

@@ -117,15 +117,17 @@ fn killed_parts_merge_to_the_bytes_of_one_machine() {
     fixture.run("whole", &["--threads", "2"]);
     let expected = fixture.tables("whole");
 
-    // The second part is killed and continues; it has its name only when it is complete.
+    // The second part is interrupted, killed and resumed; it has its name only when it is complete.
     let part = ["--part", "2/3", "--threads", "1"];
     let unfinished = fixture.path("parts/.jostle-part-2.2-of-3");
-    let mut process = Process::of(&mut fixture.command("parts/part-2", &part));
-    until("a run", || finished(&unfinished) > 0);
-    process.signal("-KILL");
-    process.end();
-    let kept = finished(&unfinished);
-    assert!(kept > 0 && !fixture.path("parts/part-2").exists());
+    for signal in ["-TERM", "-KILL"] {
+        let before = finished(&unfinished);
+        let mut process = Process::of(&mut fixture.command("parts/part-2", &part));
+        until("a run", || finished(&unfinished) > before);
+        process.signal(signal);
+        process.end();
+        assert!(finished(&unfinished) > before && !fixture.path("parts/part-2").exists());
+    }
     fixture.run("parts/part-1", &["--part", "1/3"]);
     fixture.run("parts/part-2", &part);
     assert!(!unfinished.exists());
@@ -136,7 +138,7 @@ fn killed_parts_merge_to_the_bytes_of_one_machine() {
     let listed: serde_json::Value = serde_json::from_slice(&listed.stdout).unwrap();
     let runs = listed[2]["runs"].as_str().unwrap();
     let count = &listed[2]["count"];
-    let expected_message = format!("{count} of {RUNS} runs are missing, {runs}; execute them with");
+    let expected_message = format!("{count} of {RUNS} runs are missing, {runs}: execute");
     assert!(message.contains(&expected_message), "{message}");
     let plan = ["experiment", "plan", "parts.toml", "--parts", "3", "--emit"];
     let missing = fixture.jostle(&[&plan[..], &["slurm", "--missing", "parts"]].concat());
@@ -145,7 +147,10 @@ fn killed_parts_merge_to_the_bytes_of_one_machine() {
 
     fixture.run("parts/part-3", &["--runs", runs]);
     let told = fixture.merge(&["parts"], &["-o", "merged"]).unwrap();
-    assert_eq!(told, format!("{RUNS} runs of 3 parts in merged\n"));
+    assert_eq!(
+        told,
+        format!("merged {RUNS} runs from 3 parts into merged\n")
+    );
     assert_eq!(fixture.tables("merged"), expected);
 
     // The same commands again change nothing, nor does `jostled run` of all on the merged folder.
@@ -173,7 +178,7 @@ fn parts_that_do_not_fit_together_are_named_and_rejected() {
     expect(
         &["one", "two", "one"],
         2,
-        &["one and one: both contain runs"],
+        &["one and", "one both contain runs"],
     );
     expect(&["one", "absent"], 3, &["absent"]);
 
@@ -185,7 +190,11 @@ fn parts_that_do_not_fit_together_are_named_and_rejected() {
     )
     .unwrap();
     fs::write(other.join("runs.jsonl"), "").unwrap();
-    expect(&["one", "other", "two"], 2, &["other: its experiment.toml"]);
+    expect(
+        &["one", "other", "two"],
+        2,
+        &["other and", "one contain different experiments"],
+    );
 
     // A worker with another version of the model.
     fixture.edit("two", |text| {
@@ -193,18 +202,14 @@ fn parts_that_do_not_fit_together_are_named_and_rejected() {
         let own = own.split_once('}').unwrap().0.to_owned();
         text.replacen(&format!(":{own}}}"), ":999}", 1)
     });
-    expect(
-        &["one", "two"],
-        2,
-        &["two: its runs have model version 999"],
-    );
+    expect(&["one", "two"], 2, &["two has runs of model version 999"]);
     fs::remove_dir_all(fixture.path("two")).unwrap();
 
     // A process is still executing a part in place.
     let whole = &["--threads", "1"];
     let mut running = Process::of(&mut fixture.command("two", whole));
     until("a run", || finished(&fixture.path("two")) > 0);
-    expect(&["one", "two"], 4, &["two: another process"]);
+    expect(&["one", "two"], 4, &["two is in use: another process"]);
     running.signal("-TERM");
     let (code, took) = running.end();
     assert_eq!(code, Some(130));
@@ -251,7 +256,7 @@ fn a_verified_merge_finds_a_run_with_another_result() {
     let told = fixture.merge(&["one", "two"], &["-o", "verified", "--verify", "20%"]);
     let told = told.unwrap();
     assert!(
-        told.contains("6 runs repeated here with the same result"),
+        told.contains("executed 6 runs again, with the same results"),
         "{told}"
     );
     // The last digit of a number, as a faulty processor would have it.
@@ -265,8 +270,12 @@ fn a_verified_merge_finds_a_run_with_another_result() {
     let all = ["-o", "rejected", "--verify", "100%"];
     let (code, message) = fixture.merge(&["one", "two"], &all).unwrap_err();
     assert_eq!(code, 9, "{message}");
-    assert!(message.contains("1 of 24 differ"), "{message}");
-    assert!(message.contains(" of two ("), "{message}");
+    assert!(
+        message.contains("1 of 24 runs have another result"),
+        "{message}"
+    );
+    assert!(message.contains(" of two (state hash "), "{message}");
+    assert!(message.contains("on both, other measurements"), "{message}");
     assert!(!fixture.path("rejected").exists());
 }
 
@@ -347,7 +356,7 @@ fn a_killed_merge_leaves_no_folder_of_results() {
     let (code, message) = fixture.merge(&parts, &["-o", "again"]).unwrap_err();
     assert_eq!(code, 4);
     assert!(
-        message.contains("again: it exists and is not empty"),
+        message.contains("again exists and is not empty"),
         "{message}"
     );
     let (code, message) = fixture.merge(&parts, &["-o", "/proc/merged"]).unwrap_err();
@@ -389,6 +398,47 @@ fn a_merge_on_a_full_disk_leaves_nothing() {
         let left = fs::read_dir(disk.path()).unwrap().count();
         assert_eq!(left, 1, "more than the ballast");
     }
+}
+
+#[test]
+fn folders_that_cannot_be_written_are_named_and_nothing_is_left() {
+    let fixture = Fixture::new();
+    for (name, part) in [("one", "1/2"), ("two", "2/2")] {
+        fixture.run(name, &["--part", part, "--threads", "2"]);
+    }
+    let Some(disk) = Small::mount(1) else {
+        return;
+    };
+    let options = ["-o", "remount,ro"];
+    let mount = Command::new("mount")
+        .args(options)
+        .arg(disk.path())
+        .status();
+    assert!(mount.unwrap().success());
+    let target = disk.path().join("folder");
+    let target = target.to_str().unwrap();
+    let (code, message) = fixture.merge(&["one", "two"], &["-o", target]).unwrap_err();
+    assert_eq!(code, 5, "{message}");
+    assert!(message.contains("Read-only file system"), "{message}");
+    let output = fixture
+        .command(target, &["--part", "1/2"])
+        .output()
+        .unwrap();
+    let message = String::from_utf8(output.stderr).unwrap();
+    assert_eq!(output.status.code(), Some(1), "{message}");
+    assert!(message.contains("folder.1-of-2: Read-only"), "{message}");
+    assert_eq!(fs::read_dir(disk.path()).unwrap().count(), 0);
+
+    // A folder without results, and one that is not there.
+    fs::create_dir(fixture.path("empty")).unwrap();
+    let (code, message) = fixture
+        .merge(&["one", "empty"], &["-o", "none"])
+        .unwrap_err();
+    assert_eq!(code, 3, "{message}");
+    assert!(
+        message.contains("empty contains no results: use folders"),
+        "{message}"
+    );
 }
 
 /// The text of the blocks of a kind in a section of the page.

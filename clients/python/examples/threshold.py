@@ -4,8 +4,8 @@
     python threshold.py FOLDER
 
 It finds the number of informed individuals at which the group drifts along their direction at half
-the free speed, and draws what it has evaluated. Everything is kept in FOLDER: if the search is
-killed, the same command continues it, and no experiment is executed twice.
+the free speed, and plots what it has evaluated. Everything is stored in FOLDER: if the search is
+killed, the same command resumes it, and no experiment is executed twice.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ EXPERIMENT = {
 
 
 def search(folder: Path, trials: int) -> optuna.Study:
-    """Asks for trials and evaluates them until the study has so many."""
+    """Evaluates trials until `trials` of them are complete."""
     folder.mkdir(parents=True, exist_ok=True)
     study = optuna.create_study(
         storage=f"sqlite:///{folder}/study.db",
         study_name="threshold",
         load_if_exists=True,
     )
-    # The same seed again would ask for the same values again.
+    # A resumed search with the same seed would suggest the same values again.
     study.sampler = optuna.samplers.TPESampler(seed=len(study.trials))
     objective = jostle.Objective(EXPERIMENT, "v_pd", folder=folder / "experiments")
     complete = (optuna.trial.TrialState.COMPLETE,)
@@ -51,7 +51,7 @@ def search(folder: Path, trials: int) -> optuna.Study:
 
 
 def draw(study: optuna.Study, file: Path) -> None:
-    """Draws the drift over the number of informed individuals."""
+    """Plots the drift against the number of informed individuals."""
     done = study.get_trials(states=(optuna.trial.TrialState.COMPLETE,))
     drifts = {trial.params["informed"]: trial.user_attrs["drift"] for trial in done}
     best = study.best_params["informed"]
@@ -60,7 +60,7 @@ def draw(study: optuna.Study, file: Path) -> None:
     axes.plot(*zip(*sorted(drifts.items()), strict=True), "o", color="tab:blue", label="evaluated")
     axes.plot(best, drifts[best], "o", color="tab:red", label=f"nearest to {HALF}: {best}")
     axes.set_xlabel("informed individuals of 40")
-    axes.set_ylabel("mean drift, free speeds")
+    axes.set_ylabel("mean drift / free speed")
     axes.set_xlim(0, 21)
     axes.set_xticks(range(0, 21, 2))
     axes.set_ylim(-0.1, 1)
@@ -71,14 +71,15 @@ def draw(study: optuna.Study, file: Path) -> None:
 def main() -> None:
     """Parses the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("folder", type=Path, help="where everything is kept")
+    parser.add_argument("folder", type=Path, help="folder of the study, the results and the plot")
     parser.add_argument("--trials", type=int, default=16, help="number of trials [16]")
     arguments = parser.parse_args()
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = search(arguments.folder, arguments.trials)
     file = arguments.folder / "threshold.svg"
     draw(study, file)
-    print(f"{study.best_params['informed']} informed individuals are nearest; drawn in {file}")
+    best = study.best_params["informed"]
+    print(f"drift is closest to {HALF} with {best} informed individuals; plot: {file}")
 
 
 if __name__ == "__main__":

@@ -31,7 +31,7 @@ def is_running(pid: int) -> bool:
     return state != "Z"
 
 
-def keepers(data: Path) -> int:
+def watchdogs(data: Path) -> int:
     """How many shells look after the daemon of this temporary folder."""
     count = 0
     for folder in Path("/proc").iterdir():
@@ -40,8 +40,8 @@ def keepers(data: Path) -> int:
                 command = (folder / "cmdline").read_bytes()
             except (FileNotFoundError, ProcessLookupError):
                 continue
-            is_keeper = command.startswith(b"/bin/sh\0-c\0\nexec 3<&0")
-            count += is_keeper and bytes(data) in command.split(b"\0")
+            is_watchdog = command.startswith(b"/bin/sh\0-c\0\nexec 3<&0")
+            count += is_watchdog and bytes(data) in command.split(b"\0")
     return count
 
 
@@ -66,7 +66,7 @@ def said(program: subprocess.Popen[str]) -> tuple[int, Path]:
 def test_it_serves_and_leaves_nothing_behind() -> None:
     with jostle.local() as client:
         pid, folder = client.pid, client.folder
-        assert keepers(folder) == 1
+        assert watchdogs(folder) == 1
         assert client.endpoint.startswith("tcp/127.0.0.1:")
         assert client.create("school", jostle.Spec(n=3)).step(5).step == 5
         assert "serving" in client.log.read_text(encoding="utf-8")
@@ -75,7 +75,7 @@ def test_it_serves_and_leaves_nothing_behind() -> None:
         assert is_running(pid)
     assert not is_running(pid)
     assert not folder.exists()
-    eventually("its keeper ends", lambda: keepers(folder) == 0)
+    eventually("its watchdog ends", lambda: watchdogs(folder) == 0)
     client.close()
     with pytest.raises(jostle.Unavailable, match="closed"):
         client.swarms()

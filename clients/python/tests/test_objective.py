@@ -32,9 +32,11 @@ def times(folder: Path) -> dict[Path, int]:
 
 def test_values_are_those_of_the_experiment_with_them(tmp_path: Path) -> None:
     objective = jostle.Objective(EXPERIMENT, "v_pd", folder=tmp_path / "search")
-    value = objective(pi1=2.0, informed=3)
+    value = objective(pi1=2.0, noise=0.1, informed=3)
     file = tmp_path / "one.toml"
-    file.write_text(f"{EXPERIMENT}pi1 = 2.0\n[[grid]]\ninformed = 3\n", encoding="utf-8")
+    file.write_text(
+        f"{EXPERIMENT}pi1 = 2.0\nnoise = 0.1\n[[grid]]\ninformed = 3\n", encoding="utf-8"
+    )
     command: list[str | Path] = [JOSTLED, "run", file, "-o", tmp_path / "one"]
     subprocess.run(command, check=True, capture_output=True, timeout=PATIENCE_SECS)
     rows = (tmp_path / "one" / "results.csv").read_text().splitlines()
@@ -43,9 +45,9 @@ def test_values_are_those_of_the_experiment_with_them(tmp_path: Path) -> None:
     # The same values cost nothing, whatever their order and in another object, too.
     before = times(tmp_path / "search")
     again = jostle.Objective(EXPERIMENT, "v_pd", folder=tmp_path / "search")
-    assert again(informed=3.0, pi1=2) == value
+    assert again(noise=0.1, informed=3.0, pi1=2) == value
     assert times(tmp_path / "search") == before
-    assert again(informed=4, pi1=2.0) != value
+    assert again(informed=4, pi1=2.0, noise=0.1) != value
     assert len(list((tmp_path / "search").iterdir())) == 2
 
 
@@ -61,14 +63,16 @@ def test_invalid_searches_are_errors(tmp_path: Path) -> None:
         jostle.InvalidArgument, match="unknown measure 'speed': use one of seed, n,"
     ):
         jostle.Objective(EXPERIMENT, "speed", folder=tmp_path)
-    with pytest.raises(jostle.InvalidArgument, match="the experiment: "):
+    with pytest.raises(jostle.InvalidArgument, match="invalid experiment: "):
         jostle.Objective("name = \n=", "v", folder=tmp_path)
     objective = jostle.Objective(EXPERIMENT, "v_pd", folder=tmp_path)
     with pytest.raises(jostle.InvalidArgument, match="pi1"):
         objective(pi1=-1.0)
     with pytest.raises(jostle.InvalidArgument, match="colour"):
         objective(colour="red")
-    with pytest.raises(jostle.Faulted, match="v_pd needs informed individuals"):
+    with pytest.raises(
+        jostle.Faulted, match=r"no finite .v_pd. in 2 of 2 runs.*v_pd needs informed"
+    ):
         objective(pi1=2.0)
 
 

@@ -332,7 +332,7 @@ def test_a_sweep_on_dask_survives_killed_workers_and_a_killed_scheduler(
     killed: list[int] = []
     killer = threading.Thread(target=kill, args=(cluster, tmp_path / "results.parts", killed))
     killer.start()
-    with pytest.raises(jostle.Unavailable, match="the next sweep with this folder continues"):
+    with pytest.raises(jostle.Unavailable, match="call `sweep` again with the same folder"):
         sweep.wait()
     killer.join()
     assert len(killed) == KILLS
@@ -348,6 +348,24 @@ def test_a_sweep_on_dask_survives_killed_workers_and_a_killed_scheduler(
     command: list[str | Path] = [JOSTLED, "run", file, "-o", tmp_path / "alone"]
     subprocess.run(command, check=True, capture_output=True, timeout=4 * PATIENCE_SECS)
     assert written == {name: (tmp_path / "alone" / name).read_bytes() for name in TABLES[:3]}
+
+
+def test_a_cancelled_sweep_on_dask_leaves_an_equal_one_alone(
+    tmp_path: Path, start_cluster: Callable[[str], Cluster]
+) -> None:
+    address = f"dask:{start_cluster('both').address}"
+    names = ("cancelled", "other")
+    one, other = (
+        jostle.sweep(SMALL, address, folder=tmp_path / name, task_secs=TASK_SECS) for name in names
+    )
+    rows = iter(other)
+    first = next(rows)
+    for _ in one:
+        break
+    one.cancel()
+    assert len([first, *rows]) == RUNS
+    assert tables(tmp_path / "other") == alone(SMALL, tmp_path)
+    assert not (tmp_path / "cancelled").exists()
 
 
 def test_the_page_about_clusters_sweeps_on_dask(

@@ -42,7 +42,7 @@ mod error;
 mod list;
 mod part;
 
-const EXPERIMENT: &str = "experiment.toml";
+pub(crate) const EXPERIMENT: &str = "experiment.toml";
 const LOCK: &str = "lock";
 
 /// The folder of an experiment, locked for writing.

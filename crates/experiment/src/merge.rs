@@ -12,7 +12,7 @@ use std::thread;
 use thiserror::Error;
 
 use crate::error::PlanError;
-use crate::folder::{Folder, FolderError, Part, parts_in, unfinished};
+use crate::folder::{EXPERIMENT, Folder, FolderError, Part, parts_in, unfinished};
 use crate::plan::Plan;
 use crate::run::{Finished, conduct};
 use crate::subset::Subset;
@@ -27,7 +27,7 @@ pub enum MergeError {
     #[error(transparent)]
     Folder(#[from] FolderError),
     /// A part's `experiment.toml` is not an experiment's file.
-    #[error("read {}: {source}", folder.display())]
+    #[error("failed to parse {}/{EXPERIMENT}: {source}; copy the part again", folder.display())]
     Plan {
         /// The part.
         folder: PathBuf,
@@ -35,11 +35,12 @@ pub enum MergeError {
         source: PlanError,
     },
     /// No parts are given.
-    #[error("merge parts: none are given; name the folders that `jostled run --part` wrote")]
+    #[error("no parts are given: use the folders that `jostled run --part` wrote")]
     NoParts,
     /// Parts are of another experiment than the first part.
     #[error(
-        "merge {}: its experiment.toml differs from that of {}", join(others.iter().map(|it| it.display().to_string())), first.display()
+        "{} and {} contain different experiments: merge only parts of the same, unchanged {EXPERIMENT}",
+        join(others.iter().map(|it| it.display().to_string())), first.display()
     )]
     OtherExperiment {
         /// The first part.
@@ -48,14 +49,20 @@ pub enum MergeError {
         others: Vec<PathBuf>,
     },
     /// A part is of another experiment.
-    #[error("use {}: its experiment.toml differs from the experiment's file", folder.display())]
+    #[error(
+        "{} contains another experiment: use the file that its runs were executed with",
+        folder.display()
+    )]
     ForeignPart {
         /// The part.
         folder: PathBuf,
     },
     /// Two parts contain the same runs.
-    #[error("merge {} and {}: both contain runs {runs}; leave out one of them", first.display(), second.display())]
-    Repeated {
+    #[error(
+        "{} and {} both contain runs {runs}: leave out one of them, and execute runs that are missing \
+         then with `jostled run FILE --runs`", first.display(), second.display()
+    )]
+    Duplicate {
         /// One part.
         first: PathBuf,
         /// The other part.
@@ -65,9 +72,9 @@ pub enum MergeError {
     },
     /// Runs are in no part.
     #[error(
-        "merge an incomplete experiment: {} of {of} runs are missing, {runs}; execute them with \
-         `jostled run FILE --runs {runs} -o FOLDER`, and merge that folder, too",
-        runs.indices().len()
+        "{} of {of} runs are missing, {}: execute the same `jostled run --part` again, which resumes an \
+         interrupted part; `jostle experiment plan FILE --missing FOLDER...` plans the missing runs \
+         as new parts", runs.indices().len(), shortened(runs)
     )]
     Missing {
         /// The missing runs.
@@ -75,16 +82,22 @@ pub enum MergeError {
         /// Number of runs of the experiment.
         of: usize,
     },
-    /// Runs that were repeated for verification have other results than in their part.
-    #[error("verify runs: {} of {of} differ when they are repeated here: {}", runs.len(), join(runs.iter().map(Difference::to_string)))]
+    /// Runs that were executed again for verification have other results than in their part.
+    #[error(
+        "{} of {of} runs have another result when they are executed here: {}; compare the versions and \
+         the hardware of both machines, and execute these parts again on another one",
+        runs.len(), join(runs.iter().map(Difference::to_string))
+    )]
     Differs {
         /// The runs that differ.
         runs: Vec<Difference>,
-        /// Number of repeated runs.
+        /// Number of runs that were executed again.
         of: usize,
     },
     /// Not all runs arrived in the merged folder.
-    #[error("merge parts: {finished} of {runs} runs were written; was a part changed meanwhile?")]
+    #[error(
+        "{finished} of {runs} runs were written, since a part was changed meanwhile: merge again"
+    )]
     Incomplete {
         /// Number of runs that were written.
         finished: usize,
@@ -92,14 +105,14 @@ pub enum MergeError {
         runs: usize,
     },
     /// The folder for the merged results exists.
-    #[error("write {}: it exists and is not empty; choose another folder", folder.display())]
+    #[error("{} exists and is not empty: choose another folder", folder.display())]
     Exists {
         /// The folder.
         folder: PathBuf,
     },
 }
 
-/// A run whose repetition has another result.
+/// A run with another result when it is executed again.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Difference {
     /// The run.
@@ -116,12 +129,11 @@ impl Display for Difference {
     fn fmt(&self, to: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [theirs, ours] =
             [&self.theirs, &self.ours].map(|hash| hash.get(..8).unwrap_or("no row"));
-        let folder = self.folder.display();
-        write!(
-            to,
-            "{:?} of {folder} (hash {theirs}, here {ours})",
-            self.run
-        )
+        write!(to, "{:?} of {} (", self.run, self.folder.display())?;
+        match theirs == ours {
+            true => write!(to, "state hash {ours} on both, other measurements)"),
+            false => write!(to, "state hash {theirs}, here {ours})"),
+        }
     }
 }
 
@@ -161,15 +173,15 @@ impl Parts {
         let parts = parts.collect::<Result<Vec<_>, _>>()?;
         let mut part_of = vec![None; plan.runs().len()];
         for (number, part) in parts.iter().enumerate() {
-            let mut repeated: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+            let mut duplicates: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
             for index in part.finished(&plan) {
                 match part_of[index] {
                     None => part_of[index] = Some(number),
-                    Some(other) => repeated.entry(other).or_default().push(index),
+                    Some(other) => duplicates.entry(other).or_default().push(index),
                 }
             }
-            if let Some((other, runs)) = repeated.pop_first() {
-                return Err(MergeError::Repeated {
+            if let Some((other, runs)) = duplicates.pop_first() {
+                return Err(MergeError::Duplicate {
                     first: folders[other].clone(),
                     second: folders[number].clone(),
                     runs: Subset::of(runs),
@@ -204,17 +216,17 @@ impl Parts {
         &self.plan
     }
 
-    /// Draws runs to verify: of each part the share `share`, within (0, 1], and at least one run.
-    /// `draw` determines which.
+    /// Samples runs to verify: of each part a fraction `share`, within (0, 1], and at least one run.
+    /// The selection depends on `seed`.
     #[must_use]
-    pub fn draw(&self, share: f64, draw: u64) -> Subset {
+    pub fn sample(&self, share: f64, seed: u64) -> Subset {
         let key = |index: usize| {
             let mut hasher = blake3::Hasher::new();
-            hasher.update(&draw.to_le_bytes());
+            hasher.update(&seed.to_le_bytes());
             hasher.update(&(index as u64).to_le_bytes());
             *hasher.finalize().as_bytes()
         };
-        let mut drawn = Vec::new();
+        let mut sampled = Vec::new();
         for part in &self.parts {
             let mut runs = part.finished(&self.plan);
             runs.sort_by_cached_key(|&index| key(index));
@@ -224,14 +236,14 @@ impl Parts {
                 reason = "at most the number of runs"
             )]
             let count = (runs.len() as f64 * share).ceil() as usize;
-            drawn.extend(runs.into_iter().take(count));
+            sampled.extend(runs.into_iter().take(count));
         }
-        Subset::of(drawn)
+        Subset::of(sampled)
     }
 
-    /// Repeats runs on this machine and compares their results with those of the parts: rows, reasons
-    /// of faults, series and contacts. After each run `progress` is called with the number of
-    /// repeated runs.
+    /// Executes runs again on this machine and compares their results with those of the parts: rows,
+    /// reasons of faults, series and contacts. After each run `progress` is called with the number of
+    /// runs that were executed.
     ///
     /// # Errors
     ///
@@ -247,7 +259,7 @@ impl Parts {
         let differences = Mutex::new(Vec::new());
         let work = || -> Result<(), FolderError> {
             while let Some(&index) = indices.get(next.fetch_add(1, Ordering::Relaxed)) {
-                let difference = self.repeat(index)?;
+                let difference = self.execute_again(index)?;
                 let mut all = differences.lock().unwrap_or_else(PoisonError::into_inner);
                 all.extend(difference.map(|it| (index, it)));
                 drop(all);
@@ -278,8 +290,8 @@ impl Parts {
         }
     }
 
-    /// Repeats a run; none if its result is that of its part.
-    fn repeat(&self, index: usize) -> Result<Option<Difference>, FolderError> {
+    /// Executes a run again; none if its result is that of its part.
+    fn execute_again(&self, index: usize) -> Result<Option<Difference>, FolderError> {
         let run = &self.plan.runs()[index];
         let part = &self.parts[self.part_of[index]];
         let theirs = part.result(&self.plan, index)?;
@@ -297,7 +309,7 @@ impl Parts {
     ///
     /// # Errors
     ///
-    /// [`MergeError::Exists`] if `to` is there and is not an empty folder.
+    /// [`MergeError::Exists`] if `to` exists and is not an empty folder.
     pub fn check_target(to: &Path) -> Result<(), MergeError> {
         let is_free = match fs::read_dir(to) {
             Ok(mut entries) => entries.next().is_none(),
@@ -311,8 +323,8 @@ impl Parts {
         }
     }
 
-    /// Writes the folder of results, with the runs in the plan's order. It appears as a whole or
-    /// not at all.
+    /// Writes the folder of results atomically, with the runs in the plan's order: to a temporary
+    /// folder, which is then renamed.
     ///
     /// # Errors
     ///
@@ -321,7 +333,7 @@ impl Parts {
         Self::check_target(to)?;
         let temporary = unfinished(to, "merge");
         if temporary.exists() {
-            // A merge that was killed left it, or another one writes it.
+            // Left by a killed merge. If another process is writing it, `discard` returns `InUse`.
             Folder::discard(&temporary)?;
         }
         let mut folder = Folder::open(&temporary, &self.plan)?;
@@ -378,6 +390,19 @@ pub fn missing(plan: &Plan, folders: &[PathBuf]) -> Result<Subset, MergeError> {
     }
     let missing = (0..is_finished.len()).filter(|&index| !is_finished[index]);
     Ok(Subset::of(missing.collect()))
+}
+
+/// The numbers of missing runs, shortened if there are many separate ones.
+fn shortened(runs: &Subset) -> String {
+    let text = runs.to_string();
+    let ranges: Vec<&str> = text.split(',').collect();
+    match ranges.len() {
+        ..=MAX_NAMED => text,
+        count => {
+            let first = ranges[..MAX_NAMED].join(",");
+            format!("{first} and {} more ranges", count - MAX_NAMED)
+        }
+    }
 }
 
 /// Joins texts, at most [`MAX_NAMED`] of them.

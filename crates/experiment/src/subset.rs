@@ -19,10 +19,10 @@ pub struct Subset(Vec<usize>);
 /// Why a subset is rejected.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum SubsetError {
-    /// A part of the text is neither a number nor a range.
-    #[error("{text:?} is neither a run's number nor a range such as 40-60")]
+    /// An entry of the list is neither a number nor an ascending range.
+    #[error("invalid runs {text:?}: use a number or an ascending range such as 40-60")]
     Syntax {
-        /// The part.
+        /// The entry.
         text: String,
     },
     /// A run does not exist.
@@ -34,9 +34,7 @@ pub enum SubsetError {
         runs: usize,
     },
     /// A part does not exist.
-    #[error(
-        "there is no part {number} of {of}: parts are 1/{of} to {of}/{of}, and at most {MAX_RUNS}"
-    )]
+    #[error("invalid part {number}/{of}: use K/N with 1 <= K <= N <= {MAX_RUNS}")]
     NoPart {
         /// The number of the part, from 1.
         number: usize,
@@ -134,15 +132,16 @@ impl Subset {
         runs.map(|run| plan.point(run))
     }
 
-    /// Splits it into `parts` subsets of nearly equal expected time: the runs with the longest time
-    /// first, each to the part with the least time so far. The result depends only on the plan, so
-    /// that every machine splits it in the same way. With fewer runs than parts some are empty.
+    /// Splits it into `parts` subsets of nearly equal expected time, by the rule "longest processing
+    /// time first": assigns the runs in descending order of expected time, each to the part with the
+    /// smallest total so far. The result depends only on the plan, so every machine splits it in the
+    /// same way. With fewer runs than parts some are empty.
     #[must_use]
     pub fn split(&self, plan: &Plan, parts: usize) -> Vec<Self> {
         let cost = |index: usize| plan.point(&plan.runs()[index]).expected_secs();
         let mut runs: Vec<(f64, usize)> = self.0.iter().map(|&it| (cost(it), it)).collect();
         runs.sort_by(|one, other| other.0.total_cmp(&one.0).then(one.1.cmp(&other.1)));
-        // Bits of numbers that are not negative are ordered as the numbers are.
+        // The bit patterns of non-negative floats sort like the floats.
         let mut least: BinaryHeap<Reverse<(u64, usize)>> =
             (0..parts).map(|part| Reverse((0, part))).collect();
         let mut split = vec![Vec::new(); parts];
@@ -176,8 +175,8 @@ impl Display for Subset {
 impl Point {
     /// Estimates the time of a run, in seconds of one core.
     ///
-    /// Only the order of runs, their distribution to parts and the reported progress depend on it.
-    /// Measured for n from 3 to 74, π1 from 1 to 8, and the rules `endpoints` and `closest`: correct
+    /// No result depends on it. It determines the order of runs, how they are split into parts and
+    /// tasks, the reported progress, and the time limit in Slurm scripts. Measured for n from 3 to 74, π1 from 1 to 8, and the rules `endpoints` and `closest`: correct
     /// within a factor of 2, and within 3 for small or round bodies under `closest`, whose longer
     /// steps have more contacts.
     #[must_use]

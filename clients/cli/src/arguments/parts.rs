@@ -13,21 +13,21 @@ pub struct PlanArguments {
     /// The file that describes it, TOML
     #[arg(value_hint = ValueHint::FilePath)]
     pub file: PathBuf,
-    /// Number of parts, which need about the same time [default: 1]
+    /// Number of parts, of nearly equal expected time [default: 1]
     #[arg(long, value_name = "COUNT", conflicts_with = "secs")]
     pub parts: Option<NonZero<usize>>,
-    /// As many parts as are needed for each to take this long on one core, about
+    /// Expected seconds of a part on one core; determines the number of parts
     #[arg(long, value_name = "SECS", value_parser = values::seconds)]
     pub secs: Option<f64>,
-    /// Only what is not finished in these folders of parts, or in a folder with them: with --parts the incomplete parts, otherwise the
-    /// missing runs
+    /// Plan only what these folders lack, which are folders of parts or contain them. With --parts:
+    /// the incomplete parts, with their numbers. Without: the missing runs, split again
     #[arg(long, value_name = "FOLDER", num_args = 1.., value_hint = ValueHint::DirPath)]
     pub missing: Vec<PathBuf>,
     /// Print a Slurm script of a job array, or a line of JSON for each part, instead of a table
     #[arg(long, value_enum)]
     pub emit: Option<Emit>,
-    /// The folder in which the printed commands write parts [default: the experiment's name and
-    /// `-parts`]
+    /// The folder in which the printed commands write parts [default: NAME-parts, from the
+    /// experiment's name]
     #[arg(short, long, value_name = "FOLDER", value_hint = ValueHint::DirPath)]
     pub out: Option<String>,
 }
@@ -60,17 +60,17 @@ pub enum Results {
 /// Which parts to merge, and where to.
 #[derive(Debug, Args)]
 pub struct MergeArguments {
-    /// The folders of all parts, as `jostled run --part` wrote them, or a folder with all of them
+    /// The folders of all parts, as `jostled run --part` wrote them, or one folder that contains them
     #[arg(required = true, value_name = "FOLDER", value_hint = ValueHint::DirPath)]
     pub parts: Vec<PathBuf>,
-    /// The folder of the merged results, which must not exist or be empty
+    /// The folder of the merged results, which must be empty or not exist
     #[arg(short, long, value_name = "FOLDER", value_hint = ValueHint::DirPath)]
     pub out: PathBuf,
-    /// First repeat this share of the runs of each part, such as 1%, drawn at random, and compare
-    /// the results; exit code 9 if one differs
+    /// First execute a random share of the runs of each part again, such as 1%, and compare the
+    /// results; exit code 9 if one differs
     #[arg(long, value_name = "SHARE", value_parser = values::percentage)]
     pub verify: Option<f64>,
-    /// Runs to repeat at a time [default: one a core]
+    /// Number of runs to verify in parallel [default: number of cores]
     #[arg(long, value_name = "COUNT", requires = "verify")]
     pub threads: Option<NonZero<usize>>,
 }

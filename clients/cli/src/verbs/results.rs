@@ -42,19 +42,19 @@ fn merge(output: Output, arguments: &MergeArguments) -> Result<(), Failure> {
         );
     }
     let mut text = format!(
-        "{} of {} in {}",
+        "merged {} from {} into {}",
         format::count(runs as u64, "run"),
         format::count(count as u64, "part"),
         folder.path().display()
     );
     if verified > 0 {
         let verified = format::count(verified as u64, "run");
-        text += &format!("; {verified} repeated here with the same result");
+        text += &format!("; executed {verified} again, with the same results");
     }
     output.data(&text)
 }
 
-/// Repeats a share of the runs and returns how many.
+/// Executes a share of the runs again and returns how many.
 fn verify(
     output: Output,
     parts: &Parts,
@@ -63,7 +63,7 @@ fn verify(
 ) -> Result<usize, Failure> {
     let since_epoch = SystemTime::now().duration_since(UNIX_EPOCH);
     let nanos = since_epoch.map_or(0, |it| it.subsec_nanos());
-    let subset = parts.draw(
+    let subset = parts.sample(
         share,
         u64::from(nanos) << 32 | u64::from(std::process::id()),
     );
@@ -98,6 +98,7 @@ pub fn failure(error: MergeError) -> Failure {
         (MergeError::Folder(FolderError::InUse { .. }), _) => "conflict",
         (_, Some(ErrorKind::StorageFull | ErrorKind::QuotaExceeded)) => "storage_full",
         (_, Some(ErrorKind::NotFound)) => "not_found",
+        (MergeError::Folder(FolderError::NoResults { .. }), _) => "not_found",
         (_, Some(ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem)) => {
             "permission_denied"
         }
@@ -106,6 +107,6 @@ pub fn failure(error: MergeError) -> Failure {
     };
     Failure::Merge {
         code,
-        message: format!("failed to {error}"),
+        message: error.to_string(),
     }
 }

@@ -21,9 +21,9 @@ from . import _cancel, _program
 from ._arguments import check_seconds
 from ._client import Client, open_link
 from ._errors import InvalidArgument, Unavailable
-from ._keeper import kept
 from ._link import Link
 from ._progress import Bar
+from ._watchdog import with_watchdog
 
 # A daemon that finds a large folder tells its swarms' pasts before it listens.
 _START_SECS = 120.0
@@ -171,7 +171,7 @@ class Daemon:
                     self._process.kill()
                     self._process.wait()
             if self._held is not None:
-                # Nothing is left to do for the keeper.
+                # Nothing is left to do for the watchdog.
                 with contextlib.suppress(OSError):
                     os.write(self._held, b"\n")
                 self._let_go()
@@ -186,7 +186,7 @@ class Daemon:
             self._process.returncode = 0
 
     def _let_go(self) -> None:
-        """Closes this process's end of what shows the keeper that it lives."""
+        """Closes this process's end of what shows the watchdog that it lives."""
         if self._held is not None:
             os.close(self._held)
             self._held = None
@@ -206,7 +206,7 @@ class Daemon:
             with self.log.open("ab") as log:
                 written = log.tell()
                 self._process = subprocess.Popen(
-                    kept(command, folder if self._is_temporary else ""),
+                    with_watchdog(command, folder if self._is_temporary else ""),
                     stdin=stdin,
                     stdout=subprocess.PIPE,
                     stderr=log,

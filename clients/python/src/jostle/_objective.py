@@ -1,4 +1,4 @@
-"""A measure of an experiment as a function of its parameters, for a search such as Optuna's."""
+"""Objective functions: a measure of an experiment, for optimisers such as Optuna."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from ._experiment import Source, to_toml
 from ._results import ResultRow
 from ._sweep import Sweep, sweep
 
-_LOOK_AGAIN_SECS = 0.2
+_RETRY_INTERVAL_SECS = 0.2
 # Fields of a grid that a spec does not have.
 _OF_GRID = ("informed", "informed_fraction")
 
 
 class Objective:
-    """The mean of a measure over the runs of an experiment, as a function of parameters.
+    """An objective function: the mean of a measure over the runs of an experiment.
 
         objective = jostle.Objective("order.toml", "v_pd", folder="search")
         trial = study.ask()
         study.tell(trial, objective(informed=trial.suggest_int("informed", 1, 10)))
 
-    The results of each set of values are kept in the folder: the same values give the same number
-    at no cost, in this process and in later ones. After an interruption a call continues with the
-    missing runs. Values that are only in the spec leave the seeds as they are, so that two of them
-    are compared with the same random numbers.
+    The results of each set of values are stored in the folder: the same values give the same number
+    without executing a run, in this process and in later ones. After an interruption a call
+    executes only the missing runs. All values but `informed` and `informed_fraction` leave the
+    seeds of the runs unchanged, so two values are compared with common random numbers.
     """
 
     def __init__(
@@ -45,7 +45,7 @@ class Objective:
         task_secs: float = 30.0,
         jostled: str | os.PathLike[str] | None = None,
     ) -> None:
-        """Prepares a search.
+        """Creates an objective function.
 
         Args:
             source: The experiment: a file, the text of one, or a mapping of its fields.
@@ -62,7 +62,9 @@ class Objective:
         try:
             self._fields = tomllib.loads(to_toml(source))
         except tomllib.TOMLDecodeError as error:
-            raise InvalidArgument(f"the experiment: {error}", details={"field": "source"}) from None
+            raise InvalidArgument(
+                f"invalid experiment: {error}", details={"field": "source"}
+            ) from None
         measures = [
             name
             for name, kind in ResultRow.__annotations__.items()
@@ -89,20 +91,30 @@ class Objective:
             values: Fields of the spec, such as `pi1=4.0`, or `informed` or `informed_fraction`.
 
         Raises:
-            InvalidArgument: A value is invalid; the message has the line.
-            Faulted: A run ended early, or has no such measure.
+            InvalidArgument: A value is invalid; the message names the field.
+            Faulted: A run ended early, or the measure is not finite in every run.
         """
         rows = self.rows(**values)
         found = [getattr(row, self._measure) for row in rows]
-        if not found or any(value is None or not math.isfinite(value) for value in found):
+        bad = sum(value is None or not math.isfinite(value) for value in found)
+        if bad or not found:
+            needs = "; v_pd needs informed individuals" if self._measure == "v_pd" else ""
             raise Faulted(
-                f"not every run has the measure {self._measure!r}: v_pd needs informed individuals",
+                f"no finite {self._measure!r} in {bad} of {len(found)} runs: choose another "
+                f"measure or other values{needs}",
                 details={"measure": self._measure},
             )
         return statistics.fmean(found)
 
     def rows(self, **values: float | str) -> list[ResultRow]:
-        """Returns the rows of all runs with these values, as `__call__` takes them."""
+        """Returns the rows of all runs with these values.
+
+        Takes the arguments of `__call__`.
+
+        Raises:
+            InvalidArgument: A value is invalid; the message names the field.
+            Faulted: A run ended early.
+        """
         toml = to_toml(self._with(values))
         name = hashlib.blake2b(toml.encode(), digest_size=12).hexdigest()
         with self._sweep(toml, self._folder / name) as task:
@@ -110,12 +122,17 @@ class Objective:
             if faults := task.faults():
                 run, reason = next(iter(faults.items()))
                 raise Faulted(
-                    f"{len(faults)} runs ended early: {run}: {reason}", details={"faults": faults}
+                    f"{len(faults)} runs ended early, the first is {run!r}: {reason}; choose other "
+                    "values",
+                    details={"faults": faults},
                 )
             return task.rows()
 
     def _sweep(self, toml: str, folder: Path) -> Sweep:
-        """The sweep of these values, once no other process executes it."""
+        """Creates the sweep of these values.
+
+        While another process holds the lock of its folder, it retries, without a timeout.
+        """
         while True:
             try:
                 return sweep(
@@ -126,7 +143,7 @@ class Objective:
                     jostled=self._jostled,
                 )
             except Conflict:
-                rest(_LOOK_AGAIN_SECS)
+                rest(_RETRY_INTERVAL_SECS)
 
     def _with(self, values: Mapping[str, float | str]) -> dict[str, Any]:
         """The fields of the experiment with these values. Equal values give equal fields."""
@@ -149,7 +166,7 @@ class Objective:
 
 
 def _canonical(value: float | str) -> float | str:
-    """The number 2.0 as 2: both are the same value, and have the same text then."""
+    """Converts integral floats to int, so that 2.0 and 2 have the same text and folder."""
     if isinstance(value, str):
         return value
     number = float(value)

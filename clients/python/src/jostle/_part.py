@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import io
 import os
+import signal
 import subprocess
 import tarfile
 import tempfile
@@ -11,7 +13,7 @@ from pathlib import Path
 
 from . import _program
 from ._errors import Faulted
-from ._keeper import kept
+from ._watchdog import with_watchdog
 
 # The files that a task returns. Its tables are left out: merging writes them.
 FILES = ("experiment.toml", "runs.jsonl")
@@ -19,25 +21,25 @@ _ERROR_LINES = 20
 
 
 class Processes:
-    """The programs of the tasks in this process, so that they can be ended."""
+    """The programs that this process runs, so that it can terminate them."""
 
     def __init__(self) -> None:
         self._running: set[subprocess.Popen[bytes]] = set()
-        self._is_ended = False
+        self._is_terminated = False
 
     def add(self, process: subprocess.Popen[bytes]) -> None:
-        """Adds a program, and ends it if all were ended."""
+        """Adds a program, and terminates it if all were terminated."""
         self._running.add(process)
-        if self._is_ended:
+        if self._is_terminated:
             process.terminate()
 
     def remove(self, process: subprocess.Popen[bytes]) -> None:
         """Removes a program that has ended."""
         self._running.discard(process)
 
-    def end(self) -> None:
-        """Ends all programs, also those that are added later."""
-        self._is_ended = True
+    def terminate(self) -> None:
+        """Terminates all programs, also those that are added later."""
+        self._is_terminated = True
         for process in list(self._running):
             process.terminate()
 
@@ -50,20 +52,24 @@ def run_part(
     Args:
         toml: The text of the experiment's file.
         runs: The numbers of the runs, such as `17,18,40-60`.
-        jostled: The program; None as in `jostle.local`.
+        jostled: Path of `jostled` on this machine; None searches as `jostle.local` does.
         processes: Where to add the program while it runs.
 
     Returns:
         The folder of the part, as a compressed tar archive.
 
     Raises:
-        Faulted: The program failed; the message has the runs and its last lines.
+        Faulted: The program failed; the message contains the runs, the host and the last lines of
+            its stderr.
         Unavailable: There is no program.
     """
     try:
         return _run(toml, runs, jostled, processes)
     except OSError as error:
-        raise _failed(runs, str(error)) from error
+        remedy = ""
+        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES):
+            remedy = "; set TMPDIR on the worker to a folder with space"
+        raise _failed(runs, f"{error}{remedy}") from error
 
 
 def _failed(runs: str, why: str) -> Faulted:
@@ -81,7 +87,7 @@ def _run(toml: str, runs: str, jostled: str | None, processes: Processes | None)
         code, errors = _call([*command, "-o", str(part)], folder, processes)
         if code != 0:
             lines = errors.decode(errors="replace").strip().splitlines()[-_ERROR_LINES:]
-            raise _failed(runs, f"`jostled run` ended with {code}: " + "\n".join(lines))
+            raise _failed(runs, f"`jostled run` {_ending(code)}: " + "\n".join(lines))
         archive = io.BytesIO()
         with tarfile.open(fileobj=archive, mode="w:gz", compresslevel=1) as tar:
             for name in FILES:
@@ -89,17 +95,26 @@ def _run(toml: str, runs: str, jostled: str | None, processes: Processes | None)
         return archive.getvalue()
 
 
+def _ending(code: int) -> str:
+    """How a process ended, by its return code."""
+    if code >= 0:
+        return f"exited with {code}"
+    name = signal.Signals(-code).name if -code in set(signal.Signals) else str(-code)
+    reason = " (out of memory?)" if -code == signal.SIGKILL else ""
+    return f"was killed by {name}{reason}"
+
+
 def _call(command: list[str], folder: str, processes: Processes | None) -> tuple[int, bytes]:
-    """Runs a program that ends with this process. Returns its exit code and its errors."""
+    """Runs a command, which is terminated if this process ends. Returns exit code and stderr."""
     stdin, held = os.pipe()
     try:
         try:
             process = subprocess.Popen(
-                kept(command, folder),
+                with_watchdog(command, folder),
                 stdin=stdin,
                 stdout=subprocess.DEVNULL,
                 stderr=subprocess.PIPE,
-                # The terminal sends SIGINT to this process alone, which ends the program.
+                # Ctrl-C on a terminal reaches only this process, which terminates the program.
                 start_new_session=True,
             )
         finally:

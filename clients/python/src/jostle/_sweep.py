@@ -1,4 +1,4 @@
-"""Sweeps: an experiment whose runs are tasks of an executor, on this machine or on many."""
+"""Sweeps: executes an experiment in tasks of an executor, on this machine or on many."""
 
 from __future__ import annotations
 
@@ -29,6 +29,7 @@ from ._errors import (
     IncorrectState,
     Internal,
     InvalidArgument,
+    NotFound,
     StorageFull,
     Unavailable,
 )
@@ -42,7 +43,7 @@ if TYPE_CHECKING:
     import pandas
 
 DASK = "dask:"
-"""What the address of a Dask scheduler begins with."""
+"""Prefix of the address of a Dask scheduler."""
 
 
 class _Task(msgspec.Struct, frozen=True):
@@ -54,14 +55,14 @@ class _Task(msgspec.Struct, frozen=True):
 
 
 class _Header(msgspec.Struct, frozen=True):
-    """The first line of a part."""
+    """The first line of the `runs.jsonl` of a part."""
 
     experiment: str
     model_version: int
 
 
 class _Line(msgspec.Struct, frozen=True):
-    """A finished run of a part."""
+    """A finished run: any other line of the `runs.jsonl` of a part."""
 
     run: str
     fault: str | None = None
@@ -76,15 +77,15 @@ def sweep(
     task_secs: float = 30.0,
     jostled: str | os.PathLike[str] | None = None,
 ) -> Sweep:
-    """Executes an experiment without a daemon, its runs as tasks of an executor.
+    """Executes an experiment without a daemon, split into tasks of an executor.
 
         with jostle.sweep("order.toml", folder="results") as sweep:
             for row in sweep:
                 print(row.run, row.v)
 
-    A task is `jostled run` of some runs in a temporary folder of the worker; no disk is shared. Its
-    results are kept in `FOLDER.parts` and are merged into `folder` when all are finished. If a
-    sweep is interrupted, the next call with the same folder executes only the missing runs.
+    A task is `jostled run` of one or more runs in a temporary folder of the worker; no disk is
+    shared. Its results are stored in `FOLDER.parts` and are merged into `folder` when all are
+    finished. If a sweep is interrupted, a call with the same folder executes only the missing runs.
 
     Args:
         source: The experiment: a file, the text of one, or a mapping of its fields.
@@ -93,7 +94,8 @@ def sweep(
             machine. Workers need this package with its programs, in the same version.
         folder: The folder of the results, the same as `jostled run` writes.
         task_secs: Expected seconds of work of a task on one core.
-        jostled: The program, on every worker; None as in `local`.
+        jostled: Path of `jostled`, the same on this machine and on every worker, with `jostle`
+            beside it; None searches as `local` does.
 
     Raises:
         InvalidArgument: The experiment, the executor or `task_secs` is invalid.
@@ -112,18 +114,18 @@ def sweep(
             )
     elif executor is not None and not callable(getattr(executor, "submit", None)):
         raise InvalidArgument(
-            f"invalid executor {executor!r}: it has no method `submit`",
+            f"invalid executor {executor!r}: it has no method `submit`; use a "
+            "concurrent.futures.Executor, a Dask client or dask:tcp://HOST:PORT",
             details={"field": "executor"},
         )
     return Sweep(to_toml(source), executor, Path(folder), secs, jostled)
 
 
 class Sweep:
-    """An experiment on an executor; `sweep` makes one.
+    """A sweep, which `sweep` creates.
 
-    Its tasks are submitted, and their results received, while it is iterated over or waited for.
-    Leaving a `with` block, the end of a loop by `break`, and an exception such as that of Ctrl-C
-    cancel the unfinished tasks.
+    No task is submitted until the caller iterates over it or calls `wait`. Leaving the `with` block
+    or the loop cancels the unfinished tasks; so does an exception, such as KeyboardInterrupt.
     """
 
     def __init__(
@@ -146,7 +148,7 @@ class Sweep:
         self._done_secs = 0.0
         self._is_merged = False
         self._is_cancelled = False
-        # What `cancel` closes, the last first.
+        # Callbacks of `cancel`, called in reverse order.
         self._open = contextlib.ExitStack()
         try:
             self._open.callback(_lock(self._parts))
@@ -163,7 +165,10 @@ class Sweep:
 
     @property
     def share(self) -> float:
-        """The share of the work of this sweep that is done, 0 to 1."""
+        """Fraction of the expected work of the tasks that is finished, 0 to 1.
+
+        Runs that earlier sweeps finished do not count.
+        """
         total = sum(task.expected_secs for task in self._planned)
         return min(self._done_secs / total, 1.0) if total > 0 else 1.0
 
@@ -185,11 +190,12 @@ class Sweep:
         """The rows of all runs: those that are finished already, then each when it arrives.
 
         Raises:
-            Faulted: Tasks failed; the message names their runs. All others are finished.
+            Faulted: One or more tasks failed on a worker; the message names their runs. All others
+                are finished.
             Conflict: A worker has another version of the model.
             IncorrectState: The sweep was cancelled.
             StorageFull: The disk of this machine is full.
-            Unavailable: The executor lost its tasks. The next sweep continues.
+            Unavailable: The executor lost its tasks. A sweep with the same folder resumes.
         """
         yield from list(self._rows)
         for rows in self._arriving():
@@ -202,11 +208,12 @@ class Sweep:
             show: Show a bar; None shows it on a terminal and in a notebook.
 
         Raises:
-            Faulted: Tasks failed; the message names their runs. All others are finished.
+            Faulted: One or more tasks failed on a worker; the message names their runs. All others
+                are finished.
             Conflict: A worker has another version of the model.
             IncorrectState: The sweep was cancelled.
             StorageFull: The disk of this machine is full.
-            Unavailable: The executor lost its tasks. The next sweep continues.
+            Unavailable: The executor lost its tasks. A sweep with the same folder resumes.
         """
         with Bar(self._folder.name, show) as bar:
             bar.show(self.share, f"{len(self._rows)} runs")
@@ -219,7 +226,7 @@ class Sweep:
         return Listed(self._rows)
 
     def faults(self) -> dict[str, str]:
-        """The runs that ended early, each with its reason."""
+        """The runs that ended early, each with its reason. They are finished, and have a row."""
         return dict(self._faults)
 
     def frame(self) -> pandas.DataFrame:
@@ -231,7 +238,7 @@ class Sweep:
         return of_rows(self._rows)
 
     def cancel(self) -> None:
-        """Cancels the unfinished tasks. Received results are kept for the next sweep."""
+        """Cancels the unfinished tasks. Received results are kept: see `folder` of `sweep`."""
         if not self._is_merged:
             self._is_cancelled = True
         self._open.close()
@@ -282,7 +289,7 @@ class Sweep:
             )
 
     def _end_merged(self) -> None:
-        """All results are in the folder: removes the parts, which are still locked."""
+        """Called when the results are in the folder: removes the parts, and then unlocks them."""
         self._is_merged = True
         shutil.rmtree(self._parts, ignore_errors=True)
         self._open.close()
@@ -297,14 +304,16 @@ class Sweep:
                 client = distributed.Client(address, set_as_default=False)
             except (OSError, ValueError, TypeError) as error:
                 raise Unavailable(
-                    f"no Dask scheduler answers at {address}: {error}",
+                    f"no Dask scheduler answers at {address}: {error}; check the address, and "
+                    "whether the scheduler runs",
                     details={"field": "executor"},
                 ) from None
             # The connection may be lost already.
             self._open.callback(lambda: _quietly(client.close))
             executor = client
         if hasattr(executor, "get_executor"):
-            # Equal tasks of another sweep are not this sweep's.
+            # `pure=False`: otherwise Dask gives equal tasks of two sweeps the same key, and
+            # cancelling one sweep cancels both.
             executor = executor.get_executor(pure=False)
             self._open.callback(lambda: _quietly(executor.shutdown, wait=False))
         arguments: tuple[Any, ...] = (self._jostled,)
@@ -312,7 +321,7 @@ class Sweep:
             processes = _part.Processes()
             executor = ThreadPoolExecutor(len(os.sched_getaffinity(0)))
             self._open.callback(executor.shutdown, wait=True, cancel_futures=True)
-            self._open.callback(processes.end)
+            self._open.callback(processes.terminate)
             arguments = (self._jostled, processes)
         tasks: dict[Future[bytes], _Task] = {}
 
@@ -331,7 +340,7 @@ class Sweep:
             return
         if self._is_cancelled:
             raise IncorrectState(
-                "the sweep was cancelled: another one with this folder continues",
+                "the sweep was cancelled: call `sweep` again with the same folder to resume it",
                 details={"field": "folder"},
             )
         failed: list[str] = []
@@ -343,15 +352,15 @@ class Sweep:
                     archive = future.result()
                 except concurrent.futures.CancelledError:
                     raise Unavailable(
-                        f"the tasks of runs {task.runs} and others were lost or cancelled: the "
-                        "next sweep with this folder continues",
+                        f"the tasks of runs {task.runs} and others were lost or cancelled: call "
+                        "`sweep` again with the same folder to resume it",
                         details={"runs": task.runs},
                     ) from None
                 except Faulted as error:
                     failed.append(error.message)
                     continue
                 except Exception as error:
-                    # The executor's own, or of the worker before it executes the task.
+                    # An error of the executor, or of the worker before it calls `run_part`.
                     failed.append(f"runs {task.runs}: {error!r}")
                     continue
                 part = self._keep(task, archive)
@@ -367,7 +376,8 @@ class Sweep:
         if failed:
             more = f" and {len(failed) - 5} more" if len(failed) > 5 else ""
             raise Faulted(
-                f"{len(failed)} tasks failed: {'; '.join(failed[:5])}{more}",
+                f"{len(failed)} tasks failed: {'; '.join(failed[:5])}{more}. Call `sweep` again "
+                "with the same folder to execute them again",
                 details={"failed": failed},
             )
         self._programs.merge(self._parts, self._folder)
@@ -376,7 +386,7 @@ class Sweep:
         self._end_merged()
 
     def _keep(self, task: _Task, archive: bytes) -> Path:
-        """Writes a part, as a whole or not at all."""
+        """Writes a part atomically: to a temporary folder, which is then renamed."""
         name = hashlib.blake2b(task.runs.encode(), digest_size=8).hexdigest()
         draft, part = (self._parts / f"{prefix}runs-{name}" for prefix in (".", ""))
         try:
@@ -386,7 +396,10 @@ class Sweep:
         except BaseException as error:
             shutil.rmtree(draft, ignore_errors=True)
             if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-                raise StorageFull(f"failed to write a part to {self._parts}: {error}") from error
+                raise StorageFull(
+                    f"failed to write a part to {self._parts}: {error}; free disk space, and call "
+                    "`sweep` again with the same folder"
+                ) from error
             raise
         return part
 
@@ -411,7 +424,7 @@ class Sweep:
 
 
 class _Programs:
-    """The command line beside `jostled` on this machine."""
+    """Runs the `jostle` command beside `jostled` on this machine."""
 
     def __init__(self, jostled: str | None) -> None:
         self._jostle = _program.beside(_program.find(jostled), "jostle")
@@ -433,8 +446,8 @@ class _Programs:
         if done.returncode == 0:
             return done.stdout
         message = done.stderr.decode(errors="replace").strip().removeprefix("jostle: ")
-        kinds = {2: InvalidArgument, 4: Conflict, 8: StorageFull}
-        raise kinds.get(done.returncode, Internal)(message)
+        codes = {2: InvalidArgument, 3: NotFound, 4: Conflict, 8: StorageFull}
+        raise codes.get(done.returncode, Internal)(message)
 
 
 def _unpack(task: _Task, archive: bytes, folder: Path) -> None:
@@ -443,7 +456,10 @@ def _unpack(task: _Task, archive: bytes, folder: Path) -> None:
         for name in _part.FILES:
             member = tar.extractfile(name)
             if member is None:
-                raise Internal(f"the result of runs {task.runs} has no {name}")
+                raise Conflict(
+                    f"the result of runs {task.runs} has no {name}: install the same version of "
+                    "jostle on all workers"
+                )
             with atomic_file(folder / name) as file:
                 file.write(member.read())
     with (folder / "runs.jsonl").open("rb") as lines:
@@ -470,10 +486,13 @@ def _lock(folder: Path) -> Callable[[], None]:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         file.close()
-        raise Conflict(f"another process is using {folder}", details={"field": "folder"}) from None
+        raise Conflict(
+            f"another process is using {folder}: wait until it ends, or choose another folder",
+            details={"field": "folder"},
+        ) from None
 
     def unlock() -> None:
-        # Processes that an executor forked have the file open, too.
+        # Forked workers inherit the descriptor, so closing it here would not release the lock.
         fcntl.flock(file, fcntl.LOCK_UN)
         file.close()
 

@@ -19,7 +19,7 @@ impl Checkpoints {
     }
 
     /// Reads the checkpoint of a run, by its index in the plan. A checkpoint that is damaged or of
-    /// another version counts as none: the run starts from its beginning, with the same result.
+    /// another version is ignored: the run starts from its beginning, with the same result.
     ///
     /// # Errors
     ///

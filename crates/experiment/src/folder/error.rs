@@ -13,7 +13,7 @@ use super::EXPERIMENT;
 #[derive(Debug, Error)]
 pub enum FolderError {
     /// A system call failed.
-    #[error("use {}: {source}", path.display())]
+    #[error("failed to use {}: {source}", path.display())]
     Io {
         /// The file.
         path: PathBuf,
@@ -21,18 +21,21 @@ pub enum FolderError {
         source: io::Error,
     },
     /// A table could not be written.
-    #[error(transparent)]
+    #[error("failed to {0}")]
     Table(#[from] TableError),
     /// Another process has locked the folder.
-    #[error("use {}: another process is running this experiment", folder.display())]
+    #[error(
+        "{} is in use: another process is writing to it; wait until that ends, or choose another \
+         folder", folder.display()
+    )]
     InUse {
         /// The folder.
         folder: PathBuf,
     },
     /// The folder contains results of another file.
     #[error(
-        "use {}: it contains results of another experiment.toml; choose another folder, or \
-         continue with that file", folder.display()
+        "{} contains results of another experiment.toml: choose another folder, or continue with \
+         that file", folder.display()
     )]
     OtherExperiment {
         /// The folder.
@@ -40,7 +43,7 @@ pub enum FolderError {
     },
     /// The folder contains results, but no `experiment.toml`.
     #[error(
-        "use {}: it contains {file} but no {EXPERIMENT}; choose another folder", folder.display()
+        "{} contains {file} but no {EXPERIMENT}: choose another folder", folder.display()
     )]
     NoExperiment {
         /// The folder.
@@ -51,8 +54,8 @@ pub enum FolderError {
     /// The runs were computed with another version of the model, which gives other results for the
     /// same seeds.
     #[error(
-        "use {}: its runs have model version {theirs}, this program has {MODEL_VERSION}; finish it \
-         with the jostled that started it, or choose another folder", folder.display()
+        "{} has runs of model version {theirs}, this program has {MODEL_VERSION}: execute all runs \
+         of an experiment with the same version of jostle", folder.display()
     )]
     OtherModel {
         /// The folder.
@@ -60,8 +63,17 @@ pub enum FolderError {
         /// The model version of its runs.
         theirs: u32,
     },
+    /// A folder contains no results.
+    #[error("{} contains no results: use folders that `jostled run` wrote", folder.display())]
+    NoResults {
+        /// The folder.
+        folder: PathBuf,
+    },
     /// A line of the list of runs is damaged.
-    #[error("read {}: line {line}: {reason}", path.display())]
+    #[error(
+        "{}, line {line}: {reason}; restore the file from a copy, or remove it to execute its runs \
+         again", path.display()
+    )]
     Damaged {
         /// The file.
         path: PathBuf,

@@ -40,7 +40,7 @@ pub struct Record {
     pub touch: Option<Touch>,
 }
 
-/// A line of the list, with what is not kept in memory.
+/// A line of the list, with its time series, which is not kept in memory.
 #[derive(Serialize)]
 pub struct Line<'a> {
     #[serde(flatten)]
@@ -63,14 +63,14 @@ pub struct Series {
     pub drift: Vec<f64>,
 }
 
-/// A finished run and the place of its line in the list.
+/// A finished run and the byte range of its line in the list.
 #[derive(Clone, Debug)]
 pub struct Entry {
     pub record: Record,
     pub line: Range<u64>,
 }
 
-/// A place in a file that was read into memory.
+/// Converts a byte range of a file to indices into its contents.
 pub fn to_range(line: &Range<u64>) -> Range<usize> {
     let index = |at| usize::try_from(at).unwrap_or(usize::MAX);
     index(line.start)..index(line.end)
@@ -172,7 +172,11 @@ pub fn parse_runs(
                     return Err(damaged(number, reason));
                 }
                 Some(&planned) if seed.is_some_and(|seed| seed != planned) => {
-                    let reason = format!("the seed of run {:?} is {planned}", record.run);
+                    let reason = format!(
+                        "run {:?} has seed {}, expected {planned}",
+                        record.run,
+                        seed.unwrap_or_default()
+                    );
                     return Err(damaged(number, reason));
                 }
                 Some(_) => {}

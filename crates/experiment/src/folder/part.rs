@@ -16,7 +16,8 @@ use super::{EXPERIMENT, LOCK};
 use crate::plan::Plan;
 use crate::run::Finished;
 
-/// A folder that is only read. No file of it stays open: there can be many parts.
+/// Read access to the folder of a part. Files are opened for each read: with many parts, open files
+/// would exceed the limit of the process.
 pub struct Part {
     path: PathBuf,
     finished: BTreeMap<String, Entry>,
@@ -37,7 +38,12 @@ impl Part {
     /// [`FolderError`].
     pub fn text(folder: &Path) -> Result<String, FolderError> {
         let path = folder.join(EXPERIMENT);
-        fs::read_to_string(&path).map_err(|source| io_error(&path, source))
+        fs::read_to_string(&path).map_err(|source| match source.kind() {
+            io::ErrorKind::NotFound if folder.is_dir() => FolderError::NoResults {
+                folder: folder.to_owned(),
+            },
+            _ => io_error(&path, source),
+        })
     }
 
     /// Reads the folder of a part of `plan`.
@@ -54,7 +60,7 @@ impl Part {
         })
     }
 
-    /// Its path.
+    /// Returns the path of the folder.
     pub fn path(&self) -> &Path {
         &self.path
     }
@@ -85,8 +91,8 @@ impl Part {
         })
     }
 
-    /// Reads the line of a finished run, with its order over time, which folders of earlier versions
-    /// have in a file of its own.
+    /// Reads the line of a finished run, with its order over time. Earlier versions stored that in a
+    /// separate file.
     ///
     /// # Errors
     ///
@@ -147,7 +153,8 @@ pub fn parts_in(folders: &[PathBuf]) -> Result<Vec<PathBuf>, FolderError> {
     Ok(parts)
 }
 
-/// Takes a shared lock on a folder. Another process that writes to it is an error.
+/// Takes a shared lock on a folder. Returns [`FolderError::InUse`] if another process holds the
+/// exclusive lock.
 fn lock_shared(folder: &Path) -> Result<Option<File>, FolderError> {
     let path = folder.join(LOCK);
     let lock = match File::open(&path) {

@@ -1,4 +1,4 @@
-//! A run at one of its steps, in a file from which another process continues it.
+//! Checkpoints of a run: files from which another process resumes it.
 
 use jostle_proto::Snapshot;
 use serde::{Deserialize, Serialize};
@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::measures::Measures;
 use crate::contact_events::Meter;
 
-/// A run at one of its steps: its snapshot and its measurements so far.
+/// The snapshot of a run at one of its steps, and its measurements so far.
 #[derive(Deserialize, Serialize)]
 pub struct RunCheckpoint {
     pub(super) run: String,

@@ -1,4 +1,4 @@
-//! What a run measures, and the row that it is summarised by.
+//! Measurements of a run, and its row in the table of results.
 
 use jostle_convert::hexadecimal;
 use jostle_physics::model::{ContactRule, State, body};
@@ -22,7 +22,7 @@ pub struct Measures {
     pub means: RunningMeans,
     #[serde(with = "IntervalsForm")]
     intervals: Intervals,
-    /// The worst gap of two bodies, at most 0.
+    /// The most negative gap of two bodies so far, the largest overlap; 0 if there was none.
     worst_gap: f64,
     /// Steps that started with crossed axes.
     crossed: u64,
@@ -53,8 +53,8 @@ impl Measures {
         }
     }
 
-    /// Sets what depends on the state alone: the set of informed individuals does not change during
-    /// a run.
+    /// Sets `common_direction`, which checkpoints omit: the set of informed individuals does not
+    /// change during a run.
     fn of(mut self, state: &State) -> Self {
         self.common_direction = observables::common_direction(&state.configuration);
         self

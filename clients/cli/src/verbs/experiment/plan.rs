@@ -72,8 +72,8 @@ pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
     match arguments.emit {
         Some(Emit::Slurm) if !is_by_number => Err(Failure::Argument {
             argument: "--secs".into(),
-            problem: "a job array continues by the numbers of its parts: give the --parts that it \
-                      was submitted with"
+            problem: "with --missing it splits the runs again, which changes the numbers of the \
+                      parts: use --parts with the number of parts of the array"
                 .into(),
         }),
         Some(Emit::Slurm) => {

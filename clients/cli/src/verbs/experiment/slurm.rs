@@ -41,8 +41,8 @@ pub fn script(plan: &Plan, file: &str, parts: &[Part], of: usize, folder: &str) 
     let mut script = format!(
         "\
 #!/bin/bash
-# {counted} of experiment {name} in {what}, each on one core. Submit with `sbatch`, in the folder
-# from which the paths below are valid. Afterwards:
+# {counted} of experiment {name} in {what}, each on one core. Run `sbatch` in the folder to which the
+# paths below are relative. When all elements have finished:
 #
 #   jostle results merge {folder} -o {name}-results
 #
@@ -73,7 +73,8 @@ pub fn script(plan: &Plan, file: &str, parts: &[Part], of: usize, folder: &str) 
     let _ = write!(
         script,
         "
-# SIGTERM is sent to this process before the time is over: it writes a checkpoint and ends.
+# Slurm sends SIGTERM 30 s before the time limit: jostled writes checkpoints and exits. `exec` makes
+# it the process that receives the signal.
 exec jostled run {file} --part \"$SLURM_ARRAY_TASK_ID/{of}\" --threads 1 --checkpoint 5m \\
   -o {folder}/part-\"$SLURM_ARRAY_TASK_ID\"
 "
@@ -116,7 +117,7 @@ mod tests {
     #[test]
     fn a_script_requests_what_its_parts_need() {
         let plan =
-            Plan::parse("name = \"order\"\nduration = 1000\nreplicates = 8\n[spec]\nn = 50\n")
+            Plan::parse("name = \"order\"\nduration = 1e5\nreplicates = 8\n[spec]\nn = 50\n")
                 .unwrap();
         let part = |number| Part {
             number,
@@ -127,7 +128,7 @@ mod tests {
             "#!/bin/bash",
             "#SBATCH --array=1,3",
             "#SBATCH --mem=65M",
-            "#SBATCH --time=3",
+            "#SBATCH --time=11",
             "exec jostled run 'my order.toml' --part \"$SLURM_ARRAY_TASK_ID/4\" --threads 1 \
              --checkpoint 5m \\",
             "  -o parts/part-\"$SLURM_ARRAY_TASK_ID\"",

@@ -661,7 +661,7 @@ fn local() -> Vec<Row> {
             "results merge <parts>{}/parts -o {}/verified --verify 100% --threads 1",
             &[],
         )
-        .says("2 runs repeated here with the same result")
+        .says("executed 2 runs again, with the same results")
         .writes("verified/results.csv"),
         row("claims <results>{}/results", &[]),
         row("claims <results>{}/results --animations {}/results", &[]),
