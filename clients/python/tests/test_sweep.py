@@ -15,6 +15,7 @@ from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 import dask
+import distributed
 import pytest
 
 import jostle
@@ -353,17 +354,18 @@ def test_a_sweep_on_dask_survives_killed_workers_and_a_killed_scheduler(
 def test_a_cancelled_sweep_on_dask_leaves_an_equal_one_alone(
     tmp_path: Path, start_cluster: Callable[[str], Cluster]
 ) -> None:
-    address = f"dask:{start_cluster('both').address}"
     names = ("cancelled", "other")
-    one, other = (
-        jostle.sweep(SMALL, address, folder=tmp_path / name, task_secs=TASK_SECS) for name in names
-    )
-    rows = iter(other)
-    first = next(rows)
-    for _ in one:
-        break
-    one.cancel()
-    assert len([first, *rows]) == RUNS
+    with distributed.Client(start_cluster("both").address, set_as_default=False) as client:
+        one, other = (
+            jostle.sweep(SMALL, client, folder=tmp_path / name, task_secs=TASK_SECS)
+            for name in names
+        )
+        rows = iter(other)
+        first = next(rows)
+        for _ in one:
+            break
+        one.cancel()
+        assert len([first, *rows]) == RUNS
     assert tables(tmp_path / "other") == alone(SMALL, tmp_path)
     assert not (tmp_path / "cancelled").exists()
 
