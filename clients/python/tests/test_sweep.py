@@ -355,7 +355,7 @@ def test_a_cancelled_sweep_on_dask_leaves_an_equal_one_alone(
     tmp_path: Path, start_cluster: Callable[[str], Cluster]
 ) -> None:
     names = ("cancelled", "other")
-    with distributed.Client(start_cluster("both").address, set_as_default=False) as client:
+    with distributed.Client(start_cluster("both").address, set_as_default=False) as client:  # type: ignore[no-untyped-call]
         one, other = (
             jostle.sweep(SMALL, client, folder=tmp_path / name, task_secs=TASK_SECS)
             for name in names
