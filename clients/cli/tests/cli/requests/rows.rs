@@ -654,7 +654,7 @@ fn local() -> Vec<Row> {
         .says(r#""runs":"2""#)
         .says(r#""parts/part-1""#),
         row("results merge <parts>{}/parts --out {}/merged", &[])
-            .says("2 runs of 2 parts in")
+            .says("merged 2 runs from 2 parts into")
             .writes("merged/results.csv")
             .writes("merged/results.parquet"),
         row(
