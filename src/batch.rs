@@ -32,6 +32,9 @@ const MOST_LISTED: usize = 10;
 /// The exit code of what Ctrl-C ended.
 const INTERRUPTED: u8 = 130;
 
+/// How long after a signal another one ends the process without checkpoints and tables.
+const FORCE_AFTER: Duration = Duration::from_secs(1);
+
 /// What was asked for.
 #[derive(Clone, Debug)]
 pub struct Options {
@@ -171,6 +174,8 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
         list(&plan, &subset, options.json);
         return Ok(0);
     };
+    // Without a final `.`, which no folder can be renamed to.
+    let output = &output.components().collect::<PathBuf>();
     // A part gets its name when it is complete, unless there is a folder already, such as a mount.
     let is_there = std::fs::symlink_metadata(output).is_ok();
     let label = options.which.label().filter(|_| !is_there);
@@ -179,10 +184,12 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
     let mut folder = Folder::open(&path, &plan)?;
     let control = Control::new();
     let interrupted = Arc::new(AtomicBool::new(false));
+    // Some programs send a signal twice, such as `timeout`, to the process and to its group.
+    let has_time_passed = Arc::new(AtomicBool::new(false));
+    let mut interrupted_at = None;
     for signal in [SIGINT, SIGTERM] {
-        // The second one does not wait for anybody.
         let code = i32::from(INTERRUPTED);
-        signal_hook::flag::register_conditional_shutdown(signal, code, interrupted.clone())
+        signal_hook::flag::register_conditional_shutdown(signal, code, has_time_passed.clone())
             .and_then(|_| signal_hook::flag::register(signal, interrupted.clone()))
             .map_err(BatchError::Signals)?;
     }
@@ -201,6 +208,10 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
         while !executing.is_finished() {
             if interrupted.load(Ordering::Relaxed) {
                 control.cancel();
+                let since = interrupted_at.get_or_insert_with(Instant::now);
+                if since.elapsed() >= FORCE_AFTER {
+                    has_time_passed.store(true, Ordering::Relaxed);
+                }
             }
             display.show(&control.progress());
             thread::sleep(LOOK);

@@ -145,6 +145,44 @@ fn killed_parts_merge_to_the_bytes_of_one_machine() {
     let script = String::from_utf8(missing.stdout).unwrap();
     assert!(script.contains("#SBATCH --array=3\n"), "{script}");
 
+    // With another number of parts, and with the missing runs as new parts.
+    let other = fixture.jostle(&[
+        "experiment",
+        "plan",
+        "parts.toml",
+        "--parts",
+        "4",
+        "--missing",
+        "parts",
+    ]);
+    assert_eq!(other.status.code(), Some(2), "{other:?}");
+    let error = String::from_utf8(other.stderr).unwrap();
+    assert!(
+        error.contains("/4 are finished: use the number of parts that"),
+        "{error}"
+    );
+    let again = [
+        "experiment",
+        "plan",
+        "parts.toml",
+        "--json",
+        "--missing",
+        "parts",
+    ];
+    let again: serde_json::Value = serde_json::from_slice(&fixture.jostle(&again).stdout).unwrap();
+    let first = runs.split([',', '-']).next().unwrap();
+    let target = format!("parts-parts/runs-{first}");
+    let command = [
+        "jostled",
+        "run",
+        "parts.toml",
+        "--runs",
+        runs,
+        "-o",
+        &target,
+    ];
+    assert_eq!(again[0]["command"], serde_json::json!(command));
+
     fixture.run("parts/part-3", &["--runs", runs]);
     let told = fixture.merge(&["parts"], &["-o", "merged"]).unwrap();
     assert_eq!(
@@ -193,7 +231,7 @@ fn parts_that_do_not_fit_together_are_named_and_rejected() {
     expect(
         &["one", "other", "two"],
         2,
-        &["other and", "one contain different experiments"],
+        &["other of another experiment than", "one: merge only"],
     );
 
     // A worker with another version of the model.
@@ -429,7 +467,13 @@ fn folders_that_cannot_be_written_are_named_and_nothing_is_left() {
     assert!(message.contains("folder.1-of-2: Read-only"), "{message}");
     assert_eq!(fs::read_dir(disk.path()).unwrap().count(), 0);
 
-    // A folder without results, and one that is not there.
+    // An empty folder behind a link.
+    fs::create_dir(fixture.path("behind")).unwrap();
+    std::os::unix::fs::symlink("behind", fixture.path("link")).unwrap();
+    fixture.merge(&["one", "two"], &["-o", "link"]).unwrap();
+    assert_eq!(fixture.tables("behind"), fixture.tables("link"));
+
+    // A folder without results.
     fs::create_dir(fixture.path("empty")).unwrap();
     let (code, message) = fixture
         .merge(&["one", "empty"], &["-o", "none"])

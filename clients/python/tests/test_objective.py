@@ -68,6 +68,8 @@ def test_invalid_searches_are_errors(tmp_path: Path) -> None:
     objective = jostle.Objective(EXPERIMENT, "v_pd", folder=tmp_path)
     with pytest.raises(jostle.InvalidArgument, match="pi1"):
         objective(pi1=-1.0)
+    with pytest.raises(jostle.InvalidArgument, match="exclude each other"):
+        objective(informed=1, informed_fraction=0.5)
     with pytest.raises(jostle.InvalidArgument, match="colour"):
         objective(colour="red")
     with pytest.raises(

@@ -87,6 +87,16 @@ def test_an_interrupted_sweep_continues_on_another_executor(tmp_path: Path) -> N
     assert list((tmp_path / "results.parts").glob("runs-*"))
     with pytest.raises(jostle.IncorrectState, match="the sweep was cancelled"):
         sweep.wait()
+    part = next((tmp_path / "results.parts").glob("runs-*")) / "runs.jsonl"
+    contents = part.read_bytes()
+    part.write_bytes(contents[:-5])
+    with pytest.raises(jostle.IncorrectState, match="is damaged: .* remove it to execute its runs"):
+        jostle.sweep(SMALL, folder=folder)
+    part.write_bytes(contents)
+    # An empty folder behind a link is written, too.
+    (tmp_path / "behind").mkdir()
+    folder.symlink_to("behind")
+    (tmp_path / "results.parts").rename(tmp_path / "behind.parts")
     with ProcessPoolExecutor(2) as executor:
         again = jostle.sweep(SMALL, executor, folder=folder, task_secs=1.0)
         assert 0 < len(again.rows()) < RUNS

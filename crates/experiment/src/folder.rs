@@ -265,11 +265,15 @@ impl Folder {
     ///
     /// # Errors
     ///
-    /// [`FolderError::Io`]. The folder keeps its name, unless only the sync of the parent failed.
+    /// [`FolderError::Rename`] and [`FolderError::Io`]. The folder keeps its name, unless only the sync of the parent failed.
     pub fn rename(&mut self, path: &Path) -> Result<(), FolderError> {
         self.checkpoints().clear();
         sync_folder(&self.path)?;
-        fs::rename(&self.path, path).map_err(|source| io_error(path, source))?;
+        fs::rename(&self.path, path).map_err(|source| FolderError::Rename {
+            from: self.path.clone(),
+            to: path.to_owned(),
+            source,
+        })?;
         path.clone_into(&mut self.path);
         sync_folder(parent(path))
     }

@@ -37,13 +37,13 @@ pub enum MergeError {
     /// No parts are given.
     #[error("no parts are given: use the folders that `jostled run --part` wrote")]
     NoParts,
-    /// Parts are of another experiment than the first part.
+    /// Parts are of another experiment than most parts.
     #[error(
-        "{} and {} contain different experiments: merge only parts of the same, unchanged {EXPERIMENT}",
+        "{} of another experiment than {}: merge only parts of the same, unchanged {EXPERIMENT}",
         join(others.iter().map(|it| it.display().to_string())), first.display()
     )]
     OtherExperiment {
-        /// The first part.
+        /// The first part of the experiment of most parts.
         first: PathBuf,
         /// The parts that differ from it.
         others: Vec<PathBuf>,
@@ -157,12 +157,17 @@ impl Parts {
         let first = folders.first().ok_or(MergeError::NoParts)?;
         let texts = folders.iter().map(|folder| Part::text(folder));
         let texts = texts.collect::<Result<Vec<_>, _>>()?;
-        let others: Vec<PathBuf> = (folders.iter().zip(&texts))
-            .filter(|(_, text)| **text != texts[0])
-            .map(|(folder, _)| folder.clone())
-            .collect();
+        // Named are those that differ from the most.
+        let count = |text: &String| texts.iter().filter(|it| *it == text).count();
+        let usual = texts.iter().rev().max_by_key(|text| count(text));
+        let (others, usual): (Vec<_>, Vec<_>) =
+            (folders.iter().zip(&texts)).partition(|(_, text)| Some(*text) != usual);
         if !others.is_empty() {
-            let first = first.clone();
+            let first = usual.first().map_or(first, |(folder, _)| folder).clone();
+            let others = others
+                .into_iter()
+                .map(|(folder, _)| folder.clone())
+                .collect();
             return Err(MergeError::OtherExperiment { first, others });
         }
         let plan = Plan::parse(&texts[0]).map_err(|source| MergeError::Plan {
@@ -331,6 +336,8 @@ impl Parts {
     /// [`MergeError::Exists`] if `to` is not an empty folder; others if it cannot be written.
     pub fn write(&self, to: &Path) -> Result<Folder, MergeError> {
         Self::check_target(to)?;
+        // An empty folder that exists may be a link or the current folder.
+        let to = &fs::canonicalize(to).unwrap_or_else(|_| to.to_owned());
         let temporary = unfinished(to, "merge");
         if temporary.exists() {
             // Left by a killed merge. If another process is writing it, `discard` returns `InUse`.

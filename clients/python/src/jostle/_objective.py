@@ -147,6 +147,11 @@ class Objective:
 
     def _with(self, values: Mapping[str, float | str]) -> dict[str, Any]:
         """The fields of the experiment with these values. Equal values give equal fields."""
+        if all(name in values for name in _OF_GRID):
+            raise InvalidArgument(
+                "informed and informed_fraction exclude each other: leave out one of them",
+                details={"field": "informed"},
+            )
         spec = dict(self._fields.get("spec", {}))
         grids = [dict(grid) for grid in self._fields.get("grid", [])]
         for name in sorted(values):

@@ -118,7 +118,11 @@ def sweep(
             "concurrent.futures.Executor, a Dask client or dask:tcp://HOST:PORT",
             details={"field": "executor"},
         )
-    return Sweep(to_toml(source), executor, Path(folder), secs, jostled)
+    path = Path(folder)
+    if path.exists():
+        # A link, or the current folder, which cannot be renamed to.
+        path = path.resolve()
+    return Sweep(to_toml(source), executor, path, secs, jostled)
 
 
 class Sweep:
@@ -258,7 +262,7 @@ class Sweep:
                 return
         file = self._parts / "experiment.toml"
         done = self._done()
-        if done and file.read_bytes() != self._toml.encode():
+        if done and not (file.exists() and file.read_bytes() == self._toml.encode()):
             raise IncorrectState(
                 f"{self._parts} contains parts of another experiment: remove it, or choose another "
                 "folder",
@@ -406,15 +410,20 @@ class Sweep:
     def _read(self, part: Path) -> list[ResultRow]:
         """Adds the rows and faults of a folder, and returns the rows."""
         rows = []
-        with (part / "runs.jsonl").open("rb") as lines:
-            # The header.
-            lines.readline()
-            for line in lines:
-                run = msgspec.json.decode(line, type=_Line)
-                if run.fault is not None:
-                    self._faults[run.run] = run.fault
-                if run.row is not None:
-                    rows.append(run.row)
+        try:
+            # The first line is the header.
+            lines = (part / "runs.jsonl").read_bytes().splitlines()[1:]
+            runs = [msgspec.json.decode(line, type=_Line) for line in lines]
+        except (FileNotFoundError, msgspec.DecodeError) as error:
+            raise IncorrectState(
+                f"{part} is damaged: {error}; remove it to execute its runs again",
+                details={"field": "folder"},
+            ) from None
+        for run in runs:
+            if run.fault is not None:
+                self._faults[run.run] = run.fault
+            if run.row is not None:
+                rows.append(run.row)
         self._rows += rows
         return rows
 

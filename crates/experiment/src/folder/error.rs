@@ -20,6 +20,19 @@ pub enum FolderError {
         /// The system's error.
         source: io::Error,
     },
+    /// A complete folder could not be renamed.
+    #[error(
+        "failed to rename {} to {}: {source}; the results are complete in the former",
+        from.display(), to.display()
+    )]
+    Rename {
+        /// The present name.
+        from: PathBuf,
+        /// The name that it was to get.
+        to: PathBuf,
+        /// The system's error.
+        source: io::Error,
+    },
     /// A table could not be written.
     #[error("failed to {0}")]
     Table(#[from] TableError),

@@ -134,11 +134,11 @@ pub fn parts_in(folders: &[PathBuf]) -> Result<Vec<PathBuf>, FolderError> {
     for folder in folders {
         let fail = |source| io_error(folder, source);
         let mut inner = Vec::new();
-        if !folder.join(RUNS).exists() {
+        if !has_runs(folder)? {
             for entry in fs::read_dir(folder).map_err(fail)? {
                 let entry = entry.map_err(fail)?;
                 let is_hidden = entry.file_name().as_encoded_bytes().starts_with(b".");
-                if !is_hidden && entry.path().join(RUNS).exists() {
+                if !is_hidden && has_runs(&entry.path())? {
                     inner.push(entry.path());
                 }
             }
@@ -151,6 +151,14 @@ pub fn parts_in(folders: &[PathBuf]) -> Result<Vec<PathBuf>, FolderError> {
     }
     parts.sort();
     Ok(parts)
+}
+
+/// Returns whether a folder contains a list of runs; an error if that cannot be read.
+fn has_runs(folder: &Path) -> Result<bool, FolderError> {
+    match folder.join(RUNS).try_exists() {
+        Err(error) if error.kind() == io::ErrorKind::NotADirectory => Ok(false),
+        exists => exists.map_err(|source| io_error(folder, source)),
+    }
 }
 
 /// Takes a shared lock on a folder. Returns [`FolderError::InUse`] if another process holds the

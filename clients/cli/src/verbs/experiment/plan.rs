@@ -41,16 +41,16 @@ pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
         // A list of runs is one argument of a command, of at most 128 KiB.
         (None, Some(secs)) => parts_of(left.expected_secs(&plan), secs)
             .max(left.indices().len().div_ceil(MAX_RUNS_OF_LIST)),
-        (None, None) => 1,
+        (None, None) if arguments.missing.is_empty() => 1,
+        (None, None) => left.indices().len().div_ceil(MAX_RUNS_OF_LIST),
     };
     // Empty parts would be elements of a job array without work.
     let of = of.min(plan.runs().len()).max(1);
-    let parts = match arguments.secs {
-        Some(_) => left.split(&plan, of),
-        None => {
-            let whole = Subset::all(&plan).split(&plan, of);
-            whole.into_iter().map(|part| part.and(&left)).collect()
-        }
+    // Parts of the whole plan have a number; parts of the missing runs are lists of runs.
+    let is_by_number = arguments.parts.is_some() || arguments.missing.is_empty();
+    let parts = match is_by_number {
+        true => incomplete(&plan, &left, of)?,
+        false => left.split(&plan, of),
     };
     let parts: Vec<Part> = (1..)
         .zip(parts)
@@ -64,20 +64,28 @@ pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
             false => Ok(()),
         };
     }
-    let is_by_number = arguments.secs.is_none() || arguments.missing.is_empty();
     let folder = match &arguments.out {
-        Some(folder) => folder.trim_end_matches('/').to_owned(),
+        Some(folder) => operand(folder.trim_end_matches('/')),
         None => format!("{}-parts", plan.name),
     };
     match arguments.emit {
         Some(Emit::Slurm) if !is_by_number => Err(Failure::Argument {
-            argument: "--secs".into(),
-            problem: "with --missing it splits the runs again, which changes the numbers of the \
-                      parts: use --parts with the number of parts of the array"
+            argument: "--emit slurm".into(),
+            problem: "with --missing a job array needs --parts, the number of parts of the first \
+                      array"
                 .into(),
         }),
         Some(Emit::Slurm) => {
-            let file = arguments.file.display().to_string();
+            let file = operand(&arguments.file.display().to_string());
+            for name in [&file, &folder] {
+                // It would end a comment of the script.
+                if name.contains(char::is_control) {
+                    return Err(Failure::Argument {
+                        argument: format!("{name:?}"),
+                        problem: "a script cannot contain control characters: rename it".into(),
+                    });
+                }
+            }
             let script = slurm::script(&plan, &file, &parts, of, &folder);
             output.data(script.trim_end())
         }
@@ -107,6 +115,36 @@ pub fn plan(output: Output, arguments: &PlanArguments) -> Result<(), Failure> {
     }
 }
 
+/// The parts of the whole plan that are not finished.
+///
+/// # Errors
+///
+/// A part is finished in part: the number of parts is another one than the folders were executed with.
+fn incomplete(plan: &Plan, left: &Subset, of: usize) -> Result<Vec<Subset>, Failure> {
+    let whole = Subset::all(plan).split(plan, of);
+    let parts: Vec<Subset> = whole.iter().map(|part| part.and(left)).collect();
+    let is_cut = |(part, whole): (&Subset, &Subset)| !part.indices().is_empty() && part != whole;
+    match parts.iter().zip(&whole).position(|it| is_cut(it)) {
+        None => Ok(parts),
+        Some(index) => Err(Failure::Argument {
+            argument: "--parts".into(),
+            problem: format!(
+                "some runs of part {}/{of} are finished: use the number of parts that the folders were \
+                 executed with, or leave out --parts",
+                index + 1
+            ),
+        }),
+    }
+}
+
+/// A path as an argument of a command, where it is not taken for an option.
+fn operand(path: &str) -> String {
+    match path.starts_with('-') {
+        true => format!("./{path}"),
+        false => path.to_owned(),
+    }
+}
+
 /// The number of parts that take `secs` each; saturates.
 #[expect(
     clippy::cast_possible_truncation,
@@ -133,8 +171,11 @@ fn line(
     } else {
         ["--runs", &runs]
     };
-    let file = arguments.file.display().to_string();
-    let target = format!("{folder}/part-{}", part.number);
+    let file = operand(&arguments.file.display().to_string());
+    let target = match (is_by_number, part.runs.indices()) {
+        (false, [first, ..]) => format!("{folder}/runs-{}", first + 1),
+        _ => format!("{folder}/part-{}", part.number),
+    };
     let command = ["jostled", "run", &file, which[0], which[1], "-o", &target];
     json!({
         "part": name, "runs": runs, "count": part.runs.indices().len(),
