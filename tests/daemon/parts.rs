@@ -460,6 +460,7 @@ fn folders_that_cannot_be_written_are_named_and_nothing_is_left() {
     assert!(message.contains("Read-only file system"), "{message}");
     let output = fixture
         .command(target, &["--part", "1/2"])
+        .stderr(Stdio::piped())
         .output()
         .unwrap();
     let message = String::from_utf8(output.stderr).unwrap();
