@@ -652,7 +652,7 @@ fn local() -> Vec<Row> {
             &[],
         )
         .says(r#""runs":"2""#)
-        .says(r#""parts/part-1""#),
+        .says(r#""parts/runs-2""#),
         row("results merge <parts>{}/parts --out {}/merged", &[])
             .says("merged 2 runs from 2 parts into")
             .writes("merged/results.csv")
