@@ -90,7 +90,9 @@ def test_an_interrupted_sweep_continues_on_another_executor(tmp_path: Path) -> N
     part = next((tmp_path / "results.parts").glob("runs-*")) / "runs.jsonl"
     contents = part.read_bytes()
     part.write_bytes(contents[:-5])
-    with pytest.raises(jostle.IncorrectState, match=r"is damaged: .* remove it to execute its runs"):
+    with pytest.raises(
+        jostle.IncorrectState, match=r"is damaged: .* remove it to execute its runs"
+    ):
         jostle.sweep(SMALL, folder=folder)
     part.write_bytes(contents)
     # An empty folder behind a link is written, too.
