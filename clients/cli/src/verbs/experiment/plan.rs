@@ -124,7 +124,7 @@ fn incomplete(plan: &Plan, left: &Subset, of: usize) -> Result<Vec<Subset>, Fail
     let whole = Subset::all(plan).split(plan, of);
     let parts: Vec<Subset> = whole.iter().map(|part| part.and(left)).collect();
     let is_cut = |(part, whole): (&Subset, &Subset)| !part.indices().is_empty() && part != whole;
-    match parts.iter().zip(&whole).position(|it| is_cut(it)) {
+    match parts.iter().zip(&whole).position(is_cut) {
         None => Ok(parts),
         Some(index) => Err(Failure::Argument {
             argument: "--parts".into(),
