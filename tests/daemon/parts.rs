@@ -231,7 +231,7 @@ fn parts_that_do_not_fit_together_are_named_and_rejected() {
     expect(
         &["one", "other", "two"],
         2,
-        &["other of another experiment than", "one: merge only"],
+        &["of another experiment than", "other; merge only"],
     );
 
     // A worker with another version of the model.

@@ -39,8 +39,8 @@ pub enum MergeError {
     NoParts,
     /// Parts are of another experiment than most parts.
     #[error(
-        "{} of another experiment than {}: merge only parts of the same, unchanged {EXPERIMENT}",
-        join(others.iter().map(|it| it.display().to_string())), first.display()
+        "parts of another experiment than {}: {}; merge only parts of the same, unchanged {EXPERIMENT}",
+        first.display(), join(others.iter().map(|it| it.display().to_string()))
     )]
     OtherExperiment {
         /// The first part of the experiment of most parts.
@@ -157,12 +157,12 @@ impl Parts {
         let first = folders.first().ok_or(MergeError::NoParts)?;
         let texts = folders.iter().map(|folder| Part::text(folder));
         let texts = texts.collect::<Result<Vec<_>, _>>()?;
-        // Named are those that differ from the most.
-        let count = |text: &String| texts.iter().filter(|it| *it == text).count();
-        let usual = texts.iter().rev().max_by_key(|text| count(text));
-        let (others, usual): (Vec<_>, Vec<_>) =
-            (folders.iter().zip(&texts)).partition(|(_, text)| Some(*text) != usual);
-        if !others.is_empty() {
+        if texts.iter().any(|text| *text != texts[0]) {
+            // Named are those that differ from the most.
+            let count = |text: &String| texts.iter().filter(|it| *it == text).count();
+            let usual = texts.iter().rev().max_by_key(|text| count(text));
+            let (others, usual): (Vec<_>, Vec<_>) =
+                (folders.iter().zip(&texts)).partition(|(_, text)| Some(*text) != usual);
             let first = usual.first().map_or(first, |(folder, _)| folder).clone();
             let others = others
                 .into_iter()

@@ -1,4 +1,4 @@
-"""A part of an experiment, as a task of an executor: `jostled run` on any machine."""
+"""A part of an experiment as a task of an executor, and the archive of its result."""
 
 from __future__ import annotations
 
@@ -11,13 +11,23 @@ import tarfile
 import tempfile
 from pathlib import Path
 
+import msgspec
+
 from . import _program
-from ._errors import Faulted
+from ._atomic_file import atomic_file
+from ._errors import Conflict, Faulted
 from ._watchdog import with_watchdog
 
 # The files that a task returns. Its tables are left out: merging writes them.
 FILES = ("experiment.toml", "runs.jsonl")
 _ERROR_LINES = 20
+
+
+class _Header(msgspec.Struct, frozen=True):
+    """The first line of the `runs.jsonl` of a part."""
+
+    experiment: str
+    model_version: int
 
 
 class Processes:
@@ -134,3 +144,35 @@ def _call(command: list[str], folder: str, processes: Processes | None) -> tuple
         return process.returncode, errors
     finally:
         os.close(held)
+
+
+def unpack(archive: bytes, folder: Path, runs: str, model_version: int) -> None:
+    """Writes the files of an archive of `run_part`.
+
+    Args:
+        archive: The result of the task.
+        folder: An empty folder.
+        runs: The numbers of its runs.
+        model_version: The version of the model on this machine.
+
+    Raises:
+        Conflict: The worker has another version of jostle or of the model.
+    """
+    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
+        for name in FILES:
+            member = tar.extractfile(name) if name in tar.getnames() else None
+            if member is None:
+                raise Conflict(
+                    f"the result of runs {runs} has no {name}: install the same version of "
+                    "jostle on all workers"
+                )
+            with atomic_file(folder / name) as file:
+                file.write(member.read())
+    with (folder / "runs.jsonl").open("rb") as lines:
+        header = msgspec.json.decode(lines.readline(), type=_Header)
+    if header.model_version != model_version:
+        raise Conflict(
+            f"a worker has version {header.model_version} of the model and this machine "
+            f"{model_version}: install the same version of jostle on all of them",
+            details={"theirs": header.model_version, "ours": model_version},
+        )

@@ -7,11 +7,9 @@ import contextlib
 import errno
 import fcntl
 import hashlib
-import io
 import os
 import shutil
 import subprocess
-import tarfile
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
@@ -22,7 +20,6 @@ import msgspec
 
 from . import _part, _program
 from ._arguments import check_seconds
-from ._atomic_file import atomic_file
 from ._errors import (
     Conflict,
     Faulted,
@@ -51,13 +48,6 @@ class _Task(msgspec.Struct, frozen=True):
 
     runs: str
     expected_secs: float
-    model_version: int
-
-
-class _Header(msgspec.Struct, frozen=True):
-    """The first line of the `runs.jsonl` of a part."""
-
-    experiment: str
     model_version: int
 
 
@@ -395,7 +385,7 @@ class Sweep:
         draft, part = (self._parts / f"{prefix}runs-{name}" for prefix in (".", ""))
         try:
             draft.mkdir()
-            _unpack(task, archive, draft)
+            _part.unpack(archive, draft, task.runs, task.model_version)
             draft.rename(part)
         except BaseException as error:
             shutil.rmtree(draft, ignore_errors=True)
@@ -457,28 +447,6 @@ class _Programs:
         message = done.stderr.decode(errors="replace").strip().removeprefix("jostle: ")
         codes = {2: InvalidArgument, 3: NotFound, 4: Conflict, 8: StorageFull}
         raise codes.get(done.returncode, Internal)(message)
-
-
-def _unpack(task: _Task, archive: bytes, folder: Path) -> None:
-    """Writes the files of a part, and checks the version of the model."""
-    with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
-        for name in _part.FILES:
-            member = tar.extractfile(name)
-            if member is None:
-                raise Conflict(
-                    f"the result of runs {task.runs} has no {name}: install the same version of "
-                    "jostle on all workers"
-                )
-            with atomic_file(folder / name) as file:
-                file.write(member.read())
-    with (folder / "runs.jsonl").open("rb") as lines:
-        header = msgspec.json.decode(lines.readline(), type=_Header)
-    if header.model_version != task.model_version:
-        raise Conflict(
-            f"a worker has version {header.model_version} of the model and this machine "
-            f"{task.model_version}: install the same version of jostle on all of them",
-            details={"theirs": header.model_version, "ours": task.model_version},
-        )
 
 
 def _quietly(work: Callable[..., Any], **arguments: Any) -> None:
