@@ -13,7 +13,7 @@ use std::path::{Path, PathBuf};
 use jostle_proto::keys;
 use thiserror::Error;
 
-use crate::host::Limits;
+use crate::swarm::registry::Limits;
 
 /// Every setting: its name, its default, and what it means.
 ///

@@ -25,29 +25,19 @@
 //! Each module may use those above it: `swarm`, `host`, `command`, `server`. Only `publish` and
 //! `server` use zenoh.
 
-pub mod meter;
-
-pub mod swarm;
-
-pub mod host;
-
-pub mod lab;
-
-pub mod recording;
-
+pub mod api;
+pub mod app;
+pub mod auth;
 pub mod backup;
-pub mod batch;
-pub mod command;
+pub mod cli;
 pub mod config;
-pub mod demo;
-pub mod gateway;
+pub mod convert;
+pub mod experiments;
 pub mod health;
-pub mod process;
-pub mod publish;
-pub mod replay;
-pub mod rights;
-pub mod server;
-pub mod session_pool;
+pub mod metrics;
+pub mod persistence;
+pub mod playback;
+pub mod recording;
 pub mod store;
-pub mod supervisor;
-pub mod wire;
+pub mod swarm;
+pub mod transport;

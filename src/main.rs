@@ -1,7 +1,5 @@
 //! `jostled`: hosts swarms and serves them on zenoh.
 
-mod people;
-
 use std::io::{IsTerminal as _, Write as _};
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -11,21 +9,21 @@ use std::time::Duration;
 use clap::error::ErrorKind;
 use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, Args, CommandFactory, FromArgMatches, Parser, Subcommand};
+use jostled::app::{self, ServerError};
 use jostled::backup::{self, BackupError, Manifest};
-use jostled::batch::{self, Which};
+use jostled::cli::demo;
+use jostled::cli::process;
+use jostled::cli::run::{self, Which};
+use jostled::cli::systemd;
 use jostled::config::{self, Config, ConfigError, Merged, Source, explain};
-use jostled::demo;
-use jostled::gateway::{self, GatewayError, Token};
-use jostled::process;
-use jostled::server::session::{self, SessionError};
-use jostled::server::{self, ServerError};
-use jostled::supervisor;
+use jostled::transport::http::{self, GatewayError, Token};
+use jostled::transport::zenoh::session::{self, SessionError};
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use tokio::signal::unix::{SignalKind, signal};
 use tracing::warn;
 use tracing_subscriber::EnvFilter;
 
-use crate::people::{Auth, give_rights};
+use jostled::cli::auth::{Auth, give_rights};
 
 /// Files that are open beside one for each client: the store's, recordings, pages, swarms' wakers.
 const FILES_OF_ITS_OWN: u64 = 500;
@@ -64,7 +62,7 @@ enum Command {
         output: Option<PathBuf>,
         /// Execute only part K of N; parts have nearly equal expected times. FOLDER is created when
         /// the part is complete, unless it exists before. `jostle results merge` merges all parts.
-        #[arg(long, value_name = "K/N", value_parser = batch::part)]
+        #[arg(long, value_name = "K/N", value_parser = run::part)]
         part: Option<Which>,
         /// Execute only these runs, such as `17,18,40-60`; `--dry-run` lists their numbers.
         #[arg(long, value_name = "LIST", conflicts_with = "part")]
@@ -303,7 +301,7 @@ fn main() -> ExitCode {
         ..
     } = command
     {
-        let options = batch::Options {
+        let options = run::Options {
             file,
             output,
             which: part.or(runs.map(Which::Runs)).unwrap_or(Which::All),
@@ -311,7 +309,7 @@ fn main() -> ExitCode {
             threads,
             json,
         };
-        return match batch::run(&options) {
+        return match run::run(&options) {
             Ok(code) => ExitCode::from(code),
             Err(error) => fail(1, &error),
         };
@@ -377,7 +375,7 @@ fn main() -> ExitCode {
             if let Err(error) = session::check(&config.listen, config.auth_dir.is_some()) {
                 return fail(2, &error);
             }
-            if let Err(error) = gateway::check(&config.http, config.auth_dir.is_some()) {
+            if let Err(error) = http::check(&config.http, config.auth_dir.is_some()) {
                 return fail(2, &error);
             }
             return show(&match command {
@@ -428,7 +426,7 @@ fn auth(merged: &Merged, command: &Auth) -> ExitCode {
         (text, _) => Some(text.trim().to_owned()),
     };
     let is_flag = |name: &str| matches!(merged[name].1, Source::Flag(_));
-    let settings = people::Settings {
+    let settings = jostled::cli::auth::Settings {
         listen: set("listen").map(|listen| config::endpoints(&listen)),
         http: set("http"),
         are_flags: is_flag("listen") || is_flag("http"),
@@ -442,7 +440,7 @@ fn auth(merged: &Merged, command: &Auth) -> ExitCode {
         }
     }
     if let Some(http) = &settings.http
-        && let Err(error) = gateway::check(http, true)
+        && let Err(error) = http::check(http, true)
     {
         return fail(2, &error);
     }
@@ -496,7 +494,7 @@ fn open_many(max_clients: usize) {
 
 /// Serves, a demo or whatever comes, until told to stop; returns the process's exit code.
 async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
-    let server = match server::start(config).await {
+    let server = match app::start(config).await {
         Ok(server) => server,
         Err(error) => {
             let code = if is_setting(&error) { 2 } else { 1 };
@@ -523,7 +521,7 @@ async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
         };
         let _ = writeln!(std::io::stdout(), "page on {told}");
     }
-    let informing = supervisor::keep_informed(server.watch().clone(), server.host().clone());
+    let informing = systemd::keep_informed(server.watch().clone(), server.host().clone());
     let informing = tokio::spawn(informing);
     let code = match demo {
         None => {
@@ -547,9 +545,9 @@ async fn serve(config: &Config, demo: Option<Option<Duration>>) -> i32 {
         },
     };
     informing.abort();
-    supervisor::tell_end();
+    systemd::tell_end();
     match server.stop().await {
-        false if code == 0 => server::EXIT_STORE,
+        false if code == 0 => app::EXIT_STORE,
         _ => code,
     }
 }

@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
-use jostled::rights::Rights;
+use jostled::auth::Rights;
 use serde_json::{Value, json};
 use tokio::sync::Barrier;
 use tokio::task::JoinHandle;
@@ -119,9 +119,10 @@ async fn main() {
 /// A queryable that answers at once, on a session like the daemon's.
 async fn bare() {
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let opened = jostled::server::session::open(&listen, "jostle", &Rights::Everybody, 100)
-        .await
-        .unwrap();
+    let opened =
+        jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Everybody, 100)
+            .await
+            .unwrap();
     let session = &opened.session;
     let queryable = session
         .declare_queryable("jostle/*/cmd/**")

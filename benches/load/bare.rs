@@ -6,7 +6,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use jostle_proto::{State, keys};
-use jostled::rights::Rights;
+use jostled::auth::Rights;
 use rustix::time::{ClockId, clock_gettime};
 use zenoh::Wait;
 use zenoh::qos::CongestionControl;
@@ -23,7 +23,8 @@ pub async fn publish(daemon: &str, swarm: &str, clients: usize, (hz, every): (f6
     let mut state = State::from_cbor(&state.payload().to_bytes()).unwrap();
 
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let session = jostled::server::session::open(&listen, "jostle", &Rights::Everybody, clients);
+    let session =
+        jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Everybody, clients);
     let opened = session.await.unwrap();
     let session = &opened.session;
     let publisher = session

@@ -25,7 +25,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
-use jostled::rights::Rights;
+use jostled::auth::Rights;
 use jostled::store::{Checkpoint, Row, Settings, Store, Write};
 use serde_json::{Value, json};
 use zenoh::pubsub::Subscriber;
@@ -275,9 +275,10 @@ async fn bare() {
     let (bytes, hz) = told.split_once(' ').unwrap();
     let (bytes, hz): (usize, u32) = (bytes.parse().unwrap(), hz.parse().unwrap());
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let opened = jostled::server::session::open(&listen, "jostle", &Rights::Everybody, 100)
-        .await
-        .unwrap();
+    let opened =
+        jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Everybody, 100)
+            .await
+            .unwrap();
     let session = &opened.session;
     let publisher = session
         .declare_publisher(keys::state("jostle", SWARM))

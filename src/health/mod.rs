@@ -19,9 +19,9 @@ use tracing::{info, warn};
 
 use crate::health::probe::{Hearing, Probe};
 use crate::health::stuck::Stuck;
-use crate::host::Host;
-use crate::meter::Pulse;
+use crate::metrics::Pulse;
 use crate::store::Store;
+use crate::swarm::registry::Host;
 
 /// How often is looked.
 const PERIOD: Duration = Duration::from_secs(1);

@@ -31,7 +31,7 @@ use self::scribe::Scribe;
 use self::shelf::Shelf;
 pub use self::shelf::Standing;
 pub use self::source::Source;
-use crate::wire::WordRefusal;
+use crate::convert::WordRefusal;
 
 /// The most recordings that go on at once.
 const MOST_GOING: usize = 64;

@@ -7,8 +7,8 @@ use fail::fail_point;
 use jostle_results::recording::{About, Format, Frame, Moment, Recorder, RecordingError, Written};
 
 use super::intake::{End, Intake, Next};
+use crate::convert::{self, Payload, WordRefusal};
 use crate::swarm::frame::{self, Event};
-use crate::wire::{self, Payload, WordRefusal};
 
 /// How long a part may be in the making: as much is lost by a crash.
 const PART: Duration = Duration::from_secs(60);
@@ -91,7 +91,7 @@ impl Scribe {
         fail_point!("recording-frame");
         // It need not have been published: states are numbered within the recording.
         let number = self.recorder.written().frames + 1;
-        let state = wire::state(&self.swarm, frame, number);
+        let state = convert::state(&self.swarm, frame, number);
         let moment = Moment {
             epoch: state.epoch,
             number,
@@ -124,7 +124,7 @@ impl Scribe {
         if self.format == Format::Parquet {
             return Ok(());
         }
-        let order = Payload::json(&wire::order_sample(&self.swarm, frame, number));
+        let order = Payload::json(&convert::order_sample(&self.swarm, frame, number));
         self.recorder.order(&moment, &order.bytes)
     }
 
@@ -135,7 +135,7 @@ impl Scribe {
             time: event.place.time,
             taken,
         };
-        let event = Payload::json(&wire::event(&self.swarm, event, self.word));
+        let event = Payload::json(&convert::event(&self.swarm, event, self.word));
         self.recorder.event(&moment, &event.bytes)
     }
 }

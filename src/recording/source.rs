@@ -7,10 +7,10 @@ use jostle_results::recording::{About, FROM_STEPS, SOURCE};
 
 use super::intake::{Choice, Intake};
 use super::shelf::Standing;
+use crate::convert::{self, Payload};
 use crate::swarm::frame::Frame;
 use crate::swarm::handle::Handle;
 use crate::swarm::outlet::Tap;
-use crate::wire::{self, Payload};
 
 /// A swarm that is to be recorded, from where it was on.
 pub struct Source {
@@ -63,7 +63,7 @@ impl Source {
     pub fn about(&self, standing: &Standing) -> About {
         let json = |Payload { bytes, .. }| String::from_utf8_lossy(&bytes).into_owned();
         let spec = Payload::json(&jostle_convert::spec::to_proto(&self.recipe, self.now.seed));
-        let parameters = Payload::json(&wire::status(&self.now, None).parameters);
+        let parameters = Payload::json(&convert::status(&self.now, None).parameters);
         let began = standing.began_unix_secs.to_string();
         About::from([
             ("swarm".to_owned(), self.swarm.clone()),

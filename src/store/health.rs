@@ -3,7 +3,7 @@
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 
-use crate::meter::{Durations, Histogram};
+use crate::metrics::{Durations, Histogram};
 
 /// How the store is doing.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

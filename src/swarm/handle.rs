@@ -184,7 +184,7 @@ impl Ticket {
 }
 
 /// The next ticket, which may come until then.
-pub(super) fn receive(
+pub(crate) fn receive(
     tickets: &Receiver<Ticket>,
     until: Option<Instant>,
 ) -> Result<Ticket, RecvTimeoutError> {

@@ -9,7 +9,7 @@ use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 
-use crate::meter::add;
+use crate::metrics::add;
 use crate::swarm::frame::{Event, Frame};
 
 /// Individuals in the frames kept for a publisher that lags: a megabyte of them. The oldest frames

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use jostle_physics::stepper::StepReport;
 
-use crate::meter::{Durations, Histogram, Pulse, add};
+use crate::metrics::{Durations, Histogram, Pulse, add};
 
 /// What a swarm's thread counts. It alone writes; nobody waits for anybody.
 #[derive(Debug, Default)]

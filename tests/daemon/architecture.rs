@@ -1,235 +1,85 @@
-//! Who may use whom: the house's rules, read off the source.
+//! The layers of the daemon: no module names one of a higher layer, and libraries stay in theirs.
 
-use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-/// Each module and those of the daemon it may use.
-const MAY_USE: [(&str, &[&str]); 25] = [
-    ("session_pool", &[]),
-    ("process", &[]),
-    ("meter", &[]),
-    ("swarm", &["meter"]),
-    ("host", &["swarm"]),
-    ("store", &["meter"]),
-    ("health", &["meter", "swarm", "host", "store"]),
-    ("rights", &[]),
-    (
-        "gateway",
-        &["meter", "swarm", "health", "rights", "session_pool"],
-    ),
-    (
-        "command",
-        &[
-            "swarm",
-            "host",
-            "lab",
-            "recording",
-            "replay",
-            "rights",
-            "wire",
-        ],
-    ),
-    ("wire", &["swarm", "host", "lab", "recording", "health"]),
-    (
-        "publish",
-        &["meter", "swarm", "command", "wire", "session_pool"],
-    ),
-    ("lab", &[]),
-    ("replay", &["swarm", "wire"]),
-    ("recording", &["swarm", "wire"]),
-    ("backup", &["store"]),
-    ("batch", &[]),
-    ("config", &["host"]),
-    (
-        "server",
-        &[
-            "meter",
-            "swarm",
-            "host",
-            "lab",
-            "recording",
-            "replay",
-            "rights",
-            "command",
-            "config",
-            "publish",
-            "session_pool",
-            "store",
-            "wire",
-            "health",
-            "gateway",
-        ],
-    ),
-    ("supervisor", &["health", "host"]),
-    ("demo", &["swarm", "host", "command", "server"]),
-    (
-        "main",
-        &[
-            "backup",
-            "batch",
-            "config",
-            "demo",
-            "gateway",
-            "people",
-            "process",
-            "server",
-            "supervisor",
-        ],
-    ),
-    ("people", &["rights"]),
-    ("lib", &[]),
-    ("", &[]),
+/// The modules of the daemon by layer, the lowest first.
+const LAYERS: [&[&str]; 7] = [
+    &["metrics"],
+    &["swarm", "store", "auth"],
+    &[
+        "backup",
+        "config",
+        "convert",
+        "experiments",
+        "health",
+        "persistence",
+        "playback",
+        "recording",
+    ],
+    &["api"],
+    &["transport"],
+    &["app"],
+    &["cli", "lib", "main"],
 ];
 
-/// Crates and modules that only these modules may name.
-const ONLY_IN: [(&str, &[&str]); 24] = [
-    ("zenoh::", &["gateway", "publish", "server", "session_pool"]),
-    ("zenoh_ext::", &["publish"]),
+/// Files that name a higher layer, and the module that they name; the list only shrinks.
+const UPWARD: [(&str, &str); 10] = [
+    ("api/context", "transport"),
+    ("api/experiments", "transport"),
+    ("api/handlers", "transport"),
+    ("api/queries", "transport"),
+    ("api/recordings", "transport"),
+    ("api/responder", "transport"),
+    ("persistence/journal_reader", "api"),
+    ("persistence/recovery", "api"),
+    ("persistence/writer", "api"),
+    ("swarm/registry", "playback"),
+];
+
+/// Libraries, and the modules that may name them.
+const LIBRARIES: [(&str, &[&str]); 10] = [
+    (
+        "zenoh",
+        &[
+            "transport",
+            "api/context",
+            "api/copies",
+            "api/experiments",
+            "api/queries",
+            "api/responder",
+            "app",
+        ],
+    ),
+    ("zenoh_ext", &["transport/zenoh"]),
+    ("axum", &["transport/http"]),
+    ("hyper", &["transport/http"]),
+    ("prometheus_client", &["transport/http"]),
+    ("rusqlite", &["store"]),
+    ("clap", &["cli", "main"]),
+    ("tokio", &["app", "auth/live", "cli", "main", "transport"]),
+    ("libc", &["cli/process", "swarm/rank"]),
     (
         "jostle_proto",
         &[
-            "command",
+            "api",
+            "app",
+            "auth",
+            "cli",
             "config",
-            "demo",
-            "gateway",
-            "lab",
-            "people",
-            "publish",
+            "convert",
+            "experiments",
+            "persistence",
             "recording",
-            "rights",
-            "server",
-            "session_pool",
-            "wire",
+            "transport",
         ],
     ),
-    (
-        "serde",
-        &[
-            "backup",
-            "batch",
-            "command",
-            "demo",
-            "gateway",
-            "lab",
-            "people",
-            "recording",
-            "rights",
-            "server",
-            "wire",
-        ],
-    ),
-    ("jostle_results", &["lab", "recording", "replay", "wire"]),
-    ("indicatif::", &["batch"]),
-    ("axum::", &["gateway"]),
-    ("hyper::", &["gateway"]),
-    ("hyper_util::", &["gateway"]),
-    ("rust_embed", &["gateway"]),
-    ("prometheus_client::", &["gateway"]),
-    (
-        "tokio::",
-        &[
-            "demo",
-            "gateway",
-            "main",
-            "rights/live",
-            "server",
-            "supervisor",
-        ],
-    ),
-    ("sd_notify::", &["supervisor"]),
-    ("clap::", &["main", "people"]),
-    ("clap_mangen::", &["main"]),
-    (
-        "std::thread",
-        &[
-            "backup",
-            "batch",
-            "health",
-            "host",
-            "lab",
-            "process",
-            "publish",
-            "recording",
-            "server",
-            "store",
-        ],
-    ),
-    (
-        "std::time",
-        &[
-            "backup",
-            "batch",
-            "command",
-            "demo",
-            "gateway",
-            "health",
-            "host",
-            "lab",
-            "main",
-            "meter",
-            "publish",
-            "recording",
-            "replay/uploads",
-            "server",
-            "store",
-            "supervisor",
-            "swarm",
-        ],
-    ),
-    (
-        "std::fs",
-        &[
-            "backup",
-            "batch",
-            "config",
-            "gateway/token",
-            "health",
-            "lab/shelf",
-            "main",
-            "recording/shelf",
-            "replay",
-            "rights",
-            "store",
-        ],
-    ),
-    (
-        "std::sync",
-        &[
-            "batch",
-            "command",
-            "demo",
-            "gateway",
-            "health",
-            "host",
-            "lab",
-            "meter",
-            "publish",
-            "recording",
-            "replay",
-            "rights/live",
-            "server",
-            "session_pool",
-            "store",
-            "supervisor",
-            "swarm",
-            "wire",
-        ],
-    ),
-    ("rcgen::", &["rights"]),
-    ("tokio_rustls::", &["gateway"]),
-    ("rusqlite::", &["store"]),
-    ("libc::", &["process", "swarm/rank"]),
-    ("tempfile::", &["main"]),
 ];
 
 fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     for entry in fs::read_dir(folder).unwrap() {
         let path = entry.unwrap().path();
-        if path.ends_with("tests") {
-            continue;
-        }
-        if path.is_dir() {
+        if path.is_dir() && !path.ends_with("tests") {
             sources(&path, found);
         } else if path.extension().is_some_and(|extension| extension == "rs") {
             found.push(path);
@@ -237,67 +87,60 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
     }
 }
 
-/// The code of every source file by its path below `src`, without extension, tests or comments.
-fn code() -> BTreeMap<String, String> {
+/// Each source file by its path below `src`, without tests and comments.
+fn code() -> Vec<(String, String)> {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("src");
     let mut files = Vec::new();
     sources(&root, &mut files);
-    let mut code = BTreeMap::new();
-    for file in files {
-        let text = fs::read_to_string(&file).unwrap();
+    let code = files.iter().map(|file| {
+        let text = fs::read_to_string(file).unwrap();
         let text = text.split("#[cfg(test)]").next().unwrap();
         let lines = text
             .lines()
             .filter(|line| !line.trim_start().starts_with("//"));
         let path = file.strip_prefix(&root).unwrap().with_extension("");
-        code.insert(
-            path.to_str().unwrap().to_owned(),
-            lines.collect::<Vec<_>>().join("\n"),
-        );
-    }
-    assert!(code.len() > 30, "the source is read");
-    code
+        let path = path.to_str().unwrap().to_owned();
+        (path, lines.collect::<Vec<_>>().join("\n"))
+    });
+    code.collect()
 }
 
-fn module(path: &str) -> &str {
-    path.split('/').next().unwrap()
+/// Whether `text` contains `path` as the beginning of a path.
+fn names(text: &str, path: &str) -> bool {
+    let is_part = |c: char| c.is_alphanumeric() || c == '_';
+    text.match_indices(path).any(|(at, _)| {
+        let (before, after) = (&text[..at], &text[at + path.len()..]);
+        !before.ends_with(|c| is_part(c) || c == ':') && !after.starts_with(is_part)
+    })
 }
 
 #[test]
-fn modules_use_only_those_that_the_table_allows() {
+fn no_module_names_one_of_a_higher_layer() {
+    let mut upward = Vec::new();
     for (path, text) in code() {
-        let module = module(&path);
-        let (_, may_use) = MAY_USE
-            .iter()
-            .find(|(name, _)| *name == module)
-            .unwrap_or_else(|| panic!("{path} is not in the table"));
-        for (other, _) in MAY_USE {
-            let names = ["crate::", "jostled::"].iter().any(|root| {
-                let direct = format!("{root}{other}");
-                text.match_indices(&direct).any(|(at, _)| {
-                    let next = text[at + direct.len()..].chars().next();
-                    !next.is_some_and(|c| c.is_alphanumeric() || c == '_')
-                })
-            });
-            if !other.is_empty() && names && other != module {
-                assert!(may_use.contains(&other), "{path} uses {other}");
+        let module = path.split('/').next().unwrap();
+        let layer = LAYERS.iter().position(|it| it.contains(&module));
+        let layer = layer.unwrap_or_else(|| panic!("{path} is in no layer"));
+        for other in LAYERS[layer + 1..].concat() {
+            if names(&text, &format!("crate::{other}")) {
+                upward.push((path.clone(), other.to_owned()));
             }
         }
     }
+    let listed = UPWARD.map(|(path, other)| (path.to_owned(), other.to_owned()));
+    upward.sort();
+    assert_eq!(upward, listed);
 }
 
 #[test]
 fn each_library_is_named_only_where_it_belongs() {
     for (path, text) in code() {
-        for (library, rooms) in ONLY_IN {
-            let names = text.match_indices(library).any(|(at, _)| {
-                let before = text[..at].chars().next_back();
-                !before.is_some_and(|c| c.is_alphanumeric() || c == '_' || c == ':')
-            });
-            let is_room = rooms
-                .iter()
-                .any(|room| path == *room || module(&path) == *room);
-            assert!(!names || is_room, "{path} names {library}");
+        for (library, modules) in LIBRARIES {
+            let is_permitted = modules.iter().any(|it| path.starts_with(it));
+            assert!(
+                is_permitted || !names(&text, library),
+                "{path} names {library}"
+            );
         }
     }
 }

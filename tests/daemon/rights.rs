@@ -13,10 +13,10 @@ mod table;
 use std::path::PathBuf;
 
 use jostle_proto::{Credentials, Role, keys};
+use jostled::app::{self, Server};
+use jostled::auth::folder::Folder;
+use jostled::auth::issue;
 use jostled::config::{self, Config};
-use jostled::rights::folder::Folder;
-use jostled::rights::issue;
-use jostled::server::{self, Server};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio::sync::RwLockReadGuard;
@@ -64,7 +64,7 @@ impl Lab {
             ("auth_dir", text(folder.path().to_owned())),
         ];
         let merged = config::merge(None, std::iter::empty(), &flags).unwrap();
-        let server = server::start(&Config::new(&merged).unwrap()).await.unwrap();
+        let server = app::start(&Config::new(&merged).unwrap()).await.unwrap();
         Lab {
             server,
             folder,

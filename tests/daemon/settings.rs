@@ -10,8 +10,8 @@ use std::process::{Command, Stdio};
 use std::sync::Arc;
 
 use jostle_proto::Role;
-use jostled::rights::folder::Folder;
-use jostled::rights::issue;
+use jostled::auth::folder::Folder;
+use jostled::auth::issue;
 use tokio::sync::Semaphore;
 use tokio::task::JoinSet;
 

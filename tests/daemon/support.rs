@@ -4,8 +4,8 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use jostle_proto::{Error, ErrorCode, keys};
+use jostled::app::{self, Server};
 use jostled::config::{self, Config};
-use jostled::server::{self, Server};
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -72,7 +72,7 @@ impl Daemon {
                 .map(|(name, value)| (*name, Some((*value).to_owned()))),
         );
         let merged = config::merge(None, std::iter::empty(), &flags).unwrap();
-        let server = server::start(&Config::new(&merged).unwrap()).await.unwrap();
+        let server = app::start(&Config::new(&merged).unwrap()).await.unwrap();
         let client = Client::open(&server.endpoints()[0]).await;
         Daemon {
             server,

@@ -5,9 +5,9 @@ use std::path::Path;
 use std::sync::Arc;
 
 use jostle_proto::ErrorCode;
+use jostled::convert::durable;
 use jostled::store::{Row, Settings, Store, Write};
 use jostled::swarm::journal::Record;
-use jostled::wire::durable;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 

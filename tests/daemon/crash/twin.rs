@@ -7,12 +7,12 @@ use jostle_physics::simulation::Change;
 use jostle_physics::simulation::Simulation;
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Phase, Request};
-use jostled::command::{self, create};
-use jostled::host::Limits;
+use jostled::api::commands::{self, create};
+use jostled::convert::durable;
 use jostled::store::Row;
 use jostled::swarm::journal::Record;
 use jostled::swarm::order::{Order, Sender, Until};
-use jostled::wire::durable;
+use jostled::swarm::registry::Limits;
 use serde_json::value::RawValue;
 use serde_json::{Value, json};
 
@@ -318,5 +318,5 @@ fn order(sender: &Sender) -> Order {
         args: Some(args),
         ..Request::default()
     };
-    command::read(sender.verb, &request).unwrap().order
+    commands::read(sender.verb, &request).unwrap().order
 }

@@ -7,8 +7,8 @@ use jostle_physics::simulation::Simulation;
 use jostle_proto::State;
 use jostle_proto::verbs::CreateArgs;
 use jostle_results::recording::{self, About};
-use jostled::command::create;
-use jostled::host::Limits;
+use jostled::api::commands::create;
+use jostled::swarm::registry::Limits;
 use serde_json::{Value, json};
 
 use super::{assert_holds, folder_of, has, life, ok, run, standing, stop};

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::process::Output;
 
 use jostle_proto::{Credentials, keys};
-use jostled::rights::folder::Folder;
+use jostled::auth::folder::Folder;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 

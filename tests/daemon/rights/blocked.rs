@@ -5,8 +5,8 @@ use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 use std::time::{Duration, Instant};
 
-use jostled::rights::folder::Folder;
-use jostled::rights::issue;
+use jostled::auth::folder::Folder;
+use jostled::auth::issue;
 use serde_json::{Value, json};
 use tokio::time::sleep;
 

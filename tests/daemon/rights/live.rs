@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use futures_util::StreamExt;
 use jostle_proto::{Credentials, ErrorCode, Role, keys};
-use jostled::rights::folder::Folder;
+use jostled::auth::folder::Folder;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio::net::TcpStream;

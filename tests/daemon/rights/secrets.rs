@@ -5,8 +5,8 @@ use std::net::{SocketAddr, TcpListener};
 
 use futures_util::StreamExt;
 use jostle_proto::{Credentials, keys};
-use jostled::rights::folder::Folder;
-use jostled::rights::issue;
+use jostled::auth::folder::Folder;
+use jostled::auth::issue;
 use rustls_pki_types::pem::PemObject;
 use rustls_pki_types::{CertificateDer, ServerName};
 use serde_json::{Value, json};

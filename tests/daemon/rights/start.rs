@@ -4,9 +4,9 @@ use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
+use jostled::auth::folder::Folder;
+use jostled::auth::issue;
 use jostled::health::probe::Probe;
-use jostled::rights::folder::Folder;
-use jostled::rights::issue;
 
 use super::{Lab, PEOPLE, Proof};
 use crate::apart::jostled;

@@ -4,7 +4,7 @@ use std::fs;
 use std::time::{Duration, Instant};
 
 use jostle_proto::{State, keys};
-use jostled::rights::folder::Folder;
+use jostled::auth::folder::Folder;
 use serde_json::{Value, json};
 
 use super::Running;

@@ -3,9 +3,9 @@
 use jostle_physics::simulation::{Change, Placement, Settings, Spec, Start};
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Error, ErrorCode, Request, keys};
-use jostled::command::{self, Command, CommandError, create};
-use jostled::host::Limits;
+use jostled::api::commands::{self, Command, CommandError, create};
 use jostled::swarm::order::{Order, Until};
+use jostled::swarm::registry::Limits;
 
 const LIMITS: Limits = Limits {
     max_individuals: 2000,
@@ -26,7 +26,7 @@ pub fn hold(data: &[u8]) {
     };
     let verb = usize::from(*verb) % (keys::SWARM_VERBS.len() + 2);
     match keys::SWARM_VERBS.get(verb) {
-        Some(verb) => match command::read(verb, &request) {
+        Some(verb) => match commands::read(verb, &request) {
             Ok(command) => is_in_range(&command),
             Err(error) => is_worded(&error),
         },
@@ -43,7 +43,7 @@ pub fn hold(data: &[u8]) {
         None => {
             // A verb that is no verb: whatever stands in the payload.
             let verb: String = String::from_utf8_lossy(payload).into_owned();
-            let error = command::read(&verb, &request).err();
+            let error = commands::read(&verb, &request).err();
             is_worded(&error.expect("no JSON is a verb"));
         }
     }

@@ -4,8 +4,8 @@ use std::path::PathBuf;
 use std::process;
 use std::thread;
 
-use jostled::replay::Reel;
-use jostled::swarm::film::Film as _;
+use jostled::playback::Reel;
+use jostled::playback::film::Film as _;
 
 /// A file is refused in words, or each of its frames can be read, in their order.
 pub fn hold(data: &[u8]) {

@@ -1,9 +1,9 @@
 //! A row of a swarm's journal.
 
 use jostle_proto::Request;
-use jostled::command;
+use jostled::api::commands;
+use jostled::convert::durable::{read_record, record};
 use jostled::swarm::journal::Record;
-use jostled::wire::durable::{read_record, record};
 use serde_json::value::RawValue;
 
 /// A row is read or refused in words. One that is read is written as the same row, and the command
@@ -27,7 +27,7 @@ pub fn hold(data: &[u8]) {
         args: Some(args),
         ..Request::default()
     };
-    if let Err(error) = command::read_again(sender.verb, &request) {
+    if let Err(error) = commands::read_again(sender.verb, &request) {
         assert!(!error.to_wire(None).message.is_empty());
     }
 }

@@ -1,7 +1,8 @@
 //! The parameters behind the question mark of a selector.
 
 use jostle_proto::ErrorCode;
-use jostled::command::{CommandError, page, wait};
+use jostled::api::commands::{CommandError, wait};
+use jostled::api::pagination;
 use zenoh::query::Parameters;
 
 /// What is waited for is one thing, a page is within its limits, and what is refused is worded.
@@ -14,7 +15,7 @@ pub fn hold(data: &[u8]) {
         Ok((_, patience)) => assert!(patience <= wait::LONGEST_WAIT),
         Err(error) => is_worded(&error),
     }
-    match page::read(parameters.iter()) {
+    match pagination::read(parameters.iter()) {
         Ok((_, limit)) => assert!((1..=1000).contains(&limit)),
         Err(error) => is_worded(&error),
     }

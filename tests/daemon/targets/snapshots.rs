@@ -2,8 +2,8 @@
 
 use jostle_physics::stepper::Stepper;
 use jostle_proto::{Snapshot, to_cbor};
-use jostled::server::recovery::read_snapshot;
-use jostled::wire::{durable, sanity};
+use jostled::convert::{durable, sanity};
+use jostled::persistence::recovery::read_snapshot;
 
 /// Groups larger than this are not stepped here.
 const MAX_STEPPED: usize = 64;

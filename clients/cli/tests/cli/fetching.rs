@@ -5,8 +5,8 @@ use std::path::Path;
 
 use jostle_proto::{Role, State};
 use jostle_results::recording::{self, About};
-use jostled::rights::folder::Folder;
-use jostled::rights::issue;
+use jostled::auth::folder::Folder;
+use jostled::auth::issue;
 use serde_json::{Value, json};
 
 use crate::support::{Daemon, Ended, object, until};

@@ -4,9 +4,9 @@ use std::path::Path;
 use std::time::{Duration, Instant};
 
 use jostle_proto::Role;
-use jostled::rights::address::Reach;
-use jostled::rights::folder::Folder;
-use jostled::rights::issue;
+use jostled::auth::address::Reach;
+use jostled::auth::folder::Folder;
+use jostled::auth::issue;
 
 use crate::support::Daemon;
 

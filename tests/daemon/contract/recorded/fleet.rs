@@ -1,8 +1,8 @@
 //! A daemon that knows people, and two daemons that have a swarm of one name.
 
 use jostle_proto::{Role, keys};
-use jostled::rights::folder::Folder;
-use jostled::rights::issue;
+use jostled::auth::folder::Folder;
+use jostled::auth::issue;
 use serde_json::json;
 use zenoh::Session;
 

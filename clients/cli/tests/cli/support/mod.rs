@@ -12,8 +12,8 @@ use std::sync::mpsc::{Receiver, channel};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use jostled::app::{self, Server};
 use jostled::config::{self, Config};
-use jostled::server::{self, Server};
 use serde_json::Value;
 
 pub use self::canned::Canned;
@@ -86,7 +86,7 @@ impl Daemon {
             flags.push((*name, Some((*value).to_owned())));
         }
         let merged = config::merge(None, std::iter::empty(), &flags).unwrap();
-        let server = server::start(&Config::new(&merged).unwrap()).await.unwrap();
+        let server = app::start(&Config::new(&merged).unwrap()).await.unwrap();
         let endpoint = server.endpoints()[0].clone();
         Daemon {
             server,

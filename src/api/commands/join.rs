@@ -1,0 +1,39 @@
+//! `join`: take a controller in.
+
+use jostle_proto::verbs::JoinArgs;
+
+use crate::api::commands::{CommandError, check_name};
+use crate::convert;
+use crate::swarm::control::{self, Terms};
+use crate::swarm::order::Order;
+use jostle_convert::WireError;
+
+/// Has a controller join.
+///
+/// # Errors
+///
+/// [`CommandError`] for a name that is none, and a deadline out of range.
+pub fn order(args: JoinArgs) -> Result<Order, CommandError> {
+    let JoinArgs {
+        controller,
+        select,
+        mode,
+        deadline_secs,
+        on_timeout,
+        driving,
+        again,
+    } = args;
+    check_name("controller", &controller)?;
+    let Some(deadline) = control::deadline(deadline_secs) else {
+        return Err(WireError::out_of_range("deadline_secs", deadline_secs).into());
+    };
+    Ok(Order::Join(Terms {
+        controller,
+        selection: select.map(jostle_convert::change::selection).transpose()?,
+        mode: convert::mode(mode),
+        deadline,
+        on_timeout: convert::on_timeout(on_timeout),
+        driving,
+        again,
+    }))
+}

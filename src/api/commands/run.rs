@@ -1,0 +1,35 @@
+//! `run`: step at a rate, to an end or for good.
+
+use jostle_proto::verbs::RunArgs;
+
+use crate::api::commands::CommandError;
+use crate::swarm::order::{Order, Until};
+use jostle_convert::WireError;
+
+/// The latest time a run may end at: far beyond any, and exact as a number of steps.
+const LATEST_TIME: f64 = 1e12;
+
+/// Runs the swarm.
+///
+/// # Errors
+///
+/// [`CommandError`] when an end or the rate is outside its range, or two ends are named.
+pub fn order(args: RunArgs) -> Result<Order, CommandError> {
+    let until = match (args.until_step, args.until_time) {
+        (Some(_), Some(_)) => {
+            return Err(CommandError::Field {
+                field: "until_time",
+                problem: "and until_step are both given: name one end",
+            });
+        }
+        (Some(step), None) => Some(Until::Step(jostle_convert::value::whole(
+            "until_step",
+            step,
+        )?)),
+        (None, Some(time)) if (0.0..=LATEST_TIME).contains(&time) => Some(Until::Time(time)),
+        (None, Some(time)) => return Err(WireError::out_of_range("until_time", time).into()),
+        (None, None) => None,
+    };
+    let rate = args.rate.map(jostle_convert::value::rate).transpose()?;
+    Ok(Order::Run { until, rate })
+}

@@ -1,0 +1,23 @@
+//! `set`: new values of the parameters named, and of no others.
+
+use jostle_proto::RequestError;
+
+use crate::api::commands::CommandError;
+
+/// What is chosen when a swarm is created, and stays.
+const CHOSEN_AT_CREATION: [&str; 4] = ["n", "dt", "seed", "start"];
+
+/// Says what to do instead for fields that are chosen when a swarm is created.
+pub fn explain(error: RequestError) -> CommandError {
+    let field = CHOSEN_AT_CREATION
+        .iter()
+        .find(|field| **field == error.field && error.problem.starts_with("unknown field"));
+    match field {
+        Some(field) => CommandError::Field {
+            field,
+            problem: "is chosen at creation and never set: create a swarm with it, or give \
+                      reset a new seed; inject and remove change how many there are",
+        },
+        None => error.into(),
+    }
+}

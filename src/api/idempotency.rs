@@ -1,0 +1,626 @@
+//! Every request that has a name is carried out once: its first answer is given again.
+//!
+//! A client that got no answer cannot know whether its command was carried out. It sends the same
+//! request under the same `client` and `request_id` once more, and gets the answer it missed. What
+//! was refused changed nothing, is not kept, and may be tried again under the same name.
+//!
+//! Replies are remembered up to a total. Beyond it the holder of most (a client, or the person that
+//! all its clients belong to) loses its own oldest reply, so that a client that sends many requests
+//! cannot evict the replies of the others.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use jostle_proto::{CBOR, JSON, Request};
+use serde_json::Value;
+
+use crate::api::responder::Promise;
+use crate::convert::Payload;
+use crate::store::{self, Store, Write};
+
+/// Replies remembered at most.
+const MAX_REPLIES: usize = 100_000;
+
+/// Bytes that all remembered replies may take.
+const MAX_REPLY_BYTES: usize = 64 * 1024 * 1024;
+
+/// The least that a reply counts: [`MAX_REPLIES`] of them reach [`MAX_REPLY_BYTES`].
+const MIN_COST: usize = MAX_REPLY_BYTES.div_ceil(MAX_REPLIES);
+
+/// Below this every whole number is a double.
+const EXACT: f64 = 9_007_199_254_740_992.0;
+
+/// What an answer takes beside its bytes: its name, its digest, and its share of the tables.
+const ANSWER_BYTES: usize = 384;
+
+/// A request's name: who says to have sent it, and what they called it.
+pub type Name = (Option<String>, String);
+
+/// A request without what may differ when it is sent again.
+pub type Digest = [u8; 32];
+
+/// The named requests, and what they came to. Clones are the same one.
+#[derive(Clone)]
+pub struct Ledger {
+    requests: Arc<Mutex<Requests>>,
+    /// Held while a reply is remembered and submitted to the store, which may wait for room in its
+    /// queue: the store deletes and writes in the order in which the requests changed.
+    submitting: Arc<Mutex<()>>,
+    store: Store,
+}
+
+/// The unit that eviction compares: a client, or the person that all its clients belong to. `None`
+/// holds the replies to requests without a client.
+type Holder = Option<Arc<str>>;
+
+struct Requests {
+    by_name: HashMap<Arc<Name>, Box<Entry>>,
+    holders: HashMap<Holder, Held>,
+    /// Holders by their cost; among equal ones the holder of the oldest reply comes last.
+    ranking: BTreeMap<(usize, Reverse<u64>), Holder>,
+    cost: usize,
+    max_cost: usize,
+    /// Whether the client of a request begins with the name of its person.
+    has_people: bool,
+    /// How many replies were ever remembered: the number of the newest.
+    newest: u64,
+}
+
+/// The replies of one holder, oldest first, and their cost.
+#[derive(Default)]
+struct Held {
+    replies: VecDeque<(u64, Arc<Name>)>,
+    cost: usize,
+}
+
+struct Entry {
+    digest: Digest,
+    progress: Progress,
+}
+
+enum Progress {
+    /// Being carried out; these have asked again meanwhile.
+    Underway(Vec<Promise>),
+    /// Carried out: the reply's number, and the reply.
+    Done(u64, Result<Payload, Payload>),
+}
+
+/// What is to be done with a named request.
+pub enum Entered {
+    /// It is new: carry it out and write down what it came to.
+    New(Page),
+    /// It is known, and answered now or as soon as it is carried out.
+    Known,
+    /// Another request has this name.
+    Other,
+}
+
+/// Where the answer to one request is to be written. Dropped unwritten, the request is forgotten.
+pub struct Page {
+    ledger: Ledger,
+    name: Arc<Name>,
+    is_written: bool,
+}
+
+impl Ledger {
+    /// An empty ledger whose answers are kept in `store` too. With `has_people`, the clients of
+    /// one person (`person:label`) are one holder.
+    pub fn new(store: Store, has_people: bool) -> Self {
+        Ledger {
+            requests: Arc::new(Mutex::new(Requests::new(has_people, MAX_REPLY_BYTES))),
+            submitting: Arc::default(),
+            store,
+        }
+    }
+
+    /// Takes in what was kept, oldest first.
+    pub fn fill(&self, answers: Vec<store::Answer>) {
+        let mut requests = self.lock();
+        let mut evicted = Vec::new();
+        for answer in answers {
+            let payload = Payload {
+                bytes: answer.body,
+                encoding: match answer.encoding.as_str() {
+                    CBOR => CBOR,
+                    _ => JSON,
+                },
+                to_remember: None,
+            };
+            let name = Arc::new((answer.client, answer.request_id));
+            let answer_ = if answer.is_ok {
+                Ok(payload)
+            } else {
+                Err(payload)
+            };
+            evicted.extend(requests.remember(name, answer.digest, answer_).1);
+        }
+        drop(requests);
+        self.store
+            .submit(evicted.iter().map(forget).collect(), None);
+    }
+
+    /// Enters a request that was taken in before the daemon restarted, and is carried out again.
+    /// Whoever asks for it meanwhile waits for its answer. Nothing if it is known.
+    pub fn enter_again(&self, name: Name, digest: Digest) -> Option<Page> {
+        let mut requests = self.lock();
+        if requests.by_name.contains_key(&name) {
+            return None;
+        }
+        let name = Arc::new(name);
+        requests.begin(&name, digest);
+        Some(Page {
+            ledger: self.clone(),
+            name,
+            is_written: false,
+        })
+    }
+
+    /// Keeps `promise` with what a request came to, if it is known.
+    pub fn tell(&self, key: &str, request: &Request, id: &str, promise: &Promise) {
+        let name = (request.client.clone(), id.to_owned());
+        let digest = digest(key, request);
+        if let Some(entry) = self.lock().by_name.get(&name)
+            && entry.digest == digest
+            && let Progress::Done(_, answer) = &entry.progress
+        {
+            let answer = answer.clone();
+            promise.keep(move || answer);
+        }
+    }
+
+    /// Whether a request of this name is known.
+    pub fn knows(&self, client: &Option<String>, id: &str) -> bool {
+        let name = (client.clone(), id.to_owned());
+        self.lock().by_name.contains_key(&name)
+    }
+
+    /// Enters a request under its name. `promise` is kept from here if it is a known one.
+    pub fn enter(&self, key: &str, request: &Request, id: &str, promise: &Promise) -> Entered {
+        let name = (request.client.clone(), id.to_owned());
+        let digest = digest(key, request);
+        let mut requests = self.lock();
+        let Some(entry) = requests.by_name.get_mut(&name) else {
+            let name = Arc::new(name);
+            requests.begin(&name, digest);
+            return Entered::New(Page {
+                ledger: self.clone(),
+                name,
+                is_written: false,
+            });
+        };
+        if entry.digest != digest {
+            return Entered::Other;
+        }
+        match &mut entry.progress {
+            Progress::Underway(promises) => promises.push(promise.clone()),
+            Progress::Done(_, answer) => {
+                let answer = answer.clone();
+                promise.keep(move || answer);
+            }
+        }
+        Entered::Known
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Requests> {
+        // Nothing between two changes can panic.
+        self.requests.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Page {
+    /// Writes the answer down, so that it can be given again.
+    pub fn write(mut self, answer: &Result<Payload, Payload>) {
+        self.is_written = true;
+        let remembered = match answer {
+            Ok(payload) => Ok(payload.remembered()),
+            Err(payload) => Err(payload.clone()),
+        };
+        let submitting = &self.ledger.submitting;
+        let submitting = submitting.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut requests = self.ledger.lock();
+        let Some(digest) = requests.by_name.get(&self.name).map(|entry| entry.digest) else {
+            return;
+        };
+        let kept = keep(&self.name, digest, &remembered);
+        let (before, evicted) = requests.remember(self.name.clone(), digest, remembered);
+        drop(requests);
+        // It need not be synced before it is sent: after a crash in between the command is in the
+        // swarm's journal, and its replay makes the same reply.
+        let writes = std::iter::once(kept).chain(evicted.iter().map(forget));
+        self.ledger.store.submit(writes.collect(), None);
+        drop(submitting);
+        if let Some(Progress::Underway(promises)) = before {
+            for promise in promises {
+                let answer = answer.clone();
+                promise.keep(move || answer);
+            }
+        }
+    }
+
+    /// Forgets the request, which changed nothing. Whoever asked again hears why.
+    pub fn tear_out(mut self, refusal: &Payload) {
+        for promise in self.remove() {
+            let refusal = refusal.clone();
+            promise.keep(move || Err(refusal));
+        }
+    }
+
+    fn remove(&mut self) -> Vec<Promise> {
+        self.is_written = true;
+        let entry = self.ledger.lock().by_name.remove(&self.name);
+        match entry.map(|it| it.progress) {
+            Some(Progress::Underway(promises)) => promises,
+            Some(Progress::Done(..)) | None => Vec::new(),
+        }
+    }
+}
+
+impl Drop for Page {
+    fn drop(&mut self) {
+        if !self.is_written {
+            self.remove();
+        }
+    }
+}
+
+impl Requests {
+    /// An empty table with its full capacity: rehashing would delay a request and need megabytes
+    /// more for a moment.
+    fn new(has_people: bool, max_cost: usize) -> Self {
+        Requests {
+            by_name: HashMap::with_capacity(MAX_REPLIES + 1),
+            holders: HashMap::new(),
+            ranking: BTreeMap::new(),
+            cost: 0,
+            max_cost,
+            has_people,
+            newest: 0,
+        }
+    }
+
+    fn begin(&mut self, name: &Arc<Name>, digest: Digest) {
+        let progress = Progress::Underway(Vec::new());
+        let entry = Box::new(Entry { digest, progress });
+        self.by_name.insert(name.clone(), entry);
+    }
+
+    /// Remembers the reply to a request, and evicts others until the total holds. Returns what was
+    /// known of the request before, and the requests whose replies were evicted.
+    fn remember(
+        &mut self,
+        name: Arc<Name>,
+        digest: Digest,
+        reply: Result<Payload, Payload>,
+    ) -> (Option<Progress>, Vec<Arc<Name>>) {
+        self.newest += 1;
+        let number = self.newest;
+        let cost = cost(&reply);
+        let progress = Progress::Done(number, reply);
+        let entry = Box::new(Entry { digest, progress });
+        let before = self.by_name.insert(name.clone(), entry);
+        let before = before.map(|entry| entry.progress);
+        let holder = self.holder(&name);
+        self.change(&holder, |held| {
+            if let Some(Progress::Done(number, reply)) = &before {
+                held.remove(*number, self::cost(reply));
+            }
+            held.replies.push_back((number, name));
+            held.cost += cost;
+        });
+        (before, self.evict())
+    }
+
+    /// Evicts replies until the total holds, but never the newest: its client may retry the request
+    /// that it has just sent.
+    fn evict(&mut self) -> Vec<Arc<Name>> {
+        let mut evicted = Vec::new();
+        while self.cost > self.max_cost {
+            let mut most = self.ranking.iter().rev();
+            let most = most.find(|((_, Reverse(oldest)), _)| *oldest != self.newest);
+            let Some(((_, Reverse(oldest)), holder)) = most else {
+                break;
+            };
+            let (oldest, holder) = (*oldest, holder.clone());
+            let found = self.holders.get(&holder);
+            let Some((_, name)) = found.and_then(|held| held.replies.front()).cloned() else {
+                break;
+            };
+            let entry = self.by_name.remove(&name);
+            if let Some(Progress::Done(_, reply)) = entry.map(|entry| entry.progress) {
+                self.change(&holder, |held| held.remove(oldest, cost(&reply)));
+                evicted.push(name);
+            }
+        }
+        evicted
+    }
+
+    fn holder(&self, (client, _): &Name) -> Holder {
+        let client = client.as_deref()?;
+        Some(match client.split_once(':') {
+            Some((person, _)) if self.has_people => person.into(),
+            _ => client.into(),
+        })
+    }
+
+    /// Changes what a holder has, and with it the total and the ranking.
+    fn change(&mut self, holder: &Holder, change: impl FnOnce(&mut Held)) {
+        let mut held = self.holders.remove(holder).unwrap_or_default();
+        if let Some(oldest) = held.oldest() {
+            self.ranking.remove(&(held.cost, oldest));
+        }
+        self.cost -= held.cost;
+        change(&mut held);
+        self.cost += held.cost;
+        if let Some(oldest) = held.oldest() {
+            self.ranking.insert((held.cost, oldest), holder.clone());
+            self.holders.insert(holder.clone(), held);
+        }
+    }
+}
+
+impl Held {
+    fn oldest(&self) -> Option<Reverse<u64>> {
+        self.replies.front().map(|(number, _)| Reverse(*number))
+    }
+
+    fn remove(&mut self, number: u64, cost: usize) {
+        if let Ok(place) = self.replies.binary_search_by_key(&number, |it| it.0) {
+            self.replies.remove(place);
+            self.cost -= cost;
+        }
+    }
+}
+
+/// The share of the total that a reply takes.
+fn cost(reply: &Result<Payload, Payload>) -> usize {
+    let (Ok(payload) | Err(payload)) = reply;
+    MIN_COST.max(ANSWER_BYTES + payload.bytes.len())
+}
+
+/// Has the store keep the reply to a request.
+fn keep(name: &Name, digest: Digest, reply: &Result<Payload, Payload>) -> Write {
+    let (client, request_id) = name.clone();
+    let (Ok(payload) | Err(payload)) = reply;
+    Write::Answer(store::Answer {
+        client,
+        request_id,
+        digest,
+        swarm: String::new(),
+        number: 0,
+        is_ok: reply.is_ok(),
+        encoding: payload.encoding.to_owned(),
+        body: payload.bytes.clone(),
+    })
+}
+
+/// Has the store delete the reply to a request.
+fn forget(name: &Arc<Name>) -> Write {
+    let (client, request_id) = (**name).clone();
+    Write::Forget { client, request_id }
+}
+
+/// What makes two requests the same one: not how long their senders wait.
+pub fn digest(key: &str, request: &Request) -> Digest {
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(key.as_bytes());
+    for number in [request.at_step, request.expect_epoch, request.expect_step] {
+        hasher.update(&[u8::from(number.is_some())]);
+        hasher.update(&number.unwrap_or_default().to_le_bytes());
+    }
+    // By value: however it is spelled, and in whichever order its fields come.
+    let args = request.args.as_ref().map_or("{}", |args| args.get());
+    match serde_json::from_str(args) {
+        Ok(args) => add(&mut hasher, &args),
+        Err(_) => drop(hasher.update(args.as_bytes())),
+    }
+    *hasher.finalize().as_bytes()
+}
+
+/// Adds a value to a digest, with what tells it from any other.
+fn add(hasher: &mut blake3::Hasher, value: &Value) {
+    match value {
+        Value::Null => drop(hasher.update(b"n")),
+        Value::Bool(is_true) => drop(hasher.update(if *is_true { b"t" } else { b"f" })),
+        Value::Number(number) => {
+            // 1 and 1.0 are one number; what a double cannot hold differs in its text.
+            let double = number.as_f64().unwrap_or(f64::NAN);
+            let text = match number.as_f64() {
+                Some(double) if double.fract() == 0.0 && double.abs() < EXACT => String::new(),
+                _ => number.to_string(),
+            };
+            hasher.update(b"d").update(&double.to_le_bytes());
+            add_text(hasher, &text);
+        }
+        Value::String(text) => {
+            hasher.update(b"s");
+            add_text(hasher, text);
+        }
+        Value::Array(values) => {
+            hasher.update(b"l").update(&values.len().to_le_bytes());
+            values.iter().for_each(|value| add(hasher, value));
+        }
+        Value::Object(fields) => {
+            hasher.update(b"o").update(&fields.len().to_le_bytes());
+            let fields: BTreeMap<_, _> = fields.iter().collect();
+            for (name, value) in fields {
+                add_text(hasher, name);
+                add(hasher, value);
+            }
+        }
+    }
+}
+
+fn add_text(hasher: &mut blake3::Hasher, text: &str) {
+    hasher
+        .update(&text.len().to_le_bytes())
+        .update(text.as_bytes());
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    /// Requests with room for this many of the smallest replies.
+    fn requests(has_people: bool, count: usize) -> Requests {
+        Requests::new(has_people, count * MIN_COST)
+    }
+
+    /// Remembers a reply of this cost, and returns the ids of the requests whose replies it evicts.
+    fn reply(requests: &mut Requests, client: Option<&str>, id: &str, cost: usize) -> Vec<String> {
+        let name = Arc::new((client.map(str::to_owned), id.to_owned()));
+        let payload = Payload {
+            bytes: vec![b'1'; cost.saturating_sub(ANSWER_BYTES)],
+            encoding: JSON,
+            to_remember: None,
+        };
+        let (_, evicted) = requests.remember(name, [0; 32], Ok(payload));
+        evicted.iter().map(|name| name.1.clone()).collect()
+    }
+
+    fn knows(requests: &Requests, client: Option<&str>, id: &str) -> bool {
+        let name = (client.map(str::to_owned), id.to_owned());
+        requests.by_name.contains_key(&name)
+    }
+
+    #[test]
+    fn large_replies_of_one_client_evict_no_reply_of_another() {
+        let mut requests = requests(false, 100);
+        reply(&mut requests, Some("operator"), "1", 100);
+        reply(&mut requests, None, "1", 100);
+        for number in 0..500 {
+            let id = number.to_string();
+            reply(&mut requests, Some("controller"), &id, 10 * MIN_COST);
+        }
+        assert!(knows(&requests, Some("operator"), "1"));
+        assert!(knows(&requests, None, "1"));
+        for number in 0..500 {
+            let is_kept = knows(&requests, Some("controller"), &number.to_string());
+            assert_eq!(is_kept, number >= 491, "{number}");
+        }
+    }
+
+    #[test]
+    fn many_replies_of_one_client_evict_no_reply_of_another() {
+        let mut requests = requests(false, 10);
+        reply(&mut requests, Some("operator"), "1", 2 * MIN_COST);
+        for number in 0..50 {
+            reply(&mut requests, Some("controller"), &number.to_string(), 10);
+        }
+        assert!(knows(&requests, Some("operator"), "1"));
+        for number in 0..50 {
+            let is_kept = knows(&requests, Some("controller"), &number.to_string());
+            assert_eq!(is_kept, number >= 42, "{number}");
+        }
+    }
+
+    #[test]
+    fn beside_n_other_names_a_client_keeps_its_share_of_n_plus_1() {
+        let mut requests = requests(false, 100);
+        for id in 0..10 {
+            reply(&mut requests, Some("operator"), &id.to_string(), 10);
+        }
+        for id in 0..1000 {
+            let name = format!("invented-{}", id % 9);
+            reply(&mut requests, Some(&name), &id.to_string(), 10);
+        }
+        let kept = (0..10).filter(|id| knows(&requests, Some("operator"), &id.to_string()));
+        assert_eq!(kept.count(), 10);
+        // With as many names as there is room for replies, none of it is kept.
+        for id in 0..100 {
+            reply(
+                &mut requests,
+                Some(&format!("more-{id}")),
+                &id.to_string(),
+                10,
+            );
+        }
+        assert!(!(0..10).any(|id| knows(&requests, Some("operator"), &id.to_string())));
+    }
+
+    #[test]
+    fn the_smallest_replies_are_limited_in_number() {
+        const { assert!(MAX_REPLY_BYTES / MIN_COST <= MAX_REPLIES) };
+        const { assert!(MAX_REPLY_BYTES / MIN_COST > MAX_REPLIES * 998 / 1000) };
+    }
+
+    #[test]
+    fn the_clients_of_a_person_are_one_holder_where_people_are_known() {
+        for (has_people, evicted) in [(true, "1"), (false, "3")] {
+            let mut requests = requests(has_people, 4);
+            reply(&mut requests, Some("cleo:a"), "1", 10);
+            reply(&mut requests, Some("cleo:b"), "2", 10);
+            reply(&mut requests, Some("dora"), "3", 10);
+            reply(&mut requests, Some("dora"), "4", 10);
+            // Person cleo now has three replies; client cleo:c has one, and dora has two.
+            assert_eq!(reply(&mut requests, Some("cleo:c"), "5", 10), [evicted]);
+        }
+    }
+
+    #[test]
+    fn of_holders_of_equally_many_the_one_with_the_oldest_reply_loses_it() {
+        let mut requests = requests(false, 3);
+        for (client, id) in [("a", "1"), ("c", "2"), ("b", "3")] {
+            assert!(reply(&mut requests, Some(client), id, 10).is_empty());
+        }
+        for (client, id, evicted) in [("d", "4", "1"), ("e", "5", "2"), ("a", "6", "3")] {
+            assert_eq!(reply(&mut requests, Some(client), id, 10), [evicted]);
+        }
+    }
+
+    #[test]
+    fn the_newest_reply_stays_however_large_and_goes_next() {
+        let mut requests = requests(false, 10);
+        for id in ["1", "2", "3"] {
+            reply(&mut requests, Some("a"), id, 10);
+        }
+        let evicted = reply(&mut requests, Some("b"), "4", 20 * MIN_COST);
+        assert_eq!(evicted, ["1", "2", "3"]);
+        assert!(knows(&requests, Some("b"), "4"));
+        assert_eq!(reply(&mut requests, Some("a"), "5", 10), ["4"]);
+    }
+
+    #[test]
+    fn a_reply_that_replaces_another_takes_its_place() {
+        let mut requests = requests(false, 3);
+        for id in ["1", "2", "1", "1", "3"] {
+            assert!(reply(&mut requests, Some("a"), id, 10).is_empty());
+        }
+        assert_eq!(reply(&mut requests, Some("a"), "4", 10), ["2"]);
+    }
+
+    #[test]
+    fn the_totals_are_the_sums_of_what_is_remembered() {
+        let mut requests = requests(true, 40);
+        let (mut number, mut evicted, mut replaced) = (1_u64, 0, 0);
+        for _ in 0..5000 {
+            number = number
+                .wrapping_mul(6_364_136_223_846_793_005)
+                .wrapping_add(1);
+            let random =
+                |below: u64, shift: u32| usize::try_from((number >> shift) % below).unwrap();
+            let client = format!("p{}:{}", random(9, 33), random(3, 37));
+            let client = (random(20, 41) > 0).then_some(client.as_str());
+            // Some ids repeat, so that replies are replaced too.
+            let id = random(100, 45).to_string();
+            replaced += usize::from(knows(&requests, client, &id));
+            evicted += reply(&mut requests, client, &id, random(3000, 20)).len();
+
+            let costs = requests.by_name.values().map(|it| match &it.progress {
+                Progress::Done(_, reply) => cost(reply),
+                Progress::Underway(_) => 0,
+            });
+            assert_eq!(requests.cost, costs.sum::<usize>());
+            let held = requests.holders.values().map(|it| it.replies.len());
+            assert_eq!(requests.by_name.len(), held.sum::<usize>());
+            let most = requests.holders.values().map(|it| it.cost).max().unwrap();
+            let last = requests.ranking.last_key_value().unwrap();
+            assert_eq!(last.0.0, most);
+            assert_eq!(requests.ranking.len(), requests.holders.len());
+            assert!(requests.cost <= requests.max_cost);
+        }
+        assert_eq!(evicted + replaced + requests.by_name.len(), 5000);
+    }
+}

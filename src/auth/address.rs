@@ -1,0 +1,326 @@
+//! Where a daemon is reached: what it listens on, the names in its certificate, and what the
+//! folders of its people say.
+
+use std::net::IpAddr;
+
+use serde::Deserialize;
+use toml::{Spanned, Value};
+
+use crate::auth::RightsError;
+use crate::auth::folder::{Folder, People, at, read, write};
+
+/// By what this machine always reaches itself.
+pub const OWN_NAMES: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
+
+/// Where a daemon listens unless a setting says otherwise.
+const PORT: u16 = 7447;
+const DEFAULT_LISTEN: &str = "tcp/127.0.0.1:7447";
+const DEFAULT_HTTP: &str = "127.0.0.1:8080";
+
+/// What is to change of a daemon's addresses; what is not given stays as it is.
+#[derive(Clone, Debug, Default)]
+pub struct Reach {
+    /// Names and addresses by which other machines reach the daemon.
+    pub hosts: Vec<String>,
+    /// Zenoh endpoints to listen on.
+    pub listen: Option<Vec<String>>,
+    /// Where to serve HTTP; nowhere if empty.
+    pub http: Option<String>,
+}
+
+/// Where a daemon is reached.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Address {
+    /// Zenoh endpoints that it listens on.
+    pub listen: Vec<String>,
+    /// Where it serves HTTP; nowhere if empty.
+    pub http: String,
+    /// Names and addresses by which other machines reach it.
+    pub hosts: Vec<String>,
+    /// Where people's clients connect.
+    pub endpoint: String,
+    /// Where people's browsers find the page, if HTTP is served.
+    pub page: Option<String>,
+}
+
+/// An address and a port; a name in place of the address is kept as it is.
+struct Place {
+    host: String,
+    port: u16,
+}
+
+impl Reach {
+    /// Whether it changes anything.
+    pub fn is_empty(&self) -> bool {
+        self.hosts.is_empty() && self.listen.is_none() && self.http.is_none()
+    }
+}
+
+impl Address {
+    /// The address of `folder` once `reach` is applied; `known` is what `people.json` says so far.
+    ///
+    /// # Errors
+    ///
+    /// [`RightsError`] when people would not know where to connect: port 0, or every address of the
+    /// machine without a name.
+    pub fn of(folder: &Folder, known: Option<&People>, reach: &Reach) -> Result<Self, RightsError> {
+        if let Some(host) = reach.hosts.iter().find(|host| !is_host(host)) {
+            return Err(RightsError::Host(host.clone()));
+        }
+        let hosts = hosts(known, reach)?;
+        let (listen, http) = match settings(folder)? {
+            Some(Made { settings, .. }) => {
+                let http = settings.http.as_ref();
+                let http = http.and_then(|it| it.get_ref().as_str().map(str::to_owned));
+                (settings.listen.map(|it| texts(it.get_ref())), http)
+            }
+            None => {
+                let anywhere = if hosts.is_empty() {
+                    "127.0.0.1"
+                } else {
+                    "0.0.0.0"
+                };
+                (Some(vec![format!("tls/{anywhere}:{PORT}")]), None)
+            }
+        };
+        let listen = reach.listen.clone().or(listen);
+        let listen = listen.unwrap_or_else(|| vec![DEFAULT_LISTEN.to_owned()]);
+        let http = reach.http.clone().or(http);
+        let http = http.unwrap_or_else(|| DEFAULT_HTTP.to_owned());
+        let is_moved = known.is_none() || !reach.hosts.is_empty();
+        let endpoint = match known {
+            Some(known) if !is_moved && reach.listen.is_none() => known.endpoint.clone(),
+            _ => endpoint(&listen, &hosts, is_moved)?,
+        };
+        let page = match known {
+            Some(known) if !is_moved && reach.http.is_none() => known.page.clone(),
+            _ => page(&http, &hosts)?,
+        };
+        Ok(Address {
+            listen,
+            http,
+            hosts,
+            endpoint,
+            page,
+        })
+    }
+
+    /// The names of the daemon's certificate: its own, those by which others reach it, and the
+    /// addresses that it listens on.
+    pub fn names(&self) -> Vec<String> {
+        let own = OWN_NAMES.map(str::to_owned);
+        let listened = self.listen.iter().filter_map(|it| it.strip_prefix("tls/"));
+        let served = self.http.strip_prefix("https://");
+        let places = listened.chain(served).filter_map(Place::read);
+        let addresses = places
+            .filter(|place| !place.is_everywhere())
+            .map(|it| it.host);
+        let mut names: Vec<String> = Vec::new();
+        for name in own
+            .into_iter()
+            .chain(self.hosts.iter().cloned())
+            .chain(addresses)
+        {
+            if !names.contains(&name) {
+                names.push(name);
+            }
+        }
+        names
+    }
+
+    /// Whether people connect to another machine by a name, while the daemon listens within its own
+    /// machine alone.
+    pub fn is_out_of_reach(&self) -> bool {
+        let is_local = |endpoint: &String| {
+            let place = endpoint.split_once('/').and_then(|(_, it)| Place::read(it));
+            place.is_none_or(|it| it.is_local())
+        };
+        !is_local(&self.endpoint) && self.listen.iter().all(is_local)
+    }
+
+    /// Writes the settings that a daemon starts with; of those that are there only what `reach`
+    /// changes.
+    ///
+    /// # Errors
+    ///
+    /// [`RightsError`] when they cannot be read or written.
+    pub fn write_settings(&self, folder: &Folder, reach: &Reach) -> Result<(), RightsError> {
+        let made = settings(folder)?;
+        let listen = match &self.listen[..] {
+            [one] => format!("{one:?}"),
+            several => format!("{several:?}"),
+        };
+        let http = format!("{:?}", self.http);
+        let text = match made {
+            None => {
+                let path = folder.path().canonicalize();
+                let path = path.map_err(|error| at(folder.path(), error))?;
+                let http = reach.http.as_ref().map(|_| format!("http = {http}\n"));
+                let http = http.unwrap_or_default();
+                format!("listen = {listen}\n{http}auth_dir = {path:?}\n")
+            }
+            Some(Made { mut text, settings }) => {
+                let mut changes = Vec::new();
+                if reach.listen.is_some() {
+                    changes.push(("listen", settings.listen, listen));
+                }
+                if reach.http.is_some() {
+                    changes.push(("http", settings.http, http));
+                }
+                // From the end, so that what is before stays where it is.
+                changes.sort_by_key(|(_, old, _)| old.as_ref().map(|old| old.span().start));
+                for (name, old, new) in changes.into_iter().rev() {
+                    match old {
+                        Some(old) => text.replace_range(old.span(), &new),
+                        None => text.insert_str(0, &format!("{name} = {new}\n")),
+                    }
+                }
+                text
+            }
+        };
+        write(&folder.settings_file(), &text)
+    }
+}
+
+impl Place {
+    /// Reads `127.0.0.1:7447`, `[::1]:7447`, `lab.example:7447`, with zenoh's `#iface=…` behind it.
+    fn read(address: &str) -> Option<Self> {
+        let address = address.split(['?', '#']).next()?;
+        let (host, port) = address.rsplit_once(':')?;
+        let bare = host.strip_prefix('[').and_then(|it| it.strip_suffix(']'));
+        Some(Place {
+            host: bare.unwrap_or(host).to_owned(),
+            port: port.parse().ok()?,
+        })
+    }
+
+    fn is_local(&self) -> bool {
+        let address = self.host.parse::<IpAddr>();
+        self.host == "localhost" || address.is_ok_and(|it| it.is_loopback())
+    }
+
+    /// Whether it is every address of the machine.
+    fn is_everywhere(&self) -> bool {
+        let address = self.host.parse::<IpAddr>();
+        self.host == "*" || address.is_ok_and(|it| it.is_unspecified())
+    }
+
+    /// The same port, by the name that other machines use.
+    fn reached_by(&self, told: &str, host: Option<&String>) -> Result<String, RightsError> {
+        if self.port == 0 {
+            return Err(RightsError::AnyPort(told.to_owned()));
+        }
+        let host = match host {
+            Some(host) => host,
+            None if self.is_everywhere() => return Err(RightsError::NoHost(told.to_owned())),
+            None => &self.host,
+        };
+        Ok(match host.contains(':') {
+            true => format!("[{host}]:{}", self.port),
+            false => format!("{host}:{}", self.port),
+        })
+    }
+}
+
+/// The names by which other machines reach the daemon.
+fn hosts(known: Option<&People>, reach: &Reach) -> Result<Vec<String>, RightsError> {
+    if !reach.hosts.is_empty() {
+        return Ok(reach.hosts.clone());
+    }
+    let Some(known) = known else {
+        return Ok(Vec::new());
+    };
+    // Earlier versions recorded the first name only, as part of the endpoint.
+    let place = known.endpoint.strip_prefix("tls/").and_then(Place::read);
+    match (&known.hosts, place) {
+        (Some(hosts), _) => Ok(hosts.clone()),
+        (None, Some(place)) if !place.is_local() => Err(RightsError::HostsUnknown(place.host)),
+        _ => Ok(Vec::new()),
+    }
+}
+
+/// Where people's clients connect: the first endpoint over TLS, by the first name of the daemon.
+fn endpoint(listen: &[String], hosts: &[String], is_moved: bool) -> Result<String, RightsError> {
+    let over_tls = listen.iter().find(|it| it.starts_with("tls/"));
+    let Some(told) = over_tls.or(listen.first()) else {
+        return Ok(DEFAULT_LISTEN.to_owned());
+    };
+    let bare = told.split('#').next().unwrap_or(told);
+    let (protocol, address) = bare.split_once('/').unwrap_or_default();
+    if protocol == "unixsock-stream" {
+        return Ok(bare.to_owned());
+    }
+    let place = Place::read(address).ok_or_else(|| RightsError::NoPort(told.clone()))?;
+    let by_name = protocol == "tls" && (is_moved || !place.is_local());
+    let host = hosts.first().filter(|_| by_name);
+    Ok(format!("{protocol}/{}", place.reached_by(told, host)?))
+}
+
+/// Where people's browsers find the page: over TLS by the first name of the daemon.
+fn page(http: &str, hosts: &[String]) -> Result<Option<String>, RightsError> {
+    let (scheme, address) = match http.split_once("://") {
+        Some((scheme, address)) => (scheme, address),
+        None => ("http", http),
+    };
+    let Some(place) = Place::read(address) else {
+        return Ok(None);
+    };
+    let by_name = scheme == "https" && !place.is_local();
+    let host = hosts.first().filter(|_| by_name);
+    Ok(Some(format!(
+        "{scheme}://{}",
+        place.reached_by(http, host)?
+    )))
+}
+
+/// The settings file in the folder.
+struct Made {
+    text: String,
+    settings: Settings,
+}
+
+/// What it says of addresses, and where.
+#[derive(Deserialize)]
+struct Settings {
+    listen: Option<Spanned<Value>>,
+    http: Option<Spanned<Value>>,
+}
+
+fn settings(folder: &Folder) -> Result<Option<Made>, RightsError> {
+    let path = folder.settings_file();
+    if !path.exists() {
+        return Ok(None);
+    }
+    let text = read(&path)?;
+    match toml::from_str(&text) {
+        Ok(settings) => Ok(Some(Made { text, settings })),
+        Err(error) => Err(RightsError::Content {
+            path,
+            problem: error.to_string(),
+        }),
+    }
+}
+
+/// The texts of a list, which may also be one text with commas.
+fn texts(value: &Value) -> Vec<String> {
+    let parts: Vec<&str> = match value {
+        Value::Array(values) => values.iter().filter_map(Value::as_str).collect(),
+        value => value.as_str().unwrap_or_default().split(',').collect(),
+    };
+    let parts = parts.into_iter().map(|it| it.trim().to_owned());
+    parts.filter(|it| !it.is_empty()).collect()
+}
+
+/// Whether a machine can be reached by this: an address, or a name of letters, digits and hyphens
+/// between dots.
+fn is_host(host: &str) -> bool {
+    let is_label = |label: &str| {
+        let plain = |c: char| c.is_ascii_alphanumeric() || c == '-';
+        !label.is_empty() && label.len() <= 63 && label.chars().all(plain)
+    };
+    let mut labels = host.split('.');
+    // A name whose last label is a number is an invalid IP address.
+    let is_number = |label: &str| label.bytes().all(|c| c.is_ascii_digit());
+    let is_name = labels.clone().all(is_label) && !labels.next_back().is_some_and(is_number);
+    host.parse::<IpAddr>().is_ok() || (host.len() <= 253 && is_name)
+}

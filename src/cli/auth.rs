@@ -1,0 +1,267 @@
+//! `jostled auth`: who may do what, and where the daemon is reached.
+
+use std::path::PathBuf;
+
+use crate::auth::RightsError;
+use crate::auth::address::Reach;
+use crate::auth::folder::{Folder, People};
+use crate::auth::issue::{self, Moved, SetUp};
+use clap::Subcommand;
+use jostle_proto::Role;
+use serde_json::json;
+
+/// What is to be done.
+#[derive(Subcommand)]
+pub enum Auth {
+    /// Make what is not there yet: a private certificate authority, the daemon's certificate, people.
+    ///
+    /// `--listen` and `--http` are written into the settings file that it makes.
+    Init {
+        /// A name or an address by which other machines reach the daemon; once for each, and all of
+        /// them each time: the daemon's certificate is made anew for these.
+        #[arg(long = "host", value_name = "HOST")]
+        hosts: Vec<String>,
+        /// People, and what each is: viewer, controller or operator.
+        #[arg(value_name = "NAME=ROLE", value_parser = person)]
+        people: Vec<(String, Role)>,
+    },
+    /// Change where the daemon is reached, or show it if nothing is given.
+    ///
+    /// `--listen` and `--http` change the settings file and `--host` the names. The daemon's
+    /// certificate is issued again by the same authority, and people's folders are rewritten.
+    Address {
+        /// A name or an address by which other machines reach the daemon; once for each, and all of
+        /// them each time.
+        #[arg(long = "host", value_name = "HOST")]
+        hosts: Vec<String>,
+        /// As JSON.
+        #[arg(long)]
+        json: bool,
+    },
+    /// Add people; a running daemon accepts their tokens within 5 s.
+    Add {
+        /// People, and what each is: viewer, controller or operator.
+        #[arg(value_name = "NAME=ROLE", value_parser = person, required = true)]
+        people: Vec<(String, Role)>,
+    },
+    /// Take people's rights away; a running daemon rejects their tokens within 5 s.
+    Remove {
+        /// Who.
+        #[arg(value_name = "NAME", required = true)]
+        names: Vec<String>,
+    },
+    /// Say who there is, what they are, and until when their certificates hold.
+    List {
+        /// As JSON.
+        #[arg(long)]
+        json: bool,
+    },
+}
+
+/// What `--listen` and `--http` say.
+pub struct Settings {
+    /// Endpoints to listen on; `None` for the default.
+    pub listen: Option<Vec<String>>,
+    /// Where to serve HTTP; `None` for the default.
+    pub http: Option<String>,
+    /// Whether one of them is a flag of this command.
+    pub are_flags: bool,
+}
+
+impl Settings {
+    fn reach(&self, hosts: &[String]) -> Reach {
+        Reach {
+            hosts: hosts.to_owned(),
+            listen: self.listen.clone(),
+            http: self.http.clone(),
+        }
+    }
+}
+
+/// Makes, changes or tells who may do what, in `folder`. Returns what there is to say.
+///
+/// # Errors
+///
+/// An exit code, and what is wrong.
+pub fn give_rights(
+    folder: &str,
+    settings: &Settings,
+    command: &Auth,
+) -> Result<String, (u8, String)> {
+    if folder.is_empty() {
+        let problem = "say where: --auth-dir FOLDER, or auth_dir in the settings";
+        return Err((2, problem.to_owned()));
+    }
+    let folder = Folder::at(PathBuf::from(folder));
+    let done =
+        match command {
+            Auth::Init { hosts, people } => issue::set_up(&folder, &settings.reach(hosts), people)
+                .map(|it| set_up(&it, &folder)),
+            Auth::Address { hosts, json } if hosts.is_empty() && !settings.are_flags => {
+                folder.people().map(|known| reached(&known, *json))
+            }
+            Auth::Address { hosts, json } => issue::readdress(&folder, &settings.reach(hosts))
+                .map(|it| moved(&it, &folder, *json)),
+            Auth::Add { people } => issue::add(&folder, people).map(|it| handed(&it)),
+            Auth::Remove { names } => issue::remove(&folder, names).and_then(|()| {
+                let is_last = folder.people()?.people.is_empty();
+                Ok(removed(names, is_last))
+            }),
+            Auth::List { json } => folder.people().map(|known| listed(&known, *json)),
+        };
+    let is_argument = |error: &RightsError| {
+        matches!(
+            error,
+            RightsError::NoHost(_)
+                | RightsError::AnyPort(_)
+                | RightsError::NoPort(_)
+                | RightsError::HostsUnknown(_)
+                | RightsError::Twice(_)
+        )
+    };
+    done.map_err(|error| (if is_argument(&error) { 2 } else { 1 }, error.to_string()))
+}
+
+/// Who there is, for people or for programs.
+fn listed(known: &People, as_json: bool) -> String {
+    let people = known.people.iter();
+    if as_json {
+        let people: Vec<_> = people
+            .map(|it| json!({"person": it.person, "role": it.role, "until": it.until}))
+            .collect();
+        let told = json!({"people": people, "daemon_until": known.until});
+        return format!("{told}\n");
+    }
+    let until = |day: &Option<String>| {
+        let told = day.as_ref().map(|day| format!("until {day}"));
+        told.unwrap_or_default()
+    };
+    let line = |what: &str, who: &str, day| {
+        let line = format!("{what:12} {who:20} {}", until(day));
+        format!("{}\n", line.trim_end())
+    };
+    let all: String = people
+        .map(|it| line(it.role.name(), &it.person, &it.until))
+        .collect();
+    all + &line("(daemon)", "", &known.until)
+}
+
+/// Where the daemon is reached, for people or for programs.
+fn reached(known: &People, as_json: bool) -> String {
+    if as_json {
+        let told = json!({"endpoint": known.endpoint, "page": known.page, "hosts": known.hosts});
+        return format!("{told}\n");
+    }
+    let page = known.page.as_deref().unwrap_or("nowhere that is recorded");
+    let hosts = match &known.hosts {
+        Some(hosts) if hosts.is_empty() => "none but this machine's own".to_owned(),
+        Some(hosts) => hosts.join(", "),
+        None => "not recorded".to_owned(),
+    };
+    let endpoint = &known.endpoint;
+    format!("endpoint  {endpoint}\npage      {page}\nnames     {hosts}\n")
+}
+
+/// What a change of address takes: of the daemon, and of people.
+fn moved(moved: &Moved, folder: &Folder, as_json: bool) -> String {
+    let address = &moved.address;
+    if as_json {
+        let told = json!({
+            "endpoint": address.endpoint,
+            "page": address.page,
+            "hosts": address.hosts,
+            "listen": address.listen,
+            "http": address.http,
+            "certificate_names": moved.names,
+            "rewritten": moved.rewritten,
+            "stale": moved.stale,
+        });
+        return format!("{told}\n");
+    }
+    let mut told = format!(
+        "people reach the daemon at {}\nits page: {}\nits certificate names {}\n",
+        address.endpoint,
+        address.page.as_deref().unwrap_or("none"),
+        moved.names.join(", ")
+    );
+    if address.is_out_of_reach() {
+        told += &format!(
+            "it listens within this machine alone ({}): `jostled auth address --listen \
+             tls/0.0.0.0:7447` has it listen for others\n",
+            address.listen.join(", ")
+        );
+    }
+    told += &format!(
+        "restart the daemon: it takes its addresses (settings: {}) and its certificate when it \
+         starts\n",
+        folder.settings_file().display()
+    );
+    if !moved.rewritten.is_empty() {
+        told += "hand these folders to their people again; the secrets in them are the same:\n";
+    }
+    for folder in &moved.rewritten {
+        told += &format!("  {}\n", folder.display());
+    }
+    if !moved.stale.is_empty() {
+        told += &format!(
+            "not found: the folders of {}; these people pass `-e {}` or set JOSTLE_ENDPOINT, or \
+             change \"endpoint\" in credentials.json and zenoh.json5\n",
+            moved.stale.join(", "),
+            address.endpoint
+        );
+    }
+    told
+}
+
+/// What a removal means to a running daemon.
+fn removed(names: &[String], is_last: bool) -> String {
+    let mut who = names.to_owned();
+    who.sort();
+    who.dedup();
+    let mut told = format!(
+        "{}: removed. A running daemon rejects their tokens within 5 s: requests over HTTP, open \
+         pages, commands and set-points over zenoh. A zenoh session that is open, or is opened with \
+         the old folder, still reads states and events until the daemon is restarted.\n",
+        who.join(", ")
+    );
+    if is_last {
+        told += "no people are left: the daemon does not start until `jostled auth add` adds one\n";
+    }
+    told
+}
+
+/// The output of `init`: what it created and what it changed.
+fn set_up(done: &SetUp, folder: &Folder) -> String {
+    match &done.moved {
+        None => handed(&done.made),
+        Some(change) if done.made.is_empty() => moved(change, folder, false),
+        Some(change) => moved(change, folder, false) + &handed(&done.made),
+    }
+}
+
+/// What to do with the folders of new people.
+fn handed(folders: &[PathBuf]) -> String {
+    if folders.is_empty() {
+        return "all is there; `jostled auth add NAME=ROLE` adds people\n".into();
+    }
+    let mut told =
+        String::from("hand each folder to its person, over a safe way, and delete it here:\n");
+    for folder in folders {
+        told += &format!("  {}\n", folder.display());
+    }
+    told += "they name it: jostle --credentials FOLDER …\n\
+             A running daemon accepts their tokens within 5 s: the page and requests over HTTP. \
+             Their zenoh sessions, those of jostle and Python too, take a restart of the daemon.\n";
+    told
+}
+
+/// Reads `anna=operator`.
+fn person(text: &str) -> Result<(String, Role), String> {
+    let roles = Role::ALL.map(Role::name).join(", ");
+    let (name, role) = text
+        .split_once('=')
+        .ok_or_else(|| format!("give NAME=ROLE, a role being one of {roles}"))?;
+    let role = Role::ALL.into_iter().find(|known| known.name() == role);
+    let role = role.ok_or_else(|| format!("a role is one of {roles}"))?;
+    Ok((name.to_owned(), role))
+}

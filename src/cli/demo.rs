@@ -1,0 +1,300 @@
+//! A swarm that is worth watching, in the daemon's own process: fifty bodies walk and push, and
+//! at t = 50 ten of them learn of a direction. A line a second says what comes of it.
+
+use std::io::Write as _;
+use std::sync::Arc;
+use std::time::Duration;
+
+use jostle_convert::change;
+use jostle_physics::simulation::steps_in;
+use jostle_proto::Spec;
+use jostle_proto::verbs::{CreateArgs, InformArgs, RunArgs, Select};
+use thiserror::Error;
+use tokio::sync::oneshot;
+
+use crate::api::commands::{CommandError, create, run};
+use crate::app::Server;
+use crate::persistence::writer;
+use crate::swarm::frame::{Frame, Place};
+use crate::swarm::handle::{self, Handle, Ticket};
+use crate::swarm::order::{Awaited, Order, Sender, When};
+use crate::swarm::outcome::{Answer, Answered, OrderError, Outcome};
+use crate::swarm::registry::{Created, HostError};
+use crate::swarm::waiters::Waiter;
+
+/// Prints a line at once. A pipe that nobody reads any more is no reason to end.
+macro_rules! say {
+    ($($text:tt)*) => {{
+        let mut out = std::io::stdout().lock();
+        let _ = writeln!(out, $($text)*).and_then(|()| out.flush());
+    }};
+}
+
+/// Its name.
+const NAME: &str = "demo";
+/// Its seed: one whose group ends up as led as the mean of many; one in ten is hardly led at all.
+const SEED: u64 = 12;
+/// Time units per second of wall clock.
+const RATE: f64 = 20.0;
+/// When ten individuals learn of a direction.
+const INFORMED_AT: f64 = 50.0;
+/// How many learn of it.
+const INFORMED: u64 = 10;
+/// How long to wait after a displaced wait before asking again.
+const BETWEEN_WAITS: Duration = Duration::from_millis(500);
+/// The span at the end that the last line averages over.
+const LAST: f64 = 200.0;
+
+/// Why the demo ended early.
+#[derive(Debug, Error)]
+pub enum DemoError {
+    /// A command was refused.
+    #[error("the demo's own command was refused: {0}")]
+    Command(#[from] CommandError),
+    /// The swarm was deleted or the daemon stops.
+    #[error("the swarm {NAME} is gone")]
+    Gone,
+}
+
+impl From<HostError> for DemoError {
+    fn from(error: HostError) -> Self {
+        DemoError::Command(error.into())
+    }
+}
+
+impl From<OrderError> for DemoError {
+    fn from(error: OrderError) -> Self {
+        match error {
+            OrderError::Gone => DemoError::Gone,
+            error => DemoError::Command(error.into()),
+        }
+    }
+}
+
+/// Runs the demo on `server`: for good, or until the demo's rate has brought it through
+/// `lasting`.
+///
+/// # Errors
+///
+/// [`DemoError`] when somebody deleted the swarm before its end, or a step failed.
+pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoError> {
+    let swarm = create_swarm(server).await?;
+    let endpoint = server.endpoints().first().cloned().unwrap_or_default();
+    say!("swarm {NAME}: 50 bodies four times as long as wide, {RATE} time units a second;");
+    say!("at t = {INFORMED_AT} ten of them get a direction of their own, +x");
+    if endpoint == "tcp/127.0.0.1:7447" {
+        say!("elsewhere: jostle watch {NAME}, or jostle --help");
+    } else {
+        say!("elsewhere: jostle -e {endpoint} watch {NAME}");
+    }
+    say!("     time   order   drift +x   real-time factor   clients");
+    tokio::select! {
+        ended = play(&swarm, lasting) => ended,
+        gone = print_lines(server, &swarm) => gone,
+    }
+}
+
+/// Moves the swarm through the demo and reports at its end; without one, never returns but when
+/// the swarm is gone.
+async fn play(swarm: &Handle, lasting: Option<Duration>) -> Result<(), DemoError> {
+    let end = lasting.map(|lasting| lasting.as_secs_f64() * RATE);
+    let until_informed = end.map_or(INFORMED_AT, |end| end.min(INFORMED_AT));
+    let dt = swarm.recipe.parameters.dt;
+    if until_informed == INFORMED_AT {
+        inform_some(swarm, steps_in(INFORMED_AT, dt)).await?;
+    }
+    let until = run_on(swarm, end).await?;
+    let before = arrival(swarm, steps_in(until_informed, dt)).await?;
+    let Some(end) = end else {
+        arrival(swarm, u64::MAX).await?;
+        return Err(DemoError::Gone);
+    };
+    let from = steps_in((end - LAST).max(until_informed), dt);
+    let rest = async {
+        let from = arrival(swarm, from).await?;
+        Ok::<_, DemoError>((from, arrival(swarm, until).await?))
+    };
+    // Whoever steers it may have paused it: the demo ends all the same.
+    let patience = lasting.unwrap_or_default() * 3 / 2 + Duration::from_secs(5);
+    let (from, reached) = match tokio::time::timeout(patience, rest).await {
+        Ok(rest) => rest?,
+        Err(_) => (before.clone(), look(swarm).await?),
+    };
+    report(&before, &from, &reached);
+    Ok(())
+}
+
+async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
+    let spec = Spec {
+        seed: SEED,
+        rate: Some(RATE),
+        ..Spec::new(50)
+    };
+    let args = CreateArgs {
+        name: NAME.to_owned(),
+        spec,
+        exist_ok: false,
+    };
+    let host = server.host();
+    let recipe = create::recipe(&args, host.limits())?;
+    let (answer, answered) = oneshot::channel();
+    let promise = || -> Answer { Box::new(move |it| drop(answer.send(it))) };
+    let register = writer::register(server.store(), NAME, &recipe, None);
+    let handle = match host.create(NAME, recipe, false, register, promise)? {
+        Created::Existing(handle) => handle,
+        Created::New => {
+            outcome(answered).await?;
+            host.find(NAME).ok_or(DemoError::Gone)?
+        }
+    };
+    Ok(handle)
+}
+
+/// Tells ten individuals of +x: the same ones at the same step in every run.
+async fn inform_some(swarm: &Handle, at_step: u64) -> Result<(), DemoError> {
+    let args = InformArgs {
+        select: Select::Count(INFORMED),
+        direction: 0.0,
+        weight: None,
+        for_time: None,
+    };
+    let told = serde_json::to_string(&args).unwrap_or_default();
+    command(
+        swarm,
+        "inform",
+        told,
+        Order::Change(change::inform(args).map_err(CommandError::from)?),
+        Some(at_step),
+    )
+    .await?;
+    Ok(())
+}
+
+/// Lets it run to a time or for good, and returns the step that is. Whoever took it further
+/// already is let.
+async fn run_on(swarm: &Handle, until_time: Option<f64>) -> Result<u64, DemoError> {
+    let args = RunArgs {
+        until_time,
+        ..RunArgs::default()
+    };
+    let told = serde_json::to_string(&args).unwrap_or_default();
+    match command(swarm, "run", told, run::order(args)?, None).await {
+        Ok((_, Outcome::Runs(until, _))) => Ok(until.unwrap_or(u64::MAX)),
+        Ok(_) => Ok(u64::MAX),
+        Err(DemoError::Command(CommandError::Order(OrderError::Past { step, .. }))) => Ok(step),
+        Err(error) => Err(error),
+    }
+}
+
+/// The swarm at the moment it reaches a step.
+async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
+    loop {
+        let (answer, answered) = oneshot::channel();
+        swarm.send(Ticket::Wait(Waiter {
+            awaited: Awaited::Reached(step),
+            is_abandoned: Box::new(|| false),
+            answer: Box::new(move |it| drop(answer.send(it))),
+        }));
+        match outcome(answered).await {
+            Err(DemoError::Command(CommandError::Order(OrderError::Displaced { .. }))) => {
+                tokio::time::sleep(BETWEEN_WAITS).await;
+            }
+            answered => return seen(answered?),
+        }
+    }
+}
+
+async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {
+    let (answer, answered) = oneshot::channel();
+    swarm.send(Ticket::Look(Box::new(move |it| drop(answer.send(it)))));
+    seen(outcome(answered).await?)
+}
+
+fn seen((_, outcome): (Place, Outcome)) -> Result<Arc<Frame>, DemoError> {
+    match outcome {
+        Outcome::Seen(frame) => Ok(frame),
+        _ => Err(DemoError::Gone),
+    }
+}
+
+/// Prints a line a second, until the swarm is gone.
+async fn print_lines(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
+    let mut tick = tokio::time::interval(Duration::from_secs(1));
+    tick.tick().await;
+    loop {
+        tick.tick().await;
+        print_line(server, swarm).await?;
+    }
+}
+
+async fn print_line(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
+    let frame = look(swarm).await?;
+    let clients = server.sessions();
+    let factor = match frame.real_time_factor {
+        Some(factor) => format!("{factor:.1} of {RATE}"),
+        None => frame.place.phase.reason().unwrap_or_default(),
+    };
+    say!(
+        "{:9.1} {:7.3} {:+10.3} {factor:>18} {clients:9}",
+        frame.place.time,
+        frame.order.order,
+        frame.order.velocity[0]
+    );
+    Ok(())
+}
+
+/// The mean drift before informing and over the last span, from sums over every step.
+fn report(before: &Frame, from: &Frame, reached: &Frame) {
+    let sum = |frame: &Frame| {
+        let mean = frame.means.mean_velocity().unwrap_or_default();
+        mean[0] * frame.place.step as f64
+    };
+    let (informed_at, end) = (before.place.time, reached.place.time);
+    let uninformed = before.means.mean_velocity().unwrap_or_default()[0];
+    let steps = reached.place.step.saturating_sub(from.place.step);
+    if steps == 0 {
+        say!(
+            "mean drift towards +x: {uninformed:+.3} before informing (t = 0 to {informed_at:.0})"
+        );
+        return;
+    }
+    let after = (sum(reached) - sum(from)) / steps as f64;
+    say!(
+        "mean drift towards +x: {uninformed:+.3} before informing (t = 0 to {informed_at:.0}), \
+         {after:+.3} with ten informed (t = {:.0} to {end:.0})",
+        from.place.time
+    );
+}
+
+async fn command(
+    swarm: &Handle,
+    verb: &'static str,
+    args: String,
+    order: Order,
+    at_step: Option<u64>,
+) -> Result<(Place, Outcome), DemoError> {
+    let (answer, answered) = oneshot::channel();
+    swarm.send(Ticket::Command(handle::Command {
+        order,
+        when: When {
+            at_step,
+            ..When::default()
+        },
+        sender: Arc::new(Sender {
+            verb,
+            args,
+            client: Some("jostled demo".to_owned()),
+            ..Sender::default()
+        }),
+        answer: Box::new(move |it| drop(answer.send(it))),
+    }));
+    outcome(answered).await
+}
+
+async fn outcome(answered: oneshot::Receiver<Answered>) -> Result<(Place, Outcome), DemoError> {
+    match answered.await {
+        Ok(Ok(answer)) => Ok(answer),
+        Ok(Err(refusal)) => Err(refusal.error.into()),
+        Err(_) => Err(DemoError::Gone),
+    }
+}

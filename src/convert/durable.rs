@@ -1,0 +1,334 @@
+//! What a swarm writes down, as bytes: a checkpoint is a snapshot, a line a small CBOR record.
+
+use std::sync::Arc;
+
+use jostle_convert::SnapshotError;
+use jostle_proto as proto;
+use jostle_proto::keys;
+use jostle_proto::snapshot::{Doing, Member, Pending, Sent, Waiting};
+use serde::{Deserialize, Serialize};
+
+use crate::convert::{from_proto, to_proto};
+use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::control::{self, Membership};
+use crate::swarm::journal::Record;
+use crate::swarm::order::{Order, Sender};
+use crate::swarm::phase::{PauseReason, Phase};
+use crate::swarm::schedule::Scheduled;
+
+/// Reads what a command orders.
+pub type ReadOrder<'a> = &'a dyn Fn(&Sender) -> Result<Order, String>;
+
+/// A swarm as a whole.
+pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
+    let Checkpoint {
+        simulation,
+        phase,
+        rate,
+        scheduled,
+        pending,
+        controllers,
+        events,
+        lines,
+        is_last,
+    } = checkpoint;
+    let doing = match phase {
+        Phase::Paused(reason) => Doing::Paused {
+            reason: reason.to_string(),
+        },
+        Phase::Running { until } => Doing::Running { until: *until },
+        Phase::Stepping { until } => Doing::Stepping { until: *until },
+        Phase::Faulted(reason) => Doing::Faulted {
+            reason: reason.clone(),
+        },
+    };
+    proto::Snapshot {
+        rate: *rate,
+        scheduled: scheduled
+            .iter()
+            .map(|(at_step, waiting)| Waiting {
+                at_step: *at_step,
+                line: waiting.input,
+                sent: sent(&waiting.sender),
+            })
+            .collect(),
+        pending: pending.as_ref().map(|(from, sender)| Pending {
+            from: *from,
+            sent: sent(sender),
+        }),
+        controllers: controllers.iter().map(member_kept).collect(),
+        events: *events,
+        lines: *lines,
+        is_last: *is_last,
+        ..jostle_convert::snapshot::to_proto(swarm, simulation, doing)
+    }
+}
+
+/// The swarm that a snapshot is of.
+///
+/// # Errors
+///
+/// [`SnapshotError`].
+pub fn checkpoint(
+    snapshot: &proto::Snapshot,
+    read: ReadOrder<'_>,
+) -> Result<Checkpoint, SnapshotError> {
+    let simulation = jostle_convert::snapshot::from_proto(snapshot)?;
+    let scheduled = snapshot.scheduled.iter().map(|waiting| {
+        let sender = sender(&waiting.sent)?;
+        let order = read(&sender).map_err(SnapshotError::Unreadable)?;
+        let input = waiting.line;
+        let scheduled = Scheduled {
+            input,
+            order,
+            sender,
+        };
+        Ok((waiting.at_step, scheduled))
+    });
+    let pending = snapshot.pending.as_ref();
+    Ok(Checkpoint {
+        simulation,
+        phase: match &snapshot.doing {
+            Doing::Paused { reason } => Phase::Paused(pause_reason(reason)?),
+            Doing::Running { until } => Phase::Running { until: *until },
+            Doing::Stepping { until } => Phase::Stepping { until: *until },
+            Doing::Faulted { reason } => Phase::Faulted(reason.clone()),
+        },
+        rate: snapshot.rate,
+        scheduled: scheduled.collect::<Result<_, _>>()?,
+        pending: pending
+            .map(|pending| Ok((pending.from, sender(&pending.sent)?)))
+            .transpose()?,
+        controllers: snapshot
+            .controllers
+            .iter()
+            .map(membership)
+            .collect::<Result<_, _>>()?,
+        events: snapshot.events,
+        lines: snapshot.lines,
+        is_last: snapshot.is_last,
+    })
+}
+
+fn member_kept((name, kept): &(String, Membership)) -> Member {
+    Member {
+        controller: name.clone(),
+        mode: to_proto::mode(kept.mode),
+        deadline_secs: kept.deadline.as_secs_f64(),
+        on_timeout: to_proto::on_timeout(kept.on_timeout),
+        driving: kept.driving,
+        ids: kept.claims.iter().copied().collect(),
+        steered: kept.steered.iter().copied().collect(),
+        target: kept.target,
+        from: kept.from,
+        advance: kept.advance.as_deref().map(sent),
+        misses: kept.misses,
+        news: to_proto::news(kept.news.clone()),
+        sequence: kept.sequence,
+    }
+}
+
+fn membership(member: &Member) -> Result<(String, Membership), SnapshotError> {
+    let deadline = control::deadline(member.deadline_secs);
+    let deadline = deadline.ok_or_else(|| {
+        SnapshotError::Unreadable(format!("a deadline of {} s", member.deadline_secs))
+    })?;
+    let kept = Membership {
+        mode: from_proto::mode(member.mode),
+        deadline,
+        on_timeout: from_proto::on_timeout(member.on_timeout),
+        driving: member.driving,
+        claims: member.ids.iter().copied().collect(),
+        steered: member.steered.iter().copied().collect(),
+        target: member.target,
+        from: member.from,
+        advance: member.advance.as_ref().map(sender).transpose()?,
+        misses: member.misses,
+        news: from_proto::news(member.news.clone()),
+        sequence: member.sequence,
+    };
+    Ok((member.controller.clone(), kept))
+}
+
+fn pause_reason(text: &str) -> Result<PauseReason, SnapshotError> {
+    PauseReason::ALL
+        .into_iter()
+        .find(|reason| reason.to_string() == text)
+        .ok_or_else(|| SnapshotError::Unreadable(format!("nothing is paused because {text:?}")))
+}
+
+fn sent(sender: &Sender) -> Sent {
+    Sent {
+        verb: sender.verb.to_owned(),
+        args: sender.args.clone(),
+        client: sender.client.clone(),
+        request_id: sender.request_id.clone(),
+        digest: sender.digest.map(Vec::from),
+    }
+}
+
+fn sender(sent: &Sent) -> Result<Arc<Sender>, SnapshotError> {
+    let mut known = keys::SWARM_VERBS.iter().chain(&keys::OWN_VERBS);
+    let known = known.find(|verb| **verb == sent.verb);
+    let Some(verb) = known else {
+        let problem = format!("there is no verb {:?}", sent.verb);
+        return Err(SnapshotError::Unreadable(problem));
+    };
+    Ok(Arc::new(Sender {
+        verb,
+        args: sent.args.clone(),
+        client: sent.client.clone(),
+        request_id: sent.request_id.clone(),
+        digest: sent.digest.as_deref().and_then(|it| it.try_into().ok()),
+    }))
+}
+
+/// A line's record as it is stored.
+#[derive(Serialize, Deserialize)]
+enum Stored {
+    #[serde(rename = "input")]
+    Input {
+        at_step: Option<u64>,
+        sent: Sent,
+        seq: Option<u64>,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        unix_secs: Option<f64>,
+    },
+    #[serde(rename = "became")]
+    Became {
+        input: u64,
+        seq: Option<u64>,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        unix_secs: Option<f64>,
+    },
+    #[serde(rename = "fault")]
+    Fault(String),
+    #[serde(rename = "hash")]
+    Hash(serde_bytes::ByteArray<32>),
+    #[serde(rename = "resumed")]
+    Resumed(u64),
+}
+
+/// A line's record as a kind, by which it can be found, and bytes.
+pub fn record(record: &Record) -> (u8, Vec<u8>) {
+    let (kind, stored) = match record {
+        Record::Input {
+            at_step,
+            sender,
+            seq,
+            unix_secs,
+        } => {
+            let stored = Stored::Input {
+                at_step: *at_step,
+                sent: sent(sender),
+                seq: *seq,
+                unix_secs: *unix_secs,
+            };
+            (1, stored)
+        }
+        Record::Became {
+            input,
+            seq,
+            unix_secs,
+        } => {
+            let stored = Stored::Became {
+                input: *input,
+                seq: *seq,
+                unix_secs: *unix_secs,
+            };
+            (2, stored)
+        }
+        Record::Fault(reason) => (3, Stored::Fault(reason.clone())),
+        Record::Hash(hash) => (4, Stored::Hash((*hash).into())),
+        Record::Resumed(epoch) => (5, Stored::Resumed(*epoch)),
+    };
+    (kind, proto::to_cbor(&stored))
+}
+
+/// The record that was stored as these bytes.
+///
+/// # Errors
+///
+/// [`SnapshotError`].
+pub fn read_record(bytes: &[u8]) -> Result<Record, SnapshotError> {
+    let stored = ciborium::from_reader(bytes)
+        .map_err(|error| SnapshotError::Unreadable(error.to_string()))?;
+    Ok(match stored {
+        Stored::Input {
+            at_step,
+            sent,
+            seq,
+            unix_secs,
+        } => Record::Input {
+            at_step,
+            sender: sender(&sent)?,
+            seq,
+            unix_secs,
+        },
+        Stored::Became {
+            input,
+            seq,
+            unix_secs,
+        } => Record::Became {
+            input,
+            seq,
+            unix_secs,
+        },
+        Stored::Fault(reason) => Record::Fault(reason),
+        Stored::Hash(hash) => Record::Hash(hash.into_array()),
+        Stored::Resumed(epoch) => Record::Resumed(epoch),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    /// A record as builds before wall-clock times read and wrote it.
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    enum Before {
+        #[serde(rename = "input")]
+        Input {
+            at_step: Option<u64>,
+            sent: Sent,
+            seq: Option<u64>,
+        },
+        #[serde(rename = "became")]
+        Became { input: u64, seq: Option<u64> },
+    }
+
+    #[test]
+    fn older_builds_read_records_with_a_time_and_theirs_are_read_without_one() {
+        let sender = Arc::new(Sender {
+            verb: "pause",
+            args: "{}".to_owned(),
+            ..Sender::default()
+        });
+        let records = |unix_secs| {
+            let input = Record::Input {
+                at_step: Some(7),
+                sender: sender.clone(),
+                seq: None,
+                unix_secs,
+            };
+            let became = Record::Became {
+                input: 3,
+                seq: Some(5),
+                unix_secs,
+            };
+            [input, became]
+        };
+        let known = records(Some(1_795_531_201.25));
+        for (known, unknown) in known.into_iter().zip(records(None)) {
+            let (kind, bytes) = record(&known);
+            assert_eq!(read_record(&bytes).unwrap(), known);
+            let before: Before = ciborium::from_reader(&bytes[..]).unwrap();
+            let bytes = proto::to_cbor(&before);
+            assert_eq!(read_record(&bytes).unwrap(), unknown);
+            // Without a time the bytes are those of before.
+            assert_eq!(record(&unknown), (kind, bytes));
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! What clients are told of experiments.
+
+use jostle_proto as proto;
+use jostle_results::table::OrderSeries;
+
+use crate::experiments::{Phase, Report};
+use jostle_experiment::Progress;
+
+/// How far an experiment is.
+pub fn progress(report: Report) -> proto::Progress {
+    let Progress {
+        runs,
+        finished,
+        faulted,
+        share,
+        elapsed_secs,
+        left_secs,
+        running,
+    } = report.progress;
+    proto::Progress {
+        name: report.name,
+        phase: match report.phase {
+            Phase::Queued => proto::ExperimentPhase::Queued,
+            Phase::Running => proto::ExperimentPhase::Running,
+            Phase::Paused => proto::ExperimentPhase::Paused,
+            Phase::Finished => proto::ExperimentPhase::Finished,
+            Phase::Cancelled => proto::ExperimentPhase::Cancelled,
+            Phase::Failed => proto::ExperimentPhase::Failed,
+        },
+        runs: runs as u64,
+        finished: finished as u64,
+        faulted: faulted as u64,
+        share,
+        elapsed_secs,
+        left_secs,
+        running: running
+            .into_iter()
+            .map(|(run, share)| proto::RunUnderWay { run, share })
+            .collect(),
+        message: report.message,
+    }
+}
+
+/// The first of `rows`, which are numbered: at most `limit`, and about `most_bytes` as JSON.
+pub fn results_page(
+    name: String,
+    rows: &[(u64, proto::ResultRow)],
+    limit: usize,
+    most_bytes: usize,
+    finished: u64,
+) -> proto::ResultsPage {
+    let mut bytes = 0;
+    let fitting = rows.iter().take(limit).take_while(|(_, run)| {
+        // Each number takes 25 characters at most, and its name as many.
+        bytes += 24 * 50 + run.run.len() + run.state_hash.len();
+        bytes <= most_bytes
+    });
+    let count = fitting.count().max(1).min(rows.len());
+    let (page, rest) = rows.split_at(count);
+    proto::ResultsPage {
+        name,
+        rows: page.iter().map(|(_, row)| row.clone()).collect(),
+        next: match (page.last(), rest.is_empty()) {
+            (Some((number, _)), false) => Some(*number),
+            _ => None,
+        },
+        finished,
+    }
+}
+
+/// Entries of a run's order over time: those after `after`, at most `limit`.
+pub fn order_page(
+    name: String,
+    series: &OrderSeries,
+    after: u64,
+    limit: usize,
+) -> proto::OrderPage {
+    let count = series.orders.len();
+    let begin = usize::try_from(after).map_or(count, |after| after.min(count));
+    let end = begin.saturating_add(limit).min(count);
+    let part = |column: &[f64]| column.get(begin..end).unwrap_or_default().to_vec();
+    proto::OrderPage {
+        name,
+        run: series.run.clone(),
+        time: part(&series.times),
+        order: part(&series.orders),
+        drift: part(&series.drifts),
+        next: (end < count).then_some(end as u64),
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::unwrap_used, reason = "tests")]
+mod tests {
+    use super::*;
+
+    /// A row that version bf41dde wrote, with another number.
+    fn row(number: u64) -> (u64, proto::ResultRow) {
+        let stored = include_str!("../../tests/stored/bf41dde/results/runs.jsonl");
+        let line: serde_json::Value = serde_json::from_str(stored.lines().nth(1).unwrap()).unwrap();
+        let row: proto::ResultRow = serde_json::from_value(line["row"].clone()).unwrap();
+        let run = format!("n=10 #{number}");
+        let seed = number;
+        (number, proto::ResultRow { run, seed, ..row })
+    }
+
+    #[test]
+    fn pages_limited_by_rows_or_by_bytes_cover_every_row() {
+        let rows: Vec<_> = (0..20).map(row).collect();
+        for (limit, most_bytes) in [(3, usize::MAX), (20, 5000), (1000, 5000), (3, 5000), (7, 0)] {
+            let (mut seen, mut left) = (Vec::new(), &rows[..]);
+            loop {
+                let page = results_page("order".to_owned(), left, limit, most_bytes, 20);
+                assert!(!page.rows.is_empty() && page.rows.len() <= limit);
+                seen.extend(page.rows.iter().map(|row| row.seed));
+                let Some(next) = page.next else { break };
+                left = &rows[rows.partition_point(|(number, _)| *number <= next)..];
+            }
+            assert!(seen.into_iter().eq(0..20), "{limit} {most_bytes}");
+        }
+    }
+}

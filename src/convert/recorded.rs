@@ -1,0 +1,175 @@
+//! What a swarm published, read back from a recording.
+
+use jostle_physics::model::body::Gaps;
+use jostle_physics::model::configuration::Configuration;
+use jostle_physics::model::parameters::Parameters;
+use jostle_physics::observables::{Order, RunningMeans};
+use jostle_physics::simulation::{Exactness, Spec};
+use jostle_proto::{EventKind, LARGEST_WHOLE, ParameterValues, Told};
+use serde_json::Value;
+
+use crate::playback::film::{Mark, Shot};
+
+/// A published state: where it belongs, and what it shows under these parameters.
+///
+/// # Errors
+///
+/// Why it cannot be a state.
+pub fn shot(bytes: &[u8], parameters: Parameters) -> Result<(Mark, Shot), String> {
+    let state = jostle_proto::State::from_cbor(bytes)?;
+    let n = state.id.len();
+    let columns = [
+        &state.x,
+        &state.y,
+        &state.alpha,
+        &state.weight,
+        &state.direction,
+    ];
+    if n == 0 || columns.iter().any(|column| column.len() != n) {
+        return Err("its columns are empty, or not of one length".to_owned());
+    }
+    if !state.id.is_sorted_by(|a, b| a < b) {
+        return Err("its ids are not ascending".to_owned());
+    }
+    let (order, certificate) = (state.order, state.certificate);
+    let [vx, vy] = order.velocity;
+    let [mean_vx, mean_vy] = order.mean_velocity.unwrap_or_default();
+    let numbers = [state.time, order.order, vx, vy, mean_vx, mean_vy]
+        .into_iter()
+        .chain(order.mean_order)
+        .chain(order.direction)
+        .chain(order.drift)
+        .chain(order.mean_drift)
+        .chain(certificate.worst_gap)
+        .chain([certificate.residual]);
+    let mut all = numbers.chain(columns.into_iter().flatten().copied());
+    if !all.all(f64::is_finite) {
+        return Err("it has a number that is not finite".to_owned());
+    }
+    drop(all);
+    if state.weight.iter().any(|weight| *weight < 0.0) {
+        return Err("it has a negative weight".to_owned());
+    }
+    if state.epoch > LARGEST_WHOLE || state.step > LARGEST_WHOLE {
+        return Err("its epoch or step is too large".to_owned());
+    }
+    let count = |count: u64| usize::try_from(count).unwrap_or(usize::MAX);
+    let mark = Mark {
+        epoch: state.epoch,
+        step: state.step,
+        time: state.time,
+        position: 0.0,
+    };
+    let shot = Shot {
+        parameters,
+        configuration: Configuration {
+            origin: state.origin,
+            next_id: 0,
+            lapses_at: vec![None; n],
+            drives: Default::default(),
+            id: state.id,
+            x: state.x,
+            y: state.y,
+            alpha: state.alpha,
+            weight: state.weight,
+            direction: state.direction,
+        },
+        order: Order {
+            order: order.order,
+            velocity: order.velocity,
+            direction: order.direction,
+            drift: order.drift,
+        },
+        // What was published is the means, and they are those of one step that was like them.
+        means: RunningMeans {
+            count: u64::from(order.mean_order.is_some()),
+            order: order.mean_order.unwrap_or_default(),
+            velocity: [mean_vx, mean_vy],
+            directed: u64::from(order.mean_drift.is_some()),
+            drift: order.mean_drift.unwrap_or_default(),
+        },
+        exactness: Exactness {
+            residual: certificate.residual,
+            degraded: certificate.degraded,
+            contacts: count(certificate.contacts),
+            iterations: count(certificate.iterations),
+        },
+        gaps: Gaps {
+            worst_gap: certificate.worst_gap,
+            crossed: count(certificate.crossed),
+        },
+    };
+    Ok((mark, shot))
+}
+
+/// What a recorded swarm was made from, and its parameters when the recording began.
+///
+/// # Errors
+///
+/// What is wrong with them.
+pub fn recorded(spec: &str, parameters: &str) -> Result<(Spec, Parameters), String> {
+    let Told(spec) =
+        serde_json::from_str::<Told<jostle_proto::Spec>>(spec).map_err(|it| it.to_string())?;
+    let n = usize::try_from(spec.n).unwrap_or(usize::MAX);
+    let recipe = jostle_convert::spec::from_proto(&spec, n).map_err(|it| it.to_string())?;
+    let values: ParameterValues = serde_json::from_str(parameters).map_err(|it| it.to_string())?;
+    let parameters = Parameters {
+        pi1: values.pi1,
+        pi2: values.pi2,
+        pi3: values.pi3,
+        pi4: values.pi4,
+        dt: recipe.parameters.dt,
+        contacts: jostle_convert::spec::contact_rule(values.contacts),
+        stepping: jostle_convert::spec::stepping(values.stepping),
+        relinearise: jostle_convert::spec::relinearise(values.relinearise)
+            .map_err(|it| it.to_string())?,
+        attraction: jostle_convert::spec::attraction(values.attraction),
+        noise: values.noise,
+    };
+    for parameters in [&recipe.parameters, &parameters] {
+        parameters.check(0.0).map_err(|it| it.to_string())?;
+    }
+    Ok((recipe, parameters))
+}
+
+/// A published event.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RecordedEvent {
+    /// The step it happened at.
+    pub step: u64,
+    /// Its time.
+    pub time: f64,
+    /// The wall-clock time, in seconds since 1970, if known.
+    pub unix_secs: Option<f64>,
+    /// What happened, as JSON; the end of a swarm is none, since the recording goes on being there.
+    pub what: Option<String>,
+    /// The command that was applied, and its arguments.
+    pub command: Option<(String, Value)>,
+}
+
+/// Reads a published event.
+///
+/// # Errors
+///
+/// Why it is none.
+pub fn recorded_event(bytes: &[u8]) -> Result<RecordedEvent, String> {
+    let event: jostle_proto::Event =
+        serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
+    if event.step > LARGEST_WHOLE {
+        return Err("its step is too large".to_owned());
+    }
+    let what = match event.event {
+        EventKind::Deleted {} => None,
+        ref kind => Some(serde_json::to_string(kind).map_err(|error| error.to_string())?),
+    };
+    Ok(RecordedEvent {
+        step: event.step,
+        time: event.time,
+        unix_secs: event.unix_secs,
+        what,
+        command: match event.event {
+            EventKind::Command { verb, args, .. } => Some((verb, args)),
+            _ => None,
+        },
+    })
+}

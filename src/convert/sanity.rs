@@ -1,0 +1,72 @@
+//! Whether a swarm that somebody sent can be one.
+//!
+//! What a daemon wrote down itself is under seals and trusted. A snapshot that comes in a request
+//! has a hash, but anybody can compute one: what the worker and the stepper take for granted is
+//! looked at here, before there is a swarm.
+
+use jostle_convert::SnapshotError;
+use jostle_convert::snapshot;
+use jostle_convert::value::rate;
+use jostle_proto::LARGEST_WHOLE;
+
+use crate::swarm::checkpoint::Checkpoint;
+
+/// Checks what a swarm that was sent must keep to.
+///
+/// # Errors
+///
+/// [`SnapshotError::Impossible`].
+pub fn check(checkpoint: &Checkpoint) -> Result<(), SnapshotError> {
+    let impossible = |problem: String| Err(SnapshotError::Impossible(problem));
+    snapshot::check(&checkpoint.simulation)?;
+    if let Err(error) = rate(checkpoint.rate) {
+        return impossible(error.to_string());
+    }
+    let at_steps = || checkpoint.scheduled.iter().map(|(at_step, _)| *at_step);
+    if at_steps().any(|it| it > LARGEST_WHOLE) {
+        return impossible("it has a count that is too large".to_owned());
+    }
+    if at_steps().any(|at_step| at_step < checkpoint.simulation.state.step) {
+        return impossible("a command waits for a step that is past".to_owned());
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use jostle_proto::{Reply, Snapshot};
+
+    use super::*;
+    use crate::convert::durable;
+    use crate::swarm::order::Order;
+
+    fn recorded() -> Checkpoint {
+        let text = include_str!("../../proto/fixtures/snapshot.reply.json");
+        let reply: Reply<Snapshot> = serde_json::from_str(text).unwrap();
+        durable::checkpoint(&reply.result, &|_| Ok(Order::Pause)).unwrap()
+    }
+
+    #[test]
+    fn what_a_daemon_told_can_be() {
+        assert_eq!(check(&recorded()), Ok(()));
+    }
+
+    #[test]
+    fn a_snapshot_that_no_swarm_can_have_is_rejected() {
+        type Change = (&'static str, fn(&mut Checkpoint));
+        let changes: [Change; 3] = [
+            // The other conditions of the simulation are tested in jostle-convert.
+            ("finite", |it| it.simulation.means.drift = f64::INFINITY),
+            ("rate", |it| it.rate = Some(0.0)),
+            ("past", |it| it.simulation.state.step = 101),
+        ];
+        for (what, change) in changes {
+            let mut checkpoint = recorded();
+            change(&mut checkpoint);
+            let error = check(&checkpoint).unwrap_err().to_string();
+            assert!(error.contains(what), "{what}: {error}");
+        }
+    }
+}

@@ -1,0 +1,203 @@
+//! A tab's WebSocket: it is told, and says nothing.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::Bytes;
+use axum::extract::ws::{CloseFrame, Message, Utf8Bytes, WebSocket, close_code};
+use serde::Deserialize;
+use serde_json::value::RawValue;
+use tokio::sync::broadcast::error::RecvError;
+use tokio::sync::{broadcast, watch};
+use tokio::time::timeout;
+
+use crate::transport::http::connections::OpenSocket;
+use crate::transport::http::feed::{Feed, Feeds};
+
+/// How long a tab may not read before it is let go. It comes back by itself.
+const PATIENCE: Duration = Duration::from_secs(150);
+
+/// How long sending a close frame may take.
+const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
+
+/// The part of the list's document that is told.
+#[derive(Deserialize)]
+struct Document<'a> {
+    #[serde(borrow)]
+    result: ListResult<'a>,
+}
+
+#[derive(Deserialize)]
+struct ListResult<'a> {
+    #[serde(borrow)]
+    swarms: &'a RawValue,
+}
+
+/// What an event is about.
+#[derive(Deserialize)]
+struct Told<'a> {
+    #[serde(borrow)]
+    event: Kind<'a>,
+}
+
+#[derive(Deserialize)]
+struct Kind<'a> {
+    kind: &'a str,
+}
+
+/// Sends a tab the list of swarms, and the frames of `swarm` if given, until the tab disconnects or
+/// `revoked` completes.
+pub async fn serve(
+    mut socket: WebSocket,
+    feeds: Arc<Feeds>,
+    swarm: Option<String>,
+    _place: OpenSocket,
+    revoked: impl Future<Output = ()>,
+) {
+    tokio::select! {
+        () = feed(&mut socket, feeds, swarm) => {}
+        () = revoked => {
+            let reason = Utf8Bytes::from_static("this token is no longer valid");
+            let close = CloseFrame { code: close_code::POLICY, reason };
+            // A client that does not read is disconnected all the same.
+            let close = socket.send(Message::Close(Some(close)));
+            let _ = timeout(CLOSE_TIMEOUT, close).await;
+        }
+    }
+}
+
+/// Sends a tab the list, and of one swarm if it names one, until it goes.
+async fn feed(socket: &mut WebSocket, feeds: Arc<Feeds>, swarm: Option<String>) {
+    let mut lists = feeds.list.subscribe();
+    lists.mark_changed();
+    let mut watched = None;
+    if swarm.is_none() && tell(socket, text(feeds.past.told())).await.is_none() {
+        return;
+    }
+    if let Some(swarm) = swarm {
+        let Some((feed, state)) = feeds.watch(&swarm).await else {
+            return say_gone(socket).await;
+        };
+        let seen = Watched::new(feed);
+        if tell(socket, Message::Binary(state)).await.is_none() {
+            return;
+        }
+        watched = Some(seen);
+    }
+    loop {
+        let message = tokio::select! {
+            said = socket.recv() => match said {
+                // What a tab says means nothing, but that it is there.
+                Some(Ok(Message::Close(_)) | Err(_)) | None => return,
+                Some(Ok(_)) => continue,
+            },
+            changed = lists.changed() => match changed {
+                Ok(()) => {
+                    let list = lists.borrow_and_update().clone();
+                    list_of(&list)
+                }
+                Err(_) => return,
+            },
+            message = next(&mut watched) => message,
+        };
+        let Some(message) = message else {
+            continue;
+        };
+        let is_end = is_end(&message);
+        if tell(socket, message).await.is_none() {
+            return;
+        }
+        // Another swarm of its name is another one: the tab asks for it.
+        if is_end {
+            return say_gone(socket).await;
+        }
+    }
+}
+
+/// Says that there is no such swarm.
+async fn say_gone(socket: &mut WebSocket) {
+    let _ = tell(socket, text(r#"{"gone":true}"#.into())).await;
+    let _ = tell(socket, Message::Close(None::<CloseFrame>)).await;
+}
+
+/// Whether a message tells of the swarm's end.
+fn is_end(message: &Message) -> bool {
+    let Message::Text(text) = message else {
+        return false;
+    };
+    #[derive(Deserialize)]
+    struct Wrapped<'a> {
+        #[serde(borrow)]
+        event: Option<Told<'a>>,
+    }
+    let event = serde_json::from_str::<Wrapped<'_>>(text)
+        .ok()
+        .and_then(|it| it.event);
+    event.is_some_and(|told| told.event.kind == "deleted")
+}
+
+/// What a tab has seen of a swarm.
+struct Watched {
+    states: watch::Receiver<Bytes>,
+    orders: watch::Receiver<Bytes>,
+    events: broadcast::Receiver<Bytes>,
+    _feed: Arc<Feed>,
+}
+
+impl Watched {
+    fn new(feed: Arc<Feed>) -> Self {
+        let mut orders = feed.orders.subscribe();
+        orders.mark_changed();
+        Watched {
+            states: feed.states.subscribe(),
+            orders,
+            events: feed.events.subscribe(),
+            _feed: feed,
+        }
+    }
+}
+
+/// The next message of what is watched; never, if nothing is.
+async fn next(watched: &mut Option<Watched>) -> Option<Message> {
+    let Some(Watched {
+        states,
+        orders,
+        events,
+        ..
+    }) = watched
+    else {
+        return std::future::pending().await;
+    };
+    tokio::select! {
+        Ok(()) = states.changed() => {
+            let state = states.borrow_and_update().clone();
+            (!state.is_empty()).then_some(Message::Binary(state))
+        }
+        Ok(()) = orders.changed() => wrapped("order", &orders.borrow_and_update().clone()),
+        event = events.recv() => match event {
+            Ok(event) => wrapped("event", &event),
+            Err(RecvError::Lagged(missed)) => Some(text(format!("{{\"missed\":{missed}}}"))),
+            Err(RecvError::Closed) => std::future::pending().await,
+        },
+    }
+}
+
+fn list_of(document: &[u8]) -> Option<Message> {
+    let document: Document<'_> = serde_json::from_slice(document).ok()?;
+    let swarms = document.result.swarms.get();
+    Some(text(format!("{{\"swarms\":{swarms}}}")))
+}
+
+fn wrapped(name: &str, document: &[u8]) -> Option<Message> {
+    let document = std::str::from_utf8(document).ok()?;
+    (!document.is_empty()).then(|| text(format!("{{\"{name}\":{document}}}")))
+}
+
+fn text(text: String) -> Message {
+    Message::Text(Utf8Bytes::from(text))
+}
+
+/// Sends a message, unless the tab is gone or reads nothing for too long.
+async fn tell(socket: &mut WebSocket, message: Message) -> Option<()> {
+    timeout(PATIENCE, socket.send(message)).await.ok()?.ok()
+}

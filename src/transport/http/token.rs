@@ -1,0 +1,136 @@
+//! What whoever steers through the page shows: a secret that the daemon prints when it starts.
+
+use std::fs;
+use std::io;
+use std::os::unix::fs::MetadataExt as _;
+use std::path::{self, Path, PathBuf};
+
+use crate::auth::secret;
+
+/// Its file in the data directory: a page that is open survives the daemon's restart.
+const FILE: &str = "page-token";
+
+const BYTES: usize = 16;
+
+/// The secret, in hexadecimal digits, and its file. It is in no log: it has no `Debug`.
+#[derive(Clone)]
+pub struct Token {
+    secret: String,
+    file: PathBuf,
+    needs_root: bool,
+}
+
+impl Token {
+    /// The absolute path of the token of a data directory.
+    pub fn file_in(data_dir: &Path) -> PathBuf {
+        let file = data_dir.join(FILE);
+        path::absolute(&file).unwrap_or(file)
+    }
+
+    /// The absolute path of its file.
+    pub fn file(&self) -> &Path {
+        &self.file
+    }
+
+    /// Whether a person has to be root to read its file: it belongs to the account of a service.
+    pub fn needs_root(&self) -> bool {
+        self.needs_root
+    }
+
+    /// The token of a data directory; a new one if there is none, or none that is whole.
+    ///
+    /// # Errors
+    ///
+    /// When it can neither be read nor written.
+    pub fn of(data_dir: &Path) -> io::Result<Self> {
+        let file = Self::file_in(data_dir);
+        let kept = match fs::read_to_string(&file) {
+            Ok(text) => Some(text.trim().to_owned()).filter(|text| is_whole(text)),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => None,
+            Err(error) => return Err(error),
+        };
+        let secret = match kept {
+            Some(secret) => secret,
+            None => {
+                let drawn = secret::draw(BYTES)?;
+                secret::write(&file, &format!("{drawn}\n"))?;
+                drawn
+            }
+        };
+        let needs_root = !is_of_a_person(fs::metadata(&file)?.uid());
+        Ok(Token {
+            secret,
+            file,
+            needs_root,
+        })
+    }
+
+    /// What is printed for whoever started the daemon.
+    pub fn text(&self) -> &str {
+        &self.secret
+    }
+
+    /// Whether it is this one. It takes as long whatever is wrong with it.
+    pub fn is(&self, given: &str) -> bool {
+        let (given, secret) = (given.as_bytes(), self.secret.as_bytes());
+        let differences = given.iter().zip(secret).map(|(a, b)| a ^ b);
+        given.len() == secret.len() && differences.fold(0, |all, one| all | one) == 0
+    }
+}
+
+/// Whether people log in as this user: not root, a system user or one that systemd allocates.
+fn is_of_a_person(uid: u32) -> bool {
+    const FIRST_OF_PEOPLE: u32 = 1000;
+    const DYNAMIC_AND_NOBODY: std::ops::RangeInclusive<u32> = 61_184..=65_535;
+    uid >= FIRST_OF_PEOPLE && !DYNAMIC_AND_NOBODY.contains(&uid)
+}
+
+fn is_whole(text: &str) -> bool {
+    text.len() == 2 * BYTES && text.bytes().all(|byte| byte.is_ascii_hexdigit())
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use std::os::unix::fs::PermissionsExt;
+
+    use super::*;
+
+    #[test]
+    fn a_token_is_the_same_after_a_restart_and_nobody_elses_to_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = Token::of(folder.path()).unwrap();
+        assert_eq!(Token::of(folder.path()).unwrap().text(), first.text());
+        let path = folder.path().join(FILE);
+        let mode = fs::metadata(&path).unwrap().permissions().mode();
+        assert_eq!(mode & 0o777, 0o600);
+        fs::write(&path, &first.text()[..7]).unwrap();
+        let second = Token::of(folder.path()).unwrap();
+        assert!(is_whole(second.text()) && second.text() != first.text());
+    }
+
+    #[test]
+    fn root_system_users_and_dynamic_users_are_no_people() {
+        for service in [0, 104, 999, 61_184, 65_534] {
+            assert!(!is_of_a_person(service), "{service}");
+        }
+        for person in [1000, 1001, 60_001, 100_000, 1_500_000_000] {
+            assert!(is_of_a_person(person), "{person}");
+        }
+    }
+
+    #[test]
+    fn only_the_whole_token_is_taken() {
+        let token = Token {
+            secret: "0123456789abcdef0123456789abcdef".into(),
+            file: PathBuf::new(),
+            needs_root: false,
+        };
+        assert!(token.is(token.text()));
+        let nearly = &token.text()[1..];
+        for wrong in ["", nearly, &format!("0{nearly}0"), &format!("1{nearly}")] {
+            assert!(!token.is(wrong), "{wrong:?}");
+        }
+    }
+}

@@ -1,0 +1,4 @@
+//! Connections to clients: zenoh and HTTP. Only these modules name `zenoh` and `axum`.
+
+pub mod http;
+pub mod zenoh;

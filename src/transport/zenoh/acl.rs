@@ -1,0 +1,213 @@
+//! zenoh's access control: which keys whose session may touch.
+//!
+//! Whatever a session sends beyond what its person may is dropped, or anyone could forge the
+//! states and answers of a swarm; what goes beyond these keys by a wildcard is dropped too. It
+//! knows a person by the name they opened their session with, and over TLS by their certificate
+//! as well: both must be the same person's.
+
+use jostle_proto::{Role, keys};
+use serde_json::{Value, json};
+
+use crate::auth::{Person, Rights};
+
+/// A verbatim chunk is matched only by itself.
+const EVERYTHING: [&str; 3] = ["**", "**/@node/**", "**/@adv/**"];
+
+/// What looks.
+const WATCHING: [&str; 3] = [
+    "declare_subscriber",
+    "liveliness_query",
+    "declare_liveliness_subscriber",
+];
+
+/// What tells.
+const TELLING: [&str; 5] = [
+    "put",
+    "delete",
+    "reply",
+    "declare_queryable",
+    "liveliness_token",
+];
+
+/// The rule for claims of other daemons.
+const CLAIMS: &str = "claims";
+
+/// The links on which a session proves by its password alone who it is: those within a machine.
+const LOCAL_LINKS: [&str; 2] = ["tcp", "unixsock-stream"];
+
+/// Who may touch which keys below `prefix`.
+pub fn control(prefix: &str, rights: &Rights) -> Value {
+    let mut rules = vec![rule(
+        "the_daemon_tells",
+        "egress",
+        &[&["query"], &WATCHING[..], &TELLING].concat(),
+        &EVERYTHING.map(str::to_owned),
+    )];
+    let mut subjects = Vec::new();
+    let mut policies = Vec::new();
+    match rights.people() {
+        None => {
+            let asking = [&["query"], &WATCHING[..]].concat();
+            rules.push(rule(
+                "ask",
+                "ingress",
+                &asking,
+                &EVERYTHING.map(str::to_owned),
+            ));
+            rules.extend(steering(prefix, "steer", &["*".to_owned()]));
+            rules.push(claims(prefix));
+            subjects.push(json!({"id": "everyone"}));
+            let names = ["the_daemon_tells", "ask", "steer_put", "steer_live", CLAIMS];
+            policies.push(json!({"rules": names, "subjects": ["everyone"]}));
+        }
+        Some(people) => {
+            rules.extend(roles(prefix));
+            rules.push(claims(prefix));
+            for person in people {
+                let names = rules_of(prefix, person, &mut rules);
+                let ids = subjects_of(person, &mut subjects);
+                policies.push(json!({"rules": names, "subjects": ids}));
+            }
+        }
+    }
+    json!({
+        "enabled": true,
+        "default_permission": "deny",
+        "rules": rules,
+        "subjects": subjects,
+        "policies": policies,
+    })
+}
+
+/// What the people of one role may alike.
+fn roles(prefix: &str) -> Vec<Value> {
+    let every = |verb: &str| keys::cmd(prefix, "*", verb);
+    let gets = [
+        keys::get(prefix, "*", "**"),
+        keys::state(prefix, "*"),
+        // The last events, as whoever begins to listen asks for them.
+        format!("{}/@adv/**", keys::event(prefix, "*")),
+        keys::node_get(prefix, "*", "**"),
+        keys::experiment(prefix, "*", "*", "**"),
+    ];
+    let controllers = keys::SWARM_VERBS.into_iter();
+    let controllers: Vec<String> = controllers
+        .filter(|verb| Role::Controller.may(verb))
+        .map(every)
+        .collect();
+    let everything = [every("**"), keys::node_cmd(prefix, "*", "**")];
+    vec![
+        rule(
+            "watch",
+            "ingress",
+            &WATCHING,
+            &EVERYTHING.map(str::to_owned),
+        ),
+        rule("get", "ingress", &["query"], &gets),
+        denial(
+            "no_recording",
+            "ingress",
+            "query",
+            &keys::node_get(prefix, "*", "recording"),
+        ),
+        // Set-points have the token of their sender as an attachment.
+        denial(
+            "no_set_points",
+            "egress",
+            "put",
+            &keys::ctl(prefix, "*", "*"),
+        ),
+        rule("control", "ingress", &["query"], &controllers),
+        rule("operate", "ingress", &["query"], &everything),
+    ]
+}
+
+/// The names of the rules for `person`; those that are theirs alone are added.
+fn rules_of(prefix: &str, person: &Person, rules: &mut Vec<Value>) -> Vec<String> {
+    let mut names = vec!["the_daemon_tells", "watch", "get"];
+    let controllers = match person.role {
+        Role::Viewer => {
+            names.extend(["no_recording", "no_set_points"]);
+            Vec::new()
+        }
+        Role::Controller => {
+            names.extend(["no_recording", "no_set_points", "control"]);
+            vec![person.name.clone(), format!("{}-$*", person.name)]
+        }
+        Role::Operator => {
+            names.extend(["operate", CLAIMS]);
+            vec!["*".to_owned()]
+        }
+    };
+    let mut names: Vec<String> = names.into_iter().map(str::to_owned).collect();
+    if !controllers.is_empty() {
+        let own = steering(prefix, &person.name, &controllers);
+        names.extend(
+            own.iter()
+                .filter_map(|rule| Some(rule["id"].as_str()?.to_owned())),
+        );
+        rules.extend(own);
+    }
+    names
+}
+
+/// Permits the claims of other daemons, which routers forward. A router that forwards commands
+/// connects as an operator, so no other role needs this permission.
+fn claims(prefix: &str) -> Value {
+    let keys = [
+        keys::claim(prefix, "*", "*", "*", "*"),
+        keys::node_claim(prefix, "*", "*", "*"),
+    ];
+    rule(CLAIMS, "ingress", &["liveliness_token"], &keys)
+}
+
+/// The ids of the subjects that are `person`, which are added.
+fn subjects_of(person: &Person, subjects: &mut Vec<Value>) -> [String; 2] {
+    let name = &person.name;
+    let ids = [format!("{name}_here"), format!("{name}_by_tls")];
+    let [here, by_tls] = &ids;
+    subjects.push(json!({"id": here, "usernames": [name], "link_protocols": LOCAL_LINKS}));
+    subjects.push(json!({
+        "id": by_tls,
+        "usernames": [name],
+        "cert_common_names": [name],
+        "link_protocols": ["tls"],
+    }));
+    ids
+}
+
+/// Controllers of these names put set-points and hold a token.
+fn steering(prefix: &str, id: &str, controllers: &[String]) -> [Value; 2] {
+    let each = |key: fn(&str, &str, &str) -> String| -> Vec<String> {
+        let names = controllers.iter();
+        names
+            .map(|controller| key(prefix, "*", controller))
+            .collect()
+    };
+    [
+        rule(&format!("{id}_put"), "ingress", &["put"], &each(keys::ctl)),
+        rule(
+            &format!("{id}_live"),
+            "ingress",
+            &["liveliness_token"],
+            &each(keys::ctl_alive),
+        ),
+    ]
+}
+
+/// Denies messages on a key that another rule allows.
+fn denial(id: &str, flow: &str, message: &str, key: &str) -> Value {
+    let mut rule = rule(id, flow, &[message], &[key.to_owned()]);
+    rule["permission"] = json!("deny");
+    rule
+}
+
+fn rule(id: &str, flow: &str, messages: &[&str], keys: &[String]) -> Value {
+    json!({
+        "id": id,
+        "permission": "allow",
+        "flows": [flow],
+        "messages": messages,
+        "key_exprs": keys,
+    })
+}

@@ -1,0 +1,15 @@
+//! The zenoh side of the daemon: sessions, access control, queryables, the dispatcher thread and the
+//! publisher.
+
+mod acl;
+pub mod bus_watch;
+pub mod claims;
+pub mod clients;
+pub mod dispatcher;
+mod publish_schedule;
+pub mod publisher;
+pub mod query;
+pub mod queryables;
+pub mod session;
+pub mod session_pool;
+pub mod set_points;
