@@ -15,17 +15,18 @@ use tracing::{error, info, warn};
 use zenoh::pubsub::Subscriber;
 use zenoh::{Session, Wait};
 
-use crate::api::commands::{CommandError, check_name};
-use crate::api::context::Clerk;
-use crate::api::error::refusal;
-use crate::api::experiments::Errands;
-use crate::api::idempotency::Ledger;
-use crate::api::responder::Desk;
-use crate::api::{experiments, queries, recordings};
+use crate::api::admission::Admission;
+use crate::api::context::Context;
+use crate::api::executor::Executor;
+use crate::api::idempotency::IdempotencyCache;
+use crate::api::responder::Replies;
+use crate::api::{commands, queries};
 use crate::auth::folder::Folder;
 use crate::auth::live::{Changes, LiveRights};
 use crate::auth::{Rights, RightsError};
 use crate::config::Config;
+use crate::convert::commands::{CommandError, check_name};
+use crate::convert::error::refusal;
 use crate::experiments::Lab;
 use crate::health::{Watch, Watched};
 use crate::metrics::Pulse;
@@ -38,12 +39,15 @@ use crate::swarm::registry::Host;
 use crate::transport::http::{self, Bus, Gateway, GatewayError, Pass, Token};
 use crate::transport::zenoh::bus_watch::BusWatch;
 use crate::transport::zenoh::claims::{Claims, Contest, Watching};
-use crate::transport::zenoh::dispatcher::{Crier, Dispatcher, Intake, MOST_QUERIES};
+use crate::transport::zenoh::dispatcher::Dispatcher;
+use crate::transport::zenoh::gateway::{
+    self, Connections, DispatchMessage, LifecycleNotifier, MAX_QUEUED,
+};
 use crate::transport::zenoh::publisher::Press;
-use crate::transport::zenoh::queryables::Doors;
+use crate::transport::zenoh::queryables::SwarmEndpoints;
 use crate::transport::zenoh::session::{OpenRuntime, Opened, SessionError};
 use crate::transport::zenoh::session_pool::SessionPool;
-use crate::transport::zenoh::{session, set_points};
+use crate::transport::zenoh::{progress, session, set_points};
 
 /// The exit code when the store can no longer be trusted, or has not written all of it.
 pub const EXIT_STORE: i32 = 8;
@@ -132,8 +136,8 @@ pub struct Server {
     connection: Connection,
     bus: Arc<BusWatch>,
     press: Arc<Press>,
-    desk: Desk,
-    intake: SyncSender<Intake>,
+    replies: Replies,
+    messages: SyncSender<DispatchMessage>,
     endpoints: Vec<String>,
     watch: Arc<Watch>,
     gateway: Option<Gateway>,
@@ -276,34 +280,33 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         endpoints.clone_from(&config.listen);
     }
 
-    let desk = Desk::start()?;
+    let replies = Replies::start()?;
     let (press, _) = Press::start(prefix)?;
-    let (intake, taken) = sync_channel(MOST_QUERIES);
+    let (messages, received) = sync_channel(MAX_QUEUED);
     let refused = |error: zenoh::Error| ServerError::Keys(error.to_string());
-    let waking = intake.clone();
+    let waking = messages.clone();
     let (claims, watching_claims) = Claims::watch(&session, prefix, node, move || {
         // If the queue is full, the dispatcher thread is awake and reconciles anyway.
-        let _ = waking.try_send(Intake::Claimed);
+        let _ = waking.try_send(DispatchMessage::Claimed);
     })
     .map_err(refused)?;
-    let crier = Arc::new(Crier::new(intake.clone(), press.clone()));
-    let host = Arc::new(Host::new(config.limits, crier, writer::archive(&store)));
-    let ledger = Ledger::new(store.clone(), are_people_known);
+    let notifier = Arc::new(LifecycleNotifier::new(messages.clone(), press.clone()));
+    let host = Arc::new(Host::new(config.limits, notifier, writer::archive(&store)));
+    let idempotency = IdempotencyCache::new(store.clone(), are_people_known);
     let lab = open_lab(config).await?;
-    let errands = Errands::start("experiments", lab.clone())?;
     let recordings = open_recordings(config, host.clone())?;
-    let to_record = Errands::start("recordings", recordings.clone())?;
+    let recording_files = Executor::start("recordings", recordings.clone())?;
     let folder = config.data_dir.join("replays");
     let uploads = Uploads::open(&folder).map_err(|error| ServerError::Uploads {
         folder: folder.display().to_string(),
         error,
     })?;
-    experiments::publish(lab.clone(), session.clone(), prefix.clone(), node.clone())?;
+    progress::publish(lab.clone(), session.clone(), prefix.clone(), node.clone())?;
     let (pulse, watch) = (Arc::new(Pulse::default()), Arc::new(OnceLock::new()));
     let threads = vec![
         ("dispatch", pulse.clone()),
         ("publish", press.pulse.clone()),
-        ("replies", desk.pulse.clone()),
+        ("replies", replies.pulse.clone()),
     ];
     let url = match &http {
         Some((listener, acceptor)) => {
@@ -312,41 +315,49 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         }
         None => None,
     };
-    let clerk = Arc::new(Clerk {
-        session: session.clone(),
-        pool: pool.clone(),
-        max_clients: config.max_clients,
+    let context = Arc::new(Context {
         prefix: prefix.clone(),
         node: node.clone(),
         http: url,
+        max_clients: config.max_clients,
+        max_message_bytes: session::MAX_MESSAGE_BYTES - session::FRAMING_BYTES,
+        peers: Arc::new(Connections {
+            session: session.clone(),
+            claims: claims.clone(),
+        }),
         host: host.clone(),
-        desk: desk.clone(),
-        press: press.clone(),
+        replies: replies.clone(),
         rights: rights.clone(),
         started: Instant::now(),
         store: store.clone(),
-        ledger: ledger.clone(),
+        idempotency: idempotency.clone(),
         schemas: queries::schemas(),
         lab: lab.clone(),
-        errands,
+        experiment_files: Executor::start("experiments", lab.clone())?,
         uploads: Arc::new(uploads),
         recordings: recordings.clone(),
-        to_record: to_record.clone(),
+        recording_files: recording_files.clone(),
         watch: watch.clone(),
-        claims: claims.clone(),
         is_recovering: AtomicBool::new(true),
-        waiting: AtomicUsize::new(0),
         verifications: Arc::default(),
     });
+    let gateway = Arc::new(gateway::Gateway {
+        context: context.clone(),
+        claims: claims.clone(),
+        admission: Admission::default(),
+        queued: AtomicUsize::new(0),
+    });
     let dispatcher = Dispatcher {
-        clerk: clerk.clone(),
-        doors: Doors::new(
+        gateway: gateway.clone(),
+        pool: pool.clone(),
+        press: press.clone(),
+        endpoints: SwarmEndpoints::new(
             session.clone(),
             pool.clone(),
             prefix.clone(),
             node.clone(),
-            intake.clone(),
-            clerk.clone(),
+            messages.clone(),
+            gateway,
         ),
         held: Vec::new(),
         recovered: None,
@@ -354,7 +365,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     };
     thread::Builder::new()
         .name("dispatch".into())
-        .spawn(move || dispatcher.run(&taken))?;
+        .spawn(move || dispatcher.run(&received))?;
 
     // No queryable has this key.
     let key = keys::node_get(prefix, node, "@probe");
@@ -389,7 +400,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         },
         recordings: {
             let recordings = recordings.clone();
-            Box::new(move || recordings::count(&recordings))
+            Box::new(move || commands::count(&recordings))
         },
         recordings_bytes: {
             let recordings = recordings.clone();
@@ -427,16 +438,16 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     // Every swarm is back before anyone is told that the daemon is there.
     let recovering = (host.clone(), store.clone());
     let recovered = tokio::task::spawn_blocking(move || {
-        recovery::recover(&recovering.0, &recovering.1, &ledger)
+        recovery::recover(&recovering.0, &recovering.1, &idempotency)
     });
     recovered.await.expect("recovery does not panic")?;
-    recordings::go_on(&recordings, &to_record, &host);
+    commands::resume(&recordings, &recording_files, &host);
 
-    clerk.is_recovering.store(false, Ordering::Release);
+    context.is_recovering.store(false, Ordering::Release);
     let controls = set_points::listen(&session, prefix, host.clone(), rights.clone(), claims)
         .map_err(refused)?;
     let (recovered, opened) = sync_channel(1);
-    let _ = intake.send(Intake::Recovered(recovered));
+    let _ = messages.send(DispatchMessage::Recovered(recovered));
     let opened = tokio::task::spawn_blocking(move || opened.recv()).await;
     if let Ok(Ok(Err(error))) = opened {
         return Err(refused(error));
@@ -453,8 +464,8 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         },
         bus,
         press,
-        desk,
-        intake,
+        replies,
+        messages,
         endpoints,
         watch: watching,
         gateway,
@@ -485,7 +496,7 @@ async fn open_lab(config: &Config) -> Result<Lab, ServerError> {
 /// Opens the recordings, which lie there too.
 fn open_recordings(config: &Config, host: Arc<Host>) -> Result<Recordings, ServerError> {
     let folder = config.data_dir.join("recordings");
-    let on_failed = recordings::publish_failure(host);
+    let on_failed = commands::publish_failure(host);
     let quota_bytes = config.recordings_quota_bytes;
     let opened = Recordings::open(&folder, refusal, quota_bytes, on_failed);
     opened.map_err(|error| ServerError::Recordings {
@@ -562,13 +573,13 @@ impl Server {
     /// seconds whatever the clients do. Returns whether all that was to be written is on the disk.
     pub async fn stop(self) -> bool {
         info!("stopping");
-        self.desk.close();
+        self.replies.close();
         self.watch.stop();
         self.bus.stop();
         if let Some(gateway) = &self.gateway {
             gateway.stop();
         }
-        let _ = self.intake.try_send(Intake::Stop);
+        let _ = self.messages.try_send(DispatchMessage::Stop);
         let lab = self.lab.clone();
         let experiments = tokio::task::spawn_blocking(move || lab.stop(PATIENCE_WITH_EXPERIMENTS));
         let host = self.host.clone();
@@ -599,7 +610,7 @@ impl Server {
             );
         }
         self.press.stop();
-        self.desk.stop();
+        self.replies.stop();
         // Closing, and dropping what is declared, waits for every client, and blocks whoever does
         // it: a thread of its own, so that a frozen client delays neither timers nor the end.
         let (closed, is_closed) = std::sync::mpsc::channel();

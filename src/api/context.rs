@@ -1,200 +1,174 @@
-//! Answers queries: an order or a look handed to a swarm, and the promise of its answer.
+//! The state that all request handlers share, and the entry point of requests.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use fail::fail_point;
-use jostle_proto::{Request, Schemas, keys};
+use jostle_proto::{Claimant, Request, Schemas, keys};
 use serde_json::Value;
 use tracing::error;
-use zenoh::Session;
-use zenoh::bytes::ZBytes;
-use zenoh::query::Query;
 
-use crate::api::commands::{self, CommandError, DEFAULT_TIMEOUT};
-use crate::api::experiments::Errands;
-use crate::api::idempotency::Ledger;
-use crate::api::responder::{Asked, Desk, Excuse, Keeper, Promise};
+use crate::api::executor::Executor;
+use crate::api::idempotency::{IdempotencyCache, Lookup};
+use crate::api::incoming::{Incoming, Target};
+use crate::api::responder::{Replies, Responder, TimeoutError};
 use crate::api::verifications::Verifications;
 use crate::auth::live::LiveRights;
 use crate::auth::{NotPermitted, Rights};
-use crate::convert::{self, Payload};
+use crate::convert::Payload;
+use crate::convert::commands::{self, CommandError};
 use crate::experiments::Lab;
 use crate::health::Watch;
 use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::Store;
-use crate::swarm::frame::{Frame, Place};
-use crate::swarm::handle::Ticket;
-use crate::swarm::outcome::{Answered, OrderError, Outcome, Refusal};
+use crate::swarm::frame::Place;
+use crate::swarm::handle::{Handle, Ticket};
+use crate::swarm::outcome::{Answer, Outcome};
 use crate::swarm::registry::Host;
-use crate::transport::zenoh::claims::{Claims, Gate, Name};
-use crate::transport::zenoh::publisher::Press;
-use crate::transport::zenoh::query::{self, Topic};
-use crate::transport::zenoh::session_pool::SessionPool;
 
-/// The longest request that is read where it came in, in bytes.
-const MOST_BYTES_AT_THE_DOOR: usize = 16 * 1024;
+/// The longest request without values of individuals, in bytes.
+const REQUEST_BYTES: usize = 64 * 1024;
 
-/// What it takes to answer a query. Shared by the thread that dispatches and those that take in.
-pub struct Clerk {
-    /// The daemon's session.
-    pub session: Session,
-    /// The sessions that declare what a swarm needs.
-    pub pool: SessionPool,
-    /// Clients at once.
-    pub max_clients: usize,
+/// The most bytes of a request for each individual: its position, or its part of a snapshot.
+const BYTES_PER_INDIVIDUAL: usize = 256;
+
+/// What handlers need to know of the connections to clients and to other daemons.
+pub trait Peers: Send + Sync {
+    /// The number of clients that are connected.
+    fn clients(&self) -> usize;
+
+    /// The swarms whose names another daemon holds, too: the name, this daemon and the other one.
+    /// `None` is the name of the daemon itself.
+    fn contests(&self) -> Vec<(Option<String>, [Claimant; 2])>;
+}
+
+/// The state that all request handlers share.
+pub struct Context {
     /// The first chunk of every key.
     pub prefix: String,
-    /// The daemon's name.
+    /// The name of the daemon.
     pub node: String,
-    /// Where it serves HTTP, if it does.
+    /// The URL of its HTTP server, if it has one.
     pub http: Option<String>,
+    /// The limit for connected clients.
+    pub max_clients: usize,
+    /// The longest message of the transport, in bytes.
+    pub max_message_bytes: usize,
+    /// The connections.
+    pub peers: Arc<dyn Peers>,
     /// The swarms.
     pub host: Arc<Host>,
-    /// Where answers go.
-    pub desk: Desk,
-    /// Where states go.
-    pub press: Arc<Press>,
-    /// Who may do what.
+    /// Sends replies.
+    pub replies: Replies,
+    /// The users and their roles.
     pub rights: Arc<LiveRights>,
     /// When the daemon started.
     pub started: Instant,
-    /// What outlives the daemon.
+    /// The journals and checkpoints.
     pub store: Store,
-    /// What the named requests came to.
-    pub ledger: Ledger,
-    /// The schemas of every message.
+    /// The requests that have an id.
+    pub idempotency: IdempotencyCache,
+    /// The schemas of all messages.
     pub schemas: Schemas,
     /// The experiments.
     pub lab: Lab,
-    /// Where what is to be done with them is handed in.
-    pub errands: Errands<Lab>,
-    /// Recordings on their way in.
+    /// Executes work on the files of the experiments.
+    pub experiment_files: Executor<Lab>,
+    /// Recordings that clients upload.
     pub uploads: Arc<Uploads>,
-    /// What it records.
+    /// Recordings that the daemon writes.
     pub recordings: Recordings,
-    /// Where what is to be done with that is handed in.
-    pub to_record: Errands<Recordings>,
-    /// The daemon in numbers, once it is watched.
+    /// Executes work on the files of the recordings.
+    pub recording_files: Executor<Recordings>,
+    /// The checks and metrics; set once they run.
     pub watch: Arc<OnceLock<Arc<Watch>>>,
-    /// The claims of this daemon and of others, which decide what it may serve.
-    pub claims: Arc<Claims>,
-    /// Whether the swarms of an earlier run are being brought back.
+    /// Whether the swarms of the previous run are being recovered.
     pub is_recovering: AtomicBool,
-    /// How many queries wait for the dispatching thread, or are at it.
-    pub waiting: AtomicUsize,
-    /// The histories that are being verified.
+    /// The verifications that run or are queued.
     pub verifications: Arc<Verifications>,
 }
 
-impl Clerk {
-    /// Reads a command where it came in and hands it to its swarm, if that is done in a moment and
-    /// nothing came before it: it is worth one thread less to wake. Otherwise false.
-    pub fn reads_at_the_door(&self, topic: &Topic, query: &Query, asked: &Asked) -> bool {
-        let is_short = query.payload().map_or(0, ZBytes::len) <= MOST_BYTES_AT_THE_DOOR;
-        let takes_long = |verb: &str| matches!(verb, "fork" | "seek" | "delete");
-        let verb = query.key_expr().as_str().rsplit('/').next();
-        let is_first = self.waiting.load(Ordering::Acquire) == 0;
-        let Topic::Command(swarm) = topic else {
-            return false;
-        };
-        let is_read = self.claims.gate(&Name::Swarm(swarm.to_string()), true) == Gate::Open
-            && is_short
-            && is_first
-            && !verb.is_none_or(takes_long);
-        if is_read {
-            let door = Arc::default();
-            self.survive(topic, &asked.at(&door));
-            door.shut();
-        }
-        is_read
-    }
-
-    /// Dispatches a query.
-    pub fn survive(&self, topic: &Topic, asked: &Asked) {
-        self.guard(asked, || self.query(topic, asked));
-    }
-
-    /// Has a query answered; one that uncovers a defect ends with an error and not with the daemon.
-    pub fn guard(&self, asked: &Asked, answer: impl FnOnce()) {
-        if catch_unwind(AssertUnwindSafe(answer)).is_err() {
-            let key = asked.query.key_expr().as_str().to_owned();
-            error!(key, "a defect: the query panicked");
-            let promise = self.desk.promise(asked, key);
-            promise.refuse(&CommandError::Internal, None);
+impl Context {
+    /// Handles a request. A panic ends the request with `internal` and not the daemon.
+    pub fn handle(&self, incoming: &Incoming) {
+        let work = AssertUnwindSafe(|| {
+            fail_point!("query");
+            self.dispatch(incoming);
+        });
+        if catch_unwind(work).is_err() {
+            let key = incoming.key();
+            error!(key, "a defect: the handler panicked");
+            self.reject(incoming, &CommandError::Internal);
         }
     }
 
-    fn query(&self, topic: &Topic, asked: &Asked) {
-        fail_point!("query");
-        let has_payload = asked
-            .query
-            .payload()
-            .is_some_and(|payload| !payload.is_empty());
-        if has_payload
-            && matches!(
-                topic,
-                Topic::State(_) | Topic::Get(_) | Topic::NodeGet | Topic::Experiment
-            )
-        {
+    /// Replies to a request with an error.
+    pub fn reject(&self, incoming: &Incoming, error: &CommandError) {
+        self.responder(incoming).reject(error, None);
+    }
+
+    fn dispatch(&self, incoming: &Incoming) {
+        let target = incoming.target();
+        let is_command = matches!(target, Target::Command(_) | Target::NodeCommand);
+        if is_command && let Err(error) = self.permit(incoming) {
+            return self.reject(incoming, &error.into());
+        }
+        if !is_command && !matches!(target, Target::Deletion) && incoming.has_payload() {
             let error = CommandError::Field {
                 field: "payload",
                 problem: "means nothing to a get: what it takes goes behind the key's `?`",
             };
-            let key = asked.query.key_expr().as_str().to_owned();
-            return self.desk.promise(asked, key).refuse(&error, None);
+            return self.reject(incoming, &error);
         }
-        if matches!(topic, Topic::Command(_) | Topic::NodeCommand)
-            && let Err(refused) = self.permit(&asked.query)
-        {
-            let key = asked.query.key_expr().as_str().to_owned();
-            return self.desk.promise(asked, key).refuse(&refused.into(), None);
-        }
-        match topic {
-            Topic::State(swarm) => self.state(swarm, asked),
-            Topic::Get(swarm) => self.get(swarm, asked),
-            Topic::Command(swarm) => self.command(swarm, asked),
-            Topic::Deletion => {
-                unreachable!("only the dispatching thread knows which swarms are gone")
-            }
-            Topic::NodeGet => self.node_get(asked),
-            Topic::NodeCommand => self.node_command(asked),
-            Topic::Experiment => self.experiment_get(asked),
+        match target {
+            Target::State(swarm) => self.state(swarm, incoming),
+            Target::Get(swarm) => self.get(swarm, incoming),
+            Target::Command(swarm) => self.command(swarm, incoming),
+            Target::Deletion => self.replay_deletion(incoming),
+            Target::NodeGet => self.node_get(incoming),
+            Target::NodeCommand => self.node_command(incoming),
+            Target::Experiment => self.experiment_get(incoming),
         }
     }
 
-    /// Whether whoever sends a command may; by its verb, which a wildcard is not.
-    pub(crate) fn permit(&self, query: &Query) -> Result<(), NotPermitted> {
+    /// A responder that replies under the key of the request.
+    pub(crate) fn responder(&self, incoming: &Incoming) -> Responder {
+        self.replies.responder(incoming, incoming.key().to_owned())
+    }
+
+    /// Checks whether the client may send the verb of a command; a wildcard is no verb.
+    ///
+    /// # Errors
+    ///
+    /// [`NotPermitted`].
+    pub fn permit(&self, incoming: &Incoming) -> Result<(), NotPermitted> {
         match &*self.rights.current() {
             Rights::Everybody => Ok(()),
-            rights => rights.permit(&query::token(query), &verb(query)).map(drop),
+            rights => rights.permit(incoming.token(), &incoming.verb()).map(drop),
         }
     }
 
-    /// Reads the request in a query, signed by whoever sends it if people are known.
-    pub(crate) fn request(&self, query: &Query) -> Result<Request, CommandError> {
-        let mut request = query::request(query, self.most_bytes())?;
+    /// Parses a command, and adds the name of the user to its client.
+    pub(crate) fn request(&self, incoming: &Incoming) -> Result<Request, CommandError> {
+        let mut request = incoming.request(self.max_request_bytes())?;
         let rights = self.rights.current();
         if let Rights::People { .. } = &*rights {
-            // A person may have been removed since the query was permitted: the request must not
-            // execute unsigned then.
-            let sender = rights.sender(&query::token(query), &verb(query))?;
+            // A user may have been removed since the request was permitted: it must not be executed
+            // without a name then.
+            let sender = rights.sender(incoming.token(), &incoming.verb())?;
             request.client = sender.map(|person| person.signed(request.client.as_deref()));
         }
         Ok(request)
     }
 
-    /// The name of the swarm that a query creates; `None` if no other daemon can be reached.
-    pub(crate) fn creates(&self, topic: &Topic, asked: &Asked) -> Option<String> {
-        if !self.claims.is_connected() {
-            return None;
-        }
-        let verb = asked.query.key_expr().as_str().rsplit('/').next()?;
-        let is_of_node = matches!(topic, Topic::NodeCommand);
-        let args: Value = self.request(&asked.query).ok()?.args().ok()?;
+    /// The name of the swarm that a request creates.
+    pub fn creates(&self, incoming: &Incoming) -> Option<String> {
+        let verb = incoming.key().rsplit('/').next()?;
+        let is_of_node = matches!(incoming.target(), Target::NodeCommand);
+        let args: Value = self.request(incoming).ok()?.args().ok()?;
         let name = match (is_of_node, verb) {
             (true, "create" | "restore") | (false, "fork") => &args["name"],
             (true, "replay") => &args["open"]["name"],
@@ -204,76 +178,96 @@ impl Clerk {
         Some(name.to_owned())
     }
 
-    /// Looks at a swarm and answers with what `payload` makes of it.
-    pub(crate) fn look(
+    /// The first steps of a command of the daemon: parses its arguments, looks up its id and sets
+    /// its deadline. `None` if it is a duplicate, which gets the first reply.
+    pub(crate) fn begin<A: serde::de::DeserializeOwned>(
         &self,
-        swarm: &str,
-        promise: &Promise,
-        payload: impl FnOnce(Place, Arc<Frame>) -> Payload + Send + 'static,
-    ) {
-        let name = swarm.to_owned();
-        self.send(
-            swarm,
-            promise,
-            (DEFAULT_TIMEOUT, CommandError::deadline),
-            |answer| {
-                Ticket::Look(Box::new(move |answered| {
-                    answer(answered, move |place, outcome| match outcome {
-                        Outcome::Seen(seen) => payload(place, seen),
-                        other => convert::outcome(&name, &place, other, None),
-                    });
-                }))
-            },
-        );
+        verb: &'static str,
+        key: &str,
+        request: &Request,
+        default_timeout: Duration,
+        responder: &Responder,
+    ) -> Result<Option<A>, CommandError>
+    where
+        A: serde::Serialize,
+    {
+        reject_preconditions(request)?;
+        commands::sender(verb, request)?;
+        let args = request.args()?;
+        let timeout = match request.timeout_secs {
+            Some(_) => commands::timeout(request)?,
+            None => default_timeout,
+        };
+        let is_new = self.is_new(key, request, responder)?;
+        responder.set_deadline(timeout, CommandError::deadline, None);
+        Ok(is_new.then_some(args))
     }
 
-    /// Hands a ticket to a swarm. The promise is kept by its answer, in time or with an excuse.
-    pub(crate) fn send<A>(
+    /// Looks up the id of a request; false if it is a duplicate.
+    pub(crate) fn is_new(
         &self,
-        swarm: &str,
-        promise: &Promise,
-        (patience, excuse): (Duration, Excuse),
-        ticket: impl FnOnce(AnswerTo<A>) -> Ticket,
-    ) where
-        A: FnOnce(Place, Outcome) -> Payload + Send + 'static,
-    {
-        let Some(handle) = self.host.find(swarm) else {
-            let error = CommandError::UnknownSwarm(swarm.to_owned());
-            return promise.refuse(&error, None);
+        key: &str,
+        request: &Request,
+        responder: &Responder,
+    ) -> Result<bool, CommandError> {
+        let Some(id) = &request.request_id else {
+            return Ok(true);
         };
-        let late = handle.step_later();
-        promise.keep_within(patience, excuse, late);
-        match ticket(answer_to(promise)) {
-            Ticket::Command(command) if promise.is_at_the_door() => handle.send_here(command),
-            ticket => handle.send(ticket),
+        match self.idempotency.begin(key, request, id, responder) {
+            Lookup::New(slot) => {
+                responder.remember_in(Box::new(slot));
+                Ok(true)
+            }
+            Lookup::Duplicate => Ok(false),
+            Lookup::Conflict => Err(CommandError::OtherRequest(id.clone())),
         }
     }
+
+    /// The swarm of this name.
+    pub(crate) fn find(&self, swarm: &str) -> Result<Handle, CommandError> {
+        let handle = self.host.find(swarm);
+        handle.ok_or_else(|| CommandError::UnknownSwarm(swarm.to_owned()))
+    }
+
+    /// Sends a message to a swarm, whose reply `payload` encodes. The responder has a deadline.
+    pub(crate) fn send(
+        &self,
+        swarm: &str,
+        responder: &Responder,
+        (timeout, error): (Duration, TimeoutError),
+        message: impl FnOnce(Answer) -> Ticket,
+        payload: impl FnOnce(Place, Outcome) -> Payload + Send + 'static,
+    ) {
+        let handle = match self.find(swarm) {
+            Ok(handle) => handle,
+            Err(error) => return responder.reject(&error, None),
+        };
+        responder.set_deadline(timeout, error, Some(handle.last_step()));
+        let responder = responder.clone();
+        let answer = Answer::new(move |answered| responder.respond(answered, payload));
+        handle.send(message(answer));
+    }
+
+    /// The longest request that is read. A longer one gets an error, unless it is longer than what
+    /// the transport passes on.
+    pub(crate) fn max_request_bytes(&self) -> usize {
+        let all = BYTES_PER_INDIVIDUAL.saturating_mul(self.host.limits().max_individuals);
+        all.saturating_add(REQUEST_BYTES)
+            .min(self.max_message_bytes)
+    }
 }
 
-/// The verb of a command; its whole key if there is none.
-pub(crate) fn verb(query: &Query) -> String {
-    let key = query.key_expr().as_str();
-    commands::shortened(key.split_once("/cmd/").map_or(key, |(_, verb)| verb))
-}
-
-/// Takes what a swarm answers and how to word it.
-pub(crate) type AnswerTo<A> = Box<dyn FnOnce(Answered, A) + Send>;
-
-/// Keeps `promise` with whatever is answered; if it is dropped unanswered, with a refusal.
-fn answer_to<A>(promise: &Promise) -> AnswerTo<A>
-where
-    A: FnOnce(Place, Outcome) -> Payload + Send + 'static,
-{
-    let keeper = Keeper::new(promise.clone());
-    Box::new(move |answered, payload| match answered {
-        Ok((place, outcome)) => keeper.0.fulfil(move || Ok(payload(place, outcome))),
-        // It was carried out, though not to its end.
-        Err(Refusal {
-            step,
-            error: error @ OrderError::Faulted(_),
-        }) => keeper
-            .0
-            .fulfil(move || Err(Payload::json(&CommandError::from(error).to_wire(step)))),
-        Err(Refusal { step, error }) => keeper.0.refuse(&error.into(), step),
-    })
+/// Rejects the preconditions of a request that concerns no existing swarm.
+pub(crate) fn reject_preconditions(request: &Request) -> Result<(), CommandError> {
+    for (field, given) in [
+        ("at_step", request.at_step),
+        ("expect_step", request.expect_step),
+        ("expect_epoch", request.expect_epoch),
+    ] {
+        if given.is_some() {
+            let problem = "is about a swarm that is there: leave it out";
+            return Err(CommandError::Field { field, problem });
+        }
+    }
+    Ok(())
 }

@@ -1,139 +1,53 @@
-//! When promises are to be kept at the latest, and what is said if they were not.
+//! A queue of deadlines, in a task of its own.
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
+use std::future::poll_fn;
 use std::time::Instant;
 
-use crate::api::responder::Promise;
-use crate::convert::Payload;
+use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
+use tokio_util::time::DelayQueue;
 
-/// Deadlines kept without looking for those that no longer matter.
-const DEADLINES_BEFORE_SWEEP: usize = 4096;
-
-/// When promises are to be kept at the latest. Whoever watches them is woken by a time that comes
-/// before all others, and not by every promise: in a flood those are ten thousands a second.
-#[derive(Default)]
-pub(crate) struct Deadlines {
-    dues: Mutex<Dues>,
-    changed: Condvar,
+/// What happens at a deadline.
+pub trait Expire: Send + 'static {
+    /// Called when the deadline passes. It must not block.
+    fn expire(self);
 }
 
-#[derive(Default)]
-struct Dues {
-    heap: BinaryHeap<Reverse<Due>>,
-    /// How many there are to be before those are dropped that no longer matter.
-    sweep_at: usize,
-    is_stopped: bool,
+/// Deadlines. One that no longer matters stays in the queue until it passes, so an entry must not
+/// keep its request alive. Clones share the queue.
+pub struct Deadlines<T>(UnboundedSender<(Instant, T)>);
+
+impl<T> Clone for Deadlines<T> {
+    fn clone(&self) -> Self {
+        Deadlines(self.0.clone())
+    }
 }
 
-/// A promise, when it is to be kept, and what is said if it was not.
-pub(crate) struct Due {
-    at: Instant,
-    number: u64,
-    promise: Promise,
-    excuse: Box<dyn FnOnce() -> Payload + Send>,
-}
-
-impl Deadlines {
-    /// Watches over one more.
-    pub(crate) fn add(&self, due: Due) {
-        let mut dues = self.lock();
-        if dues.is_stopped {
-            return;
-        }
-        if dues.heap.len() >= dues.sweep_at {
-            dues.heap.retain(|Reverse(due)| !due.promise.is_kept());
-            dues.sweep_at = (2 * dues.heap.len()).max(DEADLINES_BEFORE_SWEEP);
-        }
-        let is_first = dues
-            .heap
-            .peek()
-            .is_none_or(|Reverse(first)| due.at < first.at);
-        dues.heap.push(Reverse(due));
-        drop(dues);
-        if is_first {
-            self.changed.notify_one();
-        }
+impl<T: Expire> Deadlines<T> {
+    /// Starts the task, which runs until the last clone is dropped.
+    pub fn start() -> Self {
+        let (sender, receiver) = unbounded_channel();
+        tokio::spawn(run(receiver));
+        Deadlines(sender)
     }
 
-    /// Refuses what is not kept in time, until stopped.
-    pub(crate) fn watch(&self) {
-        let mut dues = self.lock();
-        while !dues.is_stopped {
-            let Some(Reverse(first)) = dues.heap.peek() else {
-                let woken = self.changed.wait(dues);
-                dues = woken.unwrap_or_else(PoisonError::into_inner);
-                continue;
-            };
-            let left = first.at.saturating_duration_since(Instant::now());
-            if !left.is_zero() {
-                let woken = self.changed.wait_timeout(dues, left);
-                dues = woken.unwrap_or_else(PoisonError::into_inner).0;
-                continue;
+    /// Adds a deadline.
+    pub fn add(&self, at: Instant, entry: T) {
+        // An error means that the runtime is shutting down.
+        let _ = self.0.send((at, entry));
+    }
+}
+
+async fn run<T: Expire>(mut added: UnboundedReceiver<(Instant, T)>) {
+    let mut queue = DelayQueue::new();
+    loop {
+        tokio::select! {
+            entry = added.recv() => match entry {
+                Some((at, entry)) => drop(queue.insert_at(entry, at.into())),
+                None => return,
+            },
+            Some(expired) = poll_fn(|context| queue.poll_expired(context)), if !queue.is_empty() => {
+                expired.into_inner().expire();
             }
-            let due = dues.heap.pop();
-            drop(dues);
-            if let Some(Reverse(Due {
-                promise, excuse, ..
-            })) = due
-                && !promise.is_kept()
-            {
-                promise.keep(move || Err(excuse()));
-            }
-            dues = self.lock();
         }
-        // What is owed holds the desk, and letting go of a query may wait for a frozen client.
-        let left = std::mem::take(&mut dues.heap);
-        drop(dues);
-        drop(left);
-    }
-
-    /// Has whoever watches end.
-    pub(crate) fn stop(&self) {
-        self.lock().is_stopped = true;
-        self.changed.notify_one();
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Dues> {
-        self.dues.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Due {
-    /// Has a promise kept at the latest then.
-    pub(crate) fn new(
-        at: Instant,
-        promise: Promise,
-        excuse: Box<dyn FnOnce() -> Payload + Send>,
-    ) -> Self {
-        static NUMBERS: AtomicU64 = AtomicU64::new(0);
-        Due {
-            at,
-            number: NUMBERS.fetch_add(1, Ordering::Relaxed),
-            promise,
-            excuse,
-        }
-    }
-}
-
-impl PartialEq for Due {
-    fn eq(&self, other: &Self) -> bool {
-        self.number == other.number
-    }
-}
-
-impl Eq for Due {}
-
-impl PartialOrd for Due {
-    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
-        Some(self.cmp(other))
-    }
-}
-
-impl Ord for Due {
-    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        (self.at, self.number).cmp(&(other.at, other.number))
     }
 }

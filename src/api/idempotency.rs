@@ -1,22 +1,23 @@
-//! Every request that has a name is carried out once: its first answer is given again.
+//! Idempotency: a request with an id is executed once, and a retry gets the first reply.
 //!
-//! A client that got no answer cannot know whether its command was carried out. It sends the same
-//! request under the same `client` and `request_id` once more, and gets the answer it missed. What
-//! was refused changed nothing, is not kept, and may be tried again under the same name.
+//! A client that received no reply does not know whether its command was executed. It sends the same
+//! request again with the same `client` and `request_id`, and gets the reply that it missed. A
+//! rejected request changed nothing; it is not remembered, and its id may be used again.
 //!
-//! Replies are remembered up to a total. Beyond it the holder of most (a client, or the person that
-//! all its clients belong to) loses its own oldest reply, so that a client that sends many requests
-//! cannot evict the replies of the others.
+//! The replies are limited in total. Beyond the limit the holder of most (a client, or the user of
+//! several clients) loses its own oldest reply, so that a client that sends many requests cannot
+//! evict the replies of others.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use jostle_proto::{CBOR, JSON, Request};
-use serde_json::Value;
 
-use crate::api::responder::Promise;
+use crate::api::responder::Responder;
 use crate::convert::Payload;
+use crate::convert::digest::{Digest, digest};
+use crate::persistence::recovery::{ReplyCache, ReplySlot};
 use crate::store::{self, Store, Write};
 
 /// Replies remembered at most.
@@ -28,21 +29,15 @@ const MAX_REPLY_BYTES: usize = 64 * 1024 * 1024;
 /// The least that a reply counts: [`MAX_REPLIES`] of them reach [`MAX_REPLY_BYTES`].
 const MIN_COST: usize = MAX_REPLY_BYTES.div_ceil(MAX_REPLIES);
 
-/// Below this every whole number is a double.
-const EXACT: f64 = 9_007_199_254_740_992.0;
+/// Bytes of a reply beside its payload: its name, its digest, and its share of the tables.
+const REPLY_BYTES: usize = 384;
 
-/// What an answer takes beside its bytes: its name, its digest, and its share of the tables.
-const ANSWER_BYTES: usize = 384;
-
-/// A request's name: who says to have sent it, and what they called it.
+/// The name of a request: its client and its id.
 pub type Name = (Option<String>, String);
 
-/// A request without what may differ when it is sent again.
-pub type Digest = [u8; 32];
-
-/// The named requests, and what they came to. Clones are the same one.
+/// The requests that have an id, and their replies. Clones share them.
 #[derive(Clone)]
-pub struct Ledger {
+pub struct IdempotencyCache {
     requests: Arc<Mutex<Requests>>,
     /// Held while a reply is remembered and submitted to the store, which may wait for room in its
     /// queue: the store deletes and writes in the order in which the requests changed.
@@ -50,7 +45,7 @@ pub struct Ledger {
     store: Store,
 }
 
-/// The unit that eviction compares: a client, or the person that all its clients belong to. `None`
+/// The unit that eviction compares: a client, or the user that all its clients belong to. `None`
 /// holds the replies to requests without a client.
 type Holder = Option<Arc<str>>;
 
@@ -61,7 +56,7 @@ struct Requests {
     ranking: BTreeMap<(usize, Reverse<u64>), Holder>,
     cost: usize,
     max_cost: usize,
-    /// Whether the client of a request begins with the name of its person.
+    /// Whether the client of a request begins with the name of its user.
     has_people: bool,
     /// How many replies were ever remembered: the number of the newest.
     newest: u64,
@@ -80,42 +75,87 @@ struct Entry {
 }
 
 enum Progress {
-    /// Being carried out; these have asked again meanwhile.
-    Underway(Vec<Promise>),
-    /// Carried out: the reply's number, and the reply.
+    /// It is being executed; these wait for its reply, too.
+    Pending(Vec<Responder>),
+    /// It was executed: the number of the reply, and the reply.
     Done(u64, Result<Payload, Payload>),
 }
 
-/// What is to be done with a named request.
-pub enum Entered {
-    /// It is new: carry it out and write down what it came to.
-    New(Page),
-    /// It is known, and answered now or as soon as it is carried out.
-    Known,
-    /// Another request has this name.
-    Other,
+/// Whether a request with an id is to be executed.
+pub enum Lookup {
+    /// It is new: execute it and write its reply to the slot.
+    New(Slot),
+    /// It is known; it gets the first reply, now or once there is one.
+    Duplicate,
+    /// Another request of the client has this id.
+    Conflict,
 }
 
-/// Where the answer to one request is to be written. Dropped unwritten, the request is forgotten.
-pub struct Page {
-    ledger: Ledger,
+/// Where the reply to a request is written. If it is dropped before, the request is forgotten.
+pub struct Slot {
+    cache: IdempotencyCache,
     name: Arc<Name>,
     is_written: bool,
 }
 
-impl Ledger {
-    /// An empty ledger whose answers are kept in `store` too. With `has_people`, the clients of
+impl IdempotencyCache {
+    /// An empty cache whose answers are kept in `store` too. With `has_people`, the clients of
     /// one person (`person:label`) are one holder.
     pub fn new(store: Store, has_people: bool) -> Self {
-        Ledger {
+        IdempotencyCache {
             requests: Arc::new(Mutex::new(Requests::new(has_people, MAX_REPLY_BYTES))),
             submitting: Arc::default(),
             store,
         }
     }
 
-    /// Takes in what was kept, oldest first.
-    pub fn fill(&self, answers: Vec<store::Answer>) {
+    /// The remembered reply to a request, if there is one.
+    pub fn find(&self, key: &str, request: &Request, id: &str) -> Option<Result<Payload, Payload>> {
+        let name = (request.client.clone(), id.to_owned());
+        let requests = self.lock();
+        let entry = requests.by_name.get(&name)?;
+        match &entry.progress {
+            Progress::Done(_, reply) if entry.digest == digest(key, request) => Some(reply.clone()),
+            _ => None,
+        }
+    }
+
+    /// Looks a request up by its id, and begins it if it is new. A duplicate gets its reply by
+    /// `responder`.
+    pub fn begin(&self, key: &str, request: &Request, id: &str, responder: &Responder) -> Lookup {
+        let name = (request.client.clone(), id.to_owned());
+        let digest = digest(key, request);
+        let mut requests = self.lock();
+        let Some(entry) = requests.by_name.get_mut(&name) else {
+            let name = Arc::new(name);
+            requests.begin(&name, digest);
+            return Lookup::New(Slot {
+                cache: self.clone(),
+                name,
+                is_written: false,
+            });
+        };
+        if entry.digest != digest {
+            return Lookup::Conflict;
+        }
+        match &mut entry.progress {
+            Progress::Pending(responders) => responders.push(responder.clone()),
+            Progress::Done(_, answer) => {
+                let answer = answer.clone();
+                responder.send(move || answer);
+            }
+        }
+        Lookup::Duplicate
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Requests> {
+        // Nothing between two changes can panic.
+        self.requests.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl ReplyCache for IdempotencyCache {
+    fn fill(&self, answers: Vec<store::Answer>) {
         let mut requests = self.lock();
         let mut evicted = Vec::new();
         for answer in answers {
@@ -128,135 +168,87 @@ impl Ledger {
                 to_remember: None,
             };
             let name = Arc::new((answer.client, answer.request_id));
-            let answer_ = if answer.is_ok {
+            let reply_ = if answer.is_ok {
                 Ok(payload)
             } else {
                 Err(payload)
             };
-            evicted.extend(requests.remember(name, answer.digest, answer_).1);
+            evicted.extend(requests.remember(name, answer.digest, reply_).1);
         }
         drop(requests);
         self.store
             .submit(evicted.iter().map(forget).collect(), None);
     }
 
-    /// Enters a request that was taken in before the daemon restarted, and is carried out again.
-    /// Whoever asks for it meanwhile waits for its answer. Nothing if it is known.
-    pub fn enter_again(&self, name: Name, digest: Digest) -> Option<Page> {
+    fn contains(&self, client: &Option<String>, id: &str) -> bool {
+        let name = (client.clone(), id.to_owned());
+        self.lock().by_name.contains_key(&name)
+    }
+
+    fn begin_replayed(&self, name: Name, digest: Digest) -> Option<Box<dyn ReplySlot>> {
         let mut requests = self.lock();
         if requests.by_name.contains_key(&name) {
             return None;
         }
         let name = Arc::new(name);
         requests.begin(&name, digest);
-        Some(Page {
-            ledger: self.clone(),
+        Some(Box::new(Slot {
+            cache: self.clone(),
             name,
             is_written: false,
-        })
-    }
-
-    /// Keeps `promise` with what a request came to, if it is known.
-    pub fn tell(&self, key: &str, request: &Request, id: &str, promise: &Promise) {
-        let name = (request.client.clone(), id.to_owned());
-        let digest = digest(key, request);
-        if let Some(entry) = self.lock().by_name.get(&name)
-            && entry.digest == digest
-            && let Progress::Done(_, answer) = &entry.progress
-        {
-            let answer = answer.clone();
-            promise.keep(move || answer);
-        }
-    }
-
-    /// Whether a request of this name is known.
-    pub fn knows(&self, client: &Option<String>, id: &str) -> bool {
-        let name = (client.clone(), id.to_owned());
-        self.lock().by_name.contains_key(&name)
-    }
-
-    /// Enters a request under its name. `promise` is kept from here if it is a known one.
-    pub fn enter(&self, key: &str, request: &Request, id: &str, promise: &Promise) -> Entered {
-        let name = (request.client.clone(), id.to_owned());
-        let digest = digest(key, request);
-        let mut requests = self.lock();
-        let Some(entry) = requests.by_name.get_mut(&name) else {
-            let name = Arc::new(name);
-            requests.begin(&name, digest);
-            return Entered::New(Page {
-                ledger: self.clone(),
-                name,
-                is_written: false,
-            });
-        };
-        if entry.digest != digest {
-            return Entered::Other;
-        }
-        match &mut entry.progress {
-            Progress::Underway(promises) => promises.push(promise.clone()),
-            Progress::Done(_, answer) => {
-                let answer = answer.clone();
-                promise.keep(move || answer);
-            }
-        }
-        Entered::Known
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Requests> {
-        // Nothing between two changes can panic.
-        self.requests.lock().unwrap_or_else(PoisonError::into_inner)
+        }))
     }
 }
 
-impl Page {
-    /// Writes the answer down, so that it can be given again.
-    pub fn write(mut self, answer: &Result<Payload, Payload>) {
+impl ReplySlot for Slot {
+    fn write(mut self: Box<Self>, answer: &Result<Payload, Payload>) {
         self.is_written = true;
         let remembered = match answer {
             Ok(payload) => Ok(payload.remembered()),
             Err(payload) => Err(payload.clone()),
         };
-        let submitting = &self.ledger.submitting;
+        let submitting = &self.cache.submitting;
         let submitting = submitting.lock().unwrap_or_else(PoisonError::into_inner);
-        let mut requests = self.ledger.lock();
+        let mut requests = self.cache.lock();
         let Some(digest) = requests.by_name.get(&self.name).map(|entry| entry.digest) else {
             return;
         };
         let kept = keep(&self.name, digest, &remembered);
         let (before, evicted) = requests.remember(self.name.clone(), digest, remembered);
         drop(requests);
-        // It need not be synced before it is sent: after a crash in between the command is in the
-        // swarm's journal, and its replay makes the same reply.
+        // It may become durable after it is sent: after a crash the journal of the swarm is replayed,
+        // which produces the same reply.
         let writes = std::iter::once(kept).chain(evicted.iter().map(forget));
-        self.ledger.store.submit(writes.collect(), None);
+        self.cache.store.submit(writes.collect(), None);
         drop(submitting);
-        if let Some(Progress::Underway(promises)) = before {
-            for promise in promises {
+        if let Some(Progress::Pending(responders)) = before {
+            for responder in responders {
                 let answer = answer.clone();
-                promise.keep(move || answer);
+                responder.send(move || answer);
             }
         }
     }
 
-    /// Forgets the request, which changed nothing. Whoever asked again hears why.
-    pub fn tear_out(mut self, refusal: &Payload) {
-        for promise in self.remove() {
+    fn forget(mut self: Box<Self>, refusal: &Payload) {
+        for responder in self.remove() {
             let refusal = refusal.clone();
-            promise.keep(move || Err(refusal));
+            responder.send(move || Err(refusal));
         }
     }
+}
 
-    fn remove(&mut self) -> Vec<Promise> {
+impl Slot {
+    fn remove(&mut self) -> Vec<Responder> {
         self.is_written = true;
-        let entry = self.ledger.lock().by_name.remove(&self.name);
+        let entry = self.cache.lock().by_name.remove(&self.name);
         match entry.map(|it| it.progress) {
-            Some(Progress::Underway(promises)) => promises,
+            Some(Progress::Pending(responders)) => responders,
             Some(Progress::Done(..)) | None => Vec::new(),
         }
     }
 }
 
-impl Drop for Page {
+impl Drop for Slot {
     fn drop(&mut self) {
         if !self.is_written {
             self.remove();
@@ -280,7 +272,7 @@ impl Requests {
     }
 
     fn begin(&mut self, name: &Arc<Name>, digest: Digest) {
-        let progress = Progress::Underway(Vec::new());
+        let progress = Progress::Pending(Vec::new());
         let entry = Box::new(Entry { digest, progress });
         self.by_name.insert(name.clone(), entry);
     }
@@ -375,10 +367,10 @@ impl Held {
 /// The share of the total that a reply takes.
 fn cost(reply: &Result<Payload, Payload>) -> usize {
     let (Ok(payload) | Err(payload)) = reply;
-    MIN_COST.max(ANSWER_BYTES + payload.bytes.len())
+    MIN_COST.max(REPLY_BYTES + payload.bytes.len())
 }
 
-/// Has the store keep the reply to a request.
+/// The write that persists the reply to a request.
 fn keep(name: &Name, digest: Digest, reply: &Result<Payload, Payload>) -> Write {
     let (client, request_id) = name.clone();
     let (Ok(payload) | Err(payload)) = reply;
@@ -394,67 +386,10 @@ fn keep(name: &Name, digest: Digest, reply: &Result<Payload, Payload>) -> Write 
     })
 }
 
-/// Has the store delete the reply to a request.
+/// The write that deletes the reply to a request.
 fn forget(name: &Arc<Name>) -> Write {
     let (client, request_id) = (**name).clone();
     Write::Forget { client, request_id }
-}
-
-/// What makes two requests the same one: not how long their senders wait.
-pub fn digest(key: &str, request: &Request) -> Digest {
-    let mut hasher = blake3::Hasher::new();
-    hasher.update(key.as_bytes());
-    for number in [request.at_step, request.expect_epoch, request.expect_step] {
-        hasher.update(&[u8::from(number.is_some())]);
-        hasher.update(&number.unwrap_or_default().to_le_bytes());
-    }
-    // By value: however it is spelled, and in whichever order its fields come.
-    let args = request.args.as_ref().map_or("{}", |args| args.get());
-    match serde_json::from_str(args) {
-        Ok(args) => add(&mut hasher, &args),
-        Err(_) => drop(hasher.update(args.as_bytes())),
-    }
-    *hasher.finalize().as_bytes()
-}
-
-/// Adds a value to a digest, with what tells it from any other.
-fn add(hasher: &mut blake3::Hasher, value: &Value) {
-    match value {
-        Value::Null => drop(hasher.update(b"n")),
-        Value::Bool(is_true) => drop(hasher.update(if *is_true { b"t" } else { b"f" })),
-        Value::Number(number) => {
-            // 1 and 1.0 are one number; what a double cannot hold differs in its text.
-            let double = number.as_f64().unwrap_or(f64::NAN);
-            let text = match number.as_f64() {
-                Some(double) if double.fract() == 0.0 && double.abs() < EXACT => String::new(),
-                _ => number.to_string(),
-            };
-            hasher.update(b"d").update(&double.to_le_bytes());
-            add_text(hasher, &text);
-        }
-        Value::String(text) => {
-            hasher.update(b"s");
-            add_text(hasher, text);
-        }
-        Value::Array(values) => {
-            hasher.update(b"l").update(&values.len().to_le_bytes());
-            values.iter().for_each(|value| add(hasher, value));
-        }
-        Value::Object(fields) => {
-            hasher.update(b"o").update(&fields.len().to_le_bytes());
-            let fields: BTreeMap<_, _> = fields.iter().collect();
-            for (name, value) in fields {
-                add_text(hasher, name);
-                add(hasher, value);
-            }
-        }
-    }
-}
-
-fn add_text(hasher: &mut blake3::Hasher, text: &str) {
-    hasher
-        .update(&text.len().to_le_bytes())
-        .update(text.as_bytes());
 }
 
 #[cfg(test)]
@@ -472,7 +407,7 @@ mod tests {
     fn reply(requests: &mut Requests, client: Option<&str>, id: &str, cost: usize) -> Vec<String> {
         let name = Arc::new((client.map(str::to_owned), id.to_owned()));
         let payload = Payload {
-            bytes: vec![b'1'; cost.saturating_sub(ANSWER_BYTES)],
+            bytes: vec![b'1'; cost.saturating_sub(REPLY_BYTES)],
             encoding: JSON,
             to_remember: None,
         };
@@ -610,7 +545,7 @@ mod tests {
 
             let costs = requests.by_name.values().map(|it| match &it.progress {
                 Progress::Done(_, reply) => cost(reply),
-                Progress::Underway(_) => 0,
+                Progress::Pending(_) => 0,
             });
             assert_eq!(requests.cost, costs.sum::<usize>());
             let held = requests.holders.values().map(|it| it.replies.len());

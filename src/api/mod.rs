@@ -1,16 +1,17 @@
 //! Requests of clients: permission, idempotency, deadlines, execution and replies.
+//!
+//! A transport passes each request to [`Context::handle`](context::Context::handle). A handler in
+//! [`commands`] or [`queries`] parses it, sends a message to a swarm or a job to an executor, and
+//! replies by a [`Responder`](responder::Responder).
 
+pub mod admission;
 pub mod commands;
 pub mod context;
-mod copies;
 mod deadlines;
-pub mod error;
-pub mod experiments;
-mod handlers;
+pub mod executor;
 pub mod idempotency;
+pub mod incoming;
 pub mod pagination;
 pub mod queries;
-pub mod recordings;
-mod replays;
 pub mod responder;
-mod verifications;
+pub mod verifications;

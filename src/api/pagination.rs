@@ -1,6 +1,6 @@
 //! `get/events` and `get/journal`: what came after a number.
 
-use crate::api::commands::{CommandError, selector};
+use crate::convert::commands::{CommandError, selector};
 
 /// How many records an answer holds unless told otherwise, and at most.
 const LIMIT: usize = 256;

@@ -1,384 +1,290 @@
-//! Answers to queries: each is given once, in time, from a thread of its own.
+//! Replies to requests: each request gets one, from the thread `replies`.
 //!
-//! Whoever has the answer only hands it over. A query that nobody answers, because its swarm
-//! ended or its time was up, is answered all the same: no asker is left in silence.
+//! A request that no handler answers gets a reply all the same: at its deadline, or `internal` when
+//! its last responder is dropped.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use tracing::debug;
-use zenoh::Wait;
-use zenoh::bytes::ZBytes;
-use zenoh::query::Query;
+use tracing::error;
 
-use crate::api::commands::CommandError;
-use crate::api::deadlines::{Deadlines, Due};
-use crate::api::idempotency::Page;
+use crate::api::deadlines::{Deadlines, Expire};
+use crate::api::incoming::Incoming;
 use crate::convert::Payload;
+use crate::convert::error::CommandError;
 use crate::metrics::Pulse;
-use crate::swarm::outcome::OrderError;
-use crate::transport::zenoh::session_pool::LeaseGuard;
+use crate::persistence::recovery::ReplySlot;
+use crate::swarm::frame::Place;
+use crate::swarm::handle::LastStep;
+use crate::swarm::outcome::{Answered, OrderError, Outcome, Refusal};
 
-/// Queries by one door that may be unanswered; beyond that new ones are turned away. So many are
-/// answered within a few milliseconds, and no door takes all the room there is for others, who wait
-/// behind these: with 256 twice as long, with 64 or 16 no shorter. A hundred at once are served.
-const MOST_TURNS: usize = 128;
+/// Makes the error of a deadline that passed after so many seconds.
+pub type TimeoutError = fn(f64) -> CommandError;
 
-/// Bytes of requests that may be held unanswered; beyond that new queries are turned away.
-const MOST_HELD_BYTES: usize = 64 * 1024 * 1024;
+/// Encodes a reply on the thread that sends it, so that encoding does not delay a swarm.
+type Encode = Box<dyn FnOnce() -> Result<Payload, Payload> + Send>;
 
-/// Words that an answer did not come within so many seconds.
-pub type Excuse = fn(f64) -> CommandError;
-
-/// Makes a payload when it is about to be sent, so that encoding costs its sender nothing.
-type Body = Box<dyn FnOnce() -> Result<Payload, Payload> + Send>;
-
-/// An answer that is owed. Clones owe the same one.
+/// Replies to a request under one key, once. Clones reply to the same request.
 #[derive(Clone)]
-pub struct Promise(Arc<Owed>);
+pub struct Responder(Arc<Pending>);
 
-struct Owed {
-    asked: Mutex<Option<Asked>>,
-    page: Mutex<Option<Page>>,
+/// A responder that does not keep its request pending.
+pub struct WeakResponder(Weak<Pending>);
+
+/// A request without a reply.
+struct Pending {
+    incoming: Mutex<Option<Incoming>>,
+    /// Where the reply is remembered, if the request has an id.
+    slot: Mutex<Option<Box<dyn ReplySlot>>>,
     key: String,
-    desk: Desk,
+    replies: Replies,
 }
 
-/// Where answers are handed in.
+/// The deadline of a request.
+struct Deadline {
+    responder: WeakResponder,
+    timeout: Duration,
+    error: TimeoutError,
+    step: Option<LastStep>,
+}
+
+/// The thread that sends replies, and the deadlines. Clones share them.
 #[derive(Clone)]
-pub struct Desk {
-    /// Nothing ends it.
+pub struct Replies {
+    /// `None` ends the thread.
     outgoing: Sender<Option<Outgoing>>,
-    deadlines: Arc<Deadlines>,
-    /// Whether the sending thread is at work.
+    deadlines: Deadlines<Deadline>,
+    /// Whether the thread is working.
     pub pulse: Arc<Pulse>,
-    held_bytes: Arc<AtomicUsize>,
-    /// Whether the daemon is going: swarms that end then are there again when it is back.
+    /// Whether the daemon is stopping: swarms that end then exist again after the restart.
     is_closing: Arc<AtomicBool>,
+    /// Requests whose responder was dropped without a reply.
+    dropped: Arc<AtomicU64>,
 }
 
-/// A query that was taken in. Clones are the same one.
-#[derive(Clone)]
-pub struct Asked {
-    /// What came in.
-    pub query: Query,
-    _turn: Option<Arc<Turn>>,
-    /// Until the reply is sent, the session that received the query stays open.
-    guard: Option<LeaseGuard>,
-    door: Option<Arc<Door>>,
-}
-
-/// Where a query came in, while whoever reads it stays there: an answer that is given meanwhile is
-/// sent from there, which is sooner than another thread would be woken.
-#[derive(Default)]
-pub struct Door(Mutex<AtTheDoor>);
-
-#[derive(Default)]
-enum AtTheDoor {
-    #[default]
-    Nothing,
-    Answer(Box<Outgoing>),
-    Shut,
-}
-
-impl Door {
-    /// Leaves an answer here; gives it back if the door is shut.
-    fn leave(&self, answer: Outgoing) -> Option<Outgoing> {
-        let mut door = self.lock();
-        match *door {
-            AtTheDoor::Nothing => {
-                *door = AtTheDoor::Answer(Box::new(answer));
-                None
-            }
-            _ => Some(answer),
-        }
-    }
-
-    /// Sends the answer that was left here. Those that come later go another way.
-    pub fn shut(&self) {
-        let before = std::mem::replace(&mut *self.lock(), AtTheDoor::Shut);
-        if let AtTheDoor::Answer(answer) = before {
-            answer.send();
-        }
-    }
-
-    fn lock(&self) -> MutexGuard<'_, AtTheDoor> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-impl Asked {
-    /// The same query, when it is to wait for something: it then keeps nobody else out.
-    #[must_use]
-    pub fn aside(&self) -> Asked {
-        Asked {
-            query: self.query.clone(),
-            _turn: None,
-            guard: self.guard.clone(),
-            door: None,
-        }
-    }
-
-    /// The same query, while whoever reads it waits at the door.
-    pub fn at(&self, door: &Arc<Door>) -> Asked {
-        Asked {
-            door: Some(door.clone()),
-            ..self.clone()
-        }
-    }
-}
-
-/// What a query takes up from when it comes in until its answer is sent.
-struct Turn {
-    bytes: usize,
-    all_bytes: Arc<AtomicUsize>,
-    turns: Arc<AtomicUsize>,
-}
-
-impl Drop for Turn {
-    fn drop(&mut self) {
-        self.all_bytes.fetch_sub(self.bytes, Ordering::Relaxed);
-        self.turns.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
-/// An answer to whoever still waits under a key, and to the ledger.
+/// A reply on its way to the client and to the idempotency cache.
 struct Outgoing {
-    asker: Option<(Asked, String)>,
-    page: Option<Page>,
-    body: Body,
+    incoming: Option<(Incoming, String)>,
+    slot: Option<Box<dyn ReplySlot>>,
+    encode: Encode,
 }
 
-impl Desk {
-    /// Starts the thread that sends answers and the one that watches their deadlines.
+impl Replies {
+    /// Starts the thread.
     ///
     /// # Errors
     ///
-    /// When no thread can be started.
+    /// When the system starts no thread.
     pub fn start() -> std::io::Result<Self> {
-        let (outgoing, to_send) = channel();
-        let deadlines = Arc::new(Deadlines::default());
-        let to_watch = deadlines.clone();
+        let (outgoing, receiver) = channel();
         let pulse = Arc::new(Pulse::default());
         let sending = pulse.clone();
         thread::Builder::new()
             .name("replies".into())
-            .spawn(move || send_all(&to_send, &sending))?;
-        thread::Builder::new()
-            .name("deadlines".into())
-            .spawn(move || to_watch.watch())?;
-        Ok(Desk {
+            .spawn(move || send_all(&receiver, &sending))?;
+        Ok(Replies {
             outgoing,
-            deadlines,
+            deadlines: Deadlines::start(),
             pulse,
-            held_bytes: Arc::default(),
             is_closing: Arc::default(),
+            dropped: Arc::default(),
         })
     }
 
-    /// Promises to answer a query under `key`.
-    pub fn promise(&self, asked: &Asked, key: String) -> Promise {
-        Promise(Arc::new(Owed {
-            asked: Mutex::new(Some(asked.clone())),
-            page: Mutex::default(),
+    /// A responder to a request, which replies under `key`.
+    pub fn responder(&self, incoming: &Incoming, key: String) -> Responder {
+        Responder(Arc::new(Pending {
+            incoming: Mutex::new(Some(incoming.clone())),
+            slot: Mutex::default(),
             key,
-            desk: self.clone(),
+            replies: self.clone(),
         }))
     }
 
-    /// Takes in a query, unless so much is unanswered already that it is to be turned away.
-    /// `turns` counts the unanswered queries of its queryable; `guard` keeps the session open that
-    /// received it.
-    pub fn take_in(
-        &self,
-        query: &Query,
-        turns: &Arc<AtomicUsize>,
-        guard: Option<&LeaseGuard>,
-    ) -> Option<Asked> {
-        let bytes = query.payload().map_or(0, ZBytes::len);
-        // What is taken first and found to be too much is given back by its end.
-        let others = turns.fetch_add(1, Ordering::Relaxed);
-        let other_bytes = self.held_bytes.fetch_add(bytes, Ordering::Relaxed);
-        let turn = Turn {
-            bytes,
-            all_bytes: self.held_bytes.clone(),
-            turns: turns.clone(),
-        };
-        if others >= MOST_TURNS || (bytes > 0 && other_bytes >= MOST_HELD_BYTES) {
-            return None;
-        }
-        Some(Asked {
-            query: query.clone(),
-            _turn: Some(Arc::new(turn)),
-            guard: guard.cloned(),
-            door: None,
-        })
+    /// Requests whose responder was dropped without a reply.
+    pub fn dropped(&self) -> u64 {
+        self.dropped.load(Ordering::Relaxed)
     }
 
-    /// From here on nobody is told that a swarm is gone: whoever asked hears nothing, as of a daemon
-    /// that is not there, and asks again.
+    /// From now on no reply says that a swarm does not exist: the client gets no reply, as from a
+    /// daemon that does not run, and retries.
     pub fn close(&self) {
         self.is_closing.store(true, Ordering::Release);
     }
 
-    /// Ends the sending thread once it has sent what was handed in, and the watching one.
+    /// Ends the thread once it has sent all replies.
     pub fn stop(&self) {
         let _ = self.outgoing.send(None);
-        self.deadlines.stop();
+    }
+
+    fn send(&self, outgoing: Outgoing) {
+        // An error means that the daemon is stopping: the client gets no reply.
+        let _ = self.outgoing.send(Some(outgoing));
     }
 }
 
-impl Promise {
-    /// Has what the request comes to written down.
-    pub fn note_on(&self, page: Page) {
-        *self.page() = Some(page);
+impl Responder {
+    /// Has the reply of `complete` remembered in a slot of the idempotency cache.
+    pub fn remember_in(&self, slot: Box<dyn ReplySlot>) {
+        *lock(&self.0.slot) = Some(slot);
     }
 
-    /// Keeps the promise, if it has not been kept before.
-    pub fn keep(&self, body: impl FnOnce() -> Result<Payload, Payload> + Send + 'static) {
-        self.hand_in(None, Box::new(body));
+    /// Replies, unless there is a reply already. The slot of the request stays open.
+    pub fn send(&self, encode: impl FnOnce() -> Result<Payload, Payload> + Send + 'static) {
+        self.0.send(None, Box::new(encode));
     }
 
-    /// Keeps the promise with what the request came to. That is written down even if its sender
-    /// was told in the meantime that it takes long.
-    pub fn fulfil(&self, body: impl FnOnce() -> Result<Payload, Payload> + Send + 'static) {
-        let page = self.page().take();
-        self.hand_in(page, Box::new(body));
+    /// Replies with the result of the request. It is remembered even if the deadline has passed.
+    pub fn complete(&self, encode: impl FnOnce() -> Result<Payload, Payload> + Send + 'static) {
+        let slot = lock(&self.0.slot).take();
+        self.0.send(slot, Box::new(encode));
     }
 
-    /// Refuses what was asked for; nothing has changed then. Whoever asked whatever swarms there are
-    /// does not hear of one that is gone.
-    pub fn refuse(&self, error: &CommandError, step: Option<u64>) {
+    /// Replies to a command with what the swarm returned: `payload` encodes an outcome.
+    pub fn respond(
+        &self,
+        answered: Answered,
+        payload: impl FnOnce(Place, Outcome) -> Payload + Send + 'static,
+    ) {
+        match answered {
+            Ok((place, outcome)) => self.complete(move || Ok(payload(place, outcome))),
+            // It was executed, but not to its end.
+            Err(Refusal {
+                step,
+                error: error @ OrderError::Faulted(_),
+            }) => {
+                self.complete(move || Err(Payload::json(&CommandError::from(error).to_wire(step))));
+            }
+            Err(Refusal { step, error }) => self.reject(&error.into(), step),
+        }
+    }
+
+    /// Replies with an error; the request has changed nothing and its id may be used again. A
+    /// wildcard request gets no reply about a swarm that does not exist.
+    pub fn reject(&self, error: &CommandError, step: Option<u64>) {
         let is_gone = matches!(error, CommandError::Order(OrderError::Gone));
         let is_unknown = matches!(error, CommandError::UnknownSwarm(_));
-        let is_closing = self.0.desk.is_closing.load(Ordering::Acquire);
-        if (is_gone && is_closing) || ((is_gone || is_unknown) && self.is_of_many()) {
-            return drop(self.lock().take());
-        }
-        let payload = Payload::json(&error.to_wire(step));
-        if let Some(page) = self.page().take() {
-            page.tear_out(&payload);
-        }
-        self.keep(move || Err(payload));
-    }
-
-    fn hand_in(&self, page: Option<Page>, body: Body) {
-        let Owed { key, desk, .. } = &*self.0;
-        let mut asked = self.lock().take();
-        let door = asked.as_mut().and_then(|asked| asked.door.take());
-        let asker = asked.map(|asked| (asked, key.clone()));
-        if asker.is_none() && page.is_none() {
+        let is_closing = self.0.replies.is_closing.load(Ordering::Acquire);
+        let is_wild = || {
+            lock(&self.0.incoming)
+                .as_ref()
+                .is_some_and(Incoming::is_wild)
+        };
+        if (is_gone && is_closing) || ((is_gone || is_unknown) && is_wild()) {
+            drop(lock(&self.0.incoming).take());
             return;
         }
-        let answer = Outgoing { asker, page, body };
-        let to_send = match door {
-            Some(door) => door.leave(answer),
-            None => Some(answer),
+        let payload = Payload::json(&error.to_wire(step));
+        if let Some(slot) = lock(&self.0.slot).take() {
+            slot.forget(&payload);
+        }
+        self.send(move || Err(payload));
+    }
+
+    /// Replies with an error if there is no reply after `timeout`; `step` is the step to state.
+    pub fn set_deadline(&self, timeout: Duration, error: TimeoutError, step: Option<LastStep>) {
+        let deadline = Deadline {
+            responder: self.downgrade(),
+            timeout,
+            error,
+            step,
         };
-        if to_send.is_some() {
-            // Once the desk is closed the daemon is going, and its silence says so.
-            let _ = desk.outgoing.send(to_send);
+        let deadlines = &self.0.replies.deadlines;
+        deadlines.add(Instant::now() + timeout, deadline);
+    }
+
+    /// A responder that does not keep the request pending.
+    pub fn downgrade(&self) -> WeakResponder {
+        WeakResponder(Arc::downgrade(&self.0))
+    }
+
+    /// Whether there is a reply.
+    pub fn is_done(&self) -> bool {
+        lock(&self.0.incoming).is_none()
+    }
+}
+
+impl WeakResponder {
+    /// The responder, unless all were dropped.
+    pub fn upgrade(&self) -> Option<Responder> {
+        self.0.upgrade().map(Responder)
+    }
+}
+
+impl Expire for Deadline {
+    fn expire(self) {
+        if let Some(responder) = self.responder.upgrade() {
+            responder.send(move || {
+                let error = (self.error)(self.timeout.as_secs_f64());
+                let step = self.step.and_then(|step| step.get());
+                Err(Payload::json(&error.to_wire(step)))
+            });
         }
     }
+}
 
-    /// Refuses at the latest after `patience`, as `excuse` words it and with the step that `step`
-    /// then tells.
-    pub fn keep_within(
-        &self,
-        patience: Duration,
-        excuse: Excuse,
-        step: impl FnOnce() -> Option<u64> + Send + 'static,
-    ) {
-        let excuse = move || Payload::json(&excuse(patience.as_secs_f64()).to_wire(step()));
-        let due = Due::new(Instant::now() + patience, self.clone(), Box::new(excuse));
-        self.0.desk.deadlines.add(due);
-    }
-
-    /// Whether whoever reads the query waits at the door.
-    pub fn is_at_the_door(&self) -> bool {
-        self.lock()
-            .as_ref()
-            .is_some_and(|asked| asked.door.is_some())
-    }
-
-    /// Whether the query is for whatever swarms there are.
-    fn is_of_many(&self) -> bool {
-        self.lock()
-            .as_ref()
-            .is_some_and(|asked| asked.query.key_expr().is_wild())
-    }
-
-    /// Whether it has been kept.
-    pub fn is_kept(&self) -> bool {
-        self.lock().is_none()
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Option<Asked>> {
-        self.0.asked.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn page(&self) -> MutexGuard<'_, Option<Page>> {
-        self.0.page.lock().unwrap_or_else(PoisonError::into_inner)
+impl Pending {
+    fn send(&self, slot: Option<Box<dyn ReplySlot>>, encode: Encode) {
+        let incoming = lock(&self.incoming).take();
+        let incoming = incoming.map(|incoming| (incoming, self.key.clone()));
+        if incoming.is_some() || slot.is_some() {
+            self.replies.send(Outgoing {
+                incoming,
+                slot,
+                encode,
+            });
+        }
     }
 }
 
-/// Refuses a promise when dropped unkept: a ticket that its swarm never came to.
-pub struct Keeper(pub Promise, bool);
-
-impl Keeper {
-    /// Watches over a promise.
-    pub fn new(promise: Promise) -> Self {
-        Keeper(promise, true)
-    }
-
-    /// Leaves the promise to whoever keeps it from here on.
-    pub fn leave(mut self) -> Promise {
-        self.1 = false;
-        self.0.clone()
-    }
-}
-
-impl Drop for Keeper {
+impl Drop for Pending {
+    /// Replies `internal` if there is no reply. Whether the request was executed is unknown, so its
+    /// slot, which is dropped with it, does not keep the client from sending the request again.
     fn drop(&mut self) {
-        if self.1 && !self.0.is_kept() {
-            self.0.refuse(&OrderError::Gone.into(), None);
+        let is_closing = self.replies.is_closing.load(Ordering::Acquire);
+        if is_closing || lock(&self.incoming).is_none() {
+            return;
         }
+        self.replies.dropped.fetch_add(1, Ordering::Relaxed);
+        error!(
+            key = self.key,
+            "a defect: a request was dropped without a reply"
+        );
+        let payload = Payload::json(&CommandError::Dropped.to_wire(None));
+        self.send(None, Box::new(move || Err(payload)));
     }
 }
 
-fn send_all(to_send: &Receiver<Option<Outgoing>>, pulse: &Pulse) {
-    while let Ok(Some(answer)) = to_send.recv() {
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn send_all(receiver: &Receiver<Option<Outgoing>>, pulse: &Pulse) {
+    while let Ok(Some(reply)) = receiver.recv() {
         pulse.beat();
-        answer.send();
+        reply.send();
         pulse.rest();
     }
 }
 
 impl Outgoing {
     fn send(self) {
-        let Outgoing { asker, page, body } = self;
-        let answer = catch_unwind(AssertUnwindSafe(body))
+        let Outgoing {
+            incoming,
+            slot,
+            encode,
+        } = self;
+        let reply = catch_unwind(AssertUnwindSafe(encode))
             .unwrap_or_else(|_| Err(Payload::json(&CommandError::Internal.to_wire(None))));
-        if let Some(page) = page {
-            page.write(&answer);
+        if let Some(slot) = slot {
+            slot.write(&reply);
         }
-        let Some((Asked { query, .. }, key)) = &asker else {
-            return;
-        };
-        let sent = match answer {
-            Ok(Payload {
-                bytes, encoding, ..
-            }) => query.reply(key, bytes).encoding(encoding).wait(),
-            Err(Payload {
-                bytes, encoding, ..
-            }) => query.reply_err(bytes).encoding(encoding).wait(),
-        };
-        if let Err(error) = sent {
-            debug!(%error, "failed to send an answer");
+        if let Some((incoming, key)) = incoming {
+            incoming.reply(&key, reply);
         }
     }
 }

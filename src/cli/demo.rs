@@ -12,8 +12,8 @@ use jostle_proto::verbs::{CreateArgs, InformArgs, RunArgs, Select};
 use thiserror::Error;
 use tokio::sync::oneshot;
 
-use crate::api::commands::{CommandError, create, run};
 use crate::app::Server;
+use crate::convert::commands::{CommandError, create, run};
 use crate::persistence::writer;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::{self, Handle, Ticket};
@@ -138,7 +138,7 @@ async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
     let host = server.host();
     let recipe = create::recipe(&args, host.limits())?;
     let (answer, answered) = oneshot::channel();
-    let promise = || -> Answer { Box::new(move |it| drop(answer.send(it))) };
+    let promise = || -> Answer { Answer::new(move |it| drop(answer.send(it))) };
     let register = writer::register(server.store(), NAME, &recipe, None);
     let handle = match host.create(NAME, recipe, false, register, promise)? {
         Created::Existing(handle) => handle,
@@ -193,7 +193,7 @@ async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
         swarm.send(Ticket::Wait(Waiter {
             awaited: Awaited::Reached(step),
             is_abandoned: Box::new(|| false),
-            answer: Box::new(move |it| drop(answer.send(it))),
+            answer: Answer::new(move |it| drop(answer.send(it))),
         }));
         match outcome(answered).await {
             Err(DemoError::Command(CommandError::Order(OrderError::Displaced { .. }))) => {
@@ -206,7 +206,7 @@ async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
 
 async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {
     let (answer, answered) = oneshot::channel();
-    swarm.send(Ticket::Look(Box::new(move |it| drop(answer.send(it)))));
+    swarm.send(Ticket::Look(Answer::new(move |it| drop(answer.send(it)))));
     seen(outcome(answered).await?)
 }
 
@@ -286,7 +286,7 @@ async fn command(
             client: Some("jostled demo".to_owned()),
             ..Sender::default()
         }),
-        answer: Box::new(move |it| drop(answer.send(it))),
+        answer: Answer::new(move |it| drop(answer.send(it))),
     }));
     outcome(answered).await
 }

@@ -1,6 +1,9 @@
 //! Between what crosses the wire and what the daemon works with: here, and nowhere else.
 
+pub mod commands;
+pub mod digest;
 pub mod durable;
+pub mod error;
 mod experiments;
 mod figures;
 mod from_proto;

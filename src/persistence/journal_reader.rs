@@ -6,7 +6,7 @@ use jostle_proto::Request;
 use serde_json::value::RawValue;
 use thiserror::Error;
 
-use crate::api::commands::{self, Command};
+use crate::convert::commands::{self, Command};
 use crate::convert::durable;
 use crate::store::{Row, Store, StoreError};
 use crate::swarm::journal::{Line, Record};

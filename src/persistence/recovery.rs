@@ -9,12 +9,12 @@ use jostle_proto as proto;
 use thiserror::Error;
 use tracing::{error, info, warn};
 
-use crate::api::commands::CommandError;
-use crate::api::idempotency::Ledger;
+use crate::convert::commands::CommandError;
+use crate::convert::digest::Digest;
 use crate::convert::{self, Payload, durable};
 use crate::persistence::journal_reader::{self, LineError, Lines, PAGE};
 use crate::persistence::writer::{About, writes};
-use crate::store::{Store, StoreError, Write};
+use crate::store::{self, Store, StoreError, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::journal::{Line, Record, Written};
 use crate::swarm::order::Sender;
@@ -25,6 +25,32 @@ use crate::swarm::worker::replay::{Applied, Outlook, Past, To, Told};
 
 /// Lines looked through for the commands that were applied before a checkpoint.
 const LINES_FOR_ENTRIES: u64 = 10_000;
+
+/// The replies to requests that have an id, which recovery reads and completes.
+pub trait ReplyCache: Clone + Send + 'static {
+    /// Adds the persisted replies, oldest first.
+    fn fill(&self, replies: Vec<store::Answer>);
+
+    /// Whether a request with this id is known.
+    fn contains(&self, client: &Option<String>, id: &str) -> bool;
+
+    /// Begins a request that was received before the restart and is replayed. Retries of it wait for
+    /// its reply. `None` if it is known.
+    fn begin_replayed(
+        &self,
+        name: (Option<String>, String),
+        digest: Digest,
+    ) -> Option<Box<dyn ReplySlot>>;
+}
+
+/// Where the reply to a request is written.
+pub trait ReplySlot: Send {
+    /// Remembers the reply.
+    fn write(self: Box<Self>, reply: &Result<Payload, Payload>);
+
+    /// Forgets the request, which changed nothing; retries that wait get the error.
+    fn forget(self: Box<Self>, error: &Payload);
+}
 
 /// Why swarms cannot be brought back.
 #[derive(Debug, Error)]
@@ -55,15 +81,19 @@ const SETTLED_CHECKPOINTS: usize = 8;
 /// # Errors
 ///
 /// [`RecoveryError`] when the store as a whole cannot be read.
-pub fn recover(host: &Arc<Host>, store: &Store, ledger: &Ledger) -> Result<usize, RecoveryError> {
-    ledger.fill(store.answers()?);
+pub fn recover(
+    host: &Arc<Host>,
+    store: &Store,
+    replies: &impl ReplyCache,
+) -> Result<usize, RecoveryError> {
+    replies.fill(store.answers()?);
     let (told, is_told) = channel();
     let mut count = 0;
     for (swarm, about) in store.swarms()? {
-        let begun = recall(store, ledger, &swarm, &about).and_then(|(recipe, past)| {
+        let begun = recall(store, replies, &swarm, &about).and_then(|(recipe, past)| {
             let told = told.clone();
             host.recover(&swarm, recipe, past, move || {
-                Box::new(move |_| {
+                Answer::new(move |_| {
                     let _ = told.send(());
                 })
             })
@@ -85,7 +115,7 @@ pub fn recover(host: &Arc<Host>, store: &Store, ledger: &Ledger) -> Result<usize
 /// What is stored of a swarm, read back.
 fn recall(
     store: &Store,
-    ledger: &Ledger,
+    replies: &impl ReplyCache,
     swarm: &str,
     about: &[u8],
 ) -> Result<(Spec, Past), RecoveryError> {
@@ -120,11 +150,11 @@ fn recall(
                     break;
                 }
                 let is_answered =
-                    past.is_answered(ledger, store, swarm, (answered, mark.number))?;
+                    past.is_answered(replies, store, swarm, (answered, mark.number))?;
                 if is_answered {
                     let entries = entries_before(store, swarm, past.checkpoint.lines)?;
                     let past = past.cut(store, swarm);
-                    return Ok((recipe, past.told_to(ledger.clone(), swarm, entries)));
+                    return Ok((recipe, past.told_to(replies.clone(), swarm, entries)));
                 }
                 // An answer was lost: from an older checkpoint on it comes about again.
                 newest.get_or_insert(past);
@@ -139,7 +169,7 @@ fn recall(
         Some(past) => {
             let entries = entries_before(store, swarm, past.checkpoint.lines)?;
             let past = past.cut(store, swarm);
-            Ok((recipe, past.told_to(ledger.clone(), swarm, entries)))
+            Ok((recipe, past.told_to(replies.clone(), swarm, entries)))
         }
         None => Err(unreadable(problem)),
     }
@@ -211,7 +241,7 @@ pub fn told_again(
             outlook,
             damage: None,
             entries: Vec::new(),
-            recall: Box::new(|_| Box::new(|_| {})),
+            recall: Box::new(|_| Answer::ignored()),
             to,
         };
         let (checkpoint, replay) = registry::tell_again(past);
@@ -344,10 +374,10 @@ impl Story {
     }
 
     /// Whether every named command of the rows after `answered` up to `number`, the checkpoint's,
-    /// has its answer in the ledger.
+    /// has its answer in the replies.
     fn is_answered(
         &self,
-        ledger: &Ledger,
+        replies: &impl ReplyCache,
         store: &Store,
         swarm: &str,
         (answered, number): (u64, u64),
@@ -366,7 +396,7 @@ impl Story {
                     _,
                 )) => {
                     if let Some(id) = &sender.request_id
-                        && !ledger.knows(&sender.client, id)
+                        && !replies.contains(&sender.client, id)
                     {
                         unanswered.push(number);
                     }
@@ -393,7 +423,7 @@ impl Story {
         Ok(unanswered.is_empty())
     }
 
-    fn told_to(self, ledger: Ledger, swarm: &str, entries: Vec<Applied>) -> Past {
+    fn told_to(self, replies: impl ReplyCache, swarm: &str, entries: Vec<Applied>) -> Past {
         let swarm = swarm.to_owned();
         Past {
             entries,
@@ -401,7 +431,7 @@ impl Story {
             outlook: self.lines.iter().collect(),
             lines: Box::new(self.lines.into_iter().map(Ok)),
             damage: self.damage,
-            recall: Box::new(move |sender| remember(&ledger, &swarm, sender)),
+            recall: Box::new(move |sender| remember(&replies, &swarm, sender)),
             to: To::LastInput,
         }
     }
@@ -451,27 +481,27 @@ fn entries_before(store: &Store, swarm: &str, line: u64) -> Result<Vec<Applied>,
 }
 
 /// Takes what a command came to, for its sender to ask for again.
-fn remember(ledger: &Ledger, swarm: &str, sender: &Arc<Sender>) -> Answer {
+fn remember(replies: &impl ReplyCache, swarm: &str, sender: &Arc<Sender>) -> Answer {
     let Some((id, digest)) = sender.request_id.clone().zip(sender.digest) else {
-        return Box::new(|_| {});
+        return Answer::ignored();
     };
-    let Some(page) = ledger.enter_again((sender.client.clone(), id), digest) else {
-        return Box::new(|_| {});
+    let Some(slot) = replies.begin_replayed((sender.client.clone(), id), digest) else {
+        return Answer::ignored();
     };
     let returns_state =
         journal_reader::read_command(sender).is_ok_and(|command| command.returns_state);
     let swarm = swarm.to_owned();
     let worded = |step, error| Payload::json(&CommandError::from(error).to_wire(step));
-    Box::new(move |answered| match answered {
+    Answer::new(move |answered| match answered {
         Ok((place, outcome)) => {
             let frame = returns_state.then_some(0);
-            page.write(&Ok(convert::outcome(&swarm, &place, outcome, frame)));
+            slot.write(&Ok(convert::outcome(&swarm, &place, outcome, frame)));
         }
         Err(Refusal {
             step,
             error: error @ OrderError::Faulted(_),
-        }) => page.write(&Err(worded(step, error))),
+        }) => slot.write(&Err(worded(step, error))),
         // What was refused changed nothing, and may be tried again.
-        Err(Refusal { step, error }) => page.tear_out(&worded(step, error)),
+        Err(Refusal { step, error }) => slot.forget(&worded(step, error)),
     })
 }

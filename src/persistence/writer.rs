@@ -4,10 +4,9 @@ use std::sync::Arc;
 
 use jostle_physics::simulation::Spec;
 use jostle_proto as proto;
-use jostle_proto::Request;
 use serde::{Deserialize, Serialize};
 
-use crate::api::idempotency::{self, Digest};
+use crate::convert::digest::RequestIdentity;
 use crate::convert::{self, Payload, durable};
 use crate::store::{self, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
@@ -23,16 +22,6 @@ pub(crate) struct About {
     pub(crate) spec: proto::Spec,
 }
 
-/// A named request to create something.
-pub struct Named {
-    /// Who says to have sent it.
-    pub client: Option<String>,
-    /// What they called it.
-    pub request_id: String,
-    /// What tells it from any other of that name.
-    pub digest: Digest,
-}
-
 /// Writes every swarm's journal to `store`.
 pub fn archive(store: &Store) -> Archive {
     let store = store.clone();
@@ -45,7 +34,6 @@ pub fn archive(store: &Store) -> Archive {
                 .collect();
             match wanted {
                 Wanted::Now(done) => store.submit(writes, Some(tell(done))),
-                Wanted::InPassing(done) => store.submit_at_once(writes, tell(done)),
                 Wanted::Soon(None) => store.submit(writes, None),
                 Wanted::Soon(Some(told)) => store.submit_then(writes, told),
             }
@@ -63,7 +51,7 @@ pub fn register(
     store: &Store,
     swarm: &str,
     recipe: &Spec,
-    named: Option<(Named, MakePayload)>,
+    named: Option<(RequestIdentity, MakePayload)>,
 ) -> Register {
     let (store, swarm) = (store.clone(), swarm.to_owned());
     let spec = jostle_convert::spec::to_proto(recipe, recipe.seed);
@@ -147,13 +135,4 @@ fn fault(fault: StoreFault) -> WriteFault {
         StoreFault::Full => WriteFault::Full,
         other => WriteFault::Failed(other.to_string()),
     }
-}
-
-/// The name of a request, if it has one.
-pub fn named(key: &str, request: &Request) -> Option<Named> {
-    request.request_id.as_ref().map(|id| Named {
-        client: request.client.clone(),
-        request_id: id.clone(),
-        digest: idempotency::digest(key, request),
-    })
 }

@@ -17,7 +17,6 @@ use crate::swarm::order::{Order, Seek, Sender, Until, When};
 use crate::swarm::outcome::{OrderError, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
-use crate::swarm::shelf::Shelf;
 use crate::swarm::tally::Tally;
 use crate::swarm::waiters::Waiters;
 use crate::swarm::worker::End;
@@ -105,7 +104,7 @@ impl Player {
     }
 
     /// Plays and takes tickets until it ends.
-    pub fn run(mut self, tickets: &Receiver<Ticket>, shelf: &Shelf) -> End {
+    pub fn run(mut self, tickets: &Receiver<Ticket>) -> End {
         let tally = self.tally.clone();
         loop {
             tally.pulse.beat();
@@ -114,9 +113,6 @@ impl Player {
             let end = match receive(tickets, next) {
                 Ok(ticket) => {
                     tally.pulse.beat();
-                    if !ticket.is_awake() {
-                        shelf.unqueue();
-                    }
                     self.take(ticket)
                 }
                 Err(RecvTimeoutError::Timeout) => None,
@@ -234,22 +230,22 @@ impl Player {
 
     fn take(&mut self, ticket: Ticket) -> Option<End> {
         match ticket {
-            Ticket::Look(answer) => answer(Ok((self.place(), Outcome::Seen(self.frame())))),
+            Ticket::Look(answer) => answer.send(Ok((self.place(), Outcome::Seen(self.frame())))),
             Ticket::Wait(waiter) => {
                 self.waiters.add(waiter);
                 self.answer_waiters();
                 if let Some((answer, error)) = self.waiters.displace() {
-                    answer(Err(self.refusal(error)));
+                    answer.send(Err(self.refusal(error)));
                 }
             }
-            Ticket::Copy(answer) => answer(Err(self.refusal(OrderError::Recorded))),
+            Ticket::Copy(answer) => answer.send(Err(self.refusal(OrderError::Recorded))),
             Ticket::Seek(seek, sender, answer) => match self.sought(seek) {
                 Ok(frame) => {
                     self.applied(&sender);
                     self.jump_to(frame);
-                    answer(Ok((self.place(), Outcome::Done)));
+                    answer.send(Ok((self.place(), Outcome::Done)));
                 }
-                Err(error) => answer(Err(self.refusal(error))),
+                Err(error) => answer.send(Err(self.refusal(error))),
             },
             Ticket::Command(command) => return self.command(command),
             Ticket::RecordingFailed(recording, reason) => {
@@ -278,16 +274,16 @@ impl Player {
             });
             let place = self.place();
             return Some(End::Deleted(Box::new(move || {
-                answer(Ok((place, Outcome::Done)));
+                answer.send(Ok((place, Outcome::Done)));
             })));
         }
         let done = self.is_when(when).and_then(|()| self.carry_out(&order));
         match done {
             Ok(outcome) => {
                 self.applied(&sender);
-                answer(Ok((self.place(), outcome)));
+                answer.send(Ok((self.place(), outcome)));
             }
-            Err(error) => answer(Err(self.refusal(error))),
+            Err(error) => answer.send(Err(self.refusal(error))),
         }
         self.answer_waiters();
         None

@@ -13,7 +13,6 @@ use crate::swarm::history::History;
 use crate::swarm::order::{Order, Seek, Sender, When};
 use crate::swarm::outcome::{Answer, OrderError, Refusal};
 use crate::swarm::outlet::Outlet;
-use crate::swarm::shelf::Shelf;
 use crate::swarm::tally::{Tally, Totals};
 use crate::swarm::waiters::Waiter;
 
@@ -54,6 +53,17 @@ pub struct Command {
     pub answer: Answer,
 }
 
+/// The step that a swarm reached lately.
+pub struct LastStep(Arc<Mutex<Option<Summary>>>);
+
+impl LastStep {
+    /// The step; `None` until the swarm is built.
+    pub fn get(&self) -> Option<u64> {
+        let summary = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        Some(summary.as_ref()?.place.step)
+    }
+}
+
 /// A swarm as others see it. Clones reach the same swarm.
 #[derive(Clone)]
 pub struct Handle {
@@ -66,7 +76,6 @@ pub struct Handle {
     /// What its thread counts of itself.
     pub tally: Arc<Tally>,
     pub(crate) tickets: Arc<SyncSender<Ticket>>,
-    pub(crate) shelf: Arc<Shelf>,
     pub(crate) cores: Arc<Cores>,
     pub(crate) summary: Arc<Mutex<Option<Summary>>>,
 }
@@ -81,7 +90,6 @@ impl Handle {
             history: Arc::default(),
             tally: Arc::default(),
             tickets: Arc::new(tickets),
-            shelf: Arc::default(),
             cores: Arc::new(Cores::new(1)),
             summary: Arc::default(),
         }
@@ -90,23 +98,12 @@ impl Handle {
     /// Hands over a ticket. Its answer comes from the swarm's thread, or from here when too many
     /// wait already ([`OrderError::Busy`]) or the swarm has ended ([`OrderError::Gone`]).
     pub fn send(&self, ticket: Ticket) {
-        self.shelf.queue();
         let (ticket, error) = match self.tickets.try_send(ticket) {
             Ok(()) => return,
             Err(TrySendError::Full(ticket)) => (ticket, OrderError::Busy),
             Err(TrySendError::Disconnected(ticket)) => (ticket, OrderError::Gone),
         };
-        self.shelf.unqueue();
         ticket.refuse(self.step(), error);
-    }
-
-    /// Hands over a command. If the swarm waits for it and it is done in a moment, that is done
-    /// here, and it is answered when this returns, or by the store as soon as it is safe; otherwise
-    /// as with [`send`](Handle::send).
-    pub fn send_here(&self, command: Command) {
-        if let Err(command) = self.shelf.carry_out(command, self.awaken()) {
-            self.send(Ticket::Command(*command));
-        }
     }
 
     /// Wakes its thread, and keeps no queue of tickets alive.
@@ -140,13 +137,9 @@ impl Handle {
         Some(self.summary()?.place.step)
     }
 
-    /// Tells the step later on, without keeping the swarm's queue after its end until then.
-    pub fn step_later(&self) -> impl Fn() -> Option<u64> + Send + use<> {
-        let summary = self.summary.clone();
-        move || {
-            let summary = summary.lock().unwrap_or_else(PoisonError::into_inner);
-            Some(summary.as_ref()?.place.step)
-        }
+    /// The step that the swarm reached lately, without keeping its mailbox alive.
+    pub fn last_step(&self) -> LastStep {
+        LastStep(self.summary.clone())
     }
 
     /// The swarm in a list; `None` until it is built.
@@ -159,11 +152,6 @@ impl Handle {
 }
 
 impl Ticket {
-    /// Whether it only wakes; such a ticket is not counted.
-    pub(crate) fn is_awake(&self) -> bool {
-        matches!(self, Ticket::Awake)
-    }
-
     /// Answers a ticket that no swarm took.
     fn refuse(self, step: Option<u64>, error: OrderError) {
         match self {
@@ -172,7 +160,7 @@ impl Ticket {
             | Ticket::Copy(answer)
             | Ticket::Seek(_, _, answer)
             | Ticket::Wait(Waiter { answer, .. }) => {
-                answer(Err(Refusal { step, error }));
+                answer.send(Err(Refusal { step, error }));
             }
             Ticket::Put(..)
             | Ticket::Lost(_)

@@ -93,8 +93,6 @@ pub type Done = Box<dyn FnOnce(Result<(), WriteFault>) + Send>;
 pub enum Wanted {
     /// At once, or not at all.
     Now(Done),
-    /// The same, of one who does not wait for room either: no swarm has more than one underway.
-    InPassing(Done),
     /// Within a few milliseconds, tried again for as long as it fails; told when it is safe.
     Soon(Option<Box<dyn FnOnce() + Send>>),
 }
@@ -105,7 +103,7 @@ pub type Writer = Arc<dyn Fn(Vec<Written>, Wanted) + Send + Sync>;
 /// A writer that says at once that all is safe, and writes nothing.
 pub fn to_nowhere() -> Writer {
     Arc::new(|_, wanted| match wanted {
-        Wanted::Now(done) | Wanted::InPassing(done) => done(Ok(())),
+        Wanted::Now(done) => done(Ok(())),
         Wanted::Soon(Some(told)) => told(),
         Wanted::Soon(None) => {}
     })
@@ -226,19 +224,6 @@ impl Journal {
         self.committed(begun, result)
     }
 
-    /// Has records of a swarm at `place` written, as [`commit`](Journal::commit) does, without
-    /// waiting: gives what hands them over, and what [`committed`](Journal::committed) is to be told
-    /// of them before anything else is written.
-    pub fn commit_then(
-        &mut self,
-        place: (u64, u64),
-        records: Vec<Record>,
-    ) -> (impl FnOnce(Done) + use<>, Begun) {
-        let (lines, begun) = self.begin(place, records);
-        let writer = self.writer.clone();
-        (move |done| writer(lines, Wanted::InPassing(done)), begun)
-    }
-
     fn begin(&mut self, (epoch, step): (u64, u64), records: Vec<Record>) -> (Vec<Written>, Begun) {
         let before = self.lines;
         let lines = records
@@ -269,17 +254,6 @@ impl Journal {
                 Err(fault)
             }
         }
-    }
-
-    /// Has a record written when it suits, and tells when it is safe.
-    pub fn note_then(
-        &mut self,
-        (epoch, step): (u64, u64),
-        record: Record,
-        told: Box<dyn FnOnce() + Send>,
-    ) {
-        let line = Written::Line(self.line(epoch, step, record));
-        (self.writer)(vec![line], Wanted::Soon(Some(told)));
     }
 
     /// Has a record written when it suits; once it is, a crash takes back no step up to `reached`.

@@ -17,7 +17,6 @@ pub mod phase;
 pub mod rank;
 pub mod registry;
 pub mod schedule;
-pub mod shelf;
 pub mod tally;
 pub mod waiters;
 pub mod worker;

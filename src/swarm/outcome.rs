@@ -248,8 +248,39 @@ pub struct Refusal {
     pub error: OrderError,
 }
 
-/// Takes an answer, once.
-pub type Answer = Box<dyn FnOnce(Answered) + Send>;
+/// Where the reply to a message goes. If it is dropped, the reply is [`OrderError::Gone`]: the swarm
+/// ended before it received the message.
+pub struct Answer(Option<Box<dyn FnOnce(Answered) + Send>>);
+
+impl Answer {
+    /// Calls `reply` with the reply.
+    pub fn new(reply: impl FnOnce(Answered) + Send + 'static) -> Self {
+        Answer(Some(Box::new(reply)))
+    }
+
+    /// Ignores the reply.
+    pub fn ignored() -> Self {
+        Answer(None)
+    }
+
+    /// Replies.
+    pub fn send(mut self, answered: Answered) {
+        if let Some(reply) = self.0.take() {
+            reply(answered);
+        }
+    }
+}
+
+impl Drop for Answer {
+    fn drop(&mut self) {
+        if let Some(reply) = self.0.take() {
+            reply(Err(Refusal {
+                step: None,
+                error: OrderError::Gone,
+            }));
+        }
+    }
+}
 
 fn not_joined(controller: &str, left: Option<(Departure, u64)>) -> String {
     let why = match left {

@@ -41,6 +41,7 @@ pub struct Outlet {
     is_tapped: AtomicBool,
     frames: AtomicU64,
     dropped: AtomicU64,
+    published: AtomicU64,
     ring: Box<dyn Fn() + Send + Sync>,
     is_watched: Box<dyn Fn(bool) -> bool + Send + Sync>,
 }
@@ -67,6 +68,7 @@ impl Outlet {
             is_tapped: AtomicBool::new(false),
             frames: AtomicU64::new(0),
             dropped: AtomicU64::new(0),
+            published: AtomicU64::new(0),
             ring: Box::new(ring),
             is_watched: Box::new(is_watched),
         }
@@ -123,6 +125,16 @@ impl Outlet {
         self.dropped.fetch_add(count, Ordering::Relaxed);
     }
 
+    /// The number of states that were published.
+    pub fn published(&self) -> u64 {
+        self.published.load(Ordering::Relaxed)
+    }
+
+    /// Counts a state that is published, and returns its number.
+    pub fn count_published(&self) -> u64 {
+        self.published.fetch_add(1, Ordering::Relaxed) + 1
+    }
+
     /// How many frames were put, and how many of them gave way to a newer one.
     pub fn frames(&self) -> (u64, u64) {
         let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
@@ -146,14 +158,6 @@ impl Outlet {
     pub fn take(&self) -> (VecDeque<Arc<Frame>>, VecDeque<Event>) {
         let Contents { frames, events, .. } = std::mem::take(&mut *self.lock());
         (frames, events)
-    }
-
-    /// Does something that puts more than one thing here, and something else besides that is waited
-    /// for: rings when all of it is done.
-    pub fn ring_after<T>(&self, work: impl FnOnce() -> T) -> T {
-        let is_rung = std::mem::replace(&mut self.lock().rung, true);
-        let _ring = (!is_rung).then(|| RingAfter(self));
-        work()
     }
 
     fn put(&self, put: impl FnOnce(&mut Contents)) {
@@ -181,23 +185,6 @@ impl Outlet {
     fn lock(&self) -> MutexGuard<'_, Contents> {
         // Nothing that changes the contents can panic in between.
         self.contents.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// Rings when dropped, if something is there.
-struct RingAfter<'a>(&'a Outlet);
-
-impl Drop for RingAfter<'_> {
-    fn drop(&mut self) {
-        let Outlet { ring, .. } = self.0;
-        let has_any = {
-            let mut contents = self.0.lock();
-            contents.rung = !contents.frames.is_empty() || !contents.events.is_empty();
-            contents.rung
-        };
-        if has_any {
-            ring();
-        }
     }
 }
 

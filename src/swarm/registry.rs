@@ -325,7 +325,6 @@ impl Host {
             history: Arc::default(),
             tally: Arc::default(),
             tickets: Arc::new(tickets),
-            shelf: Arc::default(),
             cores: self.cores.clone(),
             summary: Arc::default(),
         };
@@ -482,7 +481,7 @@ impl Host {
             Ok(Err(End::Stopped)) => return,
             Err(error) => {
                 drop(taken);
-                let refused = move || built(Err(Refusal { step: None, error }));
+                let refused = move || built.send(Err(Refusal { step: None, error }));
                 return self.herald.ended(name, Box::new(refused));
             }
         };
@@ -492,11 +491,11 @@ impl Host {
         };
         self.herald.begun(
             name,
-            Box::new(move || built(Ok((place, Outcome::Seen(frame))))),
+            Box::new(move || built.send(Ok((place, Outcome::Seen(frame))))),
         );
         let end = match guest {
-            Guest::Swarm(worker) => worker.run(&taken, &handle.shelf),
-            Guest::Film(player) => player.run(&taken, &handle.shelf),
+            Guest::Swarm(worker) => worker.run(&taken),
+            Guest::Film(player) => player.run(&taken),
         };
         // Whoever asks from here on hears that it is gone.
         drop(taken);

@@ -55,7 +55,7 @@ impl Waiters {
         let mut waiting = VecDeque::new();
         for (since, waiter) in std::mem::take(&mut self.0) {
             if has_come(&waiter) {
-                (waiter.answer)(look());
+                waiter.answer.send(look());
             } else {
                 waiting.push_back((since, waiter));
             }
@@ -66,7 +66,7 @@ impl Waiters {
     /// Answers everyone, whatever they wait for.
     pub fn answer_all(&mut self, look: impl Fn() -> Answered) {
         for (_, waiter) in self.0.drain(..) {
-            (waiter.answer)(look());
+            waiter.answer.send(look());
         }
     }
 }

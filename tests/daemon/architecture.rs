@@ -24,40 +24,28 @@ const LAYERS: [&[&str]; 7] = [
 ];
 
 /// Files that name a higher layer, and the module that they name; the list only shrinks.
-const UPWARD: [(&str, &str); 10] = [
-    ("api/context", "transport"),
-    ("api/experiments", "transport"),
-    ("api/handlers", "transport"),
-    ("api/queries", "transport"),
-    ("api/recordings", "transport"),
-    ("api/responder", "transport"),
-    ("persistence/journal_reader", "api"),
-    ("persistence/recovery", "api"),
-    ("persistence/writer", "api"),
-    ("swarm/registry", "playback"),
-];
+const UPWARD: [(&str, &str); 1] = [("swarm/registry", "playback")];
 
 /// Libraries, and the modules that may name them.
 const LIBRARIES: [(&str, &[&str]); 10] = [
-    (
-        "zenoh",
-        &[
-            "transport",
-            "api/context",
-            "api/copies",
-            "api/experiments",
-            "api/queries",
-            "api/responder",
-            "app",
-        ],
-    ),
+    ("zenoh", &["app", "transport"]),
     ("zenoh_ext", &["transport/zenoh"]),
     ("axum", &["transport/http"]),
     ("hyper", &["transport/http"]),
     ("prometheus_client", &["transport/http"]),
     ("rusqlite", &["store"]),
     ("clap", &["cli", "main"]),
-    ("tokio", &["app", "auth/live", "cli", "main", "transport"]),
+    (
+        "tokio",
+        &[
+            "api/deadlines",
+            "app",
+            "auth/live",
+            "cli",
+            "main",
+            "transport",
+        ],
+    ),
     ("libc", &["cli/process", "swarm/rank"]),
     (
         "jostle_proto",

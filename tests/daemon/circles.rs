@@ -28,19 +28,6 @@ const CIRCLES: [(&str, &[&[&str]]); 8] = [
             ],
             &["src/auth/folder.rs", "src/auth/mod.rs"],
             &[
-                "src/api/responder.rs",
-                "src/api/deadlines.rs",
-                "src/api/idempotency.rs",
-            ],
-            &[
-                "src/api/context.rs",
-                "src/api/copies.rs",
-                "src/transport/zenoh/dispatcher.rs",
-                "src/transport/zenoh/queryables.rs",
-                "src/api/experiments.rs",
-                "src/transport/zenoh/query.rs",
-            ],
-            &[
                 "src/swarm/checkpoint.rs",
                 "src/swarm/control.rs",
                 "src/swarm/frame.rs",

@@ -1,247 +1,88 @@
-//! What can be asked of a swarm or a daemon: one file per verb.
-//!
-//! Each turns the arguments that came over the wire into an order to a swarm, or refuses them
-//! by naming the field, its range and the remedy. Nothing here executes.
+//! Commands: one file for each verb that more than a swarm executes, and [`swarm`] for all others.
+
+mod create;
+mod discard;
+mod experiment;
+mod fork;
+mod record;
+mod replay;
+mod restore;
+mod seek;
+mod swarm;
 
 use std::sync::Arc;
-use std::time::Duration;
 
-use jostle_convert::change;
-use jostle_proto::verbs::LeaveArgs;
-use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
+use jostle_physics::simulation::Spec;
+use jostle_proto::keys;
 
-use crate::swarm::order::{Order, Sender, When};
-use jostle_convert::WireError;
+pub use record::{count, publish_failure, resume};
 
-pub mod advance;
-pub mod batch;
-pub mod control;
-pub mod create;
-pub mod delete;
-pub mod join;
-pub mod leave;
-pub mod pause;
-pub mod reset;
-pub mod run;
-pub mod seek;
-pub mod set;
-pub mod step;
-pub mod wait;
+use crate::api::context::Context;
+use crate::api::incoming::Incoming;
+use crate::api::responder::Responder;
+use crate::convert::commands::{CommandError, shortened};
+use crate::convert::{self, Payload};
+use crate::swarm::frame::Place;
+use crate::swarm::outcome::Outcome;
 
-pub use crate::api::error::CommandError;
-
-/// How long a reply is waited for unless the request says otherwise.
-pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(5);
-
-/// The most of an unknown word that is repeated to its sender.
-const MOST_REPEATED: usize = 64;
-
-/// The longest that a request may wait for its reply, in seconds.
-const LONGEST_TIMEOUT_SECS: f64 = 3600.0;
-
-/// A command read and checked, ready for its swarm.
-#[derive(Debug)]
-pub struct Command {
-    /// What to do.
-    pub order: Order,
-    /// When to do it.
-    pub when: When,
-    /// Who sent it.
-    pub sender: Arc<Sender>,
-    /// How long its reply is waited for.
-    pub timeout: Duration,
-    /// Whether the reply is to carry the state.
-    pub returns_state: bool,
-}
-
-/// Reads a command to a swarm.
-///
-/// # Errors
-///
-/// [`CommandError`] when there is no such verb or its arguments are wrong.
-pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
-    // A fork is the host's to make, a seek is for recordings: neither is an order to a swarm.
-    let is_order = |verb: &&&str| !["fork", "seek"].contains(*verb);
-    let known = keys::SWARM_VERBS.iter().filter(is_order);
-    let Some(verb) = known.copied().find(|known| *known == verb) else {
-        return Err(CommandError::UnknownVerb {
-            verb: shortened(verb),
-            known: &keys::SWARM_VERBS,
-        });
-    };
-    let mut returns_state = false;
-    let order = match verb {
-        "delete" => delete::order(request.args()?),
-        "run" => run::order(request.args()?)?,
-        "pause" => pause::order(request.args()?),
-        "step" => {
-            let args = request.args()?;
-            returns_state = step::returns_state(args);
-            step::order(args)?
+impl Context {
+    /// Executes a command to a swarm.
+    pub(crate) fn command(&self, swarm: &Arc<str>, incoming: &Incoming) {
+        let responder = self.responder(incoming);
+        let verb = incoming
+            .key()
+            .strip_prefix(&keys::cmd(&self.prefix, swarm, ""));
+        let done = match verb {
+            _ if incoming.is_wild() => Err(CommandError::Wildcard),
+            Some("fork") => self.fork(swarm, incoming, &responder),
+            Some("seek") => self.seek(swarm, incoming, &responder),
+            verb => self.swarm_command(swarm, verb.unwrap_or_default(), incoming, &responder),
+        };
+        if let Err(error) = done {
+            let step = self.host.find(swarm).and_then(|handle| handle.step());
+            responder.reject(&error, step);
         }
-        "reset" => reset::order(request.args()?)?,
-        "set" => Order::Change(change::set(request.args().map_err(set::explain)?)?),
-        "inform" => Order::Change(change::inform(request.args()?)?),
-        "uninform" => Order::Change(change::uninform(request.args()?)?),
-        "inject" => Order::Change(change::inject(request.args()?)?),
-        "remove" => Order::Change(change::remove(request.args()?)?),
-        "batch" => batch::order(request.args()?)?,
-        "join" => join::order(request.args()?)?,
-        "advance" => {
-            if request.at_step.is_some() {
-                let problem = "is for commands that can wait: a controller advances from where the \
-                               swarm is";
-                return Err(CommandError::Field {
-                    field: "at_step",
-                    problem,
+    }
+
+    /// Executes a command to the daemon.
+    pub(crate) fn node_command(&self, incoming: &Incoming) {
+        let responder = self.responder(incoming);
+        if let Err(error) = self.execute_node_command(incoming, &responder) {
+            responder.reject(&error, None);
+        }
+    }
+
+    fn execute_node_command(
+        &self,
+        incoming: &Incoming,
+        responder: &Responder,
+    ) -> Result<(), CommandError> {
+        if incoming.is_wild() {
+            return Err(CommandError::Wildcard);
+        }
+        let prefix = keys::node_cmd(&self.prefix, &self.node, "");
+        let execute = match incoming.key().strip_prefix(&prefix) {
+            Some("create") => Self::create,
+            Some("restore") => Self::restore,
+            Some("discard") => Self::discard,
+            Some("experiment") => Self::experiment,
+            Some("replay") => Self::replay,
+            Some("record") => Self::record,
+            verb => {
+                return Err(CommandError::UnknownVerb {
+                    verb: shortened(verb.unwrap_or_default()),
+                    known: &keys::NODE_VERBS,
                 });
             }
-            let args = request.args()?;
-            returns_state = advance::returns_state(&args);
-            advance::order(args)?
-        }
-        "leave" => leave::order(request.args()?)?,
-        _ => unreachable!("every known verb is above"),
-    };
-    Ok(Command {
-        order,
-        when: When {
-            at_step: request
-                .at_step
-                .map(|step| jostle_convert::value::whole("at_step", step))
-                .transpose()?,
-            expect_epoch: request.expect_epoch,
-            expect_step: request.expect_step,
-        },
-        sender: Arc::new(sender(verb, request)?),
-        timeout: timeout(request)?,
-        returns_state,
-    })
-}
-
-/// Reads what a swarm wrote down: what it was commanded, and what it did by itself.
-///
-/// # Errors
-///
-/// [`CommandError`] as for [`read`].
-pub fn read_again(verb: &'static str, request: &Request) -> Result<Command, CommandError> {
-    let order = match verb {
-        "deadline" | "lost" => {
-            let LeaveArgs { controller } = request.args()?;
-            check_name("controller", &controller)?;
-            match verb {
-                "deadline" => Order::Deadline(controller),
-                _ => Order::Lost(controller),
-            }
-        }
-        "control" => control::order(request)?,
-        verb => return read(verb, request),
-    };
-    Ok(Command {
-        order,
-        when: When::default(),
-        sender: Arc::new(sender(verb, request)?),
-        timeout: DEFAULT_TIMEOUT,
-        returns_state: false,
-    })
-}
-
-/// How long the reply to `request` is waited for.
-///
-/// # Errors
-///
-/// [`WireError::OutOfRange`].
-pub fn timeout(request: &Request) -> Result<Duration, CommandError> {
-    match request.timeout_secs {
-        None => Ok(DEFAULT_TIMEOUT),
-        Some(secs) if secs > 0.0 && secs <= LONGEST_TIMEOUT_SECS => Ok(duration(secs)),
-        Some(secs) => Err(WireError::out_of_range("timeout_secs", secs).into()),
-    }
-}
-
-/// Seconds above 0 as a duration above 0, however few they are.
-fn duration(secs: f64) -> Duration {
-    Duration::from_secs_f64(secs).max(Duration::from_nanos(1))
-}
-
-/// A selector's parameters, each one of `known` and given once. Those of zenoh's own begin with
-/// `_` and are left out.
-///
-/// # Errors
-///
-/// [`CommandError::Parameter`] and [`CommandError::Twice`].
-pub fn selector<'a>(
-    parameters: impl Iterator<Item = (&'a str, &'a str)>,
-    known: &'static [&'static str],
-) -> Result<Vec<(&'static str, &'a str)>, CommandError> {
-    let mut read: Vec<(&'static str, &str)> = Vec::new();
-    for (name, value) in parameters {
-        if name.starts_with('_') {
-            continue;
-        }
-        let Some(name) = known.iter().find(|known| **known == name) else {
-            return Err(CommandError::Parameter {
-                name: shortened(name),
-                known,
-            });
         };
-        if read.iter().any(|(before, _)| before == name) {
-            return Err(CommandError::Twice(name));
-        }
-        read.push((name, value));
+        execute(self, responder, &self.request(incoming)?)
     }
-    Ok(read)
 }
 
-/// The beginning of an unknown word, to be repeated to its sender.
-pub fn shortened(word: &str) -> String {
-    word.chars().take(MOST_REPEATED).collect()
-}
-
-/// Checks a name that is to become part of a key.
-///
-/// # Errors
-///
-/// [`CommandError::Name`].
-pub fn check_name(field: &'static str, name: &str) -> Result<(), CommandError> {
-    if keys::is_name(name) {
-        return Ok(());
+/// The reply to a command that creates a swarm.
+fn created(name: &str, place: &Place, spec: &Spec, outcome: Outcome, is_new: bool) -> Payload {
+    match outcome {
+        Outcome::Seen(frame) => convert::created(name, place, spec, &frame, is_new),
+        other => convert::outcome(name, place, other, None),
     }
-    Err(CommandError::Name {
-        field,
-        name: name.chars().take(keys::MAX_NAME_LENGTH).collect(),
-    })
-}
-
-/// Whether a character is what it seems on a terminal or a page: it neither controls anything nor
-/// turns the direction of reading.
-fn is_plain(c: char) -> bool {
-    !c.is_control() && !matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
-}
-
-/// Who sent `request`, and what.
-///
-/// # Errors
-///
-/// [`CommandError::Field`] when a label cannot be one.
-pub fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandError> {
-    let label = |field, label: &Option<String>| match label {
-        Some(text) if text.len() > MAX_LABEL_LENGTH || !text.chars().all(is_plain) => {
-            Err(CommandError::Field {
-                field,
-                problem: "is too long or has characters that are not seen",
-            })
-        }
-        other => Ok(other.clone()),
-    };
-    Ok(Sender {
-        verb,
-        args: request
-            .args
-            .as_ref()
-            .map_or_else(|| "{}".into(), |args| args.get().to_owned()),
-        client: label("client", &request.client)?,
-        request_id: label("request_id", &request.request_id)?,
-        digest: None,
-    })
 }

@@ -1,29 +1,36 @@
-//! `seek`: a replay goes somewhere.
+//! `seek`: moves the playback of a recording to another step or time.
+
+use std::sync::Arc;
 
 use jostle_proto::SeekArgs;
 
-use crate::api::commands::CommandError;
-use crate::swarm::order::Seek;
-use jostle_convert::WireError;
+use crate::api::context::{Context, reject_preconditions};
+use crate::api::incoming::Incoming;
+use crate::api::responder::Responder;
+use crate::convert;
+use crate::convert::commands::{self, CommandError, seek};
+use crate::swarm::handle::Ticket;
 
-/// The latest time that is sought.
-const LATEST_TIME: f64 = 1e12;
-
-/// Where to go.
-///
-/// # Errors
-///
-/// [`CommandError`] unless exactly one is named, within its range.
-pub fn seek(args: SeekArgs) -> Result<Seek, CommandError> {
-    match (args.step, args.time, args.fraction) {
-        (Some(step), None, None) => Ok(Seek::Step(jostle_convert::value::whole("step", step)?)),
-        (None, Some(time), None) if (0.0..=LATEST_TIME).contains(&time) => Ok(Seek::Time(time)),
-        (None, Some(time), None) => Err(WireError::out_of_range("time", time).into()),
-        (None, None, Some(share)) if (0.0..=1.0).contains(&share) => Ok(Seek::Fraction(share)),
-        (None, None, Some(share)) => Err(WireError::out_of_range("fraction", share).into()),
-        _ => Err(CommandError::Field {
-            field: "args",
-            problem: "must have exactly one of step, time and fraction",
-        }),
+impl Context {
+    pub(super) fn seek(
+        &self,
+        swarm: &Arc<str>,
+        incoming: &Incoming,
+        responder: &Responder,
+    ) -> Result<(), CommandError> {
+        let request = self.request(incoming)?;
+        reject_preconditions(&request)?;
+        let to = seek::seek(request.args::<SeekArgs>()?)?;
+        let sender = Arc::new(commands::sender("seek", &request)?);
+        let timeout = commands::timeout(&request)?;
+        let name = swarm.clone();
+        self.send(
+            swarm,
+            responder,
+            (timeout, CommandError::deadline),
+            |answer| Ticket::Seek(to, sender, answer),
+            move |place, outcome| convert::outcome(&name, &place, outcome, None),
+        );
+        Ok(())
     }
 }

@@ -3,7 +3,6 @@
 //! It takes tickets between steps in the order of arrival, paces itself, and puts what is to be
 //! published in its outlet. It never waits for a reader.
 
-mod idle;
 mod orders;
 pub mod replay;
 mod steering;
@@ -33,7 +32,6 @@ use crate::swarm::pace::{MOST_BACKLOG, Pace};
 use crate::swarm::phase::{Cue, PauseReason, Phase};
 use crate::swarm::rank::Rank;
 use crate::swarm::schedule::Schedule;
-use crate::swarm::shelf::Shelf;
 use crate::swarm::tally::Tally;
 use crate::swarm::waiters::Waiters;
 use crate::swarm::worker::replay::Replay;
@@ -80,11 +78,6 @@ pub struct Worker {
     controllers: Controllers,
     journal: Journal,
     since: Since,
-    step_took: Duration,
-    /// When its thread wakes by itself, while it sleeps.
-    wakes_at: Option<Instant>,
-    /// Whether the store has it, whose thread must not wait for itself.
-    is_lent: bool,
     /// The wall-clock time that the journal and events give for what is being carried out, while a
     /// command is.
     applied_at: Option<Option<f64>>,
@@ -163,9 +156,6 @@ impl Worker {
             rank: Rank::default(),
             journal,
             since: Since::new(),
-            step_took: Duration::MAX,
-            wakes_at: None,
-            is_lent: false,
             applied_at: None,
             replay: Replay::default(),
             simulation,
@@ -229,67 +219,57 @@ impl Worker {
     }
 
     /// Steps and takes tickets until the swarm ends.
-    pub fn run(self, tickets: &Receiver<Ticket>, shelf: &Shelf) -> End {
+    pub fn run(self, tickets: &Receiver<Ticket>) -> End {
         let tally = self.tally.clone();
-        let end = Box::new(self).live(tickets, shelf);
+        let end = self.live(tickets);
         tally.pulse.rest();
         end
     }
 
-    fn live(self: Box<Self>, tickets: &Receiver<Ticket>, shelf: &Shelf) -> End {
-        let mut worker = self;
+    fn live(mut self, tickets: &Receiver<Ticket>) -> End {
         let others = || tickets.try_iter();
         loop {
-            if worker.controllers.due().is_some()
-                && let Some(end) = worker.fire_overdue()
+            if self.controllers.due().is_some()
+                && let Some(end) = self.fire_overdue()
             {
                 return end;
             }
-            worker.settle_rank();
-            if worker.phase.is_moving() {
-                worker.tally.pulse.beat();
-                if let Some(end) = worker.take_with_others(others(), shelf) {
+            self.settle_rank();
+            if self.phase.is_moving() {
+                self.tally.pulse.beat();
+                if let Some(end) = self.take_with_others(others()) {
                     return end;
                 }
             }
-            let wait = worker.wait();
-            let is_held_up = wait == Some(Duration::ZERO) && !worker.outlet.has_room();
-            if wait == Some(Duration::ZERO) && !is_held_up && worker.has_core() {
-                worker.tally.pulse.beat();
-                if let Some(end) = worker.step() {
+            let wait = self.wait();
+            let is_held_up = wait == Some(Duration::ZERO) && !self.outlet.has_room();
+            if wait == Some(Duration::ZERO) && !is_held_up && self.has_core() {
+                self.tally.pulse.beat();
+                if let Some(end) = self.step() {
                     return end;
                 }
                 continue;
             }
-            worker.tally.pulse.rest();
-            worker.wakes_at = match wait {
+            self.tally.pulse.rest();
+            let wakes_at = match wait {
                 // A recording that cannot take another state wakes it once it can.
                 Some(Duration::ZERO) if is_held_up => {
-                    worker.seat.leave();
-                    worker.controllers.due()
+                    self.seat.leave();
+                    self.controllers.due()
                 }
                 // It is called when there is a core for it.
                 Some(Duration::ZERO) => None,
                 wait => {
-                    worker.seat.leave();
+                    self.seat.leave();
                     let next = wait.map(|wait| Instant::now() + wait);
-                    next.into_iter().chain(worker.controllers.due()).min()
+                    next.into_iter().chain(self.controllers.due()).min()
                 }
             };
-            let ticket = if worker.lies_idle() {
-                let wakes_at = worker.wakes_at;
-                shelf.put(worker);
-                let ticket = receive(tickets, wakes_at);
-                worker = shelf.take();
-                ticket
-            } else {
-                receive(tickets, worker.wakes_at)
-            };
-            match ticket {
+            match receive(tickets, wakes_at) {
                 Ok(ticket) => {
-                    worker.tally.pulse.beat();
+                    self.tally.pulse.beat();
                     let all = std::iter::once(ticket).chain(others());
-                    if let Some(end) = worker.take_with_others(all, shelf) {
+                    if let Some(end) = self.take_with_others(all) {
                         return end;
                     }
                 }
@@ -331,15 +311,8 @@ impl Worker {
     /// Takes the tickets that have come. Commands that follow each other are made
     /// safe together; what comes after one that starts over has another step, and what comes after
     /// a `step`, which is written down when it is carried out, is to stand on a later line.
-    fn take_with_others(
-        &mut self,
-        tickets: impl Iterator<Item = Ticket>,
-        shelf: &Shelf,
-    ) -> Option<End> {
+    fn take_with_others(&mut self, tickets: impl Iterator<Item = Ticket>) -> Option<End> {
         let mut tickets: VecDeque<Ticket> = tickets.take(TICKETS_PER_STEP).collect();
-        for _ in tickets.iter().filter(|ticket| !ticket.is_awake()) {
-            shelf.unqueue();
-        }
         let mut together = Vec::new();
         while let Some(ticket) = tickets.pop_front() {
             match ticket {
@@ -371,7 +344,7 @@ impl Worker {
         match ticket {
             Ticket::Look(answer) => {
                 let (place, frame) = self.look_at_all();
-                answer(Ok((place, Outcome::Seen(frame))));
+                answer.send(Ok((place, Outcome::Seen(frame))));
                 None
             }
             Ticket::Put(controller, epoch, put) => {
@@ -394,17 +367,17 @@ impl Worker {
                 self.waiters.add(waiter);
                 self.answer_waiters();
                 if let Some((answer, error)) = self.waiters.displace() {
-                    answer(Err(self.refusal(error)));
+                    answer.send(Err(self.refusal(error)));
                 }
                 None
             }
             Ticket::Copy(answer) => {
                 let whole = Outcome::Whole(Box::new(self.checkpoint()));
-                answer(Ok((self.place(), whole)));
+                answer.send(Ok((self.place(), whole)));
                 None
             }
             Ticket::Seek(_, _, answer) => {
-                answer(Err(self.refusal(OrderError::NotRecorded)));
+                answer.send(Err(self.refusal(OrderError::NotRecorded)));
                 None
             }
             Ticket::Command(command) => self.commands(vec![command]),
@@ -437,7 +410,6 @@ impl Worker {
                 let took = now.saturating_duration_since(began);
                 self.since.steps += 1;
                 self.since.work += took;
-                self.step_took = took;
                 self.rank.stepped(took);
                 // What is told again was counted when it was first taken.
                 if !self.journal.is_replaying() {
@@ -557,10 +529,10 @@ impl Worker {
         self.renew_summary();
         let faulted = OrderError::Faulted(reason);
         if let Some(pending) = self.pending.take() {
-            (pending.answer)(Err(self.refusal(faulted.clone())));
+            pending.answer.send(Err(self.refusal(faulted.clone())));
         }
         for answer in self.controllers.give_up() {
-            answer(Err(self.refusal(faulted.clone())));
+            answer.send(Err(self.refusal(faulted.clone())));
         }
         self.answer_waiters();
     }

@@ -29,7 +29,7 @@ impl Worker {
         for command in commands {
             match self.check(&command.order, command.when) {
                 Ok(()) => possible.push(command),
-                Err(error) => (command.answer)(Err(self.refusal(error))),
+                Err(error) => command.answer.send(Err(self.refusal(error))),
             }
         }
         let step = self.simulation.state.step;
@@ -63,7 +63,7 @@ impl Worker {
                 Err(fault) => {
                     for command in possible {
                         let error = OrderError::Unsafe(fault.clone());
-                        (command.answer)(Err(self.refusal(error)));
+                        command.answer.send(Err(self.refusal(error)));
                     }
                     return None;
                 }
@@ -109,10 +109,10 @@ impl Worker {
             return self.carry_out(input, order, sender, answer);
         };
         match self.put_off(input, at_step, order, sender) {
-            Ok(()) => answer(Ok((self.place(), Outcome::Scheduled(at_step)))),
+            Ok(()) => answer.send(Ok((self.place(), Outcome::Scheduled(at_step)))),
             Err(error) => {
                 self.became(input, Err(&error));
-                answer(Err(self.refusal(error)));
+                answer.send(Err(self.refusal(error)));
             }
         }
         None
@@ -146,7 +146,7 @@ impl Worker {
         answer: Answer,
     ) -> Option<End> {
         if self.replay.was_refused(input) {
-            answer(Err(self.refusal(OrderError::RefusedBefore)));
+            answer.send(Err(self.refusal(OrderError::RefusedBefore)));
             return None;
         }
         let before = self.phase.clone();
@@ -171,7 +171,7 @@ impl Worker {
             Order::Deadline(_) | Order::Lost(_) | Order::Control { .. } => {
                 if let Err(error) = self.couple(&Coupling { input, sender }, &order) {
                     self.simulation.seq = seq;
-                    answer(Err(self.refusal(error)));
+                    answer.send(Err(self.refusal(error)));
                 }
                 return None;
             }
@@ -202,26 +202,15 @@ impl Worker {
                     self.show();
                 }
                 crash::point("swarm-applied");
-                answer(Ok((self.place(), outcome)));
+                answer.send(Ok((self.place(), outcome)));
                 // After the answer, so that whoever paused it sees this before others do.
                 self.answer_waiters();
             }
             Err(error) => {
                 self.simulation.seq = seq;
-                let is_by_chance = error.is_by_chance();
                 let refusal = self.refusal(error);
-                if self.is_lent && is_by_chance {
-                    let record = Record::Became {
-                        input,
-                        seq: None,
-                        unix_secs: self.unix_secs(),
-                    };
-                    let told = Box::new(move || answer(Err(refusal)));
-                    self.journal.note_then(self.at(), record, told);
-                } else {
-                    self.became(input, Err(&refusal.error));
-                    answer(Err(refusal));
-                }
+                self.became(input, Err(&refusal.error));
+                answer.send(Err(refusal));
             }
         }
         None
@@ -344,7 +333,7 @@ impl Worker {
                 false => clock::unix_secs(),
             };
             let end = self.applied_at(unix_secs, |it| {
-                let end = it.carry_out(input, order, sender.clone(), Box::new(answer));
+                let end = it.carry_out(input, order, sender.clone(), Answer::new(answer));
                 let refusal = refused
                     .lock()
                     .unwrap_or_else(PoisonError::into_inner)
@@ -462,7 +451,7 @@ impl Worker {
                 if input > 0 {
                     self.became(input, Err(&error));
                 }
-                answer(Err(self.refusal(error)));
+                answer.send(Err(self.refusal(error)));
             }
         }
     }
@@ -496,7 +485,7 @@ impl Worker {
             if input > 0 {
                 self.became(input, Err(&error));
             }
-            answer(Err(self.refusal(error)));
+            answer.send(Err(self.refusal(error)));
             return None;
         }
         crash::point("swarm-ended");
@@ -514,7 +503,7 @@ impl Worker {
             })
         });
         Some(End::Deleted(Box::new(move || {
-            answer(Ok((place, Outcome::Done)));
+            answer.send(Ok((place, Outcome::Done)));
         })))
     }
 
@@ -544,7 +533,7 @@ impl Worker {
                 seen,
             };
             crash::point("swarm-stepped");
-            answer(Ok((place, outcome)));
+            answer.send(Ok((place, outcome)));
         }
     }
 }

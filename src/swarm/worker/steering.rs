@@ -42,7 +42,7 @@ impl Worker {
             self.enter(paused);
         }
         if let Some(answer) = self.controllers.join(terms, claims, step) {
-            answer(Err(self.refusal(OrderError::Superseded)));
+            answer.send(Err(self.refusal(OrderError::Superseded)));
         }
         self.go_on();
         let member = self.controllers.find(&terms.controller)?;
@@ -107,7 +107,7 @@ impl Worker {
         if let Some(answer) = member.take_answer() {
             let left = Some((why, step));
             let controller = controller.to_owned();
-            answer(Err(self.refusal(OrderError::NotJoined { controller, left })));
+            answer.send(Err(self.refusal(OrderError::NotJoined { controller, left })));
         }
     }
 
@@ -136,7 +136,7 @@ impl Worker {
         let target = step.saturating_add(steps);
         let before = member.advance(step, target, coupling.sender.clone(), answer);
         if let Some(before) = before {
-            before(Err(self.refusal(OrderError::Superseded)));
+            before.send(Err(self.refusal(OrderError::Superseded)));
         }
         let until = self.controllers.together(step);
         self.note_coupling(&coupling, until);
@@ -256,7 +256,7 @@ impl Worker {
         if coupling.input > 0 {
             self.became(coupling.input, Err(error));
         }
-        answer(Err(self.refusal(error.clone())));
+        answer.send(Err(self.refusal(error.clone())));
     }
 
     /// Writes down, when it suits, what was done for a controller. Once that is safe, so are the
@@ -336,7 +336,7 @@ impl Worker {
                 seen: seen.clone(),
                 news,
             };
-            answer(Ok((place.clone(), outcome)));
+            answer.send(Ok((place.clone(), outcome)));
         }
     }
 
@@ -393,7 +393,7 @@ impl Worker {
         }
         self.since.inputs += 1;
         self.applied_at(self.unix_secs(), |it| {
-            it.carry_out(0, order, sender, Box::new(|_| {}))
+            it.carry_out(0, order, sender, Answer::ignored())
         })
     }
 

@@ -1,4 +1,6 @@
-//! A query in, an order or an answer out. One thread, which never waits for a swarm.
+//! The dispatcher: a thread that receives requests and the changes of what this daemon serves.
+//!
+//! It never waits for a swarm.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -7,155 +9,114 @@ use std::time::Instant;
 
 use tracing::{info, warn};
 
-use crate::api::commands::CommandError;
-use crate::api::context::Clerk;
-use crate::api::responder::Asked;
+use crate::api::incoming::{Incoming, Target};
+use crate::convert::commands::CommandError;
 use crate::metrics::Pulse;
-use crate::swarm::registry::Herald;
 use crate::transport::zenoh::claims::{Action, Gate, Name, Reserved};
+use crate::transport::zenoh::gateway::{DispatchMessage, Gateway};
 use crate::transport::zenoh::publisher::Press;
-use crate::transport::zenoh::query::Topic;
-use crate::transport::zenoh::queryables::{Doors, LINGER};
+use crate::transport::zenoh::queryables::{LINGER, SwarmEndpoints};
+use crate::transport::zenoh::session_pool::SessionPool;
 
-/// Queries that may wait to be dispatched; what comes on top is refused at once.
-pub const MOST_QUERIES: usize = 1024;
-
-/// What the dispatching thread takes.
-pub enum Intake {
-    /// A query on one of the daemon's keys.
-    Query(Topic, Asked),
-    /// A verb came to a swarm for the first time.
-    Used(Arc<str>, &'static str),
-    /// The claims of other daemons, or the connected routers, changed.
-    Claimed,
-    /// Every swarm is recovered: open the daemon's own keys as soon as its claim permits it.
-    Recovered(SyncSender<zenoh::Result<()>>),
-    /// A swarm is built.
-    Begun(String, Box<dyn FnOnce() + Send>),
-    /// A swarm has ended.
-    Ended(String, Box<dyn FnOnce() + Send>),
-    /// The daemon stops.
-    Stop,
-}
-
-/// Tells the dispatching and the publishing thread of swarms.
-pub struct Crier {
-    intake: SyncSender<Intake>,
-    press: Arc<Press>,
-}
-
-impl Crier {
-    /// A crier to these two.
-    pub fn new(intake: SyncSender<Intake>, press: Arc<Press>) -> Self {
-        Crier { intake, press }
-    }
-}
-
-impl Herald for Crier {
-    fn ring(&self, name: &str) {
-        self.press.ring(name);
-    }
-
-    fn is_watched(&self, name: &str, is_moving: bool) -> bool {
-        self.press.is_watched(name, is_moving)
-    }
-
-    fn begun(&self, name: &str, built: Box<dyn FnOnce() + Send>) {
-        // Once the dispatching thread has ended the daemon is going.
-        let _ = self.intake.send(Intake::Begun(name.to_owned(), built));
-    }
-
-    fn ended(&self, name: &str, ended: Box<dyn FnOnce() + Send>) {
-        let _ = self.intake.send(Intake::Ended(name.to_owned(), ended));
-    }
-}
-
-/// The dispatching thread's belongings.
+/// The state of the dispatcher.
 pub struct Dispatcher {
-    /// What it takes to answer.
-    pub clerk: Arc<Clerk>,
-    /// What swarms can be reached by.
-    pub doors: Doors,
-    /// Queries that are held, and until when.
-    pub held: Vec<(Instant, Topic, Asked)>,
+    /// What it shares with the threads that receive queries.
+    pub gateway: Arc<Gateway>,
+    /// The sessions that declare the keys of swarms.
+    pub pool: SessionPool,
+    /// Publishes the states of swarms.
+    pub press: Arc<Press>,
+    /// The keys of the daemon and of its swarms.
+    pub endpoints: SwarmEndpoints,
+    /// Requests that are held, and until when.
+    pub held: Vec<(Instant, Incoming)>,
     /// Receives the result of opening the daemon's own keys, after every swarm is recovered.
     pub recovered: Option<SyncSender<zenoh::Result<()>>>,
-    /// Whether this thread is at work.
+    /// Whether the thread is working.
     pub pulse: Arc<Pulse>,
 }
 
 impl Dispatcher {
-    /// Dispatches until told to stop.
-    pub fn run(mut self, intake: &Receiver<Intake>) {
+    /// Dispatches until [`DispatchMessage::Stop`].
+    pub fn run(mut self, messages: &Receiver<DispatchMessage>) {
         loop {
             self.pulse.rest();
-            let held = self.held.iter().map(|(until, ..)| *until);
-            let due = held.chain(self.clerk.claims.due()).min();
+            let held = self.held.iter().map(|(until, _)| *until);
+            let due = held.chain(self.gateway.claims.due()).min();
             let wait = due.map_or(LINGER, |due| due.saturating_duration_since(Instant::now()));
-            let taken = intake.recv_timeout(wait.min(LINGER));
+            let message = messages.recv_timeout(wait.min(LINGER));
             self.pulse.beat();
             self.release();
-            match taken {
-                Ok(Intake::Query(topic, asked)) => self.take(topic, asked),
-                Ok(Intake::Claimed) => {}
-                Ok(Intake::Recovered(opened)) => {
+            match message {
+                Ok(DispatchMessage::Request(incoming)) => self.dispatch_or_hold(incoming),
+                Ok(DispatchMessage::Claimed) => {}
+                Ok(DispatchMessage::Recovered(opened)) => {
                     self.recovered = Some(opened);
-                    self.clerk.claims.begin(&Name::Node, false);
+                    self.gateway.claims.begin(&Name::Node, false);
                 }
-                Ok(Intake::Used(swarm, verb)) => self.doors.declare_key(&swarm, verb),
-                Ok(Intake::Begun(swarm, built)) => self.begun(&swarm, built),
-                Ok(Intake::Ended(swarm, ended)) => self.ended(&swarm, ended),
+                Ok(DispatchMessage::FirstUse(swarm, verb)) => {
+                    self.endpoints.declare_key(&swarm, verb)
+                }
+                Ok(DispatchMessage::Begun(swarm, built)) => self.begun(&swarm, built),
+                Ok(DispatchMessage::Ended(swarm, ended)) => self.ended(&swarm, ended),
                 Err(RecvTimeoutError::Timeout) => {}
-                Ok(Intake::Stop) | Err(RecvTimeoutError::Disconnected) => {
-                    self.clerk.verifications.stop();
+                Ok(DispatchMessage::Stop) | Err(RecvTimeoutError::Disconnected) => {
+                    self.gateway.context.verifications.stop();
                     return self.pulse.rest();
                 }
             }
             self.reconcile();
-            self.doors.sweep();
+            self.endpoints.sweep();
         }
     }
 
-    /// Dispatches a query or holds it. A held query still counts in `waiting`, so that no later
-    /// command is executed inline before it.
-    fn take(&mut self, topic: Topic, asked: Asked) {
-        match self.query(&topic, &asked) {
-            Some(until) => self.held.push((until, topic, asked)),
+    /// Dispatches a request or holds it. A held request still counts in `queued`, so that no later
+    /// command is handled before it.
+    fn dispatch_or_hold(&mut self, incoming: Incoming) {
+        match self.dispatch(&incoming) {
+            Some(until) => self.held.push((until, incoming)),
             None => {
-                self.clerk.waiting.fetch_sub(1, Ordering::Release);
+                self.gateway.queued.fetch_sub(1, Ordering::Release);
             }
         }
     }
 
-    /// Dispatches, rejects or drops a query, depending on its gate; returns the instant until which
-    /// it must be held instead, if any.
-    fn query(&mut self, topic: &Topic, asked: &Asked) -> Option<Instant> {
-        let clerk = self.clerk.clone();
-        let (name, is_command) = match topic {
-            Topic::Deletion => {
-                clerk.guard(asked, || self.deleted(asked));
+    /// Dispatches, rejects or drops a request, depending on its gate; returns the instant until
+    /// which it must be held instead, if any.
+    fn dispatch(&mut self, incoming: &Incoming) -> Option<Instant> {
+        let Gateway {
+            context, claims, ..
+        } = &*self.gateway;
+        let (name, is_command) = match incoming.target() {
+            Target::Deletion => {
+                if !incoming.is_wild() && !self.endpoints.serves(incoming.key()) {
+                    context.handle(incoming);
+                }
                 return None;
             }
-            Topic::State(swarm) | Topic::Get(swarm) => (Name::Swarm(swarm.to_string()), false),
-            Topic::Command(swarm) => (Name::Swarm(swarm.to_string()), true),
-            Topic::NodeGet | Topic::Experiment => (Name::Node, false),
-            Topic::NodeCommand => (Name::Node, true),
+            Target::State(swarm) | Target::Get(swarm) => (Name::Swarm(swarm.to_string()), false),
+            Target::Command(swarm) => (Name::Swarm(swarm.to_string()), true),
+            Target::NodeGet | Target::Experiment => (Name::Node, false),
+            Target::NodeCommand => (Name::Node, true),
         };
         // A command that is not permitted or has a wildcard executes nothing, so it is not held:
         // its handler rejects it.
-        let executes = is_command && !asked.query.key_expr().is_wild();
-        let executes = executes && clerk.permit(&asked.query).is_ok();
+        let executes = is_command && !incoming.is_wild() && context.permit(incoming).is_ok();
         let mut created = None;
-        let error = match clerk.claims.gate(&name, executes) {
+        let error = match claims.gate(&name, executes) {
             Gate::Open | Gate::First if !executes => None,
             gate @ (Gate::Open | Gate::First) => {
-                created = clerk.creates(topic, asked);
-                match created.as_ref().map(|it| clerk.claims.reserve(it)) {
+                // Without a router no other daemon can claim the name.
+                created = match claims.is_connected() {
+                    true => context.creates(incoming),
+                    false => None,
+                };
+                match created.as_ref().map(|it| claims.reserve(it)) {
                     Some(Reserved::At(settled)) => return Some(settled),
                     Some(Reserved::ClaimedBy(node)) => Some(CommandError::Claimed(node)),
                     Some(Reserved::Now) | None => {
                         if gate == Gate::First {
-                            clerk.claims.change(&name);
+                            claims.change(&name);
                         }
                         None
                     }
@@ -167,43 +128,40 @@ impl Dispatcher {
             Gate::Refuse(contest) => Some((*contest).into()),
         };
         match error {
-            None => clerk.survive(topic, asked),
-            Some(error) => {
-                let key = asked.query.key_expr().as_str().to_owned();
-                clerk.desk.promise(asked, key).refuse(&error, None);
-            }
+            None => context.handle(incoming),
+            Some(error) => context.reject(incoming, &error),
         }
         // `fork`, `restore` and `replay` finish later; `create` has succeeded or failed by now.
-        let is_create = asked.query.key_expr().as_str().ends_with("/create");
+        let is_create = incoming.key().ends_with("/create");
         if let Some(created) = created
             && is_create
-            && clerk.host.find(&created).is_none()
+            && context.host.find(&created).is_none()
         {
-            clerk.claims.release(&created);
+            claims.release(&created);
         }
         None
     }
 
-    /// Dispatches the queries that were held until now, in their order.
+    /// Dispatches the requests that were held until now, in their order.
     fn release(&mut self) {
         let now = Instant::now();
-        if self.held.iter().all(|(until, ..)| now < *until) {
+        if self.held.iter().all(|(until, _)| now < *until) {
             return;
         }
-        for (until, topic, asked) in std::mem::take(&mut self.held) {
+        for (until, incoming) in std::mem::take(&mut self.held) {
             match now < until {
-                true => self.held.push((until, topic, asked)),
-                false => self.take(topic, asked),
+                true => self.held.push((until, incoming)),
+                false => self.dispatch_or_hold(incoming),
             }
         }
     }
 
     /// Opens and closes keys according to the claims of other daemons.
     fn reconcile(&mut self) {
-        for action in self.clerk.claims.reconcile() {
+        for action in self.gateway.claims.reconcile() {
             match action {
                 Action::Open(Name::Node) => {
-                    let opened = self.doors.open_node();
+                    let opened = self.endpoints.open_node();
                     if let Err(error) = &opened {
                         warn!(%error, "failed to open the daemon's keys");
                     }
@@ -211,20 +169,20 @@ impl Dispatcher {
                         let _ = recovered.send(opened);
                     }
                 }
-                Action::Close(Name::Node) => self.doors.close_node(),
+                Action::Close(Name::Node) => self.endpoints.close_node(),
                 Action::Open(Name::Swarm(swarm)) => self.open(&swarm),
                 Action::Close(Name::Swarm(swarm)) => {
-                    self.doors.shut(&swarm);
-                    self.clerk.press.silence(&swarm, true);
+                    self.endpoints.shut(&swarm);
+                    self.press.silence(&swarm, true);
                 }
-                Action::Refuse(Name::Swarm(swarm)) => self.clerk.press.silence(&swarm, true),
-                Action::Resume(Name::Swarm(swarm)) => self.clerk.press.silence(&swarm, false),
+                Action::Refuse(Name::Swarm(swarm)) => self.press.silence(&swarm, true),
+                Action::Resume(Name::Swarm(swarm)) => self.press.silence(&swarm, false),
                 Action::Refuse(Name::Node) | Action::Resume(Name::Node) => {}
             }
         }
         // If this daemon has to wait, its start is complete without serving anything.
         if self.recovered.is_some()
-            && self.clerk.claims.waits()
+            && self.gateway.claims.waits()
             && let Some(recovered) = self.recovered.take()
         {
             let _ = recovered.send(Ok(()));
@@ -232,43 +190,43 @@ impl Dispatcher {
     }
 
     fn begun(&mut self, swarm: &str, built: Box<dyn FnOnce() + Send>) {
-        let is_recovering = self.clerk.is_recovering.load(Ordering::Acquire);
+        let is_recovering = &self.gateway.context.is_recovering;
+        let is_recovering = is_recovering.load(Ordering::Acquire);
         let name = Name::Swarm(swarm.to_owned());
-        self.clerk.claims.begin(&name, !is_recovering);
+        self.gateway.claims.begin(&name, !is_recovering);
         self.reconcile();
         built();
     }
 
     /// Opens a swarm's keys.
     fn open(&mut self, swarm: &str) {
-        let press = &self.clerk.press;
-        let Some(handle) = self.clerk.host.find(swarm) else {
+        let Some(handle) = self.gateway.context.host.find(swarm) else {
             return;
         };
-        let opened = match press.find(swarm) {
+        let opened = match self.press.find(swarm) {
             Some(_) => {
-                press.silence(swarm, false);
+                self.press.silence(swarm, false);
                 Ok(())
             }
             None => {
-                let lease = self.clerk.pool.lease();
-                lease.and_then(|lease| press.open(lease, swarm, handle.outlet.clone()))
+                let lease = self.pool.lease();
+                lease.and_then(|lease| self.press.open(lease, swarm, handle.outlet.clone()))
             }
         };
-        match opened.and_then(|()| self.doors.open(swarm)) {
+        match opened.and_then(|()| self.endpoints.open(swarm)) {
             Ok(()) => info!(swarm, "hosted"),
             Err(error) => warn!(swarm, %error, "failed to open the swarm's keys"),
         }
     }
 
     fn ended(&mut self, swarm: &str, ended: Box<dyn FnOnce() + Send>) {
-        if self.doors.close(swarm) {
+        if self.endpoints.close(swarm) {
             info!(swarm, "deleted");
         }
-        self.clerk.claims.end(&Name::Swarm(swarm.to_owned()));
-        let host = self.clerk.host.clone();
+        self.gateway.claims.end(&Name::Swarm(swarm.to_owned()));
+        let host = self.gateway.context.host.clone();
         let name = swarm.to_owned();
-        self.clerk.press.close(
+        self.press.close(
             swarm,
             Box::new(move || {
                 host.release(&name);

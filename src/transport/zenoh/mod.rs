@@ -6,6 +6,8 @@ pub mod bus_watch;
 pub mod claims;
 pub mod clients;
 pub mod dispatcher;
+pub mod gateway;
+pub mod progress;
 mod publish_schedule;
 pub mod publisher;
 pub mod query;

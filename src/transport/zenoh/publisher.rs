@@ -4,7 +4,7 @@
 //! a stopped reader costs nobody else anything.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -17,7 +17,7 @@ use zenoh::qos::CongestionControl;
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
 
-use crate::api::error::refusal;
+use crate::convert::error::refusal;
 use crate::convert::{self, Payload};
 use crate::metrics::Pulse;
 use crate::swarm::frame::Frame;
@@ -39,7 +39,6 @@ const MOST_AT_ONCE: Duration = MOST_GATHERED.saturating_mul(2);
 /// The publishers of one swarm.
 pub struct Publication {
     outlet: Arc<Outlet>,
-    frames: AtomicU64,
     /// Whether the outlet's frames and events are discarded instead of published.
     is_silent: AtomicBool,
     publishers: Publishers,
@@ -56,13 +55,6 @@ struct Publishers {
 struct Watched {
     publisher: Publisher<'static>,
     is_read: Arc<AtomicBool>,
-}
-
-impl Publication {
-    /// How many states have been published.
-    pub fn frames(&self) -> u64 {
-        self.frames.load(Ordering::Relaxed)
-    }
 }
 
 impl Publishers {
@@ -146,7 +138,6 @@ impl Press {
         let publishers = Publishers::declare(&lease, &self.prefix, swarm)?;
         let publication = Arc::new(Publication {
             outlet,
-            frames: AtomicU64::new(0),
             is_silent: AtomicBool::new(false),
             publishers,
             _lease: lease,
@@ -269,7 +260,7 @@ impl Publication {
 
     /// Publishes a state and its order, each only if someone listens.
     fn publish_frame(&self, swarm: &str, publishers: &Publishers, frame: &Frame) {
-        let number = self.frames.fetch_add(1, Ordering::Relaxed) + 1;
+        let number = self.outlet.count_published();
         let is_moving = frame.place.phase.is_moving();
         let is_read = |publisher: &Watched| match is_moving {
             true => publisher.is_known_to_be_read(),

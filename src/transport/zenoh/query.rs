@@ -1,57 +1,64 @@
-//! What a query says: its key, its parameters, the request in it. And how queries come in.
+//! zenoh queries as requests, and the queryables that receive them.
 
-use std::borrow::Cow;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, AtomicUsize, Ordering};
 use std::sync::mpsc::{SyncSender, TrySendError};
 
-use jostle_proto::{Request, keys};
-use zenoh::bytes::{Encoding, ZBytes};
+use jostle_proto::keys;
+use tracing::debug;
+use zenoh::bytes::ZBytes;
 use zenoh::key_expr::KeyExpr;
 use zenoh::query::{Query, Queryable};
 use zenoh::{Session, Wait};
 
-use crate::api::commands::{CommandError, selector, shortened};
-use crate::api::context::Clerk;
+use crate::api::incoming::{Incoming, Peer, Received, Target};
 use crate::convert::Payload;
-use crate::transport::zenoh::dispatcher::Intake;
+use crate::convert::commands::CommandError;
+use crate::transport::zenoh::gateway::{DispatchMessage, Gateway};
 use crate::transport::zenoh::session_pool::LeaseGuard;
 
-/// What a query is about.
-#[derive(Clone, Debug)]
-pub enum Topic {
-    /// A swarm's `state`.
-    State(Arc<str>),
-    /// A swarm's `get/**`.
-    Get(Arc<str>),
-    /// A swarm's `cmd/**`.
-    Command(Arc<str>),
-    /// The deletion of whichever swarm.
-    Deletion,
-    /// The daemon's `get/**`.
-    NodeGet,
-    /// The daemon's `cmd/**`.
-    NodeCommand,
-    /// The daemon's `experiment/**`.
-    Experiment,
+/// A query, as the connection to the client that sent it.
+struct Connection {
+    query: Query,
+    /// Keeps the session that received the query open until the reply is sent.
+    _guard: Option<LeaseGuard>,
 }
 
-/// Declares a queryable whose callback only hands over.
+impl Peer for Connection {
+    fn reply(&self, key: &str, reply: Result<Payload, Payload>) {
+        let sent = match reply {
+            Ok(Payload {
+                bytes, encoding, ..
+            }) => self.query.reply(key, bytes).encoding(encoding).wait(),
+            Err(Payload {
+                bytes, encoding, ..
+            }) => self.query.reply_err(bytes).encoding(encoding).wait(),
+        };
+        if let Err(error) = sent {
+            debug!(%error, "failed to send a reply");
+        }
+    }
+
+    fn matches(&self, key: &str) -> bool {
+        KeyExpr::new(key).is_ok_and(|key| self.query.key_expr().intersects(&key))
+    }
+}
+
+/// Declares a queryable for `target`. Its callback admits a query, or rejects it with `busy`.
 ///
 /// # Errors
 ///
-/// When zenoh refuses it.
+/// When zenoh rejects the key.
 pub fn queryable(
     session: &Session,
     guard: Option<LeaseGuard>,
     key: &str,
-    topic: Topic,
-    intake: &SyncSender<Intake>,
-    clerk: &Arc<Clerk>,
+    target: Target,
+    messages: &SyncSender<DispatchMessage>,
+    gateway: &Arc<Gateway>,
 ) -> zenoh::Result<Queryable<()>> {
-    let intake: SyncSender<Intake> = intake.clone();
-    let clerk = clerk.clone();
-    let turns = Arc::new(AtomicUsize::new(0));
+    let (messages, gateway) = (messages.clone(), gateway.clone());
+    let unanswered = Arc::new(AtomicUsize::new(0));
     let used = AtomicU32::new(0);
     let Payload {
         bytes, encoding, ..
@@ -60,105 +67,65 @@ pub fn queryable(
     session
         .declare_queryable(key)
         .callback(move |query| {
-            if let Topic::Command(swarm) = &topic
-                && let Some(verb) = unused_before(query.key_expr(), &used)
+            if let Target::Command(swarm) = &target
+                && let Some(verb) = first_use(query.key_expr(), &used)
             {
-                // Where there is no room for it commands are found as before.
-                let _ = intake.try_send(Intake::Used(swarm.clone(), verb));
+                // If the queue is full, zenoh finds such commands by comparing keys as before.
+                let _ = messages.try_send(DispatchMessage::FirstUse(swarm.clone(), verb));
             }
-            let asked = clerk.desk.take_in(&query, &turns, guard.as_ref());
-            let is_taken = asked.is_some_and(|asked| {
-                if clerk.reads_at_the_door(&topic, &query, &asked) {
+            let bytes = query.payload().map_or(0, ZBytes::len);
+            let permit = gateway.admission.admit(bytes, &unanswered);
+            let is_admitted = permit.is_some_and(|permit| {
+                let received = received(&target, query.clone(), guard.clone());
+                let incoming = Incoming::new(received, permit);
+                if gateway.handles_at_once(&incoming, bytes) {
+                    gateway.context.handle(&incoming);
                     return true;
                 }
-                clerk.waiting.fetch_add(1, Ordering::AcqRel);
-                let sent = intake.try_send(Intake::Query(topic.clone(), asked));
+                gateway.queued.fetch_add(1, Ordering::AcqRel);
+                let sent = messages.try_send(DispatchMessage::Request(incoming));
                 if sent.is_err() {
-                    clerk.waiting.fetch_sub(1, Ordering::AcqRel);
+                    gateway.queued.fetch_sub(1, Ordering::AcqRel);
                 }
-                // A daemon that is going takes nothing, and its silence says so.
+                // A daemon that is stopping does not reply.
                 !matches!(sent, Err(TrySendError::Full(_)))
             });
-            if !is_taken {
-                let refusal = query.reply_err(busy.clone());
-                let _ = refusal.encoding(encoding).wait();
+            if !is_admitted {
+                let error = query.reply_err(busy.clone());
+                let _ = error.encoding(encoding).wait();
             }
         })
         .wait()
 }
 
-/// The verb of a command, if none came with it before; `used` has a bit for each.
-fn unused_before(key: &str, used: &AtomicU32) -> Option<&'static str> {
+fn received(target: &Target, query: Query, guard: Option<LeaseGuard>) -> Received {
+    let bytes = |bytes: &ZBytes| bytes.to_bytes().into_owned();
+    let parameters = query.parameters().iter();
+    Received {
+        target: target.clone(),
+        key: query.key_expr().as_str().to_owned(),
+        is_wild: query.key_expr().is_wild(),
+        parameters: parameters
+            .map(|(name, value)| (name.to_owned(), value.to_owned()))
+            .collect(),
+        payload: query.payload().map(bytes).unwrap_or_default(),
+        encoding: query.encoding().map(ToString::to_string),
+        token: query.attachment().map(bytes).unwrap_or_default(),
+        peer: Box::new(Connection {
+            query,
+            _guard: guard,
+        }),
+    }
+}
+
+/// The verb of a command, if this is its first use; `used` has a bit for each verb.
+fn first_use(key: &str, used: &AtomicU32) -> Option<&'static str> {
     let (_, last) = key.rsplit_once('/')?;
     let verb = keys::SWARM_VERBS.iter().position(|verb| *verb == last)?;
     let bit = 1 << verb;
     let is_new =
         used.load(Ordering::Relaxed) & bit == 0 && used.fetch_or(bit, Ordering::Relaxed) & bit == 0;
     is_new.then_some(keys::SWARM_VERBS[verb])
-}
-
-/// The token that a query brings along; empty if it brings none.
-pub fn token(query: &Query) -> Cow<'_, [u8]> {
-    query
-        .attachment()
-        .map_or(Cow::Borrowed(&[][..]), ZBytes::to_bytes)
-}
-
-/// Reads the request in a query, of at most so many bytes.
-///
-/// # Errors
-///
-/// [`CommandError`] when it is no JSON object, or has selector parameters beside it.
-pub fn request(query: &Query, most_bytes: usize) -> Result<Request, CommandError> {
-    no_parameters(query)?;
-    let bytes = query.payload().map_or(0, ZBytes::len);
-    if bytes > most_bytes {
-        return Err(CommandError::TooLong { bytes, most_bytes });
-    }
-    if let Some(encoding) = query.encoding() {
-        let readable = [
-            Encoding::APPLICATION_JSON,
-            Encoding::TEXT_JSON,
-            Encoding::TEXT_PLAIN,
-            Encoding::ZENOH_STRING,
-            Encoding::ZENOH_BYTES,
-        ];
-        if !readable.contains(encoding) {
-            return Err(CommandError::Encoding(shortened(&encoding.to_string())));
-        }
-    }
-    let payload = query.payload().map(|payload| payload.to_bytes());
-    Ok(Request::from_json(payload.as_deref().unwrap_or_default())?)
-}
-
-/// Whether a query of states asks for JSON.
-///
-/// # Errors
-///
-/// [`CommandError`] for another format or another parameter.
-pub fn format(query: &Query) -> Result<bool, CommandError> {
-    match selector(query.parameters().iter(), &["format"])?.first() {
-        None | Some((_, "cbor")) => Ok(false),
-        Some((_, "json")) => Ok(true),
-        Some(_) => Err(CommandError::Field {
-            field: "format",
-            problem: "is not json or cbor",
-        }),
-    }
-}
-
-/// Refuses parameters where none mean anything; those of zenoh's own begin with `_`.
-///
-/// # Errors
-///
-/// [`CommandError::Parameter`].
-pub fn no_parameters(query: &Query) -> Result<(), CommandError> {
-    selector(query.parameters().iter(), &[]).map(drop)
-}
-
-/// Whether a query's key expression takes in `key`.
-pub fn names(query: &Query, key: &str) -> bool {
-    KeyExpr::new(key).is_ok_and(|key| query.key_expr().intersects(&key))
 }
 
 #[cfg(test)]
@@ -170,13 +137,13 @@ mod tests {
         let used = AtomicU32::new(0);
         for verb in keys::SWARM_VERBS {
             let key = keys::cmd("jostle", "ants", verb);
-            assert_eq!(unused_before(&key, &used), Some(verb));
-            assert_eq!(unused_before(&key, &used), None, "{verb} is new twice");
+            assert_eq!(first_use(&key, &used), Some(verb));
+            assert_eq!(first_use(&key, &used), None, "{verb} is new twice");
         }
         let used = AtomicU32::new(0);
         for other in ["*", "**", "fly", "set/now"] {
             let key = keys::cmd("jostle", "ants", other);
-            assert_eq!(unused_before(&key, &used), None, "{other}");
+            assert_eq!(first_use(&key, &used), None, "{other}");
         }
         assert_eq!(used.into_inner(), 0);
     }

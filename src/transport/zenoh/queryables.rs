@@ -1,4 +1,4 @@
-//! What swarms can be reached by: the queryables and the liveliness token of each.
+//! The keys of the daemon and of its swarms: queryables and liveliness tokens.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -12,78 +12,79 @@ use zenoh::liveliness::LivelinessToken;
 use zenoh::query::Queryable;
 use zenoh::{Session, Wait};
 
-use crate::api::context::Clerk;
-use crate::transport::zenoh::dispatcher::Intake;
-use crate::transport::zenoh::query::{Topic, queryable};
+use crate::api::incoming::Target;
+use crate::transport::zenoh::gateway::{DispatchMessage, Gateway};
+use crate::transport::zenoh::query::queryable;
 use crate::transport::zenoh::session_pool::{Lease, SessionPool};
 
-/// How long the keys of a deleted swarm still answer, that it is not there.
+/// How long the keys of a deleted swarm stay declared, and reply that it does not exist.
 ///
-/// zenoh 1.10 loses a query that arrives while its queryable is being undeclared: its sender is
-/// left in silence until its own timeout. When many create and delete one name that happened
-/// every few dozen times; after this long nobody is likely to ask any more.
+/// zenoh 1.10 loses a query that arrives while its queryable is being undeclared: the client then
+/// waits until its own timeout. When many clients create and delete one name that happened every few
+/// dozen times; after this long a query is unlikely.
 pub const LINGER: Duration = Duration::from_secs(2);
 
-/// What all swarms can be reached by.
-pub struct Doors {
+/// The keys of the daemon and of its swarms.
+pub struct SwarmEndpoints {
     session: Session,
     pool: SessionPool,
     prefix: String,
     node: String,
-    intake: SyncSender<Intake>,
-    clerk: Arc<Clerk>,
-    doors: BTreeMap<String, Door>,
+    messages: SyncSender<DispatchMessage>,
+    gateway: Arc<Gateway>,
+    swarms: BTreeMap<String, Endpoint>,
     /// The liveliness token and the queryables of the daemon itself.
     node_keys: Option<(LivelinessToken, [Queryable<()>; 4])>,
     swept: Instant,
 }
 
-/// What one swarm can be reached by.
-struct Door {
-    /// Held exactly while the swarm is there.
+/// The keys of one swarm.
+struct Endpoint {
+    /// Declared exactly while the swarm exists.
     token: Option<LivelinessToken>,
     /// When the swarm was deleted.
     deleted: Option<Instant>,
     _queryables: [Queryable<()>; 3],
-    /// Those of the verbs that were used.
+    /// The declared keys of the verbs that were used.
     keys: Vec<KeyExpr<'static>>,
     lease: Lease,
 }
 
-impl Doors {
-    /// No doors yet. Queries are handed to `intake`, or turned away where the clerk's desk is full.
+impl SwarmEndpoints {
+    /// No keys yet. Requests are sent to `messages`.
     pub fn new(
         session: Session,
         pool: SessionPool,
         prefix: String,
         node: String,
-        intake: SyncSender<Intake>,
-        clerk: Arc<Clerk>,
+        messages: SyncSender<DispatchMessage>,
+        gateway: Arc<Gateway>,
     ) -> Self {
-        Doors {
+        SwarmEndpoints {
             session,
             pool,
             prefix,
             node,
-            intake,
-            clerk,
-            doors: BTreeMap::new(),
+            messages,
+            gateway,
+            swarms: BTreeMap::new(),
             node_keys: None,
             swept: Instant::now(),
         }
     }
 
-    /// Opens a swarm's keys. Queryables come before the token: whoever sees it finds them.
+    /// Declares the keys of a swarm: the queryables before the token, so that a client that sees the
+    /// token finds them.
     ///
     /// # Errors
     ///
-    /// When zenoh refuses a session or a key.
+    /// When zenoh rejects a session or a key.
     pub fn open(&mut self, swarm: &str) -> zenoh::Result<()> {
-        let mut door = match self.doors.remove(swarm) {
-            Some(door) => door,
+        let mut endpoint = match self.swarms.remove(swarm) {
+            Some(endpoint) => endpoint,
             None => {
                 let lease = self.pool.lease()?;
-                Door {
+                Endpoint {
                     token: None,
                     deleted: None,
                     _queryables: self.queryables(&lease, swarm)?,
@@ -93,29 +94,36 @@ impl Doors {
             }
         };
         let key = keys::alive(&self.prefix, swarm, &self.node);
-        door.token = Some(door.lease.liveliness().declare_token(key).wait()?);
-        door.deleted = None;
-        self.doors.insert(swarm.to_owned(), door);
+        endpoint.token = Some(endpoint.lease.liveliness().declare_token(key).wait()?);
+        endpoint.deleted = None;
+        self.swarms.insert(swarm.to_owned(), endpoint);
         Ok(())
     }
 
-    /// Opens the daemon's own keys, the token last.
+    /// Declares the daemon's own keys, the token last.
     ///
     /// # Errors
     ///
-    /// When zenoh refuses a key.
+    /// When zenoh rejects a key.
     pub fn open_node(&mut self) -> zenoh::Result<()> {
         let (prefix, node) = (&self.prefix, &self.node);
         let queryable = |key: String, topic| {
-            queryable(&self.session, None, &key, topic, &self.intake, &self.clerk)
+            queryable(
+                &self.session,
+                None,
+                &key,
+                topic,
+                &self.messages,
+                &self.gateway,
+            )
         };
         let queryables = [
-            queryable(keys::node_get(prefix, node, "**"), Topic::NodeGet)?,
-            queryable(keys::node_cmd(prefix, node, "**"), Topic::NodeCommand)?,
-            queryable(keys::cmd(prefix, "*", "delete"), Topic::Deletion)?,
+            queryable(keys::node_get(prefix, node, "**"), Target::NodeGet)?,
+            queryable(keys::node_cmd(prefix, node, "**"), Target::NodeCommand)?,
+            queryable(keys::cmd(prefix, "*", "delete"), Target::Deletion)?,
             queryable(
                 format!("{prefix}/@node/{node}/experiment/**"),
-                Topic::Experiment,
+                Target::Experiment,
             )?,
         ];
         let token = self.session.liveliness();
@@ -124,7 +132,7 @@ impl Doors {
         Ok(())
     }
 
-    /// Closes the daemon's own keys, the token first.
+    /// Undeclares the daemon's own keys, the token first.
     pub fn close_node(&mut self) {
         if let Some((token, queryables)) = self.node_keys.take() {
             drop(token);
@@ -132,47 +140,51 @@ impl Doors {
         }
     }
 
-    /// Closes a swarm's keys at once, the token first: another daemon serves it.
+    /// Undeclares the keys of a swarm at once, the token first: another daemon serves it.
     pub fn shut(&mut self, swarm: &str) {
-        if let Some(mut door) = self.doors.remove(swarm) {
-            drop(door.token.take());
+        if let Some(mut endpoint) = self.swarms.remove(swarm) {
+            drop(endpoint.token.take());
         }
     }
 
-    /// Takes a swarm's token away; its keys close a while later. Tells whether it had any.
+    /// Undeclares the token of a swarm, and its keys after [`LINGER`]. Returns whether it had a token.
     pub fn close(&mut self, swarm: &str) -> bool {
-        let Some(door) = self.doors.get_mut(swarm) else {
+        let Some(endpoint) = self.swarms.get_mut(swarm) else {
             return false;
         };
-        door.deleted = Some(Instant::now());
-        door.token.take().is_some()
+        endpoint.deleted = Some(Instant::now());
+        endpoint.token.take().is_some()
     }
 
-    /// Whether a swarm's own keys answer.
-    pub fn has(&self, swarm: &str) -> bool {
-        self.doors.contains_key(swarm)
+    /// Whether a key is `cmd/delete` of a swarm whose keys are declared.
+    pub fn serves(&self, key: &str) -> bool {
+        let swarm = key.strip_prefix(&self.prefix);
+        let swarm = swarm.and_then(|key| key.strip_prefix('/')?.strip_suffix("/cmd/delete"));
+        swarm.is_none_or(|swarm| self.swarms.contains_key(swarm))
     }
 
-    /// Closes the keys of swarms that are long gone.
+    /// Undeclares the keys of swarms that were deleted [`LINGER`] ago.
     pub fn sweep(&mut self) {
         if self.swept.elapsed() >= LINGER {
             self.swept = Instant::now();
-            self.doors
-                .retain(|_, door| door.deleted.is_none_or(|at| at.elapsed() < LINGER));
+            self.swarms
+                .retain(|_, endpoint| endpoint.deleted.is_none_or(|at| at.elapsed() < LINGER));
         }
     }
 
-    /// Has zenoh know the key of a verb that was used: from then on it remembers where such commands
-    /// go. Each of a key it does not know it compares with the keys of all swarms, while every other
-    /// query and answer waits.
+    /// Declares the key of a verb that was used: zenoh then caches the route of such commands. It
+    /// compares a key that is not declared with the keys of all swarms, and delays all other queries
+    /// and replies meanwhile.
     pub fn declare_key(&mut self, swarm: &str, verb: &str) {
-        let Some(door) = self.doors.get_mut(swarm) else {
+        let Some(endpoint) = self.swarms.get_mut(swarm) else {
             return;
         };
         let key = keys::cmd(&self.prefix, swarm, verb);
-        match door.lease.declare_keyexpr(key).wait() {
-            Ok(key) => door.keys.push(key),
-            Err(error) => debug!(swarm, verb, %error, "commands are found as before"),
+        match endpoint.lease.declare_keyexpr(key).wait() {
+            Ok(key) => endpoint.keys.push(key),
+            Err(error) => {
+                debug!(swarm, verb, %error, "failed to declare a key; commands still arrive")
+            }
         }
     }
 
@@ -180,15 +192,18 @@ impl Doors {
         let name: Arc<str> = swarm.into();
         let queryable = |key: String, topic| {
             let guard = Some(lease.guard());
-            queryable(lease, guard, &key, topic, &self.intake, &self.clerk)
+            queryable(lease, guard, &key, topic, &self.messages, &self.gateway)
         };
         Ok([
-            queryable(keys::state(&self.prefix, swarm), Topic::State(name.clone()))?,
+            queryable(
+                keys::state(&self.prefix, swarm),
+                Target::State(name.clone()),
+            )?,
             queryable(
                 keys::get(&self.prefix, swarm, "**"),
-                Topic::Get(name.clone()),
+                Target::Get(name.clone()),
             )?,
-            queryable(keys::cmd(&self.prefix, swarm, "**"), Topic::Command(name))?,
+            queryable(keys::cmd(&self.prefix, swarm, "**"), Target::Command(name))?,
         ])
     }
 }

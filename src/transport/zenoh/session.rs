@@ -25,6 +25,9 @@ const READING_NICENESS: i32 = -10;
 /// The largest message accepted from the bus, in bytes. Larger ones vanish.
 pub const MAX_MESSAGE_BYTES: usize = 1 << 20;
 
+/// The most bytes that zenoh adds to a request.
+pub const FRAMING_BYTES: usize = 4096;
+
 /// Sessions that are let in beyond the clients there may be, so that they are told: one more is cut
 /// off by zenoh without a word.
 const SESSIONS_TO_REFUSE: usize = 96;

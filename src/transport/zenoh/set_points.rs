@@ -12,8 +12,8 @@ use zenoh::pubsub::Subscriber;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
-use crate::api::commands::control;
 use crate::auth::live::LiveRights;
+use crate::convert::commands::control;
 use crate::swarm::handle::Ticket;
 use crate::swarm::registry::Host;
 use crate::transport::zenoh::claims::Claims;

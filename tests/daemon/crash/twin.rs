@@ -7,7 +7,7 @@ use jostle_physics::simulation::Change;
 use jostle_physics::simulation::Simulation;
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Phase, Request};
-use jostled::api::commands::{self, create};
+use jostled::convert::commands::{self, create};
 use jostled::convert::durable;
 use jostled::store::Row;
 use jostled::swarm::journal::Record;

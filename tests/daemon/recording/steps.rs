@@ -7,7 +7,7 @@ use jostle_physics::simulation::Simulation;
 use jostle_proto::State;
 use jostle_proto::verbs::CreateArgs;
 use jostle_results::recording::{self, About};
-use jostled::api::commands::create;
+use jostled::convert::commands::create;
 use jostled::swarm::registry::Limits;
 use serde_json::{Value, json};
 

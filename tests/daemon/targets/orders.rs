@@ -3,7 +3,7 @@
 use jostle_physics::simulation::{Change, Placement, Settings, Spec, Start};
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Error, ErrorCode, Request, keys};
-use jostled::api::commands::{self, Command, CommandError, create};
+use jostled::convert::commands::{self, Command, CommandError, create};
 use jostled::swarm::order::{Order, Until};
 use jostled::swarm::registry::Limits;
 

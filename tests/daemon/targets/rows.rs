@@ -1,7 +1,7 @@
 //! A row of a swarm's journal.
 
 use jostle_proto::Request;
-use jostled::api::commands;
+use jostled::convert::commands;
 use jostled::convert::durable::{read_record, record};
 use jostled::swarm::journal::Record;
 use serde_json::value::RawValue;

@@ -1,8 +1,8 @@
 //! The parameters behind the question mark of a selector.
 
 use jostle_proto::ErrorCode;
-use jostled::api::commands::{CommandError, wait};
 use jostled::api::pagination;
+use jostled::convert::commands::{CommandError, wait};
 use zenoh::query::Parameters;
 
 /// What is waited for is one thing, a page is within its limits, and what is refused is worded.

@@ -185,7 +185,7 @@ fn answers() -> (Answer, Receiver<Answered>) {
         // Nobody waits any more when the sequence has failed.
         let _ = sender.send(answered);
     };
-    (Box::new(answer), answers)
+    (Answer::new(answer), answers)
 }
 
 fn answer_from(answers: &Receiver<Answered>) -> Answered {

@@ -23,7 +23,7 @@ use zenoh::pubsub::Subscriber;
 use zenoh::sample::SampleKind;
 use zenoh::{Session, Wait};
 
-use crate::api::commands::CommandError;
+use crate::convert::commands::CommandError;
 use crate::health::Contested;
 
 use self::verdict::{Others, Verdict, judge};

@@ -150,6 +150,12 @@ pub enum CommandError {
     /// A defect of the daemon.
     #[error("a defect of the daemon: nothing was changed; please report what you sent")]
     Internal,
+    /// The request was dropped without a reply.
+    #[error(
+        "a defect of the daemon: it dropped the request, and whether it was executed is unknown: send \
+         the same request_id again"
+    )]
+    Dropped,
     /// More clients are connected than there may be.
     #[error(
         "more than the daemon's {} connected: close one, or raise max_clients and start it again",
@@ -282,7 +288,7 @@ impl CommandError {
             CommandError::NotPermitted(_) => ErrorCode::PermissionDenied,
             CommandError::Contested { .. } => ErrorCode::Contested,
             CommandError::Claimed(_) => ErrorCode::AlreadyExists,
-            CommandError::Internal => ErrorCode::Internal,
+            CommandError::Internal | CommandError::Dropped => ErrorCode::Internal,
             CommandError::TooLong { .. }
             | CommandError::SnapshotTooLong { .. }
             | CommandError::TooManyClients { .. } => ErrorCode::ResourceExhausted,

@@ -2,8 +2,8 @@
 
 use jostle_proto::verbs::JoinArgs;
 
-use crate::api::commands::{CommandError, check_name};
 use crate::convert;
+use crate::convert::commands::{CommandError, check_name};
 use crate::swarm::control::{self, Terms};
 use crate::swarm::order::Order;
 use jostle_convert::WireError;

@@ -2,7 +2,7 @@
 
 use jostle_proto::verbs::RunArgs;
 
-use crate::api::commands::CommandError;
+use crate::convert::commands::CommandError;
 use crate::swarm::order::{Order, Until};
 use jostle_convert::WireError;
 

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use crate::api::commands::{CommandError, selector};
+use crate::convert::commands::{CommandError, selector};
 use crate::swarm::order::Awaited;
 
 /// The longest that one `wait` is held; libraries ask again.

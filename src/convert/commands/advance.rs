@@ -3,7 +3,7 @@
 use jostle_convert::change::set_points;
 use jostle_proto::verbs::{AdvanceArgs, Return};
 
-use crate::api::commands::{CommandError, check_name, step};
+use crate::convert::commands::{CommandError, check_name, step};
 use crate::swarm::order::Order;
 
 /// Has a controller advance.

@@ -2,7 +2,7 @@
 
 use jostle_proto::verbs::ResetArgs;
 
-use crate::api::commands::CommandError;
+use crate::convert::commands::CommandError;
 use crate::swarm::order::Order;
 
 /// Resets the swarm.

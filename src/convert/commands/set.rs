@@ -2,7 +2,7 @@
 
 use jostle_proto::RequestError;
 
-use crate::api::commands::CommandError;
+use crate::convert::commands::CommandError;
 
 /// What is chosen when a swarm is created, and stays.
 const CHOSEN_AT_CREATION: [&str; 4] = ["n", "dt", "seed", "start"];

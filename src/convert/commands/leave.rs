@@ -2,7 +2,7 @@
 
 use jostle_proto::verbs::LeaveArgs;
 
-use crate::api::commands::{CommandError, check_name};
+use crate::convert::commands::{CommandError, check_name};
 use crate::swarm::order::Order;
 
 /// Has a controller leave.

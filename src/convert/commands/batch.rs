@@ -3,7 +3,7 @@
 use jostle_convert::change;
 use jostle_proto::verbs::BatchArgs;
 
-use crate::api::commands::CommandError;
+use crate::convert::commands::CommandError;
 use crate::swarm::order::Order;
 
 /// Makes several changes.

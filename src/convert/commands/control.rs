@@ -6,8 +6,8 @@ use jostle_convert::change::set_points;
 use jostle_proto::verbs::{Control, SetPoints};
 use serde::{Deserialize, Serialize};
 
-use crate::api::commands::{CommandError, check_name};
 use crate::convert;
+use crate::convert::commands::{CommandError, check_name};
 use crate::swarm::control::Put;
 use crate::swarm::order::{Order, Sender};
 

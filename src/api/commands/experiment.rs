@@ -1,0 +1,52 @@
+//! `experiment`: submits, pauses, resumes, cancels and deletes experiments.
+
+use jostle_proto::{ExperimentArgs, ExperimentResult, NodeReply, Request, keys};
+
+use crate::api::context::Context;
+use crate::api::responder::Responder;
+use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
+use crate::convert::{self, Payload};
+
+impl Context {
+    pub(super) fn experiment(
+        &self,
+        responder: &Responder,
+        request: &Request,
+    ) -> Result<(), CommandError> {
+        let key = keys::node_cmd(&self.prefix, &self.node, "experiment");
+        let begun = self.begin("experiment", &key, request, DEFAULT_TIMEOUT, responder)?;
+        let Some(args) = begun else {
+            return Ok(());
+        };
+        let (action, name) = match &args {
+            ExperimentArgs::Submit(args) => ("submit", args.name.as_deref()),
+            ExperimentArgs::Pause(args) => ("pause", Some(args.name.as_str())),
+            ExperimentArgs::Resume(args) => ("resume", Some(args.name.as_str())),
+            ExperimentArgs::Cancel(args) => ("cancel", Some(args.name.as_str())),
+            ExperimentArgs::Delete(args) => ("delete", Some(args.name.as_str())),
+        };
+        if let Some(name) = name {
+            let checked = check_name("name", name);
+            checked.map_err(|error| error.within(action.to_owned()))?;
+        }
+        let (node, responder) = (self.node.clone(), responder.clone());
+        self.experiment_files.submit(move |lab| {
+            let done = match &args {
+                ExperimentArgs::Submit(args) => lab.submit(args.name.as_deref(), &args.toml),
+                ExperimentArgs::Pause(args) => lab.pause(&args.name).map(|it| (false, it)),
+                ExperimentArgs::Resume(args) => lab.resume(&args.name).map(|it| (false, it)),
+                ExperimentArgs::Cancel(args) => lab.cancel(&args.name).map(|it| (false, it)),
+                ExperimentArgs::Delete(args) => lab.delete(&args.name).map(|it| (false, it)),
+            };
+            match done {
+                Ok((created, report)) => responder.complete(move || {
+                    let progress = convert::progress(report);
+                    let result = ExperimentResult { created, progress };
+                    Ok(Payload::json(&NodeReply { node, result }))
+                }),
+                Err(error) => responder.reject(&error.into(), None),
+            }
+        });
+        Ok(())
+    }
+}

@@ -1,0 +1,130 @@
+//! `fork`: a new swarm with the state of another one, now or on arrival at an earlier step.
+
+use std::sync::Arc;
+use std::thread;
+
+use jostle_proto::Request;
+use jostle_proto::verbs::ForkArgs;
+
+use super::created;
+use crate::api::context::Context;
+use crate::api::incoming::Incoming;
+use crate::api::responder::Responder;
+use crate::convert;
+use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
+use crate::convert::digest::RequestIdentity;
+use crate::persistence::recovery;
+use crate::persistence::writer::{self, MakePayload};
+use crate::store::Store;
+use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::handle::Ticket;
+use crate::swarm::outcome::{Answer, Outcome, Refusal};
+use crate::swarm::phase::{PauseReason, Phase};
+use crate::swarm::registry::Host;
+use crate::swarm::worker::replay::To;
+
+impl Context {
+    pub(super) fn fork(
+        &self,
+        swarm: &Arc<str>,
+        incoming: &Incoming,
+        responder: &Responder,
+    ) -> Result<(), CommandError> {
+        let key = incoming.key();
+        let request = self.request(incoming)?;
+        let begun = self.begin("fork", key, &request, DEFAULT_TIMEOUT, responder)?;
+        let Some(ForkArgs { name, step }) = begun else {
+            return Ok(());
+        };
+        check_name("name", &name)?;
+        let handle = self.find(swarm)?;
+        let now = handle.step().unwrap_or_default();
+        if let Some(step) = step
+            && jostle_convert::value::whole("step", step)? > now
+        {
+            return Err(CommandError::NotReached { step, now });
+        }
+        let copy = self.copy(name, PauseReason::Forked, key, &request, responder);
+        match step {
+            Some(step) => {
+                let (store, swarm) = (self.store.clone(), swarm.clone());
+                let replay =
+                    move || match recovery::told_again(&store, &swarm, To::Step(step), |_| {}) {
+                        Ok(replayed) => copy.make(replayed.checkpoint),
+                        Err(error) => copy.responder.reject(&error, None),
+                    };
+                let thread = thread::Builder::new().name("fork".into());
+                thread.spawn(replay).map_err(|_| CommandError::Busy)?;
+            }
+            None => handle.send(Ticket::Copy(Answer::new(move |answered| match answered {
+                Ok((_, Outcome::Whole(checkpoint))) => copy.make(*checkpoint),
+                Ok(_) => copy.responder.reject(&CommandError::Internal, None),
+                Err(Refusal { step, error }) => copy.responder.reject(&error.into(), step),
+            }))),
+        }
+        Ok(())
+    }
+
+    /// A copy of a swarm that `request` to `key` makes.
+    pub(super) fn copy(
+        &self,
+        name: String,
+        reason: PauseReason,
+        key: &str,
+        request: &Request,
+        responder: &Responder,
+    ) -> Copy {
+        Copy {
+            host: self.host.clone(),
+            store: self.store.clone(),
+            identity: RequestIdentity::of(key, request),
+            responder: responder.clone(),
+            name,
+            reason,
+        }
+    }
+}
+
+/// A swarm that is to be made from a checkpoint.
+pub(super) struct Copy {
+    host: Arc<Host>,
+    store: Store,
+    identity: Option<RequestIdentity>,
+    responder: Responder,
+    name: String,
+    reason: PauseReason,
+}
+
+impl Copy {
+    /// Makes it, and replies.
+    pub(super) fn make(self, checkpoint: Checkpoint) {
+        let Copy {
+            host,
+            store,
+            identity,
+            responder,
+            name,
+            reason,
+        } = self;
+        let checkpoint = checkpoint.for_another(Phase::Paused(reason));
+        let spec = checkpoint.simulation.spec.clone();
+        let named = identity.map(|identity| {
+            let (name, spec) = (name.clone(), spec.clone());
+            let payload: MakePayload =
+                Box::new(move |place, frame| convert::created(&name, place, &spec, frame, true));
+            (identity, payload)
+        });
+        let register = writer::register(&store, &name, &spec, named);
+        let answer = || {
+            let (responder, name) = (responder.clone(), name.clone());
+            Answer::new(move |answered| {
+                responder.respond(answered, move |place, outcome| {
+                    created(&name, &place, &spec, outcome, true)
+                });
+            })
+        };
+        if let Err(error) = host.copy(&name, checkpoint, register, answer) {
+            responder.reject(&error.into(), None);
+        }
+    }
+}

@@ -1,0 +1,176 @@
+//! `record`: the recordings that the daemon writes.
+
+use std::sync::Arc;
+
+use jostle_convert::WireError;
+use jostle_proto::{DEFAULT_MAX_RECORDING_BYTES, NodeReply, RecordArgs, Request, keys};
+use tracing::warn;
+
+use crate::api::context::Context;
+use crate::api::executor::Executor;
+use crate::api::responder::Responder;
+use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
+use crate::convert::{self, Payload};
+use crate::health::RecordingCounts;
+use crate::recording::{OnFailed, Phase, RecordError, Recordings, Source, Standing, Wanted};
+use crate::swarm::handle::Ticket;
+use crate::swarm::outcome::{Answer, OrderError, Outcome, Refusal};
+use crate::swarm::registry::Host;
+
+impl Context {
+    pub(super) fn record(
+        &self,
+        responder: &Responder,
+        request: &Request,
+    ) -> Result<(), CommandError> {
+        let key = keys::node_cmd(&self.prefix, &self.node, "record");
+        let begun = self.begin("record", &key, request, DEFAULT_TIMEOUT, responder)?;
+        let Some(args) = begun else {
+            return Ok(());
+        };
+        check(&args)?;
+        let (files, node, responder) = (
+            self.recording_files.clone(),
+            self.node.clone(),
+            responder.clone(),
+        );
+        match args {
+            RecordArgs::Begin(args) => {
+                let is_same = |name: &String| *name == args.swarm;
+                let mut contests = self.peers.contests().into_iter();
+                let contest = contests.find(|(swarm, _)| swarm.as_ref().is_none_or(is_same));
+                if let Some((swarm, claimants)) = contest {
+                    return Err(CommandError::Contested { swarm, claimants });
+                }
+                let handle = self.find(&args.swarm)?;
+                let tapped = handle.clone();
+                handle.send(Ticket::Look(Answer::new(move |answered| match answered {
+                    Ok((_, Outcome::Seen(now))) => {
+                        let choice = (args.every, args.steps, args.drop_when_behind);
+                        let source = Source::tap(&tapped, &now, choice, 0);
+                        files.submit(move |recordings| {
+                            let wanted = Wanted {
+                                name: args.recording,
+                                format: convert::recording_format(args.format),
+                                max_bytes: args.max_bytes.unwrap_or(DEFAULT_MAX_RECORDING_BYTES),
+                                temporary: args.temporary,
+                            };
+                            reply(&responder, node, recordings.begin(&wanted, source));
+                        });
+                    }
+                    Ok(_) => responder.reject(&CommandError::Internal, None),
+                    Err(Refusal { step, error }) => responder.reject(&error.into(), step),
+                })));
+            }
+            RecordArgs::Stop(args) => files.submit(move |recordings| {
+                let stopped = recordings.stop(&args.recording);
+                reply(&responder, node, stopped.map(|it| (args.recording, it)));
+            }),
+            RecordArgs::Delete(args) => files.submit(move |recordings| {
+                let deleted = recordings.delete(&args.recording);
+                reply(&responder, node, deleted.map(|it| (args.recording, it)));
+            }),
+        }
+        Ok(())
+    }
+}
+
+/// Rejects arguments out of range.
+fn check(args: &RecordArgs) -> Result<(), CommandError> {
+    let (action, checked) = match args {
+        RecordArgs::Begin(args) => {
+            let mut named = args.recording.iter();
+            let checked = check_name("swarm", &args.swarm)
+                .and_then(|()| named.try_for_each(|it| check_name("recording", it)))
+                .and_then(|()| positive("every", args.every))
+                .and_then(|()| positive("steps", args.steps))
+                .and_then(|()| positive("max_bytes", args.max_bytes));
+            ("begin", checked)
+        }
+        RecordArgs::Stop(args) => ("stop", check_name("recording", &args.recording)),
+        RecordArgs::Delete(args) => ("delete", check_name("recording", &args.recording)),
+    };
+    checked.map_err(|error: CommandError| error.within(action.to_owned()))
+}
+
+/// Rejects 0 where something is counted.
+fn positive(field: &'static str, number: Option<u64>) -> Result<(), CommandError> {
+    match number {
+        Some(0) => Err(WireError::out_of_range(field, 0).into()),
+        Some(number) => Ok(jostle_convert::value::whole(field, number).map(drop)?),
+        None => Ok(()),
+    }
+}
+
+fn reply(responder: &Responder, node: String, done: Result<(String, Standing), RecordError>) {
+    match done {
+        Ok((name, standing)) => responder.complete(move || {
+            let result = convert::recording(name, standing);
+            Ok(Payload::json(&NodeReply { node, result }))
+        }),
+        Err(error) => responder.reject(&error.into(), None),
+    }
+}
+
+/// Publishes a failed recording as an event of its swarm, if that is still there.
+pub fn publish_failure(host: Arc<Host>) -> OnFailed {
+    Box::new(move |swarm, recording, reason| {
+        if let Some(handle) = host.find(swarm) {
+            handle.send(Ticket::RecordingFailed(recording.into(), reason.into()));
+        }
+    })
+}
+
+/// Counts the recordings for health and metrics.
+pub fn count(recordings: &Recordings) -> RecordingCounts {
+    let mut counts = RecordingCounts::default();
+    for (name, standing) in recordings.list() {
+        match standing.phase {
+            Phase::Recording => counts.recording += 1,
+            Phase::Ended => counts.ended += 1,
+            Phase::Failed => {
+                let reason = standing.reason.unwrap_or_default();
+                counts.failed.push((name, reason));
+            }
+        }
+    }
+    counts
+}
+
+/// Resumes the recordings that were being written when the daemon ended.
+pub fn resume(recordings: &Recordings, files: &Executor<Recordings>, host: &Arc<Host>) {
+    for (name, standing) in recordings.interrupted() {
+        let resume = {
+            let (files, name) = (files.clone(), name.clone());
+            move |source| files.submit(move |recordings| recordings.go_on(&name, source))
+        };
+        let Some(handle) = host.find(&standing.swarm) else {
+            resume(None);
+            continue;
+        };
+        let tapped = handle.clone();
+        handle.send(Ticket::Look(Answer::new(move |answered| match answered {
+            Ok((_, Outcome::Seen(now))) => {
+                let Standing {
+                    every,
+                    steps_left,
+                    drop_when_behind,
+                    missed,
+                    ..
+                } = standing;
+                let choice = (every, steps_left, drop_when_behind);
+                let source = Source::tap(&tapped, &now, choice, missed);
+                resume(Some(source));
+            }
+            Err(Refusal {
+                error: OrderError::Gone,
+                ..
+            }) => resume(None),
+            // It is resumed when the daemon restarts.
+            _ => warn!(
+                recording = name,
+                "the swarm of the recording does not reply"
+            ),
+        })));
+    }
+}

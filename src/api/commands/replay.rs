@@ -1,0 +1,151 @@
+//! `replay`: uploads a recording in pieces, or opens one as a swarm that plays it.
+
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::thread;
+use std::time::Duration;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use jostle_proto::{NodeReply, OpenArgs, ReplayArgs, ReplayResult, Request, UploadArgs, keys};
+
+use crate::api::context::{Context, reject_preconditions};
+use crate::api::responder::Responder;
+use crate::convert::commands::{self, CommandError, check_name};
+use crate::convert::{self, Payload};
+use crate::playback::film::Film as _;
+use crate::playback::{Reel, ReplayError};
+use crate::swarm::order::Order;
+use crate::swarm::outcome::{Answer, Outcome};
+use crate::swarm::registry::{Host, Showing};
+
+/// The default timeout of opening a recording, which reads all of its index.
+const OPEN_TIMEOUT: Duration = Duration::from_secs(60);
+
+impl Context {
+    pub(super) fn replay(
+        &self,
+        responder: &Responder,
+        request: &Request,
+    ) -> Result<(), CommandError> {
+        match request.args()? {
+            ReplayArgs::Upload(piece) => self.upload(piece, responder, request),
+            ReplayArgs::Open(args) => self.open(args, responder, request),
+        }
+    }
+
+    /// Stores a piece of a recording. A piece that is stored already succeeds, so its request id is
+    /// not looked up.
+    fn upload(
+        &self,
+        piece: UploadArgs,
+        responder: &Responder,
+        request: &Request,
+    ) -> Result<(), CommandError> {
+        reject_preconditions(request)?;
+        commands::sender("replay", request)?;
+        let within = |error: CommandError| error.within("upload".to_owned());
+        check_name("name", &piece.name).map_err(within)?;
+        let whole =
+            |field, number| jostle_convert::value::whole(field, number).map_err(CommandError::from);
+        whole("offset", piece.offset).map_err(within)?;
+        whole("length", piece.length).map_err(within)?;
+        let bytes = STANDARD.decode(piece.bytes.as_bytes()).map_err(|_| {
+            within(CommandError::Field {
+                field: "bytes",
+                problem: "is not base64",
+            })
+        })?;
+        responder.set_deadline(commands::timeout(request)?, CommandError::deadline, None);
+        let (uploads, node, responder) =
+            (self.uploads.clone(), self.node.clone(), responder.clone());
+        self.experiment_files.submit(move |_| {
+            match uploads.take_in(&piece.name, piece.offset, piece.length, &bytes) {
+                Ok(uploaded) => responder.complete(move || {
+                    let result = ReplayResult {
+                        uploaded: Some(uploaded),
+                        replay: None,
+                    };
+                    Ok(Payload::json(&NodeReply { node, result }))
+                }),
+                Err(error) => responder.reject(&error.into(), None),
+            }
+        });
+        Ok(())
+    }
+
+    fn open(
+        &self,
+        args: OpenArgs,
+        responder: &Responder,
+        request: &Request,
+    ) -> Result<(), CommandError> {
+        let key = keys::node_cmd(&self.prefix, &self.node, "replay");
+        let begun = self.begin::<ReplayArgs>("replay", &key, request, OPEN_TIMEOUT, responder)?;
+        if begun.is_none() {
+            return Ok(());
+        }
+        let within = |error: CommandError| error.within("open".to_owned());
+        check_name("name", &args.name).map_err(within)?;
+        if let Some(recording) = &args.recording {
+            check_name("recording", recording).map_err(within)?;
+        }
+        let (host, node, responder) = (self.host.clone(), self.node.clone(), responder.clone());
+        let (uploads, recordings) = (self.uploads.clone(), self.recordings.clone());
+        let opened = thread::Builder::new().name("replay".into()).spawn(move || {
+            let reel = match &args.recording {
+                Some(name) => {
+                    let parts = recordings.parts(name).into_iter();
+                    let is_mcap = |it: &PathBuf| it.extension().is_some_and(|it| it == "mcap");
+                    match parts.filter(is_mcap).collect::<Vec<_>>() {
+                        none if none.is_empty() => Err(ReplayError::Unknown(name.clone())),
+                        parts => Reel::open(&parts, &read_order),
+                    }
+                }
+                None => uploads.reel(&args.name, &read_order),
+            };
+            match reel {
+                Ok(reel) => show(&host, node, &args.name, reel, &responder),
+                Err(error) => responder.reject(&error.into(), None),
+            }
+        });
+        opened.map(drop).map_err(|_| CommandError::Busy)
+    }
+}
+
+/// Plays a recording, and replies once its first state is published.
+fn show(host: &Arc<Host>, node: String, name: &str, reel: Reel, responder: &Responder) {
+    let frames = reel.marks().len();
+    let showing = Showing {
+        recipe: reel.recipe().clone(),
+        most_individuals: reel.most_individuals(),
+        bytes: reel.bytes(),
+        film: Box::new(reel),
+    };
+    let answer = || {
+        let (responder, swarm) = (responder.clone(), name.to_owned());
+        Answer::new(move |answered| {
+            responder.respond(answered, move |place, outcome| match outcome {
+                Outcome::Seen(seen) => {
+                    let result = ReplayResult {
+                        uploaded: None,
+                        replay: seen.replay.as_ref().map(convert::replay),
+                    };
+                    Payload::json(&NodeReply { node, result })
+                }
+                other => convert::outcome(&swarm, &place, other, None),
+            });
+        })
+    };
+    tracing::debug!(name, frames, "opened a recording");
+    if let Err(error) = host.show(name, showing, answer) {
+        responder.reject(&error.into(), None);
+    }
+}
+
+/// Parses a recorded command.
+fn read_order(verb: &str, args: &str) -> Result<Order, String> {
+    let request = Request::from_json(args.as_bytes()).map_err(|error| error.to_string())?;
+    let command = commands::read(verb, &request).map_err(|error| error.to_string())?;
+    Ok(command.order)
+}

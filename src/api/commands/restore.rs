@@ -1,0 +1,49 @@
+//! `restore`: a new swarm from a snapshot.
+
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use jostle_physics::simulation::ReserveError;
+use jostle_proto::verbs::RestoreArgs;
+use jostle_proto::{Request, keys};
+
+use crate::api::context::Context;
+use crate::api::responder::Responder;
+use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
+use crate::convert::sanity;
+use crate::persistence::recovery;
+use crate::swarm::outcome::OrderError;
+use crate::swarm::phase::PauseReason;
+
+impl Context {
+    pub(super) fn restore(
+        &self,
+        responder: &Responder,
+        request: &Request,
+    ) -> Result<(), CommandError> {
+        let key = keys::node_cmd(&self.prefix, &self.node, "restore");
+        let begun = self.begin("restore", &key, request, DEFAULT_TIMEOUT, responder)?;
+        let Some(RestoreArgs { name, snapshot }) = begun else {
+            return Ok(());
+        };
+        check_name("name", &name)?;
+        let checkpoint = STANDARD
+            .decode(snapshot.as_bytes())
+            .map_err(|error| error.to_string())
+            .and_then(|bytes| recovery::read_snapshot(&bytes))
+            .and_then(|it| match sanity::check(&it) {
+                Ok(()) => Ok(it),
+                Err(error) => Err(error.to_string()),
+            })
+            .map_err(CommandError::Snapshot)?;
+        // Its size now, and its size after a reset.
+        let simulation = &checkpoint.simulation;
+        let n = simulation.state.configuration.n().max(simulation.spec.n);
+        let limit = self.host.limits().max_individuals;
+        if n > limit {
+            return Err(OrderError::from(ReserveError::TooMany { n, limit }).into());
+        }
+        let copy = self.copy(name, PauseReason::Restored, &key, request, responder);
+        copy.make(checkpoint);
+        Ok(())
+    }
+}

@@ -1,0 +1,119 @@
+//! `progress`, `results` and `order` of experiments.
+
+use jostle_proto::{Experiments, keys};
+
+use crate::api::context::Context;
+use crate::api::incoming::Incoming;
+use crate::api::pagination;
+use crate::api::responder::Responder;
+use crate::convert::commands::{CommandError, shortened};
+use crate::convert::{self, Payload};
+use crate::experiments::Report;
+
+/// The most bytes of the rows of a page, so that a reply fits one message.
+const MAX_PAGE_BYTES: usize = 768 * 1024;
+
+/// The default and the most entries of a page of an order over time.
+const MAX_ENTRIES: usize = 40_000;
+
+impl Context {
+    /// All experiments and their progress.
+    pub(super) fn experiments(&self) -> Experiments {
+        let reports = self.lab.reports().into_iter();
+        Experiments {
+            experiments: reports.map(convert::progress).collect(),
+        }
+    }
+
+    /// Replies to a query of one experiment; a wildcard matches `progress` alone.
+    pub(crate) fn experiment_get(&self, incoming: &Incoming) {
+        if incoming.is_wild() {
+            for report in self.lab.reports() {
+                let key = keys::experiment(&self.prefix, &self.node, &report.name, "progress");
+                if incoming.matches(&key) {
+                    let responder = self.replies.responder(incoming, key);
+                    if let Err(error) = progress(incoming, &responder, report) {
+                        responder.reject(&error, None);
+                    }
+                }
+            }
+            return;
+        }
+        let responder = self.responder(incoming);
+        let prefix = keys::experiment(&self.prefix, &self.node, "", "");
+        let below = incoming.key().strip_prefix(prefix.trim_end_matches('/'));
+        let (name, noun) = below
+            .and_then(|below| below.trim_start_matches('/').split_once('/'))
+            .unwrap_or_default();
+        let done = match noun {
+            "progress" => match self.lab.report(name) {
+                Ok(report) => progress(incoming, &responder, report),
+                Err(error) => Err(error.into()),
+            },
+            "results" => self.results(incoming, &responder, name),
+            "order" => self.order(incoming, &responder, name),
+            _ => Err(CommandError::UnknownNoun {
+                noun: shortened(noun),
+                known: &keys::EXPERIMENT_GETS,
+            }),
+        };
+        if let Err(error) = done {
+            responder.reject(&error, None);
+        }
+    }
+
+    fn results(
+        &self,
+        incoming: &Incoming,
+        responder: &Responder,
+        name: &str,
+    ) -> Result<(), CommandError> {
+        let (after, limit) = pagination::read(incoming.parameters())?;
+        let (name, responder) = (name.to_owned(), responder.clone());
+        self.experiment_files.submit(move |lab| {
+            let read = lab
+                .report(&name)
+                .and_then(|report| Ok((report, lab.rows(&name)?)));
+            match read {
+                Ok((report, rows)) => responder.complete(move || {
+                    let finished = report.progress.finished as u64;
+                    let begin = rows.partition_point(|(number, _)| *number <= after);
+                    let rows = &rows[begin..];
+                    let page = convert::results_page(name, rows, limit, MAX_PAGE_BYTES, finished);
+                    Ok(Payload::json(&page))
+                }),
+                Err(error) => responder.reject(&error.into(), None),
+            }
+        });
+        Ok(())
+    }
+
+    fn order(
+        &self,
+        incoming: &Incoming,
+        responder: &Responder,
+        name: &str,
+    ) -> Result<(), CommandError> {
+        let (run, after, limit) = pagination::read_series(incoming.parameters(), MAX_ENTRIES)?;
+        let (name, run, responder) = (name.to_owned(), run.to_owned(), responder.clone());
+        self.experiment_files
+            .submit(move |lab| match lab.order(&name, &run) {
+                Ok(series) => responder.complete(move || {
+                    let page = convert::order_page(name, &series, after, limit);
+                    Ok(Payload::cbor(&page))
+                }),
+                Err(error) => responder.reject(&error.into(), None),
+            });
+        Ok(())
+    }
+}
+
+fn progress(
+    incoming: &Incoming,
+    responder: &Responder,
+    report: Report,
+) -> Result<(), CommandError> {
+    incoming.no_parameters()?;
+    responder.complete(move || Ok(Payload::json(&convert::progress(report))));
+    Ok(())
+}

@@ -1,0 +1,28 @@
+//! Queries: one file for each noun, or for several that are alike.
+
+mod experiment;
+mod node;
+mod recording;
+mod snapshot;
+mod swarm;
+mod verify;
+mod wait;
+
+pub use node::schemas;
+
+use crate::api::context::Context;
+use crate::api::incoming::Incoming;
+use crate::convert::commands::{CommandError, shortened};
+
+impl Context {
+    /// Rejects a query of a noun that does not exist.
+    fn reject_noun(&self, incoming: &Incoming, known: &'static [&'static str]) {
+        let key = incoming.key();
+        let noun = key.split_once("/get/").map_or(key, |(_, noun)| noun);
+        let error = CommandError::UnknownNoun {
+            noun: shortened(noun),
+            known,
+        };
+        self.reject(incoming, &error);
+    }
+}

@@ -1,0 +1,52 @@
+//! `get/recording`: a piece of a recording that the daemon wrote.
+
+use jostle_proto::NodeReply;
+
+use crate::api::context::Context;
+use crate::api::incoming::Incoming;
+use crate::api::responder::Responder;
+use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name, selector};
+use crate::convert::{self, Payload};
+
+impl Context {
+    /// Replies with a piece of a recording, if the client may record.
+    pub(super) fn recording(
+        &self,
+        incoming: &Incoming,
+        responder: &Responder,
+    ) -> Result<(), CommandError> {
+        self.rights.current().permit(incoming.token(), "record")?;
+        let (mut name, mut part, mut offset) = (None, 0, 0);
+        for (parameter, value) in selector(incoming.parameters(), &["name", "part", "offset"])? {
+            let number = |field| {
+                let wrong = |_| CommandError::Field {
+                    field,
+                    problem: "is not a whole number",
+                };
+                value.parse().map_err(wrong)
+            };
+            match parameter {
+                "name" => name = Some(value.to_owned()),
+                "part" => part = number("part")?,
+                _ => offset = number("offset")?,
+            }
+        }
+        let name = name.ok_or(CommandError::Field {
+            field: "name",
+            problem: "is missing: get/recordings lists the recordings",
+        })?;
+        check_name("name", &name)?;
+        responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
+        let (node, responder) = (self.node.clone(), responder.clone());
+        self.recording_files.submit(move |recordings| {
+            match recordings.piece(&name, part, offset) {
+                Ok(piece) => responder.complete(move || {
+                    let result = convert::recording_piece(name, part, offset, &piece);
+                    Ok(Payload::json(&NodeReply { node, result }))
+                }),
+                Err(error) => responder.reject(&error.into(), None),
+            }
+        });
+        Ok(())
+    }
+}

@@ -1,0 +1,165 @@
+//! `state`, and the nouns of a swarm that are read from its newest state and its history.
+
+use std::sync::Arc;
+
+use jostle_proto::{HistoryFrom, Status, keys};
+
+use crate::api::context::Context;
+use crate::api::incoming::Incoming;
+use crate::api::pagination;
+use crate::api::responder::Responder;
+use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
+use crate::convert::error::refusal;
+use crate::convert::{self, Payload};
+use crate::store::Store;
+use crate::swarm::frame::{Frame, Place};
+use crate::swarm::handle::Ticket;
+use crate::swarm::outcome::Outcome;
+
+/// Nouns that a wildcard does not match: `wait` blocks, the others are expensive.
+const CONCRETE_ONLY: [&str; 3] = ["wait", "verify", "snapshot"];
+
+impl Context {
+    /// Replies with the newest state.
+    pub(crate) fn state(&self, swarm: &Arc<str>, incoming: &Incoming) {
+        let key = keys::state(&self.prefix, swarm);
+        let responder = self.replies.responder(incoming, key);
+        let is_json = match incoming.wants_json() {
+            Ok(is_json) => is_json,
+            Err(error) => return responder.reject(&error, None),
+        };
+        let name = swarm.clone();
+        let outlet = self.host.find(swarm).map(|handle| handle.outlet);
+        self.look(swarm, &responder, move |_, frame| {
+            let number = outlet.map_or(0, |outlet| outlet.published());
+            let state = convert::state(&name, frame, number);
+            if is_json {
+                Payload::json(&state)
+            } else {
+                Payload::cbor(&state)
+            }
+        });
+    }
+
+    /// Replies to each noun that the key expression matches.
+    pub(crate) fn get(&self, swarm: &Arc<str>, incoming: &Incoming) {
+        let is_concrete = !incoming.is_wild();
+        let mut is_known = false;
+        for noun in keys::SWARM_GETS {
+            let key = keys::get(&self.prefix, swarm, noun);
+            if !incoming.matches(&key) || (CONCRETE_ONLY.contains(&noun) && !is_concrete) {
+                continue;
+            }
+            is_known = true;
+            let responder = match noun {
+                "wait" | "verify" => self.replies.responder(&incoming.without_permit(), key),
+                _ => self.replies.responder(incoming, key),
+            };
+            let done = match noun {
+                "wait" => self.wait(swarm, incoming, &responder),
+                "verify" => self.verify(swarm, incoming, &responder),
+                "snapshot" => self.snapshot(swarm, incoming, &responder),
+                noun => self.get_noun(swarm, noun, incoming, &responder),
+            };
+            if let Err(error) = done {
+                responder.reject(&error, None);
+            }
+        }
+        if is_known {
+            return;
+        }
+        if is_concrete {
+            return self.reject_noun(incoming, &keys::SWARM_GETS);
+        }
+        let key = incoming.key();
+        let noun = key.rsplit_once('/').map_or(key, |(_, noun)| noun);
+        if CONCRETE_ONLY.contains(&noun) {
+            let error = CommandError::Field {
+                field: "swarm",
+                problem: "is a wildcard: wait, verify and snapshot are of one swarm, by its own key",
+            };
+            self.reject(incoming, &error);
+        }
+    }
+
+    fn get_noun(
+        &self,
+        swarm: &Arc<str>,
+        noun: &'static str,
+        incoming: &Incoming,
+        responder: &Responder,
+    ) -> Result<(), CommandError> {
+        let (after, limit) = match noun {
+            "events" | "journal" => pagination::read(incoming.parameters())?,
+            _ => incoming.no_parameters().map(|()| (0, 0))?,
+        };
+        let (name, handle) = (swarm.clone(), self.find(swarm)?);
+        let (limits, store) = (self.host.limits(), self.store.clone());
+        let verifying = self.verifications.share(swarm);
+        self.look(swarm, responder, move |place, seen| match noun {
+            "spec" => {
+                let spec = jostle_convert::spec::to_proto(&handle.recipe, seen.seed);
+                Payload::json(&convert::reply(&name, place, spec))
+            }
+            "controllers" => {
+                let controllers = convert::controllers(seen);
+                Payload::json(&convert::reply(&name, place, controllers))
+            }
+            "parameters" => {
+                let parameters = convert::parameters(seen, limits);
+                Payload::json(&convert::reply(&name, place, parameters))
+            }
+            "events" => {
+                let events = convert::events(&name, handle.history.events(after, limit), refusal);
+                Payload::json(&convert::reply(&name, place, events))
+            }
+            "journal" => {
+                let journal = convert::journal(handle.history.entries(after, limit));
+                Payload::json(&convert::reply(&name, place, journal))
+            }
+            _ => status(&store, verifying, &name, place, seen),
+        });
+        Ok(())
+    }
+
+    /// Replies with what `payload` makes of the newest state.
+    fn look(
+        &self,
+        swarm: &Arc<str>,
+        responder: &Responder,
+        payload: impl FnOnce(&Place, &Frame) -> Payload + Send + 'static,
+    ) {
+        let name = swarm.clone();
+        self.send(
+            swarm,
+            responder,
+            (DEFAULT_TIMEOUT, CommandError::deadline),
+            Ticket::Look,
+            move |place, outcome| match outcome {
+                Outcome::Seen(frame) => payload(&place, &frame),
+                other => convert::outcome(&name, &place, other, None),
+            },
+        );
+    }
+}
+
+/// The status of a swarm.
+pub(super) fn status(
+    store: &Store,
+    verifying: Option<f64>,
+    swarm: &str,
+    place: &Place,
+    frame: &Frame,
+) -> Payload {
+    // A store that cannot be read writes to the log; the field is then omitted.
+    let oldest = store.history_from(swarm).ok().flatten();
+    let history_from = oldest.map(|checkpoint| HistoryFrom {
+        epoch: checkpoint.epoch,
+        step: checkpoint.step,
+    });
+    let status = Status {
+        verifying,
+        ..convert::status(frame, history_from)
+    };
+    Payload::json(&convert::reply(swarm, place, status))
+}

@@ -1,0 +1,111 @@
+//! `get/verify`: replays the history of a swarm and compares the hashes.
+
+use std::sync::Arc;
+use std::sync::mpsc::sync_channel;
+use std::time::Duration;
+
+use jostle_proto::Verified;
+
+use crate::api::context::Context;
+use crate::api::incoming::Incoming;
+use crate::api::responder::Responder;
+use crate::convert;
+use crate::convert::commands::CommandError;
+use crate::persistence::recovery::{self, Retold};
+use crate::swarm::frame::Place;
+use crate::swarm::handle::{Handle, Ticket};
+use crate::swarm::outcome::{Answer, OrderError, Outcome};
+use crate::swarm::worker::replay::To;
+
+/// The longest verification that the client waits for.
+const TIMEOUT: Duration = Duration::from_secs(3600);
+
+impl Context {
+    pub(super) fn verify(
+        &self,
+        swarm: &Arc<str>,
+        incoming: &Incoming,
+        responder: &Responder,
+    ) -> Result<(), CommandError> {
+        incoming.no_parameters()?;
+        let handle = self.find(swarm)?;
+        if handle.summary().is_some_and(|it| it.is_replay) {
+            responder.reject(&OrderError::Recorded.into(), handle.step());
+            return Ok(());
+        }
+        responder.set_deadline(TIMEOUT, CommandError::deadline, None);
+        let (store, name, here) = (self.store.clone(), swarm.clone(), handle.step());
+        let queued = responder.clone();
+        let begun = self.verifications.begin(
+            swarm,
+            Box::new(move |verification| {
+                // The deadline may have passed while it was queued.
+                if queued.is_done() {
+                    return;
+                }
+                let seen = present(&handle);
+                let to = match &seen {
+                    Some((place, _)) if !place.phase.is_moving() => {
+                        To::Place(place.epoch, place.step)
+                    }
+                    _ => To::LastHash,
+                };
+                let progress = verification.clone();
+                let replayed =
+                    recovery::told_again(&store, &name, to, move |share| progress.advance(share));
+                drop(verification);
+                match replayed {
+                    Ok(replayed) => {
+                        let verified = verified(&replayed, seen);
+                        handle.send(Ticket::Look(Answer::new(move |answered| {
+                            queued.respond(answered, move |place, _| {
+                                convert::Payload::json(&convert::reply(&name, &place, verified))
+                            });
+                        })));
+                    }
+                    Err(error) => queued.reject(&error, handle.step()),
+                }
+            }),
+        );
+        if begun.is_err() {
+            responder.reject(&CommandError::Busy, here);
+        }
+        Ok(())
+    }
+}
+
+/// Where a swarm is now, and its hash.
+fn present(handle: &Handle) -> Option<(Place, [u8; 32])> {
+    let (sender, receiver) = sync_channel(1);
+    handle.send(Ticket::Look(Answer::new(move |answered| {
+        // The receiver waits.
+        let _ = sender.send(answered);
+    })));
+    match receiver.recv() {
+        Ok(Ok((place, Outcome::Seen(frame)))) => Some((place, frame.hash?)),
+        _ => None,
+    }
+}
+
+/// Whether a replayed swarm has the hash of the swarm itself; `None` if that is elsewhere.
+fn is_as_now(replayed: &Retold, place: &Place, hash: [u8; 32]) -> Option<bool> {
+    let simulation = &replayed.checkpoint.simulation;
+    let reached = (simulation.epoch, simulation.state.step, simulation.seq);
+    let is_there = reached == (place.epoch, place.step, place.seq);
+    is_there.then(|| simulation.state.hash() == hash)
+}
+
+/// The result of a replay, compared with where the swarm was then and its hash.
+fn verified(replayed: &Retold, seen: Option<(Place, [u8; 32])>) -> Verified {
+    let now = seen.and_then(|(place, hash)| is_as_now(replayed, &place, hash));
+    let simulation = &replayed.checkpoint.simulation;
+    let here = (simulation.epoch, simulation.state.step);
+    let differs_at = replayed.differs_at.or((now == Some(false)).then_some(here));
+    Verified {
+        from_step: replayed.from,
+        to_step: here.1,
+        hashes: replayed.same + u64::from(replayed.differs_at.is_some()) + u64::from(now.is_some()),
+        differs_at: differs_at.map(|(_, step)| step),
+        differs_in_epoch: differs_at.map(|(epoch, _)| epoch),
+    }
+}

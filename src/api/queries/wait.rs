@@ -1,0 +1,49 @@
+//! `get/wait`: replies with the status once a condition holds.
+
+use std::sync::Arc;
+
+use super::swarm::status;
+use crate::api::context::Context;
+use crate::api::incoming::Incoming;
+use crate::api::responder::Responder;
+use crate::convert;
+use crate::convert::commands::{CommandError, wait};
+use crate::swarm::handle::Ticket;
+use crate::swarm::outcome::Outcome;
+use crate::swarm::waiters::Waiter;
+
+impl Context {
+    pub(super) fn wait(
+        &self,
+        swarm: &Arc<str>,
+        incoming: &Incoming,
+        responder: &Responder,
+    ) -> Result<(), CommandError> {
+        let (awaited, timeout) = wait::read(incoming.parameters())?;
+        let (name, store) = (swarm.clone(), self.store.clone());
+        let verifications = self.verifications.clone();
+        let abandoned = responder.downgrade();
+        self.send(
+            swarm,
+            responder,
+            (timeout, CommandError::not_yet),
+            |answer| {
+                Ticket::Wait(Waiter {
+                    awaited,
+                    is_abandoned: Box::new(move || {
+                        abandoned.upgrade().is_none_or(|it| it.is_done())
+                    }),
+                    answer,
+                })
+            },
+            move |place, outcome| match outcome {
+                Outcome::Seen(frame) => {
+                    let verifying = verifications.share(&name);
+                    status(&store, verifying, &name, &place, &frame)
+                }
+                other => convert::outcome(&name, &place, other, None),
+            },
+        );
+        Ok(())
+    }
+}

@@ -1,0 +1,42 @@
+//! `create`: a new swarm.
+
+use jostle_physics::simulation::{ChangeError, Spec};
+use jostle_proto::verbs::CreateArgs;
+
+use crate::convert::commands::{CommandError, check_name};
+use crate::swarm::outcome::OrderError;
+use crate::swarm::registry::Limits;
+
+/// Checks the name and the spec of a new swarm.
+///
+/// # Errors
+///
+/// [`CommandError`] names the first field that is wrong.
+pub fn recipe(args: &CreateArgs, limits: Limits) -> Result<Spec, CommandError> {
+    check_name("name", &args.name)?;
+    let n = usize::try_from(args.spec.n)
+        .ok()
+        .filter(|n| (1..=limits.max_individuals).contains(n));
+    let recipe = match n {
+        Some(n) => jostle_convert::spec::from_proto(&args.spec, n).map_err(CommandError::from),
+        None => Err(CommandError::Individuals {
+            n: args.spec.n,
+            limit: limits.max_individuals,
+        }),
+    };
+    recipe.map_err(within_spec)
+}
+
+/// Why a swarm could not be built from its spec.
+pub fn explain(error: OrderError) -> CommandError {
+    match error {
+        OrderError::Change(ChangeError::Parameters(_) | ChangeError::Start(_)) => {
+            within_spec(error.into())
+        }
+        other => other.into(),
+    }
+}
+
+fn within_spec(error: CommandError) -> CommandError {
+    error.within("spec".into())
+}

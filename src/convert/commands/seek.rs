@@ -1,0 +1,29 @@
+//! `seek`: a replay goes somewhere.
+
+use jostle_proto::SeekArgs;
+
+use crate::convert::commands::CommandError;
+use crate::swarm::order::Seek;
+use jostle_convert::WireError;
+
+/// The latest time that is sought.
+const LATEST_TIME: f64 = 1e12;
+
+/// Where to go.
+///
+/// # Errors
+///
+/// [`CommandError`] unless exactly one is named, within its range.
+pub fn seek(args: SeekArgs) -> Result<Seek, CommandError> {
+    match (args.step, args.time, args.fraction) {
+        (Some(step), None, None) => Ok(Seek::Step(jostle_convert::value::whole("step", step)?)),
+        (None, Some(time), None) if (0.0..=LATEST_TIME).contains(&time) => Ok(Seek::Time(time)),
+        (None, Some(time), None) => Err(WireError::out_of_range("time", time).into()),
+        (None, None, Some(share)) if (0.0..=1.0).contains(&share) => Ok(Seek::Fraction(share)),
+        (None, None, Some(share)) => Err(WireError::out_of_range("fraction", share).into()),
+        _ => Err(CommandError::Field {
+            field: "args",
+            problem: "must have exactly one of step, time and fraction",
+        }),
+    }
+}

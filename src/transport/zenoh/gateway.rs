@@ -1,0 +1,121 @@
+//! What the threads that receive queries share with the dispatcher, and its messages.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::mpsc::SyncSender;
+
+use jostle_proto::Claimant;
+use zenoh::{Session, Wait};
+
+use crate::api::admission::Admission;
+use crate::api::context::{Context, Peers};
+use crate::api::incoming::{Incoming, Target};
+use crate::swarm::registry::Herald;
+use crate::transport::zenoh::claims::{Claims, Gate, Name};
+use crate::transport::zenoh::publisher::Press;
+
+/// Requests that may be queued for the dispatcher; further ones are rejected with `busy`.
+pub const MAX_QUEUED: usize = 1024;
+
+/// The longest request that is handled on the thread that received it, in bytes.
+const MAX_BYTES_AT_ONCE: usize = 16 * 1024;
+
+/// A message to the dispatcher.
+pub enum DispatchMessage {
+    /// A request.
+    Request(Incoming),
+    /// The first use of a verb on a swarm.
+    FirstUse(Arc<str>, &'static str),
+    /// The claims of other daemons, or the connected routers, changed.
+    Claimed,
+    /// Every swarm is recovered: open the daemon's own keys as soon as its claim permits it.
+    Recovered(SyncSender<zenoh::Result<()>>),
+    /// A swarm is built.
+    Begun(String, Box<dyn FnOnce() + Send>),
+    /// A swarm has ended.
+    Ended(String, Box<dyn FnOnce() + Send>),
+    /// The daemon stops.
+    Stop,
+}
+
+/// Notifies the dispatcher and the publisher of swarms.
+pub struct LifecycleNotifier {
+    messages: SyncSender<DispatchMessage>,
+    press: Arc<Press>,
+}
+
+impl LifecycleNotifier {
+    /// A notifier of these two.
+    pub fn new(messages: SyncSender<DispatchMessage>, press: Arc<Press>) -> Self {
+        LifecycleNotifier { messages, press }
+    }
+}
+
+impl Herald for LifecycleNotifier {
+    fn ring(&self, name: &str) {
+        self.press.ring(name);
+    }
+
+    fn is_watched(&self, name: &str, is_moving: bool) -> bool {
+        self.press.is_watched(name, is_moving)
+    }
+
+    fn begun(&self, name: &str, built: Box<dyn FnOnce() + Send>) {
+        // An error means that the daemon is stopping.
+        let message = DispatchMessage::Begun(name.to_owned(), built);
+        let _ = self.messages.send(message);
+    }
+
+    fn ended(&self, name: &str, ended: Box<dyn FnOnce() + Send>) {
+        let message = DispatchMessage::Ended(name.to_owned(), ended);
+        let _ = self.messages.send(message);
+    }
+}
+
+/// The connections to clients and to other daemons.
+pub struct Connections {
+    /// The daemon's session.
+    pub session: Session,
+    /// The claims to names of this daemon and of others.
+    pub claims: Arc<Claims>,
+}
+
+impl Peers for Connections {
+    fn clients(&self) -> usize {
+        self.session.info().transports().wait().count()
+    }
+
+    fn contests(&self) -> Vec<(Option<String>, [Claimant; 2])> {
+        let contests = self.claims.contests().into_iter();
+        contests.map(|it| (it.swarm, it.claimants)).collect()
+    }
+}
+
+/// What the threads that receive queries share with the dispatcher.
+pub struct Gateway {
+    /// Handles requests.
+    pub context: Arc<Context>,
+    /// The claims, which decide what this daemon may serve.
+    pub claims: Arc<Claims>,
+    /// Limits the requests without a reply.
+    pub admission: Admission,
+    /// The requests that are queued for the dispatcher, held, or being dispatched.
+    pub queued: AtomicUsize,
+}
+
+impl Gateway {
+    /// Whether a request is handled on the thread that received it, which wakes one thread less:
+    /// a short command that takes no time, if no other request is queued before it.
+    pub fn handles_at_once(&self, incoming: &Incoming, bytes: usize) -> bool {
+        let Target::Command(swarm) = incoming.target() else {
+            return false;
+        };
+        let verb = incoming.key().rsplit('/').next();
+        let is_slow = verb.is_none_or(|verb| matches!(verb, "fork" | "seek" | "delete"));
+        let is_first = self.queued.load(Ordering::Acquire) == 0;
+        bytes <= MAX_BYTES_AT_ONCE
+            && is_first
+            && !is_slow
+            && self.claims.gate(&Name::Swarm(swarm.to_string()), true) == Gate::Open
+    }
+}
