@@ -18,9 +18,10 @@ use crate::convert::Payload;
 use crate::convert::error::CommandError;
 use crate::metrics::Pulse;
 use crate::persistence::recovery::ReplySlot;
+use crate::swarm::error::OrderError;
 use crate::swarm::frame::Place;
 use crate::swarm::handle::LastStep;
-use crate::swarm::outcome::{Answered, OrderError, Outcome, Refusal};
+use crate::swarm::outcome::{Answered, Outcome, Refusal};
 
 /// Makes the error of a deadline that passed after so many seconds.
 pub type TimeoutError = fn(f64) -> CommandError;

@@ -15,11 +15,13 @@ use tokio::sync::oneshot;
 use crate::app::Server;
 use crate::convert::commands::{CommandError, create, run};
 use crate::persistence::writer;
+use crate::swarm::error::OrderError;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::{self, Handle, Ticket};
-use crate::swarm::order::{Awaited, Order, Sender, When};
-use crate::swarm::outcome::{Answer, Answered, OrderError, Outcome};
+use crate::swarm::order::{Awaited, Order, When};
+use crate::swarm::outcome::{Answer, Answered, Outcome};
 use crate::swarm::registry::{Created, HostError};
+use crate::swarm::sender::Sender;
 use crate::swarm::waiters::Waiter;
 
 /// Prints a line at once. A pipe that nobody reads any more is no reason to end.

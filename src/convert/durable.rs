@@ -10,11 +10,13 @@ use serde::{Deserialize, Serialize};
 
 use crate::convert::{from_proto, to_proto};
 use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::control::{self, Membership};
 use crate::swarm::journal::Record;
-use crate::swarm::order::{Order, Sender};
+use crate::swarm::membership;
+use crate::swarm::membership::Membership;
+use crate::swarm::order::Order;
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
+use crate::swarm::sender::Sender;
 
 /// Reads what a command orders.
 pub type ReadOrder<'a> = &'a dyn Fn(&Sender) -> Result<Order, String>;
@@ -129,7 +131,7 @@ fn member_kept((name, kept): &(String, Membership)) -> Member {
 }
 
 fn membership(member: &Member) -> Result<(String, Membership), SnapshotError> {
-    let deadline = control::deadline(member.deadline_secs);
+    let deadline = membership::deadline(member.deadline_secs);
     let deadline = deadline.ok_or_else(|| {
         SnapshotError::Unreadable(format!("a deadline of {} s", member.deadline_secs))
     })?;

@@ -12,7 +12,7 @@ use crate::auth::NotPermitted;
 use crate::experiments::LabError;
 use crate::playback::{MOST_BYTES, ReplayError};
 use crate::recording::RecordError;
-use crate::swarm::outcome::OrderError;
+use crate::swarm::error::OrderError;
 use crate::swarm::registry::HostError;
 
 /// Why a request was refused.

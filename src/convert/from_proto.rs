@@ -2,7 +2,7 @@
 
 use jostle_proto::verbs;
 
-use crate::swarm::control::{Departure, Miss, Mode, News, OnTimeout};
+use crate::swarm::membership::{Departure, Miss, Mode, News, OnTimeout};
 
 /// Set-points that were put, in CBOR or JSON.
 ///

@@ -12,13 +12,14 @@ use jostle_proto::verbs::{
 use serde::Serialize;
 
 use crate::convert::durable::snapshot;
-use crate::swarm::control::{Departure, Mode, News, OnTimeout};
+use crate::swarm::error::OrderError;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
 use crate::swarm::history::{Entry, Page};
-use crate::swarm::order::Sender;
-use crate::swarm::outcome::{OrderError, Outcome};
+use crate::swarm::membership::{Departure, Mode, News, OnTimeout};
+use crate::swarm::outcome::Outcome;
 use crate::swarm::phase::Phase;
 use crate::swarm::registry::Limits;
+use crate::swarm::sender::Sender;
 
 /// Most messages are no longer.
 const USUAL_BYTES: usize = 512;

@@ -10,7 +10,8 @@ use crate::convert::commands::{self, Command};
 use crate::convert::durable;
 use crate::store::{Row, Store, StoreError};
 use crate::swarm::journal::{Line, Record};
-use crate::swarm::order::{Order, Sender};
+use crate::swarm::order::Order;
+use crate::swarm::sender::Sender;
 use crate::swarm::worker::replay::Told;
 
 /// Lines read at once.

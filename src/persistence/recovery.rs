@@ -16,11 +16,12 @@ use crate::persistence::journal_reader::{self, LineError, Lines, PAGE};
 use crate::persistence::writer::{About, writes};
 use crate::store::{self, Store, StoreError, Write};
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::error::OrderError;
 use crate::swarm::journal::{Line, Record, Written};
-use crate::swarm::order::Sender;
-use crate::swarm::outcome::{Answer, OrderError, Refusal};
+use crate::swarm::outcome::{Answer, Refusal};
 use crate::swarm::phase::Phase;
 use crate::swarm::registry::{self, Host, HostError};
+use crate::swarm::sender::Sender;
 use crate::swarm::worker::replay::{Applied, Outlook, Past, To, Told};
 
 /// Lines looked through for the commands that were applied before a checkpoint.

@@ -10,8 +10,9 @@ use crate::convert::digest::RequestIdentity;
 use crate::convert::{self, Payload, durable};
 use crate::store::{self, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{Frame, Place};
-use crate::swarm::journal::{Done, Wanted, WriteFault, Written};
+use crate::swarm::journal::{Done, Wanted, Written};
 use crate::swarm::outcome::Outcome;
 use crate::swarm::registry::{Archive, Register};
 

@@ -10,13 +10,15 @@ use tracing::warn;
 
 use crate::playback::film::{Film, Mark, Shot, Told};
 use crate::swarm::clock;
+use crate::swarm::error::OrderError;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
 use crate::swarm::handle::{Command, Handle, Ticket, receive};
 use crate::swarm::history::History;
-use crate::swarm::order::{Order, Seek, Sender, Until, When};
-use crate::swarm::outcome::{OrderError, Outcome, Refusal};
+use crate::swarm::order::{Order, Seek, Until, When};
+use crate::swarm::outcome::{Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
+use crate::swarm::sender::Sender;
 use crate::swarm::tally::Tally;
 use crate::swarm::waiters::Waiters;
 use crate::swarm::worker::End;

@@ -4,10 +4,10 @@ use std::sync::Arc;
 
 use jostle_physics::simulation::{self, Rate};
 
-use crate::swarm::control::Membership;
-use crate::swarm::order::Sender;
+use crate::swarm::membership::Membership;
 use crate::swarm::phase::Phase;
 use crate::swarm::schedule::Scheduled;
+use crate::swarm::sender::Sender;
 
 /// A swarm as a whole: two swarms with equal checkpoints have one future.
 #[derive(Clone, Debug)]

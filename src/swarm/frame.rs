@@ -8,10 +8,10 @@ use jostle_physics::model::parameters::Parameters;
 use jostle_physics::observables::{Order, RunningMeans};
 use jostle_physics::simulation::{Exactness, Rate};
 
-use crate::swarm::control::Seen;
-use crate::swarm::order::Sender;
-use crate::swarm::outcome::OrderError;
+use crate::swarm::error::OrderError;
+use crate::swarm::membership::Seen;
 use crate::swarm::phase::Phase;
+use crate::swarm::sender::Sender;
 
 /// Where a swarm is: the head of every answer.
 #[derive(Clone, Debug, PartialEq)]

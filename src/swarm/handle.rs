@@ -6,13 +6,15 @@ use std::time::Instant;
 
 use jostle_physics::simulation::Spec;
 
-use crate::swarm::control::Put;
 use crate::swarm::cores::{Cores, Seat};
+use crate::swarm::error::OrderError;
 use crate::swarm::frame::Summary;
 use crate::swarm::history::History;
-use crate::swarm::order::{Order, Seek, Sender, When};
-use crate::swarm::outcome::{Answer, OrderError, Refusal};
+use crate::swarm::membership::Put;
+use crate::swarm::order::{Order, Seek, When};
+use crate::swarm::outcome::{Answer, Refusal};
 use crate::swarm::outlet::Outlet;
+use crate::swarm::sender::Sender;
 use crate::swarm::tally::{Tally, Totals};
 use crate::swarm::waiters::Waiter;
 

@@ -6,7 +6,7 @@ use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::swarm::frame::{Event, EventKind, Place};
-use crate::swarm::order::Sender;
+use crate::swarm::sender::Sender;
 
 /// Events kept, and the bytes they may take.
 const MOST_EVENTS: (usize, usize) = (1024, 256 * 1024);

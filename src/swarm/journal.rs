@@ -10,11 +10,10 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::sync_channel;
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use thiserror::Error;
-
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::error::WriteFault;
 use crate::swarm::frame::Place;
-use crate::swarm::order::Sender;
+use crate::swarm::sender::Sender;
 
 /// Commands that may be carried out before they are safe. The next one waits for the disk, and
 /// hears if it is full: what is held for later is bounded.
@@ -73,17 +72,6 @@ pub enum Written {
     Checkpoint(Box<Checkpoint>),
     /// The swarm's end: where it was, and who ended it.
     End(Place, Arc<Sender>),
-}
-
-/// Why something could not be written; nothing of it was.
-#[derive(Clone, Debug, Error, PartialEq, Eq)]
-pub enum WriteFault {
-    /// There is no space.
-    #[error("no space is left for the journal")]
-    Full,
-    /// It failed otherwise, or the daemon stops.
-    #[error("the journal cannot be written ({0})")]
-    Failed(String),
 }
 
 /// Told when something is safe, or why it will not be.

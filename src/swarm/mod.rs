@@ -2,13 +2,15 @@
 
 pub mod checkpoint;
 pub mod clock;
-pub mod control;
+pub mod controllers;
 pub mod cores;
 mod crash;
+pub mod error;
 pub mod frame;
 pub mod handle;
 pub mod history;
 pub mod journal;
+pub mod membership;
 pub mod order;
 pub mod outcome;
 pub mod outlet;
@@ -17,6 +19,7 @@ pub mod phase;
 pub mod rank;
 pub mod registry;
 pub mod schedule;
+pub mod sender;
 pub mod tally;
 pub mod waiters;
 pub mod worker;

@@ -2,7 +2,7 @@
 
 use jostle_physics::simulation::{Change, Rate, SetPoints};
 
-use crate::swarm::control::Terms;
+use crate::swarm::membership::Terms;
 
 /// What a swarm is told to do.
 #[derive(Clone, Debug, PartialEq)]
@@ -102,21 +102,6 @@ pub enum Seek {
     Time(f64),
     /// This share of all of it, from 0 to 1.
     Fraction(f64),
-}
-
-/// Who sent a command and how, for the event that tells of it.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Sender {
-    /// The verb's name.
-    pub verb: &'static str,
-    /// The arguments as they came, JSON.
-    pub args: String,
-    /// Who says to have sent it.
-    pub client: Option<String>,
-    /// What the sender called it.
-    pub request_id: Option<String>,
-    /// What tells it from any other request of that name.
-    pub digest: Option<[u8; 32]>,
 }
 
 /// When an order is to be carried out.

@@ -3,8 +3,9 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::swarm::order::{Order, Sender};
-use crate::swarm::outcome::OrderError;
+use crate::swarm::error::OrderError;
+use crate::swarm::order::Order;
+use crate::swarm::sender::Sender;
 
 /// Commands that may wait at once, and the bytes of text they may have.
 const MOST: (usize, usize) = (1024, 256 * 1024);

@@ -3,8 +3,9 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
+use crate::swarm::error::OrderError;
 use crate::swarm::order::Awaited;
-use crate::swarm::outcome::{Answer, Answered, OrderError};
+use crate::swarm::outcome::{Answer, Answered};
 use crate::swarm::phase::Phase;
 
 /// Answers that may wait at once.

@@ -13,8 +13,9 @@ use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::{self, Payload};
 use crate::health::RecordingCounts;
 use crate::recording::{OnFailed, Phase, RecordError, Recordings, Source, Standing, Wanted};
+use crate::swarm::error::OrderError;
 use crate::swarm::handle::Ticket;
-use crate::swarm::outcome::{Answer, OrderError, Outcome, Refusal};
+use crate::swarm::outcome::{Answer, Outcome, Refusal};
 use crate::swarm::registry::Host;
 
 impl Context {

@@ -11,7 +11,7 @@ use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::sanity;
 use crate::persistence::recovery;
-use crate::swarm::outcome::OrderError;
+use crate::swarm::error::OrderError;
 use crate::swarm::phase::PauseReason;
 
 impl Context {

@@ -12,9 +12,10 @@ use crate::api::responder::Responder;
 use crate::convert;
 use crate::convert::commands::CommandError;
 use crate::persistence::recovery::{self, Retold};
+use crate::swarm::error::OrderError;
 use crate::swarm::frame::Place;
 use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::outcome::{Answer, OrderError, Outcome};
+use crate::swarm::outcome::{Answer, Outcome};
 use crate::swarm::worker::replay::To;
 
 /// The longest verification that the client waits for.

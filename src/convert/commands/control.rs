@@ -8,8 +8,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::convert;
 use crate::convert::commands::{CommandError, check_name};
-use crate::swarm::control::Put;
-use crate::swarm::order::{Order, Sender};
+use crate::swarm::membership::Put;
+use crate::swarm::order::Order;
+use crate::swarm::sender::Sender;
 
 /// Set-points as the journal has them.
 #[derive(Serialize, Deserialize)]

@@ -4,7 +4,7 @@ use jostle_physics::simulation::{ChangeError, Spec};
 use jostle_proto::verbs::CreateArgs;
 
 use crate::convert::commands::{CommandError, check_name};
-use crate::swarm::outcome::OrderError;
+use crate::swarm::error::OrderError;
 use crate::swarm::registry::Limits;
 
 /// Checks the name and the spec of a new swarm.

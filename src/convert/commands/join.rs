@@ -4,7 +4,8 @@ use jostle_proto::verbs::JoinArgs;
 
 use crate::convert;
 use crate::convert::commands::{CommandError, check_name};
-use crate::swarm::control::{self, Terms};
+use crate::swarm::membership;
+use crate::swarm::membership::Terms;
 use crate::swarm::order::Order;
 use jostle_convert::WireError;
 
@@ -24,7 +25,7 @@ pub fn order(args: JoinArgs) -> Result<Order, CommandError> {
         again,
     } = args;
     check_name("controller", &controller)?;
-    let Some(deadline) = control::deadline(deadline_secs) else {
+    let Some(deadline) = membership::deadline(deadline_secs) else {
         return Err(WireError::out_of_range("deadline_secs", deadline_secs).into());
     };
     Ok(Order::Join(Terms {

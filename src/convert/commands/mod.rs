@@ -10,7 +10,8 @@ use jostle_convert::change;
 use jostle_proto::verbs::LeaveArgs;
 use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
 
-use crate::swarm::order::{Order, Sender, When};
+use crate::swarm::order::{Order, When};
+use crate::swarm::sender::Sender;
 use jostle_convert::WireError;
 
 pub mod advance;

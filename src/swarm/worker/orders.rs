@@ -10,14 +10,16 @@ use tracing::warn;
 
 use crate::swarm::clock;
 use crate::swarm::crash;
+use crate::swarm::error::OrderError;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::Command;
 use crate::swarm::journal::{Record, Written};
-use crate::swarm::order::{Order, Sender, Until, When};
-use crate::swarm::outcome::{Answer, Answered, OrderError, Outcome, Refusal};
+use crate::swarm::order::{Order, Until, When};
+use crate::swarm::outcome::{Answer, Answered, Outcome, Refusal};
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
+use crate::swarm::sender::Sender;
 use crate::swarm::worker::steering::Coupling;
 use crate::swarm::worker::{End, Pending, Worker};
 use jostle_physics::simulation::steps_in;

@@ -10,13 +10,15 @@ use std::time::Instant;
 use jostle_physics::model::selection::{Candidates, Selection, select};
 use jostle_physics::simulation::{ChangeError, SetPoints};
 
-use crate::swarm::control::{Departure, MOST_MISSES, Mode, News, OnTimeout, Put, Terms};
+use crate::swarm::error::OrderError;
 use crate::swarm::frame::EventKind;
 use crate::swarm::history::Entry;
-use crate::swarm::order::{Order, Sender};
-use crate::swarm::outcome::{Answer, OrderError, Outcome};
+use crate::swarm::membership::{Departure, MOST_MISSES, Mode, News, OnTimeout, Put, Terms};
+use crate::swarm::order::Order;
+use crate::swarm::outcome::{Answer, Outcome};
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
+use crate::swarm::sender::Sender;
 use crate::swarm::worker::{End, Worker};
 
 /// An order of a controller's that is carried out before it is safe, like a `step`.

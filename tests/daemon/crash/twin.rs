@@ -11,8 +11,9 @@ use jostled::convert::commands::{self, create};
 use jostled::convert::durable;
 use jostled::store::Row;
 use jostled::swarm::journal::Record;
-use jostled::swarm::order::{Order, Sender, Until};
+use jostled::swarm::order::{Order, Until};
 use jostled::swarm::registry::Limits;
+use jostled::swarm::sender::Sender;
 use serde_json::value::RawValue;
 use serde_json::{Value, json};
 

@@ -16,13 +16,15 @@ use std::time::{Duration, Instant};
 use jostle_physics::model::Parameters;
 use jostle_physics::model::selection::Selection;
 use jostle_physics::simulation::{Change, ChangeError, Placement, Settings, Spec, Start};
+use jostled::swarm::error::OrderError;
 use jostled::swarm::frame::{EventKind, Frame, Place};
 use jostled::swarm::handle::{Command, Handle, Ticket};
 use jostled::swarm::journal::to_nowhere;
-use jostled::swarm::order::{Awaited, Order, Sender, Until, When};
-use jostled::swarm::outcome::{Answer, Answered, OrderError, Outcome};
+use jostled::swarm::order::{Awaited, Order, Until, When};
+use jostled::swarm::outcome::{Answer, Answered, Outcome};
 use jostled::swarm::phase::Phase;
 use jostled::swarm::registry::{Created, Herald, Host, Limits};
+use jostled::swarm::sender::Sender;
 use jostled::swarm::waiters::Waiter;
 
 use model::{Came, Doing, FAST, LIMIT, Model, SLOW, Step, Told};
