@@ -17,7 +17,7 @@ use crate::persistence::writer::{About, writes};
 use crate::store::{self, Store, StoreError, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::OrderError;
-use crate::swarm::journal::{Line, Record, Written};
+use crate::swarm::journal::{Entry, Line, Record};
 use crate::swarm::outcome::{Answer, Refusal};
 use crate::swarm::phase::Phase;
 use crate::swarm::registry::{self, Host, HostError};
@@ -360,7 +360,7 @@ impl Story {
             swarm: swarm.to_owned(),
             after: number,
         };
-        let fault = writes(swarm, Written::Line(line.clone()));
+        let fault = writes(swarm, Entry::Line(line.clone()));
         match store.commit(std::iter::once(cut).chain(fault).collect()) {
             Ok(()) => {
                 error!(swarm, damage, "the journal is cut where it is damaged");

@@ -12,7 +12,7 @@ use crate::store::{self, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{Frame, Place};
-use crate::swarm::journal::{Done, Wanted, Written};
+use crate::swarm::journal::{Entry, JournalWriter, Reached};
 use crate::swarm::outcome::Outcome;
 use crate::swarm::registry::{Archive, Register};
 
@@ -23,28 +23,46 @@ pub(crate) struct About {
     pub(crate) spec: proto::Spec,
 }
 
-/// Writes every swarm's journal to `store`.
+/// Writes the journal of one swarm to the store.
+struct StoreWriter {
+    store: Store,
+    swarm: String,
+}
+
+impl JournalWriter for StoreWriter {
+    fn commit(&self, entries: Vec<Entry>) -> Result<(), WriteFault> {
+        self.store.commit(self.writes(entries)).map_err(fault)
+    }
+
+    fn append(&self, entries: Vec<Entry>, reached: Option<Reached>) {
+        let writes = self.writes(entries);
+        match reached {
+            None => self.store.submit(writes, None),
+            Some(reached) => self
+                .store
+                .submit_then(writes, Box::new(move || reached.is_durable())),
+        }
+    }
+}
+
+impl StoreWriter {
+    fn writes(&self, entries: Vec<Entry>) -> Vec<Write> {
+        let entries = entries.into_iter();
+        entries
+            .flat_map(|entry| writes(&self.swarm, entry))
+            .collect()
+    }
+}
+
+/// Makes the writers of the journals of all swarms.
 pub fn archive(store: &Store) -> Archive {
     let store = store.clone();
     Box::new(move |swarm| {
-        let (store, swarm) = (store.clone(), swarm.to_owned());
-        Arc::new(move |written, wanted| {
-            let writes = written
-                .into_iter()
-                .flat_map(|it| writes(&swarm, it))
-                .collect();
-            match wanted {
-                Wanted::Now(done) => store.submit(writes, Some(tell(done))),
-                Wanted::Soon(None) => store.submit(writes, None),
-                Wanted::Soon(Some(told)) => store.submit_then(writes, told),
-            }
+        Arc::new(StoreWriter {
+            store: store.clone(),
+            swarm: swarm.to_owned(),
         })
     })
-}
-
-/// Tells a swarm what came of its writes.
-fn tell(done: Done) -> store::Done {
-    Box::new(move |result| done(result.map_err(fault)))
 }
 
 /// Makes a new swarm safe, and with it the answer to whoever asked for it by name.
@@ -83,10 +101,10 @@ pub fn register(
 pub type MakePayload = Box<dyn FnOnce(&Place, &Frame) -> Payload + Send>;
 
 /// What is to be stored of what a swarm writes.
-pub(crate) fn writes(swarm: &str, written: Written) -> Vec<Write> {
+pub(crate) fn writes(swarm: &str, entry: Entry) -> Vec<Write> {
     let swarm = swarm.to_owned();
-    match written {
-        Written::Line(line) => {
+    match entry {
+        Entry::Line(line) => {
             let (kind, body) = durable::record(&line.record);
             let row = store::Row {
                 number: line.number,
@@ -97,11 +115,11 @@ pub(crate) fn writes(swarm: &str, written: Written) -> Vec<Write> {
             };
             vec![Write::Append { swarm, row }]
         }
-        Written::Checkpoint(checkpoint) => {
+        Entry::Checkpoint(checkpoint) => {
             let checkpoint = kept(&swarm, &checkpoint);
             vec![Write::Keep { swarm, checkpoint }]
         }
-        Written::End(place, sender) => {
+        Entry::End(place, sender) => {
             let answer = sender.request_id.clone().zip(sender.digest);
             let answer = answer.map(|(request_id, digest)| {
                 let payload = convert::outcome(&swarm, &place, Outcome::Done, None);

@@ -1,325 +1,327 @@
-//! What a swarm writes down, so that after a crash its past can be told and its future goes on.
+//! The journal of a swarm, from which it is recovered after a crash.
 //!
-//! A command is written down and safe before it changes anything; steps are not written at all,
-//! since the same commands at the same steps lead to the same state. Only the `step` command is
-//! carried out before it is safe: whoever sends thousands a second need not wait for the disk.
+//! A command is durable before it changes anything (write-ahead). Steps are not written: the same
+//! commands at the same steps produce the same states. Only commands that are sent thousands of times
+//! a second, such as `step`, are executed before they are durable (group commit).
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
-use std::sync::mpsc::sync_channel;
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::WriteFault;
 use crate::swarm::frame::Place;
 use crate::swarm::sender::Sender;
 
-/// Commands that may be carried out before they are safe. The next one waits for the disk, and
-/// hears if it is full: what is held for later is bounded.
-const MOST_AHEAD: usize = 1024;
+/// Commands that may be executed before they are durable. The next one waits for the disk, and is
+/// rejected if that is full, so that the queue is bounded.
+const MAX_AHEAD: usize = 1024;
 
-/// One line of a journal.
+/// A line of a journal.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Line {
-    /// Counts a swarm's lines from 1.
+    /// The number of the line in the journal of its swarm, from 1.
     pub number: u64,
-    /// The epoch it was written in.
+    /// The epoch in which it was written.
     pub epoch: u64,
-    /// The step it was written at.
+    /// The step at which it was written.
     pub step: u64,
-    /// What it says.
+    /// What it records.
     pub record: Record,
 }
 
-/// What a line says.
+/// What a line records.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Record {
-    /// A command is about to be carried out, or to be put off until a step.
+    /// A command is about to be executed, or scheduled for a step.
     Input {
-        /// The step it is to be put off until.
+        /// The step for which it is scheduled.
         at_step: Option<u64>,
-        /// The command.
+        /// The command and its client.
         sender: Arc<Sender>,
-        /// Its number among the applied ones, if it has been carried out already.
+        /// Its number among the applied commands, if it was executed before it was written.
         seq: Option<u64>,
         /// The wall-clock time, in seconds since 1970, if known.
         unix_secs: Option<f64>,
     },
-    /// What became of the command on the line of this number.
+    /// The outcome of a command.
     Became {
-        /// That line's number.
+        /// The number of the command's line.
         input: u64,
-        /// Its number among the applied ones; none if it was refused.
+        /// Its number among the applied commands; `None` if it was rejected.
         seq: Option<u64>,
-        /// The wall-clock time when it was carried out or refused, in seconds since 1970, if known.
+        /// The wall-clock time of the outcome, in seconds since 1970, if known.
         unix_secs: Option<f64>,
     },
     /// A step failed, for this reason.
     Fault(String),
-    /// The daemon restarted, and the swarm goes on in this epoch.
+    /// The daemon restarted, and the swarm continues in this epoch.
     Resumed(u64),
-    /// The state had this hash.
+    /// The hash of the state.
     Hash([u8; 32]),
 }
 
-/// What is to be written.
+/// An entry on its way to the store.
 #[derive(Clone, Debug)]
-pub enum Written {
+pub enum Entry {
     /// A line of the journal.
     Line(Line),
-    /// The swarm as it is, so that earlier lines need not be told again.
+    /// The whole state: earlier lines need not be replayed.
     Checkpoint(Box<Checkpoint>),
-    /// The swarm's end: where it was, and who ended it.
+    /// The end of the swarm: where it was, and the client that deleted it.
     End(Place, Arc<Sender>),
 }
 
-/// Told when something is safe, or why it will not be.
-pub type Done = Box<dyn FnOnce(Result<(), WriteFault>) + Send>;
+/// Writes the entries of one swarm, in the order of calls. The entries of one call are written
+/// together or not at all.
+pub trait JournalWriter: Send + Sync {
+    /// Writes entries, and waits until they are durable.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteFault`]: none of them was written.
+    fn commit(&self, entries: Vec<Entry>) -> Result<(), WriteFault>;
 
-/// When something is to be written.
-pub enum Wanted {
-    /// At once, or not at all.
-    Now(Done),
-    /// Within a few milliseconds, tried again for as long as it fails; told when it is safe.
-    Soon(Option<Box<dyn FnOnce() + Send>>),
+    /// Queues entries. They are written within milliseconds, and retried while that fails. Once they
+    /// and all earlier ones are durable, `reached` is.
+    fn append(&self, entries: Vec<Entry>, reached: Option<Reached>);
 }
 
-/// Writes together what belongs together, in the order of calls.
-pub type Writer = Arc<dyn Fn(Vec<Written>, Wanted) + Send + Sync>;
+/// A writer that writes nothing.
+pub struct NoWriter;
 
-/// A writer that says at once that all is safe, and writes nothing.
-pub fn to_nowhere() -> Writer {
-    Arc::new(|_, wanted| match wanted {
-        Wanted::Now(done) => done(Ok(())),
-        Wanted::Soon(Some(told)) => told(),
-        Wanted::Soon(None) => {}
-    })
+impl JournalWriter for NoWriter {
+    fn commit(&self, _: Vec<Entry>) -> Result<(), WriteFault> {
+        Ok(())
+    }
+
+    fn append(&self, _: Vec<Entry>, reached: Option<Reached>) {
+        if let Some(reached) = reached {
+            reached.is_durable();
+        }
+    }
 }
 
-/// One swarm's journal.
+/// The journal of one swarm.
 pub struct Journal {
-    writer: Writer,
+    writer: Arc<dyn JournalWriter>,
     lines: u64,
-    safe: Arc<Mutex<Safe>>,
-    /// The step that will be safe once everything noted so far is.
-    noted_step: u64,
-    /// Commands that were carried out and are not safe yet.
-    ahead: Arc<AtomicUsize>,
+    durable: Arc<Durable>,
+    /// The step that is durable once all queued entries are.
+    queued_step: u64,
     is_replaying: bool,
-    /// Commands of which is written what became of them, while it is told again.
-    told: BTreeSet<u64>,
-    /// What became of the others, and where: a crash came before it was written.
-    untold: Vec<((u64, u64), Record)>,
+    /// While it is replayed: the commands whose outcomes it records.
+    settled: BTreeSet<u64>,
+    /// While it is replayed: the outcomes that a crash prevented from being written, and where.
+    unsettled: Vec<((u64, u64), Record)>,
 }
 
-/// How far a crash takes nothing back.
-struct Safe {
-    step: u64,
-    /// How often what was to be done was cut short: what was noted before counts no more.
-    cuts: u64,
+/// What a crash does not undo.
+struct Durable {
+    progress: Mutex<Progress>,
+    /// Calls of `append` with a step that is not durable yet.
+    ahead: AtomicUsize,
 }
 
-/// Records that are being written: how many lines there were before, and at which step.
-pub struct Begun {
-    before: u64,
+struct Progress {
     step: u64,
+    /// How often a run was interrupted: steps that were queued before do not count afterwards.
+    interruptions: u64,
+}
+
+/// A step that is durable once queued entries are.
+pub struct Reached {
+    durable: Arc<Durable>,
+    step: u64,
+    interruptions: u64,
+}
+
+impl Reached {
+    /// The entries are durable.
+    pub fn is_durable(self) {
+        let mut progress = self.durable.progress();
+        if progress.interruptions == self.interruptions {
+            progress.step = progress.step.max(self.step);
+        }
+        self.durable.ahead.fetch_sub(1, Ordering::Relaxed);
+    }
+}
+
+impl Durable {
+    fn progress(&self) -> MutexGuard<'_, Progress> {
+        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+    }
 }
 
 impl Journal {
-    /// A journal of so many lines, written by `writer`, that reaches `step`.
-    pub fn new(writer: Writer, lines: u64, step: u64) -> Self {
+    /// A journal of so many lines, which reaches `step`.
+    pub fn new(writer: Arc<dyn JournalWriter>, lines: u64, step: u64) -> Self {
         Journal {
             writer,
             lines,
-            safe: Arc::new(Mutex::new(Safe { step, cuts: 0 })),
-            noted_step: step,
-            ahead: Arc::default(),
+            durable: Arc::new(Durable {
+                progress: Mutex::new(Progress {
+                    step,
+                    interruptions: 0,
+                }),
+                ahead: AtomicUsize::new(0),
+            }),
+            queued_step: step,
             is_replaying: false,
-            told: BTreeSet::new(),
-            untold: Vec::new(),
+            settled: BTreeSet::new(),
+            unsettled: Vec::new(),
         }
     }
 
-    /// How many lines it has.
+    /// The number of lines.
     pub fn lines(&self) -> u64 {
         self.lines
     }
 
-    /// Whether it is being told again; nothing is written then.
+    /// Whether it is being replayed; nothing is written then.
     pub fn is_replaying(&self) -> bool {
         self.is_replaying
     }
 
-    /// Begins to be told again.
+    /// Begins a replay.
     pub fn replay(&mut self) {
         self.is_replaying = true;
     }
 
-    /// Is told of these commands what became of them.
-    pub fn learn(&mut self, told: BTreeSet<u64>) {
-        self.told = told;
+    /// Sets the commands whose outcomes the journal records.
+    pub fn set_settled(&mut self, settled: BTreeSet<u64>) {
+        self.settled = settled;
     }
 
-    /// Has been told again up to this line and step, and is written from here on: first what
-    /// became of commands that nobody had written down.
+    /// Ends a replay at this line and step, and writes the outcomes that were not written.
     pub fn resume(&mut self, lines: u64, step: u64) {
         self.is_replaying = false;
         self.lines = lines;
-        self.safe().step = step;
-        self.noted_step = step;
-        self.told.clear();
-        for (at, record) in std::mem::take(&mut self.untold) {
-            self.note(at, record, None);
+        self.durable.progress().step = step;
+        self.queued_step = step;
+        self.settled.clear();
+        for (at, record) in std::mem::take(&mut self.unsettled) {
+            self.append(at, record, None);
         }
     }
 
-    /// The last step that a crash would not take back, of a swarm that now is at `step` and has
-    /// ended what it was to do.
-    pub fn safe_step_of(&mut self, step: u64) -> u64 {
+    /// The last step that a crash does not undo, of a swarm that has ended its run at `step`.
+    pub fn durable_step_of(&mut self, step: u64) -> u64 {
         if self.is_replaying {
             return step;
         }
-        self.cut(step);
-        self.safe().step
+        self.interrupt(step);
+        self.durable.progress().step
     }
 
-    /// What was to be done and is cut short at this step is safe only as far as it came.
-    pub fn cut(&mut self, step: u64) {
-        let is_cut = self.noted_step > step;
-        self.noted_step = self.noted_step.min(step);
-        let mut safe = self.safe();
-        safe.step = safe.step.min(step);
-        safe.cuts += u64::from(is_cut);
+    /// Ends a run at `step`: the steps that it was to reach beyond are not durable.
+    pub fn interrupt(&mut self, step: u64) {
+        let is_interrupted = self.queued_step > step;
+        self.queued_step = self.queued_step.min(step);
+        let mut progress = self.durable.progress();
+        progress.step = progress.step.min(step);
+        progress.interruptions += u64::from(is_interrupted);
     }
 
-    /// Writes records of a swarm at `place` and waits until they are safe. Returns the first
-    /// one's number; on a fault they have none.
+    /// Writes records at an epoch and step, and waits until they are durable. Returns the number of
+    /// the first one.
     ///
     /// # Errors
     ///
-    /// [`WriteFault`].
+    /// [`WriteFault`]: none was written.
     pub fn commit(
         &mut self,
         (epoch, step): (u64, u64),
         records: Vec<Record>,
     ) -> Result<u64, WriteFault> {
-        if self.is_replaying {
-            return Ok(self.lines + 1);
-        }
-        let (lines, begun) = self.begin((epoch, step), records);
-        let result = self.wait(lines);
-        self.committed(begun, result)
-    }
-
-    fn begin(&mut self, (epoch, step): (u64, u64), records: Vec<Record>) -> (Vec<Written>, Begun) {
         let before = self.lines;
+        if self.is_replaying {
+            return Ok(before + 1);
+        }
         let lines = records
             .into_iter()
-            .map(|record| Written::Line(self.line(epoch, step, record)))
-            .collect();
-        (lines, Begun { before, step })
-    }
-
-    /// Takes in whether records are safe. Returns the first one's number.
-    ///
-    /// # Errors
-    ///
-    /// [`WriteFault`], as it was told.
-    pub fn committed(
-        &mut self,
-        Begun { before, step }: Begun,
-        result: Result<(), WriteFault>,
-    ) -> Result<u64, WriteFault> {
-        match result {
-            Ok(()) => {
-                let mut safe = self.safe();
-                safe.step = safe.step.max(step);
-                Ok(before + 1)
-            }
-            Err(fault) => {
-                self.lines = before;
-                Err(fault)
-            }
+            .map(|record| self.line(epoch, step, record));
+        let lines = lines.map(Entry::Line).collect();
+        if let Err(fault) = self.writer.commit(lines) {
+            self.lines = before;
+            return Err(fault);
         }
+        let mut progress = self.durable.progress();
+        progress.step = progress.step.max(step);
+        Ok(before + 1)
     }
 
-    /// Has a record written when it suits; once it is, a crash takes back no step up to `reached`.
-    pub fn note(&mut self, (epoch, step): (u64, u64), record: Record, reached: Option<u64>) -> u64 {
+    /// Queues a record. Once it is durable, a crash undoes no step up to `reached`. Returns its number.
+    pub fn append(
+        &mut self,
+        (epoch, step): (u64, u64),
+        record: Record,
+        reached: Option<u64>,
+    ) -> u64 {
         if self.is_replaying {
-            if matches!(&record, Record::Became { input, .. } if !self.told.contains(input)) {
-                self.untold.push(((epoch, step), record));
+            if matches!(&record, Record::Became { input, .. } if !self.settled.contains(input)) {
+                self.unsettled.push(((epoch, step), record));
             }
             return self.lines;
         }
-        let line = Written::Line(self.line(epoch, step, record));
-        let told = reached.map(|reached| self.safe_to(reached));
-        (self.writer)(vec![line], Wanted::Soon(told));
+        let line = Entry::Line(self.line(epoch, step, record));
+        let reached = reached.map(|step| self.reached(step));
+        self.writer.append(vec![line], reached);
         self.lines
     }
 
-    /// Once all that has been noted is written, a crash takes back no step up to this one.
+    /// Once all queued records are durable, a crash undoes no step up to this one.
     pub fn reach(&mut self, step: u64) {
-        if !self.is_replaying && step > self.noted_step {
-            let told = self.safe_to(step);
-            (self.writer)(Vec::new(), Wanted::Soon(Some(told)));
+        if !self.is_replaying && step > self.queued_step {
+            let reached = self.reached(step);
+            self.writer.append(Vec::new(), Some(reached));
         }
     }
 
-    /// Makes steps up to this one safe when it is called.
-    fn safe_to(&mut self, step: u64) -> Box<dyn FnOnce() + Send> {
-        self.noted_step = self.noted_step.max(step);
-        let (safe, ahead) = (self.safe.clone(), self.ahead.clone());
-        let cuts = self.safe().cuts;
-        ahead.fetch_add(1, Ordering::Relaxed);
-        Box::new(move || {
-            let mut safe = safe.lock().unwrap_or_else(PoisonError::into_inner);
-            if safe.cuts == cuts {
-                safe.step = safe.step.max(step);
-            }
-            ahead.fetch_sub(1, Ordering::Relaxed);
-        })
+    fn reached(&mut self, step: u64) -> Reached {
+        self.queued_step = self.queued_step.max(step);
+        self.durable.ahead.fetch_add(1, Ordering::Relaxed);
+        Reached {
+            interruptions: self.durable.progress().interruptions,
+            durable: self.durable.clone(),
+            step,
+        }
     }
 
-    fn safe(&self) -> MutexGuard<'_, Safe> {
-        self.safe.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Whether so much was carried out before it is safe that the next command waits until it is.
+    /// Whether so many commands were executed before they are durable that the next one must wait.
     pub fn is_far_ahead(&self) -> bool {
-        self.ahead.load(Ordering::Relaxed) >= MOST_AHEAD
+        self.durable.ahead.load(Ordering::Relaxed) >= MAX_AHEAD
     }
 
-    /// Has the swarm as it is written when it suits.
+    /// Queues a checkpoint.
     pub fn keep(&self, checkpoint: Checkpoint) {
         if !self.is_replaying {
-            let kept = vec![Written::Checkpoint(Box::new(checkpoint))];
-            (self.writer)(kept, Wanted::Soon(None));
+            let entry = Entry::Checkpoint(Box::new(checkpoint));
+            self.writer.append(vec![entry], None);
         }
     }
 
-    /// Writes something and waits until it is safe.
+    /// Writes the end of the swarm, and waits until it is durable.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteFault`]: it was not written.
+    pub fn end(&self, place: Place, sender: Arc<Sender>) -> Result<(), WriteFault> {
+        self.writer.commit(vec![Entry::End(place, sender)])
+    }
+
+    /// Waits until all queued entries are durable.
     ///
     /// # Errors
     ///
     /// [`WriteFault`].
-    pub fn wait(&self, written: Vec<Written>) -> Result<(), WriteFault> {
-        let (done, is_done) = sync_channel(1);
-        (self.writer)(
-            written,
-            Wanted::Now(Box::new(move |result| {
-                // Whoever waited may be gone.
-                let _ = done.send(result);
-            })),
-        );
-        is_done
-            .recv()
-            .unwrap_or_else(|_| Err(WriteFault::Failed("the daemon is stopping".into())))
+    pub fn sync(&self) -> Result<(), WriteFault> {
+        self.writer.commit(Vec::new())
     }
 
-    /// Is at step 0 again. What was written before is safe by now, and told.
-    pub fn start_over(&mut self) {
-        self.cut(0);
+    /// Begins at step 0 again.
+    pub fn reset(&mut self) {
+        self.interrupt(0);
     }
 
     fn line(&mut self, epoch: u64, step: u64, record: Record) -> Line {

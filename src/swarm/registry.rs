@@ -20,7 +20,7 @@ use crate::swarm::error::OrderError;
 use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{Frame, Place, Summary};
 use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::journal::{Writer, to_nowhere};
+use crate::swarm::journal::{JournalWriter, NoWriter};
 use crate::swarm::outcome::{Answer, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::rank;
@@ -101,7 +101,7 @@ pub type Register =
     Box<dyn FnOnce(&Checkpoint, &Place, &Arc<Frame>) -> Result<(), WriteFault> + Send>;
 
 /// What a swarm's journal is written by.
-pub type Archive = Box<dyn Fn(&str) -> Writer + Send + Sync>;
+pub type Archive = Box<dyn Fn(&str) -> Arc<dyn JournalWriter> + Send + Sync>;
 
 /// Where a swarm begins.
 enum Beginning {
@@ -572,7 +572,8 @@ pub fn tell_again(past: Past) -> (Checkpoint, Replay) {
     let _ = rustix::process::setpriority_process(None, RETELLING_NICENESS);
     let handle = Handle::alone(past.checkpoint.simulation.spec.clone());
     let always: ReserveMemory = Box::new(|_| Ok(()));
-    let (worker, _) = Worker::from_past(past, &handle, Duration::ZERO, (to_nowhere(), always));
+    let (worker, _) =
+        Worker::from_past(past, &handle, Duration::ZERO, (Arc::new(NoWriter), always));
     (worker.checkpoint(), worker.into_replay())
 }
 

@@ -25,7 +25,7 @@ use crate::swarm::error::OrderError;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
 use crate::swarm::handle::{Handle, Ticket, receive};
 use crate::swarm::history::History;
-use crate::swarm::journal::{Journal, Record, Writer};
+use crate::swarm::journal::{Journal, JournalWriter, Record};
 use crate::swarm::order::Order;
 use crate::swarm::outcome::{Answer, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
@@ -135,7 +135,7 @@ impl Worker {
         simulation: Simulation,
         handle: &Handle,
         shortest_between_frames: Duration,
-        writer: Writer,
+        writer: Arc<dyn JournalWriter>,
     ) -> Self {
         let journal = Journal::new(writer, 0, simulation.state.step);
         let mut worker = Worker::around(simulation, handle, shortest_between_frames, journal);
@@ -490,7 +490,7 @@ impl Worker {
                 false
             }
             _ => {
-                self.journal.note(at, Record::Hash(hash), None);
+                self.journal.append(at, Record::Hash(hash), None);
                 true
             }
         }
@@ -525,7 +525,7 @@ impl Worker {
         self.tally.faulted();
         self.phase = Phase::Faulted(reason.clone());
         let at = self.at();
-        self.journal.note(at, Record::Fault(reason.clone()), None);
+        self.journal.append(at, Record::Fault(reason.clone()), None);
         self.tell(EventKind::Fault(reason.clone()));
         self.show();
         self.renew_summary();

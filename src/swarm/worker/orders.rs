@@ -13,7 +13,7 @@ use crate::swarm::crash;
 use crate::swarm::error::OrderError;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::Command;
-use crate::swarm::journal::{Record, Written};
+use crate::swarm::journal::Record;
 use crate::swarm::order::{Order, Until, When};
 use crate::swarm::outcome::{Answer, Answered, Outcome, Refusal};
 use crate::swarm::pace::Pace;
@@ -135,7 +135,7 @@ impl Worker {
                     warn!(swarm = self.outlet.name, %fault, "failed to write a refusal down");
                 }
             }
-            _ => drop(self.journal.note(at, record, None)),
+            _ => drop(self.journal.append(at, record, None)),
         }
     }
 
@@ -196,7 +196,7 @@ impl Worker {
                 self.tell(EventKind::Command(sender));
                 if is_reset {
                     self.drop_scheduled();
-                    self.journal.start_over();
+                    self.journal.reset();
                     self.keep();
                 }
                 self.renew_summary();
@@ -440,7 +440,7 @@ impl Worker {
                 self.phase = next;
                 self.pace = Pace::new(None, self.simulation.state.parameters.dt, Instant::now());
                 let record = self.applied_record(input, &sender);
-                self.journal.note(self.at(), record, Some(until));
+                self.journal.append(self.at(), record, Some(until));
                 self.tell(EventKind::Command(sender.clone()));
                 self.pending = Some(Pending {
                     answer,
@@ -480,8 +480,7 @@ impl Worker {
     fn delete(&mut self, input: u64, sender: Arc<Sender>, answer: Answer) -> Option<End> {
         let mut place = self.place();
         place.phase = Phase::Paused(PauseReason::Requested);
-        let end = Written::End(place, sender);
-        if let Err(fault) = self.journal.wait(vec![end]) {
+        if let Err(fault) = self.journal.end(place, sender) {
             self.simulation.seq -= 1;
             let error = OrderError::Unsafe(fault);
             if input > 0 {
@@ -531,7 +530,7 @@ impl Worker {
             place.phase = from_then_on.clone();
             let outcome = Outcome::Stepped {
                 steps: place.step - from,
-                safe_step: self.journal.safe_step_of(place.step),
+                safe_step: self.journal.durable_step_of(place.step),
                 seen,
             };
             crash::point("swarm-stepped");

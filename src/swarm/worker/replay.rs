@@ -11,7 +11,7 @@ use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{EventKind, Place};
 use crate::swarm::handle::{Command, Handle};
 use crate::swarm::history::Entry;
-use crate::swarm::journal::{Journal, Line, Record, Writer};
+use crate::swarm::journal::{Journal, JournalWriter, Line, Record};
 use crate::swarm::order::{Order, When};
 use crate::swarm::outcome::Answer;
 use crate::swarm::pace::Pace;
@@ -186,7 +186,7 @@ impl Worker {
         past: Past,
         handle: &Handle,
         shortest_between_frames: Duration,
-        (writer, admit): (Writer, ReserveMemory),
+        (writer, admit): (Arc<dyn JournalWriter>, ReserveMemory),
     ) -> (Self, Option<End>) {
         let Past {
             checkpoint,
@@ -241,7 +241,7 @@ impl Worker {
         checkpoint: Checkpoint,
         handle: &Handle,
         shortest_between_frames: Duration,
-        (writer, admit): (Writer, ReserveMemory),
+        (writer, admit): (Arc<dyn JournalWriter>, ReserveMemory),
     ) -> Self {
         let mut worker =
             Worker::from_kept(checkpoint, handle, shortest_between_frames, (writer, admit));
@@ -260,7 +260,7 @@ impl Worker {
         checkpoint: Checkpoint,
         handle: &Handle,
         shortest_between_frames: Duration,
-        (writer, admit): (Writer, ReserveMemory),
+        (writer, admit): (Arc<dyn JournalWriter>, ReserveMemory),
     ) -> Self {
         let simulation = Simulation::from_checkpoint(&checkpoint.simulation, admit);
         let mut worker = Worker::around(
@@ -294,7 +294,7 @@ impl Worker {
         crash::point("swarm-resumed");
         if kept.is_err() {
             // What follows is written in this epoch: it comes before that, whenever it can.
-            self.journal.note(before, Record::Resumed(epoch), None);
+            self.journal.append(before, Record::Resumed(epoch), None);
         }
         self.tell(EventKind::Phase);
         self.keep();
@@ -321,7 +321,7 @@ impl Worker {
         to: To,
     ) -> Option<End> {
         self.journal
-            .learn(outlook.settled.keys().copied().collect());
+            .set_settled(outlook.settled.keys().copied().collect());
         let applied = outlook.settled.into_iter();
         self.replay.unix_secs = applied
             .filter_map(|(input, unix_secs)| Some((input, unix_secs?)))

@@ -104,7 +104,7 @@ impl Worker {
         let is_last = member.kept.mode == Mode::Lockstep && !self.controllers.is_lockstep();
         if is_last && let Phase::Stepping { .. } = self.phase {
             self.phase = Phase::Paused(PauseReason::Lockstep);
-            self.journal.cut(step);
+            self.journal.interrupt(step);
         }
         if let Some(answer) = member.take_answer() {
             let left = Some((why, step));
@@ -265,7 +265,7 @@ impl Worker {
     /// steps up to `until`.
     fn note_coupling(&mut self, coupling: &Coupling, until: Option<u64>) {
         let record = self.applied_record(coupling.input, &coupling.sender);
-        self.journal.note(self.at(), record, until);
+        self.journal.append(self.at(), record, until);
     }
 
     /// Enters what comes thousands of times a second where `get/journal` shows it. No event tells
@@ -330,7 +330,7 @@ impl Worker {
         }
         let (mut place, seen) = self.look();
         place.phase = from_then_on.clone();
-        let safe_step = self.journal.safe_step_of(place.step);
+        let safe_step = self.journal.durable_step_of(place.step);
         for (answer, from, news) in answers {
             let outcome = Outcome::Advanced {
                 steps: place.step - from,

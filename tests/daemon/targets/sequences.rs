@@ -19,7 +19,7 @@ use jostle_physics::simulation::{Change, ChangeError, Placement, Settings, Spec,
 use jostled::swarm::error::OrderError;
 use jostled::swarm::frame::{EventKind, Frame, Place};
 use jostled::swarm::handle::{Command, Handle, Ticket};
-use jostled::swarm::journal::to_nowhere;
+use jostled::swarm::journal::NoWriter;
 use jostled::swarm::order::{Awaited, Order, Until, When};
 use jostled::swarm::outcome::{Answer, Answered, Outcome};
 use jostled::swarm::phase::Phase;
@@ -258,7 +258,7 @@ pub fn hold(data: &[u8]) {
     let host = Arc::new(Host::new(
         limits,
         herald.clone(),
-        Box::new(|_| to_nowhere()),
+        Box::new(|_| Arc::new(NoWriter)),
     ));
     assert!(herald.0.set(Arc::downgrade(&host)).is_ok());
     let (answer, built) = answers();
