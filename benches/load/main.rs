@@ -208,7 +208,7 @@ fn print(
     );
     println!("  while they connect          {}", between(late[1]));
     println!(
-        "  of a thread without a share  {:8.2} ms {:8.2} ms",
+        "  of a thread that sleeps      {:8.2} ms {:8.2} ms",
         sleeper[0], sleeper[1]
     );
     println!("they connect in             {connected:9.1} s");

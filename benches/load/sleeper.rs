@@ -1,12 +1,12 @@
-//! A thread that only sleeps, beside the daemon's, ranked as a swarm's where the daemon may not give
-//! it a share of a core: how late it wakes is what this machine makes of any such thread.
+//! A thread that only sleeps, with the priority of a swarm's thread: how late it wakes is the lateness
+//! that the machine and its load cause, without the daemon's own work.
 
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use jostled::swarm::rank;
+use jostled::swarm::thread_priority;
 
 /// Sleeps until it is dropped.
 pub struct Sleeper {
@@ -21,7 +21,7 @@ impl Sleeper {
         let late_ms = Arc::<Mutex<Vec<f64>>>::default();
         let woken = late_ms.clone();
         thread::spawn(move || {
-            rank::soon().unwrap();
+            thread_priority::short_slice().unwrap();
             let mut next = Instant::now() + period;
             let until = |next: Instant| next.saturating_duration_since(Instant::now());
             while let Err(RecvTimeoutError::Timeout) = stopped.recv_timeout(until(next)) {

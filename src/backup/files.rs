@@ -1,4 +1,4 @@
-//! Copies of files with their checksums, and which files of a data folder belong in a backup.
+//! Lists the files of a data folder that belong in a backup, and copies files with their hashes.
 
 use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io;
@@ -7,16 +7,16 @@ use std::path::{Path, PathBuf};
 use std::thread::sleep;
 use std::time::Duration;
 
-use super::BackupError;
+use super::error::{BackupError, io_error};
 
-/// The bytes that are read at a time.
+/// Bytes per read.
 const BUFFER: usize = 1 << 20;
 
 /// Reads of a JSON file that is being replaced, and the time between two.
 const JSON_READS: u32 = 20;
 const JSON_INTERVAL: Duration = Duration::from_millis(5);
 
-/// How deep the folders of experiments and recordings are, with room to spare.
+/// More than the depth of the folders of experiments and recordings.
 const MAX_DEPTH: usize = 8;
 
 /// The extensions of incomplete files, which are renamed when they are complete. The daemon
@@ -29,15 +29,7 @@ const DELETED: &str = ".gone-";
 /// The name of a lock file.
 const LOCK: &str = "lock";
 
-/// An error that names `path`.
-pub fn io_error(path: &Path, source: io::Error) -> BackupError {
-    BackupError::Io {
-        path: path.to_owned(),
-        source,
-    }
-}
-
-/// Makes a folder that only its owner can use, and the folders above it.
+/// Creates a folder that only its owner can access, and its parents.
 pub fn make_folder(path: &Path) -> Result<(), BackupError> {
     let mut builder = DirBuilder::new();
     let made = builder.recursive(true).mode(0o700).create(path);
@@ -50,15 +42,15 @@ pub fn sync_folder(path: &Path) -> Result<(), BackupError> {
     synced.map_err(|source| io_error(path, source))
 }
 
-/// The files below `folder` that belong in a backup, as paths below it, in the order in which they
-/// are to be copied.
+/// The files below `folder` that belong in a backup, as paths relative to it, in the order in which
+/// they must be copied.
 ///
 /// A status file is copied before the files that it describes, so that their copies are at least as
 /// new: in each folder `.json` first, then `.jsonl`, then other files, then subfolders.
 ///
 /// # Errors
 ///
-/// [`BackupError::Io`]; folders that are deleted meanwhile are left out.
+/// [`BackupError::Io`]; folders that are deleted meanwhile are omitted.
 pub fn list(folder: &Path) -> Result<Vec<PathBuf>, BackupError> {
     let mut found = Vec::new();
     list_below(folder, Path::new(""), MAX_DEPTH, &mut found)?;
@@ -97,7 +89,7 @@ fn list_below(
             Ok(it) if it.is_file() && name != LOCK && !is_unfinished => {
                 files.push((rank, below.join(name)));
             }
-            // Deleted meanwhile, or none of the daemon's, such as a socket.
+            // Deleted meanwhile, or not a file of the daemon, such as a socket.
             _ => {}
         }
     }
@@ -110,7 +102,7 @@ fn list_below(
     Ok(())
 }
 
-/// Copies a file to a new one and returns its length and hash; `None` if it is there no longer.
+/// Copies a file to a new one and returns its length and hash; `None` if it does not exist.
 ///
 /// # Errors
 ///
@@ -146,11 +138,11 @@ fn read_json(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Makes a new file that only its owner can use.
+/// Creates a new file that only its owner can access.
 ///
 /// # Errors
 ///
-/// [`BackupError::Io`], also where there is one.
+/// [`BackupError::Io`], also if it exists.
 pub fn create(path: &Path) -> Result<File, BackupError> {
     let mut options = OpenOptions::new();
     let options = options.write(true).create_new(true).mode(0o600);
@@ -176,7 +168,7 @@ pub fn hash(path: &Path) -> Result<(u64, String), BackupError> {
     hashed.map_err(|source| io_error(path, source))
 }
 
-/// Copies all that is read, and returns its length and hash.
+/// Copies until the end of `from`, and returns length and hash.
 fn pump(from: &mut impl io::Read, to: &mut impl io::Write) -> io::Result<(u64, String)> {
     let mut hasher = blake3::Hasher::new();
     let (mut buffer, mut bytes) = (vec![0; BUFFER], 0);
@@ -200,7 +192,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_unfinished_or_deleted_is_left_out_and_the_rest_is_in_order() {
+    fn unfinished_and_deleted_files_are_omitted_and_the_rest_is_in_order() {
         let root = tempfile::tempdir().unwrap();
         for path in [
             "lock/recording.json",
@@ -244,7 +236,7 @@ mod tests {
     }
 
     #[test]
-    fn a_copy_is_told_with_its_hash_and_takes_the_place_of_nothing() {
+    fn a_copy_returns_its_hash_and_replaces_no_file() {
         let root = tempfile::tempdir().unwrap();
         let [from, to] = ["from", "to"].map(|name| root.path().join(name));
         let content = vec![7; BUFFER + 1];
@@ -254,7 +246,7 @@ mod tests {
         assert_eq!(blake3, blake3::hash(&content).to_hex().to_string());
         assert_eq!(hash(&to).unwrap(), (bytes, blake3));
         assert_eq!(fs::read(&to).unwrap(), content);
-        assert!(copy(&from, &to).is_err(), "it is there already");
+        assert!(copy(&from, &to).is_err(), "it exists");
         assert_eq!(copy(&root.path().join("gone"), &to).unwrap(), None);
     }
 }

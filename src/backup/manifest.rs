@@ -1,4 +1,4 @@
-//! `backup.json`: what a finished backup holds.
+//! `backup.json`: the manifest of a finished backup.
 
 use std::fs;
 use std::io;
@@ -7,35 +7,35 @@ use std::path::{Component, Path};
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 
-use super::BackupError;
+use super::error::BackupError;
 
-/// Its name in the folder of a backup.
+/// Its file name in the folder of a backup.
 pub const FILE: &str = "backup.json";
 
 /// The format that this version writes, and the newest that it reads.
 const FORMAT: u32 = 1;
 
-/// What a backup holds.
+/// The contents of a backup.
 #[derive(Debug, Serialize, Deserialize)]
 pub struct Manifest {
     /// The format of the backup.
     pub format: u32,
-    /// The version of the jostled that took it.
+    /// The version of jostled that took it.
     pub version: String,
-    /// The schema of its database.
+    /// The schema of the database.
     pub schema: i64,
-    /// When its database was copied, in seconds since 1970.
+    /// When the database was copied, in seconds since 1970.
     pub taken_unix_secs: u64,
-    /// The number of swarms in its database.
+    /// Number of swarms in the database.
     pub swarms: u64,
-    /// Its files, the database last.
+    /// The files, the database last.
     pub files: Vec<FileEntry>,
 }
 
 /// One file of a backup.
 #[derive(Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FileEntry {
-    /// Where it is, below the folder of the backup and below the data folder, with `/`.
+    /// Its path relative to the backup and to the data folder, with `/`.
     pub path: String,
     /// Its length.
     pub bytes: u64,
@@ -43,16 +43,16 @@ pub struct FileEntry {
     pub blake3: String,
 }
 
-/// The file: the manifest with the hash of its text, so that a change to the file is noticed.
+/// The file: the manifest and the hash of its text, to detect damage.
 #[derive(Serialize, Deserialize)]
-struct Sealed<'a> {
+struct Checked<'a> {
     blake3: String,
     #[serde(borrow)]
     backup: &'a RawValue,
 }
 
 impl Manifest {
-    /// The manifest of a backup that is taken now.
+    /// The manifest of a new backup.
     pub fn new(schema: i64, taken_unix_secs: u64, swarms: u64, files: Vec<FileEntry>) -> Self {
         Manifest {
             format: FORMAT,
@@ -64,12 +64,12 @@ impl Manifest {
         }
     }
 
-    /// The length of all files.
+    /// The total length of the files.
     pub fn bytes(&self) -> u64 {
         self.files.iter().map(|file| file.bytes).sum()
     }
 
-    /// A summary for programs, as JSON.
+    /// A summary as JSON.
     #[must_use]
     pub fn summary(&self, folder: &Path) -> serde_json::Value {
         serde_json::json!({
@@ -90,7 +90,7 @@ impl Manifest {
     pub fn to_text(&self) -> io::Result<String> {
         let backup = serde_json::value::to_raw_value(self)?;
         let blake3 = blake3::hash(backup.get().as_bytes()).to_hex().to_string();
-        Ok(serde_json::to_string(&Sealed {
+        Ok(serde_json::to_string(&Checked {
             blake3,
             backup: &backup,
         })?)
@@ -115,11 +115,11 @@ impl Manifest {
             path: path.clone(),
             problem: problem.to_owned(),
         };
-        let sealed: Sealed<'_> = serde_json::from_slice(&text)
+        let checked: Checked<'_> = serde_json::from_slice(&text)
             .map_err(|error| damaged(&format!("it cannot be read ({error})")))?;
-        let backup = sealed.backup.get();
-        if blake3::hash(backup.as_bytes()).to_hex().as_str() != sealed.blake3 {
-            return Err(damaged("its checksum is not that of its content"));
+        let backup = checked.backup.get();
+        if blake3::hash(backup.as_bytes()).to_hex().as_str() != checked.blake3 {
+            return Err(damaged("its checksum differs"));
         }
         // A later format may have other fields.
         #[derive(Deserialize)]
@@ -127,7 +127,7 @@ impl Manifest {
             format: u32,
         }
         let format: Format =
-            serde_json::from_str(backup).map_err(|_| damaged("it names no format"))?;
+            serde_json::from_str(backup).map_err(|_| damaged("it has no format"))?;
         if format.format > FORMAT {
             return Err(BackupError::Newer {
                 folder: folder.to_owned(),
@@ -139,7 +139,7 @@ impl Manifest {
         let manifest: Manifest = serde_json::from_str(backup)
             .map_err(|error| damaged(&format!("it cannot be read ({error})")))?;
         match manifest.files.iter().find(|file| !is_below(&file.path)) {
-            Some(file) => Err(damaged(&format!("{:?} is no path in a backup", file.path))),
+            Some(file) => Err(damaged(&format!("invalid path {:?}", file.path))),
             None => Ok(manifest),
         }
     }
@@ -170,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn a_manifest_reads_as_it_was_written_and_no_byte_of_it_may_change() {
+    fn a_manifest_round_trips_and_a_change_of_any_byte_is_detected() {
         let (folder, text) = written("recordings/a/part-0.mcap");
         let manifest = Manifest::read(folder.path()).unwrap();
         assert_eq!((manifest.swarms, manifest.bytes()), (2, 3));
@@ -187,16 +187,16 @@ mod tests {
     }
 
     #[test]
-    fn a_path_that_leaves_the_folder_is_refused() {
+    fn a_path_out_of_the_folder_is_rejected() {
         for path in ["../lock", "/etc/passwd", "a/../../b", "", "."] {
             let (folder, _) = written(path);
             let refused = Manifest::read(folder.path()).unwrap_err().to_string();
-            assert!(refused.contains("no path in a backup"), "{path}: {refused}");
+            assert!(refused.contains("invalid path"), "{path}: {refused}");
         }
     }
 
     #[test]
-    fn a_later_format_is_named() {
+    fn a_newer_format_is_rejected() {
         let folder = tempfile::tempdir().unwrap();
         let mut manifest = Manifest::new(1, 5, 2, Vec::new());
         manifest.format = 7;

@@ -1,12 +1,13 @@
 //! Backups of a data folder, taken while the daemon runs, and their restoration.
 //!
-//! A backup is a folder with a copy of the database, `experiments/` and `recordings/` as in the data
-//! folder, and `backup.json`, which is written last: without it the backup is unfinished. It holds
-//! no secrets: neither the page's token nor the `auth_dir`.
+//! A backup is a folder with a copy of the database, `experiments/` and `recordings/` of the data
+//! folder, and `backup.json`, which is written last: without it the backup is not finished. It contains
+//! no secrets: neither the token of the page nor the `auth_dir`.
 //!
-//! A process of its own takes it. It reads files that the daemon has finished and one snapshot of
-//! the database, and asks the daemon nothing, so it works beside a daemon that hangs, or without one.
+//! A separate process takes it. It reads completed files and one snapshot of the database and sends no
+//! request to the daemon, so it works while a daemon hangs, or without one.
 
+mod error;
 mod files;
 mod manifest;
 
@@ -19,9 +20,10 @@ use std::time::SystemTime;
 
 use fail::fail_point;
 use rustix::fs::statvfs;
-use thiserror::Error;
 
-use crate::backup::files::{io_error, make_folder, sync_folder};
+pub use crate::backup::error::BackupError;
+use crate::backup::error::io_error;
+use crate::backup::files::{make_folder, sync_folder};
 use crate::backup::manifest::FileEntry;
 pub use crate::backup::manifest::Manifest;
 use crate::store::{self, StoreError};
@@ -32,91 +34,13 @@ const FOLDERS: [&str; 2] = ["experiments", "recordings"];
 /// The manifest's file name until it is complete.
 const DRAFT: &str = "backup.json.new";
 
-/// Room that a backup leaves on the disk of the data folder.
-const KEPT_FREE_BYTES: u64 = 64 * 1024 * 1024;
+/// Free space that a backup leaves on the disk of the data folder.
+const MIN_FREE_BYTES: u64 = 64 * 1024 * 1024;
 
-/// How much lower than the daemon a backup ranks (its niceness).
+/// Niceness of a backup, so that it yields to the daemon.
 const NICENESS: i32 = 10;
 
-/// Why a backup is not taken or not restored.
-#[derive(Debug, Error)]
-pub enum BackupError {
-    /// The folder is not a data folder.
-    #[error(
-        "{} holds no database of jostled: name the daemon's data folder with --data-dir \
-         (`jostled config explain` tells it)", .0.display()
-    )]
-    NoData(PathBuf),
-    /// The folder for the backup holds something.
-    #[error("{} is not empty: name a new folder for the backup", .0.display())]
-    Exists(PathBuf),
-    /// The target folder is the data folder or inside it.
-    #[error("{} is the data folder or inside it: name a folder elsewhere, best on another disk", .0.display())]
-    Inside(PathBuf),
-    /// The data folder is inside the backup.
-    #[error("the data folder {} is inside the backup: name another with --data-dir", .0.display())]
-    DataInside(PathBuf),
-    /// The disk has too little room.
-    #[error(
-        "the backup takes about {} MiB and {} has {} MiB for it: free some space, or name a folder \
-         on another disk", needed.div_ceil(1024 * 1024), folder.display(), free / (1024 * 1024)
-    )]
-    NoRoom {
-        /// Where it would be.
-        folder: PathBuf,
-        /// What it takes.
-        needed: u64,
-        /// What there is.
-        free: u64,
-    },
-    /// The system refused.
-    #[error("use {}: {source}", path.display())]
-    Io {
-        /// The file or folder.
-        path: PathBuf,
-        /// What the system says.
-        source: io::Error,
-    },
-    /// The database cannot be copied, or the data folder cannot be locked.
-    #[error(transparent)]
-    Store(#[from] StoreError),
-    /// There is no manifest.
-    #[error(
-        "{} is not a finished backup, it has no {}: restore another one", .0.display(), manifest::FILE
-    )]
-    Unfinished(PathBuf),
-    /// A file is not what was written.
-    #[error("the backup is damaged: {}: {problem}: restore another one", path.display())]
-    Damaged {
-        /// The file.
-        path: PathBuf,
-        /// What is wrong.
-        problem: String,
-    },
-    /// A later version took it.
-    #[error(
-        "{} was taken by a newer jostled ({what} {found}, this one knows {known}): restore it with \
-         that version", folder.display()
-    )]
-    Newer {
-        /// The backup.
-        folder: PathBuf,
-        /// What is newer.
-        what: &'static str,
-        /// Its number.
-        found: i64,
-        /// The newest known here.
-        known: i64,
-    },
-    /// The data folder holds something.
-    #[error(
-        "the data folder {} is not empty: name an empty or a new one with --data-dir", .0.display()
-    )]
-    NotEmpty(PathBuf),
-}
-
-/// Takes a backup of `data` into the folder `target`, which is made. What was written of a backup
-/// that fails is removed.
+/// Takes a backup of `data` into the new or empty folder `target`. If it fails, its files are removed.
 ///
 /// # Errors
 ///
@@ -133,7 +57,6 @@ pub fn take(data: &Path, target: &Path) -> Result<Manifest, BackupError> {
     if is_within(target, data)? {
         return Err(BackupError::Inside(target.to_owned()));
     }
-    // A backup computes little; it yields to the daemon all the same.
     let _ = rustix::process::setpriority_process(None, NICENESS);
     let is_new = !target.exists();
     if !is_new && !is_empty(target, &[])? {
@@ -179,7 +102,7 @@ fn is_within(target: &Path, folder: &Path) -> Result<bool, BackupError> {
     Ok(real(there.unwrap_or(target))?.starts_with(real(folder)?))
 }
 
-/// Checks that the disk of `target` has room.
+/// Checks that the disk of `target` has enough free space.
 fn check_room(data: &Path, target: &Path) -> Result<(), BackupError> {
     let length = |path: PathBuf| fs::metadata(path).map_or(0, |file| file.len());
     let mut needed = length(data.join(store::FILE)) + length(data.join(store::WAL));
@@ -193,7 +116,7 @@ fn check_room(data: &Path, target: &Path) -> Result<(), BackupError> {
     let mut free = disk.f_bavail.saturating_mul(disk.f_frsize);
     let device = |path: &Path| fs::metadata(path).map(|it| it.dev());
     if device(data).map_err(fail)? == device(target).map_err(fail)? {
-        free = free.saturating_sub(KEPT_FREE_BYTES);
+        free = free.saturating_sub(MIN_FREE_BYTES);
     }
     match needed <= free {
         true => Ok(()),
@@ -207,8 +130,8 @@ fn check_room(data: &Path, target: &Path) -> Result<(), BackupError> {
 
 /// Copies the files, then the database, then writes the manifest.
 ///
-/// A swarm may be deleted or created between the two copies. In this order a recording or experiment is
-/// never of a later time than the database.
+/// A swarm may be deleted or created between the two copies. In this order no recording or experiment is
+/// newer than the database.
 fn fill(data: &Path, target: &Path, draft: File) -> Result<Manifest, BackupError> {
     let (mut entries, mut folders) = (Vec::new(), BTreeSet::new());
     for name in FOLDERS {
@@ -231,7 +154,7 @@ fn fill(data: &Path, target: &Path, draft: File) -> Result<Manifest, BackupError
             }
         }
     }
-    forget_deleted(data, target, &mut entries);
+    omit_deleted(data, target, &mut entries);
     let taken = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH);
     let database = target.join(store::FILE);
     let file = files::create(&database)?;
@@ -245,10 +168,10 @@ fn fill(data: &Path, target: &Path, draft: File) -> Result<Manifest, BackupError
         blake3,
     });
     for folder in &folders {
-        sync_folder_if_there(folder)?;
+        sync_if_exists(folder)?;
     }
     for name in FOLDERS {
-        sync_folder_if_there(&target.join(name))?;
+        sync_if_exists(&target.join(name))?;
     }
     let taken = taken.unwrap_or_default().as_secs();
     let manifest = Manifest::new(store::SCHEMA, taken, swarms, entries);
@@ -256,8 +179,8 @@ fn fill(data: &Path, target: &Path, draft: File) -> Result<Manifest, BackupError
     Ok(manifest)
 }
 
-/// Leaves out the recordings and experiments that were deleted while they were copied.
-fn forget_deleted(data: &Path, target: &Path, entries: &mut Vec<FileEntry>) {
+/// Omits the recordings and experiments that were deleted while they were copied.
+fn omit_deleted(data: &Path, target: &Path, entries: &mut Vec<FileEntry>) {
     for name in FOLDERS {
         let copies = fs::read_dir(target.join(name)).into_iter().flatten();
         for copy in copies.flatten() {
@@ -270,7 +193,7 @@ fn forget_deleted(data: &Path, target: &Path, entries: &mut Vec<FileEntry>) {
     }
 }
 
-fn sync_folder_if_there(folder: &Path) -> Result<(), BackupError> {
+fn sync_if_exists(folder: &Path) -> Result<(), BackupError> {
     match folder.is_dir() {
         true => sync_folder(folder),
         false => Ok(()),
@@ -291,14 +214,14 @@ fn write_manifest(target: &Path, mut file: File, manifest: &Manifest) -> Result<
     sync_folder(target)
 }
 
-/// Restores the backup in `source` into the data folder `data`, which is made or is empty.
+/// Restores the backup in `source` into the new or empty data folder `data`.
 ///
-/// The files are written into a folder inside it and renamed once all of them are whole, the database
-/// last. Until the end that folder is there, and a daemon does not start on it.
+/// The files are written into [`store::RESTORING`] and renamed once all are complete, the database last.
+/// While that folder exists, no daemon starts on the data folder.
 ///
 /// # Errors
 ///
-/// [`BackupError`]; there is nothing in the data folder but its `lock`, then, unless renaming failed.
+/// [`BackupError`]: the data folder then contains only its `lock`, unless a rename failed.
 pub fn restore(source: &Path, data: &Path) -> Result<Manifest, BackupError> {
     let manifest = Manifest::read(source)?;
     if manifest.schema > store::SCHEMA {
@@ -316,11 +239,11 @@ pub fn restore(source: &Path, data: &Path) -> Result<Manifest, BackupError> {
     if is_within(data, source)? {
         return Err(BackupError::DataInside(data.to_owned()));
     }
-    // Create no lock file in a folder that is not a data folder.
+    // Do not create a lock file in a folder that is not a data folder.
     if data.exists() && !data.join(store::LOCK).exists() && !is_empty(data, &[])? {
         return Err(BackupError::NotEmpty(data.to_owned()));
     }
-    // The lock first, so that no daemon starts on the folder meanwhile.
+    // Lock first, so that no daemon starts on the folder meanwhile.
     let lock = store::lock(data)?;
     let draft = data.join(store::RESTORING);
     if draft.exists() {
@@ -348,7 +271,7 @@ pub fn restore(source: &Path, data: &Path) -> Result<Manifest, BackupError> {
     Ok(manifest)
 }
 
-/// Copies the files of a backup into a new folder, and compares each with the manifest.
+/// Copies the files of a backup into a new folder and verifies each.
 fn write_files(source: &Path, draft: &Path, manifest: &Manifest) -> Result<(), BackupError> {
     make_folder(draft)?;
     let mut folders = BTreeSet::from([draft.to_owned()]);
@@ -366,7 +289,7 @@ fn write_files(source: &Path, draft: &Path, manifest: &Manifest) -> Result<(), B
         let copied = files::copy(&from, &to)?;
         let (bytes, blake3) = copied.ok_or_else(|| damaged("it is missing".to_owned()))?;
         if bytes != entry.bytes {
-            let problem = format!("it has {bytes} bytes, of {}", entry.bytes);
+            let problem = format!("it has {bytes} of {} bytes", entry.bytes);
             return Err(damaged(problem));
         }
         if blake3 != entry.blake3 {
@@ -379,7 +302,7 @@ fn write_files(source: &Path, draft: &Path, manifest: &Manifest) -> Result<(), B
     Ok(())
 }
 
-/// Whether a folder holds nothing but `ignored`.
+/// Whether a folder is empty except for `ignored`.
 fn is_empty(folder: &Path, ignored: &[&str]) -> Result<bool, BackupError> {
     let fail = |source| io_error(folder, source);
     for entry in fs::read_dir(folder).map_err(fail)? {

@@ -1,14 +1,14 @@
-//! Lazy submits that could not be written: kept, in order, until they can.
+//! Deferred submits that could not be written, in order of submission.
 
 use std::collections::VecDeque;
 
 use super::Write;
 use super::queue::Submit;
 
-/// Writes kept, and their bytes. Beyond it checkpoints are given up, then answers.
-const MOST_KEPT: (usize, usize) = (100_000, 64 * 1024 * 1024);
+/// Writes in the backlog, and their bytes. Beyond it checkpoints are dropped, then answers.
+const MAX_BACKLOG: (usize, usize) = (100_000, 64 * 1024 * 1024);
 
-/// What could not be written yet.
+/// The submits that are still to be written.
 #[derive(Default)]
 pub(super) struct Backlog {
     submits: VecDeque<Submit>,
@@ -17,31 +17,31 @@ pub(super) struct Backlog {
 }
 
 impl Backlog {
-    /// Adds what nobody waits for.
+    /// Adds a deferred submit.
     ///
-    /// Rows are never given up: every later row of the swarm would follow a gap. Whoever submits
-    /// them has to stop when [`Backlog::is_overrun`].
+    /// Rows are never dropped: every later row of the swarm would follow a gap. The submitter has to
+    /// stop when [`Backlog::is_overrun`].
     pub(super) fn push(&mut self, submit: Submit) {
         self.grow(&submit);
         self.submits.push_back(submit);
-        self.give_up(|write| matches!(write, Write::Keep { .. }));
-        self.give_up(|write| matches!(write, Write::Answer(_) | Write::Forget { .. }));
+        self.drop_if_overrun(|write| matches!(write, Write::Keep { .. }));
+        self.drop_if_overrun(|write| matches!(write, Write::Answer(_) | Write::Forget { .. }));
     }
 
-    /// The oldest of them that make a group of at most this size, and at least one.
-    pub(super) fn front(&mut self, most: (usize, usize)) -> &[Submit] {
+    /// The oldest submits that fit into a group of this size, at least one.
+    pub(super) fn front(&mut self, max: (usize, usize)) -> &[Submit] {
         let mut taken = (0, 0);
         let fitting = self.submits.iter().take_while(|submit| {
             let (writes, bytes) = submit.size();
             let is_first = taken == (0, 0);
             taken = (taken.0 + writes, taken.1 + bytes);
-            is_first || (taken.0 <= most.0 && taken.1 <= most.1)
+            is_first || (taken.0 <= max.0 && taken.1 <= max.1)
         });
         let count = fitting.count();
         &self.submits.make_contiguous()[..count]
     }
 
-    /// Removes the `count` oldest.
+    /// Removes the `count` oldest submits.
     pub(super) fn pop(&mut self, count: usize) -> Vec<Submit> {
         let popped: Vec<Submit> = self.submits.drain(..count).collect();
         for submit in &popped {
@@ -51,23 +51,23 @@ impl Backlog {
         popped
     }
 
-    /// Removes what was meant for a swarm that is deleted.
+    /// Removes the writes of a deleted swarm.
     pub(super) fn forget(&mut self, swarm: &str) {
         self.retain(|write| write.swarm() != Some(swarm));
     }
 
-    /// Whether there is nothing to be written.
+    /// Whether there is no submit.
     pub(super) fn is_empty(&self) -> bool {
         self.submits.is_empty()
     }
 
-    /// Whether more is kept than should be, though all that could be given up was.
+    /// Whether it exceeds its limits although everything that can be dropped was.
     pub(super) fn is_overrun(&self) -> bool {
-        let most = self.limits.unwrap_or(MOST_KEPT);
-        self.size.0 > most.0 || self.size.1 > most.1
+        let max = self.limits.unwrap_or(MAX_BACKLOG);
+        self.size.0 > max.0 || self.size.1 > max.1
     }
 
-    /// Writes kept.
+    /// Number of writes.
     pub(super) fn writes(&self) -> usize {
         self.size.0
     }
@@ -77,17 +77,17 @@ impl Backlog {
         self.size = (self.size.0 + writes, self.size.1 + bytes);
     }
 
-    fn give_up(&mut self, is_given_up: impl Fn(&Write) -> bool) {
+    fn drop_if_overrun(&mut self, is_dropped: impl Fn(&Write) -> bool) {
         if self.is_overrun() {
-            self.retain(|write| !is_given_up(write));
+            self.retain(|write| !is_dropped(write));
         }
     }
 
-    fn retain(&mut self, is_kept: impl Fn(&Write) -> bool) {
+    fn retain(&mut self, is_retained: impl Fn(&Write) -> bool) {
         for mut submit in std::mem::take(&mut self.submits) {
-            // Who writes nothing waits for all that is before.
+            // A submit without writes waits for those before it: keep it.
             let only_waits = submit.writes.is_empty();
-            submit.writes.retain(&is_kept);
+            submit.writes.retain(&is_retained);
             if only_waits || !submit.writes.is_empty() {
                 self.submits.push_back(submit);
             }

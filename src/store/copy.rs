@@ -1,4 +1,4 @@
-//! A copy of the database as it is at one moment, while another process writes it.
+//! A consistent copy of the database while another process writes it.
 
 use std::path::Path;
 use std::thread;
@@ -11,29 +11,29 @@ use rusqlite::backup::{Backup, StepResult};
 use super::error::StoreError;
 use super::schema;
 
-/// The pages copied at a time.
+/// Pages copied per step.
 const PAGES: i32 = 256;
 
-/// How long a page that another process has locked is retried.
+/// How long a database that another process has locked is retried.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
 
 /// Copies the database in `folder` to `to`, an empty file, and returns the number of its swarms.
 ///
-/// One read transaction covers the whole copy. The writer goes on meanwhile; its WAL grows until
-/// the copy is done, since the pages that the transaction sees must stay.
+/// One read transaction covers the whole copy. The writer continues meanwhile; its WAL grows until
+/// the copy is complete, since the pages of the transaction must stay.
 ///
 /// # Errors
 ///
-/// [`StoreError`]: what [`super::Store::open`] finds wrong with the file, a copy that is damaged
-/// because the original is, and [`StoreError::Copy`] when `to` cannot be written.
+/// Those of [`super::Store::open`] about a file, [`StoreError::Corrupt`] if the copy is damaged as the
+/// original is, and [`StoreError::Copy`] if `to` cannot be written.
 pub fn copy(folder: &Path, to: &Path) -> Result<u64, StoreError> {
     let file = folder.join(schema::FILE);
     let source = schema::open_reader(&file)?;
     schema::check_origin(&file, &source)?;
     let fail_reading = |error| StoreError::of_reading(&file, &error);
-    // `check_origin` has read: the next read begins the transaction that stays open.
-    let moment = source.unchecked_transaction().map_err(fail_reading)?;
-    let swarms: i64 = moment
+    // The next read opens the snapshot.
+    let snapshot = source.unchecked_transaction().map_err(fail_reading)?;
+    let swarms: i64 = snapshot
         .query_row("SELECT count(*) FROM swarm", [], |row| row.get(0))
         .map_err(fail_reading)?;
     let fail_writing = |error: rusqlite::Error| StoreError::Copy {
@@ -41,13 +41,13 @@ pub fn copy(folder: &Path, to: &Path) -> Result<u64, StoreError> {
         detail: error.to_string(),
     };
     let mut target = Connection::open(to).map_err(fail_writing)?;
-    // The file counts only once the whole backup is synced: it needs no journal of its own.
+    // The backup is synced as a whole later: this file needs no journal.
     target
         .pragma_update(None, "journal_mode", "OFF")
         .map_err(fail_writing)?;
     let mut progress = Instant::now();
     {
-        let backup = Backup::new(&moment, &mut target).map_err(fail_writing)?;
+        let backup = Backup::new(&snapshot, &mut target).map_err(fail_writing)?;
         loop {
             fail_point!("backup-pages");
             match backup.step(PAGES).map_err(fail_writing)? {
@@ -63,13 +63,13 @@ pub fn copy(folder: &Path, to: &Path) -> Result<u64, StoreError> {
             }
         }
     }
-    drop(moment);
+    drop(snapshot);
     check(to, &target)?;
     target.close().map_err(|(_, error)| fail_writing(error))?;
     Ok(swarms.cast_unsigned())
 }
 
-/// Has SQLite look through the copy: a daemon would refuse a database with broken pages.
+/// Checks the pages of the copy: a daemon would reject a database with broken pages.
 fn check(file: &Path, copy: &Connection) -> Result<(), StoreError> {
     let found: String = copy
         .query_row("PRAGMA quick_check(1)", [], |row| row.get(0))

@@ -1,4 +1,4 @@
-//! What can go wrong: when reading or opening, and when writing.
+//! Errors of opening and reading, and faults of writing.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -7,10 +7,10 @@ use rusqlite::ffi;
 use rusqlite::{Error as SqlError, ErrorCode};
 use thiserror::Error;
 
-/// Bytes below which a disk counts as full when SQLite says only that a write failed.
+/// Free bytes below which a disk counts as full when SQLite reports only that a write failed.
 const FULL_BELOW_BYTES: u64 = 64 * 1024;
 
-/// Why the store was not opened, or something was not read.
+/// Why the store was not opened or a record was not read.
 #[derive(Debug, Error)]
 pub enum StoreError {
     /// The folder or a file in it cannot be used.
@@ -18,7 +18,7 @@ pub enum StoreError {
     Folder {
         /// The folder.
         folder: PathBuf,
-        /// What the system says.
+        /// The error of the system.
         source: io::Error,
     },
     /// Another process has it open.
@@ -27,13 +27,13 @@ pub enum StoreError {
         /// The folder.
         folder: PathBuf,
     },
-    /// The file is no database of ours.
-    #[error("open {}: not written by jostled: name another --data-dir, or put back a copy", file.display())]
+    /// The file is not a database of jostled.
+    #[error("open {}: not written by jostled: name another --data-dir, or restore a backup", file.display())]
     Foreign {
         /// The file.
         file: PathBuf,
     },
-    /// A later version wrote it.
+    /// A newer version wrote it.
     #[error(
         "open {}: written by a newer jostled (schema {found}, this one knows {known}): upgrade, or \
          name another --data-dir", file.display()
@@ -43,75 +43,74 @@ pub enum StoreError {
         file: PathBuf,
         /// Its schema.
         found: i64,
-        /// The newest schema known here.
+        /// The newest schema that this version knows.
         known: i64,
     },
-    /// The file's structure is broken.
+    /// The structure of the file is damaged.
     #[error(
-        "read {}: it is corrupt ({detail}): keep it aside, check the disk, and put back a copy or \
+        "read {}: it is corrupt ({detail}): keep a copy of it, check the disk, and restore a backup or \
          name another --data-dir", file.display()
     )]
     Corrupt {
         /// The file.
         file: PathBuf,
-        /// What was found.
+        /// What SQLite found.
         detail: String,
     },
-    /// A restoration of the folder was ended before it was complete.
+    /// A restoration into the folder was interrupted.
     #[error(
-        "open {}: a `jostled restore` into it was ended before it was complete: remove what is in it \
-         and restore again", folder.display()
+        "open {}: a `jostled restore` into it was interrupted: remove its contents and restore again", folder.display()
     )]
     Unrestored {
         /// The folder.
         folder: PathBuf,
     },
-    /// A copy for a backup cannot be made.
+    /// The copy for a backup failed.
     #[error("copy the database to {}: {detail}: check that disk and its free space", file.display())]
     Copy {
         /// The copy.
         file: PathBuf,
-        /// What SQLite says.
+        /// The error of SQLite.
         detail: String,
     },
-    /// A record is not what was written.
+    /// A record differs from what was written.
     #[error(
-        "read {what} of swarm {swarm:?} in {}: damaged since it was written: check the disk, and \
-         put back a copy of the data folder", file.display()
+        "read {what}{} in {}: damaged since it was written: check the disk, and restore a \
+         backup", of_swarm(swarm), file.display()
     )]
     Damaged {
         /// The file.
         file: PathBuf,
-        /// The swarm.
+        /// The swarm; empty if the record belongs to none.
         swarm: String,
         /// Which record.
         what: String,
     },
     /// No such swarm is stored.
-    #[error("find swarm {swarm:?} in the store: it was never created there, or is deleted")]
+    #[error("find swarm {swarm:?} in the store: it was not created there, or was deleted")]
     NoSwarm {
         /// The swarm.
         swarm: String,
     },
-    /// No such checkpoint is kept.
+    /// There is no such checkpoint.
     #[error(
-        "find checkpoint {number} of swarm {swarm:?}: not kept; `checkpoints` lists those that are"
+        "find checkpoint {number} of swarm {swarm:?}: not stored; `checkpoints` lists those that are"
     )]
     NoCheckpoint {
         /// The swarm.
         swarm: String,
-        /// The number asked for.
+        /// The requested number.
         number: u64,
     },
-    /// Reading failed now, and may succeed later.
-    #[error("read {}: {detail}: try again, and check the disk if it stays so", file.display())]
+    /// Reading failed and may succeed later.
+    #[error("read {}: {detail}: retry, and check the disk if the error persists", file.display())]
     Io {
         /// The file.
         file: PathBuf,
-        /// What SQLite says.
+        /// The error of SQLite.
         detail: String,
     },
-    /// No thread could be started.
+    /// The writer thread was not started.
     #[error("start the store's thread: {0}")]
     NoThread(io::Error),
     /// The store has been stopped.
@@ -120,7 +119,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Sorts SQLite's errors into those of the file and those of the moment.
+    /// Tells errors of the file from errors that a retry may not have.
     pub(super) fn of_reading(file: &Path, error: &SqlError) -> StoreError {
         let (file, detail) = (file.to_path_buf(), error.to_string());
         match error {
@@ -134,7 +133,7 @@ impl StoreError {
                 | ErrorCode::OutOfMemory
                 | ErrorCode::DatabaseBusy
                 | ErrorCode::DatabaseLocked => StoreError::Io { file, detail },
-                // Our statements are fixed: a missing table or column was there once.
+                // The statements are fixed: a missing table or column is damage.
                 _ => StoreError::Corrupt { file, detail },
             },
             _ => StoreError::Corrupt { file, detail },
@@ -142,30 +141,37 @@ impl StoreError {
     }
 }
 
-/// Why something was not written.
+fn of_swarm(name: &str) -> String {
+    match name {
+        "" => String::new(),
+        name => format!(" of swarm {name:?}"),
+    }
+}
+
+/// Why writes were not committed.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum StoreFault {
-    /// No space is left: nothing was written, and it may be tried again when there is.
+    /// The disk is full: nothing was written; a retry may succeed.
     #[error("the disk of the data folder is full: free some space, or delete a swarm")]
     Full,
-    /// A write failed: nothing was written, and it may be tried again.
+    /// A write failed: nothing was written; a retry may succeed.
     #[error("the data folder cannot be written: {0}: check the disk")]
     Io(String),
-    /// It contradicts what is stored (a gap in the rows, an unknown swarm): nothing was written.
-    #[error("the store refuses to write this: {0}")]
+    /// They contradict what is stored (a gap in the rows, an unknown swarm): nothing was written.
+    #[error("the store rejects the writes: {0}")]
     Refused(String),
     /// The store has been stopped; nothing was written.
     #[error("the store is stopped")]
     Stopped,
-    /// Whether it was written is unknown and will be until the store is opened again.
-    #[error("the store can no longer be trusted: {0}: check the disk, and start jostled again")]
+    /// Whether they were written is unknown until the store is opened again.
+    #[error("the store failed: {0}: check the disk, and restart jostled")]
     Fatal(String),
 }
 
 impl StoreFault {
-    /// Sorts SQLite's errors into a full disk, a failed write, and those after which nothing that
-    /// was written can be trusted: a failed sync (the kernel may have dropped the pages it could
-    /// not write, and a second sync would say that all is well) and a broken file.
+    /// Tells a full disk and a failed write from fatal errors: a damaged file, and a failed sync, after
+    /// which the kernel may have dropped the pages that it could not write, so that the next sync
+    /// succeeds without them.
     pub(super) fn of_writing(folder: &Path, error: &SqlError) -> StoreFault {
         let SqlError::SqliteFailure(failure, _) = error else {
             return StoreFault::Fatal(error.to_string());
@@ -195,7 +201,7 @@ impl StoreFault {
     }
 }
 
-/// Whether the disk of `folder` has no space; SQLite does not pass on why an operation failed.
+/// Whether the disk of `folder` is full: SQLite does not report why a write failed.
 fn is_full(folder: &Path) -> bool {
     rustix::fs::statvfs(folder)
         .is_ok_and(|disk| disk.f_bavail.saturating_mul(disk.f_frsize) < FULL_BELOW_BYTES)

@@ -1,37 +1,36 @@
-//! How the store is doing.
+//! Condition and counters of the store.
 
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::time::Duration;
 
 use crate::metrics::{Durations, Histogram};
 
-/// How the store is doing.
+/// Condition and counters of the store.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Health {
-    /// The last attempt to write found no space.
+    /// The last write failed because the disk is full.
     pub is_full: bool,
-    /// The last attempt to write failed otherwise.
+    /// The last write failed for another reason.
     pub is_failing: bool,
-    /// More waits for space than should be kept in memory: whoever submits rows without waiting
-    /// for them has to stop until it is written.
+    /// The backlog exceeds its limits: submitters of deferred rows have to stop until it is written.
     pub is_overrun: bool,
-    /// How long the last commit took, its sync included.
+    /// Duration of the last commit, including its sync.
     pub last_commit_secs: f64,
-    /// How long all commits took.
+    /// Total duration of all commits.
     pub total_commit_secs: f64,
-    /// How long each commit took.
+    /// Histogram of commit durations.
     pub commit_time: Durations,
-    /// Commits.
+    /// Number of commits.
     pub commits: u64,
-    /// Writes committed.
+    /// Number of committed writes.
     pub writes: u64,
-    /// Writes that wait.
+    /// Writes in the queue and the backlog.
     pub waiting: usize,
-    /// Lazy submits refused because they contradicted what is stored.
+    /// Deferred submits that were rejected because they contradict what is stored.
     pub refused: u64,
-    /// Damaged or missing records that readers have met.
+    /// Damaged or missing records found by reads.
     pub damaged: u64,
-    /// What the database and its WAL take, in bytes.
+    /// Size of the database and its WAL.
     pub bytes_on_disk: u64,
 }
 
@@ -41,7 +40,7 @@ pub(super) struct Meter {
     pub(super) is_full: AtomicBool,
     pub(super) is_failing: AtomicBool,
     pub(super) is_overrun: AtomicBool,
-    pub(super) kept: AtomicUsize,
+    pub(super) backlog: AtomicUsize,
     pub(super) refused: AtomicU64,
     pub(super) damaged: AtomicU64,
     commits: AtomicU64,
@@ -62,7 +61,7 @@ impl Meter {
         self.writes.fetch_add(writes as u64, Ordering::Relaxed);
     }
 
-    /// Reads the counters; `queued` writes wait in the queue.
+    /// Reads the counters; `queued` writes are in the queue.
     pub(super) fn read(&self, queued: usize, bytes_on_disk: u64) -> Health {
         let secs =
             |nanos: &AtomicU64| Duration::from_nanos(nanos.load(Ordering::Relaxed)).as_secs_f64();
@@ -75,7 +74,7 @@ impl Meter {
             commit_time: self.times.read(),
             commits: self.commits.load(Ordering::Relaxed),
             writes: self.writes.load(Ordering::Relaxed),
-            waiting: queued + self.kept.load(Ordering::Relaxed),
+            waiting: queued + self.backlog.load(Ordering::Relaxed),
             refused: self.refused.load(Ordering::Relaxed),
             damaged: self.damaged.load(Ordering::Relaxed),
             bytes_on_disk,

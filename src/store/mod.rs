@@ -1,41 +1,28 @@
-//! The daemon's durable memory: swarms with their rows and checkpoints, and answers to requests.
+//! The database of the daemon: swarms with their journal rows and checkpoints, and answers to requests.
 //!
-//! It knows bytes. What they mean is for those who submit them; that they are there after the
-//! submit is done, that they come back as they were or are told damaged, and that a swarm's rows
-//! have no gap, is for this module.
+//! Bodies are opaque bytes. The store guarantees that committed writes are durable, that a record is
+//! returned as it was written or reported as damaged, and that the rows of a swarm have no gap.
 //!
-//! One thread writes, in the order of submission. Whatever waits when it comes round
-//! becomes one transaction with one sync, so that many who wait share it. Readers have a
-//! connection of their own and never hold it up.
+//! One thread writes, in the order of submission. It commits what is queued in one transaction with
+//! one sync, which all submitters share. Reads use a connection of their own and do not block it.
 
-mod error;
-mod health;
-mod record;
-
-mod seal;
-
-mod extent;
-
-mod catalog;
-mod schema;
-
-mod draft;
-
-mod mend;
-mod read;
-mod reserve;
-mod retain;
-
-mod aside;
 mod backlog;
-mod beginnings;
 mod copy;
-mod crash;
+mod damaged_copy;
+mod error;
+mod failpoint;
+mod health;
+mod integrity;
+mod maintenance;
 mod queue;
-
+mod read;
+mod record;
+mod repair;
+mod reserve;
+mod retention;
+mod schema;
+mod transaction;
 mod writer;
-
-mod house;
 
 #[cfg(test)]
 #[expect(
@@ -63,69 +50,67 @@ use tracing::warn;
 pub use copy::copy;
 pub use error::{StoreError, StoreFault};
 pub use health::Health;
-pub use record::{Answer, Checkpoint, Mark, Row, Rows, Write};
+pub use record::{Answer, Checkpoint, CheckpointInfo, Row, Rows, Write};
 
-use beginnings::Beginnings;
 use health::Meter;
 use queue::{End, Queue, Submit};
-use read::Trouble;
+use read::ReadError;
 use writer::Writer;
 
-/// How long the lock of a folder may be held on: whatever process its last holder has just started
-/// has a share in it until it has become another program.
-const PATIENCE_WITH_LOCK: Duration = Duration::from_millis(500);
+/// How long the lock of a folder is retried: a child that its last holder has just forked holds it until
+/// it calls exec.
+const LOCK_TIMEOUT: Duration = Duration::from_millis(500);
 
-/// How much lower than the rest of the daemon the thread that writes ranks: most of what it does in
-/// a flood is for those who flood.
+/// Niceness of the writer thread: in a flood of commands most of its work is for the flood.
 const NICENESS: i32 = 4;
 
-/// Size up to which SQLite looks through the whole file when it is opened: milliseconds.
-const MOST_CHECKED_BYTES: u64 = 8 * 1024 * 1024;
+/// Size up to which all pages are checked when the file is opened, which takes milliseconds.
+const MAX_CHECKED_BYTES: u64 = 8 * 1024 * 1024;
 
-/// The database in a data folder.
+/// The file name of the database in a data folder.
 pub const FILE: &str = schema::FILE;
-/// The write-ahead log beside it.
+/// The file name of its write-ahead log.
 pub const WAL: &str = "jostle.sqlite-wal";
 
-/// The schema that this version writes, and the newest that it reads.
+/// The schema that this version writes, the newest that it reads.
 pub const SCHEMA: i64 = schema::KNOWN;
 
-/// The file in a data folder whose lock the daemon holds.
+/// The file in a data folder that the daemon locks.
 pub const LOCK: &str = "lock";
 
-/// The folder in a data folder in which a restoration writes, until it is complete.
+/// The folder in a data folder into which a restoration writes until it is complete.
 pub const RESTORING: &str = ".restoring";
 
-/// Called once with the outcome of a submit, on the store's thread or, where the store has ended,
-/// on that of the submitter. It must not wait for the store.
+/// Called once with the outcome of a submit: on the writer thread, or on the thread of the submitter if
+/// the store has ended. It must not block on the store.
 pub type Done = Box<dyn FnOnce(Result<(), StoreFault>) + Send>;
 
-/// When writes are to be written.
-enum Wanted {
-    /// At once or not at all; told either way.
-    Now(Done),
-    /// Within milliseconds, and where writing fails it is tried until it succeeds. Told, on the
-    /// store's thread, only when they are synced.
-    Soon(Option<Box<dyn FnOnce() + Send>>),
+/// When writes are committed, and their callback.
+enum Durability {
+    /// At once or not at all.
+    Sync(Done),
+    /// Within milliseconds, and retried until it succeeds. Called on the writer thread once they are
+    /// synced.
+    Deferred(Option<Box<dyn FnOnce() + Send>>),
 }
 
-impl Wanted {
-    fn is_now(&self) -> bool {
-        matches!(self, Wanted::Now(_))
+impl Durability {
+    fn is_sync(&self) -> bool {
+        matches!(self, Durability::Sync(_))
     }
 }
 
-/// Called once, on the store's thread, when the store can no longer be trusted.
+/// Called once, on the writer thread, with a fatal fault.
 type OnFatal = Box<dyn Fn(&StoreFault) + Send>;
 
-/// What the store may use.
+/// Settings of the store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settings {
-    /// What rows and checkpoints of one swarm may take, in bytes; the oldest go first.
+    /// Maximum size of the rows and checkpoints of one swarm; the oldest are deleted first.
     pub quota_bytes: u64,
 }
 
-/// The durable memory of one data folder. A clone reaches the same.
+/// The database of one data folder. Clones share it.
 #[derive(Clone)]
 pub struct Store(Arc<Inner>);
 
@@ -136,38 +121,37 @@ struct Inner {
     thread: Mutex<Option<JoinHandle<()>>>,
 }
 
-/// What submitters and the writer share.
+/// State shared by submitters and the writer thread.
 #[derive(Default)]
 struct Shared {
     queue: Queue,
     meter: Meter,
-    beginnings: Beginnings,
 }
 
 impl Store {
-    /// Opens the store in `folder`, which is created if need be and locked while it is open.
+    /// Opens the store in `folder`, which is created if missing, and locked while it is open.
     ///
-    /// `on_fatal` is called when what was written can no longer be trusted (a failed sync, a
-    /// broken file). From then on every submit fails; the process should end and start again.
+    /// `on_fatal` is called on a fatal fault (a failed sync, a damaged file). From then on every
+    /// submit fails; the process should exit and be restarted.
     ///
     /// # Errors
     ///
-    /// [`StoreError::InUse`] when another has it open, [`StoreError::Newer`],
-    /// [`StoreError::Foreign`] and [`StoreError::Corrupt`] when the file is not to be used,
-    /// [`StoreError::Folder`] and [`StoreError::Io`] when the system refuses.
+    /// [`StoreError::InUse`] if another process has it open, [`StoreError::Newer`],
+    /// [`StoreError::Foreign`], [`StoreError::Corrupt`] and [`StoreError::Unrestored`] if the file
+    /// cannot be used, [`StoreError::Folder`] and [`StoreError::Io`] for an error of the system.
     pub fn open(
         folder: &Path,
         settings: Settings,
         on_fatal: Box<dyn Fn(&StoreFault) + Send>,
     ) -> Result<Store, StoreError> {
-        Store::open_checking(folder, settings, on_fatal, MOST_CHECKED_BYTES)
+        Store::open_checking(folder, settings, on_fatal, MAX_CHECKED_BYTES)
     }
 
     fn open_checking(
         folder: &Path,
         settings: Settings,
         on_fatal: OnFatal,
-        most_checked_bytes: u64,
+        max_checked_bytes: u64,
     ) -> Result<Store, StoreError> {
         let lock = lock(folder)?;
         if folder.join(RESTORING).exists() {
@@ -176,10 +160,10 @@ impl Store {
             });
         }
         let file = folder.join(schema::FILE);
-        let mut connection = schema::open(&file, most_checked_bytes)?;
+        let mut connection = schema::open(&file, max_checked_bytes)?;
         let size = fs::metadata(&file).map_or(0, |file| file.len());
-        if size <= most_checked_bytes {
-            mend::open(folder, &mut connection)?;
+        if size <= max_checked_bytes {
+            repair::on_open(folder, &mut connection)?;
         }
         let reader = schema::open_reader(&file)?;
         let shared = Arc::<Shared>::default();
@@ -193,9 +177,9 @@ impl Store {
         let thread = thread::Builder::new()
             .name("store".to_string())
             .spawn(move || {
-                // Zero names the calling thread. In a flood it lets those answer who answer.
+                // `None` is the calling thread. Threads that reply take precedence.
                 let _ = rustix::process::setpriority_process(None, NICENESS);
-                house::run(writer, &for_thread, &on_fatal);
+                maintenance::run(writer, &for_thread, &on_fatal);
             })
             .map_err(StoreError::NoThread)?;
         let (reader, thread) = (Mutex::new(Some(reader)), Mutex::new(Some(thread)));
@@ -207,75 +191,77 @@ impl Store {
         })))
     }
 
-    /// Queues `writes`: all of them are written, in this order and after everything submitted
-    /// before, or none is. `done` is told once they are synced, or why they are not written.
+    /// Enqueues `writes`: all of them are written, in this order and after all earlier submits, or
+    /// none is. `done` is called when they are synced, or with the fault.
     ///
-    /// With `done` the commit comes at once; without, within milliseconds, and where writing
-    /// fails it is tried until it succeeds. No writes at all, with `done`, waits for those before.
+    /// With `done` they are committed at once; without it, within milliseconds, and retried until that
+    /// succeeds. Empty `writes` with `done` wait for all earlier submits.
     ///
-    /// Waits only while the queue is full. A row whose `done` was told a fault does not exist: the
-    /// next one has its number. So a swarm submits nothing behind a row it waits for, or its later
-    /// rows are refused as following a gap.
+    /// Blocks only while the queue is full. A row whose `done` got a fault does not exist, and the next
+    /// row has its number. So a swarm must not submit rows behind one whose outcome is open: they
+    /// would be rejected as following a gap.
     pub fn submit(&self, writes: Vec<Write>, done: Option<Done>) {
         if writes.is_empty() && done.is_none() {
             return;
         }
-        let wanted = done.map_or(Wanted::Soon(None), Wanted::Now);
-        refused(self.0.shared.queue.push(Submit { writes, wanted }));
+        let durability = done.map_or(Durability::Deferred(None), Durability::Sync);
+        complete_returned(self.0.shared.queue.push(Submit { writes, durability }));
     }
 
-    /// Queues `writes` as [`Store::submit`] does, and never waits: for whoever has no more than one
-    /// such underway.
+    /// As [`Store::submit`], but never blocks: for submitters with at most one such submit in the queue.
     pub fn submit_at_once(&self, writes: Vec<Write>, done: Done) {
-        let wanted = Wanted::Now(done);
-        refused(self.0.shared.queue.push_at_once(Submit { writes, wanted }));
+        let durability = Durability::Sync(done);
+        complete_returned(
+            self.0
+                .shared
+                .queue
+                .push_unbounded(Submit { writes, durability }),
+        );
     }
 
-    /// Writes `writes` and waits until they are synced; none, until all that came before them is.
+    /// Writes `writes` and blocks until they are synced; if empty, until all earlier submits are.
     ///
     /// # Errors
     ///
-    /// [`StoreFault`]; nothing of them is written then.
+    /// [`StoreFault`]: none of them is written, or with [`StoreFault::Fatal`] it is unknown.
     pub fn commit(&self, writes: Vec<Write>) -> Result<(), StoreFault> {
         let (done, is_done) = sync_channel(1);
-        let told = Box::new(move |result| {
-            // Whoever waited may be gone.
+        let send = Box::new(move |result| {
             let _ = done.send(result);
         });
-        self.submit(writes, Some(told));
+        self.submit(writes, Some(send));
         is_done.recv().unwrap_or(Err(StoreFault::Stopped))
     }
 
-    /// Queues `writes` as [`Store::submit`] does without anybody to wait; `told` is called, on the
-    /// store's thread, once they are synced.
-    pub fn submit_then(&self, writes: Vec<Write>, told: Box<dyn FnOnce() + Send>) {
-        let wanted = Wanted::Soon(Some(told));
-        // Once the store has ended nothing more is synced.
-        let _ = self.0.shared.queue.push(Submit { writes, wanted });
+    /// As [`Store::submit`] without `done`; `synced` is called on the writer thread once they are synced.
+    pub fn submit_then(&self, writes: Vec<Write>, synced: Box<dyn FnOnce() + Send>) {
+        let durability = Durability::Deferred(Some(synced));
+        // After the end of the store nothing is synced.
+        let _ = self.0.shared.queue.push(Submit { writes, durability });
     }
 
-    /// The swarms: names, in order, with what each was created with.
+    /// Names and metadata of the swarms, by name.
     ///
     /// # Errors
     ///
-    /// [`StoreError::Damaged`] when a record is damaged or missing, and those of any read.
+    /// [`StoreError::Damaged`] if a record is damaged or missing, and those of any read.
     pub fn swarms(&self) -> Result<Vec<(String, Vec<u8>)>, StoreError> {
         self.read("", read::swarms)
     }
 
-    /// The checkpoints kept of `swarm`, newest first. Damaged ones are left out, with a warning
-    /// and counted in [`Health::damaged`].
+    /// The checkpoints of `swarm`, newest first. Damaged ones are left out, logged and counted in
+    /// [`Health::damaged`].
     ///
     /// # Errors
     ///
     /// [`StoreError::NoSwarm`], [`StoreError::Damaged`], and those of any read.
-    pub fn checkpoints(&self, swarm: &str) -> Result<Vec<Mark>, StoreError> {
+    pub fn checkpoints(&self, swarm: &str) -> Result<Vec<CheckpointInfo>, StoreError> {
         let (marks, damaged) =
             self.read(swarm, |connection| read::checkpoints(connection, swarm))?;
         if damaged > 0 {
             warn!(
                 swarm,
-                damaged, "checkpoints are damaged or missing: older ones serve instead"
+                damaged, "checkpoints are damaged or missing: using older ones"
             );
             self.0
                 .shared
@@ -286,11 +272,11 @@ impl Store {
         Ok(marks)
     }
 
-    /// One checkpoint with its content.
+    /// The checkpoint `number` of `swarm` with its content.
     ///
     /// # Errors
     ///
-    /// [`StoreError::Damaged`] when it is not what was written, [`StoreError::NoCheckpoint`],
+    /// [`StoreError::Damaged`] if it differs from what was written, [`StoreError::NoCheckpoint`],
     /// [`StoreError::NoSwarm`], and those of any read.
     pub fn checkpoint(&self, swarm: &str, number: u64) -> Result<Checkpoint, StoreError> {
         self.read(swarm, |connection| {
@@ -298,8 +284,8 @@ impl Store {
         })
     }
 
-    /// At most `limit` rows after the row `after`, up to the first that is damaged or missing.
-    /// Where the rows right after `after` are kept no longer, it begins with the first that is.
+    /// At most `limit` rows after the row `after`, up to the first that is damaged or missing. If the
+    /// rows after `after` are deleted, it begins with the first that is not.
     ///
     /// # Errors
     ///
@@ -318,19 +304,18 @@ impl Store {
         Ok(rows)
     }
 
-    /// The answers kept, oldest first. Damaged ones are left out, with a warning and counted in
-    /// [`Health::damaged`].
+    /// The answers, oldest first. Damaged ones are left out, logged and counted in [`Health::damaged`].
     ///
     /// # Errors
     ///
-    /// [`StoreError::Damaged`] when nothing tells which there must be, and those of any read.
+    /// [`StoreError::Damaged`] if their extent is damaged, and those of any read.
     pub fn answers(&self) -> Result<Vec<Answer>, StoreError> {
         let page = |after| self.read("", |connection| read::answer_page(connection, after));
         let (answers, damaged) = read::answers(page)?;
         if damaged > 0 {
             warn!(
                 damaged,
-                "answers are damaged or missing: these requests would be carried out again"
+                "answers are damaged or missing: retries of these requests would be executed"
             );
             self.0
                 .shared
@@ -341,33 +326,23 @@ impl Store {
         Ok(answers)
     }
 
-    /// Whether an answer was ever deleted. False where that cannot be read.
+    /// Whether an answer was ever deleted; false if that cannot be read.
     pub fn has_forgotten(&self) -> bool {
         self.read("", read::has_forgotten).unwrap_or(false)
     }
 
-    /// The oldest checkpoint kept of `swarm`: from there on every row is there.
-    ///
-    /// The file is read only when the beginning of the history has moved since it was last asked
-    /// for, so it may be asked for often.
+    /// The oldest intact checkpoint of `swarm`: the journal is complete from there on.
     ///
     /// # Errors
     ///
-    /// As [`Store::checkpoints`].
-    pub fn history_from(&self, swarm: &str) -> Result<Option<Mark>, StoreError> {
-        let beginnings = &self.0.shared.beginnings;
-        let place = match beginnings.find(swarm) {
-            Ok(mark) => return Ok(mark),
-            Err(place) => place,
-        };
-        let mark = self.checkpoints(swarm)?.pop();
-        if let Some(place) = place {
-            beginnings.learn(swarm, place, mark);
-        }
-        Ok(mark)
+    /// [`StoreError::NoSwarm`], [`StoreError::Damaged`], and those of any read.
+    pub fn history_from(&self, swarm: &str) -> Result<Option<CheckpointInfo>, StoreError> {
+        self.read(swarm, |connection| {
+            read::oldest_checkpoint(connection, swarm)
+        })
     }
 
-    /// How the store is doing.
+    /// Condition and counters of the store.
     pub fn health(&self) -> Health {
         let size = |file: &Path| fs::metadata(file).map_or(0, |file| file.len());
         let mut wal = self.0.file.clone().into_os_string();
@@ -379,10 +354,10 @@ impl Store {
             .read(self.0.shared.queue.waiting(), bytes_on_disk)
     }
 
-    /// Writes what is queued, moves the WAL into the file, and ends; whether that was all done
-    /// within `patience`. What is submitted from now on is refused, and nothing is read any more.
-    pub fn stop(&self, patience: Duration) -> bool {
-        let until = Instant::now() + patience;
+    /// Writes what is queued, checkpoints the WAL, and ends; whether all of that completed within
+    /// `timeout`. Later submits and reads fail.
+    pub fn stop(&self, timeout: Duration) -> bool {
+        let until = Instant::now() + timeout;
         self.0.shared.queue.end(End::Stop);
         drop(
             self.0
@@ -391,23 +366,23 @@ impl Store {
                 .unwrap_or_else(PoisonError::into_inner)
                 .take(),
         );
-        let patience = until.saturating_duration_since(Instant::now());
-        self.0.shared.queue.wait_for_end(patience).unwrap_or(false)
+        let timeout = until.saturating_duration_since(Instant::now());
+        self.0.shared.queue.wait_for_end(timeout).unwrap_or(false)
     }
 
     fn read<T>(
         &self,
         swarm: &str,
-        read: impl FnOnce(&Connection) -> Result<T, Trouble>,
+        read: impl FnOnce(&Connection) -> Result<T, ReadError>,
     ) -> Result<T, StoreError> {
         let reader = self.0.reader.lock().unwrap_or_else(PoisonError::into_inner);
         let connection = reader.as_ref().ok_or(StoreError::Stopped)?;
-        read(connection).map_err(|trouble| trouble.told(&self.0.file, swarm))
+        read(connection).map_err(|error| error.into_store_error(&self.0.file, swarm))
     }
 }
 
 impl Drop for Inner {
-    /// Writes what is queued, however long it takes; [`Store::stop`] has patience.
+    /// Writes what is queued, however long it takes; [`Store::stop`] has a timeout.
     fn drop(&mut self) {
         self.shared.queue.end(End::Stop);
         drop(
@@ -427,16 +402,16 @@ impl Drop for Inner {
     }
 }
 
-/// Tells whoever waits why the queue took nothing.
-fn refused(pushed: Result<(), (Submit, End)>) {
+/// Calls the callback of a sync submit that the queue returned.
+fn complete_returned(pushed: Result<(), (Submit, End)>) {
     if let Err((submit, end)) = pushed
-        && let Wanted::Now(done) = submit.wanted
+        && let Durability::Sync(done) = submit.durability
     {
         done(Err(end.fault()));
     }
 }
 
-/// Creates `folder` for its owner alone, and locks it until the file returned is closed.
+/// Creates `folder`, accessible to its owner only, and locks it until the returned file is closed.
 ///
 /// # Errors
 ///
@@ -451,7 +426,7 @@ pub fn lock(folder: &Path) -> Result<File, StoreError> {
         .mode(0o700)
         .create(folder)
         .map_err(fail)?;
-    // A new folder is there after a power cut only if its parent knows it.
+    // Without this sync of its parent a new folder may be lost in a power failure.
     if let Some(parent) = folder
         .parent()
         .filter(|parent| !parent.as_os_str().is_empty())
@@ -468,8 +443,8 @@ pub fn lock(folder: &Path) -> Result<File, StoreError> {
     loop {
         match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
             Ok(()) => return Ok(lock),
-            Err(Errno::WOULDBLOCK) if began.elapsed() < PATIENCE_WITH_LOCK => {
-                thread::sleep(PATIENCE_WITH_LOCK / 50);
+            Err(Errno::WOULDBLOCK) if began.elapsed() < LOCK_TIMEOUT => {
+                thread::sleep(LOCK_TIMEOUT / 50);
             }
             Err(Errno::WOULDBLOCK) => {
                 return Err(StoreError::InUse {

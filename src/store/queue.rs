@@ -1,4 +1,7 @@
-//! What waits to be written: bounded, in order, and taken in groups.
+//! The queue between submitters and the writer thread: bounded, in order of submission, taken in groups.
+//!
+//! Sync and deferred submits share one queue, since a sync submit of a swarm follows its deferred
+//! ones. Their limits differ, in writes and in bytes, which no channel offers.
 
 use std::collections::VecDeque;
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
@@ -6,48 +9,47 @@ use std::thread::{self, ThreadId};
 use std::time::{Duration, Instant};
 
 use super::error::StoreFault;
-use super::{Wanted, Write};
+use super::{Durability, Write};
 
-/// Writes that may wait, and the bytes they may take; who comes on top waits for room.
-const MOST_WAITING: (usize, usize) = (8192, 64 * 1024 * 1024);
+/// Writes and bytes in the queue beyond which a sync submit blocks.
+const MAX_QUEUED: (usize, usize) = (8192, 64 * 1024 * 1024);
 
-/// The same of what nobody waits for: a swarm that steps is not held up by those who flood
-/// another with commands.
-const MOST_LAZY: (usize, usize) = (1 << 17, 256 * 1024 * 1024);
+/// The same for deferred submits: a swarm that steps is not blocked by a flood of commands to another.
+const MAX_QUEUED_DEFERRED: (usize, usize) = (1 << 17, 256 * 1024 * 1024);
 
-/// Writes of one group, and their bytes: a commit of this size takes a few milliseconds.
+/// Writes and bytes of one group: a commit of this size takes a few milliseconds.
 pub(super) const GROUP: (usize, usize) = (1024, 4 * 1024 * 1024);
 
-/// How long something nobody waits for is held back, so that others share its sync.
-const LAZY_WAIT: Duration = Duration::from_millis(5);
+/// How long a deferred submit is held back, so that others share its sync.
+const DEFERRED_DELAY: Duration = Duration::from_millis(5);
 
-/// Writes that are committed together, and whom to tell.
+/// Writes that are committed together.
 pub(super) struct Submit {
     /// In the order in which they apply.
     pub(super) writes: Vec<Write>,
-    /// When they are to be written, and whom to tell.
-    pub(super) wanted: Wanted,
+    /// When they are written, and the callback.
+    pub(super) durability: Durability,
 }
 
 impl Submit {
-    /// How many writes, and bytes, it counts for.
+    /// The writes and bytes that it counts for.
     pub(super) fn size(&self) -> (usize, usize) {
         let bytes = self.writes.iter().map(Write::bytes).sum();
         (self.writes.len().max(1), bytes)
     }
 }
 
-/// Why the queue takes nothing more.
+/// Why the queue accepts no more submits.
 #[derive(Clone)]
 pub(super) enum End {
-    /// It was asked to stop.
+    /// The store was stopped.
     Stop,
-    /// The store failed for good.
+    /// The store failed.
     Fatal(String),
 }
 
 impl End {
-    /// What a submit is told.
+    /// The fault that later submits get.
     pub(super) fn fault(&self) -> StoreFault {
         match self {
             End::Stop => StoreFault::Stopped,
@@ -60,16 +62,16 @@ impl End {
 struct State {
     submits: VecDeque<(Submit, Instant)>,
     size: (usize, usize),
-    durable: usize,
+    sync_submits: usize,
     end: Option<End>,
     writer: Option<ThreadId>,
-    /// When the writer wakes by itself, while it sleeps.
+    /// When the timeout of the sleeping writer ends.
     wakes_at: Option<Instant>,
-    /// Whether everything was written, once the writer has ended.
+    /// Set when the writer has ended: whether everything was written.
     outcome: Option<bool>,
 }
 
-/// The queue between those who submit and the writer.
+/// The queue.
 #[derive(Default)]
 pub(super) struct Queue {
     state: Mutex<State>,
@@ -78,23 +80,22 @@ pub(super) struct Queue {
 }
 
 impl Queue {
-    /// Puts `submit` at the end, waiting while there is no room.
-    ///
-    /// The writer's own thread never waits: it would wait for itself.
+    /// Appends `submit`, and blocks while the queue is full. Never blocks the writer thread, which
+    /// would deadlock.
     ///
     /// # Errors
     ///
-    /// Gives `submit` back when the queue has ended.
+    /// Returns `submit` if the queue has ended.
     pub(super) fn push(&self, submit: Submit) -> Result<(), (Submit, End)> {
         let (writes, bytes) = submit.size();
-        let most = match submit.wanted.is_now() {
-            true => MOST_WAITING,
-            false => MOST_LAZY,
+        let max = match submit.durability.is_sync() {
+            true => MAX_QUEUED,
+            false => MAX_QUEUED_DEFERRED,
         };
         let mut state = self.lock();
         while state.end.is_none()
             && !state.submits.is_empty()
-            && (state.size.0 + writes > most.0 || state.size.1 + bytes > most.1)
+            && (state.size.0 + writes > max.0 || state.size.1 + bytes > max.1)
             && state.writer != Some(thread::current().id())
         {
             state = self
@@ -105,12 +106,12 @@ impl Queue {
         self.put(state, submit)
     }
 
-    /// Puts `submit` at the end, where there is room or not: its sender has no more than one there.
+    /// Appends `submit` even if the queue is full: its sender has at most one in the queue.
     ///
     /// # Errors
     ///
-    /// Gives `submit` back when the queue has ended.
-    pub(super) fn push_at_once(&self, submit: Submit) -> Result<(), (Submit, End)> {
+    /// Returns `submit` if the queue has ended.
+    pub(super) fn push_unbounded(&self, submit: Submit) -> Result<(), (Submit, End)> {
         self.put(self.lock(), submit)
     }
 
@@ -120,10 +121,10 @@ impl Queue {
             return Err((submit, end));
         }
         state.size = (state.size.0 + writes, state.size.1 + bytes);
-        state.durable += usize::from(submit.wanted.is_now());
+        state.sync_submits += usize::from(submit.durability.is_sync());
         let now = Instant::now();
         state.submits.push_back((submit, now));
-        // Waking it takes as long as a step: those who follow share its sleep.
+        // Waking the writer takes as long as a step: wake it only if this submit is due sooner.
         let is_sooner = |wakes_at| due(&state, now).is_some_and(|due| due < wakes_at);
         if state.wakes_at.is_some_and(is_sooner) {
             state.wakes_at = None;
@@ -132,12 +133,12 @@ impl Queue {
         Ok(())
     }
 
-    /// Takes the next group: as soon as somebody waits for it, there is enough for a group, or
-    /// the oldest has been held back long enough. Nothing within `patience` gives an empty group.
+    /// Takes the next group as soon as a sync submit is queued, a group is full, or the oldest submit
+    /// has been held back long enough; an empty group after `timeout`.
     ///
-    /// The end, if it has come, is told only with an empty group.
-    pub(super) fn take(&self, patience: Duration) -> (Vec<Submit>, Option<End>) {
-        let until = Instant::now() + patience;
+    /// The end of the queue is returned only with an empty group.
+    pub(super) fn take(&self, timeout: Duration) -> (Vec<Submit>, Option<End>) {
+        let until = Instant::now() + timeout;
         let mut state = self.lock();
         loop {
             let now = Instant::now();
@@ -160,7 +161,7 @@ impl Queue {
         }
     }
 
-    /// Takes no more from now on; the first reason stands unless a worse one comes.
+    /// Ends the queue; `Fatal` replaces an earlier reason.
     pub(super) fn end(&self, end: End) {
         let mut state = self.lock();
         if state.end.is_none() || matches!(end, End::Fatal(_)) {
@@ -170,32 +171,32 @@ impl Queue {
         self.drained.notify_all();
     }
 
-    /// Says whose thread the writer is.
-    pub(super) fn is_written_here(&self) {
+    /// Marks the calling thread as the writer.
+    pub(super) fn set_writer_thread(&self) {
         self.lock().writer = Some(thread::current().id());
     }
 
-    /// Whether this is the writer's thread.
+    /// Whether the calling thread is the writer.
     pub(super) fn is_writer(&self) -> bool {
         self.lock().writer == Some(thread::current().id())
     }
 
-    /// Says that the writer has ended, and whether it wrote everything.
+    /// Records that the writer has ended, and whether it wrote everything.
     pub(super) fn finish(&self, is_all_written: bool) {
         self.lock().outcome = Some(is_all_written);
         self.drained.notify_all();
     }
 
-    /// Waits for the writer's end; `None` when `patience` is over before.
-    pub(super) fn wait_for_end(&self, patience: Duration) -> Option<bool> {
+    /// Waits for the end of the writer; `None` after `timeout`.
+    pub(super) fn wait_for_end(&self, timeout: Duration) -> Option<bool> {
         let (state, _) = self
             .drained
-            .wait_timeout_while(self.lock(), patience, |state| state.outcome.is_none())
+            .wait_timeout_while(self.lock(), timeout, |state| state.outcome.is_none())
             .unwrap_or_else(PoisonError::into_inner);
         state.outcome
     }
 
-    /// Writes that wait.
+    /// Writes in the queue.
     pub(super) fn waiting(&self) -> usize {
         self.lock().size.0
     }
@@ -205,17 +206,17 @@ impl Queue {
     }
 }
 
-/// When the next group is to be taken, if anything waits.
+/// When the next group is to be taken, if the queue is not empty.
 fn due(state: &State, now: Instant) -> Option<Instant> {
     let (_, since) = state.submits.front()?;
     let is_enough = state.size.0 >= GROUP.0 || state.size.1 >= GROUP.1;
-    if state.durable > 0 || state.end.is_some() || is_enough {
+    if state.sync_submits > 0 || state.end.is_some() || is_enough {
         return Some(now);
     }
-    Some(*since + LAZY_WAIT)
+    Some(*since + DEFERRED_DELAY)
 }
 
-/// Takes what fits into one group, and at least one.
+/// Takes the submits that fit into one group, at least one.
 fn take_group(state: &mut State) -> Vec<Submit> {
     let mut group = Vec::new();
     let mut taken = (0, 0);
@@ -226,7 +227,7 @@ fn take_group(state: &mut State) -> Vec<Submit> {
         }
         taken = (taken.0 + writes, taken.1 + bytes);
         if let Some((submit, _)) = state.submits.pop_front() {
-            state.durable -= usize::from(submit.wanted.is_now());
+            state.sync_submits -= usize::from(submit.durability.is_sync());
             group.push(submit);
         }
     }

@@ -1,29 +1,27 @@
-//! The records: what is kept, the seal of each, and what it counts for against a quota.
+//! Records and writes, and what they count for against a quota.
 
-use super::seal::{Seal, Sealer, digest};
-
-/// What a record takes in the file beside its body.
+/// Size of a record in the file besides its body.
 const OVERHEAD_BYTES: usize = 64;
 
 /// An entry of a swarm's journal.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Row {
-    /// Its place: a swarm's rows count from 1 without gaps.
+    /// Its number: a swarm's rows count from 1 without gaps.
     pub number: u64,
     /// The epoch it belongs to.
     pub epoch: u64,
     /// The step it belongs to.
     pub step: u64,
-    /// What it is; the store does not care.
+    /// Its kind, opaque to the store.
     pub kind: u8,
     /// Its content.
     pub body: Vec<u8>,
 }
 
-/// A whole state.
+/// The complete state of a swarm.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Checkpoint {
-    /// The last row it contains. A later checkpoint with the same number takes its place.
+    /// The last row it contains. A later checkpoint of the same number replaces it.
     pub number: u64,
     /// The epoch it belongs to.
     pub epoch: u64,
@@ -35,7 +33,7 @@ pub struct Checkpoint {
 
 /// A checkpoint without its content.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Mark {
+pub struct CheckpointInfo {
     /// The last row it contains.
     pub number: u64,
     /// The epoch it belongs to.
@@ -44,78 +42,78 @@ pub struct Mark {
     pub step: u64,
 }
 
-/// Rows, up to the first that is damaged.
+/// Rows up to the first that is damaged.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Rows {
     /// Consecutive rows.
     pub rows: Vec<Row>,
-    /// The row after them, when it is damaged or missing.
+    /// The next row, if it is damaged or missing.
     pub damaged_at: Option<u64>,
 }
 
-/// What a named request came to.
+/// The stored reply to a request with an id.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Answer {
-    /// Who says to have sent it.
+    /// The client that sent it.
     pub client: Option<String>,
-    /// What they called it.
+    /// Its `request_id`.
     pub request_id: String,
     /// A hash of the request.
     pub digest: [u8; 32],
-    /// The swarm it was for.
+    /// Its swarm.
     pub swarm: String,
-    /// The swarm's row it was written with.
+    /// The swarm's row that it was written with.
     pub number: u64,
-    /// Whether it was carried out.
+    /// Whether it was executed.
     pub is_ok: bool,
     /// The encoding of the body.
     pub encoding: String,
-    /// What was answered.
+    /// The reply.
     pub body: Vec<u8>,
 }
 
-/// A change to what is stored. A swarm's name is text; nothing is asked of it.
+/// A change to the store. The name of a swarm may be any text.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Write {
-    /// A new swarm. Its rows go on after its first checkpoint.
+    /// Creates a swarm. Its rows follow its first checkpoint.
     Create {
         /// Its name.
         swarm: String,
-        /// What it is; the store does not care.
+        /// Its metadata, opaque to the store.
         about: Vec<u8>,
-        /// What its rows start from.
+        /// The state that its rows follow.
         first: Checkpoint,
     },
-    /// The next row of a swarm.
+    /// Appends a row to the journal of a swarm.
     Append {
         /// The swarm.
         swarm: String,
         /// Its next row.
         row: Row,
     },
-    /// A checkpoint, no older than the newest one.
+    /// Adds a checkpoint, not older than the newest one.
     Keep {
         /// The swarm.
         swarm: String,
-        /// Its state after the row it names, which is there.
+        /// Its state after a row that exists.
         checkpoint: Checkpoint,
     },
-    /// A swarm's rows and checkpoints after a row go, so that others can follow it: what is damaged
-    /// cannot be gone on from. The file as it was is kept aside first.
+    /// Deletes the rows and checkpoints of a swarm after a row, so that others can follow it although
+    /// the next row is damaged. The file is copied first.
     Cut {
         /// The swarm.
         swarm: String,
         /// The last row that stays.
         after: u64,
     },
-    /// A swarm with all its rows and checkpoints. Answers stay.
+    /// Deletes a swarm with its rows and checkpoints. Answers stay.
     Delete {
         /// The swarm.
         swarm: String,
     },
-    /// What a named request came to.
+    /// Adds an answer.
     Answer(Answer),
-    /// The answer to a named request is deleted, if it is there.
+    /// Deletes the answers to a request, if there are any.
     Forget {
         /// The client of the request.
         client: Option<String>,
@@ -125,7 +123,7 @@ pub enum Write {
 }
 
 impl Write {
-    /// The swarm it changes; an answer changes none.
+    /// The swarm that it changes; `None` for answers.
     pub(super) fn swarm(&self) -> Option<&str> {
         match self {
             Write::Create { swarm, .. }
@@ -137,7 +135,7 @@ impl Write {
         }
     }
 
-    /// What it takes in memory, in bytes.
+    /// Its size in memory.
     pub(super) fn bytes(&self) -> usize {
         OVERHEAD_BYTES
             + match self {
@@ -155,91 +153,18 @@ impl Write {
     }
 }
 
-/// What a body of this length counts for against a quota, in bytes.
+/// Bytes that a record with a body of this length counts for against a quota.
 pub(super) fn cost(body_bytes: usize) -> u64 {
     (body_bytes + OVERHEAD_BYTES) as u64
 }
 
-/// Seals the record of a swarm.
-pub(super) fn seal_swarm(name: &str, id: i64, about: &[u8]) -> Seal {
-    Sealer::new("swarm")
-        .bytes(name.as_bytes())
-        .numbers([id.cast_unsigned()])
-        .bytes(about)
-        .seal()
-}
-
-impl Row {
-    /// Seals it as a row of `swarm`.
-    pub(super) fn seal(&self, swarm: &str, id: i64) -> Seal {
-        Sealer::new("row")
-            .bytes(swarm.as_bytes())
-            .numbers([
-                id.cast_unsigned(),
-                self.number,
-                self.epoch,
-                self.step,
-                self.kind.into(),
-            ])
-            .bytes(&self.body)
-            .seal()
-    }
-}
-
 impl Checkpoint {
-    /// It without its content.
-    pub fn mark(&self) -> Mark {
-        Mark {
+    /// The checkpoint without its content.
+    pub fn info(&self) -> CheckpointInfo {
+        CheckpointInfo {
             number: self.number,
             epoch: self.epoch,
             step: self.step,
         }
-    }
-}
-
-impl Mark {
-    /// Seals it as a checkpoint of `swarm` whose body has this digest.
-    pub(super) fn seal(&self, swarm: &str, id: i64, digest: &[u8]) -> Seal {
-        Sealer::new("checkpoint")
-            .bytes(swarm.as_bytes())
-            .numbers([id.cast_unsigned(), self.number, self.epoch, self.step])
-            .bytes(digest)
-            .seal()
-    }
-
-    /// The checkpoint with this content, if it is the one that was sealed.
-    pub(super) fn with(self, body: Vec<u8>, sealed: &[u8]) -> Option<Checkpoint> {
-        let Mark {
-            number,
-            epoch,
-            step,
-        } = self;
-        (digest(&body) == sealed).then_some(Checkpoint {
-            number,
-            epoch,
-            step,
-            body,
-        })
-    }
-}
-
-impl Answer {
-    /// Seals it as the answer `id`.
-    pub(super) fn seal(&self, id: u64) -> Seal {
-        let client = self.client.as_deref().unwrap_or("");
-        Sealer::new("answer")
-            .numbers([
-                id,
-                self.client.is_some().into(),
-                self.number,
-                self.is_ok.into(),
-            ])
-            .bytes(client.as_bytes())
-            .bytes(self.request_id.as_bytes())
-            .bytes(&self.digest)
-            .bytes(self.swarm.as_bytes())
-            .bytes(self.encoding.as_bytes())
-            .bytes(&self.body)
-            .seal()
     }
 }

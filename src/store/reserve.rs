@@ -1,4 +1,4 @@
-//! Room on the disk that is kept for deletions: they need some before they make some.
+//! Disk space reserved for deletions, which need some before they free some.
 
 use std::fs::{self, File};
 use std::io::{self, Write};
@@ -9,34 +9,34 @@ use rustix::fs::statvfs;
 /// Its name in the data folder.
 pub(super) const FILE: &str = "reserve";
 
-/// How much: what a deletion writes, and moving the pages behind it into the database, is less.
+/// More than a deletion writes to the WAL and the checkpoint to the database.
 const BYTES: usize = 1024 * 1024;
 
-/// How many times as much must be free: to keep it takes nobody else's last room.
-const TIMES: u64 = 3;
+/// How many times as much must be free, so that the reserve does not fill the disk.
+const MIN_FREE_FACTOR: u64 = 3;
 
-/// Keeps it, if it is not there whole.
+/// Creates the reserve if it is not complete.
 pub(super) fn keep(folder: &Path) -> io::Result<()> {
     let path = folder.join(FILE);
     if fs::metadata(&path).is_ok_and(|it| it.len() == BYTES as u64) {
         return Ok(());
     }
     let disk = statvfs(folder)?;
-    if disk.f_bavail.saturating_mul(disk.f_frsize) < TIMES * BYTES as u64 {
+    if disk.f_bavail.saturating_mul(disk.f_frsize) < MIN_FREE_FACTOR * BYTES as u64 {
         return Err(io::ErrorKind::StorageFull.into());
     }
-    let kept = File::create(&path).and_then(|mut file| {
-        // Written, since a file with nothing in it has no room of its own.
+    let created = File::create(&path).and_then(|mut file| {
+        // Written, since a sparse file reserves nothing.
         file.write_all(&vec![1; BYTES])?;
         file.sync_all()
     });
-    if kept.is_err() {
+    if created.is_err() {
         give_up(folder);
     }
-    kept
+    created
 }
 
-/// Gives it up; whether it was there.
+/// Deletes the reserve; whether it existed.
 pub(super) fn give_up(folder: &Path) -> bool {
     fs::remove_file(folder.join(FILE)).is_ok()
 }

@@ -1,4 +1,4 @@
-//! The database file: how it is opened, what is in it, and how older ones are brought up to date.
+//! The database file: opening, tables, migrations.
 
 use std::path::Path;
 use std::time::Duration;
@@ -7,7 +7,7 @@ use rusqlite::config::DbConfig;
 use rusqlite::{Connection, OpenFlags, Result as SqlResult, Transaction, TransactionBehavior};
 
 use super::error::StoreError;
-use super::extent::{self, Extent};
+use super::integrity::{self, Extent};
 
 /// The file's name in the data folder.
 pub(super) const FILE: &str = "jostle.sqlite";
@@ -15,20 +15,19 @@ pub(super) const FILE: &str = "jostle.sqlite";
 /// Marks the file as ours: "jost".
 const APPLICATION_ID: i64 = 0x6A6F_7374;
 
-/// How long a statement waits for a lock that another process (say, a shell that looks at the
-/// file) holds.
-const BUSY: Duration = Duration::from_millis(20);
+/// How long a statement waits for a lock of another process, such as a shell that reads the file.
+const BUSY_TIMEOUT: Duration = Duration::from_millis(20);
 
-/// A step from one schema to the next. All that are needed run in one transaction.
-type Step = fn(&Transaction<'_>) -> SqlResult<()>;
+/// A migration from one schema to the next. All that are needed run in one transaction.
+type Migration = fn(&Transaction<'_>) -> SqlResult<()>;
 
-/// Step k leads from schema k to k + 1.
-const STEPS: &[Step] = &[first, second];
+/// Migration k leads from schema k to k + 1.
+const MIGRATIONS: &[Migration] = &[first, second];
 
 /// The schema this version writes.
 pub(super) const KNOWN: i64 = 2;
 
-const _: () = assert!(STEPS.len() as i64 == KNOWN);
+const _: () = assert!(MIGRATIONS.len() as i64 == KNOWN);
 
 /// The columns of rows and of checkpoints.
 pub(super) const ROW: &str = "(
@@ -44,9 +43,9 @@ pub(super) const CHECKPOINT: &str = "(
 
 /// The first schema.
 ///
-/// Rows and checkpoints name their swarm by a number that is never given twice, so that a deleted
-/// swarm's rows can go little by little while another takes its name. `extent` says what there
-/// must be, in a tree of its own: what a broken page hides is missed.
+/// Rows and checkpoints refer to their swarm by an id, so that the rows of a deleted swarm can be
+/// swept in pieces while another swarm has its name; `gone` lists the ids that are not swept yet.
+/// For `extent` and `seal` see [`integrity`].
 fn first(transaction: &Transaction<'_>) -> SqlResult<()> {
     transaction.execute_batch(&format!(
         "CREATE TABLE swarm (
@@ -67,27 +66,27 @@ fn first(transaction: &Transaction<'_>) -> SqlResult<()> {
          );
          CREATE TABLE gone (swarm INTEGER PRIMARY KEY);",
     ))?;
-    extent::write(transaction, extent::ANSWERS, &Extent::default())
+    integrity::write_extent(transaction, integrity::ANSWERS, &Extent::default())
 }
 
-/// The second schema: answers are found by their request, to be deleted.
+/// The second schema: an index to delete answers by their request.
 fn second(transaction: &Transaction<'_>) -> SqlResult<()> {
     transaction.execute_batch("CREATE INDEX answer_request ON answer (request_id)")
 }
 
-/// Opens the writer's connection to `file`, creates or migrates it, and has SQLite look through it
-/// if it is smaller than `most_checked_bytes`.
+/// Opens the writer's connection to `file`, creates or migrates the tables, and checks the pages of a
+/// file of at most `max_checked_bytes`.
 ///
 /// # Errors
 ///
 /// Every variant of [`StoreError`] that is about a file.
-pub(super) fn open(file: &Path, most_checked_bytes: u64) -> Result<Connection, StoreError> {
+pub(super) fn open(file: &Path, max_checked_bytes: u64) -> Result<Connection, StoreError> {
     let fail = |error| StoreError::of_reading(file, &error);
     let mut connection = Connection::open(file).map_err(fail)?;
-    connection.busy_timeout(BUSY).map_err(fail)?;
+    connection.busy_timeout(BUSY_TIMEOUT).map_err(fail)?;
     let is_new = check_origin(file, &connection)?;
     if is_new {
-        // Only before the first table: the pages of deleted swarms go back to the disk.
+        // Effective only before the first table.
         connection
             .pragma_update(None, "auto_vacuum", "INCREMENTAL")
             .map_err(fail)?;
@@ -97,18 +96,19 @@ pub(super) fn open(file: &Path, most_checked_bytes: u64) -> Result<Connection, S
         .pragma_update_and_check(None, "journal_mode", "WAL", |row| row.get(0))
         .map_err(fail)?;
     if !mode.eq_ignore_ascii_case("wal") {
-        let detail = format!("its file system has no shared memory, the journal is {mode:?}");
+        let detail =
+            format!("its file system does not support shared memory: the journal mode is {mode:?}");
         return Err(StoreError::Io {
             file: file.to_path_buf(),
             detail,
         });
     }
-    check_pages(file, &connection, most_checked_bytes)?;
+    check_pages(file, &connection, max_checked_bytes)?;
     migrate(&mut connection).map_err(fail)?;
     Ok(connection)
 }
 
-/// Opens a connection that only reads, and never moves the WAL into the file when it closes.
+/// Opens a read-only connection, which does not checkpoint the WAL when it closes.
 ///
 /// # Errors
 ///
@@ -117,7 +117,7 @@ pub(super) fn open_reader(file: &Path) -> Result<Connection, StoreError> {
     let open = || {
         let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
         let connection = Connection::open_with_flags(file, flags)?;
-        connection.busy_timeout(BUSY)?;
+        connection.busy_timeout(BUSY_TIMEOUT)?;
         configure(&connection)?;
         connection.set_db_config(DbConfig::SQLITE_DBCONFIG_NO_CKPT_ON_CLOSE, true)?;
         connection.pragma_update(None, "query_only", true)?;
@@ -130,16 +130,18 @@ fn configure(connection: &Connection) -> SqlResult<()> {
     connection.pragma_update(None, "synchronous", "FULL")?;
     connection.pragma_update(None, "foreign_keys", false)?;
     connection.pragma_update(None, "temp_store", "MEMORY")?;
-    // The writer moves the WAL into the file itself: SQLite would pass over a failed sync.
+    // More than the statements that the writer has, so that none is compiled twice.
+    connection.set_prepared_statement_cache_capacity(64);
+    // The writer checkpoints the WAL itself: SQLite would ignore a failed sync.
     connection.pragma_update(None, "wal_autocheckpoint", 0)?;
     connection.pragma_update(None, "cell_size_check", true)
 }
 
-/// Whether the file is new; an error if it is not ours, or of a later version.
+/// Whether the file is new.
 ///
 /// # Errors
 ///
-/// [`StoreError`].
+/// [`StoreError::Foreign`], [`StoreError::Newer`], [`StoreError::Corrupt`].
 pub(super) fn check_origin(file: &Path, connection: &Connection) -> Result<bool, StoreError> {
     let fail = |error| StoreError::of_reading(file, &error);
     let number = |pragma| connection.pragma_query_value(None, pragma, |row| row.get::<_, i64>(0));
@@ -164,7 +166,7 @@ pub(super) fn check_origin(file: &Path, connection: &Connection) -> Result<bool,
         });
     }
     if version < 1 || tables == 0 {
-        let detail = format!("schema {version} with {tables} tables never was");
+        let detail = format!("schema {version} with {tables} tables is impossible");
         return Err(StoreError::Corrupt {
             file: file.to_path_buf(),
             detail,
@@ -173,9 +175,9 @@ pub(super) fn check_origin(file: &Path, connection: &Connection) -> Result<bool,
     Ok(false)
 }
 
-fn check_pages(file: &Path, connection: &Connection, most_bytes: u64) -> Result<(), StoreError> {
+fn check_pages(file: &Path, connection: &Connection, max_bytes: u64) -> Result<(), StoreError> {
     let fail = |error| StoreError::of_reading(file, &error);
-    if std::fs::metadata(file).is_ok_and(|file| file.len() > most_bytes) {
+    if std::fs::metadata(file).is_ok_and(|file| file.len() > max_bytes) {
         return Ok(());
     }
     let found: String = connection
@@ -197,8 +199,8 @@ fn migrate(connection: &mut Connection) -> SqlResult<()> {
     }
     let transaction = connection.transaction_with_behavior(TransactionBehavior::Immediate)?;
     let done = usize::try_from(version).unwrap_or(0);
-    for step in &STEPS[done..] {
-        step(&transaction)?;
+    for migration in &MIGRATIONS[done..] {
+        migration(&transaction)?;
     }
     transaction.pragma_update(None, "application_id", APPLICATION_ID)?;
     transaction.pragma_update(None, "user_version", KNOWN)?;

@@ -1,4 +1,4 @@
-//! The thread that writes: one transaction after another, each for all who wait.
+//! The writer thread: commits what is queued, a group of submits per transaction.
 
 use std::collections::BTreeSet;
 use std::fs::File;
@@ -8,79 +8,78 @@ use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
-use rusqlite::{Connection, Error as SqlError, Transaction, TransactionBehavior};
+use rusqlite::{Connection, Error as SqlError, Result as SqlResult};
 use tracing::{error, warn};
 
-use super::aside;
 use super::backlog::Backlog;
-use super::catalog::Catalog;
-use super::crash;
-use super::draft::{Changes, Draft};
+use super::damaged_copy;
 use super::error::StoreFault;
+use super::failpoint;
 use super::queue::{GROUP, Submit};
 use super::reserve;
-use super::{Shared, Wanted, Write};
+use super::transaction::Transaction;
+use super::{Durability, Shared, Write};
 
-/// How long what could not be written waits for the next attempt.
-const RETRY: Duration = Duration::from_secs(1);
+/// Time between two attempts to write the backlog.
+const RETRY_INTERVAL: Duration = Duration::from_secs(1);
 
-/// Under load, how often a piece of what is kept no longer is taken away.
-const TIDY: Duration = Duration::from_millis(50);
+/// Time between two pieces of maintenance under load.
+const SWEEP_INTERVAL: Duration = Duration::from_millis(50);
 
-/// What a transaction puts into the WAL beside bodies: a few pages of trees and records.
+/// Estimated size of a transaction in the WAL besides bodies: a few pages of trees and records.
 const WAL_BYTES_PER_COMMIT: usize = 6 * 4096;
 
-/// What the thread works with.
+/// State of the writer thread.
 pub(super) struct Writer {
     pub(super) connection: Connection,
     pub(super) folder: PathBuf,
     pub(super) quota_bytes: u64,
-    pub(super) catalog: Catalog,
     pub(super) backlog: Backlog,
-    pub(super) untidy: BTreeSet<String>,
+    pub(super) over_quota: BTreeSet<String>,
     pub(super) shared: Arc<Shared>,
-    /// Bytes put into the WAL since it was last moved into the file, about.
+    /// Estimated size of the WAL since the last checkpoint.
     pub(super) wal_bytes: usize,
-    pub(super) tidied: Instant,
-    /// Whether a copy of the file as it was opened is kept aside.
-    is_aside: bool,
-    /// Whether room is kept for deletions.
+    pub(super) swept_at: Instant,
+    /// Whether [`damaged_copy`] was taken since the file was opened.
+    has_damaged_copy: bool,
+    /// Whether the file [`reserve`] exists.
     pub(super) has_reserve: bool,
-    /// What may have been written or not when the store failed.
+    /// Submits of which it is unknown whether they were written when the store failed.
     pub(super) unknown: Vec<Submit>,
-    /// Held until the last byte is written.
+    /// Released after the last write.
     _lock: File,
 }
 
 impl Writer {
-    /// Prepares the thread's work; `lock` is held while it lasts.
+    /// The state for an opened database; holds `lock` until it is dropped.
     pub(super) fn new(
         (connection, folder, lock): (Connection, PathBuf, File),
         quota_bytes: u64,
         shared: Arc<Shared>,
-    ) -> Result<Writer, SqlError> {
-        let catalog = Catalog::read(&connection)?;
-        let untidy = catalog.swarms.keys().cloned().collect();
-        shared.beginnings.fill(&catalog);
-        let (backlog, tidied) = (Backlog::default(), Instant::now());
+    ) -> SqlResult<Writer> {
+        // A crash may have left rows of any swarm unswept.
+        let over_quota = connection
+            .prepare("SELECT name FROM swarm")?
+            .query_map([], |record| record.get(0))?
+            .collect::<SqlResult<_>>()?;
+        let (backlog, swept_at) = (Backlog::default(), Instant::now());
         Ok(Writer {
             connection,
             folder,
             quota_bytes,
-            catalog,
             backlog,
-            untidy,
+            over_quota,
             shared,
             wal_bytes: 0,
-            tidied,
-            is_aside: false,
+            swept_at,
+            has_damaged_copy: false,
             has_reserve: false,
             unknown: Vec::new(),
             _lock: lock,
         })
     }
 
-    /// Writes until the queue ends; whether all was written.
+    /// Writes until the queue ends; whether everything was written.
     ///
     /// # Errors
     ///
@@ -88,38 +87,42 @@ impl Writer {
     pub(super) fn run(&mut self) -> Result<bool, StoreFault> {
         let mut has_work = true;
         loop {
-            let patience = if has_work { Duration::ZERO } else { RETRY };
+            let patience = if has_work {
+                Duration::ZERO
+            } else {
+                RETRY_INTERVAL
+            };
             let (group, end) = self.shared.queue.take(patience);
             let is_idle = group.is_empty();
-            self.round(group)?;
+            self.process(group)?;
             if end.is_some() {
                 return self.close();
             }
-            has_work = match is_idle || self.tidied.elapsed() > TIDY {
-                true => self.keep_house(is_idle)?,
+            has_work = match is_idle || self.swept_at.elapsed() > SWEEP_INTERVAL {
+                true => self.maintain(is_idle)?,
                 false => true,
             };
         }
     }
 
-    /// Writes what was kept and then `group`, and tells those who wait.
-    pub(super) fn round(&mut self, group: Vec<Submit>) -> Result<(), StoreFault> {
+    /// Writes the backlog and then `group`, and completes its submits.
+    pub(super) fn process(&mut self, group: Vec<Submit>) -> Result<(), StoreFault> {
         if let Err(fault) = self.write_backlog() {
-            return self.refuse(group, fault);
+            return self.reject(group, fault);
         }
         match self.commit_or_make_room(&group) {
             Ok(outcomes) => {
                 for (submit, outcome) in group.into_iter().zip(outcomes) {
-                    self.tell(submit.wanted, outcome);
+                    self.complete(submit.durability, outcome);
                 }
-                crash::point("store-done");
+                failpoint::kill("store-done");
                 Ok(())
             }
-            Err(fault) => self.refuse(group, fault),
+            Err(fault) => self.reject(group, fault),
         }
     }
 
-    /// Writes what was kept, in groups.
+    /// Writes the backlog, in groups.
     pub(super) fn write_backlog(&mut self) -> Result<(), StoreFault> {
         while !self.backlog.is_empty() {
             let mut backlog = std::mem::take(&mut self.backlog);
@@ -129,32 +132,32 @@ impl Writer {
             self.backlog = backlog;
             let outcomes = written?;
             for (submit, outcome) in self.backlog.pop(count).into_iter().zip(outcomes) {
-                self.tell(submit.wanted, outcome);
+                self.complete(submit.durability, outcome);
             }
-            self.note_backlog();
+            self.update_backlog_metrics();
         }
         Ok(())
     }
 
-    /// Tells those who wait that nothing was written, and keeps what nobody waits for.
+    /// Rejects the sync submits of `group` and adds the deferred ones to the backlog.
     ///
-    /// A deletion needs little room and makes some: it is tried by itself.
-    fn refuse(&mut self, group: Vec<Submit>, fault: StoreFault) -> Result<(), StoreFault> {
+    /// On a full disk a deletion is tried by itself: it needs little space and frees some.
+    fn reject(&mut self, group: Vec<Submit>, fault: StoreFault) -> Result<(), StoreFault> {
         if let StoreFault::Fatal(_) = fault {
-            // Whether it is written is unknown: whoever waits must not hear that nothing is.
+            // It may have been written: no submit may be completed as not written.
             self.unknown = group;
             return Err(fault);
         }
         for submit in group {
-            if !submit.wanted.is_now() {
+            if !submit.durability.is_sync() {
                 self.backlog.push(submit);
             } else if fault == StoreFault::Full && is_deletion(&submit.writes) {
                 self.delete(submit)?;
             } else {
-                self.tell(submit.wanted, Err(fault.clone()));
+                self.complete(submit.durability, Err(fault.clone()));
             }
         }
-        self.note_backlog();
+        self.update_backlog_metrics();
         Ok(())
     }
 
@@ -172,27 +175,27 @@ impl Writer {
                 for swarm in submit.writes.iter().filter_map(Write::swarm) {
                     self.backlog.forget(swarm);
                 }
-                self.tell(submit.wanted, outcomes.pop().unwrap_or(Ok(())));
-                self.use_what_is_gone()
+                self.complete(submit.durability, outcomes.pop().unwrap_or(Ok(())));
+                self.sweep_after_deletion()
             }
             Err(fault @ StoreFault::Fatal(_)) => {
                 self.unknown.push(submit);
                 Err(fault)
             }
             Err(fault) => {
-                self.tell(submit.wanted, Err(fault));
+                self.complete(submit.durability, Err(fault));
                 Ok(())
             }
         }
     }
 
-    /// Commits; where there is no space, moves the WAL into the file first and uses its place.
+    /// Commits; if there is no space, checkpoints the WAL and overwrites it.
     fn commit_or_make_room(
         &mut self,
         group: &[Submit],
     ) -> Result<Vec<Result<(), StoreFault>>, StoreFault> {
         match self.commit(group) {
-            Err(StoreFault::Full) => match self.move_wal("PASSIVE") {
+            Err(StoreFault::Full) => match self.checkpoint_wal("PASSIVE") {
                 Ok(true) => self.commit(group),
                 Err(fault @ StoreFault::Fatal(_)) => Err(fault),
                 Ok(false) | Err(_) => Err(StoreFault::Full),
@@ -201,31 +204,26 @@ impl Writer {
         }
     }
 
-    /// Commits `group` in one transaction, if it holds anything; what each comes to, or why nothing was written.
+    /// Commits `group` in one transaction. Returns the outcome of each submit, or why nothing was written.
     fn commit(&mut self, group: &[Submit]) -> Result<Vec<Result<(), StoreFault>>, StoreFault> {
         if group.iter().all(|submit| submit.writes.is_empty()) {
             return Ok(group.iter().map(|_| Ok(())).collect());
         }
-        let mut outcomes = Vec::with_capacity(group.len());
         let began = Instant::now();
         let writes = || group.iter().flat_map(|submit| &submit.writes);
-        if !self.is_aside && writes().any(|write| matches!(write, Write::Cut { .. })) {
-            aside::keep(&self.folder).map_err(|error| StoreFault::Io(error.to_string()))?;
-            self.is_aside = true;
+        if !self.has_damaged_copy && writes().any(|write| matches!(write, Write::Cut { .. })) {
+            damaged_copy::create(&self.folder)
+                .map_err(|error| StoreFault::Io(error.to_string()))?;
+            self.has_damaged_copy = true;
         }
-        crash::point("store-begin");
-        self.transact(|draft| {
-            for submit in group {
-                let checked = draft.check(&submit.writes);
-                if checked.is_ok() {
-                    submit
-                        .writes
-                        .iter()
-                        .try_for_each(|write| draft.apply(write))?;
-                }
-                outcomes.push(checked.map_err(StoreFault::Refused));
-            }
-            Ok(true)
+        failpoint::kill("store-begin");
+        let outcomes = self.transact(|transaction| {
+            let submits = group.iter();
+            let applied = submits.map(|submit| {
+                let outcome = transaction.apply(&submit.writes)?;
+                Ok(outcome.map_err(StoreFault::Refused))
+            });
+            applied.collect::<SqlResult<Vec<_>>>()
         })?;
         let (writes, bytes) = group
             .iter()
@@ -236,79 +234,52 @@ impl Writer {
         Ok(outcomes)
     }
 
-    /// Runs `work` in one transaction and commits what it changed, all or nothing.
-    pub(super) fn transact(
+    /// Runs `work` in a transaction and commits it; on an error everything is rolled back.
+    pub(super) fn transact<T>(
         &mut self,
-        work: impl FnOnce(&mut Draft<'_>) -> Result<bool, SqlError>,
-    ) -> Result<bool, StoreFault> {
-        let Writer {
-            connection,
-            catalog,
-            folder,
-            ..
-        } = self;
-        let outcome = Transaction::new_unchecked(connection, TransactionBehavior::Immediate)
-            .and_then(|transaction| {
-                let mut draft = Draft::new(&transaction, catalog);
-                let is_worked = work(&mut draft)?;
-                let changes = draft.finish()?;
-                Ok((transaction, changes, is_worked))
-            })
-            .map_err(|error| StoreFault::of_writing(folder, &error))
-            .and_then(|(transaction, changes, is_worked)| {
-                crash::point("store-written");
-                if let Some(fault) = crash::commit(folder) {
-                    return Err(fault);
-                }
-                match transaction.commit() {
-                    Ok(()) => Ok((changes, is_worked)),
-                    Err(error) => Err(StoreFault::of_writing(folder, &error)),
-                }
-            });
-        let outcome = match outcome {
-            Err(fault) if !self.connection.is_autocommit() => {
-                match self.connection.execute_batch("ROLLBACK") {
-                    Ok(()) => Err(fault),
-                    Err(error) => Err(StoreFault::Fatal(format!(
-                        "{fault}; then the rollback failed: {error}"
-                    ))),
-                }
+        work: impl FnOnce(&mut Transaction<'_>) -> SqlResult<T>,
+    ) -> Result<T, StoreFault> {
+        let fault = |error: SqlError| StoreFault::of_writing(&self.folder, &error);
+        let mut transaction = Transaction::new(&self.connection, self.quota_bytes);
+        let run = || {
+            self.connection
+                .execute_batch("BEGIN IMMEDIATE")
+                .map_err(fault)?;
+            let value = work(&mut transaction).map_err(fault)?;
+            failpoint::kill("store-written");
+            if let Some(fault) = failpoint::commit_fault(&self.folder) {
+                return Err(fault);
             }
-            outcome => outcome,
+            self.connection.execute_batch("COMMIT").map_err(fault)?;
+            Ok(value)
         };
-        let is_tried = !matches!(&outcome, Ok((changes, _)) if changes.is_empty());
-        if is_tried {
-            let meter = &self.shared.meter;
-            meter
-                .is_full
-                .store(matches!(outcome, Err(StoreFault::Full)), Ordering::Relaxed);
-            meter
-                .is_failing
-                .store(matches!(outcome, Err(StoreFault::Io(_))), Ordering::Relaxed);
+        let mut outcome = run();
+        if let Err(fault) = &outcome
+            && !self.connection.is_autocommit()
+            && let Err(error) = self.connection.execute_batch("ROLLBACK")
+        {
+            outcome = Err(StoreFault::Fatal(format!(
+                "{fault}; then the rollback failed: {error}"
+            )));
         }
-        let (changes, is_worked) = outcome?;
-        crash::point("store-synced");
-        self.enter(changes);
-        Ok(is_worked)
-    }
-
-    fn enter(&mut self, changes: Changes) {
-        for (name, entry) in changes.swarms() {
-            if entry.extent.bytes > self.quota_bytes {
-                self.untidy.insert(name.clone());
-            }
+        let meter = &self.shared.meter;
+        if transaction.has_changed || outcome.is_err() {
+            let is_full = matches!(outcome, Err(StoreFault::Full));
+            meter.is_full.store(is_full, Ordering::Relaxed);
+            let is_failing = matches!(outcome, Err(StoreFault::Io(_)));
+            meter.is_failing.store(is_failing, Ordering::Relaxed);
         }
-        for (name, entry) in changes.all() {
-            self.shared.beginnings.moved(name, entry);
-        }
+        let value = outcome?;
+        failpoint::kill("store-synced");
+        self.over_quota.append(&mut transaction.over_quota);
         self.wal_bytes += WAL_BYTES_PER_COMMIT;
-        changes.enter(&mut self.catalog);
+        Ok(value)
     }
 
-    fn note_backlog(&self) {
+    fn update_backlog_metrics(&self) {
         self.shared
             .meter
-            .kept
+            .backlog
             .store(self.backlog.writes(), Ordering::Relaxed);
         self.shared
             .meter
@@ -316,28 +287,28 @@ impl Writer {
             .store(self.backlog.is_overrun(), Ordering::Relaxed);
     }
 
-    /// Tells who waits what it came to. What panics there is not the store's.
-    pub(super) fn tell(&self, wanted: Wanted, outcome: Result<(), StoreFault>) {
-        let told = match (wanted, outcome) {
-            (Wanted::Now(done), outcome) => catch_unwind(AssertUnwindSafe(|| done(outcome))),
-            (Wanted::Soon(Some(told)), Ok(())) => catch_unwind(AssertUnwindSafe(told)),
-            (Wanted::Soon(_), Err(StoreFault::Refused(reason))) => {
+    /// Calls the callback of a submit. Its panic does not end the writer.
+    pub(super) fn complete(&self, durability: Durability, outcome: Result<(), StoreFault>) {
+        let called = match (durability, outcome) {
+            (Durability::Sync(done), outcome) => catch_unwind(AssertUnwindSafe(|| done(outcome))),
+            (Durability::Deferred(Some(done)), Ok(())) => catch_unwind(AssertUnwindSafe(done)),
+            (Durability::Deferred(_), Err(StoreFault::Refused(reason))) => {
                 self.shared.meter.refused.fetch_add(1, Ordering::Relaxed);
                 warn!(
                     reason,
-                    "writes nobody waited for contradict what is stored: left out"
+                    "deferred writes rejected: they contradict what is stored"
                 );
                 Ok(())
             }
-            (Wanted::Soon(_), _) => Ok(()),
+            (Durability::Deferred(_), _) => Ok(()),
         };
-        if told.is_err() {
-            error!("whoever waited for the store panicked");
+        if called.is_err() {
+            error!("a commit callback panicked");
         }
     }
 }
 
-/// Whether it deletes swarms, and at most notes an answer beside.
+/// Whether `writes` delete swarms and write at most answers besides.
 fn is_deletion(writes: &[Write]) -> bool {
     writes
         .iter()

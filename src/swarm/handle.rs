@@ -6,7 +6,7 @@ use std::time::Instant;
 
 use jostle_physics::simulation::Spec;
 
-use crate::swarm::cores::{Cores, Seat};
+use crate::swarm::cpu_scheduler::{CpuScheduler, Share};
 use crate::swarm::error::OrderError;
 use crate::swarm::frame::Summary;
 use crate::swarm::history::History;
@@ -78,7 +78,7 @@ pub struct Handle {
     /// What its thread counts of itself.
     pub tally: Arc<Tally>,
     pub(crate) tickets: Arc<SyncSender<Ticket>>,
-    pub(crate) cores: Arc<Cores>,
+    pub(crate) cores: Arc<CpuScheduler>,
     pub(crate) summary: Arc<Mutex<Option<Summary>>>,
 }
 
@@ -92,7 +92,7 @@ impl Handle {
             history: Arc::default(),
             tally: Arc::default(),
             tickets: Arc::new(tickets),
-            cores: Arc::new(Cores::new(1)),
+            cores: Arc::new(CpuScheduler::new(1)),
             summary: Arc::default(),
         }
     }
@@ -120,8 +120,8 @@ impl Handle {
     }
 
     /// Its place among the swarms that share the cores.
-    pub(crate) fn seat(&self) -> Seat {
-        self.cores.seat(self.awaken())
+    pub(crate) fn seat(&self) -> Share {
+        self.cores.share(self.awaken())
     }
 
     /// What has been counted of it since it is hosted here.

@@ -1,26 +1,26 @@
-//! Keeps a swarm to its rate by the monotonic clock, and measures the rate it reached.
+//! Paces a swarm by the monotonic clock, and measures the rate that it reaches.
 
 use std::time::{Duration, Instant};
 
 use jostle_physics::simulation::Rate;
 
-/// How far behind its rate a swarm may be and still catch up. It absorbs the jitter of waking
-/// up; what is more than that is given up, so that no long burst follows a stall.
-pub(super) const MOST_BACKLOG: Duration = Duration::from_millis(50);
+/// How far behind its rate a swarm may be and still catch up. It absorbs the jitter of wake-ups; steps
+/// due before that are dropped, so that no long burst follows a stall.
+pub(super) const MAX_BACKLOG: Duration = Duration::from_millis(50);
 
-/// How much wall clock the measured rate looks back on.
+/// The period over which the rate is measured.
 const WINDOW: Duration = Duration::from_secs(1);
 
-/// The earliest that a rate is measured after a start.
-const FIRST_LOOK: Duration = Duration::from_millis(200);
+/// The shorter period of the first measurement after a start.
+const FIRST_WINDOW: Duration = Duration::from_millis(200);
 
-/// When the next step is due, and how fast steps lately came.
+/// When the next step is due, and the rate of recent steps.
 #[derive(Clone, Debug)]
 pub struct Pace {
     period: Option<Duration>,
     next: Instant,
-    /// When it last gave up steps that were due.
-    gave_up: Option<Instant>,
+    /// When steps that were due were last dropped.
+    dropped_at: Option<Instant>,
     window_began: Instant,
     window_steps: u32,
     reached: Option<f64>,
@@ -28,17 +28,16 @@ pub struct Pace {
 }
 
 impl Pace {
-    /// A pace of `rate` time units per second in steps of `dt`, beginning `now`.
+    /// A pace of `rate` time units per second in steps of `dt` from `now` on.
     pub fn new(rate: Rate, dt: f64, now: Instant) -> Self {
         let period = rate.map(|rate| {
-            // A rate is a finite positive number; one so slow that its period does not fit
-            // takes the longest there is.
+            // A rate is finite and positive; a period that does not fit becomes the longest.
             Duration::try_from_secs_f64(dt / rate).unwrap_or(Duration::MAX)
         });
         Pace {
             period,
             next: now,
-            gave_up: None,
+            dropped_at: None,
             window_began: now,
             window_steps: 0,
             reached: None,
@@ -46,12 +45,7 @@ impl Pace {
         }
     }
 
-    /// How long from one step to the next; nothing if they come as fast as they can.
-    pub fn period(&self) -> Option<Duration> {
-        self.period
-    }
-
-    /// How long until the next step is due; nothing if it is.
+    /// Time until the next step is due; `None` if it is.
     pub fn until_due(&self, now: Instant) -> Option<Duration> {
         self.period?;
         self.next
@@ -59,31 +53,31 @@ impl Pace {
             .filter(|wait| !wait.is_zero())
     }
 
-    /// How long a step has been due; nothing if steps come as fast as they can.
+    /// How long a step has been due; `None` without a rate.
     pub fn late_by(&self, now: Instant) -> Option<Duration> {
         self.period?;
         Some(now.saturating_duration_since(self.next))
     }
 
-    /// Whether it computes all it can: it has no rate, or lately could not keep to it.
+    /// Whether it has no rate, or recently dropped steps.
     pub fn is_behind(&self, now: Instant) -> bool {
         let lately = |at| now.saturating_duration_since(at) < WINDOW;
-        self.period.is_none() || self.gave_up.is_some_and(lately)
+        self.period.is_none() || self.dropped_at.is_some_and(lately)
     }
 
-    /// Notes that a step was taken.
+    /// Records a step.
     pub fn stepped(&mut self, now: Instant) {
         if let Some(period) = self.period {
             self.next = later(self.next, period);
-            let allowed = period.max(MOST_BACKLOG);
+            let allowed = period.max(MAX_BACKLOG);
             if now.saturating_duration_since(self.next) > allowed {
                 self.next = now.checked_sub(allowed).unwrap_or(now);
-                self.gave_up = Some(now);
+                self.dropped_at = Some(now);
             }
         }
         self.window_steps += 1;
         let elapsed = now.saturating_duration_since(self.window_began);
-        let is_first = self.reached.is_none() && elapsed >= FIRST_LOOK;
+        let is_first = self.reached.is_none() && elapsed >= FIRST_WINDOW;
         if elapsed >= WINDOW || is_first {
             self.reached = Some(f64::from(self.window_steps) * self.dt / elapsed.as_secs_f64());
         }
@@ -93,14 +87,14 @@ impl Pace {
         }
     }
 
-    /// Time units per second of wall clock lately reached; `None` until it can be told.
+    /// Time units per second of wall clock in the last window; `None` before the first measurement.
     pub fn real_time_factor(&self) -> Option<f64> {
         self.reached
     }
 }
 
 fn later(instant: Instant, period: Duration) -> Instant {
-    // A century stands in for what the clock cannot hold.
+    // A century if the clock cannot represent the sum.
     instant
         .checked_add(period)
         .unwrap_or_else(|| instant + Duration::from_secs(100 * 365 * 86_400))
@@ -115,7 +109,7 @@ mod tests {
     const MS: Duration = Duration::from_millis(1);
 
     #[test]
-    fn steps_come_at_the_rate_asked_for() {
+    fn steps_are_due_at_the_rate() {
         let start = Instant::now();
         let mut pace = Pace::new(Some(2.0), 0.02, start);
         assert_eq!(pace.until_due(start), None);
@@ -125,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_late_wake_up_is_made_good_but_a_stall_is_not() {
+    fn steps_after_a_late_wake_up_are_caught_up_and_those_of_a_stall_dropped() {
         let start = Instant::now();
         let mut pace = Pace::new(Some(2.0), 0.02, start);
         pace.stepped(start + 30 * MS);
@@ -143,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn as_fast_as_possible_is_always_due() {
+    fn without_a_rate_a_step_is_always_due() {
         let start = Instant::now();
         let mut pace = Pace::new(None, 0.02, start);
         pace.stepped(start);

@@ -15,7 +15,7 @@ use tracing::warn;
 use crate::playback::film::Film;
 use crate::playback::player::Player;
 use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::cores::Cores;
+use crate::swarm::cpu_scheduler::CpuScheduler;
 use crate::swarm::error::OrderError;
 use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{Frame, Place, Summary};
@@ -23,8 +23,8 @@ use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::journal::{JournalWriter, NoWriter};
 use crate::swarm::outcome::{Answer, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
-use crate::swarm::rank;
 use crate::swarm::tally::Totals;
+use crate::swarm::thread_priority;
 use crate::swarm::worker::replay::{Past, Replay};
 use crate::swarm::worker::{End, Worker};
 
@@ -152,7 +152,7 @@ pub struct Host {
     limits: Limits,
     herald: Arc<dyn Herald>,
     archive: Archive,
-    cores: Arc<Cores>,
+    cores: Arc<CpuScheduler>,
     hosted: Mutex<Hosted>,
 }
 
@@ -187,7 +187,7 @@ impl Host {
             limits,
             herald,
             archive,
-            cores: Arc::new(Cores::new(cores)),
+            cores: Arc::new(CpuScheduler::new(cores)),
             hosted: Mutex::default(),
         }
     }
@@ -471,8 +471,8 @@ impl Host {
         built: Answer,
     ) {
         let name = &handle.outlet.name;
-        // Where it is not permitted the swarm ranks like the rest.
-        let _ = rank::soon();
+        // Without permission the thread keeps the default priority.
+        let _ = thread_priority::short_slice();
         let guest = match self.build(handle, beginning) {
             Ok(Ok(guest)) => guest,
             // It had ended, though its end was not safe.

@@ -46,7 +46,7 @@ const LIBRARIES: [(&str, &[&str]); 10] = [
             "transport",
         ],
     ),
-    ("libc", &["cli/process", "swarm/rank"]),
+    ("libc", &["cli/process", "swarm/thread_priority"]),
     (
         "jostle_proto",
         &[

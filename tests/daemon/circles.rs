@@ -17,11 +17,6 @@ const CIRCLES: [(&str, &[&[&str]]); 8] = [
         "src/lib.rs",
         &[
             &[
-                "src/backup/files.rs",
-                "src/backup/manifest.rs",
-                "src/backup/mod.rs",
-            ],
-            &[
                 "src/health/mod.rs",
                 "src/health/probe.rs",
                 "src/health/stuck.rs",

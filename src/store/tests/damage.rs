@@ -1,8 +1,8 @@
-//! Flipped bytes are told, and nothing else is ever read.
+//! Damaged bytes are reported, and no read returns anything else than what was written.
 
 use super::*;
 
-/// All that can be read of a store.
+/// Everything that a store returns.
 #[derive(Clone, Debug, PartialEq)]
 struct Everything {
     swarms: Vec<(String, Vec<u8>)>,
@@ -11,12 +11,12 @@ struct Everything {
     answers: Vec<Answer>,
 }
 
-/// Reads everything, or fails with what was told.
-fn everything(folder: &Path, most_checked_bytes: u64) -> Result<Everything, String> {
+/// Reads everything; an error if damage was reported.
+fn everything(folder: &Path, max_checked_bytes: u64) -> Result<Everything, String> {
     let settings = Settings {
         quota_bytes: u64::MAX,
     };
-    let store = Store::open_checking(folder, settings, Box::new(|_| {}), most_checked_bytes)
+    let store = Store::open_checking(folder, settings, Box::new(|_| {}), max_checked_bytes)
         .map_err(|error| error.to_string())?;
     let read = read_all(&store).map_err(|error| error.to_string());
     let damaged = store.health().damaged;
@@ -31,11 +31,11 @@ fn read_all(store: &Store) -> Result<Everything, StoreError> {
     let (mut rows, mut checkpoints) = (Vec::new(), Vec::new());
     for (swarm, _) in &swarms {
         rows.push(store.rows(swarm, 0, usize::MAX)?.rows);
-        let marks = store.checkpoints(swarm)?;
-        let read: Result<_, _> = marks
+        let infos = store.checkpoints(swarm)?;
+        let read: Result<_, _> = infos
             .iter()
             .rev()
-            .map(|mark| store.checkpoint(swarm, mark.number))
+            .map(|info| store.checkpoint(swarm, info.number))
             .collect();
         checkpoints.push(read?);
     }
@@ -47,7 +47,7 @@ fn read_all(store: &Store) -> Result<Everything, StoreError> {
     })
 }
 
-/// Copies the database, with its WAL if it has one, to where it can be damaged.
+/// Copies the database and its WAL, to be damaged.
 fn copy(from: &Path, to: &Path) {
     for name in ["jostle.sqlite", "jostle.sqlite-wal"] {
         let _ = fs::remove_file(to.join(name));
@@ -58,7 +58,7 @@ fn copy(from: &Path, to: &Path) {
     let _ = fs::remove_file(to.join("jostle.sqlite-shm"));
 }
 
-/// Swarms `a` and `b`, rows enough for a tree of several pages, checkpoints that span pages.
+/// Swarms `a` and `b` with a tree of several pages and checkpoints larger than a page.
 fn fill(store: &Store) {
     let mut writes = vec![create("a"), create("b")];
     for number in 1..=120 {
@@ -83,45 +83,48 @@ fn fill(store: &Store) {
     durable(store, writes).unwrap();
 }
 
-/// Flips bytes of the file one at a time, the first and every `step`-th; counts how often it was
-/// told.
-fn flip_file(step: usize, most_checked_bytes: u64) -> (usize, usize) {
+/// Flips a bit of every `step`-th byte of the file, one at a time. Returns how many were tried and how
+/// many reported.
+fn flip_file(step: usize, max_checked_bytes: u64) -> (usize, usize) {
     let (folder, damaged) = (folder(), folder());
     let store = open(folder.path());
     fill(&store);
-    assert!(store.stop(PATIENCE));
+    assert!(store.stop(TIMEOUT));
     let whole = everything(folder.path(), u64::MAX).unwrap();
     let bytes = fs::read(folder.path().join(schema::FILE)).unwrap();
-    let (mut tried, mut told) = (0, 0);
+    let (mut tried, mut reported) = (0, 0);
     for place in (0..bytes.len()).step_by(step) {
         let mut flipped = bytes.clone();
         flipped[place] ^= 1 << (place / step % 8);
         copy(folder.path(), damaged.path());
         fs::write(damaged.path().join(schema::FILE), flipped).unwrap();
-        match everything(damaged.path(), most_checked_bytes) {
+        match everything(damaged.path(), max_checked_bytes) {
             Ok(read) => assert!(read == whole, "byte {place} changed what is read"),
-            Err(_) => told += 1,
+            Err(_) => reported += 1,
         }
         tried += 1;
     }
-    (tried, told)
+    (tried, reported)
 }
 
 #[test]
-fn a_flipped_byte_of_the_file_is_told_or_changes_nothing() {
-    let (tried, told) = flip_file(64, u64::MAX);
-    println!("{told} of {tried} told");
-    assert!(tried > 1000 && told > tried / 2, "{told} of {tried}");
+fn a_flipped_byte_of_the_file_is_reported_or_changes_nothing() {
+    let (tried, reported) = flip_file(64, u64::MAX);
+    println!("{reported} of {tried} reported");
+    assert!(
+        tried > 1000 && reported > tried / 2,
+        "{reported} of {tried}"
+    );
 }
 
 #[test]
-fn seals_and_extents_suffice_where_sqlite_does_not_look_through_the_file() {
-    let (tried, told) = flip_file(64, 0);
-    println!("{told} of {tried} told");
-    assert!(told > tried / 2, "{told} of {tried}");
+fn checksums_and_extents_suffice_without_a_check_of_the_pages() {
+    let (tried, reported) = flip_file(64, 0);
+    println!("{reported} of {tried} reported");
+    assert!(reported > tried / 2, "{reported} of {tried}");
 }
 
-/// Whether `part` is how `whole` began.
+/// Whether `part` is a prefix of `whole`.
 fn is_prefix(part: &Everything, whole: &Everything) -> bool {
     let lists = |store: &Everything| [store.swarms.len(), store.answers.len()];
     lists(part) <= lists(whole)
@@ -140,14 +143,14 @@ fn is_prefix(part: &Everything, whole: &Everything) -> bool {
 }
 
 /// Writes in many commits, and copies file and WAL as a crash would leave them.
-fn crashed(is_moved: bool) -> (TempDir, Everything) {
+fn crashed(has_checkpointed: bool) -> (TempDir, Everything) {
     let (live, crashed) = (folder(), folder());
     let mut store = open(live.path());
     durable(&store, vec![create("a"), create("b")]).unwrap();
     for number in 1..=60 {
         if number == 25 {
-            // From here on the WAL changes pages that the file has already.
-            assert!(store.stop(PATIENCE));
+            // From here on the WAL changes pages that the file has.
+            assert!(store.stop(TIMEOUT));
             store = open(live.path());
         }
         let mut writes = vec![
@@ -161,7 +164,7 @@ fn crashed(is_moved: bool) -> (TempDir, Everything) {
         durable(&store, writes).unwrap();
     }
     let file = live.path().join(schema::FILE);
-    if is_moved {
+    if has_checkpointed {
         let other = Connection::open(&file).unwrap();
         other
             .query_row("PRAGMA wal_checkpoint(PASSIVE)", [], |_| Ok(()))
@@ -172,7 +175,7 @@ fn crashed(is_moved: bool) -> (TempDir, Everything) {
     (crashed, whole)
 }
 
-/// Flips bytes of the WAL; what each reading gives.
+/// Flips bytes of the WAL, and passes what each read returns.
 fn flip_wal(crashed: &Path, step: usize, mut judge: impl FnMut(usize, Result<Everything, String>)) {
     let damaged = folder();
     let bytes = fs::read(crashed.join("jostle.sqlite-wal")).unwrap();
@@ -185,15 +188,15 @@ fn flip_wal(crashed: &Path, step: usize, mut judge: impl FnMut(usize, Result<Eve
     }
 }
 
-/// A WAL ends where its checksums do: a torn last commit, which a crash leaves and which nobody
-/// was told of, cannot be told from a damaged one in the middle. So fewer rows may be read, from
-/// the end, and it is SQLite that decides; but never others, and never with a gap.
+/// SQLite reads a WAL up to the first wrong checksum: it cannot distinguish the torn last commit of a
+/// crash from damage in the middle. So rows may be missing at the end, but none differs and there is
+/// no gap.
 #[test]
-fn with_a_flipped_byte_of_the_wal_what_is_read_is_how_it_began() {
+fn with_a_flipped_byte_of_the_wal_a_prefix_is_read() {
     let (crashed, whole) = crashed(false);
     let mut lengths = std::collections::BTreeSet::new();
     flip_wal(crashed.path(), 64 * 61, |place, read| {
-        let read = read.unwrap_or_else(|told| panic!("byte {place}: {told}"));
+        let read = read.unwrap_or_else(|error| panic!("byte {place}: {error}"));
         assert!(
             is_prefix(&read, &whole),
             "byte {place} changed what is read"
@@ -203,12 +206,12 @@ fn with_a_flipped_byte_of_the_wal_what_is_read_is_how_it_began() {
     assert!(lengths.len() > 30, "{lengths:?}");
 }
 
-/// Once the WAL's pages have been moved into the file, a WAL cut short hides new pages behind old
-/// ones. What then does not fit together is told.
+/// After a checkpoint of the WAL, a truncated WAL hides new pages behind old ones. What does not fit
+/// together is reported.
 #[test]
-fn a_wal_that_was_moved_and_then_damaged_gives_what_was_or_is_told() {
+fn damage_to_a_checkpointed_wal_leaves_a_prefix_or_is_reported() {
     let (crashed, whole) = crashed(true);
-    let (mut told, mut tried) = (0, 0);
+    let (mut reported, mut tried) = (0, 0);
     flip_wal(crashed.path(), 64 * 61, |place, read| {
         tried += 1;
         match read {
@@ -216,10 +219,10 @@ fn a_wal_that_was_moved_and_then_damaged_gives_what_was_or_is_told() {
                 is_prefix(&read, &whole),
                 "byte {place} changed what is read"
             ),
-            Err(_) => told += 1,
+            Err(_) => reported += 1,
         }
     });
-    println!("{told} of {tried} told");
+    println!("{reported} of {tried} reported");
 }
 
 #[test]
@@ -239,15 +242,11 @@ fn the_rows_before_a_damaged_one_are_read() {
             .collect(),
     )
     .unwrap();
-    assert!(store.stop(PATIENCE));
-    let connection = Connection::open(folder.path().join(schema::FILE)).unwrap();
-    connection
-        .execute("UPDATE row SET step = step + 1 WHERE number = 5", [])
-        .unwrap();
-    connection
-        .execute("DELETE FROM row WHERE number = 8", [])
-        .unwrap();
-    drop(connection);
+    assert!(store.stop(TIMEOUT));
+    alter(
+        folder.path(),
+        "UPDATE row SET step = step + 1 WHERE number = 5; DELETE FROM row WHERE number = 8",
+    );
     let store = open(folder.path());
     let expected: Vec<Row> = (1..=4).map(row).collect();
     assert_eq!(
@@ -281,29 +280,16 @@ fn damaged_checkpoints_and_answers_are_left_out_and_counted() {
     ];
     writes.extend((1..=5).map(|number| Write::Answer(answer(number))));
     durable(&store, writes).unwrap();
-    assert!(store.stop(PATIENCE));
-    let connection = Connection::open(folder.path().join(schema::FILE)).unwrap();
-    connection
-        .execute("UPDATE checkpoint SET step = 0 WHERE number = 2", [])
-        .unwrap();
-    connection
-        .execute("UPDATE checkpoint SET body = x'00' WHERE number = 1", [])
-        .unwrap();
-    connection
-        .execute("UPDATE answer SET is_ok = 0 WHERE id = 2", [])
-        .unwrap();
-    connection
-        .execute("DELETE FROM answer WHERE id = 5", [])
-        .unwrap();
-    drop(connection);
+    assert!(store.stop(TIMEOUT));
+    alter(
+        folder.path(),
+        "UPDATE checkpoint SET step = 0 WHERE number = 2;
+         UPDATE checkpoint SET body = x'00' WHERE number = 1;
+         UPDATE answer SET is_ok = 0 WHERE id = 2;
+         DELETE FROM answer WHERE id = 5",
+    );
     let store = open(folder.path());
-    let marks: Vec<u64> = store
-        .checkpoints("a")
-        .unwrap()
-        .iter()
-        .map(|mark| mark.number)
-        .collect();
-    assert_eq!(marks, [1, 0], "2 does not even say which step it is of");
+    assert_eq!(checkpoints(&store, "a"), [1, 0], "the step of 2 is wrong");
     assert!(matches!(
         store.checkpoint("a", 1),
         Err(StoreError::Damaged { .. })
@@ -322,14 +308,8 @@ fn a_damaged_or_missing_swarm_is_named_and_can_only_be_deleted() {
     let folder = folder();
     let store = open(folder.path());
     durable(&store, vec![create("a"), create("b")]).unwrap();
-    assert!(store.stop(PATIENCE));
-    let alter = |sql| {
-        Connection::open(folder.path().join(schema::FILE))
-            .unwrap()
-            .execute_batch(sql)
-            .unwrap();
-    };
-    alter("UPDATE extent SET last = 7 WHERE id = 2");
+    assert!(store.stop(TIMEOUT));
+    alter(folder.path(), "UPDATE extent SET last = 7 WHERE id = 2");
     let store = open(folder.path());
     let error = store.swarms().unwrap_err();
     assert!(
@@ -341,19 +321,10 @@ fn a_damaged_or_missing_swarm_is_named_and_can_only_be_deleted() {
         Err(StoreFault::Refused(_))
     ));
     durable(&store, vec![append("a", 1)]).unwrap();
-    durable(
-        &store,
-        vec![
-            Write::Delete {
-                swarm: "b".to_string(),
-            },
-            create("b"),
-        ],
-    )
-    .unwrap();
+    durable(&store, vec![delete("b"), create("b")]).unwrap();
     assert_eq!(store.swarms().unwrap().len(), 2);
-    assert!(store.stop(PATIENCE));
-    alter("DELETE FROM swarm WHERE name = 'a'");
+    assert!(store.stop(TIMEOUT));
+    alter(folder.path(), "DELETE FROM swarm WHERE name = 'a'");
     assert!(matches!(
         open(folder.path()).swarms(),
         Err(StoreError::Damaged { .. })
@@ -361,7 +332,7 @@ fn a_damaged_or_missing_swarm_is_named_and_can_only_be_deleted() {
 }
 
 #[test]
-fn a_swarm_is_cut_where_it_is_damaged_and_goes_on_from_there() {
+fn rows_can_follow_a_cut_before_a_damaged_row() {
     let folder = folder();
     let store = open(folder.path());
     let rows = (1..=9).map(|number| append("a", number));
@@ -370,12 +341,12 @@ fn a_swarm_is_cut_where_it_is_damaged_and_goes_on_from_there() {
     writes.insert(4, keep("a", 3, 50));
     writes.push(keep("a", 8, 50));
     durable(&store, writes).unwrap();
-    assert!(store.stop(PATIENCE));
+    assert!(store.stop(TIMEOUT));
     let file = folder.path().join(schema::FILE);
-    let alter = "UPDATE row SET step = step + 1 WHERE number = 5";
-    let connection = Connection::open(&file).unwrap();
-    connection.execute(alter, []).unwrap();
-    drop(connection);
+    alter(
+        folder.path(),
+        "UPDATE row SET step = step + 1 WHERE number = 5",
+    );
     let damaged = fs::read(&file).unwrap();
 
     let store = open(folder.path());
@@ -395,13 +366,11 @@ fn a_swarm_is_cut_where_it_is_damaged_and_goes_on_from_there() {
         damaged_at: None,
     };
     assert_eq!(store.rows("a", 0, 99).unwrap(), expected);
-    let marks = store.checkpoints("a").unwrap();
-    let marks: Vec<u64> = marks.iter().map(|mark| mark.number).collect();
-    assert_eq!(marks, [3, 0]);
+    assert_eq!(checkpoints(&store, "a"), [3, 0]);
     durable(&store, vec![keep("a", 5, 50), append("b", 2)]).unwrap();
-    assert!(store.stop(PATIENCE));
-    let aside = fs::read(folder.path().join("damaged-1.sqlite")).unwrap();
-    assert!(aside == damaged, "what was there is kept aside");
+    assert!(store.stop(TIMEOUT));
+    let copied = fs::read(folder.path().join("damaged-1.sqlite")).unwrap();
+    assert!(copied == damaged, "a copy of the damaged file");
     let store = open(folder.path());
     assert_eq!(store.rows("a", 0, 99).unwrap(), expected);
     assert_eq!(store.checkpoints("a").unwrap().len(), 3);
@@ -409,11 +378,11 @@ fn a_swarm_is_cut_where_it_is_damaged_and_goes_on_from_there() {
 }
 
 #[test]
-fn what_follows_a_cut_is_found_again_whatever_byte_was_damaged() {
+fn rows_after_a_cut_are_found_whichever_byte_was_damaged() {
     let (folder, damaged) = (folder(), folder());
     let store = open(folder.path());
     fill(&store);
-    assert!(store.stop(PATIENCE));
+    assert!(store.stop(TIMEOUT));
     let whole = everything(folder.path(), u64::MAX).unwrap();
     let bytes = fs::read(folder.path().join(schema::FILE)).unwrap();
     let (mut tried, mut cut) = (0, 0);
@@ -437,27 +406,27 @@ fn what_follows_a_cut_is_found_again_whatever_byte_was_damaged() {
             continue;
         };
         cut += 1;
-        let told = format!("byte {place}, row {lost}");
+        let place = format!("byte {place}, row {lost}");
         let after = Write::Cut {
             swarm: "a".to_string(),
             after: lost - 1,
         };
-        durable(&store, vec![after]).unwrap_or_else(|fault| panic!("{told}: {fault}"));
+        durable(&store, vec![after]).unwrap_or_else(|fault| panic!("{place}: {fault}"));
         for first in (lost..lost + 130).step_by(26) {
             let rows = (first..first + 26).map(|number| append("a", number));
             durable(&store, rows.collect())
-                .unwrap_or_else(|fault| panic!("{told}, then row {first}: {fault}"));
+                .unwrap_or_else(|fault| panic!("{place}, then row {first}: {fault}"));
         }
-        assert!(store.stop(PATIENCE));
+        assert!(store.stop(TIMEOUT));
         let store = open(damaged.path());
         let mut expected = whole.rows[0][..usize::try_from(lost).unwrap() - 1].to_vec();
         expected.extend((lost..lost + 130).map(row));
         let found = rows(&store, "a").unwrap();
         assert!(
             found.rows == expected && found.damaged_at.is_none(),
-            "{told}"
+            "{place}"
         );
-        assert_eq!(rows(&store, "b").unwrap(), of_b, "{told}");
+        assert_eq!(rows(&store, "b").unwrap(), of_b, "{place}");
     }
     println!("{cut} of {tried} damaged a row of a");
     assert!(cut > 100, "{cut} of {tried}");

@@ -1,4 +1,4 @@
-//! Full disks, failed syncs, killed processes, and files that are not to be used.
+//! Full disks, failed syncs, killed processes, and files that are rejected.
 
 use std::process::Command;
 use std::sync::atomic::AtomicUsize;
@@ -9,10 +9,10 @@ use rusqlite::{ErrorCode, ffi};
 use super::super::backlog::Backlog;
 use super::*;
 
-/// Fail points belong to the process: one test at a time sets them.
+/// Failpoints are global to the process: one test at a time sets them.
 static POINTS: Mutex<()> = Mutex::new(());
 
-/// Names the folder in which [`killed_anywhere_all_that_was_told_is_there`] is to be killed.
+/// The folder in which [`killed_anywhere_completed_writes_are_durable`] runs its child.
 const CHILD: &str = "JOSTLE_STORE_TEST_FOLDER";
 
 /// Makes every commit of the store in `folder` fail until the value is dropped.
@@ -35,7 +35,7 @@ impl Drop for Failing {
 }
 
 #[test]
-fn on_a_full_disk_who_waits_is_told_and_the_rest_is_written_later_in_order() {
+fn on_a_full_disk_sync_submits_fail_and_deferred_ones_are_written_later() {
     let folder = folder();
     let store = open(folder.path());
     durable(&store, vec![create("a"), append("a", 1)]).unwrap();
@@ -47,7 +47,7 @@ fn on_a_full_disk_who_waits_is_told_and_the_rest_is_written_later_in_order() {
         durable(&store, vec![append("a", 51)]),
         Err(StoreFault::Full)
     );
-    // The store tries again once a second, and replies do not wait for that.
+    // The store retries once a second; replies do not wait for that.
     let began = Instant::now();
     for _ in 0..30 {
         assert_eq!(durable(&store, vec![create("b")]), Err(StoreFault::Full));
@@ -61,7 +61,7 @@ fn on_a_full_disk_who_waits_is_told_and_the_rest_is_written_later_in_order() {
     assert_eq!(numbers(&store, "a"), [1]);
 
     drop(full);
-    // Nobody submits: the store tries by itself.
+    // The store retries without a submit.
     wait_until("the rows are written", || numbers(&store, "a").len() == 50);
     assert!(!store.health().is_full);
     durable(&store, vec![append("a", 51), create("b")]).unwrap();
@@ -69,7 +69,7 @@ fn on_a_full_disk_who_waits_is_told_and_the_rest_is_written_later_in_order() {
 }
 
 #[test]
-fn what_was_kept_is_written_before_what_comes_later() {
+fn the_backlog_is_written_before_later_submits() {
     let folder = folder();
     let store = open(folder.path());
     durable(&store, vec![create("a")]).unwrap();
@@ -85,7 +85,7 @@ fn what_was_kept_is_written_before_what_comes_later() {
     assert_eq!(numbers(&store, "a"), [1, 2]);
 }
 
-/// A writer without a thread, whose file can be told to be full.
+/// A writer without a thread.
 fn writer(folder: &Path) -> Writer {
     let lock = lock(folder).unwrap();
     let connection = schema::open(&folder.join(schema::FILE), 0).unwrap();
@@ -93,13 +93,20 @@ fn writer(folder: &Path) -> Writer {
     Writer::new((connection, folder.to_path_buf(), lock), u64::MAX, shared).unwrap()
 }
 
-fn round(writer: &mut Writer, writes: Vec<Write>) -> Result<(), StoreFault> {
+fn deferred(write: Write) -> Submit {
+    Submit {
+        writes: vec![write],
+        durability: Durability::Deferred(None),
+    }
+}
+
+fn process(writer: &mut Writer, writes: Vec<Write>) -> Result<(), StoreFault> {
     let (sender, receiver) = channel();
     let done: Done = Box::new(move |outcome| sender.send(outcome).unwrap());
     writer
-        .round(vec![Submit {
+        .process(vec![Submit {
             writes,
-            wanted: Wanted::Now(done),
+            durability: Durability::Sync(done),
         }])
         .unwrap();
     receiver.try_recv().unwrap()
@@ -113,48 +120,33 @@ fn limit_pages(writer: &Writer, pages: i64) {
 }
 
 #[test]
-fn when_sqlite_finds_no_page_nothing_is_lost_and_a_deletion_still_works() {
+fn without_a_free_page_nothing_is_lost_and_deletions_succeed() {
     let folder = folder();
     let mut writer = writer(folder.path());
-    round(&mut writer, vec![create("a"), create("b")]).unwrap();
+    process(&mut writer, vec![create("a"), create("b")]).unwrap();
     limit_pages(&writer, 1);
     let mut kept = 0;
     for number in 1..=200 {
-        let lazy = Submit {
-            writes: vec![append("a", number)],
-            wanted: Wanted::Soon(None),
-        };
-        writer.round(vec![lazy]).unwrap();
+        let lazy = deferred(append("a", number));
+        writer.process(vec![lazy]).unwrap();
         kept = writer.backlog.writes();
     }
     assert!(kept > 50, "the file was not full: {kept}");
     assert_eq!(
-        round(&mut writer, vec![append("b", 1), keep("b", 1, 9000)]),
+        process(&mut writer, vec![append("b", 1), keep("b", 1, 9000)]),
         Err(StoreFault::Full)
     );
     assert!(writer.connection.is_autocommit(), "rolled back");
-    round(
-        &mut writer,
-        vec![
-            Write::Delete {
-                swarm: "b".to_string(),
-            },
-            Write::Answer(answer(1)),
-        ],
-    )
-    .unwrap();
+    process(&mut writer, vec![delete("b"), Write::Answer(answer(1))]).unwrap();
     assert_eq!(writer.backlog.writes(), kept);
-    // With the swarm goes what was to be written of it.
+    // The backlog of the deleted swarm is dropped.
     writer
-        .round(vec![Submit {
-            writes: vec![keep("a", 200, 9000)],
-            wanted: Wanted::Soon(None),
-        }])
+        .process(vec![deferred(keep("a", 200, 9000))])
         .unwrap();
     assert_eq!(writer.backlog.writes(), kept + 1);
 
     limit_pages(&writer, 1_000_000);
-    round(&mut writer, vec![append("a", 201)]).unwrap();
+    process(&mut writer, vec![append("a", 201)]).unwrap();
     assert!(writer.backlog.is_empty());
     drop(writer);
     let store = open(folder.path());
@@ -165,10 +157,10 @@ fn when_sqlite_finds_no_page_nothing_is_lost_and_a_deletion_still_works() {
 }
 
 #[test]
-fn deleting_a_swarm_while_full_gives_up_what_was_kept_of_it() {
+fn deleting_a_swarm_on_a_full_disk_drops_its_backlog() {
     let folder = folder();
     let mut writer = writer(folder.path());
-    round(&mut writer, vec![create("a"), create("b")]).unwrap();
+    process(&mut writer, vec![create("a"), create("b")]).unwrap();
     limit_pages(&writer, 1);
     for number in 1..=3 {
         let large = Row {
@@ -180,25 +172,14 @@ fn deleting_a_swarm_while_full_gives_up_what_was_kept_of_it() {
                 swarm: swarm.to_string(),
                 row: large.clone(),
             };
-            writer
-                .round(vec![Submit {
-                    writes: vec![write],
-                    wanted: Wanted::Soon(None),
-                }])
-                .unwrap();
+            writer.process(vec![deferred(write)]).unwrap();
         }
     }
     let kept = writer.backlog.writes();
-    round(
-        &mut writer,
-        vec![Write::Delete {
-            swarm: "a".to_string(),
-        }],
-    )
-    .unwrap();
+    process(&mut writer, vec![delete("a")]).unwrap();
     assert!(writer.backlog.writes() < kept);
     limit_pages(&writer, 1_000_000);
-    round(
+    process(
         &mut writer,
         vec![create("a"), append("a", 1), append("b", 4)],
     )
@@ -212,11 +193,7 @@ fn deleting_a_swarm_while_full_gives_up_what_was_kept_of_it() {
 }
 
 #[test]
-fn beyond_the_bound_checkpoints_go_then_answers_and_rows_never() {
-    let lazy = |write| Submit {
-        writes: vec![write],
-        wanted: Wanted::Soon(None),
-    };
+fn beyond_its_limits_the_backlog_drops_checkpoints_then_answers_and_never_rows() {
     let mut backlog = Backlog::with_limits(4, usize::MAX);
     for write in [
         append("a", 1),
@@ -224,18 +201,18 @@ fn beyond_the_bound_checkpoints_go_then_answers_and_rows_never() {
         Write::Answer(answer(1)),
         append("a", 2),
     ] {
-        backlog.push(lazy(write));
+        backlog.push(deferred(write));
     }
     assert_eq!(backlog.writes(), 4);
-    backlog.push(lazy(append("a", 3)));
-    assert_eq!(backlog.writes(), 4, "the checkpoint went");
-    backlog.push(lazy(append("a", 4)));
+    backlog.push(deferred(append("a", 3)));
+    assert_eq!(backlog.writes(), 4, "the checkpoint was dropped");
+    backlog.push(deferred(append("a", 4)));
     assert_eq!(
         (backlog.writes(), backlog.is_overrun()),
         (4, false),
-        "the answer went"
+        "the answer was dropped"
     );
-    backlog.push(lazy(append("a", 5)));
+    backlog.push(deferred(append("a", 5)));
     assert_eq!((backlog.writes(), backlog.is_overrun()), (5, true));
     let front: Vec<Write> = backlog
         .front((9, 9999))
@@ -253,20 +230,17 @@ fn beyond_the_bound_checkpoints_go_then_answers_and_rows_never() {
 }
 
 #[test]
-fn whoever_only_waits_is_told_whatever_is_given_up() {
-    let told = Arc::new(AtomicUsize::new(0));
-    let counted = Arc::clone(&told);
+fn a_submit_without_writes_is_never_dropped() {
+    let completed = Arc::new(AtomicUsize::new(0));
+    let counted = Arc::clone(&completed);
     let mut backlog = Backlog::with_limits(2, usize::MAX);
     let waits = Submit {
         writes: Vec::new(),
-        wanted: Wanted::Soon(Some(Box::new(move || {
+        durability: Durability::Deferred(Some(Box::new(move || {
             counted.fetch_add(1, Ordering::Relaxed);
         }))),
     };
-    let keeps = |number| Submit {
-        writes: vec![keep("a", number, 10)],
-        wanted: Wanted::Soon(None),
-    };
+    let keeps = |number| deferred(keep("a", number, 10));
     for submit in [keeps(1), waits, keeps(2)] {
         backlog.push(submit);
     }
@@ -274,15 +248,15 @@ fn whoever_only_waits_is_told_whatever_is_given_up() {
     let left = backlog.pop(1);
     assert!(backlog.is_empty());
     for submit in left {
-        if let Wanted::Soon(Some(tell)) = submit.wanted {
+        if let Durability::Deferred(Some(tell)) = submit.durability {
             tell();
         }
     }
-    assert_eq!(told.load(Ordering::Relaxed), 1);
+    assert_eq!(completed.load(Ordering::Relaxed), 1);
 }
 
 #[test]
-fn after_a_failed_sync_nothing_is_promised_any_more() {
+fn after_a_failed_sync_every_submit_fails() {
     let folder = folder();
     let calls = Arc::new(AtomicUsize::new(0));
     let counted = Arc::clone(&calls);
@@ -305,7 +279,7 @@ fn after_a_failed_sync_nothing_is_promised_any_more() {
         .collect();
     for outcome in waiting {
         assert!(matches!(
-            outcome.recv_timeout(PATIENCE).unwrap(),
+            outcome.recv_timeout(TIMEOUT).unwrap(),
             Err(StoreFault::Fatal(_))
         ));
     }
@@ -314,13 +288,13 @@ fn after_a_failed_sync_nothing_is_promised_any_more() {
         durable(&store, vec![append("a", 2)]),
         Err(StoreFault::Fatal(_))
     ));
-    assert!(!store.stop(PATIENCE));
+    assert!(!store.stop(TIMEOUT));
     assert_eq!(calls.load(Ordering::SeqCst), 1);
     assert_eq!(numbers(&open(folder.path()), "a"), [1]);
 }
 
 #[test]
-fn errors_of_sqlite_are_sorted_by_what_they_leave_behind() {
+fn errors_of_sqlite_become_faults() {
     let sorted = |extended_code| {
         let error = rusqlite::Error::SqliteFailure(ffi::Error::new(extended_code), None);
         StoreFault::of_writing(Path::new("/"), &error)
@@ -349,7 +323,7 @@ fn errors_of_sqlite_are_sorted_by_what_they_leave_behind() {
 }
 
 #[test]
-fn killed_anywhere_all_that_was_told_is_there() {
+fn killed_anywhere_completed_writes_are_durable() {
     if let Ok(folder) = std::env::var(CHILD) {
         return be_killed(Path::new(&folder));
     }
@@ -363,7 +337,7 @@ fn killed_anywhere_all_that_was_told_is_there() {
         let status = Command::new(std::env::current_exe().unwrap())
             .args([
                 "--exact",
-                &format!("{}::killed_anywhere_all_that_was_told_is_there", module()),
+                &format!("{}::killed_anywhere_completed_writes_are_durable", module()),
             ])
             .env(CHILD, folder.path())
             .env("JOSTLE_STORE_TEST_POINT", point)
@@ -371,9 +345,9 @@ fn killed_anywhere_all_that_was_told_is_there() {
             .unwrap()
             .status;
         assert!(!status.success(), "it was not killed at {point}");
-        let told = fs::read_to_string(folder.path().join("told")).unwrap();
+        let completed = fs::read_to_string(folder.path().join("completed")).unwrap();
         let expected = if point == "store-done" { "1 2 " } else { "1 " };
-        assert_eq!(told, expected, "{point}");
+        assert_eq!(completed, expected, "{point}");
         let store = open(folder.path());
         assert_eq!(
             numbers(&store, "a"),
@@ -387,34 +361,34 @@ fn module() -> &'static str {
     module_path!().split_once("::").unwrap().1
 }
 
-/// Writes one row, and is killed while it writes the second.
+/// Writes one row; is killed while it writes the second.
 fn be_killed(folder: &Path) {
     let store = open(folder);
     arm_at_second_write(std::env::var("JOSTLE_STORE_TEST_POINT").unwrap());
-    let mut told = File::create(folder.join("told")).unwrap();
+    let mut completed = File::create(folder.join("completed")).unwrap();
     for number in 1..=2 {
         let mut writes = vec![append("a", number)];
         if number == 1 {
             writes.insert(0, create("a"));
         }
         let (sender, receiver) = channel();
-        let mut told = told.try_clone().unwrap();
+        let mut completed = completed.try_clone().unwrap();
         store.submit(
             writes,
             Some(Box::new(move |outcome| {
                 outcome.unwrap();
-                io::Write::write_all(&mut told, format!("{number} ").as_bytes()).unwrap();
+                io::Write::write_all(&mut completed, format!("{number} ").as_bytes()).unwrap();
                 let _ = sender.send(());
             })),
         );
-        let _ = receiver.recv_timeout(PATIENCE);
+        let _ = receiver.recv_timeout(TIMEOUT);
     }
-    io::Write::flush(&mut told).unwrap();
-    thread::sleep(PATIENCE);
+    io::Write::flush(&mut completed).unwrap();
+    thread::sleep(TIMEOUT);
 }
 
-/// Makes `point` deadly when the second write begins, in the writer's own thread: what the first
-/// write and the house-keeping after it still pass is none of this test's.
+/// Arms `point` when the second write begins, on the writer thread, so that the first write and the
+/// maintenance after it pass.
 fn arm_at_second_write(point: String) {
     if point == "store-begin" {
         return fail::cfg(point, "1*off->return").unwrap();
@@ -428,7 +402,7 @@ fn arm_at_second_write(point: String) {
     .unwrap();
 }
 
-fn refusal(folder: &Path) -> StoreError {
+fn rejection(folder: &Path) -> StoreError {
     match Store::open(folder, Settings { quota_bytes: 1 }, Box::new(|_| {})) {
         Ok(_) => panic!("it was opened"),
         Err(error) => error,
@@ -436,7 +410,7 @@ fn refusal(folder: &Path) -> StoreError {
 }
 
 #[test]
-fn a_folder_is_open_once_at_a_time_and_for_its_owner_alone() {
+fn a_folder_is_open_once_at_a_time_and_accessible_to_its_owner_only() {
     use std::os::unix::fs::PermissionsExt;
     let folder = folder();
     let inner = folder.path().join("data/of one");
@@ -445,19 +419,19 @@ fn a_folder_is_open_once_at_a_time_and_for_its_owner_alone() {
         fs::metadata(&inner).unwrap().permissions().mode() & 0o777,
         0o700
     );
-    let error = refusal(&inner);
+    let error = rejection(&inner);
     assert!(matches!(error, StoreError::InUse { .. }));
     assert!(
         error
             .to_string()
             .contains("another jostled uses this folder: stop it, or name another --data-dir")
     );
-    assert!(store.stop(PATIENCE));
+    assert!(store.stop(TIMEOUT));
     drop(open(&inner));
 }
 
 #[test]
-fn what_another_wrote_is_refused() {
+fn foreign_and_newer_files_are_rejected() {
     let folder = folder();
     drop(open(folder.path()));
     let file = folder.path().join(schema::FILE);
@@ -465,7 +439,7 @@ fn what_another_wrote_is_refused() {
         .unwrap()
         .pragma_update(None, "user_version", schema::KNOWN + 1)
         .unwrap();
-    let error = refusal(folder.path());
+    let error = rejection(folder.path());
     assert!(matches!(error, StoreError::Newer { .. }));
     let expected = "written by a newer jostled (schema 3, this one knows 2): upgrade, or name another --data-dir";
     assert!(error.to_string().ends_with(expected), "{error}");
@@ -477,7 +451,7 @@ fn what_another_wrote_is_refused() {
         .execute_batch("CREATE TABLE other (x)")
         .unwrap();
     assert!(matches!(
-        refusal(foreign.path()),
+        rejection(foreign.path()),
         StoreError::Foreign { .. }
     ));
     fs::write(
@@ -486,14 +460,14 @@ fn what_another_wrote_is_refused() {
     )
     .unwrap();
     assert!(matches!(
-        refusal(foreign.path()),
+        rejection(foreign.path()),
         StoreError::Foreign { .. }
     ));
 
     let blocked = self::folder();
     fs::write(blocked.path().join("data"), "").unwrap();
     assert!(matches!(
-        refusal(&blocked.path().join("data")),
+        rejection(&blocked.path().join("data")),
         StoreError::Folder { .. }
     ));
 }

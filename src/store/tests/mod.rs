@@ -1,8 +1,8 @@
-//! The store against real files.
+//! Tests of the store on real files.
 
 mod damage;
 mod failing;
-mod keeping;
+mod retention;
 mod writing;
 
 use std::path::Path;
@@ -13,8 +13,8 @@ use tempfile::TempDir;
 
 use super::*;
 
-/// Longer than anything here takes.
-const PATIENCE: Duration = Duration::from_secs(20);
+/// Longer than any step of these tests.
+const TIMEOUT: Duration = Duration::from_secs(20);
 
 fn folder() -> TempDir {
     tempfile::tempdir().unwrap()
@@ -69,6 +69,12 @@ fn create(swarm: &str) -> Write {
     }
 }
 
+fn delete(swarm: &str) -> Write {
+    Write::Delete {
+        swarm: swarm.to_string(),
+    }
+}
+
 fn keep(swarm: &str, number: u64, bytes: usize) -> Write {
     Write::Keep {
         swarm: swarm.to_string(),
@@ -99,7 +105,7 @@ fn pending(store: &Store, writes: Vec<Write>) -> Receiver<Result<(), StoreFault>
 }
 
 fn durable(store: &Store, writes: Vec<Write>) -> Result<(), StoreFault> {
-    pending(store, writes).recv_timeout(PATIENCE).unwrap()
+    pending(store, writes).recv_timeout(TIMEOUT).unwrap()
 }
 
 fn numbers(store: &Store, swarm: &str) -> Vec<u64> {
@@ -108,11 +114,28 @@ fn numbers(store: &Store, swarm: &str) -> Vec<u64> {
     read.rows.iter().map(|row| row.number).collect()
 }
 
-/// Waits until `is_so`, and fails if it never is.
-fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
-    let until = Instant::now() + PATIENCE;
-    while !is_so() {
-        assert!(Instant::now() < until, "never: {what}");
+/// The numbers of the intact checkpoints, newest first.
+fn checkpoints(store: &Store, swarm: &str) -> Vec<u64> {
+    let infos = store.checkpoints(swarm).unwrap();
+    infos.iter().map(|info| info.number).collect()
+}
+
+/// Executes SQL on the database of a folder.
+fn alter(folder: &Path, sql: &str) {
+    let database = Connection::open(folder.join(schema::FILE)).unwrap();
+    database.execute_batch(sql).unwrap();
+}
+
+fn count(store: &Store, sql: &str) -> i64 {
+    let read = |connection: &Connection| Ok(connection.query_row(sql, [], |row| row.get(0))?);
+    store.read("", read).unwrap()
+}
+
+/// Waits until `condition` holds.
+fn wait_until(what: &str, mut condition: impl FnMut() -> bool) {
+    let until = Instant::now() + TIMEOUT;
+    while !condition() {
+        assert!(Instant::now() < until, "timeout: {what}");
         thread::sleep(Duration::from_millis(2));
     }
 }

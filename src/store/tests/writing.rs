@@ -1,11 +1,11 @@
-//! What is submitted is there, in order, and survives.
+//! Submits are durable and in order.
 
 use std::sync::Mutex;
 
 use super::*;
 
 #[test]
-fn done_comes_after_the_data_is_there() {
+fn done_is_called_after_the_data_is_durable() {
     let folder = folder();
     let store = open(folder.path());
     let writes = vec![
@@ -15,7 +15,7 @@ fn done_comes_after_the_data_is_there() {
         keep("a", 2, 5000),
     ];
     durable(&store, writes).unwrap();
-    // The file as it is now, without the WAL ever having been moved: what a crash would leave.
+    // The files as a crash would leave them: the WAL was never checkpointed.
     let crashed = self::folder();
     for name in ["jostle.sqlite", "jostle.sqlite-wal"] {
         fs::copy(folder.path().join(name), crashed.path().join(name)).unwrap();
@@ -29,7 +29,7 @@ fn done_comes_after_the_data_is_there() {
         assert_eq!(store.rows("a", 1, 9).unwrap().rows, [row(2)]);
         assert_eq!(
             store.checkpoints("a").unwrap(),
-            [state(2, 0).mark(), state(0, 0).mark()]
+            [state(2, 0).info(), state(0, 0).info()]
         );
         assert_eq!(store.checkpoint("a", 2).unwrap(), state(2, 5000));
         assert!(matches!(
@@ -40,33 +40,33 @@ fn done_comes_after_the_data_is_there() {
 }
 
 #[test]
-fn groups_are_committed_and_told_in_the_order_of_submission() {
+fn groups_are_committed_and_completed_in_the_order_of_submission() {
     let folder = folder();
     let store = open(folder.path());
     durable(&store, vec![create("a")]).unwrap();
-    let told = Arc::new(Mutex::new(Vec::new()));
+    let completed = Arc::new(Mutex::new(Vec::new()));
     for number in 1..=3000 {
-        let told = Arc::clone(&told);
+        let completed = Arc::clone(&completed);
         let done: Done = Box::new(move |outcome| {
             outcome.unwrap();
-            told.lock().unwrap().push(number);
+            completed.lock().unwrap().push(number);
         });
-        // Every third waits for nobody, and is committed in its place all the same.
+        // Every third is deferred, and is committed in the same order.
         store.submit(vec![append("a", number)], (number % 3 > 0).then_some(done));
     }
     durable(&store, Vec::new()).unwrap();
     let expected: Vec<u64> = (1..=3000).filter(|number| number % 3 > 0).collect();
-    assert_eq!(*told.lock().unwrap(), expected);
+    assert_eq!(*completed.lock().unwrap(), expected);
     assert_eq!(numbers(&store, "a"), (1..=3000).collect::<Vec<_>>());
     assert!(
         store.health().commits < 1500,
-        "nobody shared a commit: {:?}",
+        "no commit was shared: {:?}",
         store.health()
     );
 }
 
 #[test]
-fn what_nobody_waits_for_is_written_soon() {
+fn deferred_writes_are_written_soon() {
     let folder = folder();
     let store = open(folder.path());
     durable(&store, vec![create("a")]).unwrap();
@@ -79,23 +79,18 @@ fn all_writes_of_a_submit_are_written_or_none() {
     let folder = folder();
     let store = open(folder.path());
     durable(&store, vec![create("a")]).unwrap();
-    let refused = |writes| matches!(durable(&store, writes), Err(StoreFault::Refused(_)));
-    assert!(refused(vec![append("a", 1), append("a", 3)]), "a gap");
+    let rejected = |writes| matches!(durable(&store, writes), Err(StoreFault::Refused(_)));
+    assert!(rejected(vec![append("a", 1), append("a", 3)]), "a gap");
     assert!(
-        refused(vec![append("a", 1), append("b", 1)]),
+        rejected(vec![append("a", 1), append("b", 1)]),
         "no such swarm"
     );
-    assert!(refused(vec![append("a", 1), create("a")]), "it exists");
+    assert!(rejected(vec![append("a", 1), create("a")]), "it exists");
     assert!(
-        refused(vec![append("a", 1), keep("a", 2, 9)]),
+        rejected(vec![append("a", 1), keep("a", 2, 9)]),
         "a checkpoint of what is not there"
     );
-    assert!(
-        refused(vec![Write::Delete {
-            swarm: "b".to_string()
-        }]),
-        "no such swarm to delete"
-    );
+    assert!(rejected(vec![delete("b")]), "no such swarm to delete");
     assert_eq!(numbers(&store, "a"), [0; 0]);
     durable(&store, vec![append("a", 1)]).unwrap();
     assert_eq!(numbers(&store, "a"), [1]);
@@ -109,29 +104,21 @@ fn a_deleted_swarm_leaves_nothing_to_the_next_of_its_name() {
     durable(&store, vec![create("a")]).unwrap();
     durable(&store, first).unwrap();
     durable(&store, vec![keep("a", 2500, 100_000)]).unwrap();
-    let again = vec![
-        Write::Delete {
-            swarm: "a".to_string(),
-        },
-        create("a"),
-        append("a", 1),
-    ];
+    let again = vec![delete("a"), create("a"), append("a", 1)];
     durable(&store, again).unwrap();
     assert_eq!(numbers(&store, "a"), [1]);
-    assert_eq!(store.checkpoints("a").unwrap(), [state(0, 0).mark()]);
+    assert_eq!(store.checkpoints("a").unwrap(), [state(0, 0).info()]);
     wait_until("its rows are gone from the file", || {
-        let count = |connection: &Connection| {
-            let sql = "SELECT (SELECT count(*) FROM row) + (SELECT count(*) FROM checkpoint) + (SELECT count(*) FROM gone)";
-            Ok(connection.query_row(sql, [], |row| row.get::<_, i64>(0))?)
-        };
-        store.read("", count).unwrap() == 2
+        let tables = ["row", "checkpoint", "gone"];
+        let counts = tables.map(|table| count(&store, &format!("SELECT count(*) FROM {table}")));
+        counts.iter().sum::<i64>() == 2
     });
     drop(store);
     assert_eq!(numbers(&open(folder.path()), "a"), [1]);
 }
 
 #[test]
-fn a_name_is_just_text() {
+fn any_text_is_a_name() {
     let folder = folder();
     let store = open(folder.path());
     let names = [
@@ -181,7 +168,7 @@ fn answers_come_back_as_they_were() {
 }
 
 #[test]
-fn after_stop_everything_is_in_the_file_and_nothing_is_taken() {
+fn after_stop_everything_is_in_the_file_and_submits_fail() {
     let folder = folder();
     let store = open(folder.path());
     store.submit(
@@ -193,7 +180,7 @@ fn after_stop_everything_is_in_the_file_and_nothing_is_taken() {
             .collect(),
         None,
     );
-    assert!(store.stop(PATIENCE));
+    assert!(store.stop(TIMEOUT));
     assert_eq!(
         durable(&store, vec![append("a", 500)]),
         Err(StoreFault::Stopped)
@@ -204,7 +191,7 @@ fn after_stop_everything_is_in_the_file_and_nothing_is_taken() {
 }
 
 #[test]
-fn a_done_may_submit_and_may_hold_the_last_clone() {
+fn a_callback_may_submit_and_may_own_the_last_clone() {
     let folder = folder();
     let store = open(folder.path());
     durable(&store, vec![create("a")]).unwrap();
@@ -220,7 +207,7 @@ fn a_done_may_submit_and_may_hold_the_last_clone() {
         })),
     );
     drop(store);
-    receiver.recv_timeout(PATIENCE).unwrap().unwrap();
+    receiver.recv_timeout(TIMEOUT).unwrap().unwrap();
     wait_until("the lock is free", || {
         Store::open(folder.path(), Settings { quota_bytes: 1 }, Box::new(|_| {})).is_ok()
     });

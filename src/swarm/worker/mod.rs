@@ -19,7 +19,7 @@ use tracing::warn;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::clock;
 use crate::swarm::controllers::Controllers;
-use crate::swarm::cores::Seat;
+use crate::swarm::cpu_scheduler::Share;
 use crate::swarm::crash;
 use crate::swarm::error::OrderError;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
@@ -29,9 +29,8 @@ use crate::swarm::journal::{Journal, JournalWriter, Record};
 use crate::swarm::order::Order;
 use crate::swarm::outcome::{Answer, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
-use crate::swarm::pace::{MOST_BACKLOG, Pace};
+use crate::swarm::pace::{MAX_BACKLOG, Pace};
 use crate::swarm::phase::{Cue, PauseReason, Phase};
-use crate::swarm::rank::Rank;
 use crate::swarm::schedule::Schedule;
 use crate::swarm::sender::Sender;
 use crate::swarm::tally::Tally;
@@ -64,8 +63,7 @@ pub struct Worker {
     phase: Phase,
     rate: Option<f64>,
     pace: Pace,
-    seat: Seat,
-    rank: Rank,
+    seat: Share,
     outlet: Arc<Outlet>,
     history: Arc<History>,
     tally: Arc<Tally>,
@@ -155,7 +153,6 @@ impl Worker {
         Worker {
             pace: Pace::new(rate, simulation.spec.parameters.dt, now),
             seat: handle.seat(),
-            rank: Rank::default(),
             journal,
             since: Since::new(),
             applied_at: None,
@@ -236,7 +233,6 @@ impl Worker {
             {
                 return end;
             }
-            self.settle_rank();
             if self.phase.is_moving() {
                 self.tally.pulse.beat();
                 if let Some(end) = self.take_with_others(others()) {
@@ -281,15 +277,6 @@ impl Worker {
         }
     }
 
-    /// Ranks its thread by whether its steps are short and due at times of their own.
-    fn settle_rank(&mut self) {
-        let period = match self.phase {
-            Phase::Running { .. } => self.pace.period(),
-            _ => None,
-        };
-        self.rank.settle(period);
-    }
-
     /// Whether it may step now.
     fn has_core(&mut self) -> bool {
         let now = Instant::now();
@@ -319,8 +306,6 @@ impl Worker {
         while let Some(ticket) = tickets.pop_front() {
             match ticket {
                 Ticket::Command(command) => {
-                    // It may take long.
-                    self.rank.yield_to_others();
                     let order = &command.order;
                     let is_last = matches!(order, Order::Reset(_)) || order.is_carried_out_first();
                     together.push(command);
@@ -412,7 +397,6 @@ impl Worker {
                 let took = now.saturating_duration_since(began);
                 self.since.steps += 1;
                 self.since.work += took;
-                self.rank.stepped(took);
                 // What is told again was counted when it was first taken.
                 if !self.journal.is_replaying() {
                     self.tally.stepped(took, late, &report);
@@ -455,7 +439,7 @@ impl Worker {
             self.record_state();
             if step.is_multiple_of(self.simulation.publish_every) && now >= self.frame_due {
                 // Counted from when it was due, so that what a swarm makes good is shown too.
-                let grace = self.shortest_between_frames.max(MOST_BACKLOG);
+                let grace = self.shortest_between_frames.max(MAX_BACKLOG);
                 let grace = now.checked_sub(grace).unwrap_or(now);
                 self.frame_due = self.frame_due.max(grace) + self.shortest_between_frames;
                 self.show();

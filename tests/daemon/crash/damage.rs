@@ -89,7 +89,7 @@ async fn judge(
                 "{what}: {code:?}: {log}"
             );
             assert!(
-                log.contains("--data-dir") || log.contains("put back a copy"),
+                log.contains("--data-dir") || log.contains("restore a backup"),
                 "{what}: {log}"
             );
             assert!(log.contains(FILE), "{what}: {log}");
@@ -353,7 +353,7 @@ async fn a_journal_damaged_in_the_middle_faults_its_swarm_which_goes_on_after_a_
     }
     assert!(
         folder.path().join("damaged-1.sqlite").exists(),
-        "it is kept aside"
+        "the copy of the damaged file"
     );
     assert!(life::log(folder.path()).contains("damaged-1.sqlite"));
 

@@ -1,14 +1,14 @@
-//! What is kept how long, and files of earlier versions.
+//! Retention, and files of earlier versions.
 
 use super::*;
 
-/// Names a folder to which [`a_file_of_version_1_opens`] writes its fixture anew.
+/// The folder to which [`a_file_of_version_1_opens`] writes a new fixture, if set.
 const FIXTURE: &str = "JOSTLE_STORE_FIXTURE_TO";
 
-/// Waits until the store has taken away what it may.
-fn wait_until_tidy(store: &Store, quota_bytes: u64) {
+/// Waits until the store has swept what exceeds the quota.
+fn wait_until_swept(store: &Store, quota_bytes: u64) {
     wait_until("the swarm is within its quota", || {
-        let read = |connection: &Connection| Ok(extent::read(connection, 1)?);
+        let read = |connection: &Connection| Ok(integrity::read_extent(connection, 1)?);
         store.read("a", read).unwrap().unwrap().bytes <= quota_bytes
     });
 }
@@ -24,21 +24,21 @@ fn beyond_the_quota_checkpoints_thin_out_then_the_oldest_history_goes() {
             writes.push(keep("a", number, 10_000));
         }
         store.submit(writes, None);
-        let marks = store.checkpoints("a").unwrap();
-        let newest = marks[0].number;
+        let infos = store.checkpoints("a").unwrap();
+        let newest = infos[0].number;
         assert!(
-            marks.len() < 2 || newest < 20 || marks[1].number + 10 == newest,
-            "{marks:?}"
+            infos.len() < 2 || newest < 20 || infos[1].number + 10 == newest,
+            "{infos:?}"
         );
     }
     durable(&store, Vec::new()).unwrap();
-    wait_until_tidy(&store, quota);
-    let marks = store.checkpoints("a").unwrap();
-    assert_eq!((marks[0].number, marks[1].number), (600, 590));
+    wait_until_swept(&store, quota);
+    let infos = store.checkpoints("a").unwrap();
+    assert_eq!((infos[0].number, infos[1].number), (600, 590));
     // Thinned: checkpoints reach back further than at their first density, and all rows are there.
     assert!(
-        marks.len() < 40 && store.history_from("a").unwrap() == Some(state(0, 0).mark()),
-        "{marks:?}"
+        infos.len() < 40 && store.history_from("a").unwrap() == Some(state(0, 0).info()),
+        "{infos:?}"
     );
     assert_eq!(numbers(&store, "a").len(), 600);
 
@@ -48,24 +48,24 @@ fn beyond_the_quota_checkpoints_thin_out_then_the_oldest_history_goes() {
     durable(&store, vec![append("a", 8001), keep("a", 8001, 10_000)]).unwrap();
     // The rows after the second newest checkpoint alone are over the quota, and stay.
     wait_until("the older history is gone", || {
-        store.history_from("a").unwrap() == Some(state(600, 0).mark())
+        store.history_from("a").unwrap() == Some(state(600, 0).info())
     });
     assert_eq!(numbers(&store, "a"), (601..=8001).collect::<Vec<_>>());
     for mark in store.checkpoints("a").unwrap() {
-        assert_eq!(store.checkpoint("a", mark.number).unwrap().mark(), mark);
+        assert_eq!(store.checkpoint("a", mark.number).unwrap().info(), mark);
     }
     assert_eq!(store.health().damaged, 0);
 }
 
 #[test]
-fn where_history_begins_is_told_anew_when_it_has_moved() {
+fn history_from_is_the_oldest_checkpoint_after_every_change() {
     let folder = folder();
     let store = open(folder.path());
     durable(&store, vec![create("a")]).unwrap();
     let begins = || store.history_from("a").unwrap().map(|mark| mark.step);
     let first = state(0, 0);
     assert_eq!(begins(), Some(first.step));
-    // One of the same number takes its place.
+    // One of the same number replaces it.
     let checkpoint = Checkpoint { step: 77, ..first };
     let swarm = || "a".to_owned();
     let keep_again = Write::Keep {
@@ -98,13 +98,7 @@ fn the_two_newest_checkpoints_and_the_rows_after_them_stay_whatever_the_quota() 
         store.history_from("a").unwrap().unwrap().number == 1000
     });
     wait_until("the rows are gone", || {
-        let sql = "SELECT min(number) FROM row";
-        store
-            .read("a", |connection| {
-                Ok(connection.query_row(sql, [], |row| row.get::<_, i64>(0))?)
-            })
-            .unwrap()
-            == 1001
+        count(&store, "SELECT min(number) FROM row") == 1001
     });
     assert_eq!(numbers(&store, "a"), (1001..=2000).collect::<Vec<_>>());
     assert_eq!(store.checkpoints("a").unwrap().len(), 2);
@@ -113,7 +107,7 @@ fn the_two_newest_checkpoints_and_the_rows_after_them_stay_whatever_the_quota() 
 }
 
 #[test]
-fn a_checkpoint_at_the_same_row_takes_the_place_of_the_one_before() {
+fn a_checkpoint_of_the_same_row_replaces_the_one_before() {
     let folder = folder();
     let store = open(folder.path());
     durable(&store, vec![create("a")]).unwrap();
@@ -129,12 +123,12 @@ fn a_checkpoint_at_the_same_row_takes_the_place_of_the_one_before() {
         }],
     )
     .unwrap();
-    assert_eq!(store.checkpoints("a").unwrap(), [later.mark()]);
+    assert_eq!(store.checkpoints("a").unwrap(), [later.info()]);
     assert_eq!(store.checkpoint("a", 0).unwrap(), later);
 }
 
 #[test]
-fn forgotten_answers_are_gone_and_do_not_count_as_damaged() {
+fn deleted_answers_do_not_count_as_damaged() {
     let folder = folder();
     let store = open(folder.path());
     let forget = |number| {
@@ -153,7 +147,7 @@ fn forgotten_answers_are_gone_and_do_not_count_as_damaged() {
     writes.push(Write::Answer(namesake.clone()));
     durable(&store, writes).unwrap();
     assert!(!store.has_forgotten());
-    // 9999 was never there.
+    // 9999 does not exist.
     durable(&store, vec![forget(9999)]).unwrap();
     assert!(!store.has_forgotten());
     let forgotten = (1..=2500).filter(|it| it % 3 == 1);
@@ -163,25 +157,22 @@ fn forgotten_answers_are_gone_and_do_not_count_as_damaged() {
     left.push(namesake);
     assert_eq!(store.answers().unwrap(), left);
     assert_eq!(store.health().damaged, 0);
-    // New answers do not fill the gaps, and what is lost beside them is still noticed.
+    // New answers do not fill the gaps, and a missing one is still counted.
     durable(&store, vec![Write::Answer(answer(2501))]).unwrap();
     left.push(answer(2501));
-    assert!(store.stop(PATIENCE));
+    assert!(store.stop(TIMEOUT));
     let store = open(folder.path());
     assert_eq!(store.answers().unwrap(), left);
     assert_eq!(store.health().damaged, 0);
-    assert!(store.stop(PATIENCE));
-    Connection::open(folder.path().join(schema::FILE))
-        .unwrap()
-        .execute("DELETE FROM answer WHERE id = 2", [])
-        .unwrap();
+    assert!(store.stop(TIMEOUT));
+    alter(folder.path(), "DELETE FROM answer WHERE id = 2");
     let store = open(folder.path());
     assert_eq!(store.answers().unwrap(), left[1..]);
     assert_eq!(store.health().damaged, 1);
 }
 
 #[test]
-fn the_file_does_not_grow_for_ever() {
+fn space_of_deleted_swarms_is_reused() {
     let folder = folder();
     let store = open(folder.path());
     let mut sizes = Vec::new();
@@ -191,28 +182,16 @@ fn the_file_does_not_grow_for_ever() {
             vec![create("a"), append("a", 1), keep("a", 1, 6_000_000)],
         )
         .unwrap();
-        durable(
-            &store,
-            vec![Write::Delete {
-                swarm: "a".to_string(),
-            }],
-        )
-        .unwrap();
+        durable(&store, vec![delete("a")]).unwrap();
         wait_until("all is swept", || {
-            let sql = "SELECT count(*) FROM gone";
-            store
-                .read("", |connection| {
-                    Ok(connection.query_row(sql, [], |row| row.get::<_, i64>(0))?)
-                })
-                .unwrap()
-                == 0
+            count(&store, "SELECT count(*) FROM gone") == 0
         });
         sizes.push(store.health().bytes_on_disk);
     }
     assert!(sizes[5] <= sizes[1] * 2, "{sizes:?}");
 }
 
-/// What the fixture holds: every kind of record.
+/// Writes the fixture: every kind of record.
 fn fixture(folder: &Path) {
     let store = open(folder);
     durable(
@@ -234,7 +213,7 @@ fn fixture(folder: &Path) {
         ],
     )
     .unwrap();
-    assert!(store.stop(PATIENCE));
+    assert!(store.stop(TIMEOUT));
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! A copy of a damaged file, so that nothing of it is lost by going on.
+//! A copy of a damaged database, taken before it is repaired or truncated.
 
 use std::fs::{self, File};
 use std::io;
@@ -8,16 +8,17 @@ use tracing::warn;
 
 use super::schema;
 
-/// Copies the database and its WAL under a name of their own beside them. Only the thread that
-/// writes calls it, between two transactions: what is copied is whole.
-pub(super) fn keep(folder: &Path) -> io::Result<()> {
+/// Copies the database and its WAL to `damaged-N.sqlite` in the same folder.
+///
+/// Called between two transactions of the only writer, so the copy is consistent.
+pub(super) fn create(folder: &Path) -> io::Result<()> {
     let name = |count: u64| format!("damaged-{count}.sqlite");
     let is_free = |count: &u64| !folder.join(name(*count)).exists();
     let Some(count) = (1..).find(is_free) else {
         return Ok(());
     };
     let copy = name(count);
-    // The database last: whoever finds it finds its WAL too.
+    // The database last: if it exists, its WAL does too.
     for suffix in ["-wal", ""] {
         let from = folder.join(format!("{}{suffix}", schema::FILE));
         if from.exists() {
@@ -26,6 +27,6 @@ pub(super) fn keep(folder: &Path) -> io::Result<()> {
             File::open(to)?.sync_all()?;
         }
     }
-    warn!(copy, "the damaged database is kept aside");
+    warn!(copy, "copied the damaged database");
     Ok(())
 }
