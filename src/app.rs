@@ -23,26 +23,25 @@ use crate::api::responder::Replies;
 use crate::api::{commands, queries};
 use crate::auth::folder::Folder;
 use crate::auth::live::{Changes, LiveRights};
-use crate::auth::{Rights, RightsError};
+use crate::auth::{AuthError, Rights};
 use crate::config::Config;
 use crate::convert::commands::{CommandError, check_name};
 use crate::convert::error::refusal;
-use crate::experiments::Lab;
+use crate::experiments::ExperimentManager;
 use crate::health::{Watch, Watched};
 use crate::metrics::Pulse;
+use crate::persistence::recovery;
 use crate::persistence::recovery::RecoveryError;
-use crate::persistence::{recovery, writer};
 use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::{self, Store, StoreError, StoreFault};
-use crate::swarm::registry::Host;
+use crate::swarm::registry::SwarmRegistry;
 use crate::transport::http::{self, Bus, Gateway, GatewayError, Pass, Token};
 use crate::transport::zenoh::bus_watch::BusWatch;
 use crate::transport::zenoh::claims::{Claims, Contest, Watching};
 use crate::transport::zenoh::dispatcher::Dispatcher;
-use crate::transport::zenoh::gateway::{
-    self, Connections, DispatchMessage, LifecycleNotifier, MAX_QUEUED,
-};
+use crate::transport::zenoh::gateway::{self, Connections, LifecycleNotifier};
+use crate::transport::zenoh::messages::{DispatchMessage, MAX_QUEUED};
 use crate::transport::zenoh::publisher::Press;
 use crate::transport::zenoh::queryables::SwarmEndpoints;
 use crate::transport::zenoh::session::{OpenRuntime, Opened, SessionError};
@@ -87,7 +86,7 @@ pub enum ServerError {
     Name(CommandError),
     /// Who may do what cannot be told.
     #[error("auth_dir: {0}")]
-    Rights(#[from] RightsError),
+    Rights(#[from] AuthError),
     /// HTTP cannot be served.
     #[error(transparent)]
     Gateway(#[from] GatewayError),
@@ -131,7 +130,7 @@ pub enum ServerError {
 
 /// A daemon that serves.
 pub struct Server {
-    host: Arc<Host>,
+    host: Arc<SwarmRegistry>,
     store: Store,
     connection: Connection,
     bus: Arc<BusWatch>,
@@ -142,7 +141,7 @@ pub struct Server {
     watch: Arc<Watch>,
     gateway: Option<Gateway>,
     pass: Pass,
-    lab: Lab,
+    lab: ExperimentManager,
     recordings: Recordings,
 }
 
@@ -177,7 +176,7 @@ async fn warn_of_people(rights: Arc<LiveRights>) {
     let mut days = tokio::time::interval(Duration::from_secs(24 * 60 * 60));
     loop {
         days.tick().await;
-        match rights.current().notices(DAYS_OF_NOTICE) {
+        match rights.current().expiry_warnings(DAYS_OF_NOTICE) {
             Ok(ending) => ending.iter().for_each(|line| warn!("{line}")),
             Err(error) => {
                 warn!(%error, "failed to see which certificates end soon, and who is nobody");
@@ -240,9 +239,9 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     check_name("prefix", prefix).map_err(ServerError::Name)?;
     let rights = match &config.auth_dir {
         Some(path) => Rights::read(Folder::at(path.clone()))?,
-        None => Rights::Everybody,
+        None => Rights::Open,
     };
-    let are_people_known = rights.people().is_some();
+    let are_people_known = rights.users().is_some();
     let rights = Arc::new(LiveRights::new(rights));
     if are_people_known {
         tokio::spawn(warn_of_people(rights.clone()));
@@ -251,7 +250,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     let http = match http::check(&config.http, config.auth_dir.is_some())? {
         Some(place) => {
             let acceptor = match &*rights.current() {
-                Rights::People { folder, .. } if place.is_secure => {
+                Rights::Users { folder, .. } if place.is_secure => {
                     Some(http::acceptor(&folder.daemon()).map_err(GatewayError::Certificate)?)
                 }
                 _ => None,
@@ -281,8 +280,8 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     }
 
     let replies = Replies::start()?;
-    let (press, _) = Press::start(prefix)?;
     let (messages, received) = sync_channel(MAX_QUEUED);
+    let (press, _) = Press::start(prefix, messages.clone())?;
     let refused = |error: zenoh::Error| ServerError::Keys(error.to_string());
     let waking = messages.clone();
     let (claims, watching_claims) = Claims::watch(&session, prefix, node, move || {
@@ -291,7 +290,11 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     })
     .map_err(refused)?;
     let notifier = Arc::new(LifecycleNotifier::new(messages.clone(), press.clone()));
-    let host = Arc::new(Host::new(config.limits, notifier, writer::archive(&store)));
+    let host = Arc::new(SwarmRegistry::new(
+        config.limits,
+        notifier,
+        Box::new(store.clone()),
+    ));
     let idempotency = IdempotencyCache::new(store.clone(), are_people_known);
     let lab = open_lab(config).await?;
     let recordings = open_recordings(config, host.clone())?;
@@ -476,13 +479,13 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
 }
 
 /// Opens the experiments, which lie beside the store.
-async fn open_lab(config: &Config) -> Result<Lab, ServerError> {
+async fn open_lab(config: &Config) -> Result<ExperimentManager, ServerError> {
     let folder = config.data_dir.join("experiments");
     let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
     let threads = config.experiment_threads.unwrap_or_else(cores).get();
     let opened = tokio::task::spawn_blocking({
         let folder = folder.clone();
-        move || Lab::open(&folder, threads)
+        move || ExperimentManager::open(&folder, threads)
     });
     opened
         .await
@@ -494,11 +497,10 @@ async fn open_lab(config: &Config) -> Result<Lab, ServerError> {
 }
 
 /// Opens the recordings, which lie there too.
-fn open_recordings(config: &Config, host: Arc<Host>) -> Result<Recordings, ServerError> {
+fn open_recordings(config: &Config, host: Arc<SwarmRegistry>) -> Result<Recordings, ServerError> {
     let folder = config.data_dir.join("recordings");
-    let on_failed = commands::publish_failure(host);
     let quota_bytes = config.recordings_quota_bytes;
-    let opened = Recordings::open(&folder, refusal, quota_bytes, on_failed);
+    let opened = Recordings::open(&folder, refusal, quota_bytes, host);
     opened.map_err(|error| ServerError::Recordings {
         folder: folder.display().to_string(),
         error,
@@ -560,7 +562,7 @@ impl Server {
     }
 
     /// The swarms it hosts.
-    pub fn host(&self) -> &Arc<Host> {
+    pub fn host(&self) -> &Arc<SwarmRegistry> {
         &self.host
     }
 

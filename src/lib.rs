@@ -4,8 +4,8 @@
 //!
 //! 1. [`metrics`]
 //! 2. [`swarm`], [`store`], [`auth`]
-//! 3. [`convert`], [`persistence`], [`playback`], [`recording`], [`experiments`], [`health`],
-//!    [`backup`], [`config`]
+//! 3. [`convert`], [`persistence`], [`playback`], [`recording`], [`experiments`], [`jobs`],
+//!    [`health`], [`backup`], [`config`]
 //! 4. [`api`]: requests of clients
 //! 5. [`transport`]: zenoh and HTTP
 //! 6. [`app`]: start and stop
@@ -13,6 +13,9 @@
 //!
 //! The path of a command: [`transport`] receives a query, [`api`] parses and checks it, the swarm's
 //! thread ([`swarm`]) executes it between two steps, and the reply returns the same way.
+
+// `# Errors` sections are for functions whose error type does not say enough.
+#![allow(clippy::missing_errors_doc)]
 
 pub mod api;
 pub mod app;
@@ -23,6 +26,7 @@ pub mod config;
 pub mod convert;
 pub mod experiments;
 pub mod health;
+pub mod jobs;
 pub mod metrics;
 pub mod persistence;
 pub mod playback;

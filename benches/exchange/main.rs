@@ -119,10 +119,9 @@ async fn main() {
 /// A queryable that answers at once, on a session like the daemon's.
 async fn bare() {
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let opened =
-        jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Everybody, 100)
-            .await
-            .unwrap();
+    let opened = jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Open, 100)
+        .await
+        .unwrap();
     let session = &opened.session;
     let queryable = session
         .declare_queryable("jostle/*/cmd/**")

@@ -23,8 +23,7 @@ const BUSY: &str = r#"{"code":"busy","message":"too many requests wait already: 
 /// Serves commands: writes those that wait to a file together, syncs it and replies.
 pub async fn serve() {
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let opened =
-        jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Everybody, 64);
+    let opened = jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Open, 64);
     let opened = opened.await.unwrap();
     let session = &opened.session;
     let busy = ZBytes::from(BUSY);

@@ -24,7 +24,7 @@ pub async fn publish(daemon: &str, swarm: &str, clients: usize, (hz, every): (f6
 
     let listen = ["tcp/127.0.0.1:0".to_owned()];
     let session =
-        jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Everybody, clients);
+        jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Open, clients);
     let opened = session.await.unwrap();
     let session = &opened.session;
     let publisher = session

@@ -275,10 +275,9 @@ async fn bare() {
     let (bytes, hz) = told.split_once(' ').unwrap();
     let (bytes, hz): (usize, u32) = (bytes.parse().unwrap(), hz.parse().unwrap());
     let listen = ["tcp/127.0.0.1:0".to_owned()];
-    let opened =
-        jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Everybody, 100)
-            .await
-            .unwrap();
+    let opened = jostled::transport::zenoh::session::open(&listen, "jostle", &Rights::Open, 100)
+        .await
+        .unwrap();
     let session = &opened.session;
     let publisher = session
         .declare_publisher(keys::state("jostle", SWARM))

@@ -32,9 +32,6 @@ pub struct BeginRecordingArgs {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(regex(pattern = NAME_RULE))]
     pub recording: Option<String>,
-    /// How to write it.
-    #[serde(default)]
-    pub format: RecordingFormat,
     /// Record the states whose step is a multiple of this, each of them; the swarm's `publish_every`
     /// if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -66,14 +63,13 @@ pub struct RecordingName {
     pub recording: String,
 }
 
-/// How a recording is written.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+/// How a recording is written: as MCAP, unless an earlier version wrote it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum RecordingFormat {
     /// States, orders and events in the encodings in which they are published.
-    #[default]
     Mcap,
-    /// A table with a row for each individual and state.
+    /// A table with a row for each individual and state; only earlier versions wrote it.
     Parquet,
 }
 

@@ -19,7 +19,7 @@ use crate::auth::live::LiveRights;
 use crate::auth::{NotPermitted, Rights};
 use crate::convert::Payload;
 use crate::convert::commands::{self, CommandError};
-use crate::experiments::Lab;
+use crate::experiments::ExperimentManager;
 use crate::health::Watch;
 use crate::playback::Uploads;
 use crate::recording::Recordings;
@@ -27,7 +27,7 @@ use crate::store::Store;
 use crate::swarm::frame::Place;
 use crate::swarm::handle::{Handle, Ticket};
 use crate::swarm::outcome::{Answer, Outcome};
-use crate::swarm::registry::Host;
+use crate::swarm::registry::SwarmRegistry;
 
 /// The longest request without values of individuals, in bytes.
 const REQUEST_BYTES: usize = 64 * 1024;
@@ -60,7 +60,7 @@ pub struct Context {
     /// The connections.
     pub peers: Arc<dyn Peers>,
     /// The swarms.
-    pub host: Arc<Host>,
+    pub host: Arc<SwarmRegistry>,
     /// Sends replies.
     pub replies: Replies,
     /// The users and their roles.
@@ -74,9 +74,9 @@ pub struct Context {
     /// The schemas of all messages.
     pub schemas: Schemas,
     /// The experiments.
-    pub lab: Lab,
+    pub lab: ExperimentManager,
     /// Executes work on the files of the experiments.
-    pub experiment_files: Executor<Lab>,
+    pub experiment_files: Executor<ExperimentManager>,
     /// Recordings that clients upload.
     pub uploads: Arc<Uploads>,
     /// Recordings that the daemon writes.
@@ -146,7 +146,7 @@ impl Context {
     /// [`NotPermitted`].
     pub fn permit(&self, incoming: &Incoming) -> Result<(), NotPermitted> {
         match &*self.rights.current() {
-            Rights::Everybody => Ok(()),
+            Rights::Open => Ok(()),
             rights => rights.permit(incoming.token(), &incoming.verb()).map(drop),
         }
     }
@@ -155,7 +155,7 @@ impl Context {
     pub(crate) fn request(&self, incoming: &Incoming) -> Result<Request, CommandError> {
         let mut request = incoming.request(self.max_request_bytes())?;
         let rights = self.rights.current();
-        if let Rights::People { .. } = &*rights {
+        if let Rights::Users { .. } = &*rights {
             // A user may have been removed since the request was permitted: it must not be executed
             // without a name then.
             let sender = rights.sender(incoming.token(), &incoming.verb())?;

@@ -1,50 +1,50 @@
-//! Where a daemon is reached: what it listens on, the names in its certificate, and what the
-//! folders of its people say.
+//! The addresses of a daemon: the endpoints that it listens on, the names in its certificate, and
+//! the endpoint and URL in the folders of its users.
 
 use std::net::IpAddr;
 
 use serde::Deserialize;
 use toml::{Spanned, Value};
 
-use crate::auth::RightsError;
-use crate::auth::folder::{Folder, People, at, read, write};
+use crate::auth::AuthError;
+use crate::auth::folder::{Folder, PeopleFile, at, read, write};
 
-/// By what this machine always reaches itself.
+/// The names by which this machine reaches itself.
 pub const OWN_NAMES: [&str; 3] = ["localhost", "127.0.0.1", "::1"];
 
-/// Where a daemon listens unless a setting says otherwise.
+/// The default port and endpoints.
 const PORT: u16 = 7447;
 const DEFAULT_LISTEN: &str = "tcp/127.0.0.1:7447";
 const DEFAULT_HTTP: &str = "127.0.0.1:8080";
 
-/// What is to change of a daemon's addresses; what is not given stays as it is.
+/// A change of a daemon's addresses; what is not given stays as it is.
 #[derive(Clone, Debug, Default)]
 pub struct Reach {
     /// Names and addresses by which other machines reach the daemon.
     pub hosts: Vec<String>,
     /// Zenoh endpoints to listen on.
     pub listen: Option<Vec<String>>,
-    /// Where to serve HTTP; nowhere if empty.
+    /// The address for HTTP; empty to serve none.
     pub http: Option<String>,
 }
 
-/// Where a daemon is reached.
+/// The addresses of a daemon.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Address {
     /// Zenoh endpoints that it listens on.
     pub listen: Vec<String>,
-    /// Where it serves HTTP; nowhere if empty.
+    /// The address for HTTP; empty if it serves none.
     pub http: String,
     /// Names and addresses by which other machines reach it.
     pub hosts: Vec<String>,
-    /// Where people's clients connect.
+    /// The endpoint to which clients connect.
     pub endpoint: String,
-    /// Where people's browsers find the page, if HTTP is served.
+    /// The URL of the page, if HTTP is served.
     pub page: Option<String>,
 }
 
 /// An address and a port; a name in place of the address is kept as it is.
-struct Place {
+struct HostPort {
     host: String,
     port: u16,
 }
@@ -57,15 +57,18 @@ impl Reach {
 }
 
 impl Address {
-    /// The address of `folder` once `reach` is applied; `known` is what `people.json` says so far.
+    /// The address of `folder` once `reach` is applied; `known` is the present content of `people.json`.
     ///
     /// # Errors
     ///
-    /// [`RightsError`] when people would not know where to connect: port 0, or every address of the
-    /// machine without a name.
-    pub fn of(folder: &Folder, known: Option<&People>, reach: &Reach) -> Result<Self, RightsError> {
+    /// [`AuthError::AnyPort`] or [`AuthError::NoHost`] if clients could not connect to it.
+    pub fn of(
+        folder: &Folder,
+        known: Option<&PeopleFile>,
+        reach: &Reach,
+    ) -> Result<Self, AuthError> {
         if let Some(host) = reach.hosts.iter().find(|host| !is_host(host)) {
-            return Err(RightsError::Host(host.clone()));
+            return Err(AuthError::Host(host.clone()));
         }
         let hosts = hosts(known, reach)?;
         let (listen, http) = match settings(folder)? {
@@ -111,7 +114,7 @@ impl Address {
         let own = OWN_NAMES.map(str::to_owned);
         let listened = self.listen.iter().filter_map(|it| it.strip_prefix("tls/"));
         let served = self.http.strip_prefix("https://");
-        let places = listened.chain(served).filter_map(Place::read);
+        let places = listened.chain(served).filter_map(HostPort::read);
         let addresses = places
             .filter(|place| !place.is_everywhere())
             .map(|it| it.host);
@@ -128,23 +131,20 @@ impl Address {
         names
     }
 
-    /// Whether people connect to another machine by a name, while the daemon listens within its own
-    /// machine alone.
+    /// Whether clients would connect by the name of a machine, but the daemon listens on loopback
+    /// only.
     pub fn is_out_of_reach(&self) -> bool {
         let is_local = |endpoint: &String| {
-            let place = endpoint.split_once('/').and_then(|(_, it)| Place::read(it));
+            let place = endpoint
+                .split_once('/')
+                .and_then(|(_, it)| HostPort::read(it));
             place.is_none_or(|it| it.is_local())
         };
         !is_local(&self.endpoint) && self.listen.iter().all(is_local)
     }
 
-    /// Writes the settings that a daemon starts with; of those that are there only what `reach`
-    /// changes.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError`] when they cannot be read or written.
-    pub fn write_settings(&self, folder: &Folder, reach: &Reach) -> Result<(), RightsError> {
+    /// Writes the settings that a daemon starts with; in an existing file only what `reach` changes.
+    pub fn write_settings(&self, folder: &Folder, reach: &Reach) -> Result<(), AuthError> {
         let made = settings(folder)?;
         let listen = match &self.listen[..] {
             [one] => format!("{one:?}"),
@@ -167,7 +167,7 @@ impl Address {
                 if reach.http.is_some() {
                     changes.push(("http", settings.http, http));
                 }
-                // From the end, so that what is before stays where it is.
+                // From the end, so that earlier spans stay valid.
                 changes.sort_by_key(|(_, old, _)| old.as_ref().map(|old| old.span().start));
                 for (name, old, new) in changes.into_iter().rev() {
                     match old {
@@ -182,13 +182,13 @@ impl Address {
     }
 }
 
-impl Place {
-    /// Reads `127.0.0.1:7447`, `[::1]:7447`, `lab.example:7447`, with zenoh's `#iface=…` behind it.
+impl HostPort {
+    /// Reads `127.0.0.1:7447`, `[::1]:7447`, `lab.example:7447`, followed by zenoh's `#iface=…`.
     fn read(address: &str) -> Option<Self> {
         let address = address.split(['?', '#']).next()?;
         let (host, port) = address.rsplit_once(':')?;
         let bare = host.strip_prefix('[').and_then(|it| it.strip_suffix(']'));
-        Some(Place {
+        Some(HostPort {
             host: bare.unwrap_or(host).to_owned(),
             port: port.parse().ok()?,
         })
@@ -205,14 +205,14 @@ impl Place {
         self.host == "*" || address.is_ok_and(|it| it.is_unspecified())
     }
 
-    /// The same port, by the name that other machines use.
-    fn reached_by(&self, told: &str, host: Option<&String>) -> Result<String, RightsError> {
+    /// The host and port by which clients connect.
+    fn reached_by(&self, told: &str, host: Option<&String>) -> Result<String, AuthError> {
         if self.port == 0 {
-            return Err(RightsError::AnyPort(told.to_owned()));
+            return Err(AuthError::AnyPort(told.to_owned()));
         }
         let host = match host {
             Some(host) => host,
-            None if self.is_everywhere() => return Err(RightsError::NoHost(told.to_owned())),
+            None if self.is_everywhere() => return Err(AuthError::NoHost(told.to_owned())),
             None => &self.host,
         };
         Ok(match host.contains(':') {
@@ -223,7 +223,7 @@ impl Place {
 }
 
 /// The names by which other machines reach the daemon.
-fn hosts(known: Option<&People>, reach: &Reach) -> Result<Vec<String>, RightsError> {
+fn hosts(known: Option<&PeopleFile>, reach: &Reach) -> Result<Vec<String>, AuthError> {
     if !reach.hosts.is_empty() {
         return Ok(reach.hosts.clone());
     }
@@ -231,16 +231,16 @@ fn hosts(known: Option<&People>, reach: &Reach) -> Result<Vec<String>, RightsErr
         return Ok(Vec::new());
     };
     // Earlier versions recorded the first name only, as part of the endpoint.
-    let place = known.endpoint.strip_prefix("tls/").and_then(Place::read);
+    let place = known.endpoint.strip_prefix("tls/").and_then(HostPort::read);
     match (&known.hosts, place) {
         (Some(hosts), _) => Ok(hosts.clone()),
-        (None, Some(place)) if !place.is_local() => Err(RightsError::HostsUnknown(place.host)),
+        (None, Some(place)) if !place.is_local() => Err(AuthError::HostsUnknown(place.host)),
         _ => Ok(Vec::new()),
     }
 }
 
-/// Where people's clients connect: the first endpoint over TLS, by the first name of the daemon.
-fn endpoint(listen: &[String], hosts: &[String], is_moved: bool) -> Result<String, RightsError> {
+/// The endpoint to which clients connect: the first one over TLS, by the first name of the daemon.
+fn endpoint(listen: &[String], hosts: &[String], is_moved: bool) -> Result<String, AuthError> {
     let over_tls = listen.iter().find(|it| it.starts_with("tls/"));
     let Some(told) = over_tls.or(listen.first()) else {
         return Ok(DEFAULT_LISTEN.to_owned());
@@ -250,19 +250,19 @@ fn endpoint(listen: &[String], hosts: &[String], is_moved: bool) -> Result<Strin
     if protocol == "unixsock-stream" {
         return Ok(bare.to_owned());
     }
-    let place = Place::read(address).ok_or_else(|| RightsError::NoPort(told.clone()))?;
+    let place = HostPort::read(address).ok_or_else(|| AuthError::NoPort(told.clone()))?;
     let by_name = protocol == "tls" && (is_moved || !place.is_local());
     let host = hosts.first().filter(|_| by_name);
     Ok(format!("{protocol}/{}", place.reached_by(told, host)?))
 }
 
-/// Where people's browsers find the page: over TLS by the first name of the daemon.
-fn page(http: &str, hosts: &[String]) -> Result<Option<String>, RightsError> {
+/// The URL of the page: over TLS by the first name of the daemon.
+fn page(http: &str, hosts: &[String]) -> Result<Option<String>, AuthError> {
     let (scheme, address) = match http.split_once("://") {
         Some((scheme, address)) => (scheme, address),
         None => ("http", http),
     };
-    let Some(place) = Place::read(address) else {
+    let Some(place) = HostPort::read(address) else {
         return Ok(None);
     };
     let by_name = scheme == "https" && !place.is_local();
@@ -279,14 +279,14 @@ struct Made {
     settings: Settings,
 }
 
-/// What it says of addresses, and where.
+/// The addresses in it, with their positions.
 #[derive(Deserialize)]
 struct Settings {
     listen: Option<Spanned<Value>>,
     http: Option<Spanned<Value>>,
 }
 
-fn settings(folder: &Folder) -> Result<Option<Made>, RightsError> {
+fn settings(folder: &Folder) -> Result<Option<Made>, AuthError> {
     let path = folder.settings_file();
     if !path.exists() {
         return Ok(None);
@@ -294,14 +294,14 @@ fn settings(folder: &Folder) -> Result<Option<Made>, RightsError> {
     let text = read(&path)?;
     match toml::from_str(&text) {
         Ok(settings) => Ok(Some(Made { text, settings })),
-        Err(error) => Err(RightsError::Content {
+        Err(error) => Err(AuthError::Content {
             path,
             problem: error.to_string(),
         }),
     }
 }
 
-/// The texts of a list, which may also be one text with commas.
+/// The strings of a list, or of a string with commas.
 fn texts(value: &Value) -> Vec<String> {
     let parts: Vec<&str> = match value {
         Value::Array(values) => values.iter().filter_map(Value::as_str).collect(),
@@ -311,8 +311,7 @@ fn texts(value: &Value) -> Vec<String> {
     parts.filter(|it| !it.is_empty()).collect()
 }
 
-/// Whether a machine can be reached by this: an address, or a name of letters, digits and hyphens
-/// between dots.
+/// Whether it is an IP address, or a name of letters, digits and hyphens between dots.
 fn is_host(host: &str) -> bool {
     let is_label = |label: &str| {
         let plain = |c: char| c.is_ascii_alphanumeric() || c == '-';

@@ -1,4 +1,4 @@
-//! Certificates of a private authority: the daemon's, and one for each person.
+//! Certificates of a private authority: the daemon's, and one for each user.
 
 use rcgen::{
     BasicConstraints, CertificateParams, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
@@ -6,20 +6,20 @@ use rcgen::{
 };
 use time::{Duration, OffsetDateTime};
 
-/// How long the authority's own certificate holds.
+/// The lifetime of the authority's certificate.
 const AUTHORITY_DAYS: i64 = 3650;
 
-/// How long the daemon's certificate holds, and people's: whoever has left is also gone from
-/// `people.json`.
+/// The lifetime of the certificates of the daemon and of users. There is no revocation list: removed
+/// users are no longer in `people.json`.
 pub const DAYS: i64 = 825;
 
-/// By how much the clocks of two machines may differ.
+/// The tolerated difference between the clocks of two machines.
 const SKEW: Duration = Duration::hours(24);
 
-/// What the authority is called.
+/// The common name of the authority.
 const AUTHORITY: &str = "jostle";
 
-/// What the daemon is called, and therefore nobody else.
+/// The common name of the daemon, which no user may have.
 pub const DAEMON: &str = "jostled";
 
 /// A certificate and its key, both as PEM.
@@ -30,53 +30,33 @@ pub struct Pair {
     pub key: String,
 }
 
-/// A private authority, which signs.
+/// A private certificate authority.
 pub struct Authority(Issuer<'static, KeyPair>);
 
 impl Authority {
-    /// The key of a new one, as PEM.
-    ///
-    /// # Errors
-    ///
-    /// When no key can be made.
+    /// Generates the key of a new authority, as PEM.
     pub fn draw() -> Result<String, rcgen::Error> {
         Ok(KeyPair::generate()?.serialize_pem())
     }
 
-    /// The one that has this key.
-    ///
-    /// # Errors
-    ///
-    /// When it is no key.
+    /// The authority with this key.
     pub fn of_key(key: &str) -> Result<Self, rcgen::Error> {
         let key = KeyPair::from_pem(key)?;
         Ok(Authority(Issuer::new(authority()?, key)))
     }
 
     /// Its own certificate, as PEM.
-    ///
-    /// # Errors
-    ///
-    /// When it cannot be signed.
     pub fn certificate(&self) -> Result<String, rcgen::Error> {
         Ok(authority()?.self_signed(self.0.key())?.pem())
     }
 
-    /// A certificate for the daemon, which is reached by these names and addresses.
-    ///
-    /// # Errors
-    ///
-    /// For a name that cannot be one.
+    /// A certificate for the daemon, with its names and addresses.
     pub fn certify_daemon(&self, hosts: &[String]) -> Result<Pair, rcgen::Error> {
         let params = CertificateParams::new(hosts)?;
         self.certify(params, DAEMON, ExtendedKeyUsagePurpose::ServerAuth)
     }
 
-    /// A certificate for a person, whose name is its common name.
-    ///
-    /// # Errors
-    ///
-    /// When no key can be made.
+    /// A certificate for a user, whose name is its common name.
     pub fn certify_person(&self, name: &str) -> Result<Pair, rcgen::Error> {
         let params = CertificateParams::default();
         self.certify(params, name, ExtendedKeyUsagePurpose::ClientAuth)
@@ -101,7 +81,7 @@ impl Authority {
     }
 }
 
-/// What the authority says of itself; the same each time, but for the dates.
+/// The parameters of the authority's certificate; constant except for the dates.
 fn authority() -> Result<CertificateParams, rcgen::Error> {
     let mut params = CertificateParams::new(Vec::new())?;
     params
@@ -113,12 +93,12 @@ fn authority() -> Result<CertificateParams, rcgen::Error> {
     Ok(params)
 }
 
-/// The last day of a certificate that is made today, as `2029-02-24`.
+/// The last day of a certificate that is issued today, as `2029-02-24`.
 pub fn last_day() -> String {
     in_days(DAYS)
 }
 
-/// The day that is so many days from today; in this form later ones come after earlier ones.
+/// The date in so many days, in a form that sorts by time.
 pub fn in_days(days: i64) -> String {
     let day = OffsetDateTime::now_utc() + Duration::days(days);
     day.date().to_string()

@@ -1,12 +1,12 @@
-//! The folder that `jostled auth init` makes: what is in it, and how it is read.
+//! The folder that `jostled auth init` creates: its files, and how they are read and written.
 //!
 //! ```text
 //! ca.pem  ca-key.pem          the private certificate authority
 //! daemon.pem  daemon-key.pem  the daemon's own certificate
-//! people.json                 who there is: name, role, hash of the token; where the daemon is reached
-//! passwords                   what sessions are opened with, as zenoh reads it
-//! jostled.toml                settings to begin from: `jostled --config`
-//! people/NAME/                what is handed to a person
+//! people.json                 the users: name, role, hash of the token; the addresses of the daemon
+//! passwords                   the passwords of zenoh sessions, as zenoh reads them
+//! jostled.toml                settings to start with: `jostled --config`
+//! people/NAME/                the folder to hand to a user
 //! ```
 
 use std::fs::{self, File};
@@ -17,15 +17,15 @@ use jostle_proto::{Credentials, Role};
 use rustix::process::geteuid;
 use serde::{Deserialize, Serialize};
 
-use crate::auth::{RightsError, secret};
+use crate::auth::{AuthError, secret};
 
-/// A person as `people.json` has them.
+/// A user in `people.json`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Entry {
+pub struct UserEntry {
     /// Their name.
     pub person: String,
-    /// What they are.
+    /// Their role.
     pub role: Role,
     /// BLAKE3 of their token, in hexadecimal.
     pub token_hash: String,
@@ -34,13 +34,13 @@ pub struct Entry {
     pub until: Option<String>,
 }
 
-/// What `people.json` says.
+/// The content of `people.json`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct People {
-    /// Where people are to look for the daemon.
+pub struct PeopleFile {
+    /// The endpoint to which clients connect.
     pub endpoint: String,
-    /// Where they find its page, if it serves HTTP. Older files do not have it.
+    /// The URL of its page, if it serves HTTP. Older files do not have it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub page: Option<String>,
     /// The names by which other machines reach the daemon. Older files do not have them.
@@ -49,21 +49,21 @@ pub struct People {
     /// The last day of the daemon's certificate.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub until: Option<String>,
-    /// Everybody, by name.
-    pub people: Vec<Entry>,
+    /// The users by name.
+    pub people: Vec<UserEntry>,
 }
 
-/// Where people's rights and secrets are.
+/// The folder with the users and their secrets.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Folder(PathBuf);
 
 impl Folder {
-    /// The folder at `path`, which may not be there yet.
+    /// The folder at `path`, which need not exist.
     pub fn at(path: PathBuf) -> Self {
         Folder(path)
     }
 
-    /// Where it is.
+    /// Its path.
     pub fn path(&self) -> &Path {
         &self.0
     }
@@ -83,27 +83,23 @@ impl Folder {
         self.0.join("passwords")
     }
 
-    /// Who there is.
+    /// The file with the users.
     pub fn people_file(&self) -> PathBuf {
         self.0.join("people.json")
     }
 
-    /// Settings to begin from.
+    /// The settings to start with.
     pub fn settings_file(&self) -> PathBuf {
         self.0.join("jostled.toml")
     }
 
-    /// What is handed to a person.
+    /// The folder to hand to a user.
     pub fn of(&self, person: &str) -> PathBuf {
         self.0.join("people").join(person)
     }
 
-    /// Whose folders are here.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError::File`] when one may not look.
-    pub fn handed(&self) -> Result<Vec<String>, RightsError> {
+    /// The users whose folders have not been moved away.
+    pub fn user_folders(&self) -> Result<Vec<String>, AuthError> {
         let path = self.0.join("people");
         if matches!(path.try_exists(), Ok(false)) {
             return Ok(Vec::new());
@@ -115,59 +111,39 @@ impl Folder {
             .map_err(|error| at(&path, error))
     }
 
-    /// Keeps others from changing it meanwhile; waits for those who do.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError::File`] when it is not there.
-    pub fn hold(&self) -> Result<File, RightsError> {
+    /// Locks the folder against concurrent changes.
+    pub fn lock(&self) -> Result<File, AuthError> {
         let folder = File::open(&self.0).map_err(|error| at(&self.0, error))?;
         folder.lock().map_err(|error| at(&self.0, error))?;
         Ok(folder)
     }
 
-    /// Whether it has people, or is to have some.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError::File`] when one may not look.
-    pub fn is_made(&self) -> Result<bool, RightsError> {
+    /// Whether it has been created.
+    pub fn is_made(&self) -> Result<bool, AuthError> {
         let path = self.people_file();
         path.try_exists().map_err(|error| at(&path, error))
     }
 
-    /// Who there is.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError`] when the file is not there or is none.
-    pub fn people(&self) -> Result<People, RightsError> {
+    /// The users and the addresses of the daemon.
+    pub fn people(&self) -> Result<PeopleFile, AuthError> {
         match self.is_made()? {
             true => read_json(&self.people_file()),
-            false => Err(RightsError::Nothing(self.0.clone())),
+            false => Err(AuthError::NoUsers(self.0.clone())),
         }
     }
 
-    /// A person's own secrets, while they lie here.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError`] when there are none.
-    pub fn credentials(&self, person: &str) -> Result<Credentials, RightsError> {
+    /// The secrets of a user whose folder has not been moved away.
+    pub fn credentials(&self, person: &str) -> Result<Credentials, AuthError> {
         read_json(&self.of(person).join(Credentials::FILE))
     }
 
     /// The passwords, as pairs of name and password.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError`] when the file is not there or is none.
-    pub fn passwords(&self) -> Result<Vec<(String, String)>, RightsError> {
+    pub fn passwords(&self) -> Result<Vec<(String, String)>, AuthError> {
         let path = self.passwords_file();
         let text = read(&path)?;
-        let wrong = || RightsError::Content {
+        let wrong = || AuthError::Content {
             path: path.clone(),
-            problem: "has a line that is no NAME:PASSWORD".into(),
+            problem: "has a line that is not NAME:PASSWORD".into(),
         };
         let pairs = text.lines().map(|line| match line.split_once(':') {
             Some((person, password)) if !person.is_empty() && !password.is_empty() => {
@@ -178,14 +154,10 @@ impl Folder {
         pairs.collect()
     }
 
-    /// Refuses what others can change, and secrets that others can read.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError`], with the remedy.
-    pub fn check(&self) -> Result<(), RightsError> {
+    /// Rejects files that other users can write, and secrets that other users can read.
+    pub fn check(&self) -> Result<(), AuthError> {
         if !self.is_made()? {
-            return Err(RightsError::Nothing(self.0.clone()));
+            return Err(AuthError::NoUsers(self.0.clone()));
         }
         let ([authority, authority_key], [certificate, key]) = (self.authority(), self.daemon());
         let needed = [&authority, &certificate, &key];
@@ -193,7 +165,7 @@ impl Folder {
             .into_iter()
             .find(|it| matches!(it.try_exists(), Ok(false)))
         {
-            return Err(RightsError::Missing(missing.clone()));
+            return Err(AuthError::Missing(missing.clone()));
         }
         for path in [&self.0, &self.people_file(), &authority, &certificate] {
             check_owner(path)?;
@@ -205,32 +177,24 @@ impl Folder {
             .chain(authority_key)
         {
             if check_owner(&path)? & 0o044 != 0 {
-                return Err(RightsError::Open(path));
+                return Err(AuthError::Readable(path));
             }
         }
         Ok(())
     }
 
-    /// Refuses a folder or a `people.json` that others can change.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError`], with the remedy.
-    pub fn check_people(&self) -> Result<(), RightsError> {
+    /// Rejects a folder or a `people.json` that other users can write.
+    pub fn check_people(&self) -> Result<(), AuthError> {
         check_owner(&self.0)?;
         match self.is_made()? {
             true => check_owner(&self.people_file()).map(drop),
-            false => Err(RightsError::Nothing(self.0.clone())),
+            false => Err(AuthError::NoUsers(self.0.clone())),
         }
     }
 
     /// Rejects a folder that other users can write. Root may change the folder of a daemon that
     /// runs as another user.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError`], with the remedy.
-    pub fn check_own(&self) -> Result<(), RightsError> {
+    pub fn check_own(&self) -> Result<(), AuthError> {
         let checked = match geteuid().is_root() {
             true => check_mode(&self.0),
             false => check_owner(&self.0),
@@ -238,21 +202,13 @@ impl Folder {
         checked.map(drop)
     }
 
-    /// Writes who there is.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError::File`].
-    pub fn write_people(&self, people: &People) -> Result<(), RightsError> {
+    /// Writes the users.
+    pub fn write_people(&self, people: &PeopleFile) -> Result<(), AuthError> {
         write_json(&self.people_file(), people)
     }
 
     /// Writes the passwords.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError::File`].
-    pub fn write_passwords(&self, passwords: &[(String, String)]) -> Result<(), RightsError> {
+    pub fn write_passwords(&self, passwords: &[(String, String)]) -> Result<(), AuthError> {
         let lines = passwords.iter();
         let lines: String = lines
             .map(|(person, password)| format!("{person}:{password}\n"))
@@ -261,52 +217,53 @@ impl Folder {
     }
 }
 
-/// The mode of what only its owner can change, and that is whoever reads it, or root.
-fn check_owner(path: &Path) -> Result<u32, RightsError> {
+/// Checks that a file belongs to the present user or root, and that only its owner can write it.
+/// Returns its mode.
+fn check_owner(path: &Path) -> Result<u32, AuthError> {
     let metadata = fs::metadata(path).map_err(|error| at(path, error))?;
     let own = [0, geteuid().as_raw()];
     if !own.contains(&metadata.uid()) {
-        return Err(RightsError::Foreign(path.to_owned()));
+        return Err(AuthError::Foreign(path.to_owned()));
     }
     check_mode(path)
 }
 
-/// The mode of what only its owner can change.
-fn check_mode(path: &Path) -> Result<u32, RightsError> {
+/// Checks that only its owner can write a file. Returns its mode.
+fn check_mode(path: &Path) -> Result<u32, AuthError> {
     let mode = fs::metadata(path).map_err(|error| at(path, error))?.mode();
     match mode & 0o022 {
         0 => Ok(mode),
-        _ => Err(RightsError::Changeable(path.to_owned())),
+        _ => Err(AuthError::Writable(path.to_owned())),
     }
 }
 
 /// Reads a file.
-pub(super) fn read(path: &Path) -> Result<String, RightsError> {
+pub(super) fn read(path: &Path) -> Result<String, AuthError> {
     fs::read_to_string(path).map_err(|error| at(path, error))
 }
 
-/// Writes a file for nobody else to read.
-pub(super) fn write(path: &Path, text: &str) -> Result<(), RightsError> {
+/// Writes a file that only its owner can read.
+pub(super) fn write(path: &Path, text: &str) -> Result<(), AuthError> {
     secret::write(path, text).map_err(|error| at(path, error))
 }
 
-/// Writes a value as JSON for nobody else to read.
-pub(super) fn write_json<T: Serialize + ?Sized>(path: &Path, value: &T) -> Result<(), RightsError> {
+/// Writes a value as JSON that only its owner can read.
+pub(super) fn write_json<T: Serialize + ?Sized>(path: &Path, value: &T) -> Result<(), AuthError> {
     let text = serde_json::to_string_pretty(value);
     let text = text.map_err(|error| at(path, error.into()))?;
     write(path, &format!("{text}\n"))
 }
 
-/// What the system says of a file.
-pub(super) fn at(path: &Path, error: std::io::Error) -> RightsError {
-    RightsError::File {
+/// An error that names `path`.
+pub(super) fn at(path: &Path, error: std::io::Error) -> AuthError {
+    AuthError::File {
         path: path.to_owned(),
         error,
     }
 }
 
-fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<T, RightsError> {
-    serde_json::from_str(&read(path)?).map_err(|error| RightsError::Content {
+fn read_json<T: for<'de> Deserialize<'de>>(path: &Path) -> Result<T, AuthError> {
+    serde_json::from_str(&read(path)?).map_err(|error| AuthError::Content {
         path: path.to_owned(),
         problem: error.to_string(),
     })

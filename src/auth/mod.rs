@@ -1,17 +1,18 @@
-//! Who may do what: the people of a daemon, their roles and their tokens.
+//! Authorization: the users of a daemon, their roles and their tokens.
 //!
-//! A query does not tell whose session it came over, so each request brings a token along; zenoh's
-//! own access control, which knows the session's name and certificate, stands before that.
+//! zenoh does not expose the session of a query, so each request carries a token. zenoh's own access
+//! control, which knows the name and certificate of the session, is checked before.
 
 pub mod address;
 pub mod certificates;
+mod error;
 pub mod folder;
 pub mod issue;
 pub mod live;
 pub mod secret;
+mod user_folder;
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 use blake3::Hash;
 use jostle_proto::Role;
@@ -19,112 +20,34 @@ use jostle_proto::role::{is_controller_of, is_person, refusal};
 use thiserror::Error;
 
 use crate::auth::certificates::in_days;
-use crate::auth::folder::{Entry, Folder};
+pub use crate::auth::error::AuthError;
+use crate::auth::folder::{Folder, UserEntry};
 
-/// Between a person's name and what their client calls itself: no name has it.
+/// The separator between the name of a user and the name of their client; user names cannot contain
+/// it.
 const BEFORE_CLAIM: char = ':';
 
-/// Why people's rights cannot be read or given.
-#[derive(Debug, Error)]
-pub enum RightsError {
-    /// A file cannot be read or written.
-    #[error("{path}: {error}")]
-    File {
-        /// Which.
-        path: PathBuf,
-        /// What the system says.
-        error: std::io::Error,
-    },
-    /// There is nothing of the kind.
-    #[error("{0} has no people.json: `jostled auth init --auth-dir {0}` makes it")]
-    Nothing(PathBuf),
-    /// A file says what it cannot say.
-    #[error("{path}: {problem}")]
-    Content {
-        /// Which.
-        path: PathBuf,
-        /// What is wrong.
-        problem: String,
-    },
-    /// Others can read a secret.
-    #[error("{0} can be read by others: `chmod go= {0}`, and give new secrets if anybody did")]
-    Open(PathBuf),
-    /// Others can change what decides who may what.
-    #[error("{0} can be changed by others: `chmod go-w {0}`, once you know that nobody did")]
-    Changeable(PathBuf),
-    /// What decides that is somebody else's.
-    #[error("{0} belongs to somebody else: `chown` it to whom the daemon runs as")]
-    Foreign(PathBuf),
-    /// Something is missing that can be made again.
-    #[error("{0} is missing: `jostled auth init` with the daemon's names makes it again")]
-    Missing(PathBuf),
-    /// The authority is elsewhere.
-    #[error("{0} is not here, and nobody can be added without: put it back for as long")]
-    NoAuthority(PathBuf),
-    /// A person's name.
-    #[error(
-        "{0:?} is no person's name: 1 to 64 of a-z, 0-9 and _, the first a letter or digit; and \
-         jostled is the daemon's own"
-    )]
-    Name(String),
-    /// A machine's name or address.
-    #[error("{0:?} is neither a name nor an address of a machine, such as lab.example or 10.0.0.1")]
-    Host(String),
-    /// Every address of a machine, and no name to reach it by.
-    #[error(
-        "{0} is every address of this machine: name one by which others reach it, \
-         --host lab.example"
-    )]
-    NoHost(String),
-    /// A port that differs at each start.
-    #[error("{0} picks a new port at each start, but credentials contain a fixed one: give a port")]
-    AnyPort(String),
-    /// An endpoint without a port.
-    #[error("{0:?} has no port: give tls/ADDRESS:PORT")]
-    NoPort(String),
-    /// Names that an earlier version did not record.
-    #[error(
-        "an earlier version made the certificate, and did not record its names: give all of them, \
-         --host {0} and so on"
-    )]
-    HostsUnknown(String),
-    /// The person is there already.
-    #[error(
-        "{0} is there already: `jostled auth remove {0}` first, to give new secrets or another role"
-    )]
-    There(String),
-    /// The same name twice in one command.
-    #[error("{0} is named twice: give each name once")]
-    Twice(String),
-    /// There is no such person.
-    #[error("there is nobody called {0:?}: `jostled auth list` shows who there is")]
-    Nobody(String),
-    /// A name or an address that no certificate can be made for.
-    #[error("no certificate can be made: {0}")]
-    Certificate(#[from] rcgen::Error),
-}
-
-/// Somebody the daemon knows.
+/// A user of the daemon.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Person {
+pub struct User {
     /// Their name.
     pub name: String,
-    /// What they are.
+    /// Their role.
     pub role: Role,
 }
 
-/// Who may do what.
+/// Who is authorized.
 #[derive(Clone, Default, PartialEq, Eq)]
 pub enum Rights {
-    /// Whoever reaches the daemon may do everything.
+    /// Every client may send every request.
     #[default]
-    Everybody,
-    /// These people, by the hashes of their tokens.
-    People {
-        /// Where their secrets are.
+    Open,
+    /// Clients with the token of a user may send what the user's role permits.
+    Users {
+        /// The folder with their secrets.
         folder: Folder,
-        /// Who they are.
-        people: BTreeMap<[u8; 32], Person>,
+        /// The users by the hashes of their tokens.
+        users: BTreeMap<[u8; 32], User>,
         /// The last day of the daemon's certificate, if that is known.
         until: Option<String>,
     },
@@ -133,71 +56,63 @@ pub enum Rights {
 /// Why a request is not permitted.
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum NotPermitted {
-    /// It takes another role.
-    #[error("{}", refusal(person.as_ref().map(|it| (it.name.as_str(), it.role)), verb))]
+    /// The verb requires another role.
+    #[error("{}", refusal(user.as_ref().map(|it| (it.name.as_str(), it.role)), verb))]
     Verb {
-        /// Whose request it is; nobody's, if its token is no one's.
-        person: Option<Person>,
-        /// What was asked for.
+        /// The sender; `None` if the token is unknown.
+        user: Option<User>,
+        /// The verb.
         verb: String,
     },
-    /// It speaks for somebody else's controller.
+    /// The controller belongs to another user.
     #[error(
-        "you are {person}: a controller of yours is called {person}, or {person}- and more, and \
-         not {controller}"
+        "you are {user}: a controller of yours is called {user}, or {user}- and more, and not \
+         {controller}"
     )]
     Controller {
-        /// Whose request it is.
-        person: String,
-        /// Whom it speaks for.
+        /// The sender.
+        user: String,
+        /// The name of the controller.
         controller: String,
     },
 }
 
 impl Rights {
     /// Reads the folder that `jostled auth init` made.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError`] when it is not there, not whole, or open to others.
-    pub fn read(folder: Folder) -> Result<Self, RightsError> {
+    pub fn read(folder: Folder) -> Result<Self, AuthError> {
         folder.check()?;
-        let _held = folder.hold()?;
-        // zenoh reads them, and would say less of what is wrong.
+        let _locked = folder.lock()?;
+        // zenoh reads them as well, with less specific errors.
         folder.passwords()?;
         let known = folder.people()?;
-        let people = by_token(&folder, known.people)?;
-        if people.is_empty() {
-            // With no password to ask for, zenoh would ask for none.
-            return Err(RightsError::Content {
+        let users = by_token(&folder, known.people)?;
+        if users.is_empty() {
+            // Without passwords zenoh would not authenticate sessions.
+            return Err(AuthError::Content {
                 path: folder.people_file(),
-                problem: "there is nobody: `jostled auth add NAME=ROLE`".into(),
+                problem: "it has no users: `jostled auth add NAME=ROLE` adds one".into(),
             });
         }
         let until = known.until;
-        Ok(Rights::People {
+        Ok(Rights::Users {
             folder,
-            people,
+            users,
             until,
         })
     }
 
-    /// The last day of the daemon's certificate, if that is over.
+    /// The last day of the daemon's certificate, if it has expired.
     pub fn ended(&self) -> Option<String> {
         match self {
-            Rights::People { until, .. } => until.clone().filter(|it| *it < in_days(0)),
-            Rights::Everybody => None,
+            Rights::Users { until, .. } => until.clone().filter(|it| *it < in_days(0)),
+            Rights::Open => None,
         }
     }
 
-    /// What is to be put in order, and how, a line each: certificates that end within so many days,
-    /// and passwords of nobody, which let in and nothing more.
-    ///
-    /// # Errors
-    ///
-    /// [`RightsError`] when who there is cannot be read.
-    pub fn notices(&self, days: i64) -> Result<Vec<String>, RightsError> {
-        let Rights::People { folder, .. } = self else {
+    /// Warnings with their remedies: about certificates that expire within so many days, and about
+    /// passwords without a user, which open a session without rights.
+    pub fn expiry_warnings(&self, days: i64) -> Result<Vec<String>, AuthError> {
+        let Rights::Users { folder, .. } = self else {
             return Ok(Vec::new());
         };
         let known = folder.people()?;
@@ -206,14 +121,14 @@ impl Rights {
         let mut lines = Vec::new();
         if let Some(until) = known.until.filter(|it| *it <= soon) {
             lines.push(format!(
-                "the daemon's certificate holds until {until}: `jostled auth init --host NAME` with \
-                 each of its names makes a new one"
+                "the daemon's certificate expires on {until}: `jostled auth init --host NAME` with \
+                 each of its names issues a new one"
             ));
         }
         for entry in known.people.iter().filter(|it| is_soon(&it.until)) {
-            let Entry { person, role, .. } = entry;
+            let UserEntry { person, role, .. } = entry;
             lines.push(format!(
-                "the certificate of {person} holds until {}: `jostled auth remove {person}` and \
+                "the certificate of {person} expires on {}: `jostled auth remove {person}` and \
                  `jostled auth add {person}={role}` make a new folder",
                 entry.until.as_deref().unwrap_or_default()
             ));
@@ -221,55 +136,51 @@ impl Rights {
         for (person, _) in folder.passwords()? {
             if !known.people.iter().any(|entry| entry.person == person) {
                 lines.push(format!(
-                    "{person} is nobody and has a password still: `jostled auth remove {person}` \
-                     takes it away"
+                    "{person} is no user but has a password: `jostled auth remove {person}` removes it"
                 ));
             }
         }
         Ok(lines)
     }
 
-    /// Everybody the daemon knows; none where whoever reaches it may do everything.
-    pub fn people(&self) -> Option<impl Iterator<Item = &Person>> {
+    /// The users; `None` if the daemon is open.
+    pub fn users(&self) -> Option<impl Iterator<Item = &User>> {
         match self {
-            Rights::Everybody => None,
-            Rights::People { people, .. } => Some(people.values()),
+            Rights::Open => None,
+            Rights::Users { users, .. } => Some(users.values()),
         }
     }
 
-    /// Who sends a request that bears this token; `None` where everybody may do everything.
+    /// The sender of a request with this token; `None` if the daemon is open.
     ///
     /// # Errors
     ///
-    /// [`NotPermitted::Verb`] if no person has this token.
-    pub fn sender(&self, token: &[u8], verb: &str) -> Result<Option<&Person>, NotPermitted> {
+    /// [`NotPermitted::Verb`] if no user has this token.
+    pub fn sender(&self, token: &[u8], verb: &str) -> Result<Option<&User>, NotPermitted> {
         match (self, self.owner(token)) {
-            (Rights::Everybody, _) => Ok(None),
-            (Rights::People { .. }, Some(person)) => Ok(Some(person)),
-            (Rights::People { .. }, None) => Err(NotPermitted::Verb {
-                person: None,
+            (Rights::Open, _) => Ok(None),
+            (Rights::Users { .. }, Some(user)) => Ok(Some(user)),
+            (Rights::Users { .. }, None) => Err(NotPermitted::Verb {
+                user: None,
                 verb: verb.to_owned(),
             }),
         }
     }
 
-    /// Whose token this is. By its hash, so that how long it takes tells nothing of another.
-    pub fn owner(&self, token: &[u8]) -> Option<&Person> {
+    /// The user with this token. The lookup is by hash, so that its duration reveals nothing about
+    /// other tokens.
+    pub fn owner(&self, token: &[u8]) -> Option<&User> {
         match self {
-            Rights::Everybody => None,
-            Rights::People { people, .. } => people.get(blake3::hash(token).as_bytes()),
+            Rights::Open => None,
+            Rights::Users { users, .. } => users.get(blake3::hash(token).as_bytes()),
         }
     }
 
-    /// Who asks for `verb`, if they may: nobody in particular where everybody may.
-    ///
-    /// # Errors
-    ///
-    /// [`NotPermitted`].
-    pub fn permit(&self, token: &[u8], verb: &str) -> Result<Option<&Person>, NotPermitted> {
+    /// The sender of a request for `verb`, if it is permitted; `None` if the daemon is open.
+    pub fn permit(&self, token: &[u8], verb: &str) -> Result<Option<&User>, NotPermitted> {
         match self.sender(token, verb)? {
-            Some(person) if !person.role.may(verb) => Err(NotPermitted::Verb {
-                person: Some(person.clone()),
+            Some(user) if !user.role.may(verb) => Err(NotPermitted::Verb {
+                user: Some(user.clone()),
                 verb: verb.to_owned(),
             }),
             sender => Ok(sender),
@@ -277,35 +188,35 @@ impl Rights {
     }
 }
 
-/// The people of `people.json`, by the hashes of their tokens.
+/// The users of `people.json`, by the hashes of their tokens.
 fn by_token(
     folder: &Folder,
-    entries: Vec<Entry>,
-) -> Result<BTreeMap<[u8; 32], Person>, RightsError> {
-    let mut people = BTreeMap::new();
+    entries: Vec<UserEntry>,
+) -> Result<BTreeMap<[u8; 32], User>, AuthError> {
+    let mut users = BTreeMap::new();
     for entry in entries {
-        let wrong = |problem: &str| RightsError::Content {
+        let wrong = |problem: &str| AuthError::Content {
             path: folder.people_file(),
             problem: format!("{}: {problem}", entry.person),
         };
         if !is_person(&entry.person) {
-            return Err(RightsError::Name(entry.person));
+            return Err(AuthError::Name(entry.person));
         }
         let hash = Hash::from_hex(&entry.token_hash)
-            .map_err(|_| wrong("token_hash is no BLAKE3 hash in hexadecimal"))?;
-        let person = Person {
+            .map_err(|_| wrong("token_hash is not a BLAKE3 hash in hexadecimal"))?;
+        let user = User {
             name: entry.person.clone(),
             role: entry.role,
         };
-        if people.insert(*hash.as_bytes(), person).is_some() {
-            return Err(wrong("has the token of somebody else"));
+        if users.insert(*hash.as_bytes(), user).is_some() {
+            return Err(wrong("has the token of another user"));
         }
     }
-    Ok(people)
+    Ok(users)
 }
 
-impl Person {
-    /// Who a request is from: its person, and what their client calls itself.
+impl User {
+    /// The name under which a request is stored: the user, and the name of their client.
     pub fn signed(&self, claim: Option<&str>) -> String {
         match claim {
             Some(claim) => format!("{}{BEFORE_CLAIM}{claim}", self.name),
@@ -313,16 +224,16 @@ impl Person {
         }
     }
 
-    /// Lets them speak for a controller of this name.
+    /// Checks that they may send for a controller of this name.
     ///
     /// # Errors
     ///
-    /// [`NotPermitted::Controller`] for one that is not theirs.
+    /// [`NotPermitted::Controller`] if it belongs to another user.
     pub fn permit_controller(&self, controller: &str) -> Result<(), NotPermitted> {
         match self.role == Role::Operator || is_controller_of(&self.name, controller) {
             true => Ok(()),
             false => Err(NotPermitted::Controller {
-                person: self.name.clone(),
+                user: self.name.clone(),
                 controller: controller.to_owned(),
             }),
         }
@@ -338,34 +249,34 @@ mod tests {
     use crate::auth::issue;
 
     #[test]
-    fn certificates_that_end_soon_are_told_of_with_the_remedy() {
+    fn warnings_about_expiring_certificates_name_the_remedy() {
         let base = tempfile::tempdir().unwrap();
         let folder = Folder::at(base.path().join("auth"));
         issue::init(&folder, &[], &[("vera".into(), Role::Viewer)]).unwrap();
         let rights = Rights::read(folder.clone()).unwrap();
-        assert_eq!(rights.notices(60).unwrap(), [""; 0]);
-        let told = rights.notices(DAYS).unwrap().join("\n");
+        assert_eq!(rights.expiry_warnings(60).unwrap(), [""; 0]);
+        let told = rights.expiry_warnings(DAYS).unwrap().join("\n");
         let day = in_days(DAYS);
         assert!(
-            told.contains(&format!("the daemon's certificate holds until {day}")),
+            told.contains(&format!("the daemon's certificate expires on {day}")),
             "{told}"
         );
         assert!(
-            told.contains(&format!("of vera holds until {day}")),
+            told.contains(&format!("of vera expires on {day}")),
             "{told}"
         );
         assert!(told.contains("`jostled auth add vera=viewer`"), "{told}");
-        // What was made by an older program says of no day.
+        // Earlier versions recorded no day.
         let mut known = folder.people().unwrap();
         known.until = None;
         known.people[0].until = None;
         folder.write_people(&known).unwrap();
-        assert_eq!(rights.notices(DAYS).unwrap(), [""; 0]);
-        assert!(matches!(Rights::Everybody.notices(DAYS), Ok(none) if none.is_empty()));
+        assert_eq!(rights.expiry_warnings(DAYS).unwrap(), [""; 0]);
+        assert!(matches!(Rights::Open.expiry_warnings(DAYS), Ok(none) if none.is_empty()));
     }
 
     #[test]
-    fn a_certificate_that_has_ended_or_is_missing_is_told() {
+    fn an_expired_or_missing_certificate_is_reported() {
         let base = tempfile::tempdir().unwrap();
         let folder = Folder::at(base.path().join("auth"));
         issue::init(&folder, &[], &[("vera".into(), Role::Viewer)]).unwrap();
@@ -377,7 +288,7 @@ mod tests {
             let ended = Rights::read(folder.clone()).unwrap().ended();
             assert_eq!(ended, is_over.then_some(until));
         }
-        assert_eq!(Rights::Everybody.ended(), None);
+        assert_eq!(Rights::Open.ended(), None);
         let [certificate, _] = folder.daemon();
         std::fs::remove_file(&certificate).unwrap();
         let refused = Rights::read(folder).err().unwrap().to_string();
@@ -385,16 +296,16 @@ mod tests {
     }
 
     #[test]
-    fn each_may_what_their_role_may_by_their_token_alone() {
+    fn the_token_alone_gives_the_rights_of_a_role() {
         let base = tempfile::tempdir().unwrap();
         let folder = Folder::at(base.path().join("auth"));
         let people = Role::ALL.map(|role| (format!("a_{role}"), role));
         issue::init(&folder, &[], &people).unwrap();
         let rights = Rights::read(folder.clone()).unwrap();
-        assert_eq!(rights.people().unwrap().count(), 3);
+        assert_eq!(rights.users().unwrap().count(), 3);
         for (name, role) in &people {
             let token = folder.credentials(name).unwrap().token;
-            let person = Person {
+            let person = User {
                 name: name.clone(),
                 role: *role,
             };
@@ -426,18 +337,18 @@ mod tests {
             let refused = rights.permit(nobodys, "pause").unwrap_err().to_string();
             assert!(refused.contains("pause takes an operator"), "{refused}");
         }
-        assert_eq!(Rights::Everybody.permit(b"", "delete"), Ok(None));
+        assert_eq!(Rights::Open.permit(b"", "delete"), Ok(None));
     }
 
     #[test]
-    fn a_claim_stands_behind_the_name_and_a_controller_bears_it() {
-        let mut person = Person {
+    fn the_client_name_follows_the_user_name_and_a_controller_begins_with_it() {
+        let mut person = User {
             name: "anna".into(),
             role: Role::Controller,
         };
         assert_eq!(person.signed(None), "anna");
         assert_eq!(person.signed(Some("ben")), "anna:ben");
-        // Also where the client calls itself as the person, or begins with that name.
+        // Also if the client has the name of the user, or one that begins with it.
         assert_eq!(person.signed(Some("anna")), "anna:anna");
         assert_eq!(person.signed(Some("anna2")), "anna:anna2");
         assert_eq!(person.permit_controller("anna-2"), Ok(()));

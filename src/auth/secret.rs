@@ -1,4 +1,4 @@
-//! What nobody can guess.
+//! Random secrets, and files that only their owner can read.
 
 use std::fs;
 use std::io::{self, Read, Write};
@@ -8,26 +8,18 @@ use std::path::Path;
 use jostle_atomic_file as atomic_file;
 use rustix::process::geteuid;
 
-/// So many random bytes, in hexadecimal digits.
-///
-/// # Errors
-///
-/// When the system gives none.
+/// Random bytes in hexadecimal.
 pub fn draw(bytes: usize) -> io::Result<String> {
     let mut secret = vec![0; bytes];
     fs::File::open("/dev/urandom")?.read_exact(&mut secret)?;
     Ok(secret.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-/// Writes a whole file that only its owner can read, or none. It replaces a file of this name.
-///
-/// # Errors
-///
-/// When it cannot be written.
+/// Atomically writes a file that only its owner can read.
 pub fn write(path: &Path, text: &str) -> io::Result<()> {
     atomic_file::remove_unfinished(path)?;
     let mut file = atomic_file::begin_private(path)?;
-    // Root writes into the folder of a daemon that runs as somebody else, who reads it.
+    // The user of the daemon must be able to read what root writes.
     if geteuid().is_root()
         && let Some(folder) = path.parent()
     {
@@ -38,11 +30,7 @@ pub fn write(path: &Path, text: &str) -> io::Result<()> {
     atomic_file::publish(file, path)
 }
 
-/// Makes a folder, and those it is in, that nobody else can look into; harmless if it is there.
-///
-/// # Errors
-///
-/// When it cannot be made.
+/// Creates a folder that only its owner can read, and its parents, if they do not exist.
 pub fn make_folder(path: &Path) -> io::Result<()> {
     fs::DirBuilder::new()
         .recursive(true)

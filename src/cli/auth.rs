@@ -2,9 +2,9 @@
 
 use std::path::PathBuf;
 
-use crate::auth::RightsError;
+use crate::auth::AuthError;
 use crate::auth::address::Reach;
-use crate::auth::folder::{Folder, People};
+use crate::auth::folder::{Folder, PeopleFile};
 use crate::auth::issue::{self, Moved, SetUp};
 use clap::Subcommand;
 use jostle_proto::Role;
@@ -109,21 +109,21 @@ pub fn give_rights(
             }),
             Auth::List { json } => folder.people().map(|known| listed(&known, *json)),
         };
-    let is_argument = |error: &RightsError| {
+    let is_argument = |error: &AuthError| {
         matches!(
             error,
-            RightsError::NoHost(_)
-                | RightsError::AnyPort(_)
-                | RightsError::NoPort(_)
-                | RightsError::HostsUnknown(_)
-                | RightsError::Twice(_)
+            AuthError::NoHost(_)
+                | AuthError::AnyPort(_)
+                | AuthError::NoPort(_)
+                | AuthError::HostsUnknown(_)
+                | AuthError::Duplicate(_)
         )
     };
     done.map_err(|error| (if is_argument(&error) { 2 } else { 1 }, error.to_string()))
 }
 
 /// Who there is, for people or for programs.
-fn listed(known: &People, as_json: bool) -> String {
+fn listed(known: &PeopleFile, as_json: bool) -> String {
     let people = known.people.iter();
     if as_json {
         let people: Vec<_> = people
@@ -147,7 +147,7 @@ fn listed(known: &People, as_json: bool) -> String {
 }
 
 /// Where the daemon is reached, for people or for programs.
-fn reached(known: &People, as_json: bool) -> String {
+fn reached(known: &PeopleFile, as_json: bool) -> String {
     if as_json {
         let told = json!({"endpoint": known.endpoint, "page": known.page, "hosts": known.hosts});
         return format!("{told}\n");

@@ -14,13 +14,13 @@ use tokio::sync::oneshot;
 
 use crate::app::Server;
 use crate::convert::commands::{CommandError, create, run};
-use crate::persistence::writer;
+use crate::persistence::writer::NewSwarm;
 use crate::swarm::error::OrderError;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::handle::{self, Handle, Ticket};
 use crate::swarm::order::{Awaited, Order, When};
 use crate::swarm::outcome::{Answer, Answered, Outcome};
-use crate::swarm::registry::{Created, HostError};
+use crate::swarm::registry::{Created, RegistryError};
 use crate::swarm::sender::Sender;
 use crate::swarm::waiters::Waiter;
 
@@ -58,8 +58,8 @@ pub enum DemoError {
     Gone,
 }
 
-impl From<HostError> for DemoError {
-    fn from(error: HostError) -> Self {
+impl From<RegistryError> for DemoError {
+    fn from(error: RegistryError) -> Self {
         DemoError::Command(error.into())
     }
 }
@@ -141,7 +141,12 @@ async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
     let recipe = create::recipe(&args, host.limits())?;
     let (answer, answered) = oneshot::channel();
     let promise = || -> Answer { Answer::new(move |it| drop(answer.send(it))) };
-    let register = writer::register(server.store(), NAME, &recipe, None);
+    let register = Box::new(NewSwarm {
+        store: server.store().clone(),
+        name: NAME.to_owned(),
+        spec: recipe.clone(),
+        identity: None,
+    });
     let handle = match host.create(NAME, recipe, false, register, promise)? {
         Created::Existing(handle) => handle,
         Created::New => {

@@ -12,14 +12,14 @@ use tokio::time::{MissedTickBehavior, interval};
 use tracing::warn;
 
 use crate::health::{Reason, Watch};
-use crate::swarm::registry::Host;
+use crate::swarm::registry::SwarmRegistry;
 
 /// How often is told how it is, where there is no watchdog.
 const PERIOD: Duration = Duration::from_secs(10);
 
 /// Tells that the daemon serves, and from then on how it is; feeds the watchdog at half the time
 /// that it allows, as long as no other start is needed. Never ends where somebody listens.
-pub async fn keep_informed(watch: Arc<Watch>, host: Arc<Host>) {
+pub async fn keep_informed(watch: Arc<Watch>, host: Arc<SwarmRegistry>) {
     if std::env::var_os("NOTIFY_SOCKET").is_none() {
         return;
     }

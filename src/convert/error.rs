@@ -9,11 +9,11 @@ use serde_json::{Map, Value, json};
 use thiserror::Error as ThisError;
 
 use crate::auth::NotPermitted;
-use crate::experiments::LabError;
-use crate::playback::{MOST_BYTES, ReplayError};
+use crate::experiments::ExperimentError;
+use crate::playback::{MAX_UPLOAD_BYTES, ReplayError};
 use crate::recording::RecordError;
 use crate::swarm::error::OrderError;
-use crate::swarm::registry::HostError;
+use crate::swarm::registry::RegistryError;
 
 /// Why a request was refused.
 #[derive(Clone, Debug, ThisError)]
@@ -188,7 +188,7 @@ pub enum CommandError {
     },
     /// The daemon refuses the swarm.
     #[error(transparent)]
-    Host(#[from] HostError),
+    Host(#[from] RegistryError),
     /// The swarm refuses the order.
     #[error(transparent)]
     Order(#[from] OrderError),
@@ -197,7 +197,7 @@ pub enum CommandError {
     Replay(#[from] ReplayError),
     /// The laboratory refuses what is to be done with an experiment.
     #[error(transparent)]
-    Lab(#[from] LabError),
+    Lab(#[from] ExperimentError),
     /// What is to be done with a recording is refused.
     #[error(transparent)]
     Record(#[from] RecordError),
@@ -297,11 +297,11 @@ impl CommandError {
                 ErrorCode::DeadlineExceeded
             }
             CommandError::Host(error) => match error {
-                HostError::OtherSpec | HostError::SameSpec => ErrorCode::AlreadyExists,
-                HostError::TooManySwarms { .. }
-                | HostError::TooMuchMemory { .. }
-                | HostError::NoThread(_) => ErrorCode::ResourceExhausted,
-                HostError::Stopping => ErrorCode::Busy,
+                RegistryError::OtherSpec | RegistryError::SameSpec => ErrorCode::AlreadyExists,
+                RegistryError::TooManySwarms { .. }
+                | RegistryError::TooMuchMemory { .. }
+                | RegistryError::NoThread(_) => ErrorCode::ResourceExhausted,
+                RegistryError::Stopping => ErrorCode::Busy,
             },
             CommandError::Replay(error) => match error {
                 ReplayError::Unreadable(_) => ErrorCode::InvalidArgument,
@@ -312,16 +312,20 @@ impl CommandError {
                 ReplayError::Unkept(_) => ErrorCode::StorageFull,
             },
             CommandError::Lab(error) => match error {
-                LabError::Plan { .. } | LabError::Name(_) | LabError::NoSeries(_) => {
-                    ErrorCode::InvalidArgument
+                ExperimentError::Plan { .. }
+                | ExperimentError::Name(_)
+                | ExperimentError::NoSeries(_) => ErrorCode::InvalidArgument,
+                ExperimentError::Unknown(_) | ExperimentError::UnknownRun { .. } => {
+                    ErrorCode::NotFound
                 }
-                LabError::Unknown(_) | LabError::UnknownRun { .. } => ErrorCode::NotFound,
-                LabError::Exists(_) => ErrorCode::AlreadyExists,
-                LabError::Phase { .. } | LabError::Unfinished { .. } => ErrorCode::IncorrectState,
-                LabError::TooMany(_) => ErrorCode::ResourceExhausted,
-                LabError::Unkept(_) => ErrorCode::StorageFull,
-                LabError::Unreadable(_) => ErrorCode::Internal,
-                LabError::Stopping => ErrorCode::Busy,
+                ExperimentError::Exists(_) => ErrorCode::AlreadyExists,
+                ExperimentError::Phase { .. } | ExperimentError::Unfinished { .. } => {
+                    ErrorCode::IncorrectState
+                }
+                ExperimentError::TooMany(_) => ErrorCode::ResourceExhausted,
+                ExperimentError::Unkept(_) => ErrorCode::StorageFull,
+                ExperimentError::Unreadable(_) => ErrorCode::Internal,
+                ExperimentError::Stopping => ErrorCode::Busy,
             },
             CommandError::Record(error) => match error {
                 RecordError::Unknown(_) | RecordError::NoPart { .. } => ErrorCode::NotFound,
@@ -407,17 +411,20 @@ impl CommandError {
             CommandError::Deadline { after_secs } | CommandError::NotYet { after_secs } => {
                 json!({"after_secs": after_secs})
             }
-            CommandError::NotPermitted(NotPermitted::Verb { person, verb }) => {
+            CommandError::NotPermitted(NotPermitted::Verb { user: person, verb }) => {
                 let person = person.as_ref();
                 let person = person.map(|person| (person.name.as_str(), person.role));
                 Value::Object(refused(person, verb).details)
             }
-            CommandError::NotPermitted(NotPermitted::Controller { person, controller }) => {
+            CommandError::NotPermitted(NotPermitted::Controller {
+                user: person,
+                controller,
+            }) => {
                 json!({"person": person, "controller": controller})
             }
             CommandError::TooManyClients { limit }
-            | CommandError::Host(HostError::TooManySwarms { limit }) => json!({"limit": limit}),
-            CommandError::Host(HostError::TooMuchMemory {
+            | CommandError::Host(RegistryError::TooManySwarms { limit }) => json!({"limit": limit}),
+            CommandError::Host(RegistryError::TooMuchMemory {
                 needed,
                 free,
                 limit,
@@ -453,19 +460,20 @@ impl CommandError {
                 json!({"field": "at_step", "limit": limit})
             }
             CommandError::Lab(error) => match error {
-                LabError::Plan { line, .. } => json!({"field": "submit.toml", "line": line}),
-                LabError::Name(name) => json!({"field": "submit.toml", "value": name}),
-                LabError::UnknownRun { run, .. } | LabError::Unfinished { run, .. } => {
+                ExperimentError::Plan { line, .. } => json!({"field": "submit.toml", "line": line}),
+                ExperimentError::Name(name) => json!({"field": "submit.toml", "value": name}),
+                ExperimentError::UnknownRun { run, .. }
+                | ExperimentError::Unfinished { run, .. } => {
                     json!({"field": "run", "value": run})
                 }
-                LabError::TooMany(limit) => json!({"limit": limit}),
+                ExperimentError::TooMany(limit) => json!({"limit": limit}),
                 _ => json!({}),
             },
             CommandError::Replay(ReplayError::Piece { received }) => {
                 json!({"field": "upload.offset", "uploaded": received})
             }
             CommandError::Replay(ReplayError::TooLong { length }) => {
-                json!({"bytes": length, "limit": MOST_BYTES})
+                json!({"bytes": length, "limit": MAX_UPLOAD_BYTES})
             }
             CommandError::Record(RecordError::TooMany(limit) | RecordError::TooManyKept(limit)) => {
                 json!({"limit": limit})

@@ -8,14 +8,17 @@ use jostle_physics::simulation::{Exactness, Spec};
 use jostle_proto::{EventKind, LARGEST_WHOLE, ParameterValues, Told};
 use serde_json::Value;
 
-use crate::playback::film::{Mark, Shot};
+use crate::playback::source::{FrameIndex, RecordedFrame};
 
 /// A published state: where it belongs, and what it shows under these parameters.
 ///
 /// # Errors
 ///
 /// Why it cannot be a state.
-pub fn shot(bytes: &[u8], parameters: Parameters) -> Result<(Mark, Shot), String> {
+pub fn recorded_frame(
+    bytes: &[u8],
+    parameters: Parameters,
+) -> Result<(FrameIndex, RecordedFrame), String> {
     let state = jostle_proto::State::from_cbor(bytes)?;
     let n = state.id.len();
     let columns = [
@@ -54,13 +57,13 @@ pub fn shot(bytes: &[u8], parameters: Parameters) -> Result<(Mark, Shot), String
         return Err("its epoch or step is too large".to_owned());
     }
     let count = |count: u64| usize::try_from(count).unwrap_or(usize::MAX);
-    let mark = Mark {
+    let index = FrameIndex {
         epoch: state.epoch,
         step: state.step,
         time: state.time,
         position: 0.0,
     };
-    let shot = Shot {
+    let frame = RecordedFrame {
         parameters,
         configuration: Configuration {
             origin: state.origin,
@@ -99,7 +102,7 @@ pub fn shot(bytes: &[u8], parameters: Parameters) -> Result<(Mark, Shot), String
             crossed: count(certificate.crossed),
         },
     };
-    Ok((mark, shot))
+    Ok((index, frame))
 }
 
 /// What a recorded swarm was made from, and its parameters when the recording began.

@@ -4,18 +4,10 @@ use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
 use jostle_proto as proto;
 
-use crate::recording::{Format, Phase, Piece, Standing};
-
-/// How a recording is to be written.
-pub fn recording_format(format: proto::RecordingFormat) -> Format {
-    match format {
-        proto::RecordingFormat::Mcap => Format::Mcap,
-        proto::RecordingFormat::Parquet => Format::Parquet,
-    }
-}
+use crate::recording::{Format, Phase, Piece, Status};
 
 /// How a recording stands.
-pub fn recording(name: String, standing: Standing) -> proto::Recording {
+pub fn recording(name: String, standing: Status) -> proto::Recording {
     proto::Recording {
         recording: name,
         swarm: standing.swarm,
@@ -59,7 +51,7 @@ pub fn recording_piece(
 }
 
 /// How all of them stand.
-pub fn recordings(all: Vec<(String, Standing)>) -> proto::Recordings {
+pub fn recordings(all: Vec<(String, Status)>) -> proto::Recordings {
     let all = all.into_iter();
     proto::Recordings {
         recordings: all

@@ -1,81 +1,93 @@
-//! Why a laboratory refuses something.
+//! Why a request about experiments is rejected.
 
-use thiserror::Error;
+use std::fmt::Display;
 
 use jostle_experiment::PlanError;
+use thiserror::Error;
 
-/// Why a laboratory refuses something. Nothing has changed then.
+/// Why a request about experiments is rejected. It has changed nothing.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-pub enum LabError {
-    /// The file describes no experiment.
-    #[error("the experiment cannot be understood: {reason}")]
+pub enum ExperimentError {
+    /// The file is not an experiment.
+    #[error("invalid experiment: {reason}")]
     Plan {
-        /// What is wrong with it, and where.
+        /// What is wrong, and where.
         reason: String,
-        /// The line, if it is one, from 1.
+        /// The line from 1, if the error is in one line.
         line: Option<usize>,
     },
-    /// An experiment's name can be none.
-    #[error("{0:?} is no name of an experiment")]
+    /// The file contains an invalid name.
+    #[error("invalid experiment name {0:?}")]
     Name(String),
-    /// There is no such experiment.
-    #[error("there is no experiment {0:?}: the node's get/experiments lists what there is")]
+    /// No experiment has this name.
+    #[error("unknown experiment {0:?}: the node's get/experiments lists the experiments")]
     Unknown(String),
-    /// There is no such run.
-    #[error("experiment {name:?} has no run {run:?}: its results name those it has")]
+    /// No run has this name.
+    #[error("experiment {name:?} has no run {run:?}: its results list the finished runs")]
     UnknownRun {
         /// The experiment.
         name: String,
-        /// What was asked for, at most its beginning.
+        /// The requested name, truncated.
         run: String,
     },
-    /// The run has not been carried out so far.
-    #[error("run {run:?} of experiment {name:?} is not finished: ask again when it is")]
+    /// The run is not finished.
+    #[error("run {run:?} of experiment {name:?} is not finished: retry when it is")]
     Unfinished {
         /// The experiment.
         name: String,
         /// The run.
         run: String,
     },
-    /// No time series were asked for.
+    /// The experiment stores no time series.
     #[error(
         "experiment {0:?} does not measure the order over time: submit it under another name with \
-         order_every below [measure]"
+         order_every in [measure]"
     )]
     NoSeries(String),
-    /// Another experiment has this name.
+    /// An experiment from another file has this name.
     #[error(
-        "there is another experiment {0:?}, made from another file: submit this one under another \
-         name, or delete that one"
+        "another experiment has the name {0:?}: submit this one under another name, or delete that \
+         one"
     )]
     Exists(String),
-    /// It is over, or not yet.
+    /// The phase does not permit it.
     #[error("experiment {name:?} is {phase}: {remedy}")]
     Phase {
         /// The experiment.
         name: String,
-        /// What it is doing.
+        /// Its phase.
         phase: &'static str,
-        /// What can be done about it.
+        /// The remedy.
         remedy: &'static str,
     },
-    /// There are too many.
-    #[error("there are {0} experiments, which is the most: delete one that is over")]
+    /// The maximum number is reached.
+    #[error("there are {0} experiments, the maximum: delete one that is over")]
     TooMany(usize),
-    /// What must outlive the daemon cannot be written.
-    #[error("the experiment cannot be kept: {0}")]
+    /// A file of the experiment cannot be written.
+    #[error("cannot write the experiment: {0}")]
     Unkept(String),
-    /// What was written cannot be read.
-    #[error("the experiment's results cannot be read: {0}")]
+    /// A file of the experiment cannot be read.
+    #[error("cannot read the experiment: {0}")]
     Unreadable(String),
-    /// The daemon stops.
-    #[error("the daemon is closing: send it again when it is back")]
+    /// The daemon is stopping.
+    #[error("the daemon is stopping: retry after it has restarted")]
     Stopping,
 }
 
-impl From<PlanError> for LabError {
+#[expect(clippy::needless_pass_by_value, reason = "for `map_err`")]
+impl ExperimentError {
+    pub(super) fn unkept(error: impl Display) -> Self {
+        ExperimentError::Unkept(error.to_string())
+    }
+
+    pub(super) fn unreadable(error: impl Display) -> Self {
+        ExperimentError::Unreadable(error.to_string())
+    }
+}
+
+impl From<PlanError> for ExperimentError {
     fn from(error: PlanError) -> Self {
-        LabError::Plan {
+        ExperimentError::Plan {
             line: match &error {
                 PlanError::Field { line, .. } | PlanError::Repeated { line, .. } => Some(*line),
                 _ => None,

@@ -1,74 +1,39 @@
-//! What came of an experiment so far, page by page.
+//! The rows of an experiment's finished runs.
 
+use std::fs;
+use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use jostle_results::ResultRow;
-use jostle_results::table::OrderSeries;
-
-use super::{Lab, LabError};
 use jostle_experiment::{Folder, Plan};
+use jostle_results::ResultRow;
 
-/// The rows of one experiment as they were read last, each with its run's number in the plan.
-type Rows = Arc<Vec<(u64, ResultRow)>>;
+use super::error::ExperimentError;
 
-/// The rows that were asked for last, of which experiment and of how many bytes of its list: who
-/// asks for a page asks for the next one too.
+/// Rows in the plan's order, each with the number of its run in the plan, from 1.
+pub type Rows = Arc<Vec<(u64, ResultRow)>>;
+
+/// The rows that were read last, with the name of their experiment and the length of its list of
+/// finished runs: a client requests one page after the other.
 #[derive(Debug, Default)]
-pub struct Desk(Mutex<Option<(String, u64, Rows)>>);
+pub struct ResultsCache(Mutex<Option<(String, u64, Rows)>>);
 
-impl Lab {
-    /// Visits the rows of an experiment's finished runs with their numbers in its plan, from 1, in
-    /// that order and only those numbered higher than `after`.
-    ///
-    /// # Errors
-    ///
-    /// [`LabError`].
-    pub fn rows(&self, name: &str) -> Result<Rows, LabError> {
-        let plan = self.plan(name)?;
-        let extent = self.shelf().extent(name);
-        let desk = &self.desk().0;
-        let lying = desk.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        if let Some((of, length, rows)) = lying
+impl ResultsCache {
+    /// The rows in `folder`.
+    pub fn rows(&self, name: &str, folder: &Path, plan: &Plan) -> Result<Rows, ExperimentError> {
+        // The list is only appended to.
+        let list = fs::metadata(folder.join("runs.jsonl"));
+        let length = list.map_or(0, |list| list.len());
+        let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some((of, cached, rows)) = &*lock()
             && of == name
-            && length == extent
+            && *cached == length
         {
-            return Ok(rows);
+            return Ok(rows.clone());
         }
-        let read = Folder::read(&self.shelf().folder(name), &plan)
-            .map_err(|error| LabError::Unreadable(error.to_string()))?;
-        let rows: Rows = Arc::new(numbered(&plan, read));
-        let kept = (name.to_owned(), extent, rows.clone());
-        *desk.lock().unwrap_or_else(PoisonError::into_inner) = Some(kept);
+        let read = Folder::read(folder, plan).map_err(ExperimentError::unreadable)?;
+        let rows = Arc::new(numbered(plan, read));
+        *lock() = Some((name.to_owned(), length, rows.clone()));
         Ok(rows)
-    }
-
-    /// The order over time of one run.
-    ///
-    /// # Errors
-    ///
-    /// [`LabError`].
-    pub fn order(&self, name: &str, run: &str) -> Result<OrderSeries, LabError> {
-        let plan = self.plan(name)?;
-        if plan.order_every.is_none() {
-            return Err(LabError::NoSeries(name.to_owned()));
-        }
-        let Some(index) = plan.runs().iter().position(|it| it.name == run) else {
-            return Err(LabError::UnknownRun {
-                name: name.to_owned(),
-                run: run.chars().take(200).collect(),
-            });
-        };
-        let number = index as u64 + 1;
-        let rows = self.rows(name)?;
-        if rows
-            .binary_search_by_key(&number, |(number, _)| *number)
-            .is_err()
-        {
-            let (name, run) = (name.to_owned(), run.to_owned());
-            return Err(LabError::Unfinished { name, run });
-        }
-        Folder::read_order(&self.shelf().folder(name), &plan, index)
-            .map_err(|error| LabError::Unreadable(error.to_string()))
     }
 }
 

@@ -21,7 +21,7 @@ use crate::health::probe::{Hearing, Probe};
 use crate::health::stuck::Stuck;
 use crate::metrics::Pulse;
 use crate::store::Store;
-use crate::swarm::registry::Host;
+use crate::swarm::registry::SwarmRegistry;
 
 /// How often is looked.
 const PERIOD: Duration = Duration::from_secs(1);
@@ -254,7 +254,7 @@ pub struct Bus {
 /// What is watched.
 pub struct Watched {
     /// The swarms.
-    pub host: Arc<Host>,
+    pub host: Arc<SwarmRegistry>,
     /// What outlives the daemon.
     pub store: Store,
     /// The daemon's own threads.

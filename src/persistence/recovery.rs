@@ -20,7 +20,7 @@ use crate::swarm::error::OrderError;
 use crate::swarm::journal::{Entry, Line, Record};
 use crate::swarm::outcome::{Answer, Refusal};
 use crate::swarm::phase::Phase;
-use crate::swarm::registry::{self, Host, HostError};
+use crate::swarm::registry::{RegistryError, SwarmRegistry};
 use crate::swarm::sender::Sender;
 use crate::swarm::worker::replay::{Applied, Outlook, Past, To, Told};
 
@@ -69,7 +69,7 @@ pub enum RecoveryError {
     },
     /// A swarm's thread cannot be started.
     #[error("swarm {0}: {1}")]
-    Host(String, HostError),
+    Host(String, RegistryError),
 }
 
 /// Checkpoints between a command whose answer is kept for sure and the newest one.
@@ -83,7 +83,7 @@ const SETTLED_CHECKPOINTS: usize = 8;
 ///
 /// [`RecoveryError`] when the store as a whole cannot be read.
 pub fn recover(
-    host: &Arc<Host>,
+    host: &Arc<SwarmRegistry>,
     store: &Store,
     replies: &impl ReplyCache,
 ) -> Result<usize, RecoveryError> {
@@ -245,7 +245,7 @@ pub fn told_again(
             recall: Box::new(|_| Answer::ignored()),
             to,
         };
-        let (checkpoint, replay) = registry::tell_again(past);
+        let (checkpoint, replay) = past.replay();
         if let Some(problem) = replay.broken_off {
             return Err(history(problem));
         }

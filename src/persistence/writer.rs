@@ -7,14 +7,14 @@ use jostle_proto as proto;
 use serde::{Deserialize, Serialize};
 
 use crate::convert::digest::RequestIdentity;
-use crate::convert::{self, Payload, durable};
+use crate::convert::{self, durable};
 use crate::store::{self, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::journal::{Entry, JournalWriter, Reached};
 use crate::swarm::outcome::Outcome;
-use crate::swarm::registry::{Archive, Register};
+use crate::swarm::runner::{JournalFactory, PersistNew};
 
 /// What is stored of a swarm beside its journal.
 #[derive(Serialize, Deserialize)]
@@ -54,39 +54,55 @@ impl StoreWriter {
     }
 }
 
-/// Makes the writers of the journals of all swarms.
-pub fn archive(store: &Store) -> Archive {
-    let store = store.clone();
-    Box::new(move |swarm| {
+impl JournalFactory for Store {
+    fn open(&self, swarm: &str) -> Arc<dyn JournalWriter> {
         Arc::new(StoreWriter {
-            store: store.clone(),
+            store: self.clone(),
             swarm: swarm.to_owned(),
         })
-    })
+    }
 }
 
-/// Makes a new swarm safe, and with it the answer to whoever asked for it by name.
-pub fn register(
-    store: &Store,
-    swarm: &str,
-    recipe: &Spec,
-    named: Option<(RequestIdentity, MakePayload)>,
-) -> Register {
-    let (store, swarm) = (store.clone(), swarm.to_owned());
-    let spec = jostle_convert::spec::to_proto(recipe, recipe.seed);
-    Box::new(move |checkpoint, place, frame| {
+/// Persists a new swarm, and the reply to the request that created it if that has an id.
+pub struct NewSwarm {
+    /// Where it is persisted.
+    pub store: Store,
+    /// Its name.
+    pub name: String,
+    /// Its spec.
+    pub spec: Spec,
+    /// The identity of the request.
+    pub identity: Option<RequestIdentity>,
+}
+
+impl PersistNew for NewSwarm {
+    fn persist(
+        self: Box<Self>,
+        checkpoint: &Checkpoint,
+        place: &Place,
+        frame: &Arc<Frame>,
+    ) -> Result<(), WriteFault> {
+        let NewSwarm {
+            store,
+            name,
+            spec,
+            identity,
+        } = *self;
+        let about = About {
+            spec: jostle_convert::spec::to_proto(&spec, spec.seed),
+        };
         let mut writes = vec![Write::Create {
-            swarm: swarm.clone(),
-            about: proto::to_cbor(&About { spec }),
-            first: kept(&swarm, checkpoint),
+            swarm: name.clone(),
+            about: proto::to_cbor(&about),
+            first: kept(&name, checkpoint),
         }];
-        if let Some((named, payload)) = named {
-            let payload = payload(place, frame);
+        if let Some(identity) = identity {
+            let payload = convert::created(&name, place, &spec, frame, true);
             writes.push(Write::Answer(store::Answer {
-                client: named.client,
-                request_id: named.request_id,
-                digest: named.digest,
-                swarm,
+                client: identity.client,
+                request_id: identity.request_id,
+                digest: identity.digest,
+                swarm: name,
                 number: 0,
                 is_ok: true,
                 encoding: payload.encoding.to_owned(),
@@ -94,11 +110,8 @@ pub fn register(
             }));
         }
         store.commit(writes).map_err(fault)
-    })
+    }
 }
-
-/// Makes the answer of a new swarm's place and frame.
-pub type MakePayload = Box<dyn FnOnce(&Place, &Frame) -> Payload + Send>;
 
 /// What is to be stored of what a swarm writes.
 pub(crate) fn writes(swarm: &str, entry: Entry) -> Vec<Write> {

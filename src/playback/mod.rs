@@ -1,43 +1,46 @@
-//! Recordings on show: what clients upload, and films made from it.
+//! Playback of recordings as if they were swarms, and the uploads of clients.
 
-pub mod film;
+mod commands;
+mod mcap;
 pub mod player;
-mod reel;
+pub mod source;
 mod uploads;
 
 use thiserror::Error;
 
-pub use reel::Reel;
-pub use uploads::{MOST_BYTES, Uploads};
+pub use mcap::McapSource;
+pub use uploads::{MAX_UPLOAD_BYTES, Uploads};
 
-/// Why a recording is not shown. Nothing has changed then.
+/// Why a recording is not played. The request has changed nothing.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum ReplayError {
-    /// It is no recording, or a damaged one.
-    #[error("this is no recording that can be replayed: {0}")]
+    /// It is not a recording, or damaged.
+    #[error("not a recording that can be replayed: {0}")]
     Unreadable(String),
-    /// A piece that does not continue those before it.
-    #[error("bytes up to {received} of this upload have come: go on there, or begin anew at 0")]
+    /// A piece does not continue the previous ones.
+    #[error("{received} bytes of this upload are received: continue there, or restart at 0")]
     Piece {
-        /// How many have come.
+        /// The number of received bytes.
         received: u64,
     },
-    /// Nothing whole was uploaded under the name.
-    #[error("no whole recording was uploaded under the name {0:?}: upload it, or name a recording")]
+    /// No upload of this name is complete.
+    #[error("no recording was uploaded under the name {0:?}: upload it, or name a recording")]
     NotUploaded(String),
     /// The daemon has no such recording.
-    #[error("the daemon has no whole part of a recording {0:?} in MCAP")]
+    #[error("the daemon has no finished part of a recording {0:?} in MCAP")]
     Unknown(String),
-    /// It is longer than a daemon takes.
-    #[error("the recording has {length} bytes, the most is {MOST_BYTES}: record fewer steps")]
+    /// It exceeds the maximum length.
+    #[error(
+        "the recording has {length} bytes, the maximum is {MAX_UPLOAD_BYTES}: record fewer steps"
+    )]
     TooLong {
         /// Its length.
         length: u64,
     },
-    /// Too many are uploaded at once.
-    #[error("{0} recordings are being uploaded already: try again in a moment")]
+    /// The maximum number of uploads is in progress.
+    #[error("{0} recordings are being uploaded, the maximum: retry in a moment")]
     TooMany(usize),
-    /// The disk refuses.
-    #[error("the recording cannot be kept in data_dir: {0}")]
+    /// A file cannot be written.
+    #[error("cannot store the recording in data_dir: {0}")]
     Unkept(String),
 }

@@ -1,4 +1,4 @@
-//! Recordings on their way to the daemon, piece by piece.
+//! Recordings that clients upload in pieces.
 
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -7,19 +7,19 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use crate::playback::reel::ReadOrder;
-use crate::playback::{Reel, ReplayError};
+use crate::playback::ReplayError;
+use crate::playback::mcap::{McapSource, ReadCommand};
 
-/// The longest recording that is taken in, in bytes.
-pub const MOST_BYTES: u64 = 1024 * 1024 * 1024;
+/// The maximum length of an upload in bytes.
+pub const MAX_UPLOAD_BYTES: u64 = 1024 * 1024 * 1024;
 
-/// Uploads at once.
-const MOST: usize = 8;
+/// Maximum number of concurrent uploads.
+const MAX_UPLOADS: usize = 8;
 
-/// An upload that stands still for so long gives way to others.
-const PATIENCE: Duration = Duration::from_secs(10);
+/// An upload without a piece for so long may be evicted by another one.
+const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// The uploads of a daemon. Their files are gone when they are shown, or when it starts anew.
+/// The uploads of a daemon. A file is removed when it is opened, or when the daemon restarts.
 pub struct Uploads {
     folder: PathBuf,
     by_name: Mutex<BTreeMap<String, Upload>>,
@@ -33,11 +33,7 @@ struct Upload {
 }
 
 impl Uploads {
-    /// Opens the folder, and clears it of what was left there.
-    ///
-    /// # Errors
-    ///
-    /// What the system says.
+    /// Creates the folder, or empties it.
     pub fn open(folder: &Path) -> io::Result<Self> {
         match fs::remove_dir_all(folder) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
@@ -49,19 +45,15 @@ impl Uploads {
         })
     }
 
-    /// Takes a piece in; returns how many bytes have come.
-    ///
-    /// # Errors
-    ///
-    /// [`ReplayError`]; what came before is kept.
-    pub fn take_in(
+    /// Appends a piece, and returns the number of received bytes. After an error these are kept.
+    pub fn receive(
         &self,
         name: &str,
         offset: u64,
         length: u64,
         piece: &[u8],
     ) -> Result<u64, ReplayError> {
-        if length > MOST_BYTES {
+        if length > MAX_UPLOAD_BYTES {
             return Err(ReplayError::TooLong { length });
         }
         let end = offset.saturating_add(piece.len() as u64);
@@ -89,7 +81,7 @@ impl Uploads {
             return Err(ReplayError::Piece { received });
         }
         if let Err(error) = upload.file.write_all(piece) {
-            // How much of it was written is not known.
+            // It is unknown how much was written.
             by_name.remove(name);
             self.remove(name);
             return Err(unkept(error));
@@ -98,45 +90,49 @@ impl Uploads {
         Ok(end)
     }
 
-    /// Opens what was uploaded under a name; it is no upload any more.
+    /// Opens a complete upload, which ends it.
     ///
     /// # Errors
     ///
-    /// [`ReplayError::NotUploaded`] while it is not whole, [`ReplayError::Unreadable`].
-    pub fn reel(&self, name: &str, read_order: ReadOrder<'_>) -> Result<Reel, ReplayError> {
+    /// [`ReplayError::NotUploaded`] while it is incomplete, [`ReplayError::Unreadable`].
+    pub fn open_upload(
+        &self,
+        name: &str,
+        read_command: ReadCommand<'_>,
+    ) -> Result<McapSource, ReplayError> {
         let mut by_name = self.lock();
-        let is_whole = |it: &Upload| it.received == it.length;
-        if !by_name.get(name).is_some_and(is_whole) {
+        let is_complete = |it: &Upload| it.received == it.length;
+        if !by_name.get(name).is_some_and(is_complete) {
             return Err(ReplayError::NotUploaded(name.to_owned()));
         }
-        // Under a name that no upload has, for another one may begin meanwhile.
+        // Renamed, because another upload of this name may start meanwhile.
         let path = self.path(name);
         let opening = path.with_extension("opening");
         let moved = fs::rename(&path, &opening);
         by_name.remove(name);
         drop(by_name);
         moved.map_err(|error| ReplayError::Unkept(error.to_string()))?;
-        let reel = Reel::open(std::slice::from_ref(&opening), read_order);
-        // What is open stays readable, and leaves nothing behind.
+        let source = McapSource::open(std::slice::from_ref(&opening), read_command);
+        // Open files stay readable.
         let _ = fs::remove_file(opening);
-        reel
+        source
     }
 
-    /// Drops what has stood still, and refuses one more than there may be.
+    /// Evicts idle uploads, and rejects an upload beyond the maximum.
     fn make_room(
         &self,
         by_name: &mut BTreeMap<String, Upload>,
         name: &str,
     ) -> Result<(), ReplayError> {
         by_name.retain(|it, upload| {
-            let is_kept = it == name || upload.touched.elapsed() < PATIENCE;
+            let is_kept = it == name || upload.touched.elapsed() < IDLE_TIMEOUT;
             if !is_kept {
                 self.remove(it);
             }
             is_kept
         });
-        if by_name.len() >= MOST && !by_name.contains_key(name) {
-            return Err(ReplayError::TooMany(MOST));
+        if by_name.len() >= MAX_UPLOADS && !by_name.contains_key(name) {
+            return Err(ReplayError::TooMany(MAX_UPLOADS));
         }
         Ok(())
     }
@@ -146,12 +142,12 @@ impl Uploads {
     }
 
     fn remove(&self, name: &str) {
-        // What cannot be removed now is when the daemon starts.
+        // After an error the next start removes it.
         let _ = fs::remove_file(self.path(name));
     }
 
     fn lock(&self) -> MutexGuard<'_, BTreeMap<String, Upload>> {
-        // Every change is one of the map, and is whole.
+        // Nothing between two changes can panic.
         self.by_name.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -163,22 +159,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn so_many_are_taken_in_at_once_and_those_that_stand_still_give_way() {
+    fn uploads_are_limited_and_idle_ones_are_evicted() {
         let folder = tempfile::tempdir().unwrap();
         let uploads = Uploads::open(folder.path()).unwrap();
-        let begin = |name: &str| uploads.take_in(name, 0, 4, b"ab");
-        for number in 0..MOST {
+        let begin = |name: &str| uploads.receive(name, 0, 4, b"ab");
+        for number in 0..MAX_UPLOADS {
             assert_eq!(begin(&format!("a{number}")), Ok(2));
         }
-        assert_eq!(begin("b"), Err(ReplayError::TooMany(MOST)));
-        // One that is there begins anew, and goes on.
+        assert_eq!(begin("b"), Err(ReplayError::TooMany(MAX_UPLOADS)));
+        // An upload in progress may restart and continue.
         assert_eq!(begin("a1"), Ok(2));
-        assert_eq!(uploads.take_in("a1", 2, 4, b"cd"), Ok(4));
-        let long_ago = Instant::now().checked_sub(PATIENCE).unwrap();
+        assert_eq!(uploads.receive("a1", 2, 4, b"cd"), Ok(4));
+        let long_ago = Instant::now().checked_sub(IDLE_TIMEOUT).unwrap();
         uploads.lock().get_mut("a0").unwrap().touched = long_ago;
         assert_eq!(begin("b"), Ok(2));
         assert!(!uploads.path("a0").exists());
-        let lost = uploads.take_in("a0", 2, 4, b"cd");
+        let lost = uploads.receive("a0", 2, 4, b"cd");
         assert_eq!(lost, Err(ReplayError::Piece { received: 0 }));
     }
 }

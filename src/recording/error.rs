@@ -1,76 +1,74 @@
-//! Why nothing is recorded.
+//! Why a request about recordings is rejected.
 
 use jostle_results::recording::RecordingError;
 use thiserror::Error;
 
-/// Why what was to be done with a recording is refused. Nothing has changed then.
+/// Why a request about recordings is rejected. It has changed nothing.
 #[derive(Clone, Debug, Error)]
 pub enum RecordError {
-    /// There is no such recording.
-    #[error("there is no recording {0:?}: the node's get/recordings lists what there is")]
+    /// No recording has this name.
+    #[error("unknown recording {0:?}: the node's get/recordings lists the recordings")]
     Unknown(String),
-    /// Another recording has this name.
-    #[error("there is a recording {0:?}: choose another name, or delete that one")]
+    /// A recording has this name.
+    #[error("another recording has the name {0:?}: choose another name, or delete that one")]
     Exists(String),
-    /// It cannot go on.
+    /// It has failed.
     #[error("recording {0:?} has failed: there is nothing to stop")]
     Failed(String),
-    /// Too many go on.
-    #[error("{0} recordings go on, which is the most: stop one")]
+    /// The maximum number is running.
+    #[error("{0} recordings are running, the maximum: stop one")]
     TooMany(usize),
-    /// Too many are kept.
-    #[error("there are {0} recordings, which is the most: delete one that has ended")]
+    /// The maximum number is stored.
+    #[error("there are {0} recordings, the maximum: delete one that is over")]
     TooManyKept(usize),
-    /// All recordings together are too large.
+    /// All recordings together exceed the quota.
     #[error(
-        "the recordings take {} MiB, and recordings_quota_mb allows {}: delete one that has ended, \
-         or raise it",
+        "the recordings take {} MiB of {} (recordings_quota_mb): delete one that is over, or raise \
+         the quota",
         used >> 20,
         quota >> 20
     )]
     OverQuota {
         /// Their bytes.
         used: u64,
-        /// The bytes that they may have.
+        /// The quota in bytes.
         quota: u64,
     },
-    /// There is no such part.
+    /// The part does not exist.
     #[error(
-        "recording {name:?} has {parts} whole parts, so there is no part {part}: parts count from 0"
+        "recording {name:?} has {parts} finished parts, and no part {part}: parts count from 0"
     )]
     NoPart {
         /// The recording.
         name: String,
-        /// The part asked for.
+        /// The requested part.
         part: u64,
-        /// How many are whole.
+        /// The number of finished parts.
         parts: u64,
     },
-    /// A part is not that long.
-    #[error(
-        "part {part} of recording {name:?} has {length} bytes, and offset {offset} is beyond them"
-    )]
+    /// The part is shorter.
+    #[error("part {part} of recording {name:?} has {length} bytes, which offset {offset} exceeds")]
     NoOffset {
         /// The recording.
         name: String,
         /// The part.
         part: u64,
-        /// Where it was to be read from.
+        /// The requested offset.
         offset: u64,
-        /// How long it is.
+        /// The length of the part.
         length: u64,
     },
-    /// It ends, and is not done with that yet.
-    #[error("recording {0:?} still writes what it has: try again in a moment")]
+    /// Its writer has not ended in time.
+    #[error("recording {0:?} is still being written: retry in a moment")]
     Ending(String),
-    /// It cannot be written.
-    #[error("the recording cannot be kept: {0}")]
+    /// A file of the recording cannot be read or written.
+    #[error("cannot store the recording: {0}")]
     Unkept(String),
-    /// No thread could be started.
+    /// No thread can be started.
     #[error("no thread can be started for the recording: {0}")]
     NoThread(String),
-    /// The daemon stops.
-    #[error("the daemon is closing: send it again when it is back")]
+    /// The daemon is stopping.
+    #[error("the daemon is stopping: retry after it has restarted")]
     Stopping,
 }
 

@@ -1,26 +1,26 @@
-//! A swarm that is to be recorded.
+//! The source of a recording: a subscription to the states of a swarm.
 
 use std::sync::Arc;
 
 use jostle_physics::simulation::Spec;
 use jostle_results::recording::{About, FROM_STEPS, SOURCE};
 
-use super::intake::{Choice, Intake};
-use super::shelf::Standing;
+use super::queue::{Choice, FrameQueue};
+use super::status::Status;
 use crate::convert::{self, Payload};
 use crate::swarm::frame::Frame;
 use crate::swarm::handle::Handle;
 use crate::swarm::outlet::Tap;
 
-/// A swarm that is to be recorded, from where it was on.
+/// A subscription to the states of a swarm.
 pub struct Source {
-    /// Its name.
+    /// The swarm's name.
     pub swarm: String,
     /// Which of its states are recorded.
     pub choice: Choice,
-    /// What waits to be written.
-    pub intake: Arc<Intake>,
-    /// Has that filled until it is dropped.
+    /// Receives these states until `tap` is dropped.
+    pub queue: Arc<FrameQueue>,
+    /// Keeps the subscription.
     pub tap: Arc<dyn Tap>,
     recipe: Arc<Spec>,
     now: Arc<Frame>,
@@ -45,8 +45,8 @@ impl Source {
             drops,
             steps,
         };
-        let intake = Arc::new(Intake::new(choice, missed, handle.awaken()));
-        let tap: Arc<dyn Tap> = intake.clone();
+        let queue = Arc::new(FrameQueue::new(choice, missed, handle.awaken()));
+        let tap: Arc<dyn Tap> = queue.clone();
         tap.state((now.place.epoch, now.place.step), &|| now.clone());
         handle.outlet.tap(&tap);
         Source {
@@ -54,17 +54,17 @@ impl Source {
             choice,
             recipe: handle.recipe.clone(),
             now: now.clone(),
-            intake,
+            queue,
             tap,
         }
     }
 
-    /// What a recording of it says of itself.
-    pub fn about(&self, standing: &Standing) -> About {
+    /// The metadata of its recording.
+    pub fn about(&self, status: &Status) -> About {
         let json = |Payload { bytes, .. }| String::from_utf8_lossy(&bytes).into_owned();
         let spec = Payload::json(&jostle_convert::spec::to_proto(&self.recipe, self.now.seed));
         let parameters = Payload::json(&convert::status(&self.now, None).parameters);
-        let began = standing.began_unix_secs.to_string();
+        let began = status.began_unix_secs.to_string();
         About::from([
             ("swarm".to_owned(), self.swarm.clone()),
             ("spec".to_owned(), json(spec)),

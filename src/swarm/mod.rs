@@ -17,6 +17,7 @@ pub mod outlet;
 pub mod pace;
 pub mod phase;
 pub mod registry;
+pub mod runner;
 pub mod schedule;
 pub mod sender;
 pub mod tally;

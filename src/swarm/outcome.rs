@@ -93,6 +93,28 @@ impl Answer {
     }
 }
 
+/// A reply that is known but not sent yet: clients cannot reach the new swarm yet, or can still reach
+/// the deleted one.
+pub struct DeferredAnswer {
+    answer: Answer,
+    answered: Box<Answered>,
+}
+
+impl DeferredAnswer {
+    /// Keeps `answered` for `answer`.
+    pub fn new(answer: Answer, answered: Answered) -> Self {
+        DeferredAnswer {
+            answer,
+            answered: Box::new(answered),
+        }
+    }
+
+    /// Sends the reply.
+    pub fn send(self) {
+        self.answer.send(*self.answered);
+    }
+}
+
 impl Drop for Answer {
     fn drop(&mut self) {
         if let Some(reply) = self.0.take() {

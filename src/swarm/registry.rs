@@ -1,4 +1,4 @@
-//! The named swarms: create, find, remove, and what they may take.
+//! The named swarms: create, find and remove them, within the limits of the daemon.
 
 use std::collections::BTreeMap;
 use std::num::NonZero;
@@ -12,39 +12,32 @@ use jostle_physics::simulation::{Reservation, ReserveError, ReserveMemory, Simul
 use thiserror::Error;
 use tracing::warn;
 
-use crate::playback::film::Film;
-use crate::playback::player::Player;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::cpu_scheduler::CpuScheduler;
 use crate::swarm::error::OrderError;
-use crate::swarm::error::WriteFault;
-use crate::swarm::frame::{Frame, Place, Summary};
+use crate::swarm::frame::Summary;
 use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::journal::{JournalWriter, NoWriter};
-use crate::swarm::outcome::{Answer, Outcome, Refusal};
+use crate::swarm::outcome::{Answer, DeferredAnswer, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
+use crate::swarm::runner::{JournalFactory, PersistNew, Playback, Runner, SwarmObserver};
 use crate::swarm::tally::Totals;
 use crate::swarm::thread_priority;
-use crate::swarm::worker::replay::{Past, Replay};
+use crate::swarm::worker::replay::Past;
 use crate::swarm::worker::{End, Worker};
 
-/// Orders that may wait for one swarm; what comes on top is refused at once.
-const MOST_TICKETS: usize = 1024;
-
-/// How much lower than the rest of the daemon (its niceness) a thread ranks that tells a past again:
-/// below the swarms that are there.
-const RETELLING_NICENESS: i32 = 15;
+/// Capacity of a swarm's queue; tickets beyond it are rejected.
+const MAX_TICKETS: usize = 1024;
 
 /// Memory per individual: its columns, contacts and share of the factor, with the copies that
-/// frames and replies hold. Packed groups of 200 to 2000 take 3 to 6 kB an individual. What
-/// Clarabel takes in the rare step that is given to it comes on top.
+/// frames and replies hold. Packed groups of 200 to 2000 take 3 to 6 kB an individual. Clarabel's
+/// memory in the rare step that falls back to it is not included.
 const BYTES_PER_INDIVIDUAL: u64 = 8192;
 
-/// Memory per swarm whatever its size: its thread's stack in use, queues and buffers, its history
-/// and the commands that wait for their step. A swarm of 20 that nobody commands takes a third.
+/// Memory per swarm whatever its size: the used stack of its thread, queues and buffers, its
+/// history and scheduled commands. A swarm of 20 without commands takes a third of it.
 const BYTES_PER_SWARM: u64 = 1024 * 1024;
 
-/// What the daemon refuses to go beyond.
+/// The limits of the daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Limits {
     /// Individuals in one swarm.
@@ -59,14 +52,14 @@ pub struct Limits {
 
 /// Why a swarm was not created.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
-pub enum HostError {
-    /// The name is taken.
+pub enum RegistryError {
+    /// Another swarm has the name.
     #[error("another swarm of this name exists: choose another name, or delete it")]
     OtherSpec,
-    /// The name is taken by an equal one.
+    /// An equal swarm has the name.
     #[error("an equal swarm of this name exists: take it with exist_ok")]
     SameSpec,
-    /// There are as many swarms as there may be.
+    /// The daemon hosts `max_swarms` already.
     #[error(
         "the daemon hosts {} already, its limit: delete one, or raise max_swarms",
         counted(*.limit, "swarm")
@@ -75,17 +68,17 @@ pub enum HostError {
         /// The limit.
         limit: usize,
     },
-    /// The memory set aside for swarms does not allow it.
+    /// It exceeds the memory for swarms.
     #[error(
         "the swarm needs up to {needed} bytes, {free} of {limit} are free: make it smaller, \
          delete another, or raise max_memory_mb"
     )]
     TooMuchMemory {
-        /// What it needs.
+        /// Bytes that it needs.
         needed: u64,
-        /// What is free.
+        /// Bytes that are free.
         free: u64,
-        /// What there is.
+        /// `max_memory_mb` in bytes.
         limit: u64,
     },
     /// No thread could be started.
@@ -96,73 +89,32 @@ pub enum HostError {
     Stopping,
 }
 
-/// Makes a new swarm safe before anyone is told of it: its name, what it is and where it is.
-pub type Register =
-    Box<dyn FnOnce(&Checkpoint, &Place, &Arc<Frame>) -> Result<(), WriteFault> + Send>;
-
-/// What a swarm's journal is written by.
-pub type Archive = Box<dyn Fn(&str) -> Arc<dyn JournalWriter> + Send + Sync>;
-
-/// Where a swarm begins.
-enum Beginning {
-    /// From its recipe.
-    Spec(Register),
-    /// As another swarm was, or a snapshot.
-    Copy(Box<Checkpoint>, Register),
-    /// From what is left of it.
-    Past(Box<Past>),
-    /// It is a recording.
-    Film(Box<dyn Film>),
-}
-
-/// What a thread hosts under a name.
-enum Guest {
-    Swarm(Box<Worker>),
-    Film(Box<Player>),
-}
-
-/// A recording to be shown.
-pub struct Showing {
-    /// The recording.
-    pub film: Box<dyn Film>,
-    /// What the recorded swarm was made from.
-    pub recipe: Spec,
-    /// The size of the largest group in it.
-    pub most_individuals: usize,
-    /// What it takes in memory, beside a frame.
-    pub bytes: u64,
-}
-
-/// What tells the world of a swarm's beginning and end. Called from the swarm's thread.
-pub trait Herald: Send + Sync + 'static {
-    /// Something was put in the swarm's outlet after it had been emptied.
-    fn ring(&self, name: &str);
-    /// Whether anyone reads the frames of a swarm that moves or does not: see
-    /// [`Outlet::is_watched`].
-    fn is_watched(&self, name: &str, is_moving: bool) -> bool;
-    /// The swarm is built: `built` is to be called once it can be reached.
-    fn begun(&self, name: &str, built: Box<dyn FnOnce() + Send>);
-    /// The swarm has ended: `ended` is to be called once it can no longer be reached. Only then
-    /// is the name to be released.
-    fn ended(&self, name: &str, ended: Box<dyn FnOnce() + Send>);
+/// What a swarm starts from.
+enum StartFrom {
+    Spec(Box<dyn PersistNew>),
+    /// The checkpoint of another swarm, or a snapshot.
+    Checkpoint(Box<Checkpoint>, Box<dyn PersistNew>),
+    /// Its own stored checkpoint and journal.
+    Journal(Box<Past>),
+    Recording(Box<dyn Playback>),
 }
 
 /// The named swarms of a daemon.
-pub struct Host {
+pub struct SwarmRegistry {
     limits: Limits,
-    herald: Arc<dyn Herald>,
-    archive: Archive,
+    observer: Arc<dyn SwarmObserver>,
+    journals: Box<dyn JournalFactory>,
     cores: Arc<CpuScheduler>,
-    hosted: Mutex<Hosted>,
+    state: Mutex<State>,
 }
 
 #[derive(Default)]
-struct Hosted {
+struct State {
     swarms: BTreeMap<String, Entry>,
     memory_bytes: u64,
-    stopping: bool,
-    /// What swarms counted that are gone.
-    past: Totals,
+    is_stopping: bool,
+    /// Totals of the swarms that have ended.
+    ended: Totals,
 }
 
 struct Entry {
@@ -173,22 +125,26 @@ struct Entry {
 
 /// Whether `create` found or made a swarm.
 pub enum Created {
-    /// A new one, whose thread answers once it is built.
+    /// A new one, whose thread replies once it is built.
     New,
-    /// An equal one that was there already.
+    /// An equal one that existed before.
     Existing(Handle),
 }
 
-impl Host {
-    /// An empty host.
-    pub fn new(limits: Limits, herald: Arc<dyn Herald>, archive: Archive) -> Self {
+impl SwarmRegistry {
+    /// An empty registry.
+    pub fn new(
+        limits: Limits,
+        observer: Arc<dyn SwarmObserver>,
+        journals: Box<dyn JournalFactory>,
+    ) -> Self {
         let cores = thread::available_parallelism().map_or(1, NonZero::get);
-        Host {
+        SwarmRegistry {
             limits,
-            herald,
-            archive,
+            observer,
+            journals,
             cores: Arc::new(CpuScheduler::new(cores)),
-            hosted: Mutex::default(),
+            state: Mutex::default(),
         }
     }
 
@@ -197,132 +153,97 @@ impl Host {
         self.limits
     }
 
-    /// Creates a swarm. Its own thread builds it, and gives the answer that `promise` makes when
-    /// it can be reached, or when it could not be built.
-    ///
-    /// # Errors
-    ///
-    /// [`HostError`]; nothing is promised then, nor for an existing swarm.
+    /// Creates a swarm. Its own thread builds it, and calls the answer that `answer` makes when
+    /// clients can reach it, or when it could not be built. After an error, and for an existing
+    /// swarm, `answer` is not called.
     pub fn create(
         self: &Arc<Self>,
         name: &str,
-        recipe: Spec,
+        spec: Spec,
         exist_ok: bool,
-        register: Register,
-        promise: impl FnOnce() -> Answer,
-    ) -> Result<Created, HostError> {
-        let mut hosted = self.lock();
-        if hosted.stopping {
-            return Err(HostError::Stopping);
-        }
-        if let Some(entry) = hosted.swarms.get(name) {
-            return match (*entry.handle.recipe == recipe, exist_ok) {
+        persist: Box<dyn PersistNew>,
+        answer: impl FnOnce() -> Answer,
+    ) -> Result<Created, RegistryError> {
+        let mut state = self.lock_running()?;
+        if let Some(entry) = state.swarms.get(name) {
+            return match (*entry.handle.recipe == spec, exist_ok) {
                 (true, true) => Ok(Created::Existing(entry.handle.clone())),
-                (true, false) => Err(HostError::SameSpec),
-                (false, _) => Err(HostError::OtherSpec),
+                (true, false) => Err(RegistryError::SameSpec),
+                (false, _) => Err(RegistryError::OtherSpec),
             };
         }
-        let memory_bytes = self.admit(&hosted, recipe.n)?;
-        let beginning = Beginning::Spec(register);
-        self.begin(&mut hosted, name, recipe, memory_bytes, beginning, promise)?;
+        let memory_bytes = self.admit(&state, memory_of(spec.n))?;
+        let from = StartFrom::Spec(persist);
+        self.start(&mut state, name, spec, memory_bytes, from, answer)?;
         Ok(Created::New)
     }
 
-    /// Creates a swarm that begins as another one was at a checkpoint.
-    ///
-    /// # Errors
-    ///
-    /// [`HostError`]; nothing is promised then.
+    /// Creates a swarm from the checkpoint of another one. `answer` as in [`Self::create`].
     pub fn copy(
         self: &Arc<Self>,
         name: &str,
         checkpoint: Checkpoint,
-        register: Register,
-        promise: impl FnOnce() -> Answer,
-    ) -> Result<(), HostError> {
-        let mut hosted = self.lock();
-        if hosted.stopping {
-            return Err(HostError::Stopping);
-        }
-        if hosted.swarms.contains_key(name) {
-            return Err(HostError::OtherSpec);
-        }
-        let memory_bytes = self.admit(&hosted, checkpoint.simulation.state.configuration.n())?;
-        let recipe = checkpoint.simulation.spec.clone();
-        let beginning = Beginning::Copy(Box::new(checkpoint), register);
-        self.begin(&mut hosted, name, recipe, memory_bytes, beginning, promise)
+        persist: Box<dyn PersistNew>,
+        answer: impl FnOnce() -> Answer,
+    ) -> Result<(), RegistryError> {
+        let mut state = self.lock_vacant(name)?;
+        let n = checkpoint.simulation.state.configuration.n();
+        let memory_bytes = self.admit(&state, memory_of(n))?;
+        let spec = checkpoint.simulation.spec.clone();
+        let from = StartFrom::Checkpoint(Box::new(checkpoint), persist);
+        self.start(&mut state, name, spec, memory_bytes, from, answer)
     }
 
-    /// Brings a swarm back from what is left of it, whatever the limits are now: what there was is
-    /// not given up. `promise` is kept once it is as it was, and can be reached.
-    ///
-    /// # Errors
-    ///
-    /// [`HostError::NoThread`].
+    /// Recovers a swarm from its checkpoint and journal, whatever the limits are now. `answer` as
+    /// in [`Self::create`].
     pub fn recover(
         self: &Arc<Self>,
         name: &str,
-        recipe: Spec,
+        spec: Spec,
         past: Past,
-        promise: impl FnOnce() -> Answer,
-    ) -> Result<(), HostError> {
-        let mut hosted = self.lock();
+        answer: impl FnOnce() -> Answer,
+    ) -> Result<(), RegistryError> {
         let memory_bytes = memory_of(past.checkpoint.simulation.state.configuration.n());
-        let beginning = Beginning::Past(Box::new(past));
-        self.begin(&mut hosted, name, recipe, memory_bytes, beginning, promise)
+        let from = StartFrom::Journal(Box::new(past));
+        self.start(&mut self.lock(), name, spec, memory_bytes, from, answer)
     }
 
-    /// Shows a recording as if it were a swarm. Nothing of it outlives the daemon.
-    ///
-    /// # Errors
-    ///
-    /// [`HostError`]; nothing is promised then.
-    pub fn show(
+    /// Plays a recording under the name of a swarm; it is not persisted. `answer` as in
+    /// [`Self::create`].
+    pub fn play(
         self: &Arc<Self>,
         name: &str,
-        showing: Showing,
-        promise: impl FnOnce() -> Answer,
-    ) -> Result<(), HostError> {
-        let mut hosted = self.lock();
-        if hosted.stopping {
-            return Err(HostError::Stopping);
-        }
-        if hosted.swarms.contains_key(name) {
-            return Err(HostError::OtherSpec);
-        }
-        let needed = memory_of(showing.most_individuals).saturating_add(showing.bytes);
-        self.admit_bytes(&hosted, needed)?;
-        let beginning = Beginning::Film(showing.film);
-        self.begin(
-            &mut hosted,
-            name,
-            showing.recipe,
-            needed,
-            beginning,
-            promise,
-        )
+        playback: Box<dyn Playback>,
+        answer: impl FnOnce() -> Answer,
+    ) -> Result<(), RegistryError> {
+        let mut state = self.lock_vacant(name)?;
+        let needed = memory_of(playback.max_individuals()).saturating_add(playback.memory_bytes());
+        let memory_bytes = self.admit(&state, needed)?;
+        let spec = playback.spec().clone();
+        let from = StartFrom::Recording(playback);
+        self.start(&mut state, name, spec, memory_bytes, from, answer)
     }
 
-    /// Starts a swarm's thread.
-    fn begin(
+    /// Starts the thread of a swarm.
+    fn start(
         self: &Arc<Self>,
-        hosted: &mut Hosted,
+        state: &mut State,
         name: &str,
-        recipe: Spec,
+        spec: Spec,
         memory_bytes: u64,
-        beginning: Beginning,
-        promise: impl FnOnce() -> Answer,
-    ) -> Result<(), HostError> {
-        let (tickets, taken) = sync_channel(MOST_TICKETS);
-        let bell = (self.herald.clone(), name.to_owned());
-        let watch = bell.clone();
+        from: StartFrom,
+        answer: impl FnOnce() -> Answer,
+    ) -> Result<(), RegistryError> {
+        let (tickets, taken) = sync_channel(MAX_TICKETS);
+        let ready = (self.observer.clone(), name.to_owned());
+        let watched = ready.clone();
         let outlet = Outlet::new(
             name.to_owned(),
-            move || bell.0.ring(&bell.1),
-            move |is_moving| watch.0.is_watched(&watch.1, is_moving),
+            move || ready.0.output_ready(&ready.1),
+            move |is_moving| watched.0.is_watched(&watched.1, is_moving),
         );
         let handle = Handle {
-            recipe: Arc::new(recipe),
+            recipe: Arc::new(spec),
             outlet: Arc::new(outlet),
             history: Arc::default(),
             tally: Arc::default(),
@@ -330,15 +251,13 @@ impl Host {
             cores: self.cores.clone(),
             summary: Arc::default(),
         };
+        let (registry, swarm, answer) = (self.clone(), handle.clone(), answer());
         let thread = thread::Builder::new()
             .name(format!("swarm-{name}"))
-            .spawn({
-                let (host, handle, built) = (self.clone(), handle.clone(), promise());
-                move || host.host(&handle, taken, beginning, built)
-            })
-            .map_err(|error| HostError::NoThread(error.to_string()))?;
-        hosted.memory_bytes += memory_bytes;
-        hosted.swarms.insert(
+            .spawn(move || registry.run(&swarm, taken, from, answer))
+            .map_err(|error| RegistryError::NoThread(error.to_string()))?;
+        state.memory_bytes += memory_bytes;
+        state.swarms.insert(
             name.to_owned(),
             Entry {
                 handle,
@@ -351,61 +270,55 @@ impl Host {
 
     /// The swarm of that name.
     pub fn find(&self, name: &str) -> Option<Handle> {
-        self.lock()
-            .swarms
-            .get(name)
-            .map(|entry| entry.handle.clone())
+        let state = self.lock();
+        state.swarms.get(name).map(|entry| entry.handle.clone())
     }
 
     /// Every swarm that is built, ordered by name.
     pub fn list(&self) -> Vec<(String, Summary)> {
-        let (handles, _) = self.handles();
-        handles
-            .into_iter()
-            .filter_map(|(name, handle)| Some((name, handle.summary()?)))
-            .collect()
+        let handles = self.handles().0.into_iter();
+        let built = handles.filter_map(|(name, handle)| Some((name, handle.summary()?)));
+        built.collect()
     }
 
-    /// Every swarm, built or not, ordered by name; and what was counted of those that are gone.
+    /// Every swarm, built or not, ordered by name, and the totals of those that have ended.
     pub fn handles(&self) -> (Vec<(String, Handle)>, Totals) {
-        let hosted = self.lock();
-        let swarms = hosted.swarms.iter();
+        let state = self.lock();
+        let swarms = state.swarms.iter();
         let handles = swarms.map(|(name, entry)| (name.clone(), entry.handle.clone()));
-        (handles.collect(), hosted.past)
+        (handles.collect(), state.ended)
     }
 
-    /// Memory set aside for the swarms, in bytes.
+    /// Memory reserved for the swarms, in bytes.
     pub fn memory_bytes(&self) -> u64 {
         self.lock().memory_bytes
     }
 
     /// Releases the name of a swarm that has ended.
     pub fn release(&self, name: &str) {
-        let mut hosted = self.lock();
-        if let Some(entry) = hosted.swarms.remove(name) {
-            hosted.memory_bytes -= entry.memory_bytes;
-            hosted.past.add(&entry.handle.totals());
+        let mut state = self.lock();
+        if let Some(entry) = state.swarms.remove(name) {
+            state.memory_bytes -= entry.memory_bytes;
+            state.ended.add(&entry.handle.totals());
         }
     }
 
-    /// Ends every swarm between two steps and waits for their threads, at most `patience`.
-    ///
-    /// Returns how many had not ended by then.
-    pub fn stop(&self, patience: Duration) -> usize {
-        let threads: Vec<thread::JoinHandle<()>> = {
-            let mut hosted = self.lock();
-            hosted.stopping = true;
-            let entries = hosted.swarms.values_mut();
+    /// Ends every swarm between two steps and waits for their threads, at most `timeout`. Returns
+    /// how many still run.
+    pub fn stop(&self, timeout: Duration) -> usize {
+        let mut running: Vec<thread::JoinHandle<()>> = {
+            let mut state = self.lock();
+            state.is_stopping = true;
+            let entries = state.swarms.values_mut();
             entries
                 .filter_map(|entry| {
-                    // A full queue ends too: the last handle goes with this host.
+                    // A swarm with a full queue ends too: the last handle goes with this registry.
                     entry.handle.send(Ticket::Stop);
                     entry.thread.take()
                 })
                 .collect()
         };
-        let deadline = Instant::now() + patience;
-        let mut running = threads;
+        let deadline = Instant::now() + timeout;
         loop {
             running.retain(|thread| !thread.is_finished());
             if running.is_empty() || Instant::now() >= deadline {
@@ -415,174 +328,160 @@ impl Host {
         }
     }
 
-    /// Admits the memory of `n` individuals before anything of it is allocated.
-    fn admit(&self, hosted: &Hosted, n: usize) -> Result<u64, HostError> {
-        let needed = memory_of(n);
-        self.admit_bytes(hosted, needed).map(|()| needed)
-    }
-
-    fn admit_bytes(&self, hosted: &Hosted, needed: u64) -> Result<(), HostError> {
+    /// Admits one more swarm and its memory before any of it is allocated.
+    fn admit(&self, state: &State, needed: u64) -> Result<u64, RegistryError> {
         let limits = &self.limits;
-        if hosted.swarms.len() >= limits.max_swarms {
+        if state.swarms.len() >= limits.max_swarms {
             let limit = limits.max_swarms;
-            return Err(HostError::TooManySwarms { limit });
+            return Err(RegistryError::TooManySwarms { limit });
         }
-        let free = limits.max_memory_bytes.saturating_sub(hosted.memory_bytes);
+        let limit = limits.max_memory_bytes;
+        let free = limit.saturating_sub(state.memory_bytes);
         if needed > free {
-            let limit = limits.max_memory_bytes;
-            return Err(HostError::TooMuchMemory {
+            return Err(RegistryError::TooMuchMemory {
                 needed,
                 free,
                 limit,
             });
         }
-        Ok(())
+        Ok(needed)
     }
 
-    /// Reserves memory for a swarm that is to have another size.
+    /// Reserves memory for a swarm whose size is to change.
     fn reserve(&self, name: &str, size: Reservation) -> Result<(), ReserveError> {
         let limit = self.limits.max_individuals;
         let n = match size {
             Reservation::Grow(n) if n > limit => return Err(ReserveError::TooMany { n, limit }),
             Reservation::Grow(n) | Reservation::Return(n) => n,
         };
-        let mut hosted = self.lock();
-        let (total, needed) = (hosted.memory_bytes, memory_of(n));
-        let Some(entry) = hosted.swarms.get_mut(name) else {
+        let mut state = self.lock();
+        let needed = memory_of(n);
+        let Some(entry) = state.swarms.get(name) else {
             return Ok(());
         };
-        let others = total - entry.memory_bytes;
+        let before = entry.memory_bytes;
+        let others = state.memory_bytes - before;
         let free = self.limits.max_memory_bytes.saturating_sub(others);
         // A smaller size is always admitted, whatever memory the other swarms have reserved.
-        if needed > free && needed > entry.memory_bytes {
+        if needed > free && needed > before {
             return Err(ReserveError::NoMemory { n, needed, free });
         }
-        entry.memory_bytes = needed;
-        hosted.memory_bytes = others + needed;
+        state.set_memory(name, needed);
         Ok(())
     }
 
-    /// A swarm's life, on its own thread.
-    fn host(
+    /// Builds and runs a swarm, on its own thread.
+    fn run(
         self: &Arc<Self>,
         handle: &Handle,
         taken: Receiver<Ticket>,
-        beginning: Beginning,
-        built: Answer,
+        from: StartFrom,
+        answer: Answer,
     ) {
         let name = &handle.outlet.name;
-        // Without permission the thread keeps the default priority.
+        // Without the right to it, the thread keeps its priority.
         let _ = thread_priority::short_slice();
-        let guest = match self.build(handle, beginning) {
-            Ok(Ok(guest)) => guest,
-            // It had ended, though its end was not safe.
-            Ok(Err(End::Deleted(ended))) => {
-                drop(taken);
-                return self.herald.ended(name, ended);
+        let end = match self.build(handle, from) {
+            Ok(Ok(runner)) => {
+                let (place, frame) = runner.look();
+                let reply = DeferredAnswer::new(answer, Ok((place, Outcome::Seen(frame))));
+                self.observer.started(name, reply);
+                runner.run(&taken)
             }
-            Ok(Err(End::Stopped)) => return,
+            Ok(Err(end)) => end,
             Err(error) => {
-                drop(taken);
-                let refused = move || built.send(Err(Refusal { step: None, error }));
-                return self.herald.ended(name, Box::new(refused));
+                let answered = Err(Refusal { step: None, error });
+                End::Deleted(DeferredAnswer::new(answer, answered))
             }
         };
-        let (place, frame) = match &guest {
-            Guest::Swarm(worker) => worker.look(),
-            Guest::Film(player) => player.look(),
-        };
-        self.herald.begun(
-            name,
-            Box::new(move || built.send(Ok((place, Outcome::Seen(frame))))),
-        );
-        let end = match guest {
-            Guest::Swarm(worker) => worker.run(&taken),
-            Guest::Film(player) => player.run(&taken),
-        };
-        // Whoever asks from here on hears that it is gone.
+        // From here on a sender gets `OrderError::Gone`.
         drop(taken);
-        match end {
-            End::Deleted(ended) => self.herald.ended(name, ended),
-            End::Stopped => {}
+        if let End::Deleted(reply) = end {
+            self.observer.ended(name, reply);
         }
     }
 
-    /// Builds a swarm, and makes it safe.
+    /// Builds a swarm and persists it if it is new. Returns its end if its journal contains it.
     fn build(
         self: &Arc<Self>,
         handle: &Handle,
-        beginning: Beginning,
-    ) -> Result<Result<Guest, End>, OrderError> {
+        from: StartFrom,
+    ) -> Result<Result<Box<dyn Runner>, End>, OrderError> {
         let name = &handle.outlet.name;
-        let (host, swarm) = (self.clone(), name.clone());
-        let admit: ReserveMemory = Box::new(move |size| host.reserve(&swarm, size));
-        let shortest = Duration::from_secs(1) / self.limits.max_hz.max(1);
-        let writer = (self.archive)(name);
-        match beginning {
-            Beginning::Spec(register) => {
-                let simulation = Simulation::with_reserve((*handle.recipe).clone(), admit)?;
-                let worker = Worker::new(simulation, handle, shortest, writer);
-                register_new(&worker, register)?;
-                Ok(Ok(Guest::Swarm(Box::new(worker))))
+        let (registry, swarm) = (self.clone(), name.clone());
+        let reserve: ReserveMemory = Box::new(move |size| registry.reserve(&swarm, size));
+        let min_interval = Duration::from_secs(1) / self.limits.max_hz.max(1);
+        let writer = self.journals.open(name);
+        let (worker, persist) = match from {
+            StartFrom::Spec(persist) => {
+                let simulation = Simulation::with_reserve((*handle.recipe).clone(), reserve)?;
+                let worker = Worker::new(simulation, handle, min_interval, writer);
+                (worker, Some(persist))
             }
-            Beginning::Copy(checkpoint, register) => {
-                let worker = Worker::from_copy(*checkpoint, handle, shortest, (writer, admit));
-                register_new(&worker, register)?;
-                Ok(Ok(Guest::Swarm(Box::new(worker))))
+            StartFrom::Checkpoint(checkpoint, persist) => {
+                let writer = (writer, reserve);
+                let worker = Worker::from_copy(*checkpoint, handle, min_interval, writer);
+                (worker, Some(persist))
             }
-            Beginning::Past(past) => {
+            StartFrom::Journal(past) => {
                 let always: ReserveMemory = Box::new(|_| Ok(()));
                 let (mut worker, end) =
-                    Worker::from_past(*past, handle, shortest, (writer, always));
+                    Worker::from_past(*past, handle, min_interval, (writer, always));
                 if let Some(end) = end {
                     return Ok(Err(end));
                 }
-                self.set_aside(name, worker.n());
-                if let Err(fault) = worker.resume(admit) {
-                    warn!(swarm = name, %fault, "failed to write down that it goes on");
+                self.lock().set_memory(name, memory_of(worker.n()));
+                if let Err(fault) = worker.resume(reserve) {
+                    warn!(swarm = name, %fault, "failed to journal the restart");
                 }
-                Ok(Ok(Guest::Swarm(Box::new(worker))))
+                (worker, None)
             }
-            Beginning::Film(film) => {
-                let player = Player::new(film, handle, shortest)?;
-                Ok(Ok(Guest::Film(Box::new(player))))
+            StartFrom::Recording(playback) => {
+                return playback.start(handle, min_interval).map(Ok);
             }
+        };
+        if let Some(persist) = persist {
+            let (place, frame) = worker.look();
+            let persisted = persist.persist(&worker.checkpoint(), &place, &frame);
+            persisted.map_err(OrderError::Unsafe)?;
+        }
+        Ok(Ok(Box::new(worker)))
+    }
+
+    /// Locks the state to add a swarm.
+    fn lock_running(&self) -> Result<MutexGuard<'_, State>, RegistryError> {
+        let state = self.lock();
+        match state.is_stopping {
+            true => Err(RegistryError::Stopping),
+            false => Ok(state),
         }
     }
 
-    /// Sets memory aside for what is there already.
-    fn set_aside(&self, name: &str, n: usize) {
-        let mut hosted = self.lock();
-        let needed = memory_of(n);
-        if let Some(entry) = hosted.swarms.get_mut(name) {
+    /// Locks the state to add a swarm whose name must not be taken.
+    fn lock_vacant(&self, name: &str) -> Result<MutexGuard<'_, State>, RegistryError> {
+        let state = self.lock_running()?;
+        match state.swarms.contains_key(name) {
+            true => Err(RegistryError::OtherSpec),
+            false => Ok(state),
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // The map and the sum change together under the lock, and nothing in between can panic.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    fn set_memory(&mut self, name: &str, needed: u64) {
+        if let Some(entry) = self.swarms.get_mut(name) {
             let before = std::mem::replace(&mut entry.memory_bytes, needed);
-            hosted.memory_bytes = hosted.memory_bytes - before + needed;
+            self.memory_bytes = self.memory_bytes - before + needed;
         }
     }
-
-    fn lock(&self) -> MutexGuard<'_, Hosted> {
-        // The map and the sum change together under the lock and nothing in between can panic.
-        self.hosted.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
-/// Tells a swarm's past again, apart from every swarm there is. Returns it as it then is, and how
-/// the telling went.
-pub fn tell_again(past: Past) -> (Checkpoint, Replay) {
-    let _ = rustix::process::setpriority_process(None, RETELLING_NICENESS);
-    let handle = Handle::alone(past.checkpoint.simulation.spec.clone());
-    let always: ReserveMemory = Box::new(|_| Ok(()));
-    let (worker, _) =
-        Worker::from_past(past, &handle, Duration::ZERO, (Arc::new(NoWriter), always));
-    (worker.checkpoint(), worker.into_replay())
-}
-
-fn register_new(worker: &Worker, register: Register) -> Result<(), OrderError> {
-    let (place, frame) = worker.look();
-    register(&worker.checkpoint(), &place, &frame).map_err(OrderError::Unsafe)
-}
-
-/// Memory that a swarm may come to need, in bytes.
+/// Memory that is reserved for a swarm of `n` individuals, in bytes.
 pub fn memory_of(n: usize) -> u64 {
     (n as u64)
         .saturating_mul(BYTES_PER_INDIVIDUAL)

@@ -21,7 +21,6 @@ const CIRCLES: [(&str, &[&[&str]]); 8] = [
                 "src/health/probe.rs",
                 "src/health/stuck.rs",
             ],
-            &["src/auth/folder.rs", "src/auth/mod.rs"],
             &[
                 "src/swarm/checkpoint.rs",
                 "src/swarm/control.rs",

@@ -144,10 +144,10 @@ def fill(session: zenoh.Session, jostle: list[Any], out: Path) -> dict[str, Any]
     future_hash = ask("restored/get/status")["result"]["state_hash"]
     ask("restored/cmd/delete", {})
 
-    # Recordings of the daemon, in both formats, and one by a client.
+    # Recordings of the daemon, and one by a client.
     command(f"{node}/cmd/create", {"name": "filmed", "spec": {"n": 5, "seed": 7}})
-    for name, kind in (("film", "mcap"), ("table", "parquet"), ("going", "mcap")):
-        begin = {"swarm": "filmed", "recording": name, "format": kind, "every": 20}
+    for name in ("film", "table", "going"):
+        begin = {"swarm": "filmed", "recording": name, "every": 20}
         command(f"{node}/cmd/record", {"begin": begin})
     client = subprocess.Popen(
         [*jostle, "record", "filmed", "-o", out / "filmed.mcap", "--steps", "800"],

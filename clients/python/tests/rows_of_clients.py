@@ -122,7 +122,6 @@ CLIENTS = [
     _record(take("school")),
     _record(take("school", "night"), recording="night"),
     _record(take(swarm="school", recording="night"), recording="night"),
-    *(_record(take("school", format=it), format=it) for it in ("mcap", "parquet")),
     _record(take("school", every=np.int64(50)), every=50),
     _record(take("school", steps=1000), steps=1000),
     _record(take("school", drop_when_behind=True), drop_when_behind=True),
@@ -132,7 +131,6 @@ CLIENTS = [
         take(
             "school",
             "night",
-            format="parquet",
             every=3,
             steps=10,
             drop_when_behind=True,
@@ -140,7 +138,6 @@ CLIENTS = [
             temporary=True,
         ),
         recording="night",
-        format="parquet",
         every=3,
         steps=10,
         drop_when_behind=True,

@@ -336,12 +336,11 @@ def test_a_recording_is_replayed_as_it_was_seen(take: Take, client: jostle.Clien
         client.replay(recording="nobodys")
 
 
-@pytest.mark.parametrize("format_", ["mcap", "parquet"])
 def test_a_folder_that_the_daemon_recorded_is_read(
-    client: jostle.Client, create: Create, daemon: Daemon, format_: jostle.RecordingFormat
+    client: jostle.Client, create: Create, daemon: Daemon
 ) -> None:
     swarm = create(n=4, rate=None, publish_every=1)
-    begun = client.record(swarm.name, format=format_, every=3)
+    begun = client.record(swarm.name, every=3)
     assert (begun.phase, begun.swarm, begun.every) == ("recording", swarm.name, 3)
     for _ in range(9):
         state = swarm.step(state=True)
@@ -370,12 +369,11 @@ def test_a_damaged_recording_is_refused_and_never_read_wrong(take: Take) -> None
         jostle.read_recording(folder / "nowhere.mcap")
 
 
-@pytest.mark.parametrize("format_", ["mcap", "parquet"])
 def test_every_state_at_rate_max_is_recorded_and_fetched(
-    client: jostle.Client, create: Create, tmp_path: Path, format_: jostle.RecordingFormat
+    client: jostle.Client, create: Create, tmp_path: Path
 ) -> None:
     swarm = create(n=4, rate=None, publish_every=50)
-    begun = client.record(swarm.name, format=format_, every=1, steps=1000, temporary=True)
+    begun = client.record(swarm.name, every=1, steps=1000, temporary=True)
     assert (begun.max_bytes, begun.drop_when_behind, begun.temporary) == (2**30, False, True)
     with pytest.raises(jostle.IncorrectState, match="stop_recording"):
         client.fetch_recording(begun.recording, tmp_path / "take")

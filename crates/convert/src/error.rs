@@ -196,7 +196,6 @@ const RANGES: &[(&str, &str)] = &[
     ),
     ("part", "a whole number, 0 or more"),
     ("phase", "paused, running or faulted"),
-    ("begin.format", "\"mcap\" or \"parquet\""),
     ("format", "json or cbor"),
     ("every", "a whole number from 1 to 9007199254740991"),
     ("max_bytes", "a whole number from 1 to 9007199254740991"),

@@ -410,7 +410,6 @@ fn a_range_is_found_by_the_path_else_by_the_last_name_without_indices() {
             Some("a whole number from 1 to 9007199254740991"),
         ),
         ("steps", Some("a whole number from 1 to 1e9")),
-        ("begin.format", Some("\"mcap\" or \"parquet\"")),
         ("format", Some("json or cbor")),
         ("offset", Some("a whole number of bytes")),
         ("length", Some("a whole number of bytes")),

@@ -6,10 +6,9 @@ use jostle_proto::{Request, keys};
 use super::created;
 use crate::api::context::Context;
 use crate::api::responder::Responder;
-use crate::convert;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, create};
 use crate::convert::digest::RequestIdentity;
-use crate::persistence::writer::{self, MakePayload};
+use crate::persistence::writer::NewSwarm;
 use crate::swarm::handle::Ticket;
 use crate::swarm::outcome::{Answer, Refusal};
 use crate::swarm::registry::Created;
@@ -36,16 +35,15 @@ impl Context {
                 }),
             })
         };
-        let named = RequestIdentity::of(&key, request).map(|identity| {
-            let (name, spec) = (name.clone(), spec.clone());
-            let payload: MakePayload =
-                Box::new(move |place, frame| convert::created(&name, place, &spec, frame, true));
-            (identity, payload)
+        let persist = Box::new(NewSwarm {
+            store: self.store.clone(),
+            name: name.clone(),
+            spec: spec.clone(),
+            identity: RequestIdentity::of(&key, request),
         });
-        let register = writer::register(&self.store, &name, &spec, named);
         let created = self
             .host
-            .create(&name, spec.clone(), exist_ok, register, || answer(true))?;
+            .create(&name, spec.clone(), exist_ok, persist, || answer(true))?;
         if let Created::Existing(handle) = created {
             handle.send(Ticket::Look(answer(false)));
         }

@@ -10,17 +10,16 @@ use super::created;
 use crate::api::context::Context;
 use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
-use crate::convert;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::digest::RequestIdentity;
 use crate::persistence::recovery;
-use crate::persistence::writer::{self, MakePayload};
+use crate::persistence::writer::NewSwarm;
 use crate::store::Store;
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::handle::Ticket;
 use crate::swarm::outcome::{Answer, Outcome, Refusal};
 use crate::swarm::phase::{PauseReason, Phase};
-use crate::swarm::registry::Host;
+use crate::swarm::registry::SwarmRegistry;
 use crate::swarm::worker::replay::To;
 
 impl Context {
@@ -87,7 +86,7 @@ impl Context {
 
 /// A swarm that is to be made from a checkpoint.
 pub(super) struct Copy {
-    host: Arc<Host>,
+    host: Arc<SwarmRegistry>,
     store: Store,
     identity: Option<RequestIdentity>,
     responder: Responder,
@@ -108,13 +107,12 @@ impl Copy {
         } = self;
         let checkpoint = checkpoint.for_another(Phase::Paused(reason));
         let spec = checkpoint.simulation.spec.clone();
-        let named = identity.map(|identity| {
-            let (name, spec) = (name.clone(), spec.clone());
-            let payload: MakePayload =
-                Box::new(move |place, frame| convert::created(&name, place, &spec, frame, true));
-            (identity, payload)
+        let persist = Box::new(NewSwarm {
+            store,
+            name: name.clone(),
+            spec: spec.clone(),
+            identity,
         });
-        let register = writer::register(&store, &name, &spec, named);
         let answer = || {
             let (responder, name) = (responder.clone(), name.clone());
             Answer::new(move |answered| {
@@ -123,7 +121,7 @@ impl Copy {
                 });
             })
         };
-        if let Err(error) = host.copy(&name, checkpoint, register, answer) {
+        if let Err(error) = host.copy(&name, checkpoint, persist, answer) {
             responder.reject(&error.into(), None);
         }
     }

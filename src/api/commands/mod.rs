@@ -15,7 +15,7 @@ use std::sync::Arc;
 use jostle_physics::simulation::Spec;
 use jostle_proto::keys;
 
-pub use record::{count, publish_failure, resume};
+pub use record::{count, resume};
 
 use crate::api::context::Context;
 use crate::api::incoming::Incoming;

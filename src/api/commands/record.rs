@@ -12,11 +12,11 @@ use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::{self, Payload};
 use crate::health::RecordingCounts;
-use crate::recording::{OnFailed, Phase, RecordError, Recordings, Source, Standing, Wanted};
+use crate::recording::{NewRecording, Phase, RecordError, Recordings, Source, Status};
 use crate::swarm::error::OrderError;
 use crate::swarm::handle::Ticket;
 use crate::swarm::outcome::{Answer, Outcome, Refusal};
-use crate::swarm::registry::Host;
+use crate::swarm::registry::SwarmRegistry;
 
 impl Context {
     pub(super) fn record(
@@ -50,13 +50,12 @@ impl Context {
                         let choice = (args.every, args.steps, args.drop_when_behind);
                         let source = Source::tap(&tapped, &now, choice, 0);
                         files.submit(move |recordings| {
-                            let wanted = Wanted {
+                            let new = NewRecording {
                                 name: args.recording,
-                                format: convert::recording_format(args.format),
                                 max_bytes: args.max_bytes.unwrap_or(DEFAULT_MAX_RECORDING_BYTES),
                                 temporary: args.temporary,
                             };
-                            reply(&responder, node, recordings.begin(&wanted, source));
+                            reply(&responder, node, recordings.begin(&new, source));
                         });
                     }
                     Ok(_) => responder.reject(&CommandError::Internal, None),
@@ -103,7 +102,7 @@ fn positive(field: &'static str, number: Option<u64>) -> Result<(), CommandError
     }
 }
 
-fn reply(responder: &Responder, node: String, done: Result<(String, Standing), RecordError>) {
+fn reply(responder: &Responder, node: String, done: Result<(String, Status), RecordError>) {
     match done {
         Ok((name, standing)) => responder.complete(move || {
             let result = convert::recording(name, standing);
@@ -111,15 +110,6 @@ fn reply(responder: &Responder, node: String, done: Result<(String, Standing), R
         }),
         Err(error) => responder.reject(&error.into(), None),
     }
-}
-
-/// Publishes a failed recording as an event of its swarm, if that is still there.
-pub fn publish_failure(host: Arc<Host>) -> OnFailed {
-    Box::new(move |swarm, recording, reason| {
-        if let Some(handle) = host.find(swarm) {
-            handle.send(Ticket::RecordingFailed(recording.into(), reason.into()));
-        }
-    })
 }
 
 /// Counts the recordings for health and metrics.
@@ -139,11 +129,11 @@ pub fn count(recordings: &Recordings) -> RecordingCounts {
 }
 
 /// Resumes the recordings that were being written when the daemon ended.
-pub fn resume(recordings: &Recordings, files: &Executor<Recordings>, host: &Arc<Host>) {
+pub fn resume(recordings: &Recordings, files: &Executor<Recordings>, host: &Arc<SwarmRegistry>) {
     for (name, standing) in recordings.interrupted() {
         let resume = {
             let (files, name) = (files.clone(), name.clone());
-            move |source| files.submit(move |recordings| recordings.go_on(&name, source))
+            move |source| files.submit(move |recordings| recordings.resume(&name, source))
         };
         let Some(handle) = host.find(&standing.swarm) else {
             resume(None);
@@ -152,7 +142,7 @@ pub fn resume(recordings: &Recordings, files: &Executor<Recordings>, host: &Arc<
         let tapped = handle.clone();
         handle.send(Ticket::Look(Answer::new(move |answered| match answered {
             Ok((_, Outcome::Seen(now))) => {
-                let Standing {
+                let Status {
                     every,
                     steps_left,
                     drop_when_behind,

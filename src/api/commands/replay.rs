@@ -13,11 +13,10 @@ use crate::api::context::{Context, reject_preconditions};
 use crate::api::responder::Responder;
 use crate::convert::commands::{self, CommandError, check_name};
 use crate::convert::{self, Payload};
-use crate::playback::film::Film as _;
-use crate::playback::{Reel, ReplayError};
+use crate::playback::{McapSource, ReplayError};
 use crate::swarm::order::Order;
 use crate::swarm::outcome::{Answer, Outcome};
-use crate::swarm::registry::{Host, Showing};
+use crate::swarm::registry::SwarmRegistry;
 
 /// The default timeout of opening a recording, which reads all of its index.
 const OPEN_TIMEOUT: Duration = Duration::from_secs(60);
@@ -60,7 +59,7 @@ impl Context {
         let (uploads, node, responder) =
             (self.uploads.clone(), self.node.clone(), responder.clone());
         self.experiment_files.submit(move |_| {
-            match uploads.take_in(&piece.name, piece.offset, piece.length, &bytes) {
+            match uploads.receive(&piece.name, piece.offset, piece.length, &bytes) {
                 Ok(uploaded) => responder.complete(move || {
                     let result = ReplayResult {
                         uploaded: Some(uploaded),
@@ -93,19 +92,19 @@ impl Context {
         let (host, node, responder) = (self.host.clone(), self.node.clone(), responder.clone());
         let (uploads, recordings) = (self.uploads.clone(), self.recordings.clone());
         let opened = thread::Builder::new().name("replay".into()).spawn(move || {
-            let reel = match &args.recording {
+            let source = match &args.recording {
                 Some(name) => {
                     let parts = recordings.parts(name).into_iter();
                     let is_mcap = |it: &PathBuf| it.extension().is_some_and(|it| it == "mcap");
                     match parts.filter(is_mcap).collect::<Vec<_>>() {
                         none if none.is_empty() => Err(ReplayError::Unknown(name.clone())),
-                        parts => Reel::open(&parts, &read_order),
+                        parts => McapSource::open(&parts, &read_command),
                     }
                 }
-                None => uploads.reel(&args.name, &read_order),
+                None => uploads.open_upload(&args.name, &read_command),
             };
-            match reel {
-                Ok(reel) => show(&host, node, &args.name, reel, &responder),
+            match source {
+                Ok(source) => play(&host, node, &args.name, source, &responder),
                 Err(error) => responder.reject(&error.into(), None),
             }
         });
@@ -114,14 +113,14 @@ impl Context {
 }
 
 /// Plays a recording, and replies once its first state is published.
-fn show(host: &Arc<Host>, node: String, name: &str, reel: Reel, responder: &Responder) {
-    let frames = reel.marks().len();
-    let showing = Showing {
-        recipe: reel.recipe().clone(),
-        most_individuals: reel.most_individuals(),
-        bytes: reel.bytes(),
-        film: Box::new(reel),
-    };
+fn play(
+    host: &Arc<SwarmRegistry>,
+    node: String,
+    name: &str,
+    source: McapSource,
+    responder: &Responder,
+) {
+    let frames = source.index().len();
     let answer = || {
         let (responder, swarm) = (responder.clone(), name.to_owned());
         Answer::new(move |answered| {
@@ -138,13 +137,13 @@ fn show(host: &Arc<Host>, node: String, name: &str, reel: Reel, responder: &Resp
         })
     };
     tracing::debug!(name, frames, "opened a recording");
-    if let Err(error) = host.show(name, showing, answer) {
+    if let Err(error) = host.play(name, Box::new(source), answer) {
         responder.reject(&error.into(), None);
     }
 }
 
 /// Parses a recorded command.
-fn read_order(verb: &str, args: &str) -> Result<Order, String> {
+fn read_command(verb: &str, args: &str) -> Result<Order, String> {
     let request = Request::from_json(args.as_bytes()).map_err(|error| error.to_string())?;
     let command = commands::read(verb, &request).map_err(|error| error.to_string())?;
     Ok(command.order)

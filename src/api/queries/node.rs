@@ -66,7 +66,7 @@ impl Context {
     /// The user of the client's token, and the verbs that they may send.
     fn who_asks(&self, incoming: &Incoming) -> WhoAmI {
         let (person, role) = match &*self.rights.current() {
-            Rights::Everybody => (None, Some(Role::Operator)),
+            Rights::Open => (None, Some(Role::Operator)),
             known => known
                 .owner(incoming.token())
                 .map_or((None, None), |person| {

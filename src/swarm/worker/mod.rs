@@ -27,7 +27,7 @@ use crate::swarm::handle::{Handle, Ticket, receive};
 use crate::swarm::history::History;
 use crate::swarm::journal::{Journal, JournalWriter, Record};
 use crate::swarm::order::Order;
-use crate::swarm::outcome::{Answer, Outcome, Refusal};
+use crate::swarm::outcome::{Answer, DeferredAnswer, Outcome, Refusal};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::pace::{MAX_BACKLOG, Pace};
 use crate::swarm::phase::{Cue, PauseReason, Phase};
@@ -121,8 +121,8 @@ impl Since {
 
 /// What ended a swarm's thread.
 pub enum End {
-    /// Its deletion; the answer is due when it is gone for everyone.
-    Deleted(Box<dyn FnOnce() + Send>),
+    /// Its deletion; the answer is due once clients can no longer reach it.
+    Deleted(DeferredAnswer),
     /// The daemon stops.
     Stopped,
 }

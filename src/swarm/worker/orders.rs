@@ -15,7 +15,7 @@ use crate::swarm::frame::EventKind;
 use crate::swarm::handle::Command;
 use crate::swarm::journal::Record;
 use crate::swarm::order::{Order, Until, When};
-use crate::swarm::outcome::{Answer, Answered, Outcome, Refusal};
+use crate::swarm::outcome::{Answer, Answered, DeferredAnswer, Outcome, Refusal};
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, Cue, PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
@@ -503,9 +503,8 @@ impl Worker {
                 error: OrderError::Gone,
             })
         });
-        Some(End::Deleted(Box::new(move || {
-            answer.send(Ok((place, Outcome::Done)));
-        })))
+        let reply = DeferredAnswer::new(answer, Ok((place, Outcome::Done)));
+        Some(End::Deleted(reply))
     }
 
     /// Enters the phase that `cue` leads to, if it leads to another.

@@ -11,7 +11,7 @@ use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{EventKind, Place};
 use crate::swarm::handle::{Command, Handle};
 use crate::swarm::history::Entry;
-use crate::swarm::journal::{Journal, JournalWriter, Line, Record};
+use crate::swarm::journal::{Journal, JournalWriter, Line, NoWriter, Record};
 use crate::swarm::order::{Order, When};
 use crate::swarm::outcome::Answer;
 use crate::swarm::pace::Pace;
@@ -24,6 +24,9 @@ use jostle_physics::simulation::Simulation;
 /// Events told between a checkpoint and a crash are told under the same numbers again only in
 /// part. Numbers go on from the next multiple of this, so that none is given twice.
 const EVENTS_LOST: u64 = 1 << 20;
+
+/// Niceness of a thread that only replays: lower priority than the hosted swarms.
+const REPLAY_NICENESS: i32 = 15;
 
 /// Makes the place that the answer to a command goes to.
 pub type Recall = Box<dyn Fn(&Arc<Sender>) -> Answer + Send>;
@@ -47,6 +50,19 @@ pub struct Past {
     pub recall: Recall,
     /// Where it ends.
     pub to: To,
+}
+
+impl Past {
+    /// Replays it outside the registry, for verification and copies. Returns the final state and
+    /// what the replay found.
+    pub fn replay(self) -> (Checkpoint, Replay) {
+        let _ = rustix::process::setpriority_process(None, REPLAY_NICENESS);
+        let handle = Handle::alone(self.checkpoint.simulation.spec.clone());
+        let always: ReserveMemory = Box::new(|_| Ok(()));
+        let (worker, _) =
+            Worker::from_past(self, &handle, Duration::ZERO, (Arc::new(NoWriter), always));
+        (worker.checkpoint(), worker.into_replay())
+    }
 }
 
 /// A command that was applied.

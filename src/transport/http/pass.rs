@@ -5,7 +5,7 @@ use std::sync::Arc;
 use axum::http::HeaderMap;
 use axum::http::header::{AUTHORIZATION, SEC_WEBSOCKET_PROTOCOL};
 
-use crate::auth::Person;
+use crate::auth::User;
 use crate::auth::live::LiveRights;
 use crate::transport::http::token::Token;
 
@@ -40,7 +40,7 @@ impl Pass {
     }
 
     /// Who it is, where people are known.
-    pub fn person(&self, headers: &HeaderMap) -> Option<Person> {
+    pub fn person(&self, headers: &HeaderMap) -> Option<User> {
         match self {
             Pass::Page(_) => None,
             Pass::People(rights) => rights.current().owner(given(headers)?.as_bytes()).cloned(),

@@ -8,7 +8,7 @@
 use jostle_proto::{Role, keys};
 use serde_json::{Value, json};
 
-use crate::auth::{Person, Rights};
+use crate::auth::{Rights, User};
 
 /// A verbatim chunk is matched only by itself.
 const EVERYTHING: [&str; 3] = ["**", "**/@node/**", "**/@adv/**"];
@@ -45,7 +45,7 @@ pub fn control(prefix: &str, rights: &Rights) -> Value {
     )];
     let mut subjects = Vec::new();
     let mut policies = Vec::new();
-    match rights.people() {
+    match rights.users() {
         None => {
             let asking = [&["query"], &WATCHING[..]].concat();
             rules.push(rule(
@@ -123,7 +123,7 @@ fn roles(prefix: &str) -> Vec<Value> {
 }
 
 /// The names of the rules for `person`; those that are theirs alone are added.
-fn rules_of(prefix: &str, person: &Person, rules: &mut Vec<Value>) -> Vec<String> {
+fn rules_of(prefix: &str, person: &User, rules: &mut Vec<Value>) -> Vec<String> {
     let mut names = vec!["the_daemon_tells", "watch", "get"];
     let controllers = match person.role {
         Role::Viewer => {
@@ -162,7 +162,7 @@ fn claims(prefix: &str) -> Value {
 }
 
 /// The ids of the subjects that are `person`, which are added.
-fn subjects_of(person: &Person, subjects: &mut Vec<Value>) -> [String; 2] {
+fn subjects_of(person: &User, subjects: &mut Vec<Value>) -> [String; 2] {
     let name = &person.name;
     let ids = [format!("{name}_here"), format!("{name}_by_tls")];
     let [here, by_tls] = &ids;

@@ -12,8 +12,10 @@ use tracing::{info, warn};
 use crate::api::incoming::{Incoming, Target};
 use crate::convert::commands::CommandError;
 use crate::metrics::Pulse;
+use crate::swarm::outcome::DeferredAnswer;
 use crate::transport::zenoh::claims::{Action, Gate, Name, Reserved};
-use crate::transport::zenoh::gateway::{DispatchMessage, Gateway};
+use crate::transport::zenoh::gateway::Gateway;
+use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::publisher::Press;
 use crate::transport::zenoh::queryables::{LINGER, SwarmEndpoints};
 use crate::transport::zenoh::session_pool::SessionPool;
@@ -57,8 +59,12 @@ impl Dispatcher {
                 Ok(DispatchMessage::FirstUse(swarm, verb)) => {
                     self.endpoints.declare_key(&swarm, verb)
                 }
-                Ok(DispatchMessage::Begun(swarm, built)) => self.begun(&swarm, built),
-                Ok(DispatchMessage::Ended(swarm, ended)) => self.ended(&swarm, ended),
+                Ok(DispatchMessage::Begun(swarm, reply)) => self.begun(&swarm, reply),
+                Ok(DispatchMessage::Ended(swarm, reply)) => self.ended(&swarm, reply),
+                Ok(DispatchMessage::Closed(swarm, reply)) => {
+                    self.gateway.context.host.release(&swarm);
+                    reply.send();
+                }
                 Err(RecvTimeoutError::Timeout) => {}
                 Ok(DispatchMessage::Stop) | Err(RecvTimeoutError::Disconnected) => {
                     self.gateway.context.verifications.stop();
@@ -189,13 +195,13 @@ impl Dispatcher {
         }
     }
 
-    fn begun(&mut self, swarm: &str, built: Box<dyn FnOnce() + Send>) {
+    fn begun(&mut self, swarm: &str, reply: DeferredAnswer) {
         let is_recovering = &self.gateway.context.is_recovering;
         let is_recovering = is_recovering.load(Ordering::Acquire);
         let name = Name::Swarm(swarm.to_owned());
         self.gateway.claims.begin(&name, !is_recovering);
         self.reconcile();
-        built();
+        reply.send();
     }
 
     /// Opens a swarm's keys.
@@ -219,19 +225,11 @@ impl Dispatcher {
         }
     }
 
-    fn ended(&mut self, swarm: &str, ended: Box<dyn FnOnce() + Send>) {
+    fn ended(&mut self, swarm: &str, reply: DeferredAnswer) {
         if self.endpoints.close(swarm) {
             info!(swarm, "deleted");
         }
         self.gateway.claims.end(&Name::Swarm(swarm.to_owned()));
-        let host = self.gateway.context.host.clone();
-        let name = swarm.to_owned();
-        self.press.close(
-            swarm,
-            Box::new(move || {
-                host.release(&name);
-                ended();
-            }),
-        );
+        self.press.close(swarm, reply);
     }
 }

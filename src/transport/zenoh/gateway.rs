@@ -1,4 +1,4 @@
-//! What the threads that receive queries share with the dispatcher, and its messages.
+//! What the threads that receive queries share with the dispatcher, and how swarms notify both.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -10,33 +10,14 @@ use zenoh::{Session, Wait};
 use crate::api::admission::Admission;
 use crate::api::context::{Context, Peers};
 use crate::api::incoming::{Incoming, Target};
-use crate::swarm::registry::Herald;
+use crate::swarm::outcome::DeferredAnswer;
+use crate::swarm::runner::SwarmObserver;
 use crate::transport::zenoh::claims::{Claims, Gate, Name};
+use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::publisher::Press;
-
-/// Requests that may be queued for the dispatcher; further ones are rejected with `busy`.
-pub const MAX_QUEUED: usize = 1024;
 
 /// The longest request that is handled on the thread that received it, in bytes.
 const MAX_BYTES_AT_ONCE: usize = 16 * 1024;
-
-/// A message to the dispatcher.
-pub enum DispatchMessage {
-    /// A request.
-    Request(Incoming),
-    /// The first use of a verb on a swarm.
-    FirstUse(Arc<str>, &'static str),
-    /// The claims of other daemons, or the connected routers, changed.
-    Claimed,
-    /// Every swarm is recovered: open the daemon's own keys as soon as its claim permits it.
-    Recovered(SyncSender<zenoh::Result<()>>),
-    /// A swarm is built.
-    Begun(String, Box<dyn FnOnce() + Send>),
-    /// A swarm has ended.
-    Ended(String, Box<dyn FnOnce() + Send>),
-    /// The daemon stops.
-    Stop,
-}
 
 /// Notifies the dispatcher and the publisher of swarms.
 pub struct LifecycleNotifier {
@@ -51,8 +32,8 @@ impl LifecycleNotifier {
     }
 }
 
-impl Herald for LifecycleNotifier {
-    fn ring(&self, name: &str) {
+impl SwarmObserver for LifecycleNotifier {
+    fn output_ready(&self, name: &str) {
         self.press.ring(name);
     }
 
@@ -60,14 +41,14 @@ impl Herald for LifecycleNotifier {
         self.press.is_watched(name, is_moving)
     }
 
-    fn begun(&self, name: &str, built: Box<dyn FnOnce() + Send>) {
+    fn started(&self, name: &str, reply: DeferredAnswer) {
         // An error means that the daemon is stopping.
-        let message = DispatchMessage::Begun(name.to_owned(), built);
+        let message = DispatchMessage::Begun(name.to_owned(), reply);
         let _ = self.messages.send(message);
     }
 
-    fn ended(&self, name: &str, ended: Box<dyn FnOnce() + Send>) {
-        let message = DispatchMessage::Ended(name.to_owned(), ended);
+    fn ended(&self, name: &str, reply: DeferredAnswer) {
+        let message = DispatchMessage::Ended(name.to_owned(), reply);
         let _ = self.messages.send(message);
     }
 }

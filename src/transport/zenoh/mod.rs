@@ -7,6 +7,7 @@ pub mod claims;
 pub mod clients;
 pub mod dispatcher;
 pub mod gateway;
+pub mod messages;
 pub mod progress;
 mod publish_schedule;
 pub mod publisher;

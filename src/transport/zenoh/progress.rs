@@ -10,7 +10,7 @@ use zenoh::qos::CongestionControl;
 use zenoh::{Session, Wait};
 
 use crate::convert::{self, Payload};
-use crate::experiments::{Lab, Report};
+use crate::experiments::{ExperimentManager, Report};
 
 /// The least time between two publications of the progress of one experiment.
 const MIN_INTERVAL: Duration = Duration::from_millis(500);
@@ -20,10 +20,15 @@ const MIN_INTERVAL: Duration = Duration::from_millis(500);
 /// # Errors
 ///
 /// When the system starts no thread.
-pub fn publish(lab: Lab, session: Session, prefix: String, node: String) -> std::io::Result<()> {
+pub fn publish(
+    lab: ExperimentManager,
+    session: Session,
+    prefix: String,
+    node: String,
+) -> std::io::Result<()> {
     let work = move || {
         let (mut seen, mut published) = (0, BTreeMap::new());
-        while let Some(newest) = lab.news(seen) {
+        while let Some(newest) = lab.wait_for_change(seen) {
             seen = newest;
             let now: BTreeMap<String, Report> = lab
                 .reports()

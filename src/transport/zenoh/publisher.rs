@@ -5,7 +5,7 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -21,7 +21,9 @@ use crate::convert::error::refusal;
 use crate::convert::{self, Payload};
 use crate::metrics::Pulse;
 use crate::swarm::frame::Frame;
+use crate::swarm::outcome::DeferredAnswer;
 use crate::swarm::outlet::Outlet;
+use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::session_pool::Lease;
 
 use crate::transport::zenoh::publish_schedule::{MOST_GATHERED, Turns};
@@ -87,13 +89,14 @@ pub struct Press {
     prefix: String,
     publications: Mutex<BTreeMap<String, Arc<Publication>>>,
     bells: Sender<Bell>,
+    dispatcher: SyncSender<DispatchMessage>,
     /// Whether its thread is at work.
     pub pulse: Arc<Pulse>,
 }
 
 enum Bell {
     Ring(String),
-    Close(String, Box<dyn FnOnce() + Send>),
+    Close(String, DeferredAnswer),
     Stop,
 }
 
@@ -103,12 +106,16 @@ impl Press {
     /// # Errors
     ///
     /// When no thread can be started.
-    pub fn start(prefix: &str) -> std::io::Result<(Arc<Self>, thread::JoinHandle<()>)> {
+    pub fn start(
+        prefix: &str,
+        dispatcher: SyncSender<DispatchMessage>,
+    ) -> std::io::Result<(Arc<Self>, thread::JoinHandle<()>)> {
         let (bells, rung) = channel();
         let press = Arc::new(Press {
             prefix: prefix.to_owned(),
             publications: Mutex::default(),
             bells,
+            dispatcher,
             pulse: Arc::default(),
         });
         let thread = thread::Builder::new().name("publish".into()).spawn({
@@ -155,13 +162,15 @@ impl Press {
         }
     }
 
-    /// Publishes what is left of a swarm, then no more, and then calls `closed`.
-    pub fn close(&self, swarm: &str, closed: Box<dyn FnOnce() + Send>) {
-        let close = Bell::Close(swarm.to_owned(), closed);
+    /// Publishes what is left of a swarm, and nothing after it. The dispatcher then receives
+    /// [`DispatchMessage::Closed`].
+    pub fn close(&self, swarm: &str, reply: DeferredAnswer) {
+        let close = Bell::Close(swarm.to_owned(), reply);
         if let Err(error) = self.bells.send(close)
-            && let Bell::Close(_, closed) = error.0
+            && let Bell::Close(_, reply) = error.0
         {
-            closed();
+            // The daemon is stopping.
+            reply.send();
         }
     }
 
@@ -190,13 +199,15 @@ impl Press {
             let began = Instant::now();
             let swarm = match bell {
                 Ok(Bell::Ring(swarm)) => turns.ring(swarm, began),
-                Ok(Bell::Close(swarm, closed)) => {
+                Ok(Bell::Close(swarm, reply)) => {
                     let publication = self.lock().remove(&swarm);
                     if let Some(publication) = publication {
                         publication.publish(&swarm);
                     }
                     turns.forget(&swarm);
-                    closed();
+                    let closed = DispatchMessage::Closed(swarm, reply);
+                    // An error means that the daemon is stopping.
+                    let _ = self.dispatcher.send(closed);
                     None
                 }
                 Err(RecvTimeoutError::Timeout) => turns.next(),

@@ -14,7 +14,8 @@ use zenoh::{Session, Wait};
 use crate::api::incoming::{Incoming, Peer, Received, Target};
 use crate::convert::Payload;
 use crate::convert::commands::CommandError;
-use crate::transport::zenoh::gateway::{DispatchMessage, Gateway};
+use crate::transport::zenoh::gateway::Gateway;
+use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::session_pool::LeaseGuard;
 
 /// A query, as the connection to the client that sent it.

@@ -13,7 +13,8 @@ use zenoh::query::Queryable;
 use zenoh::{Session, Wait};
 
 use crate::api::incoming::Target;
-use crate::transport::zenoh::gateway::{DispatchMessage, Gateway};
+use crate::transport::zenoh::gateway::Gateway;
+use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::query::queryable;
 use crate::transport::zenoh::session_pool::{Lease, SessionPool};
 

@@ -132,12 +132,12 @@ pub async fn open(
     rights: &Rights,
     max_clients: usize,
 ) -> Result<Opened, SessionError> {
-    check(listen, rights.people().is_some())?;
+    check(listen, rights.users().is_some())?;
     read_first();
     let mut config = Config::default();
     let mut settings = settings(listen, max_clients);
     settings.push(("access_control", acl::control(prefix, rights)));
-    if let Rights::People { folder, .. } = rights {
+    if let Rights::Users { folder, .. } = rights {
         settings.extend(proofs(folder));
     }
     for (key, value) in settings {

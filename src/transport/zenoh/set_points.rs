@@ -15,7 +15,7 @@ use zenoh::{Session, Wait};
 use crate::auth::live::LiveRights;
 use crate::convert::commands::control;
 use crate::swarm::handle::Ticket;
-use crate::swarm::registry::Host;
+use crate::swarm::registry::SwarmRegistry;
 use crate::transport::zenoh::claims::Claims;
 
 /// What may wait to be read; beyond that the newest are dropped, as on any link that is full.
@@ -40,7 +40,7 @@ enum Sent {
 pub fn listen(
     session: &Session,
     prefix: &str,
-    host: Arc<Host>,
+    host: Arc<SwarmRegistry>,
     rights: Arc<LiveRights>,
     claims: Arc<Claims>,
 ) -> zenoh::Result<[Subscriber<()>; 2]> {
@@ -78,7 +78,7 @@ pub fn listen(
 struct Reader {
     session: Session,
     prefix: String,
-    host: Arc<Host>,
+    host: Arc<SwarmRegistry>,
     rights: Arc<LiveRights>,
     claims: Arc<Claims>,
 }

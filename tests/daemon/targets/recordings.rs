@@ -4,8 +4,7 @@ use std::path::PathBuf;
 use std::process;
 use std::thread;
 
-use jostled::playback::Reel;
-use jostled::playback::film::Film as _;
+use jostled::playback::McapSource;
 
 /// A file is refused in words, or each of its frames can be read, in their order.
 pub fn hold(data: &[u8]) {
@@ -16,22 +15,22 @@ pub fn hold(data: &[u8]) {
         thread::current().id()
     ));
     std::fs::write(&path, data).expect("the temporary folder takes a file");
-    let opened = Reel::open(std::slice::from_ref(&path), &|_, _| {
+    let opened = McapSource::open(std::slice::from_ref(&path), &|_, _| {
         Err("commands are fuzzed as `orders`".to_owned())
     });
     match opened {
-        Ok(mut reel) => {
-            let frames = reel.marks().len();
+        Ok(mut source) => {
+            let frames = source.index().len();
             assert!(frames > 0);
-            let positions = reel.marks().iter().map(|mark| mark.position);
+            let positions = source.index().iter().map(|index| index.position);
             assert!(positions.is_sorted());
             for frame in 0..frames {
-                let shot = reel
-                    .shot(frame)
+                let read = source
+                    .frame(frame)
                     .expect("it was looked at when it was opened");
-                assert!(shot.configuration.n() <= reel.most_individuals());
+                assert!(read.configuration.n() <= source.max_individuals());
             }
-            assert!(reel.told().iter().all(|told| told.after <= frames));
+            assert!(source.events().iter().all(|event| event.after <= frames));
         }
         Err(error) => assert!(!error.to_string().is_empty()),
     }

@@ -16,14 +16,17 @@ use std::time::{Duration, Instant};
 use jostle_physics::model::Parameters;
 use jostle_physics::model::selection::Selection;
 use jostle_physics::simulation::{Change, ChangeError, Placement, Settings, Spec, Start};
+use jostled::swarm::checkpoint::Checkpoint;
 use jostled::swarm::error::OrderError;
+use jostled::swarm::error::WriteFault;
 use jostled::swarm::frame::{EventKind, Frame, Place};
 use jostled::swarm::handle::{Command, Handle, Ticket};
-use jostled::swarm::journal::NoWriter;
+use jostled::swarm::journal::{JournalWriter, NoWriter};
 use jostled::swarm::order::{Awaited, Order, Until, When};
-use jostled::swarm::outcome::{Answer, Answered, Outcome};
+use jostled::swarm::outcome::{Answer, Answered, DeferredAnswer, Outcome};
 use jostled::swarm::phase::Phase;
-use jostled::swarm::registry::{Created, Herald, Host, Limits};
+use jostled::swarm::registry::{Created, Limits, SwarmRegistry};
+use jostled::swarm::runner::{JournalFactory, PersistNew, SwarmObserver};
 use jostled::swarm::sender::Sender;
 use jostled::swarm::waiters::Waiter;
 
@@ -66,24 +69,44 @@ impl Bytes<'_> {
 }
 
 /// Nobody listens to the swarm, and its end is known as soon as it ends.
-struct Silence(OnceLock<Weak<Host>>);
+struct Silence(OnceLock<Weak<SwarmRegistry>>);
 
-impl Herald for Silence {
-    fn ring(&self, _: &str) {}
+impl SwarmObserver for Silence {
+    fn output_ready(&self, _: &str) {}
 
     fn is_watched(&self, _: &str, _: bool) -> bool {
         false
     }
 
-    fn begun(&self, _: &str, built: Box<dyn FnOnce() + Send>) {
-        built();
+    fn started(&self, _: &str, reply: DeferredAnswer) {
+        reply.send();
     }
 
-    fn ended(&self, name: &str, ended: Box<dyn FnOnce() + Send>) {
+    fn ended(&self, name: &str, reply: DeferredAnswer) {
         if let Some(host) = self.0.get().and_then(Weak::upgrade) {
             host.release(name);
         }
-        ended();
+        reply.send();
+    }
+}
+
+/// Nothing is written.
+struct NoStore;
+
+impl JournalFactory for NoStore {
+    fn open(&self, _: &str) -> Arc<dyn JournalWriter> {
+        Arc::new(NoWriter)
+    }
+}
+
+impl PersistNew for NoStore {
+    fn persist(
+        self: Box<Self>,
+        _: &Checkpoint,
+        _: &Place,
+        _: &Arc<Frame>,
+    ) -> Result<(), WriteFault> {
+        Ok(())
     }
 }
 
@@ -255,14 +278,14 @@ pub fn hold(data: &[u8]) {
         max_hz: 1000,
     };
     let herald = Arc::new(Silence(OnceLock::new()));
-    let host = Arc::new(Host::new(
+    let host = Arc::new(SwarmRegistry::new(
         limits,
         herald.clone(),
-        Box::new(|_| Arc::new(NoWriter)),
+        Box::new(NoStore),
     ));
     assert!(herald.0.set(Arc::downgrade(&host)).is_ok());
     let (answer, built) = answers();
-    let created = host.create("a", recipe(n), false, Box::new(|_, _, _| Ok(())), || answer);
+    let created = host.create("a", recipe(n), false, Box::new(NoStore), || answer);
     assert!(matches!(created, Ok(Created::New)));
     assert!(answer_from(&built).is_ok());
     let handle = host.find("a").expect("it was created");

@@ -257,7 +257,6 @@ mod tests {
             "record demo -o a.mcap --as take",
             "record demo -o a.mcap --request-id one",
             "record demo --at-daemon --for 3",
-            "record demo --at-daemon --format csv",
             "record demo --at-daemon --list",
             "record demo -o a.mcap --max-size 0",
             "record demo -o a.mcap --max-size 1TiB5",

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use clap::{Args, ValueEnum, ValueHint};
+use clap::{Args, ValueHint};
 use clap_complete::engine::ArgValueCompleter;
 
 use crate::arguments::SenderArguments;
@@ -52,9 +52,6 @@ pub struct RecordArguments {
     /// What to call the daemon's recording [default: the swarm's name and a number]
     #[arg(long = "as", value_name = "NAME", help_heading = AT_DAEMON, requires = "at_daemon", value_parser = values::name)]
     pub as_name: Option<String>,
-    /// How the daemon writes it [default: mcap]
-    #[arg(long, help_heading = AT_DAEMON, requires = "at_daemon")]
-    pub format: Option<RecordedAs>,
     /// Fetch one of the daemon's recordings into -o FILE, such as one whose client was killed
     #[arg(long, value_name = "NAME", help_heading = AT_DAEMON, requires = "out", conflicts_with_all = ["name", "every", "drop_when_behind", "max_size", "published", "for_secs", "steps", "at_daemon", "list", "stop", "delete"], value_parser = values::name, add = ArgValueCompleter::new(completion::recordings))]
     pub fetch: Option<String>,
@@ -74,12 +71,3 @@ pub struct RecordArguments {
 
 /// Above the options of what the daemon records.
 const AT_DAEMON: &str = "Recordings of the daemon";
-
-/// How a daemon writes a recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum RecordedAs {
-    /// Messages for players and replays, in the encodings in which they are published
-    Mcap,
-    /// A table for data frames
-    Parquet,
-}

@@ -236,12 +236,12 @@ async fn the_daemon_records_lists_stops_and_deletes() {
     let ended = daemon.jostle("record demo --at-daemon").await;
     assert_eq!(ended.code, Some(0), "{ended:?}");
     assert!(ended.stdout.contains("--stop demo-1"), "{ended:?}");
-    let line = "record demo --at-daemon --as table --format parquet --every 10";
+    let line = "record demo --at-daemon --as table --every 10";
     let begun = daemon.reply(line).await;
     let result = &begun["result"];
     assert_eq!(
         (&result["format"], &result["every"]),
-        (&json!("parquet"), &json!(10))
+        (&json!("mcap"), &json!(10))
     );
     let refusal = daemon.refusal(line).await;
     assert_eq!(refusal["code"], "already_exists");
@@ -256,7 +256,7 @@ async fn the_daemon_records_lists_stops_and_deletes() {
     })
     .await;
     let listed = daemon.jostle("record --list").await.stdout;
-    for word in ["recording", "demo-1", "table", "parquet", "missed"] {
+    for word in ["recording", "demo-1", "table", "mcap", "missed"] {
         assert!(listed.contains(word), "{listed}");
     }
     let ended = daemon.jostle("record --stop demo-1").await;

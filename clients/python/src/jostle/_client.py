@@ -19,7 +19,7 @@ from ._messages import CreateResult, Reply
 from ._metrics import Metrics
 from ._node import WIRE_VERSION, Hello, NodeStatus, Schemas, Swarms, SwarmSummary
 from ._reading import read_reply
-from ._recordings import RecordingFormat, Recordings, RecordingStatus, fetch, send_record
+from ._recordings import Recordings, RecordingStatus, fetch, send_record
 from ._replay import check_finished, open_replay, upload
 from ._results import Experiments, Progress
 from ._show import Listed, trouble
@@ -372,7 +372,6 @@ class Client:
         swarm: str,
         recording: str | None = None,
         *,
-        format: RecordingFormat | None = None,
         every: SupportsIndex | None = None,
         steps: SupportsIndex | None = None,
         drop_when_behind: bool = False,
@@ -391,7 +390,6 @@ class Client:
         Args:
             swarm: Whom.
             recording: What to call it; None is the swarm's name and a number.
-            format: How to write it; None is as `mcap`.
             every: Record the states whose step is a multiple of this; None is the swarm's
                 `publish_every`.
             steps: Stop after this many steps of the swarm; None is no limit.
@@ -413,8 +411,6 @@ class Client:
         args: dict[str, Any] = {"swarm": check_name("swarm", swarm)}
         if recording is not None:
             args["recording"] = check_name("recording", recording)
-        if format is not None:
-            args["format"] = format
         if every is not None:
             args["every"] = whole("every", every)
         if steps is not None:

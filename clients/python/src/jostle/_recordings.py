@@ -29,7 +29,7 @@ class RecordingStatus(Shown, frozen=True, kw_only=True):
     Attributes:
         recording: Its name, and its folder's below `recordings` in the daemon's data directory.
         swarm: Whom it is of.
-        format: How it is written.
+        format: `mcap`, or `parquet` if an earlier version recorded it.
         every: The states whose step is a multiple of this are in it; None is what was published, by
             an earlier version.
         phase: What it is doing.

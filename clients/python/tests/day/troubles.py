@@ -75,14 +75,14 @@ class Troubles:
         self._asker.ask(None, "create", {"name": _PAUSED, "spec": {"n": 20}})
         self._asker.ask(_PAUSED, "step", {"steps": 100})
         eventually("their swarms are there", 20.0, lambda: self._are_there({"film", "table"}))
-        self._record("film-1", "film", "mcap")
-        self._record("table-1", "table", "parquet")
+        self._record("film-1", "film")
+        self._record("table-1", "table")
 
     def _are_there(self, swarms: set[str]) -> bool:
         return swarms <= {it.swarm for it in self._client.swarms()}
 
-    def _record(self, recording: str, swarm: str, format_: str) -> None:
-        begin = {"swarm": swarm, "recording": recording, "format": format_}
+    def _record(self, recording: str, swarm: str) -> None:
+        begin = {"swarm": swarm, "recording": recording}
         step = self._client.swarm(swarm).status().step
         self._lab.notes.recorded[recording] = Recorded(swarm, time.monotonic(), step)
         asked = self._asker.ask(None, "record", {"begin": begin})
@@ -146,14 +146,14 @@ class Troubles:
         return {
             str(part.relative_to(folder)): hashlib.sha256(part.read_bytes()).hexdigest()
             for part in sorted(folder.glob("*/part-*"))
-            if part.suffix in (".mcap", ".parquet")
+            if part.suffix == ".mcap"
         }
 
     def _replay(self) -> None:
         lab = self._lab
         self._asker.ask(None, "record", {"stop": {"recording": "film-1"}})
         lab.notes.recorded["film-1"].ended = time.monotonic()
-        self._record("film-2", "film", "mcap")
+        self._record("film-2", "film")
         seen = lab.notes.replay
         try:
             frames = list(jostle.read_recording(lab.node.data / "recordings" / "film-1"))

@@ -72,10 +72,14 @@ impl<'a> Lab<'a> {
     /// A daemon process, and its data folder.
     pub fn life(points: &str, arguments: &[&str]) -> (Life, TempDir) {
         let folder = tempfile::tempdir().unwrap();
+        (Self::life_in(&folder, points, arguments), folder)
+    }
+
+    /// A daemon process on a data folder.
+    pub fn life_in(folder: &TempDir, points: &str, arguments: &[&str]) -> Life {
         let mut command = jostled(&["serve", "--listen", "tcp/127.0.0.1:0", "--node", LAB]);
         command.args(arguments).arg("--data-dir").arg(folder.path());
-        let life = Life::begin(command.env("FAILPOINTS", points)).unwrap();
-        (life, folder)
+        Life::begin(command.env("FAILPOINTS", points)).unwrap()
     }
 
     /// A daemon on a data folder, and its client.

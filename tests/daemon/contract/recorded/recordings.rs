@@ -1,6 +1,7 @@
 //! Recordings that go on, end and fail, and a recording that is shown.
 
 use std::fs;
+use std::path::Path;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -9,10 +10,18 @@ use serde_json::{Value, json};
 
 use super::documents::Recorded;
 use super::lab::{LAB, Lab, args};
-use crate::support::{PREFIX, until};
+use crate::support::{Client, PREFIX, until};
 
 pub async fn play(recorded: &Recorded) {
-    let lab = Lab::start(recorded).await;
+    let data = tempfile::tempdir().unwrap();
+    // A recording in Parquet by version 1a581a9.
+    let stored = Path::new("tests/stored/1a581a9/data/recordings/table/recording.json");
+    let folder = data.path().join("recordings/table");
+    fs::create_dir_all(&folder).unwrap();
+    fs::copy(stored, folder.join("recording.json")).unwrap();
+    let life = Lab::life_in(&data, "", &[]);
+    let client = Client::open(&life.endpoint).await;
+    let lab = Lab::of(recorded, life, client, data);
     let events = lab.subscribe(keys::event(PREFIX, "school")).await;
     let spec = json!({"n": 4, "seed": 1, "start": {"kind": "disc", "radius": 4.0}});
     lab.create("school", spec).await;

@@ -5,7 +5,7 @@ use jostle_proto::{
     RecordingPhase, Recordings,
 };
 
-use crate::arguments::{RecordArguments, RecordedAs};
+use crate::arguments::RecordArguments;
 use crate::bus::Bus;
 use crate::failure::{Failure, is_unknown_name};
 use crate::format;
@@ -33,10 +33,6 @@ pub async fn record(bus: &Bus, output: Output, arguments: &RecordArguments) -> R
             let args = BeginRecordingArgs {
                 swarm: swarm.clone(),
                 recording: arguments.as_name.clone(),
-                format: match arguments.format {
-                    Some(RecordedAs::Parquet) => RecordingFormat::Parquet,
-                    Some(RecordedAs::Mcap) | None => RecordingFormat::Mcap,
-                },
                 every: arguments.every,
                 steps: arguments.steps,
                 drop_when_behind: arguments.drop_when_behind,

@@ -74,7 +74,6 @@ pub async fn record(
     let begin = RecordArgs::Begin(BeginRecordingArgs {
         swarm: take.name.to_owned(),
         recording: None,
-        format: RecordingFormat::Mcap,
         every: take.every,
         steps: take.steps,
         drop_when_behind: arguments.drop_when_behind,

@@ -463,27 +463,23 @@ fn recordings() -> Vec<Row> {
         row("record --list", &["@node/test/get/recordings"]).says("school-1"),
         row(
             "record <name>demo --at-daemon",
-            &[r#"@node/test/cmd/record {"begin": {"swarm": "demo", "format": "mcap"}}"#],
+            &[r#"@node/test/cmd/record {"begin": {"swarm": "demo"}}"#],
         )
         .says("the daemon records"),
         row(
-            "record <name>demo --at-daemon --as night --format parquet --every 15 --steps 400 \
-             --drop-when-behind --max-size 5MB",
+            "record <name>demo --at-daemon --as night --every 15 --steps 400 --drop-when-behind \
+             --max-size 5MB",
             &[
                 r#"@node/test/cmd/record {"begin": {"swarm": "demo", "recording": "night",
-                "format": "parquet", "every": 15, "steps": 400, "drop_when_behind": true,
+                "every": 15, "steps": 400, "drop_when_behind": true,
                 "max_bytes": 5000000}}"#,
             ],
-        ),
-        row(
-            "record <name>demo --at-daemon --format mcap",
-            &[r#"@node/test/cmd/record {"begin": {"swarm": "demo", "format": "mcap"}}"#],
         ),
         fetched(
             "record <name>demo --out {}/fetched.mcap --every 10 --steps 99 --drop-when-behind \
              --max-size 2KiB",
             &[
-                r#"@node/test/cmd/record {"begin": {"swarm": "demo", "format": "mcap", "every": 10,
+                r#"@node/test/cmd/record {"begin": {"swarm": "demo", "every": 10,
                     "steps": 99, "drop_when_behind": true, "max_bytes": 2048, "temporary": true}}"#,
                 r#"@node/test/cmd/record {"delete": {"recording": "school-1"}}"#,
             ],
@@ -495,7 +491,7 @@ fn recordings() -> Vec<Row> {
         fetched(
             "record <name>demo -o {}/replaced.mcap --force",
             &[
-                r#"@node/test/cmd/record {"begin": {"swarm": "demo", "format": "mcap",
+                r#"@node/test/cmd/record {"begin": {"swarm": "demo",
                     "temporary": true}}"#,
                 r#"@node/test/cmd/record {"delete": {"recording": "school-1"}}"#,
             ],
@@ -505,7 +501,7 @@ fn recordings() -> Vec<Row> {
         row(
             "record <name>demo -o {}/short.mcap --for 0.1",
             &[
-                r#"@node/test/cmd/record {"begin": {"swarm": "demo", "format": "mcap",
+                r#"@node/test/cmd/record {"begin": {"swarm": "demo",
                     "temporary": true}}"#,
                 r#"@node/test/cmd/record {"stop": {"recording": "school-1"}}"#,
                 "@node/test/get/recordings",

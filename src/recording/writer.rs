@@ -1,80 +1,82 @@
-//! Writes a recording: what comes from a swarm, part by part, until it is enough.
+//! The writer of a recording: takes states and events from the queue and writes them in parts.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant, SystemTime};
 
 use fail::fail_point;
-use jostle_results::recording::{About, Format, Frame, Moment, Recorder, RecordingError, Written};
+use jostle_results::recording::{About, Frame, Moment, Recorder, RecordingError, Written};
 
-use super::intake::{End, Intake, Next};
+use super::queue::{End, FrameQueue, Next};
 use crate::convert::{self, Payload, WordRefusal};
 use crate::swarm::frame::{self, Event};
 
-/// How long a part may be in the making: as much is lost by a crash.
-const PART: Duration = Duration::from_secs(60);
+/// The maximum duration of a part: at most as much is lost by a crash.
+const PART_DURATION: Duration = Duration::from_secs(60);
 
-/// How much a recording grows until the quota is looked at again.
-const BETWEEN_QUOTA_CHECKS: u64 = 1024 * 1024;
+/// The growth of a recording between two checks of the quota.
+const QUOTA_CHECK_BYTES: u64 = 1024 * 1024;
 
-/// What writes a recording.
-pub struct Scribe {
+/// Writes a recording.
+pub struct RecordingWriter {
     /// The swarm's name.
     pub swarm: String,
-    /// How it is written.
-    pub format: Format,
-    /// Words why an order was refused.
+    /// Converts the error of a rejected command.
     pub word: WordRefusal,
-    /// Where it comes from.
-    pub intake: Arc<Intake>,
-    /// Where it goes.
+    /// The source.
+    pub queue: Arc<FrameQueue>,
+    /// The destination.
     pub recorder: Recorder,
-    /// The bytes from which on it ends.
+    /// The size at which the recording ends.
     pub max_bytes: Option<u64>,
-    /// Why the quota of all recordings ends it.
-    pub over_quota: Box<dyn Fn() -> Option<End> + Send>,
 }
 
-impl Scribe {
-    /// Writes until nothing more comes, and calls `ended_part` after each part; what came of it,
-    /// and how much there is. What was taken is kept, whatever went wrong.
+impl RecordingWriter {
+    /// Writes until the queue is closed and empty, or a limit is reached. Calls `ended_part` after
+    /// each part, and `over_quota` as the recording grows. Finishes the last part after an error as
+    /// well.
     pub fn write(
         mut self,
-        mut ended_part: impl FnMut(Written, u64),
+        ended_part: impl FnMut(Written, u64),
+        over_quota: impl Fn() -> Option<End>,
     ) -> (Result<End, RecordingError>, Written) {
-        let followed = self.follow(&mut ended_part);
-        // The swarm steps on while the last part is ended.
-        self.intake.end(*followed.as_ref().unwrap_or(&End::Stopped));
+        let end = self.write_parts(ended_part, over_quota);
+        // The swarm does not wait for the end of the last part.
+        self.queue.end(*end.as_ref().unwrap_or(&End::Stopped));
         let before = self.recorder.written();
-        match self.recorder.finish(&closing(&self.intake)) {
-            Ok(written) => (followed, written),
-            // What went wrong first is the reason.
-            Err(error) => (followed.and(Err(error)), before),
+        match self.recorder.finish(&closing(&self.queue)) {
+            Ok(written) => (end, written),
+            // The first error is the reason.
+            Err(error) => (end.and(Err(error)), before),
         }
     }
 
-    fn follow(&mut self, ended_part: &mut impl FnMut(Written, u64)) -> Result<End, RecordingError> {
+    fn write_parts(
+        &mut self,
+        mut ended_part: impl FnMut(Written, u64),
+        over_quota: impl Fn() -> Option<End>,
+    ) -> Result<End, RecordingError> {
         let (mut due, mut checked) = (None, 0);
         loop {
             let whole = self.recorder.written().parts;
-            match self.intake.next(due) {
+            match self.queue.next(due) {
                 Next::Frame(frame, taken) => self.frame(&frame, taken)?,
                 Next::Event(event, taken) => self.event(*event, taken)?,
-                Next::Nothing => {}
+                Next::Timeout => {}
                 Next::End(end) => return Ok(end),
             }
             let now = Instant::now();
-            let due_at = *due.get_or_insert_with(|| now + part());
+            let due_at = *due.get_or_insert_with(|| now + part_duration());
             if now >= due_at {
-                self.recorder.end_part(&closing(&self.intake))?;
+                self.recorder.end_part(&closing(&self.queue))?;
             }
             let (written, size) = (self.recorder.written(), self.recorder.size());
-            self.intake.note(self.recorder.progress(), size);
+            self.queue.set_progress(self.recorder.progress(), size);
             if let Some(max_bytes) = self.max_bytes.filter(|it| size >= *it) {
                 return Ok(End::Full { max_bytes });
             }
-            if size >= checked + BETWEEN_QUOTA_CHECKS {
+            if size >= checked + QUOTA_CHECK_BYTES {
                 checked = size;
-                if let Some(end) = (self.over_quota)() {
+                if let Some(end) = over_quota() {
                     return Ok(end);
                 }
             }
@@ -82,14 +84,14 @@ impl Scribe {
                 due = None;
             }
             if written.parts > whole {
-                ended_part(written, self.intake.progress().1);
+                ended_part(written, self.queue.progress().1);
             }
         }
     }
 
     fn frame(&mut self, frame: &frame::Frame, taken: SystemTime) -> Result<(), RecordingError> {
         fail_point!("recording-frame");
-        // It need not have been published: states are numbered within the recording.
+        // States are numbered within the recording, since not all of them are published.
         let number = self.recorder.written().frames + 1;
         let state = convert::state(&self.swarm, frame, number);
         let moment = Moment {
@@ -98,10 +100,7 @@ impl Scribe {
             time: state.time,
             taken,
         };
-        let published = match self.format {
-            Format::Mcap => state.to_cbor(),
-            Format::Parquet => Vec::new(),
-        };
+        let published = state.to_cbor();
         self.recorder.frame(&Frame {
             swarm: &state.swarm,
             moment,
@@ -121,9 +120,6 @@ impl Scribe {
             contacts: state.certificate.contacts,
             published: &published,
         })?;
-        if self.format == Format::Parquet {
-            return Ok(());
-        }
         let order = Payload::json(&convert::order_sample(&self.swarm, frame, number));
         self.recorder.order(&moment, &order.bytes)
     }
@@ -140,19 +136,19 @@ impl Scribe {
     }
 }
 
-/// What a part says at its end.
-fn closing(intake: &Intake) -> About {
-    let (_, missed) = intake.progress();
+/// The metadata at the end of a part.
+fn closing(queue: &FrameQueue) -> About {
+    let (_, missed) = queue.progress();
     About::from([("missed".to_owned(), missed.to_string())])
 }
 
-/// How long a part may be in the making; tests have it shorter.
-fn part() -> Duration {
+/// The maximum duration of a part; tests shorten it.
+fn part_duration() -> Duration {
     fail_point!("recording-part", |millis| {
         let millis = millis.and_then(|it| it.parse().ok());
         Duration::from_millis(millis.unwrap_or_default())
     });
-    PART
+    PART_DURATION
 }
 
 #[cfg(test)]
@@ -163,6 +159,6 @@ mod tests {
     /// unfinished one.
     #[test]
     fn a_part_is_ended_after_a_minute() {
-        assert_eq!(super::part(), Duration::from_secs(60));
+        assert_eq!(super::part_duration(), Duration::from_secs(60));
     }
 }

@@ -12,52 +12,72 @@ use jostle_results::recording::Written;
 use crate::swarm::frame::{Event, EventKind, Frame};
 use crate::swarm::outlet::Tap;
 
-/// States in the queue from which on it is full.
+/// Capacity of the queue in states.
 const MAX_FRAMES: usize = 64;
 
-/// Individuals in these states from which on it is full: some megabytes.
+/// Capacity of the queue in individuals of these states: some megabytes.
 const MAX_INDIVIDUALS: usize = 128 * 1024;
 
-/// A state that comes though the queue is full, as after a reset, is still enqueued up to so many
-/// times its capacity.
+/// A state that the swarm produces without a check of the queue, as after a reset, is enqueued up to
+/// this multiple of the capacity.
 const MAX_OVERFULL: usize = 2;
 
-/// Events in the queue; later ones are left out.
+/// Capacity of the queue in events; later ones are dropped.
 const MAX_EVENTS: usize = 4096;
 
-/// What comes next.
+/// The result of a wait for the next item.
 pub enum Next {
-    /// A state and when it was taken.
+    /// A state and when it was enqueued.
     Frame(Arc<Frame>, SystemTime),
-    /// An event and when it was taken.
+    /// An event and when it was enqueued.
     Event(Box<Event>, SystemTime),
-    /// Nothing came until then.
-    Nothing,
-    /// Nothing more comes.
+    /// The wait timed out.
+    Timeout,
+    /// The queue is closed and empty.
     End(End),
 }
 
-/// Why nothing more comes.
+/// Why the queue is closed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
-    /// A client stopped it.
+    /// A client stopped the recording.
     Stopped,
     /// The swarm was deleted.
     Deleted,
-    /// The swarm has taken as many steps as were to be recorded.
+    /// The swarm has taken the requested number of steps.
     Complete,
-    /// It has as many bytes as it may have.
+    /// The recording has reached its maximum size.
     Full {
-        /// How many.
+        /// The maximum.
         max_bytes: u64,
     },
-    /// The recordings of the daemon have as many bytes as they may have.
+    /// All recordings together have reached the quota.
     OverQuota {
-        /// How many.
+        /// The quota.
         quota_bytes: u64,
     },
-    /// The daemon stops.
+    /// The daemon is stopping; the recording resumes when it restarts.
     Closing,
+}
+
+impl End {
+    /// Why the recording has ended; `None` if it resumes.
+    pub fn reason(self) -> Option<String> {
+        Some(match self {
+            End::Closing => return None,
+            End::Stopped => "stopped".to_owned(),
+            End::Deleted => "its swarm was deleted".to_owned(),
+            End::Complete => "all its steps are recorded".to_owned(),
+            End::Full { max_bytes } => format!(
+                "its next states could exceed max_bytes ({max_bytes}): record again with a higher \
+                 limit"
+            ),
+            End::OverQuota { quota_bytes } => format!(
+                "the daemon's recordings have reached their {} MiB (recordings_quota_mb)",
+                quota_bytes >> 20
+            ),
+        })
+    }
 }
 
 /// Which states are recorded.
@@ -65,14 +85,14 @@ pub enum End {
 pub struct Choice {
     /// Those whose step is a multiple of this.
     pub every: u64,
-    /// Whether a state is left out while the queue is full; otherwise the swarm waits.
+    /// Whether a state is dropped while the queue is full; otherwise the swarm waits.
     pub drops: bool,
-    /// Ends the recording when the swarm has taken so many steps.
+    /// The number of steps of the swarm after which the recording ends.
     pub steps: Option<u64>,
 }
 
-/// The queue, and how far the writing is.
-pub struct Intake {
+/// The queue, and the progress of the writer.
+pub struct FrameQueue {
     choice: Choice,
     wake: Box<dyn Fn() + Send + Sync>,
     contents: Mutex<Contents>,
@@ -88,11 +108,11 @@ struct Contents {
     last: Option<(u64, u64)>,
     /// Steps that the swarm has taken.
     steps: u64,
-    /// Whether the swarm waits until it is woken.
-    holds_up: bool,
+    /// Whether the swarm waits for the queue.
+    is_blocking: bool,
     missed: u64,
     written: Written,
-    /// The bytes of all files, that of the part in hand included.
+    /// The bytes of all files, including the unfinished part.
     size: u64,
     end: Option<End>,
 }
@@ -103,10 +123,10 @@ impl Contents {
     }
 }
 
-impl Intake {
+impl FrameQueue {
     /// An empty queue; `wake` wakes the swarm's thread, and `missed` is the initial count.
     pub fn new(choice: Choice, missed: u64, wake: impl Fn() + Send + Sync + 'static) -> Self {
-        Intake {
+        FrameQueue {
             choice,
             wake: Box::new(wake),
             contents: Mutex::new(Contents {
@@ -117,7 +137,7 @@ impl Intake {
         }
     }
 
-    /// Waits for what comes next, at most until then.
+    /// Waits for the next item, at most until then.
     pub fn next(&self, until: Option<Instant>) -> Next {
         let mut contents = self.lock();
         loop {
@@ -128,7 +148,7 @@ impl Intake {
                 }
                 // Half empty, so that the swarm is not woken for every single step.
                 if 2 * contents.frames <= MAX_FRAMES && !contents.is_full(1) {
-                    self.let_go(contents);
+                    self.unblock(contents);
                 }
                 return next;
             }
@@ -140,7 +160,7 @@ impl Intake {
                     let waited = self.changed.wait(contents);
                     waited.unwrap_or_else(PoisonError::into_inner)
                 }
-                Some(left) if left.is_zero() => return Next::Nothing,
+                Some(left) if left.is_zero() => return Next::Timeout,
                 Some(left) => {
                     let waited = self.changed.wait_timeout(contents, left);
                     waited.unwrap_or_else(PoisonError::into_inner).0
@@ -154,28 +174,28 @@ impl Intake {
     pub fn end(&self, end: End) {
         let mut contents = self.lock();
         contents.end.get_or_insert(end);
-        self.let_go(contents);
+        self.unblock(contents);
         self.changed.notify_all();
     }
 
-    /// Notes how much is written, and the bytes of all files.
-    pub fn note(&self, written: Written, size: u64) {
+    /// Sets the progress of the writer, and the bytes of all files.
+    pub fn set_progress(&self, written: Written, size: u64) {
         let mut contents = self.lock();
         (contents.written, contents.size) = (written, size);
     }
 
-    /// The bytes of all files, that of the part in hand included.
+    /// The bytes of all files, including the unfinished part.
     pub fn size(&self) -> u64 {
         self.lock().size
     }
 
-    /// How much is written, and how many states were left out.
+    /// The progress of the writer, and the number of dropped states.
     pub fn progress(&self) -> (Written, u64) {
         let contents = self.lock();
         (contents.written, contents.missed)
     }
 
-    /// How many more steps are to be recorded, if there is an end.
+    /// The remaining steps, if their number is limited.
     pub fn steps_left(&self) -> Option<u64> {
         let steps = self.lock().steps;
         self.choice.steps.map(|all| all.saturating_sub(steps))
@@ -190,21 +210,21 @@ impl Intake {
     }
 
     /// Wakes the swarm's thread if it waits for this queue.
-    fn let_go(&self, mut contents: MutexGuard<'_, Contents>) {
-        let holds_up = std::mem::take(&mut contents.holds_up);
+    fn unblock(&self, mut contents: MutexGuard<'_, Contents>) {
+        let is_blocking = std::mem::take(&mut contents.is_blocking);
         drop(contents);
-        if holds_up {
+        if is_blocking {
             (self.wake)();
         }
     }
 
     fn lock(&self) -> MutexGuard<'_, Contents> {
-        // What changes together is numbers and a queue, which nothing in between can tear apart.
+        // Nothing between two changes can panic.
         self.contents.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl Tap for Intake {
+impl Tap for FrameQueue {
     fn state(&self, at: (u64, u64), frame: &dyn Fn() -> Arc<Frame>) {
         let mut contents = self.lock();
         if contents.end.is_some() || contents.last == Some(at) {
@@ -250,7 +270,7 @@ impl Tap for Intake {
     fn has_room(&self) -> bool {
         let mut contents = self.lock();
         let has_room = self.choice.drops || contents.end.is_some() || !contents.is_full(1);
-        contents.holds_up |= !has_room;
+        contents.is_blocking |= !has_room;
         has_room
     }
 }

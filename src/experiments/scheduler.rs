@@ -1,0 +1,108 @@
+//! Executes the queued experiments, one at a time in the order of submission.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::{Arc, MutexGuard};
+use std::thread;
+use std::time::Duration;
+
+use jostle_experiment::{Control, Execution, Folder, Outcome, Subset, execute};
+use tracing::{info, warn};
+
+use super::status::{Entry, Phase};
+use super::{ExperimentManager, State};
+
+/// The interval of the checkpoints of a run: at most as much is repeated after a crash.
+const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(300);
+
+impl ExperimentManager {
+    /// Publishes a change of the state, and starts the next experiment if none is running.
+    pub(super) fn changed(&self, mut state: MutexGuard<'_, State>) {
+        state.version += 1;
+        self.schedule_next(&mut state);
+        self.0.changed.notify_all();
+    }
+
+    pub(super) fn schedule_next(&self, state: &mut State) {
+        while !state.is_stopping && !state.entries.values().any(Entry::is_busy) {
+            let queued = state.entries.iter_mut();
+            let queued = queued.filter(|(_, entry)| entry.status.phase == Phase::Queued);
+            let Some((name, entry)) = queued.min_by_key(|(_, entry)| entry.status.number) else {
+                return;
+            };
+            state.version += 1;
+            entry.status.phase = Phase::Running;
+            if let Some(paused) = &entry.execution {
+                return paused.resume();
+            }
+            if let Err(reason) = self.start(name, entry) {
+                warn!(experiment = name, reason, "failed to start");
+                entry.status.phase = Phase::Failed;
+                entry.status.message = Some(reason);
+            }
+        }
+    }
+
+    /// Starts the thread that executes an experiment.
+    fn start(&self, name: &str, entry: &mut Entry) -> Result<(), String> {
+        let plan = entry.plan.clone().ok_or("its plan is unknown")?;
+        let control = Arc::new(Control::new());
+        let (manager, name, controlled) = (self.clone(), name.to_owned(), control.clone());
+        let run = move || {
+            let path = manager.0.jobs.folder(&name);
+            let executed = catch_unwind(AssertUnwindSafe(|| {
+                let mut folder = Folder::open(&path, &plan).map_err(|it| it.to_string())?;
+                let execution = Execution {
+                    plan: &plan,
+                    subset: &Subset::all(&plan),
+                    threads: manager.0.threads,
+                    checkpoint_every: Some(CHECKPOINT_INTERVAL),
+                };
+                execute(execution, &mut folder, &controlled).map_err(|it| it.to_string())
+            }));
+            let outcome = executed.unwrap_or_else(|_| Err("a defect of the daemon".to_owned()));
+            manager.ended(&name, outcome);
+        };
+        let thread = thread::Builder::new().name("experiment".into());
+        thread.spawn(run).map_err(|error| error.to_string())?;
+        entry.execution = Some(control);
+        Ok(())
+    }
+
+    /// An execution has ended.
+    fn ended(&self, name: &str, outcome: Result<Outcome, String>) {
+        let mut state = self.lock();
+        let is_stopping = state.is_stopping;
+        let Some(entry) = state.entries.get_mut(name) else {
+            return;
+        };
+        entry.end(outcome.as_ref().is_ok_and(|it| !it.is_cancelled));
+        match outcome {
+            Ok(outcome) if !outcome.is_cancelled => entry.status.message = faults(&outcome),
+            // `cancel` has stored the phase; after `stop` the experiment resumes.
+            Ok(_) if is_stopping || entry.status.phase == Phase::Cancelled => {}
+            Ok(_) => entry.status.phase = Phase::Cancelled,
+            Err(reason) => {
+                entry.status.phase = Phase::Failed;
+                entry.status.message = Some(reason);
+            }
+        }
+        let phase = entry.status.phase;
+        info!(experiment = name, phase = phase.word(), "ended");
+        if phase.is_over()
+            && let Err(error) = self.0.jobs.write_status(name, &entry.status)
+        {
+            // The next start finds all runs finished.
+            warn!(experiment = name, %error, "failed to write the status file");
+        }
+        self.changed(state);
+    }
+}
+
+/// A message about the runs that ended early.
+fn faults(outcome: &Outcome) -> Option<String> {
+    let (run, why) = outcome.faults.first()?;
+    Some(match outcome.faults.len() {
+        1 => format!("run {run:?} ended early: {why}"),
+        count => format!("{count} runs ended early; run {run:?}: {why}"),
+    })
+}

@@ -1,0 +1,187 @@
+//! The status of an experiment: in memory, and in its folder.
+
+use std::sync::Arc;
+
+use jostle_experiment::{Control, Plan, Progress};
+use serde::{Deserialize, Serialize};
+
+use crate::jobs::StatusFile;
+
+/// What an experiment is doing.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Phase {
+    /// It waits for earlier ones.
+    Queued,
+    /// Its runs are executed.
+    Running,
+    /// Its runs are suspended until it is resumed.
+    Paused,
+    /// Every run is finished.
+    Finished,
+    /// A client cancelled it.
+    Cancelled,
+    /// An error ended it.
+    Failed,
+}
+
+impl Phase {
+    /// Its name in messages.
+    pub fn word(self) -> &'static str {
+        match self {
+            Phase::Queued => "queued",
+            Phase::Running => "running",
+            Phase::Paused => "paused",
+            Phase::Finished => "finished",
+            Phase::Cancelled => "cancelled",
+            Phase::Failed => "failed",
+        }
+    }
+
+    /// Whether it changes only on request.
+    pub fn is_over(self) -> bool {
+        matches!(self, Phase::Finished | Phase::Cancelled | Phase::Failed)
+    }
+}
+
+/// The progress of an experiment.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Report {
+    /// Its name.
+    pub name: String,
+    /// What it is doing.
+    pub phase: Phase,
+    /// Its runs.
+    pub progress: Progress,
+    /// Why it failed, or which runs ended early.
+    pub message: Option<String>,
+}
+
+/// What outlives the daemon.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub(super) struct Status {
+    /// Its position in the order of submission.
+    pub(super) number: u64,
+    /// On disk, a running experiment is queued: it resumes when the daemon restarts.
+    pub(super) phase: Phase,
+    #[serde(default)]
+    runs: usize,
+    #[serde(default)]
+    finished: usize,
+    #[serde(default)]
+    faulted: usize,
+    #[serde(default)]
+    share: f64,
+    #[serde(default)]
+    elapsed_secs: f64,
+    #[serde(default)]
+    pub(super) message: Option<String>,
+}
+
+impl StatusFile for Status {
+    const NAME: &'static str = "standing.json";
+}
+
+impl Status {
+    pub(super) fn queued(number: u64) -> Self {
+        Status {
+            number,
+            phase: Phase::Queued,
+            runs: 0,
+            finished: 0,
+            faulted: 0,
+            share: 0.0,
+            elapsed_secs: 0.0,
+            message: None,
+        }
+    }
+
+    /// Sets the plan's number of runs, of which at least so many are finished.
+    pub(super) fn count(&mut self, runs: usize, finished: usize) {
+        self.runs = runs;
+        self.finished = self.finished.max(finished);
+    }
+
+    fn progress(&self) -> Progress {
+        Progress {
+            runs: self.runs,
+            finished: self.finished,
+            faulted: self.faulted,
+            share: self.share,
+            elapsed_secs: self.elapsed_secs,
+            ..Progress::default()
+        }
+    }
+}
+
+/// An experiment in memory.
+pub(super) struct Entry {
+    /// As of the end of the last execution, but for the phase and the message.
+    pub(super) status: Status,
+    /// `None` until it is needed, if the experiment was over when the daemon started.
+    pub(super) plan: Option<Arc<Plan>>,
+    /// Controls the execution, also while that is paused or about to end.
+    pub(super) execution: Option<Arc<Control>>,
+}
+
+impl Entry {
+    pub(super) fn report(&self, name: &str) -> Report {
+        let before = self.status.progress();
+        let mut progress = match self.execution.as_ref().map(|it| it.progress()) {
+            // It has no runs until it has started.
+            Some(current) if current.runs > 0 => Progress {
+                elapsed_secs: before.elapsed_secs + current.elapsed_secs,
+                ..current
+            },
+            _ => before,
+        };
+        let phase = self.status.phase;
+        if phase != Phase::Running {
+            progress.left_secs = None;
+        }
+        if phase.is_over() {
+            progress.running.clear();
+        }
+        Report {
+            name: name.to_owned(),
+            phase,
+            progress,
+            message: self.status.message.clone(),
+        }
+    }
+
+    /// The present status, in another phase.
+    pub(super) fn status_in(&self, phase: Phase) -> Status {
+        let progress = self.report("").progress;
+        Status {
+            number: self.status.number,
+            phase,
+            runs: progress.runs,
+            finished: progress.finished,
+            faulted: progress.faulted,
+            share: progress.share,
+            elapsed_secs: progress.elapsed_secs,
+            message: self.status.message.clone(),
+        }
+    }
+
+    /// Whether no other experiment may be executed now.
+    pub(super) fn is_busy(&self) -> bool {
+        self.status.phase == Phase::Running || self.is_ending()
+    }
+
+    /// Whether it is over, but its last execution still uses its folder.
+    pub(super) fn is_ending(&self) -> bool {
+        self.status.phase.is_over() && self.execution.is_some()
+    }
+
+    /// Its execution has ended: at the end of all runs if `is_complete`.
+    pub(super) fn end(&mut self, is_complete: bool) {
+        self.status = self.status_in(self.status.phase);
+        self.execution = None;
+        if is_complete {
+            self.status.phase = Phase::Finished;
+            self.status.share = 1.0;
+        }
+    }
+}

@@ -1,0 +1,214 @@
+//! The commands that a playback executes: run, pause, step, reset, seek and delete.
+
+use super::player::Player;
+use crate::swarm::error::OrderError;
+use crate::swarm::frame::EventKind;
+use crate::swarm::handle::{Command, Ticket};
+use crate::swarm::order::{Order, Seek, Until, When};
+use crate::swarm::outcome::{DeferredAnswer, Outcome, Refusal};
+use crate::swarm::phase::{self, Cue, PauseReason, Phase};
+use crate::swarm::worker::End;
+
+/// The tolerance between a requested time and a frame's, since decimals are rounded; frames are
+/// further apart.
+const TIME_ROUNDING: f64 = 1e-9;
+
+impl Player {
+    /// Handles a ticket. Returns how the playback ends, if it does.
+    pub(super) fn handle(&mut self, ticket: Ticket) -> Option<End> {
+        match ticket {
+            Ticket::Look(answer) => answer.send(Ok((self.place(), Outcome::Seen(self.frame())))),
+            Ticket::Wait(waiter) => {
+                self.waiters.add(waiter);
+                self.answer_waiters();
+                if let Some((answer, error)) = self.waiters.displace() {
+                    answer.send(Err(self.refusal(error)));
+                }
+            }
+            Ticket::Copy(answer) => answer.send(Err(self.refusal(OrderError::Recorded))),
+            Ticket::Seek(seek, sender, answer) => match self.find(seek) {
+                Ok(frame) => {
+                    self.applied(&sender);
+                    self.jump_to(frame);
+                    answer.send(Ok((self.place(), Outcome::Done)));
+                }
+                Err(error) => answer.send(Err(self.refusal(error))),
+            },
+            Ticket::Command(command) => return self.command(command),
+            Ticket::RecordingFailed(recording, reason) => {
+                self.publish_event(EventKind::RecordingFailed(recording, reason));
+            }
+            Ticket::Put(..) | Ticket::Lost(_) | Ticket::Awake => {}
+            Ticket::Stop => return Some(End::Stopped),
+        }
+        None
+    }
+
+    fn command(&mut self, command: Command) -> Option<End> {
+        let Command {
+            order,
+            when,
+            sender,
+            answer,
+        } = command;
+        if order == Order::Delete {
+            self.publish_event(EventKind::Deleted);
+            self.waiters.answer_all(|| {
+                Err(Refusal {
+                    step: None,
+                    error: OrderError::Gone,
+                })
+            });
+            let place = self.place();
+            let reply = DeferredAnswer::new(answer, Ok((place, Outcome::Done)));
+            return Some(End::Deleted(reply));
+        }
+        let done = self.check(when).and_then(|()| self.execute(&order));
+        match done {
+            Ok(outcome) => {
+                self.applied(&sender);
+                answer.send(Ok((self.place(), outcome)));
+            }
+            Err(error) => answer.send(Err(self.refusal(error))),
+        }
+        self.answer_waiters();
+        None
+    }
+
+    fn execute(&mut self, order: &Order) -> Result<Outcome, OrderError> {
+        match order {
+            Order::Run { until, rate } => {
+                let index = self.source.index();
+                let here = index[self.at];
+                let until = match *until {
+                    Some(Until::Step(step)) if step < here.step => {
+                        return Err(OrderError::Past {
+                            until: step,
+                            step: here.step,
+                        });
+                    }
+                    Some(Until::Step(step)) => Some(step),
+                    Some(Until::Time(time)) => {
+                        let mut run = self.present().iter();
+                        let reached = run.find(|it| it.time >= time);
+                        match reached.map(|it| it.step) {
+                            Some(until) if until < here.step => {
+                                let step = here.step;
+                                return Err(OrderError::Past { until, step });
+                            }
+                            until => until,
+                        }
+                    }
+                    None => None,
+                };
+                let is_over = self.at + 1 == index.len();
+                let phase = phase::next(&self.phase, Cue::Run(until))?;
+                if let Some(rate) = rate {
+                    self.rate = *rate;
+                }
+                // At the end it restarts.
+                if is_over && until.is_none() {
+                    self.jump_to(0);
+                }
+                self.anchor();
+                self.enter(phase);
+                Ok(Outcome::Runs(until, self.rate))
+            }
+            Order::Pause => {
+                let phase = phase::next(&self.phase, Cue::Pause)?;
+                if phase != self.phase {
+                    self.enter(phase);
+                    self.publish_frame();
+                }
+                Ok(Outcome::Done)
+            }
+            &Order::Step(steps) => {
+                let index = self.source.index();
+                let from = index[self.at].step;
+                phase::next(&self.phase, Cue::Step(from.saturating_add(steps)))?;
+                let target = from.saturating_add(steps);
+                let later = (self.at + 1..index.len())
+                    .find(|&frame| index[frame].step >= target || index[frame].step < from);
+                let later = later.unwrap_or(index.len() - 1);
+                if later > self.at {
+                    self.advance_to(later);
+                }
+                self.enter(Phase::Paused(PauseReason::Finished));
+                let step = self.source.index()[self.at].step;
+                Ok(Outcome::Stepped {
+                    steps: step.saturating_sub(from),
+                    safe_step: step,
+                    seen: self.frame(),
+                })
+            }
+            Order::Reset(None) => {
+                self.phase = phase::next(&self.phase, Cue::Reset)?;
+                self.jump_to(0);
+                self.enter(Phase::Paused(PauseReason::Reset));
+                Ok(Outcome::Reset(self.frame()))
+            }
+            _ => Err(OrderError::Recorded),
+        }
+    }
+
+    fn check(&self, when: When) -> Result<(), OrderError> {
+        if when.at_step.is_some() {
+            return Err(OrderError::Recorded);
+        }
+        let step = self.source.index()[self.at].step;
+        let expected = [
+            ("epoch", when.expect_epoch, self.epoch),
+            ("step", when.expect_step, step),
+        ];
+        for (what, expected, actual) in expected {
+            if let Some(expected) = expected
+                && expected != actual
+            {
+                return Err(OrderError::Conflict {
+                    what,
+                    expected,
+                    actual,
+                });
+            }
+        }
+        Ok(())
+    }
+
+    /// The frame that `seek` names: the last one that is not later. Steps and times are those of the
+    /// present epoch of the recorded swarm.
+    ///
+    /// # Errors
+    ///
+    /// [`OrderError::OutsideRecording`] before the first frame of that epoch and after its last.
+    fn find(&self, seek: Seek) -> Result<usize, OrderError> {
+        let index = self.source.index();
+        let (from, run) = (self.present_from(), self.present());
+        let [first, last] = [index[from], index[from + run.len() - 1]];
+        let (field, value, range, count) = match seek {
+            Seek::Step(step) => {
+                let range = (first.step as f64, last.step as f64);
+                let count = run.partition_point(|it| it.step <= step);
+                ("step", step as f64, range, count)
+            }
+            Seek::Time(time) => {
+                let count = run.partition_point(|it| it.time <= time + TIME_ROUNDING);
+                ("time", time, (first.time, last.time), count)
+            }
+            Seek::Fraction(fraction) => {
+                let position = fraction * self.duration();
+                let count = index.partition_point(|it| it.position <= position);
+                return Ok(count.saturating_sub(1));
+            }
+        };
+        let (first, last) = range;
+        if count == 0 || value > last + TIME_ROUNDING {
+            return Err(OrderError::OutsideRecording {
+                field,
+                value,
+                first,
+                last,
+            });
+        }
+        Ok(from + count - 1)
+    }
+}

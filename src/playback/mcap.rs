@@ -1,0 +1,236 @@
+//! A recording in MCAP: the index of its frames, and its events.
+
+use std::fs::File;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use jostle_physics::model::parameters::Parameters;
+use jostle_physics::simulation::{Change, Spec};
+use jostle_results::recording::{self, About, Message};
+
+use crate::convert;
+use crate::playback::ReplayError;
+use crate::playback::source::{FrameIndex, RecordedEvent, RecordedFrame};
+use crate::swarm::order::Order;
+
+/// Maximum number of frames, and of bytes of events in memory.
+const MAX_FRAMES: usize = 4_000_000;
+const MAX_EVENT_BYTES: usize = 64 * 1024 * 1024;
+
+/// The memory of the index of a frame, and of an event without its text.
+const BYTES_PER_ENTRY: usize = 64;
+
+/// Parses a recorded command: its verb and its arguments as JSON.
+pub type ReadCommand<'a> = &'a dyn Fn(&str, &str) -> Result<Order, String>;
+
+/// An open recording.
+pub struct McapSource {
+    swarm: Arc<str>,
+    spec: Spec,
+    max_individuals: usize,
+    files: Vec<File>,
+    ranges: Vec<ByteRange>,
+    index: Vec<FrameIndex>,
+    events: Vec<RecordedEvent>,
+    /// The parameters, each from a frame on.
+    parameters: Vec<(usize, Parameters)>,
+}
+
+/// The bytes of a frame.
+struct ByteRange {
+    file: usize,
+    offset: u64,
+    bytes: usize,
+}
+
+impl McapSource {
+    /// Opens the parts of a recording, and checks every frame.
+    ///
+    /// # Errors
+    ///
+    /// [`ReplayError::Unreadable`].
+    pub fn open(paths: &[PathBuf], read_command: ReadCommand<'_>) -> Result<Self, ReplayError> {
+        let (mut source, mut event_bytes): (Option<McapSource>, _) = (None, 0);
+        for path in paths {
+            let unreadable = |reason: String| ReplayError::Unreadable(reason);
+            // The metadata precedes the frames in the file, but is returned at the end.
+            let about = recording::read(path, |_| Ok(())).map_err(explain)?;
+            let source = match &mut source {
+                Some(source) => source,
+                none => none.insert(McapSource::from_metadata(&about).map_err(unreadable)?),
+            };
+            source
+                .files
+                .push(File::open(path).map_err(|error| unreadable(error.to_string()))?);
+            recording::read(path, |message| {
+                source.read(message, &mut event_bytes, read_command)
+            })
+            .map_err(explain)?;
+        }
+        match source {
+            Some(source) if !source.index.is_empty() => Ok(source),
+            _ => Err(ReplayError::Unreadable("it has no frame".to_owned())),
+        }
+    }
+
+    fn from_metadata(about: &About) -> Result<Self, String> {
+        let field = |what: &str| {
+            let field = about.get(what);
+            field.ok_or_else(|| {
+                format!("it has no {what} in its metadata: jostle did not record it")
+            })
+        };
+        let (mut spec, parameters) = convert::recorded(field("spec")?, field("parameters")?)?;
+        let rate = about.get("rate").and_then(|rate| rate.parse().ok());
+        // Without a rate the playback would end at once.
+        spec.rate = jostle_convert::value::rate(rate.or(spec.rate))
+            .ok()
+            .flatten()
+            .or(Some(1.0));
+        Ok(McapSource {
+            swarm: field("swarm")?.as_str().into(),
+            spec,
+            max_individuals: 0,
+            files: Vec::new(),
+            ranges: Vec::new(),
+            index: Vec::new(),
+            events: Vec::new(),
+            parameters: vec![(0, parameters)],
+        })
+    }
+
+    fn read(
+        &mut self,
+        message: Message<'_>,
+        event_bytes: &mut usize,
+        read_command: ReadCommand<'_>,
+    ) -> Result<(), String> {
+        let number = self.index.len() + 1;
+        match message.topic {
+            "state" => self
+                .add_frame(&message)
+                .map_err(|problem| format!("frame {number}: {problem}")),
+            "event" => {
+                *event_bytes += BYTES_PER_ENTRY + message.bytes.len();
+                if *event_bytes > MAX_EVENT_BYTES {
+                    return Err("it has too many events".to_owned());
+                }
+                self.add_event(message.bytes, read_command)
+                    .map_err(|problem| format!("an event before frame {number}: {problem}"))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    fn add_frame(&mut self, message: &Message<'_>) -> Result<(), String> {
+        if self.index.len() == MAX_FRAMES {
+            return Err(format!("it has more than {MAX_FRAMES} frames"));
+        }
+        let (mut index, frame) = convert::recorded_frame(message.bytes, self.parameters[0].1)?;
+        index.position = self.index.last().map_or(0.0, |before| {
+            before.position + f64::max(index.time - before.time, 0.0)
+        });
+        self.max_individuals = self.max_individuals.max(frame.configuration.n());
+        self.index.push(index);
+        self.ranges.push(ByteRange {
+            file: self.files.len() - 1,
+            offset: message.offset,
+            bytes: message.bytes.len(),
+        });
+        Ok(())
+    }
+
+    fn add_event(&mut self, bytes: &[u8], read_command: ReadCommand<'_>) -> Result<(), String> {
+        let event = convert::recorded_event(bytes)?;
+        let after = self.index.len();
+        if let Some((verb, args)) = event.command {
+            // A command that only an older daemon accepts changes no parameters.
+            if let Ok(order) = read_command(&verb, &args.to_string()) {
+                self.apply(&order);
+            }
+        }
+        if let Some(what) = event.what {
+            self.events.push(RecordedEvent {
+                after,
+                step: event.step,
+                time: event.time,
+                unix_secs: event.unix_secs,
+                what: what.into(),
+            });
+        }
+        Ok(())
+    }
+
+    /// Stores the parameters after a command.
+    fn apply(&mut self, order: &Order) {
+        let before = self.parameters[self.parameters.len() - 1].1;
+        let mut now = before;
+        match order {
+            Order::Change(Change::Set(settings)) => now = settings.of(before),
+            Order::Batch(changes) => {
+                for change in changes {
+                    if let Change::Set(settings) = change {
+                        now = settings.of(now);
+                    }
+                }
+            }
+            Order::Reset(_) => now = self.spec.parameters,
+            _ => {}
+        }
+        if now != before && now.check(0.0).is_ok() {
+            self.parameters.push((self.index.len(), now));
+        }
+    }
+
+    /// The spec of the recorded swarm.
+    pub fn spec(&self) -> &Spec {
+        &self.spec
+    }
+
+    /// The size of the largest group.
+    pub fn max_individuals(&self) -> usize {
+        self.max_individuals
+    }
+
+    /// Its memory in bytes, without a frame.
+    pub fn memory_bytes(&self) -> u64 {
+        let text: usize = self.events.iter().map(|event| event.what.len()).sum();
+        let entries = self.events.len() + 2 * self.index.len();
+        (text + BYTES_PER_ENTRY * entries) as u64
+    }
+    /// The name of the recorded swarm.
+    pub fn swarm(&self) -> &Arc<str> {
+        &self.swarm
+    }
+
+    /// Its frames, at least one; positions never decrease.
+    pub fn index(&self) -> &[FrameIndex] {
+        &self.index
+    }
+
+    /// Its events, in order.
+    pub fn events(&self) -> &[RecordedEvent] {
+        &self.events
+    }
+
+    /// Reads a frame.
+    pub fn frame(&mut self, frame: usize) -> Result<RecordedFrame, String> {
+        let ByteRange {
+            file,
+            offset,
+            bytes,
+        } = self.ranges[frame];
+        let bytes = recording::bytes_at(&mut self.files[file], offset, bytes)
+            .map_err(|error| format!("frame {} cannot be read: {error}", frame + 1))?;
+        let since = self.parameters.partition_point(|(from, _)| *from <= frame);
+        let parameters = self.parameters[since - 1].1;
+        convert::recorded_frame(&bytes, parameters).map(|(_, frame)| frame)
+    }
+}
+
+fn explain(error: recording::RecordingError) -> ReplayError {
+    ReplayError::Unreadable(match error {
+        recording::RecordingError::Unreadable { reason, .. } => reason,
+        error => error.to_string(),
+    })
+}

@@ -1,0 +1,79 @@
+//! What the registry of swarms hosts and calls, without naming who implements it.
+
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+use std::time::Duration;
+
+use jostle_physics::simulation::Spec;
+
+use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::error::{OrderError, WriteFault};
+use crate::swarm::frame::{Frame, Place};
+use crate::swarm::handle::{Handle, Ticket};
+use crate::swarm::journal::JournalWriter;
+use crate::swarm::outcome::DeferredAnswer;
+use crate::swarm::worker::{End, Worker};
+
+/// Persists a new swarm before any client learns of it: its name, its spec and its checkpoint.
+pub trait PersistNew: Send {
+    /// Returns once the swarm is durable, together with the reply to the request that created it.
+    fn persist(
+        self: Box<Self>,
+        checkpoint: &Checkpoint,
+        place: &Place,
+        frame: &Arc<Frame>,
+    ) -> Result<(), WriteFault>;
+}
+
+/// Opens the journals of swarms.
+pub trait JournalFactory: Send + Sync {
+    /// The writer of one swarm's journal.
+    fn open(&self, swarm: &str) -> Arc<dyn JournalWriter>;
+}
+
+/// What the thread of a hosted name runs: a swarm, or a playback.
+pub trait Runner: Send {
+    /// The present state.
+    fn look(&self) -> (Place, Arc<Frame>);
+    /// Runs and takes tickets until it ends.
+    fn run(self: Box<Self>, tickets: &Receiver<Ticket>) -> End;
+}
+
+impl Runner for Worker {
+    fn look(&self) -> (Place, Arc<Frame>) {
+        Worker::look(self)
+    }
+
+    fn run(self: Box<Self>, tickets: &Receiver<Ticket>) -> End {
+        Worker::run(*self, tickets)
+    }
+}
+
+/// A recording that can be played as if it were a swarm.
+pub trait Playback: Send {
+    /// The spec of the recorded swarm.
+    fn spec(&self) -> &Spec;
+    /// The size of its largest group.
+    fn max_individuals(&self) -> usize;
+    /// Its memory in bytes, without a frame.
+    fn memory_bytes(&self) -> u64;
+    /// Starts at the first frame, paused. Frames are published `min_interval` apart or more.
+    fn start(
+        self: Box<Self>,
+        handle: &Handle,
+        min_interval: Duration,
+    ) -> Result<Box<dyn Runner>, OrderError>;
+}
+
+/// Lifecycle callbacks of swarms, called on the thread of the swarm.
+pub trait SwarmObserver: Send + Sync {
+    /// The outlet of the swarm was empty and no longer is.
+    fn output_ready(&self, name: &str);
+    /// Whether frames of the swarm have a reader: see [`Outlet::is_watched`].
+    fn is_watched(&self, name: &str, is_moving: bool) -> bool;
+    /// The swarm is built. The observer sends `reply` once clients can reach it.
+    fn started(&self, name: &str, reply: DeferredAnswer);
+    /// The swarm has ended. The observer releases the name and sends `reply` once clients can no
+    /// longer reach it.
+    fn ended(&self, name: &str, reply: DeferredAnswer);
+}

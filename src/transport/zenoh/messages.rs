@@ -1,0 +1,30 @@
+//! The messages to the dispatcher.
+
+use std::sync::Arc;
+use std::sync::mpsc::SyncSender;
+
+use crate::api::incoming::Incoming;
+use crate::swarm::outcome::DeferredAnswer;
+
+/// Requests that may be queued for the dispatcher; further ones are rejected with `busy`.
+pub const MAX_QUEUED: usize = 1024;
+
+/// A message to the dispatcher.
+pub enum DispatchMessage {
+    /// A request.
+    Request(Incoming),
+    /// The first use of a verb on a swarm.
+    FirstUse(Arc<str>, &'static str),
+    /// The claims of other daemons, or the connected routers, changed.
+    Claimed,
+    /// Every swarm is recovered: open the daemon's own keys as soon as its claim permits it.
+    Recovered(SyncSender<zenoh::Result<()>>),
+    /// A swarm is built.
+    Begun(String, DeferredAnswer),
+    /// A swarm has ended.
+    Ended(String, DeferredAnswer),
+    /// Everything of a swarm that has ended is published.
+    Closed(String, DeferredAnswer),
+    /// The daemon stops.
+    Stop,
+}
