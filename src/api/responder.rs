@@ -289,3 +289,138 @@ impl Outgoing {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use std::sync::mpsc::TryRecvError;
+
+    use serde_json::Value;
+
+    use super::*;
+    use crate::api::admission::Admission;
+    use crate::api::incoming::{Peer, Received, Target};
+
+    const LONG: Duration = Duration::from_secs(20);
+
+    struct Client(Sender<Result<Payload, Payload>>);
+
+    impl Peer for Client {
+        fn reply(&self, _: &str, reply: Result<Payload, Payload>) {
+            self.0.send(reply).unwrap();
+        }
+
+        fn matches(&self, _: &str) -> bool {
+            false
+        }
+    }
+
+    /// A request, and the replies to it.
+    fn request(is_wild: bool) -> (Incoming, Receiver<Result<Payload, Payload>>) {
+        let (sender, replies) = channel();
+        let received = Received {
+            target: Target::NodeGet,
+            key: "jostle/ants/cmd/step".to_owned(),
+            is_wild,
+            parameters: Vec::new(),
+            payload: Vec::new(),
+            encoding: None,
+            token: Vec::new(),
+            peer: Box::new(Client(sender)),
+        };
+        let permit = Admission::default().admit(0, &Arc::default()).unwrap();
+        (Incoming::new(received, permit), replies)
+    }
+
+    fn code(reply: Result<Payload, Payload>) -> String {
+        let error: Value = serde_json::from_slice(&reply.unwrap_err().bytes).unwrap();
+        error["code"].as_str().unwrap().to_owned()
+    }
+
+    #[tokio::test]
+    async fn a_request_whose_last_responder_is_dropped_gets_internal_and_is_counted() {
+        let sender = Replies::start().unwrap();
+        let (incoming, replies) = request(false);
+        let responder = sender.responder(&incoming, "key".into());
+        drop(responder.clone());
+        assert_eq!(replies.try_recv().unwrap_err(), TryRecvError::Empty);
+        drop(responder);
+        assert_eq!(code(replies.recv_timeout(LONG).unwrap()), "internal");
+        assert_eq!(sender.dropped(), 1);
+        // A request with a reply is not counted, and gets no second one.
+        let responder = sender.responder(&incoming, "key".into());
+        responder.reject(&CommandError::Busy, None);
+        responder.reject(&CommandError::Internal, None);
+        drop(responder);
+        assert_eq!(code(replies.recv_timeout(LONG).unwrap()), "busy");
+        sender.stop();
+        drop((incoming, sender));
+        assert!(replies.recv_timeout(LONG).is_err());
+    }
+
+    #[tokio::test]
+    async fn a_daemon_that_stops_drops_requests_without_a_reply() {
+        let sender = Replies::start().unwrap();
+        let (incoming, replies) = request(false);
+        sender.close();
+        drop(sender.responder(&incoming, "key".into()));
+        let responder = sender.responder(&incoming, "key".into());
+        responder.reject(&OrderError::Gone.into(), None);
+        sender.stop();
+        drop((incoming, responder));
+        assert!(replies.recv_timeout(LONG).is_err());
+        assert_eq!(sender.dropped(), 0);
+    }
+
+    #[tokio::test]
+    async fn a_wildcard_request_gets_no_reply_of_a_swarm_that_does_not_exist() {
+        let sender = Replies::start().unwrap();
+        let (incoming, replies) = request(true);
+        for error in [
+            OrderError::Gone.into(),
+            CommandError::UnknownSwarm("ants".into()),
+        ] {
+            sender
+                .responder(&incoming, "key".into())
+                .reject(&error, None);
+        }
+        let responder = sender.responder(&incoming, "key".into());
+        responder.reject(&CommandError::Busy, None);
+        assert_eq!(code(replies.recv_timeout(LONG).unwrap()), "busy");
+        assert!(replies.try_recv().is_err());
+    }
+
+    #[tokio::test(flavor = "multi_thread", worker_threads = 1)]
+    async fn a_deadline_gives_the_reply_and_a_result_comes_too_late() {
+        let sender = Replies::start().unwrap();
+        let (incoming, replies) = request(false);
+        let responder = sender.responder(&incoming, "key".into());
+        responder.set_deadline(Duration::from_millis(1), CommandError::deadline, None);
+        assert_eq!(
+            code(replies.recv_timeout(LONG).unwrap()),
+            "deadline_exceeded"
+        );
+        responder.complete(|| Ok(Payload::json(&"late")));
+        // One that is answered in time gets nothing at its deadline.
+        let responder = sender.responder(&incoming, "key".into());
+        responder.set_deadline(Duration::from_millis(1), CommandError::deadline, None);
+        responder.complete(|| Ok(Payload::json(&"in time")));
+        let reply = replies.recv_timeout(LONG).unwrap();
+        assert!(reply.is_ok() || code(reply) == "deadline_exceeded");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+        assert!(replies.try_recv().is_err());
+    }
+
+    #[tokio::test]
+    async fn a_reply_that_cannot_be_encoded_is_internal_and_the_next_is_sent() {
+        let sender = Replies::start().unwrap();
+        let (incoming, replies) = request(false);
+        let responder = sender.responder(&incoming, "key".into());
+        responder.complete(|| panic!("a defect"));
+        assert_eq!(code(replies.recv_timeout(LONG).unwrap()), "internal");
+        let responder = sender.responder(&incoming, "key".into());
+        responder.complete(|| Ok(Payload::json(&1)));
+        assert!(replies.recv_timeout(LONG).unwrap().is_ok());
+    }
+}

@@ -14,7 +14,10 @@ const MAX_RUNNING: usize = 4;
 const MAX_QUEUED: usize = 64;
 
 /// Replays a history and replies.
-pub type Work = Box<dyn FnOnce(Arc<Verification>) + Send>;
+pub trait Work: Send {
+    /// Executes it. It ends when `verification` is dropped.
+    fn run(self: Box<Self>, verification: Arc<Verification>);
+}
 
 /// The verifications under way.
 #[derive(Default)]
@@ -25,7 +28,7 @@ struct State {
     /// Those that run and those that are queued.
     entries: Vec<Entry>,
     /// Those that no thread has begun, the oldest first.
-    queue: VecDeque<(Arc<Verification>, Work)>,
+    queue: VecDeque<(Arc<Verification>, Box<dyn Work>)>,
     /// Threads that take from the queue.
     threads: usize,
     /// The number of the next one.
@@ -50,7 +53,11 @@ impl Verifications {
     /// # Errors
     ///
     /// Gives `work` back when the queue is full or no thread can be started.
-    pub fn begin(self: &Arc<Self>, swarm: &Arc<str>, work: Work) -> Result<(), Work> {
+    pub fn begin(
+        self: &Arc<Self>,
+        swarm: &Arc<str>,
+        work: Box<dyn Work>,
+    ) -> Result<(), Box<dyn Work>> {
         let mut state = self.lock();
         if state.entries.len() >= MAX_RUNNING + MAX_QUEUED {
             return Err(work);
@@ -106,7 +113,7 @@ impl Verifications {
                 return;
             };
             drop(state);
-            if catch_unwind(AssertUnwindSafe(|| work(verification))).is_err() {
+            if catch_unwind(AssertUnwindSafe(|| work.run(verification))).is_err() {
                 error!("a defect: a verification panicked");
             }
         }
@@ -114,7 +121,7 @@ impl Verifications {
 
     /// Gives a verification's work back when no thread could be started, unless another thread has
     /// taken it or will.
-    fn without_thread(&self, number: u64) -> Result<(), Work> {
+    fn without_thread(&self, number: u64) -> Result<(), Box<dyn Work>> {
         let mut state = self.lock();
         state.threads -= 1;
         if state.threads > 0 {
@@ -160,6 +167,12 @@ mod tests {
     use std::time::{Duration, Instant};
 
     use super::*;
+
+    impl<F: FnOnce(Arc<Verification>) + Send> Work for F {
+        fn run(self: Box<Self>, verification: Arc<Verification>) {
+            self(verification);
+        }
+    }
 
     const PATIENCE: Duration = Duration::from_secs(20);
 

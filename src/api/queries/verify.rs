@@ -9,9 +9,11 @@ use jostle_proto::Verified;
 use crate::api::context::Context;
 use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
-use crate::convert;
+use crate::api::verifications::{Verification, Work};
 use crate::convert::commands::CommandError;
+use crate::convert::{self, Payload};
 use crate::persistence::recovery::{self, Retold};
+use crate::store::Store;
 use crate::swarm::error::OrderError;
 use crate::swarm::frame::Place;
 use crate::swarm::handle::{Handle, Ticket};
@@ -35,43 +37,60 @@ impl Context {
             return Ok(());
         }
         responder.set_deadline(TIMEOUT, CommandError::deadline, None);
-        let (store, name, here) = (self.store.clone(), swarm.clone(), handle.step());
-        let queued = responder.clone();
-        let begun = self.verifications.begin(
-            swarm,
-            Box::new(move |verification| {
-                // The deadline may have passed while it was queued.
-                if queued.is_done() {
-                    return;
-                }
-                let seen = present(&handle);
-                let to = match &seen {
-                    Some((place, _)) if !place.phase.is_moving() => {
-                        To::Place(place.epoch, place.step)
-                    }
-                    _ => To::LastHash,
-                };
-                let progress = verification.clone();
-                let replayed =
-                    recovery::told_again(&store, &name, to, move |share| progress.advance(share));
-                drop(verification);
-                match replayed {
-                    Ok(replayed) => {
-                        let verified = verified(&replayed, seen);
-                        handle.send(Ticket::Look(Answer::new(move |answered| {
-                            queued.respond(answered, move |place, _| {
-                                convert::Payload::json(&convert::reply(&name, &place, verified))
-                            });
-                        })));
-                    }
-                    Err(error) => queued.reject(&error, handle.step()),
-                }
-            }),
-        );
-        if begun.is_err() {
-            responder.reject(&CommandError::Busy, here);
+        let step = handle.step();
+        let work = Box::new(Replay {
+            store: self.store.clone(),
+            swarm: swarm.clone(),
+            handle,
+            responder: responder.clone(),
+        });
+        if self.verifications.begin(swarm, work).is_err() {
+            responder.reject(&CommandError::Busy, step);
         }
         Ok(())
+    }
+}
+
+/// A replay of the history of a swarm.
+struct Replay {
+    store: Store,
+    swarm: Arc<str>,
+    handle: Handle,
+    responder: Responder,
+}
+
+impl Work for Replay {
+    fn run(self: Box<Self>, verification: Arc<Verification>) {
+        let Replay {
+            store,
+            swarm,
+            handle,
+            responder,
+        } = *self;
+        // The deadline may have passed while it was queued.
+        if responder.is_done() {
+            return;
+        }
+        let seen = present(&handle);
+        let to = match &seen {
+            Some((place, _)) if !place.phase.is_moving() => To::Place(place.epoch, place.step),
+            _ => To::LastHash,
+        };
+        let progress = verification.clone();
+        let on_progress = move |share| progress.advance(share);
+        let replayed = recovery::told_again(&store, &swarm, to, on_progress);
+        drop(verification);
+        match replayed {
+            Ok(replayed) => {
+                let verified = verified(&replayed, seen);
+                handle.send(Ticket::Look(Answer::new(move |answered| {
+                    responder.respond(answered, move |place, _| {
+                        Payload::json(&convert::reply(&swarm, &place, verified))
+                    });
+                })));
+            }
+            Err(error) => responder.reject(&error, handle.step()),
+        }
     }
 }
 
