@@ -25,8 +25,8 @@ use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::Store;
 use crate::swarm::frame::Place;
-use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::outcome::{Answer, Outcome};
+use crate::swarm::handle::{Handle, Message};
+use crate::swarm::outcome::{Outcome, ReplyTo};
 use crate::swarm::registry::SwarmRegistry;
 
 /// The longest request without values of individuals, in bytes.
@@ -235,7 +235,7 @@ impl Context {
         swarm: &str,
         responder: &Responder,
         (timeout, error): (Duration, TimeoutError),
-        message: impl FnOnce(Answer) -> Ticket,
+        message: impl FnOnce(ReplyTo) -> Message,
         payload: impl FnOnce(Place, Outcome) -> Payload + Send + 'static,
     ) {
         let handle = match self.find(swarm) {
@@ -244,7 +244,7 @@ impl Context {
         };
         responder.set_deadline(timeout, error, Some(handle.last_step()));
         let responder = responder.clone();
-        let answer = Answer::new(move |answered| responder.respond(answered, payload));
+        let answer = ReplyTo::new(move |answered| responder.respond(answered, payload));
         handle.send(message(answer));
     }
 

@@ -18,10 +18,10 @@ use crate::convert::Payload;
 use crate::convert::error::CommandError;
 use crate::metrics::Pulse;
 use crate::persistence::recovery::ReplySlot;
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Place;
 use crate::swarm::handle::LastStep;
-use crate::swarm::outcome::{Answered, Outcome, Refusal};
+use crate::swarm::outcome::{Outcome, Rejection, SwarmReply};
 
 /// Makes the error of a deadline that passed after so many seconds.
 pub type TimeoutError = fn(f64) -> CommandError;
@@ -148,26 +148,26 @@ impl Responder {
     /// Replies to a command with what the swarm returned: `payload` encodes an outcome.
     pub fn respond(
         &self,
-        answered: Answered,
+        answered: SwarmReply,
         payload: impl FnOnce(Place, Outcome) -> Payload + Send + 'static,
     ) {
         match answered {
             Ok((place, outcome)) => self.complete(move || Ok(payload(place, outcome))),
             // It was executed, but not to its end.
-            Err(Refusal {
+            Err(Rejection {
                 step,
-                error: error @ OrderError::Faulted(_),
+                error: error @ SwarmError::Faulted(_),
             }) => {
                 self.complete(move || Err(Payload::json(&CommandError::from(error).to_wire(step))));
             }
-            Err(Refusal { step, error }) => self.reject(&error.into(), step),
+            Err(Rejection { step, error }) => self.reject(&error.into(), step),
         }
     }
 
     /// Replies with an error; the request has changed nothing and its id may be used again. A
     /// wildcard request gets no reply about a swarm that does not exist.
     pub fn reject(&self, error: &CommandError, step: Option<u64>) {
-        let is_gone = matches!(error, CommandError::Order(OrderError::Gone));
+        let is_gone = matches!(error, CommandError::Order(SwarmError::Gone));
         let is_unknown = matches!(error, CommandError::UnknownSwarm(_));
         let is_closing = self.0.replies.is_closing.load(Ordering::Acquire);
         let is_wild = || {
@@ -366,7 +366,7 @@ mod tests {
         sender.close();
         drop(sender.responder(&incoming, "key".into()));
         let responder = sender.responder(&incoming, "key".into());
-        responder.reject(&OrderError::Gone.into(), None);
+        responder.reject(&SwarmError::Gone.into(), None);
         sender.stop();
         drop((incoming, responder));
         assert!(replies.recv_timeout(LONG).is_err());
@@ -378,7 +378,7 @@ mod tests {
         let sender = Replies::start().unwrap();
         let (incoming, replies) = request(true);
         for error in [
-            OrderError::Gone.into(),
+            SwarmError::Gone.into(),
             CommandError::UnknownSwarm("ants".into()),
         ] {
             sender

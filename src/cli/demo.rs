@@ -15,11 +15,11 @@ use tokio::sync::oneshot;
 use crate::app::Server;
 use crate::convert::commands::{CommandError, create, run};
 use crate::persistence::writer::NewSwarm;
-use crate::swarm::error::OrderError;
+use crate::swarm::command::{Awaited, Command, When};
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{Frame, Place};
-use crate::swarm::handle::{self, Handle, Ticket};
-use crate::swarm::order::{Awaited, Order, When};
-use crate::swarm::outcome::{Answer, Answered, Outcome};
+use crate::swarm::handle::{self, Handle, Message};
+use crate::swarm::outcome::{Outcome, ReplyTo, SwarmReply};
 use crate::swarm::registry::{Created, RegistryError};
 use crate::swarm::sender::Sender;
 use crate::swarm::waiters::Waiter;
@@ -64,10 +64,10 @@ impl From<RegistryError> for DemoError {
     }
 }
 
-impl From<OrderError> for DemoError {
-    fn from(error: OrderError) -> Self {
+impl From<SwarmError> for DemoError {
+    fn from(error: SwarmError) -> Self {
         match error {
-            OrderError::Gone => DemoError::Gone,
+            SwarmError::Gone => DemoError::Gone,
             error => DemoError::Command(error.into()),
         }
     }
@@ -140,7 +140,7 @@ async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
     let host = server.host();
     let recipe = create::recipe(&args, host.limits())?;
     let (answer, answered) = oneshot::channel();
-    let promise = || -> Answer { Answer::new(move |it| drop(answer.send(it))) };
+    let promise = || -> ReplyTo { ReplyTo::new(move |it| drop(answer.send(it))) };
     let register = Box::new(NewSwarm {
         store: server.store().clone(),
         name: NAME.to_owned(),
@@ -170,7 +170,7 @@ async fn inform_some(swarm: &Handle, at_step: u64) -> Result<(), DemoError> {
         swarm,
         "inform",
         told,
-        Order::Change(change::inform(args).map_err(CommandError::from)?),
+        Command::Change(change::inform(args).map_err(CommandError::from)?),
         Some(at_step),
     )
     .await?;
@@ -188,7 +188,7 @@ async fn run_on(swarm: &Handle, until_time: Option<f64>) -> Result<u64, DemoErro
     match command(swarm, "run", told, run::order(args)?, None).await {
         Ok((_, Outcome::Runs(until, _))) => Ok(until.unwrap_or(u64::MAX)),
         Ok(_) => Ok(u64::MAX),
-        Err(DemoError::Command(CommandError::Order(OrderError::Past { step, .. }))) => Ok(step),
+        Err(DemoError::Command(CommandError::Order(SwarmError::Past { step, .. }))) => Ok(step),
         Err(error) => Err(error),
     }
 }
@@ -197,13 +197,13 @@ async fn run_on(swarm: &Handle, until_time: Option<f64>) -> Result<u64, DemoErro
 async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
     loop {
         let (answer, answered) = oneshot::channel();
-        swarm.send(Ticket::Wait(Waiter {
+        swarm.send(Message::Wait(Waiter {
             awaited: Awaited::Reached(step),
             is_abandoned: Box::new(|| false),
-            answer: Answer::new(move |it| drop(answer.send(it))),
+            answer: ReplyTo::new(move |it| drop(answer.send(it))),
         }));
         match outcome(answered).await {
-            Err(DemoError::Command(CommandError::Order(OrderError::Displaced { .. }))) => {
+            Err(DemoError::Command(CommandError::Order(SwarmError::Displaced { .. }))) => {
                 tokio::time::sleep(BETWEEN_WAITS).await;
             }
             answered => return seen(answered?),
@@ -213,7 +213,7 @@ async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
 
 async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {
     let (answer, answered) = oneshot::channel();
-    swarm.send(Ticket::Look(Answer::new(move |it| drop(answer.send(it)))));
+    swarm.send(Message::Look(ReplyTo::new(move |it| drop(answer.send(it)))));
     seen(outcome(answered).await?)
 }
 
@@ -277,11 +277,11 @@ async fn command(
     swarm: &Handle,
     verb: &'static str,
     args: String,
-    order: Order,
+    order: Command,
     at_step: Option<u64>,
 ) -> Result<(Place, Outcome), DemoError> {
     let (answer, answered) = oneshot::channel();
-    swarm.send(Ticket::Command(handle::Command {
+    swarm.send(Message::Command(handle::CommandMessage {
         order,
         when: When {
             at_step,
@@ -293,12 +293,12 @@ async fn command(
             client: Some("jostled demo".to_owned()),
             ..Sender::default()
         }),
-        answer: Answer::new(move |it| drop(answer.send(it))),
+        answer: ReplyTo::new(move |it| drop(answer.send(it))),
     }));
     outcome(answered).await
 }
 
-async fn outcome(answered: oneshot::Receiver<Answered>) -> Result<(Place, Outcome), DemoError> {
+async fn outcome(answered: oneshot::Receiver<SwarmReply>) -> Result<(Place, Outcome), DemoError> {
     match answered.await {
         Ok(Ok(answer)) => Ok(answer),
         Ok(Err(refusal)) => Err(refusal.error.into()),

@@ -10,16 +10,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::convert::{from_proto, to_proto};
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::command::Command;
 use crate::swarm::journal::Record;
 use crate::swarm::membership;
-use crate::swarm::membership::Membership;
-use crate::swarm::order::Order;
+use crate::swarm::membership::ControllerState;
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
 
 /// Reads what a command orders.
-pub type ReadOrder<'a> = &'a dyn Fn(&Sender) -> Result<Order, String>;
+pub type ReadOrder<'a> = &'a dyn Fn(&Sender) -> Result<Command, String>;
 
 /// A swarm as a whole.
 pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
@@ -112,7 +112,7 @@ pub fn checkpoint(
     })
 }
 
-fn member_kept((name, kept): &(String, Membership)) -> Member {
+fn member_kept((name, kept): &(String, ControllerState)) -> Member {
     Member {
         controller: name.clone(),
         mode: to_proto::mode(kept.mode),
@@ -130,12 +130,12 @@ fn member_kept((name, kept): &(String, Membership)) -> Member {
     }
 }
 
-fn membership(member: &Member) -> Result<(String, Membership), SnapshotError> {
+fn membership(member: &Member) -> Result<(String, ControllerState), SnapshotError> {
     let deadline = membership::deadline(member.deadline_secs);
     let deadline = deadline.ok_or_else(|| {
         SnapshotError::Unreadable(format!("a deadline of {} s", member.deadline_secs))
     })?;
-    let kept = Membership {
+    let kept = ControllerState {
         mode: from_proto::mode(member.mode),
         deadline,
         on_timeout: from_proto::on_timeout(member.on_timeout),
@@ -315,12 +315,12 @@ mod tests {
                 seq: None,
                 unix_secs,
             };
-            let became = Record::Became {
+            let record_outcome = Record::Became {
                 input: 3,
                 seq: Some(5),
                 unix_secs,
             };
-            [input, became]
+            [input, record_outcome]
         };
         let known = records(Some(1_795_531_201.25));
         for (known, unknown) in known.into_iter().zip(records(None)) {

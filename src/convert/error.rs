@@ -12,7 +12,7 @@ use crate::auth::NotPermitted;
 use crate::experiments::ExperimentError;
 use crate::playback::{MAX_UPLOAD_BYTES, ReplayError};
 use crate::recording::RecordError;
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::registry::RegistryError;
 
 /// Why a request was refused.
@@ -191,7 +191,7 @@ pub enum CommandError {
     Host(#[from] RegistryError),
     /// The swarm refuses the order.
     #[error(transparent)]
-    Order(#[from] OrderError),
+    Order(#[from] SwarmError),
     /// A recording is not shown.
     #[error(transparent)]
     Replay(#[from] ReplayError),
@@ -228,7 +228,7 @@ impl CommandError {
         if let CommandError::Within { path, error } = self {
             return error.to_wire(step).within(path);
         }
-        if let CommandError::Order(OrderError::InBatch { index, error }) = self {
+        if let CommandError::Order(SwarmError::InBatch { index, error }) = self {
             let error = CommandError::Order((**error).clone()).to_wire(step);
             let mut error = error.within(&format!("commands[{index}].args"));
             error.message.push_str("; none of the batch was applied");
@@ -340,37 +340,37 @@ impl CommandError {
                 RecordError::Ending(_) | RecordError::Stopping => ErrorCode::Busy,
             },
             CommandError::Order(error) => match error {
-                OrderError::Phase(_)
-                | OrderError::Lockstep
-                | OrderError::Recorded
-                | OrderError::NotRecorded
-                | OrderError::RunsFreely(_) => ErrorCode::IncorrectState,
-                OrderError::NotJoined { .. } => ErrorCode::NotFound,
-                OrderError::HasJoined(_) => ErrorCode::AlreadyExists,
-                OrderError::TooManyControllers { .. } => ErrorCode::ResourceExhausted,
-                OrderError::NotClaimed { .. } | OrderError::NotDriving(_) => {
+                SwarmError::Phase(_)
+                | SwarmError::Lockstep
+                | SwarmError::Recorded
+                | SwarmError::NotRecorded
+                | SwarmError::RunsFreely(_) => ErrorCode::IncorrectState,
+                SwarmError::NotJoined { .. } => ErrorCode::NotFound,
+                SwarmError::HasJoined(_) => ErrorCode::AlreadyExists,
+                SwarmError::TooManyControllers { .. } => ErrorCode::ResourceExhausted,
+                SwarmError::NotClaimed { .. } | SwarmError::NotDriving(_) => {
                     ErrorCode::InvalidArgument
                 }
-                OrderError::Conflict { .. }
-                | OrderError::Past { .. }
-                | OrderError::Late { .. }
-                | OrderError::Overtaken { .. }
-                | OrderError::Claimed { .. }
-                | OrderError::Advancing { .. }
-                | OrderError::Superseded => ErrorCode::Conflict,
-                OrderError::InBatch { error, .. } => CommandError::Order((**error).clone()).code(),
-                OrderError::Panicked => ErrorCode::Internal,
-                OrderError::Film(_) | OrderError::OutsideRecording { .. } => {
+                SwarmError::Conflict { .. }
+                | SwarmError::Past { .. }
+                | SwarmError::Late { .. }
+                | SwarmError::Overtaken { .. }
+                | SwarmError::Claimed { .. }
+                | SwarmError::Advancing { .. }
+                | SwarmError::Superseded => ErrorCode::Conflict,
+                SwarmError::InBatch { error, .. } => CommandError::Order((**error).clone()).code(),
+                SwarmError::Panicked => ErrorCode::Internal,
+                SwarmError::Film(_) | SwarmError::OutsideRecording { .. } => {
                     ErrorCode::InvalidArgument
                 }
-                OrderError::Change(error) => jostle_convert::error::code(error),
-                OrderError::TooManyScheduled { .. } => ErrorCode::ResourceExhausted,
-                OrderError::Unsafe(_) => ErrorCode::StorageFull,
-                OrderError::RefusedBefore => ErrorCode::Conflict,
-                OrderError::Displaced { .. } => ErrorCode::DeadlineExceeded,
-                OrderError::Busy => ErrorCode::Busy,
-                OrderError::Faulted(_) => ErrorCode::Faulted,
-                OrderError::Gone => ErrorCode::NotFound,
+                SwarmError::Change(error) => jostle_convert::error::code(error),
+                SwarmError::TooManyScheduled { .. } => ErrorCode::ResourceExhausted,
+                SwarmError::Unsafe(_) => ErrorCode::StorageFull,
+                SwarmError::RefusedBefore => ErrorCode::Conflict,
+                SwarmError::Displaced { .. } => ErrorCode::DeadlineExceeded,
+                SwarmError::Busy => ErrorCode::Busy,
+                SwarmError::Faulted(_) => ErrorCode::Faulted,
+                SwarmError::Gone => ErrorCode::NotFound,
             },
         }
     }
@@ -429,17 +429,17 @@ impl CommandError {
                 free,
                 limit,
             }) => json!({"needed": needed, "free": free, "limit": limit}),
-            CommandError::Order(OrderError::Conflict {
+            CommandError::Order(SwarmError::Conflict {
                 what,
                 expected,
                 actual,
             }) => {
                 json!({"field": format!("expect_{what}"), "expected": expected, "actual": actual})
             }
-            CommandError::Order(OrderError::Past { until, step }) => {
+            CommandError::Order(SwarmError::Past { until, step }) => {
                 json!({"field": "until_step", "until": until, "step": step})
             }
-            CommandError::Order(OrderError::OutsideRecording {
+            CommandError::Order(SwarmError::OutsideRecording {
                 field,
                 value,
                 first,
@@ -447,16 +447,16 @@ impl CommandError {
             }) => {
                 json!({"field": field, "value": value, "range": format!("[{first}, {last}]")})
             }
-            CommandError::Order(OrderError::Late { at_step, step }) => {
+            CommandError::Order(SwarmError::Late { at_step, step }) => {
                 json!({"field": "at_step", "at_step": at_step, "step": step})
             }
-            CommandError::Order(OrderError::Overtaken { at_step }) => {
+            CommandError::Order(SwarmError::Overtaken { at_step }) => {
                 json!({"field": "at_step", "at_step": at_step})
             }
-            CommandError::Order(OrderError::Displaced { after_secs, limit }) => {
+            CommandError::Order(SwarmError::Displaced { after_secs, limit }) => {
                 json!({"after_secs": after_secs, "limit": limit})
             }
-            CommandError::Order(OrderError::TooManyScheduled { limit }) => {
+            CommandError::Order(SwarmError::TooManyScheduled { limit }) => {
                 json!({"field": "at_step", "limit": limit})
             }
             CommandError::Lab(error) => match error {
@@ -488,20 +488,20 @@ impl CommandError {
                 json!({"field": "offset", "value": offset})
             }
             CommandError::OtherRequest(id) => json!({"field": "request_id", "value": id}),
-            CommandError::Order(OrderError::Change(error)) => jostle_convert::error::details(error),
+            CommandError::Order(SwarmError::Change(error)) => jostle_convert::error::details(error),
             CommandError::Order(
-                OrderError::NotJoined { controller, .. }
-                | OrderError::HasJoined(controller)
-                | OrderError::RunsFreely(controller)
-                | OrderError::NotDriving(controller),
+                SwarmError::NotJoined { controller, .. }
+                | SwarmError::HasJoined(controller)
+                | SwarmError::RunsFreely(controller)
+                | SwarmError::NotDriving(controller),
             ) => json!({"field": "controller", "value": controller}),
-            CommandError::Order(OrderError::Claimed { id, controller }) => {
+            CommandError::Order(SwarmError::Claimed { id, controller }) => {
                 json!({"field": "select", "id": id, "controller": controller})
             }
-            CommandError::Order(OrderError::NotClaimed { id, owner }) => {
+            CommandError::Order(SwarmError::NotClaimed { id, owner }) => {
                 json!({"field": "set.ids", "id": id, "controller": owner})
             }
-            CommandError::Order(OrderError::Advancing { target, .. }) => {
+            CommandError::Order(SwarmError::Advancing { target, .. }) => {
                 json!({"field": "controller", "target": target})
             }
             _ => Value::Null,
@@ -524,11 +524,11 @@ impl From<ArgsError> for CommandError {
 
 impl From<ChangeError> for CommandError {
     fn from(error: ChangeError) -> Self {
-        OrderError::from(error).into()
+        SwarmError::from(error).into()
     }
 }
 
 /// Words why an order was refused, for a swarm at `step`.
-pub fn refusal(error: OrderError, step: u64) -> Error {
+pub fn refusal(error: SwarmError, step: u64) -> Error {
     CommandError::from(error).to_wire(Some(step))
 }

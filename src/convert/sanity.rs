@@ -40,12 +40,12 @@ mod tests {
 
     use super::*;
     use crate::convert::durable;
-    use crate::swarm::order::Order;
+    use crate::swarm::command::Command;
 
     fn recorded() -> Checkpoint {
         let text = include_str!("../../proto/fixtures/snapshot.reply.json");
         let reply: Reply<Snapshot> = serde_json::from_str(text).unwrap();
-        durable::checkpoint(&reply.result, &|_| Ok(Order::Pause)).unwrap()
+        durable::checkpoint(&reply.result, &|_| Ok(Command::Pause)).unwrap()
     }
 
     #[test]

@@ -12,7 +12,7 @@ use jostle_proto::verbs::{
 use serde::Serialize;
 
 use crate::convert::durable::snapshot;
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
 use crate::swarm::history::{Entry, Page};
 use crate::swarm::membership::{Departure, Mode, News, OnTimeout};
@@ -343,7 +343,7 @@ pub fn order_sample(swarm: &str, seen: &Frame, frame: u64) -> proto::OrderSample
 }
 
 /// Words why an order was refused, for a swarm at a step.
-pub type WordRefusal = fn(OrderError, u64) -> proto::Error;
+pub type WordRefusal = fn(SwarmError, u64) -> proto::Error;
 
 /// An event as it is published.
 pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {

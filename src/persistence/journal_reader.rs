@@ -6,11 +6,11 @@ use jostle_proto::Request;
 use serde_json::value::RawValue;
 use thiserror::Error;
 
-use crate::convert::commands::{self, Command};
+use crate::convert::commands::{self, ParsedCommand};
 use crate::convert::durable;
 use crate::store::{Row, Store, StoreError};
+use crate::swarm::command::Command;
 use crate::swarm::journal::{Line, Record};
-use crate::swarm::order::Order;
 use crate::swarm::sender::Sender;
 use crate::swarm::worker::replay::Told;
 
@@ -132,7 +132,7 @@ pub fn read(row: &Row) -> Result<Told, String> {
 /// # Errors
 ///
 /// What is wrong with it.
-pub fn read_order(sender: &Sender) -> Result<Order, String> {
+pub fn read_order(sender: &Sender) -> Result<Command, String> {
     read_command(sender).map(|command| command.order)
 }
 
@@ -141,7 +141,7 @@ pub fn read_order(sender: &Sender) -> Result<Order, String> {
 /// # Errors
 ///
 /// What is wrong with it.
-pub fn read_command(sender: &Sender) -> Result<Command, String> {
+pub fn read_command(sender: &Sender) -> Result<ParsedCommand, String> {
     let args = RawValue::from_string(sender.args.clone()).map_err(|error| error.to_string())?;
     let request = Request {
         args: Some(args),

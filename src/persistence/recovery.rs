@@ -16,13 +16,13 @@ use crate::persistence::journal_reader::{self, LineError, Lines, PAGE};
 use crate::persistence::writer::{About, writes};
 use crate::store::{self, Store, StoreError, Write};
 use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::journal::{Entry, Line, Record};
-use crate::swarm::outcome::{Answer, Refusal};
+use crate::swarm::outcome::{Rejection, ReplyTo};
 use crate::swarm::phase::Phase;
 use crate::swarm::registry::{RegistryError, SwarmRegistry};
 use crate::swarm::sender::Sender;
-use crate::swarm::worker::replay::{Applied, Outlook, Past, To, Told};
+use crate::swarm::worker::replay::{Applied, JournalIndex, ReplaySource, To, Told};
 
 /// Lines looked through for the commands that were applied before a checkpoint.
 const LINES_FOR_ENTRIES: u64 = 10_000;
@@ -94,7 +94,7 @@ pub fn recover(
         let begun = recall(store, replies, &swarm, &about).and_then(|(recipe, past)| {
             let told = told.clone();
             host.recover(&swarm, recipe, past, move || {
-                Answer::new(move |_| {
+                ReplyTo::new(move |_| {
                     let _ = told.send(());
                 })
             })
@@ -119,7 +119,7 @@ fn recall(
     replies: &impl ReplyCache,
     swarm: &str,
     about: &[u8],
-) -> Result<(Spec, Past), RecoveryError> {
+) -> Result<(Spec, ReplaySource), RecoveryError> {
     let unreadable = |problem: String| RecoveryError::Unreadable {
         swarm: swarm.to_owned(),
         problem,
@@ -177,7 +177,7 @@ fn recall(
 }
 
 /// A swarm's past, told again.
-pub struct Retold {
+pub struct Replayed {
     /// The step it was told from.
     pub from: u64,
     /// The swarm at the end of it.
@@ -194,12 +194,12 @@ pub struct Retold {
 /// # Errors
 ///
 /// [`CommandError::History`] when what is needed is no longer kept, or damaged.
-pub fn told_again(
+pub fn replay_to(
     store: &Store,
     swarm: &str,
     to: To,
     on_progress: impl Fn(f64) + Clone + Send + 'static,
-) -> Result<Retold, CommandError> {
+) -> Result<Replayed, CommandError> {
     // Nothing, which is written after everything before it; if it cannot be, the rest tells.
     let _ = store.commit(Vec::new());
     let history = |problem: String| CommandError::History(problem);
@@ -224,25 +224,25 @@ pub fn told_again(
             }
         };
         let after = checkpoint.lines;
-        let mut outlook = Outlook::default();
+        let mut index = JournalIndex::default();
         for line in Lines::new(store, swarm, after, None) {
-            outlook.learn(&line.map_err(|it| history(it.to_string()))?);
+            index.learn(&line.map_err(|it| history(it.to_string()))?);
         }
         // Lines that are written from now on are not told.
-        let until = outlook.last().unwrap_or(after);
+        let until = index.last().unwrap_or(after);
         let on_progress = on_progress.clone();
         let lines = Lines::new(store, swarm, after, Some(until)).inspect(move |line| {
             if let Ok((line, _)) = line {
                 on_progress((line.number - after - 1) as f64 / (until - after) as f64);
             }
         });
-        let past = Past {
+        let past = ReplaySource {
             checkpoint,
             lines: Box::new(lines.map(|line| line.map_err(|it| it.to_string()))),
-            outlook,
+            index,
             damage: None,
             entries: Vec::new(),
-            recall: Box::new(|_| Answer::ignored()),
+            recall: Box::new(|_| ReplyTo::ignored()),
             to,
         };
         let (checkpoint, replay) = past.replay();
@@ -264,7 +264,7 @@ pub fn told_again(
             }
             _ => {}
         }
-        return Ok(Retold {
+        return Ok(Replayed {
             from: mark.step,
             checkpoint,
             same: replay.same,
@@ -424,12 +424,12 @@ impl Story {
         Ok(unanswered.is_empty())
     }
 
-    fn told_to(self, replies: impl ReplyCache, swarm: &str, entries: Vec<Applied>) -> Past {
+    fn told_to(self, replies: impl ReplyCache, swarm: &str, entries: Vec<Applied>) -> ReplaySource {
         let swarm = swarm.to_owned();
-        Past {
+        ReplaySource {
             entries,
             checkpoint: self.checkpoint,
-            outlook: self.lines.iter().collect(),
+            index: self.lines.iter().collect(),
             lines: Box::new(self.lines.into_iter().map(Ok)),
             damage: self.damage,
             recall: Box::new(move |sender| remember(&replies, &swarm, sender)),
@@ -482,27 +482,27 @@ fn entries_before(store: &Store, swarm: &str, line: u64) -> Result<Vec<Applied>,
 }
 
 /// Takes what a command came to, for its sender to ask for again.
-fn remember(replies: &impl ReplyCache, swarm: &str, sender: &Arc<Sender>) -> Answer {
+fn remember(replies: &impl ReplyCache, swarm: &str, sender: &Arc<Sender>) -> ReplyTo {
     let Some((id, digest)) = sender.request_id.clone().zip(sender.digest) else {
-        return Answer::ignored();
+        return ReplyTo::ignored();
     };
     let Some(slot) = replies.begin_replayed((sender.client.clone(), id), digest) else {
-        return Answer::ignored();
+        return ReplyTo::ignored();
     };
     let returns_state =
         journal_reader::read_command(sender).is_ok_and(|command| command.returns_state);
     let swarm = swarm.to_owned();
     let worded = |step, error| Payload::json(&CommandError::from(error).to_wire(step));
-    Answer::new(move |answered| match answered {
+    ReplyTo::new(move |answered| match answered {
         Ok((place, outcome)) => {
             let frame = returns_state.then_some(0);
             slot.write(&Ok(convert::outcome(&swarm, &place, outcome, frame)));
         }
-        Err(Refusal {
+        Err(Rejection {
             step,
-            error: error @ OrderError::Faulted(_),
+            error: error @ SwarmError::Faulted(_),
         }) => slot.write(&Err(worded(step, error))),
         // What was refused changed nothing, and may be tried again.
-        Err(Refusal { step, error }) => slot.forget(&worded(step, error)),
+        Err(Rejection { step, error }) => slot.forget(&worded(step, error)),
     })
 }

@@ -1,12 +1,12 @@
 //! The commands that a playback executes: run, pause, step, reset, seek and delete.
 
 use super::player::Player;
-use crate::swarm::error::OrderError;
+use crate::swarm::command::{Command, Seek, Until, When};
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::EventKind;
-use crate::swarm::handle::{Command, Ticket};
-use crate::swarm::order::{Order, Seek, Until, When};
-use crate::swarm::outcome::{DeferredAnswer, Outcome, Refusal};
-use crate::swarm::phase::{self, Cue, PauseReason, Phase};
+use crate::swarm::handle::{CommandMessage, Message};
+use crate::swarm::outcome::{DeferredReply, Outcome, Rejection};
+use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
 use crate::swarm::worker::End;
 
 /// The tolerance between a requested time and a frame's, since decimals are rounded; frames are
@@ -15,18 +15,18 @@ const TIME_ROUNDING: f64 = 1e-9;
 
 impl Player {
     /// Handles a ticket. Returns how the playback ends, if it does.
-    pub(super) fn handle(&mut self, ticket: Ticket) -> Option<End> {
-        match ticket {
-            Ticket::Look(answer) => answer.send(Ok((self.place(), Outcome::Seen(self.frame())))),
-            Ticket::Wait(waiter) => {
+    pub(super) fn handle(&mut self, message: Message) -> Option<End> {
+        match message {
+            Message::Look(answer) => answer.send(Ok((self.place(), Outcome::Seen(self.frame())))),
+            Message::Wait(waiter) => {
                 self.waiters.add(waiter);
                 self.answer_waiters();
                 if let Some((answer, error)) = self.waiters.displace() {
                     answer.send(Err(self.refusal(error)));
                 }
             }
-            Ticket::Copy(answer) => answer.send(Err(self.refusal(OrderError::Recorded))),
-            Ticket::Seek(seek, sender, answer) => match self.find(seek) {
+            Message::Copy(answer) => answer.send(Err(self.refusal(SwarmError::Recorded))),
+            Message::Seek(seek, sender, answer) => match self.find(seek) {
                 Ok(frame) => {
                     self.applied(&sender);
                     self.jump_to(frame);
@@ -34,33 +34,33 @@ impl Player {
                 }
                 Err(error) => answer.send(Err(self.refusal(error))),
             },
-            Ticket::Command(command) => return self.command(command),
-            Ticket::RecordingFailed(recording, reason) => {
+            Message::Command(command) => return self.command(command),
+            Message::RecordingFailed(recording, reason) => {
                 self.publish_event(EventKind::RecordingFailed(recording, reason));
             }
-            Ticket::Put(..) | Ticket::Lost(_) | Ticket::Awake => {}
-            Ticket::Stop => return Some(End::Stopped),
+            Message::Put(..) | Message::Lost(_) | Message::Awake => {}
+            Message::Stop => return Some(End::Stopped),
         }
         None
     }
 
-    fn command(&mut self, command: Command) -> Option<End> {
-        let Command {
+    fn command(&mut self, command: CommandMessage) -> Option<End> {
+        let CommandMessage {
             order,
             when,
             sender,
             answer,
         } = command;
-        if order == Order::Delete {
+        if order == Command::Delete {
             self.publish_event(EventKind::Deleted);
             self.waiters.answer_all(|| {
-                Err(Refusal {
+                Err(Rejection {
                     step: None,
-                    error: OrderError::Gone,
+                    error: SwarmError::Gone,
                 })
             });
             let place = self.place();
-            let reply = DeferredAnswer::new(answer, Ok((place, Outcome::Done)));
+            let reply = DeferredReply::new(answer, Ok((place, Outcome::Done)));
             return Some(End::Deleted(reply));
         }
         let done = self.check(when).and_then(|()| self.execute(&order));
@@ -75,14 +75,14 @@ impl Player {
         None
     }
 
-    fn execute(&mut self, order: &Order) -> Result<Outcome, OrderError> {
+    fn execute(&mut self, order: &Command) -> Result<Outcome, SwarmError> {
         match order {
-            Order::Run { until, rate } => {
+            Command::Run { until, rate } => {
                 let index = self.source.index();
                 let here = index[self.at];
                 let until = match *until {
                     Some(Until::Step(step)) if step < here.step => {
-                        return Err(OrderError::Past {
+                        return Err(SwarmError::Past {
                             until: step,
                             step: here.step,
                         });
@@ -94,7 +94,7 @@ impl Player {
                         match reached.map(|it| it.step) {
                             Some(until) if until < here.step => {
                                 let step = here.step;
-                                return Err(OrderError::Past { until, step });
+                                return Err(SwarmError::Past { until, step });
                             }
                             until => until,
                         }
@@ -102,7 +102,7 @@ impl Player {
                     None => None,
                 };
                 let is_over = self.at + 1 == index.len();
-                let phase = phase::next(&self.phase, Cue::Run(until))?;
+                let phase = phase::next(&self.phase, PhaseInput::Run(until))?;
                 if let Some(rate) = rate {
                     self.rate = *rate;
                 }
@@ -114,18 +114,18 @@ impl Player {
                 self.enter(phase);
                 Ok(Outcome::Runs(until, self.rate))
             }
-            Order::Pause => {
-                let phase = phase::next(&self.phase, Cue::Pause)?;
+            Command::Pause => {
+                let phase = phase::next(&self.phase, PhaseInput::Pause)?;
                 if phase != self.phase {
                     self.enter(phase);
                     self.publish_frame();
                 }
                 Ok(Outcome::Done)
             }
-            &Order::Step(steps) => {
+            &Command::Step(steps) => {
                 let index = self.source.index();
                 let from = index[self.at].step;
-                phase::next(&self.phase, Cue::Step(from.saturating_add(steps)))?;
+                phase::next(&self.phase, PhaseInput::Step(from.saturating_add(steps)))?;
                 let target = from.saturating_add(steps);
                 let later = (self.at + 1..index.len())
                     .find(|&frame| index[frame].step >= target || index[frame].step < from);
@@ -141,19 +141,19 @@ impl Player {
                     seen: self.frame(),
                 })
             }
-            Order::Reset(None) => {
-                self.phase = phase::next(&self.phase, Cue::Reset)?;
+            Command::Reset(None) => {
+                self.phase = phase::next(&self.phase, PhaseInput::Reset)?;
                 self.jump_to(0);
                 self.enter(Phase::Paused(PauseReason::Reset));
                 Ok(Outcome::Reset(self.frame()))
             }
-            _ => Err(OrderError::Recorded),
+            _ => Err(SwarmError::Recorded),
         }
     }
 
-    fn check(&self, when: When) -> Result<(), OrderError> {
+    fn check(&self, when: When) -> Result<(), SwarmError> {
         if when.at_step.is_some() {
-            return Err(OrderError::Recorded);
+            return Err(SwarmError::Recorded);
         }
         let step = self.source.index()[self.at].step;
         let expected = [
@@ -164,7 +164,7 @@ impl Player {
             if let Some(expected) = expected
                 && expected != actual
             {
-                return Err(OrderError::Conflict {
+                return Err(SwarmError::Conflict {
                     what,
                     expected,
                     actual,
@@ -179,8 +179,8 @@ impl Player {
     ///
     /// # Errors
     ///
-    /// [`OrderError::OutsideRecording`] before the first frame of that epoch and after its last.
-    fn find(&self, seek: Seek) -> Result<usize, OrderError> {
+    /// [`SwarmError::OutsideRecording`] before the first frame of that epoch and after its last.
+    fn find(&self, seek: Seek) -> Result<usize, SwarmError> {
         let index = self.source.index();
         let (from, run) = (self.present_from(), self.present());
         let [first, last] = [index[from], index[from + run.len() - 1]];
@@ -202,7 +202,7 @@ impl Player {
         };
         let (first, last) = range;
         if count == 0 || value > last + TIME_ROUNDING {
-            return Err(OrderError::OutsideRecording {
+            return Err(SwarmError::OutsideRecording {
                 field,
                 value,
                 first,

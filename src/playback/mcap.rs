@@ -11,7 +11,7 @@ use jostle_results::recording::{self, About, Message};
 use crate::convert;
 use crate::playback::ReplayError;
 use crate::playback::source::{FrameIndex, RecordedEvent, RecordedFrame};
-use crate::swarm::order::Order;
+use crate::swarm::command::Command;
 
 /// Maximum number of frames, and of bytes of events in memory.
 const MAX_FRAMES: usize = 4_000_000;
@@ -21,7 +21,7 @@ const MAX_EVENT_BYTES: usize = 64 * 1024 * 1024;
 const BYTES_PER_ENTRY: usize = 64;
 
 /// Parses a recorded command: its verb and its arguments as JSON.
-pub type ReadCommand<'a> = &'a dyn Fn(&str, &str) -> Result<Order, String>;
+pub type ReadCommand<'a> = &'a dyn Fn(&str, &str) -> Result<Command, String>;
 
 /// An open recording.
 pub struct McapSource {
@@ -162,19 +162,19 @@ impl McapSource {
     }
 
     /// Stores the parameters after a command.
-    fn apply(&mut self, order: &Order) {
+    fn apply(&mut self, order: &Command) {
         let before = self.parameters[self.parameters.len() - 1].1;
         let mut now = before;
         match order {
-            Order::Change(Change::Set(settings)) => now = settings.of(before),
-            Order::Batch(changes) => {
+            Command::Change(Change::Set(settings)) => now = settings.of(before),
+            Command::Batch(changes) => {
                 for change in changes {
                     if let Change::Set(settings) = change {
                         now = settings.of(now);
                     }
                 }
             }
-            Order::Reset(_) => now = self.spec.parameters,
+            Command::Reset(_) => now = self.spec.parameters,
             _ => {}
         }
         if now != before && now.check(0.0).is_ok() {

@@ -11,11 +11,11 @@ use tracing::warn;
 use crate::playback::McapSource;
 use crate::playback::source::{FrameIndex, RecordedEvent, RecordedFrame};
 use crate::swarm::clock;
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
-use crate::swarm::handle::{Handle, Ticket, receive};
+use crate::swarm::handle::{Handle, Message, receive};
 use crate::swarm::history::History;
-use crate::swarm::outcome::{Outcome, Refusal};
+use crate::swarm::outcome::{Outcome, Rejection};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::runner::{Playback, Runner};
@@ -45,7 +45,7 @@ impl Playback for McapSource {
         self: Box<Self>,
         handle: &Handle,
         min_interval: Duration,
-    ) -> Result<Box<dyn Runner>, OrderError> {
+    ) -> Result<Box<dyn Runner>, SwarmError> {
         Ok(Box::new(Player::new(*self, handle, min_interval)?))
     }
 }
@@ -55,16 +55,16 @@ impl Runner for Player {
         (self.place(), self.frame())
     }
 
-    fn run(mut self: Box<Self>, tickets: &Receiver<Ticket>) -> End {
+    fn run(mut self: Box<Self>, messages: &Receiver<Message>) -> End {
         let tally = self.tally.clone();
         loop {
             tally.pulse.beat();
             let next = self.play(Instant::now());
             tally.pulse.rest();
-            let end = match receive(tickets, next) {
-                Ok(ticket) => {
+            let end = match receive(messages, next) {
+                Ok(message) => {
                     tally.pulse.beat();
-                    self.handle(ticket)
+                    self.handle(message)
                 }
                 Err(RecvTimeoutError::Timeout) => None,
                 Err(RecvTimeoutError::Disconnected) => Some(End::Stopped),
@@ -110,13 +110,13 @@ impl Player {
     ///
     /// # Errors
     ///
-    /// [`OrderError::Film`] if that cannot be read.
+    /// [`SwarmError::Film`] if that cannot be read.
     fn new(
         mut source: McapSource,
         handle: &Handle,
         min_interval: Duration,
-    ) -> Result<Self, OrderError> {
-        let frame = source.frame(0).map_err(OrderError::Film)?;
+    ) -> Result<Self, SwarmError> {
+        let frame = source.frame(0).map_err(SwarmError::Film)?;
         let now = Instant::now();
         let mut player = Player {
             source,
@@ -318,8 +318,8 @@ impl Player {
         self.waiters = waiters;
     }
 
-    pub(super) fn refusal(&self, error: OrderError) -> Refusal {
-        Refusal {
+    pub(super) fn refusal(&self, error: SwarmError) -> Rejection {
+        Rejection {
             step: Some(self.source.index()[self.at].step),
             error,
         }

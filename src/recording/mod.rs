@@ -33,7 +33,7 @@ pub use self::status::{Phase, Status};
 use self::writer::RecordingWriter;
 use crate::convert::WordRefusal;
 use crate::jobs::JobDirectory;
-use crate::swarm::handle::Ticket;
+use crate::swarm::handle::Message;
 use crate::swarm::registry::SwarmRegistry;
 
 /// Maximum number of running recordings.
@@ -448,7 +448,7 @@ impl Recordings {
             && let Some(handle) = self.0.registry.find(&swarm)
         {
             let reason = reason.unwrap_or_default();
-            handle.send(Ticket::RecordingFailed(name.into(), reason.into()));
+            handle.send(Message::RecordingFailed(name.into(), reason.into()));
         }
     }
 

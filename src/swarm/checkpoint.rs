@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use jostle_physics::simulation::{self, Rate};
 
-use crate::swarm::membership::Membership;
+use crate::swarm::membership::ControllerState;
 use crate::swarm::phase::Phase;
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
@@ -23,7 +23,7 @@ pub struct Checkpoint {
     /// The `step` that is being carried out: where it began, and who sent it.
     pub pending: Option<(u64, Arc<Sender>)>,
     /// The controllers that have joined.
-    pub controllers: Vec<(String, Membership)>,
+    pub controllers: Vec<(String, ControllerState)>,
     /// How many events there have been.
     pub events: u64,
     /// How many lines of its journal it contains.

@@ -6,9 +6,11 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Instant;
 
-use crate::swarm::error::OrderError;
-use crate::swarm::membership::{Departure, Membership, Miss, Mode, News, Put, Puts, Seen, Terms};
-use crate::swarm::outcome::Answer;
+use crate::swarm::error::SwarmError;
+use crate::swarm::membership::{
+    ControllerState, Departure, JoinOptions, Miss, Mode, News, Put, Puts, Seen,
+};
+use crate::swarm::outcome::ReplyTo;
 use crate::swarm::sender::Sender;
 
 /// Controllers that may join one swarm.
@@ -20,9 +22,9 @@ const MOST_DEPARTURES: usize = 256;
 /// A controller that has joined.
 pub struct Member {
     /// What outlives a crash.
-    pub kept: Membership,
+    pub kept: ControllerState,
     /// Takes the answer to its `advance`.
-    answer: Option<Answer>,
+    answer: Option<ReplyTo>,
     /// Since when the swarm waits for it, or since when it has put nothing.
     since: Option<Instant>,
     put: Option<Put>,
@@ -41,8 +43,8 @@ pub struct Controllers {
 impl Controllers {
     /// Those that were there at a checkpoint; `answers` takes what their advances come to.
     pub fn recall(
-        kept: Vec<(String, Membership)>,
-        mut answers: impl FnMut(&Arc<Sender>) -> Answer,
+        kept: Vec<(String, ControllerState)>,
+        mut answers: impl FnMut(&Arc<Sender>) -> ReplyTo,
     ) -> Self {
         let members = kept.into_iter().map(|(name, kept)| {
             let answer = kept.advance.as_ref().map(&mut answers);
@@ -55,7 +57,7 @@ impl Controllers {
     }
 
     /// All that outlives a crash.
-    pub fn kept(&self) -> Vec<(String, Membership)> {
+    pub fn kept(&self) -> Vec<(String, ControllerState)> {
         let members = self.members.iter();
         members
             .map(|(name, member)| (name.clone(), member.kept.clone()))
@@ -76,14 +78,14 @@ impl Controllers {
     ///
     /// # Errors
     ///
-    /// [`OrderError::NotJoined`], with why it is no longer there, if it once was.
-    pub fn find(&mut self, controller: &str) -> Result<&mut Member, OrderError> {
+    /// [`SwarmError::NotJoined`], with why it is no longer there, if it once was.
+    pub fn find(&mut self, controller: &str) -> Result<&mut Member, SwarmError> {
         let departures = self.departures.iter().rev();
         let mut departures = departures.filter(|(name, ..)| name == controller);
         let left = departures.next().map(|(_, why, step)| (*why, *step));
         self.members
             .get_mut(controller)
-            .ok_or_else(|| OrderError::NotJoined {
+            .ok_or_else(|| SwarmError::NotJoined {
                 controller: controller.to_owned(),
                 left,
             })
@@ -109,16 +111,16 @@ impl Controllers {
     ///
     /// # Errors
     ///
-    /// [`OrderError::HasJoined`] and [`OrderError::TooManyControllers`].
-    pub fn admit(&self, terms: &Terms) -> Result<(), OrderError> {
-        if self.members.contains_key(&terms.controller) {
-            return match terms.again {
+    /// [`SwarmError::HasJoined`] and [`SwarmError::TooManyControllers`].
+    pub fn admit(&self, options: &JoinOptions) -> Result<(), SwarmError> {
+        if self.members.contains_key(&options.controller) {
+            return match options.again {
                 true => Ok(()),
-                false => Err(OrderError::HasJoined(terms.controller.clone())),
+                false => Err(SwarmError::HasJoined(options.controller.clone())),
             };
         }
         match self.members.len() {
-            MOST => Err(OrderError::TooManyControllers { limit: MOST }),
+            MOST => Err(SwarmError::TooManyControllers { limit: MOST }),
             _ => Ok(()),
         }
     }
@@ -127,17 +129,17 @@ impl Controllers {
     /// whoever still waited for its last advance.
     pub fn join(
         &mut self,
-        terms: &Terms,
+        options: &JoinOptions,
         claims: Option<BTreeSet<u32>>,
         step: u64,
-    ) -> Option<Answer> {
-        let before = self.members.remove(&terms.controller);
+    ) -> Option<ReplyTo> {
+        let before = self.members.remove(&options.controller);
         let (old, answer) = before.map_or((None, None), |it| (Some(it.kept), it.answer));
-        let old = old.unwrap_or_else(|| Membership {
-            mode: terms.mode,
-            deadline: terms.deadline,
-            on_timeout: terms.on_timeout,
-            driving: terms.driving,
+        let old = old.unwrap_or_else(|| ControllerState {
+            mode: options.mode,
+            deadline: options.deadline,
+            on_timeout: options.on_timeout,
+            driving: options.driving,
             claims: BTreeSet::new(),
             steered: BTreeSet::new(),
             target: step,
@@ -148,11 +150,11 @@ impl Controllers {
             sequence: 0,
         });
         let claims = claims.unwrap_or_else(|| old.claims.clone());
-        let kept = Membership {
-            mode: terms.mode,
-            deadline: terms.deadline,
-            on_timeout: terms.on_timeout,
-            driving: terms.driving,
+        let kept = ControllerState {
+            mode: options.mode,
+            deadline: options.deadline,
+            on_timeout: options.on_timeout,
+            driving: options.driving,
             steered: old.steered.intersection(&claims).copied().collect(),
             claims,
             target: step,
@@ -162,7 +164,7 @@ impl Controllers {
             ..old
         };
         self.members
-            .insert(terms.controller.clone(), Member::new(kept, None));
+            .insert(options.controller.clone(), Member::new(kept, None));
         answer
     }
 
@@ -212,7 +214,7 @@ impl Controllers {
 
     /// Takes out the answers of all whose advance has come to its end at `step`, or of everybody,
     /// each with where it began and what is news to it.
-    pub fn arrived(&mut self, step: u64, everybody: bool) -> Vec<(Answer, u64, News)> {
+    pub fn arrived(&mut self, step: u64, everybody: bool) -> Vec<(ReplyTo, u64, News)> {
         let mut arrived = Vec::new();
         for member in self.members.values_mut() {
             let kept = &mut member.kept;
@@ -227,7 +229,7 @@ impl Controllers {
     }
 
     /// Takes out the answers of everybody who waits.
-    pub fn give_up(&mut self) -> Vec<Answer> {
+    pub fn give_up(&mut self) -> Vec<ReplyTo> {
         let members = self.members.values_mut();
         members
             .filter_map(|member| {
@@ -368,7 +370,7 @@ impl Controllers {
 }
 
 impl Member {
-    fn new(kept: Membership, answer: Option<Answer>) -> Self {
+    fn new(kept: ControllerState, answer: Option<ReplyTo>) -> Self {
         Member {
             kept,
             answer,
@@ -384,8 +386,8 @@ impl Member {
         from: u64,
         target: u64,
         sender: Arc<Sender>,
-        answer: Answer,
-    ) -> Option<Answer> {
+        answer: ReplyTo,
+    ) -> Option<ReplyTo> {
         self.kept.from = from;
         self.kept.target = target;
         self.kept.misses = 0;
@@ -406,7 +408,7 @@ impl Member {
     }
 
     /// Who waits for its advance.
-    pub fn take_answer(&mut self) -> Option<Answer> {
+    pub fn take_answer(&mut self) -> Option<ReplyTo> {
         self.kept.advance = None;
         self.answer.take()
     }

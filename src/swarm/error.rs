@@ -3,12 +3,12 @@
 use jostle_physics::simulation::{ChangeError, ReserveError};
 use thiserror::Error;
 
-use crate::swarm::membership::{Departure, MOST_MISSES};
+use crate::swarm::membership::{Departure, MAX_MISSES};
 use crate::swarm::phase::PhaseError;
 
 /// Why an order was not carried out; nothing has changed then.
 #[derive(Clone, Debug, Error)]
-pub enum OrderError {
+pub enum SwarmError {
     /// The phase does not allow it.
     #[error(transparent)]
     Phase(#[from] PhaseError),
@@ -50,7 +50,7 @@ pub enum OrderError {
         /// Which.
         index: usize,
         /// Why.
-        error: Box<OrderError>,
+        error: Box<SwarmError>,
     },
     /// The order uncovered a defect.
     #[error("a defect of the daemon: nothing was changed; please report what you sent")]
@@ -193,22 +193,22 @@ pub enum WriteFault {
     Failed(String),
 }
 
-impl OrderError {
+impl SwarmError {
     /// Whether it may come out otherwise when the same is ordered again of the same state.
-    pub fn is_by_chance(&self) -> bool {
+    pub fn may_succeed_later(&self) -> bool {
         match self {
-            OrderError::Change(ChangeError::Reserve(_))
-            | OrderError::Panicked
-            | OrderError::Unsafe(_) => true,
-            OrderError::InBatch { error, .. } => error.is_by_chance(),
+            SwarmError::Change(ChangeError::Reserve(_))
+            | SwarmError::Panicked
+            | SwarmError::Unsafe(_) => true,
+            SwarmError::InBatch { error, .. } => error.may_succeed_later(),
             _ => false,
         }
     }
 }
 
-impl From<ReserveError> for OrderError {
+impl From<ReserveError> for SwarmError {
     fn from(error: ReserveError) -> Self {
-        OrderError::Change(error.into())
+        SwarmError::Change(error.into())
     }
 }
 
@@ -218,7 +218,7 @@ fn not_joined(controller: &str, left: Option<(Departure, u64)>) -> String {
         Some((Departure::Left, step)) => format!("left at step {step}"),
         Some((Departure::Lost, step)) => format!("was lost at step {step}, its token went"),
         Some((Departure::Late, step)) => {
-            format!("missed {MOST_MISSES} deadlines up to step {step} and was let go")
+            format!("missed {MAX_MISSES} deadlines up to step {step} and was let go")
         }
     };
     format!("controller {controller} {why}: join again")

@@ -8,7 +8,7 @@ use jostle_physics::model::parameters::Parameters;
 use jostle_physics::observables::{Order, RunningMeans};
 use jostle_physics::simulation::{Exactness, Rate};
 
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::membership::Seen;
 use crate::swarm::phase::Phase;
 use crate::swarm::sender::Sender;
@@ -131,7 +131,7 @@ pub enum EventKind {
     /// A command waits for this step.
     Scheduled(u64, Arc<Sender>),
     /// A command that waited for its step was not carried out, for this reason.
-    Refused(Arc<Sender>, OrderError),
+    Refused(Arc<Sender>, SwarmError),
     /// These are uninformed again.
     Lapsed(Vec<u32>),
     /// A step failed.

@@ -6,30 +6,30 @@ use std::time::Instant;
 
 use jostle_physics::simulation::Spec;
 
+use crate::swarm::command::{Command, Seek, When};
 use crate::swarm::cpu_scheduler::{CpuScheduler, Share};
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Summary;
 use crate::swarm::history::History;
 use crate::swarm::membership::Put;
-use crate::swarm::order::{Order, Seek, When};
-use crate::swarm::outcome::{Answer, Refusal};
+use crate::swarm::outcome::{Rejection, ReplyTo};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::sender::Sender;
 use crate::swarm::tally::{Tally, Totals};
 use crate::swarm::waiters::Waiter;
 
 /// What a swarm's thread takes, in the order of arrival.
-pub enum Ticket {
+pub enum Message {
     /// A command.
-    Command(Command),
+    Command(CommandMessage),
     /// A look at the state as it is now.
-    Look(Answer),
+    Look(ReplyTo),
     /// A look when something has come about.
     Wait(Waiter),
     /// All of it as it is now.
-    Copy(Answer),
+    Copy(ReplyTo),
     /// A recording is to go there.
-    Seek(Seek, Arc<Sender>, Answer),
+    Seek(Seek, Arc<Sender>, ReplyTo),
     /// Set-points of a controller's, made in an epoch if that is known; none if they could not be
     /// read.
     Put(String, Option<u64>, Option<Put>),
@@ -44,15 +44,15 @@ pub enum Ticket {
 }
 
 /// A command to a swarm.
-pub struct Command {
+pub struct CommandMessage {
     /// What to do.
-    pub order: Order,
+    pub order: Command,
     /// When to do it.
     pub when: When,
     /// Who sent it.
     pub sender: Arc<Sender>,
     /// Takes what it came to.
-    pub answer: Answer,
+    pub answer: ReplyTo,
 }
 
 /// The step that a swarm reached lately.
@@ -77,7 +77,7 @@ pub struct Handle {
     pub history: Arc<History>,
     /// What its thread counts of itself.
     pub tally: Arc<Tally>,
-    pub(crate) tickets: Arc<SyncSender<Ticket>>,
+    pub(crate) messages: Arc<SyncSender<Message>>,
     pub(crate) cores: Arc<CpuScheduler>,
     pub(crate) summary: Arc<Mutex<Option<Summary>>>,
 }
@@ -85,36 +85,36 @@ pub struct Handle {
 impl Handle {
     /// A handle of a swarm that nobody else knows of, that has a core of its own and no name.
     pub(crate) fn alone(recipe: Spec) -> Self {
-        let (tickets, _) = sync_channel(1);
+        let (messages, _) = sync_channel(1);
         Handle {
             recipe: Arc::new(recipe),
             outlet: Arc::new(Outlet::new(String::new(), || {}, |_| false)),
             history: Arc::default(),
             tally: Arc::default(),
-            tickets: Arc::new(tickets),
+            messages: Arc::new(messages),
             cores: Arc::new(CpuScheduler::new(1)),
             summary: Arc::default(),
         }
     }
 
     /// Hands over a ticket. Its answer comes from the swarm's thread, or from here when too many
-    /// wait already ([`OrderError::Busy`]) or the swarm has ended ([`OrderError::Gone`]).
-    pub fn send(&self, ticket: Ticket) {
-        let (ticket, error) = match self.tickets.try_send(ticket) {
+    /// wait already ([`SwarmError::Busy`]) or the swarm has ended ([`SwarmError::Gone`]).
+    pub fn send(&self, message: Message) {
+        let (message, error) = match self.messages.try_send(message) {
             Ok(()) => return,
-            Err(TrySendError::Full(ticket)) => (ticket, OrderError::Busy),
-            Err(TrySendError::Disconnected(ticket)) => (ticket, OrderError::Gone),
+            Err(TrySendError::Full(message)) => (message, SwarmError::Busy),
+            Err(TrySendError::Disconnected(message)) => (message, SwarmError::Gone),
         };
-        ticket.refuse(self.step(), error);
+        message.refuse(self.step(), error);
     }
 
     /// Wakes its thread, and keeps no queue of tickets alive.
     pub(crate) fn awaken(&self) -> impl Fn() + Send + Sync + use<> {
-        let tickets = Arc::downgrade(&self.tickets);
+        let messages = Arc::downgrade(&self.messages);
         move || {
-            if let Some(tickets) = tickets.upgrade() {
+            if let Some(messages) = messages.upgrade() {
                 // A thread whose queue is full is awake, or wakes for that.
-                let _ = tickets.try_send(Ticket::Awake);
+                let _ = messages.try_send(Message::Awake);
             }
         }
     }
@@ -153,33 +153,33 @@ impl Handle {
     }
 }
 
-impl Ticket {
+impl Message {
     /// Answers a ticket that no swarm took.
-    fn refuse(self, step: Option<u64>, error: OrderError) {
+    fn refuse(self, step: Option<u64>, error: SwarmError) {
         match self {
-            Ticket::Command(Command { answer, .. })
-            | Ticket::Look(answer)
-            | Ticket::Copy(answer)
-            | Ticket::Seek(_, _, answer)
-            | Ticket::Wait(Waiter { answer, .. }) => {
-                answer.send(Err(Refusal { step, error }));
+            Message::Command(CommandMessage { answer, .. })
+            | Message::Look(answer)
+            | Message::Copy(answer)
+            | Message::Seek(_, _, answer)
+            | Message::Wait(Waiter { answer, .. }) => {
+                answer.send(Err(Rejection { step, error }));
             }
-            Ticket::Put(..)
-            | Ticket::Lost(_)
-            | Ticket::RecordingFailed(..)
-            | Ticket::Awake
-            | Ticket::Stop => {}
+            Message::Put(..)
+            | Message::Lost(_)
+            | Message::RecordingFailed(..)
+            | Message::Awake
+            | Message::Stop => {}
         }
     }
 }
 
 /// The next ticket, which may come until then.
 pub(crate) fn receive(
-    tickets: &Receiver<Ticket>,
+    messages: &Receiver<Message>,
     until: Option<Instant>,
-) -> Result<Ticket, RecvTimeoutError> {
+) -> Result<Message, RecvTimeoutError> {
     match until {
-        Some(until) => tickets.recv_timeout(until.saturating_duration_since(Instant::now())),
-        None => tickets.recv().map_err(RecvTimeoutError::from),
+        Some(until) => messages.recv_timeout(until.saturating_duration_since(Instant::now())),
+        None => messages.recv().map_err(RecvTimeoutError::from),
     }
 }

@@ -10,7 +10,7 @@ use jostle_physics::simulation::SetPoints;
 use crate::swarm::sender::Sender;
 
 /// Misses after which a controller has left.
-pub const MOST_MISSES: u32 = 3;
+pub const MAX_MISSES: u32 = 3;
 
 /// The longest that others wait for a controller, or that its set-points hold.
 const LONGEST_DEADLINE_SECS: f64 = 60.0;
@@ -43,7 +43,7 @@ pub enum OnTimeout {
 
 /// What a controller joins with.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Terms {
+pub struct JoinOptions {
     /// Its name.
     pub controller: String,
     /// Whom it is to steer; without one nobody, or whom it steered before.
@@ -95,7 +95,7 @@ pub struct News {
 
 /// All of a controller that outlives a crash.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Membership {
+pub struct ControllerState {
     /// How it takes part.
     pub mode: Mode,
     /// How long others wait for it, or how long its set-points hold.

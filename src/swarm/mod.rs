@@ -2,6 +2,7 @@
 
 pub mod checkpoint;
 pub mod clock;
+pub mod command;
 pub mod controllers;
 pub mod cpu_scheduler;
 mod crash;
@@ -11,7 +12,6 @@ pub mod handle;
 pub mod history;
 pub mod journal;
 pub mod membership;
-pub mod order;
 pub mod outcome;
 pub mod outlet;
 pub mod pace;

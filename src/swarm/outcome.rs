@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jostle_physics::simulation::{ChangeKind, ChangeOutcome, Rate};
 
 use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{Frame, Place};
 use crate::swarm::membership::News;
 
@@ -59,34 +59,34 @@ pub enum Outcome {
 }
 
 /// What an order came to and where the swarm then was; or why it came to nothing.
-pub type Answered = Result<(Place, Outcome), Refusal>;
+pub type SwarmReply = Result<(Place, Outcome), Rejection>;
 
 /// An order that was not carried out.
 #[derive(Debug)]
-pub struct Refusal {
+pub struct Rejection {
     /// The step the swarm was at, if it was reached.
     pub step: Option<u64>,
     /// Why.
-    pub error: OrderError,
+    pub error: SwarmError,
 }
 
-/// Where the reply to a message goes. If it is dropped, the reply is [`OrderError::Gone`]: the swarm
+/// Where the reply to a message goes. If it is dropped, the reply is [`SwarmError::Gone`]: the swarm
 /// ended before it received the message.
-pub struct Answer(Option<Box<dyn FnOnce(Answered) + Send>>);
+pub struct ReplyTo(Option<Box<dyn FnOnce(SwarmReply) + Send>>);
 
-impl Answer {
+impl ReplyTo {
     /// Calls `reply` with the reply.
-    pub fn new(reply: impl FnOnce(Answered) + Send + 'static) -> Self {
-        Answer(Some(Box::new(reply)))
+    pub fn new(reply: impl FnOnce(SwarmReply) + Send + 'static) -> Self {
+        ReplyTo(Some(Box::new(reply)))
     }
 
     /// Ignores the reply.
     pub fn ignored() -> Self {
-        Answer(None)
+        ReplyTo(None)
     }
 
     /// Replies.
-    pub fn send(mut self, answered: Answered) {
+    pub fn send(mut self, answered: SwarmReply) {
         if let Some(reply) = self.0.take() {
             reply(answered);
         }
@@ -95,15 +95,15 @@ impl Answer {
 
 /// A reply that is known but not sent yet: clients cannot reach the new swarm yet, or can still reach
 /// the deleted one.
-pub struct DeferredAnswer {
-    answer: Answer,
-    answered: Box<Answered>,
+pub struct DeferredReply {
+    answer: ReplyTo,
+    answered: Box<SwarmReply>,
 }
 
-impl DeferredAnswer {
+impl DeferredReply {
     /// Keeps `answered` for `answer`.
-    pub fn new(answer: Answer, answered: Answered) -> Self {
-        DeferredAnswer {
+    pub fn new(answer: ReplyTo, answered: SwarmReply) -> Self {
+        DeferredReply {
             answer,
             answered: Box::new(answered),
         }
@@ -115,12 +115,12 @@ impl DeferredAnswer {
     }
 }
 
-impl Drop for Answer {
+impl Drop for ReplyTo {
     fn drop(&mut self) {
         if let Some(reply) = self.0.take() {
-            reply(Err(Refusal {
+            reply(Err(Rejection {
                 step: None,
-                error: OrderError::Gone,
+                error: SwarmError::Gone,
             }));
         }
     }

@@ -75,7 +75,7 @@ impl fmt::Display for PauseReason {
 
 /// What may change a phase.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Cue {
+pub enum PhaseInput {
     /// Run, to a step or for good.
     Run(Option<u64>),
     /// Stand still.
@@ -111,25 +111,29 @@ pub enum PhaseError {
 /// # Errors
 ///
 /// [`PhaseError`] when the phase does not allow it; nothing has changed then.
-pub fn next(phase: &Phase, cue: Cue) -> Result<Phase, PhaseError> {
+pub fn next(phase: &Phase, cue: PhaseInput) -> Result<Phase, PhaseError> {
     use Phase::{Faulted, Paused, Running, Stepping};
     match (phase, cue) {
-        (_, Cue::Reset) => Ok(Paused(PauseReason::Reset)),
-        (_, Cue::Fault(reason)) => Ok(Faulted(reason)),
-        (Faulted(_), Cue::Reached(_)) => Ok(phase.clone()),
+        (_, PhaseInput::Reset) => Ok(Paused(PauseReason::Reset)),
+        (_, PhaseInput::Fault(reason)) => Ok(Faulted(reason)),
+        (Faulted(_), PhaseInput::Reached(_)) => Ok(phase.clone()),
         (Faulted(_), _) => Err(PhaseError::Faulted),
 
-        (Paused(_) | Running { .. } | Stepping { .. }, Cue::Run(until)) => Ok(Running { until }),
-        (Running { .. } | Stepping { .. }, Cue::Pause) => Ok(Paused(PauseReason::Requested)),
-        (Paused(_), Cue::Step(until)) => Ok(Stepping { until }),
-        (Running { .. }, Cue::Step(_)) => Err(PhaseError::Running),
-        (Stepping { .. }, Cue::Step(_)) => Err(PhaseError::Stepping),
-        (Running { until: Some(until) } | Stepping { until }, Cue::Reached(step))
+        (Paused(_) | Running { .. } | Stepping { .. }, PhaseInput::Run(until)) => {
+            Ok(Running { until })
+        }
+        (Running { .. } | Stepping { .. }, PhaseInput::Pause) => Ok(Paused(PauseReason::Requested)),
+        (Paused(_), PhaseInput::Step(until)) => Ok(Stepping { until }),
+        (Running { .. }, PhaseInput::Step(_)) => Err(PhaseError::Running),
+        (Stepping { .. }, PhaseInput::Step(_)) => Err(PhaseError::Stepping),
+        (Running { until: Some(until) } | Stepping { until }, PhaseInput::Reached(step))
             if step >= *until =>
         {
             Ok(Paused(PauseReason::Finished))
         }
-        (Paused(_), Cue::Pause) | (_, Cue::Change | Cue::Reached(_)) => Ok(phase.clone()),
+        (Paused(_), PhaseInput::Pause) | (_, PhaseInput::Change | PhaseInput::Reached(_)) => {
+            Ok(phase.clone())
+        }
     }
 }
 
@@ -175,40 +179,40 @@ mod tests {
         let on = Phase::Running { until: None };
         let to_20 = Phase::Stepping { until: 20 };
         let broken = Phase::Faulted("no solution".into());
-        let fault = || Cue::Fault("no solution".into());
+        let fault = || PhaseInput::Fault("no solution".into());
         let refused = Err(PhaseError::Faulted);
 
         let table = [
-            (&paused, Cue::Run(None), Ok(&on)),
-            (&paused, Cue::Pause, Ok(&paused)),
-            (&paused, Cue::Step(20), Ok(&to_20)),
-            (&paused, Cue::Change, Ok(&paused)),
-            (&paused, Cue::Reset, Ok(&reset)),
-            (&paused, Cue::Reached(9), Ok(&paused)),
+            (&paused, PhaseInput::Run(None), Ok(&on)),
+            (&paused, PhaseInput::Pause, Ok(&paused)),
+            (&paused, PhaseInput::Step(20), Ok(&to_20)),
+            (&paused, PhaseInput::Change, Ok(&paused)),
+            (&paused, PhaseInput::Reset, Ok(&reset)),
+            (&paused, PhaseInput::Reached(9), Ok(&paused)),
             (&paused, fault(), Ok(&broken)),
-            (&running, Cue::Run(None), Ok(&on)),
-            (&running, Cue::Pause, Ok(&requested)),
-            (&running, Cue::Step(20), Err(PhaseError::Running)),
-            (&running, Cue::Change, Ok(&running)),
-            (&running, Cue::Reset, Ok(&reset)),
-            (&running, Cue::Reached(8), Ok(&running)),
-            (&running, Cue::Reached(9), Ok(&finished)),
-            (&on, Cue::Reached(u64::MAX), Ok(&on)),
+            (&running, PhaseInput::Run(None), Ok(&on)),
+            (&running, PhaseInput::Pause, Ok(&requested)),
+            (&running, PhaseInput::Step(20), Err(PhaseError::Running)),
+            (&running, PhaseInput::Change, Ok(&running)),
+            (&running, PhaseInput::Reset, Ok(&reset)),
+            (&running, PhaseInput::Reached(8), Ok(&running)),
+            (&running, PhaseInput::Reached(9), Ok(&finished)),
+            (&on, PhaseInput::Reached(u64::MAX), Ok(&on)),
             (&running, fault(), Ok(&broken)),
-            (&stepping, Cue::Run(None), Ok(&on)),
-            (&stepping, Cue::Pause, Ok(&requested)),
-            (&stepping, Cue::Step(20), Err(PhaseError::Stepping)),
-            (&stepping, Cue::Change, Ok(&stepping)),
-            (&stepping, Cue::Reset, Ok(&reset)),
-            (&stepping, Cue::Reached(8), Ok(&stepping)),
-            (&stepping, Cue::Reached(9), Ok(&finished)),
+            (&stepping, PhaseInput::Run(None), Ok(&on)),
+            (&stepping, PhaseInput::Pause, Ok(&requested)),
+            (&stepping, PhaseInput::Step(20), Err(PhaseError::Stepping)),
+            (&stepping, PhaseInput::Change, Ok(&stepping)),
+            (&stepping, PhaseInput::Reset, Ok(&reset)),
+            (&stepping, PhaseInput::Reached(8), Ok(&stepping)),
+            (&stepping, PhaseInput::Reached(9), Ok(&finished)),
             (&stepping, fault(), Ok(&broken)),
-            (&faulted, Cue::Run(None), refused),
-            (&faulted, Cue::Pause, refused),
-            (&faulted, Cue::Step(20), refused),
-            (&faulted, Cue::Change, refused),
-            (&faulted, Cue::Reset, Ok(&reset)),
-            (&faulted, Cue::Reached(9), Ok(&faulted)),
+            (&faulted, PhaseInput::Run(None), refused),
+            (&faulted, PhaseInput::Pause, refused),
+            (&faulted, PhaseInput::Step(20), refused),
+            (&faulted, PhaseInput::Change, refused),
+            (&faulted, PhaseInput::Reset, Ok(&reset)),
+            (&faulted, PhaseInput::Reached(9), Ok(&faulted)),
         ];
         for (phase, cue, expected) in table {
             assert_eq!(

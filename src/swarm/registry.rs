@@ -14,15 +14,15 @@ use tracing::warn;
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::cpu_scheduler::CpuScheduler;
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Summary;
-use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::outcome::{Answer, DeferredAnswer, Outcome, Refusal};
+use crate::swarm::handle::{Handle, Message};
+use crate::swarm::outcome::{DeferredReply, Outcome, Rejection, ReplyTo};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::runner::{JournalFactory, PersistNew, Playback, Runner, SwarmObserver};
 use crate::swarm::tally::Totals;
 use crate::swarm::thread_priority;
-use crate::swarm::worker::replay::Past;
+use crate::swarm::worker::replay::ReplaySource;
 use crate::swarm::worker::{End, Worker};
 
 /// Capacity of a swarm's queue; tickets beyond it are rejected.
@@ -95,7 +95,7 @@ enum StartFrom {
     /// The checkpoint of another swarm, or a snapshot.
     Checkpoint(Box<Checkpoint>, Box<dyn PersistNew>),
     /// Its own stored checkpoint and journal.
-    Journal(Box<Past>),
+    Journal(Box<ReplaySource>),
     Recording(Box<dyn Playback>),
 }
 
@@ -162,7 +162,7 @@ impl SwarmRegistry {
         spec: Spec,
         exist_ok: bool,
         persist: Box<dyn PersistNew>,
-        answer: impl FnOnce() -> Answer,
+        answer: impl FnOnce() -> ReplyTo,
     ) -> Result<Created, RegistryError> {
         let mut state = self.lock_running()?;
         if let Some(entry) = state.swarms.get(name) {
@@ -184,7 +184,7 @@ impl SwarmRegistry {
         name: &str,
         checkpoint: Checkpoint,
         persist: Box<dyn PersistNew>,
-        answer: impl FnOnce() -> Answer,
+        answer: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let mut state = self.lock_vacant(name)?;
         let n = checkpoint.simulation.state.configuration.n();
@@ -200,8 +200,8 @@ impl SwarmRegistry {
         self: &Arc<Self>,
         name: &str,
         spec: Spec,
-        past: Past,
-        answer: impl FnOnce() -> Answer,
+        past: ReplaySource,
+        answer: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let memory_bytes = memory_of(past.checkpoint.simulation.state.configuration.n());
         let from = StartFrom::Journal(Box::new(past));
@@ -214,7 +214,7 @@ impl SwarmRegistry {
         self: &Arc<Self>,
         name: &str,
         playback: Box<dyn Playback>,
-        answer: impl FnOnce() -> Answer,
+        answer: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let mut state = self.lock_vacant(name)?;
         let needed = memory_of(playback.max_individuals()).saturating_add(playback.memory_bytes());
@@ -232,9 +232,9 @@ impl SwarmRegistry {
         spec: Spec,
         memory_bytes: u64,
         from: StartFrom,
-        answer: impl FnOnce() -> Answer,
+        answer: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
-        let (tickets, taken) = sync_channel(MAX_TICKETS);
+        let (messages, taken) = sync_channel(MAX_TICKETS);
         let ready = (self.observer.clone(), name.to_owned());
         let watched = ready.clone();
         let outlet = Outlet::new(
@@ -247,7 +247,7 @@ impl SwarmRegistry {
             outlet: Arc::new(outlet),
             history: Arc::default(),
             tally: Arc::default(),
-            tickets: Arc::new(tickets),
+            messages: Arc::new(messages),
             cores: self.cores.clone(),
             summary: Arc::default(),
         };
@@ -313,7 +313,7 @@ impl SwarmRegistry {
             entries
                 .filter_map(|entry| {
                     // A swarm with a full queue ends too: the last handle goes with this registry.
-                    entry.handle.send(Ticket::Stop);
+                    entry.handle.send(Message::Stop);
                     entry.thread.take()
                 })
                 .collect()
@@ -374,9 +374,9 @@ impl SwarmRegistry {
     fn run(
         self: &Arc<Self>,
         handle: &Handle,
-        taken: Receiver<Ticket>,
+        taken: Receiver<Message>,
         from: StartFrom,
-        answer: Answer,
+        answer: ReplyTo,
     ) {
         let name = &handle.outlet.name;
         // Without the right to it, the thread keeps its priority.
@@ -384,17 +384,17 @@ impl SwarmRegistry {
         let end = match self.build(handle, from) {
             Ok(Ok(runner)) => {
                 let (place, frame) = runner.look();
-                let reply = DeferredAnswer::new(answer, Ok((place, Outcome::Seen(frame))));
+                let reply = DeferredReply::new(answer, Ok((place, Outcome::Seen(frame))));
                 self.observer.started(name, reply);
                 runner.run(&taken)
             }
             Ok(Err(end)) => end,
             Err(error) => {
-                let answered = Err(Refusal { step: None, error });
-                End::Deleted(DeferredAnswer::new(answer, answered))
+                let answered = Err(Rejection { step: None, error });
+                End::Deleted(DeferredReply::new(answer, answered))
             }
         };
-        // From here on a sender gets `OrderError::Gone`.
+        // From here on a sender gets `SwarmError::Gone`.
         drop(taken);
         if let End::Deleted(reply) = end {
             self.observer.ended(name, reply);
@@ -406,7 +406,7 @@ impl SwarmRegistry {
         self: &Arc<Self>,
         handle: &Handle,
         from: StartFrom,
-    ) -> Result<Result<Box<dyn Runner>, End>, OrderError> {
+    ) -> Result<Result<Box<dyn Runner>, End>, SwarmError> {
         let name = &handle.outlet.name;
         let (registry, swarm) = (self.clone(), name.clone());
         let reserve: ReserveMemory = Box::new(move |size| registry.reserve(&swarm, size));
@@ -443,7 +443,7 @@ impl SwarmRegistry {
         if let Some(persist) = persist {
             let (place, frame) = worker.look();
             let persisted = persist.persist(&worker.checkpoint(), &place, &frame);
-            persisted.map_err(OrderError::Unsafe)?;
+            persisted.map_err(SwarmError::Unsafe)?;
         }
         Ok(Ok(Box::new(worker)))
     }

@@ -7,11 +7,11 @@ use std::time::Duration;
 use jostle_physics::simulation::Spec;
 
 use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::error::{OrderError, WriteFault};
+use crate::swarm::error::{SwarmError, WriteFault};
 use crate::swarm::frame::{Frame, Place};
-use crate::swarm::handle::{Handle, Ticket};
+use crate::swarm::handle::{Handle, Message};
 use crate::swarm::journal::JournalWriter;
-use crate::swarm::outcome::DeferredAnswer;
+use crate::swarm::outcome::DeferredReply;
 use crate::swarm::worker::{End, Worker};
 
 /// Persists a new swarm before any client learns of it: its name, its spec and its checkpoint.
@@ -36,7 +36,7 @@ pub trait Runner: Send {
     /// The present state.
     fn look(&self) -> (Place, Arc<Frame>);
     /// Runs and takes tickets until it ends.
-    fn run(self: Box<Self>, tickets: &Receiver<Ticket>) -> End;
+    fn run(self: Box<Self>, messages: &Receiver<Message>) -> End;
 }
 
 impl Runner for Worker {
@@ -44,8 +44,8 @@ impl Runner for Worker {
         Worker::look(self)
     }
 
-    fn run(self: Box<Self>, tickets: &Receiver<Ticket>) -> End {
-        Worker::run(*self, tickets)
+    fn run(self: Box<Self>, messages: &Receiver<Message>) -> End {
+        Worker::run(*self, messages)
     }
 }
 
@@ -62,7 +62,7 @@ pub trait Playback: Send {
         self: Box<Self>,
         handle: &Handle,
         min_interval: Duration,
-    ) -> Result<Box<dyn Runner>, OrderError>;
+    ) -> Result<Box<dyn Runner>, SwarmError>;
 }
 
 /// Lifecycle callbacks of swarms, called on the thread of the swarm.
@@ -72,8 +72,8 @@ pub trait SwarmObserver: Send + Sync {
     /// Whether frames of the swarm have a reader: see [`Outlet::is_watched`].
     fn is_watched(&self, name: &str, is_moving: bool) -> bool;
     /// The swarm is built. The observer sends `reply` once clients can reach it.
-    fn started(&self, name: &str, reply: DeferredAnswer);
+    fn started(&self, name: &str, reply: DeferredReply);
     /// The swarm has ended. The observer releases the name and sends `reply` once clients can no
     /// longer reach it.
-    fn ended(&self, name: &str, reply: DeferredAnswer);
+    fn ended(&self, name: &str, reply: DeferredReply);
 }

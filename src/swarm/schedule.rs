@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use crate::swarm::error::OrderError;
-use crate::swarm::order::Order;
+use crate::swarm::command::Command;
+use crate::swarm::error::SwarmError;
 use crate::swarm::sender::Sender;
 
 /// Commands that may wait at once, and the bytes of text they may have.
@@ -16,7 +16,7 @@ pub struct Scheduled {
     /// The line of the journal that it stands on.
     pub input: u64,
     /// What to do.
-    pub order: Order,
+    pub order: Command,
     /// Who sent it.
     pub sender: Arc<Sender>,
 }
@@ -34,13 +34,13 @@ impl Schedule {
     ///
     /// # Errors
     ///
-    /// [`OrderError::TooManyScheduled`].
-    pub fn add(&mut self, at_step: u64, command: Scheduled) -> Result<(), OrderError> {
+    /// [`SwarmError::TooManyScheduled`].
+    pub fn add(&mut self, at_step: u64, command: Scheduled) -> Result<(), SwarmError> {
         let bytes = self.bytes + command.sender.bytes();
         let (limit, most_bytes) = MOST;
         if self.waiting.len() == limit || (bytes > most_bytes && !self.waiting.is_empty()) {
             let limit = self.waiting.len();
-            return Err(OrderError::TooManyScheduled { limit });
+            return Err(SwarmError::TooManyScheduled { limit });
         }
         self.arrived += 1;
         self.bytes = bytes;

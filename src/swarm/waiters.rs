@@ -3,9 +3,9 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use crate::swarm::error::OrderError;
-use crate::swarm::order::Awaited;
-use crate::swarm::outcome::{Answer, Answered};
+use crate::swarm::command::Awaited;
+use crate::swarm::error::SwarmError;
+use crate::swarm::outcome::{ReplyTo, SwarmReply};
 use crate::swarm::phase::Phase;
 
 /// Answers that may wait at once.
@@ -18,7 +18,7 @@ pub struct Waiter {
     /// Tells whether nobody waits for the answer any more.
     pub is_abandoned: Box<dyn Fn() -> bool + Send>,
     /// Takes the look.
-    pub answer: Answer,
+    pub answer: ReplyTo,
 }
 
 /// All that wait for one swarm, with the time since when; the one that has waited longest first.
@@ -35,12 +35,12 @@ impl Waiters {
     /// If too many wait, removes the one that has waited longest and returns its answer with the
     /// error to send. A `get/wait` does not name its client, so the limit cannot apply to each
     /// client, and one client must not keep the others from waiting.
-    pub fn displace(&mut self) -> Option<(Answer, OrderError)> {
+    pub fn displace(&mut self) -> Option<(ReplyTo, SwarmError)> {
         if self.0.len() <= MAX_WAITERS {
             return None;
         }
         let (since, longest) = self.0.pop_front()?;
-        let error = OrderError::Displaced {
+        let error = SwarmError::Displaced {
             after_secs: since.elapsed().as_secs_f64(),
             limit: MAX_WAITERS,
         };
@@ -48,7 +48,7 @@ impl Waiters {
     }
 
     /// Answers those for whom it has come about at `step` in `phase`.
-    pub fn answer(&mut self, step: u64, phase: &Phase, look: impl Fn() -> Answered) {
+    pub fn answer(&mut self, step: u64, phase: &Phase, look: impl Fn() -> SwarmReply) {
         let has_come = |waiter: &Waiter| has_come(waiter.awaited, step, phase);
         if !self.0.iter().any(|(_, waiter)| has_come(waiter)) {
             return;
@@ -65,7 +65,7 @@ impl Waiters {
     }
 
     /// Answers everyone, whatever they wait for.
-    pub fn answer_all(&mut self, look: impl Fn() -> Answered) {
+    pub fn answer_all(&mut self, look: impl Fn() -> SwarmReply) {
         for (_, waiter) in self.0.drain(..) {
             waiter.answer.send(look());
         }

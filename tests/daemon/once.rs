@@ -124,11 +124,15 @@ async fn creating_deleting_and_putting_off_are_done_once_too() {
     let created = create().await.unwrap();
     assert_eq!(create().await.unwrap(), created);
 
-    let put_off = json!({"client": "me", "request_id": "2", "at_step": 9, "args": {"count": 1}});
-    let waits = client.ok("a", "inject", put_off.clone()).await;
-    assert_eq!(client.ok("a", "inject", put_off.clone()).await, waits);
+    let schedule_command =
+        json!({"client": "me", "request_id": "2", "at_step": 9, "args": {"count": 1}});
+    let waits = client.ok("a", "inject", schedule_command.clone()).await;
+    assert_eq!(
+        client.ok("a", "inject", schedule_command.clone()).await,
+        waits
+    );
     client.ok("a", "step", json!({"steps": 10})).await;
-    assert_eq!(client.ok("a", "inject", put_off).await, waits);
+    assert_eq!(client.ok("a", "inject", schedule_command).await, waits);
     assert_eq!(client.get("a", "status").await["result"]["n"], 6);
 
     // The one of that name now is not the one that was to be deleted.

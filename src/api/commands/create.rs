@@ -9,8 +9,8 @@ use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, create};
 use crate::convert::digest::RequestIdentity;
 use crate::persistence::writer::NewSwarm;
-use crate::swarm::handle::Ticket;
-use crate::swarm::outcome::{Answer, Refusal};
+use crate::swarm::handle::Message;
+use crate::swarm::outcome::{Rejection, ReplyTo};
 use crate::swarm::registry::Created;
 
 impl Context {
@@ -28,8 +28,8 @@ impl Context {
         let CreateArgs { name, exist_ok, .. } = args;
         let answer = |is_new: bool| {
             let (responder, name, spec) = (responder.clone(), name.clone(), spec.clone());
-            Answer::new(move |answered| match answered {
-                Err(Refusal { step, error }) => responder.reject(&create::explain(error), step),
+            ReplyTo::new(move |answered| match answered {
+                Err(Rejection { step, error }) => responder.reject(&create::explain(error), step),
                 answered => responder.respond(answered, move |place, outcome| {
                     created(&name, &place, &spec, outcome, is_new)
                 }),
@@ -45,7 +45,7 @@ impl Context {
             .host
             .create(&name, spec.clone(), exist_ok, persist, || answer(true))?;
         if let Created::Existing(handle) = created {
-            handle.send(Ticket::Look(answer(false)));
+            handle.send(Message::Look(answer(false)));
         }
         Ok(())
     }

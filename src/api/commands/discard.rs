@@ -6,8 +6,8 @@ use jostle_proto::{Request, keys};
 use crate::api::context::Context;
 use crate::api::responder::Responder;
 use crate::convert;
-use crate::convert::commands::{self, Command, CommandError, DEFAULT_TIMEOUT, check_name};
-use crate::swarm::handle::{self, Ticket};
+use crate::convert::commands::{self, CommandError, DEFAULT_TIMEOUT, ParsedCommand, check_name};
+use crate::swarm::handle::{self, Message};
 
 impl Context {
     pub(super) fn discard(
@@ -28,7 +28,7 @@ impl Context {
             timeout_secs: request.timeout_secs,
             ..Request::default()
         };
-        let Command {
+        let ParsedCommand {
             order,
             when,
             sender,
@@ -41,7 +41,7 @@ impl Context {
             responder,
             (timeout, CommandError::deadline),
             |answer| {
-                Ticket::Command(handle::Command {
+                Message::Command(handle::CommandMessage {
                     order,
                     when,
                     sender,

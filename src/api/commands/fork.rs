@@ -16,8 +16,8 @@ use crate::persistence::recovery;
 use crate::persistence::writer::NewSwarm;
 use crate::store::Store;
 use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::handle::Ticket;
-use crate::swarm::outcome::{Answer, Outcome, Refusal};
+use crate::swarm::handle::Message;
+use crate::swarm::outcome::{Outcome, Rejection, ReplyTo};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::registry::SwarmRegistry;
 use crate::swarm::worker::replay::To;
@@ -48,18 +48,20 @@ impl Context {
             Some(step) => {
                 let (store, swarm) = (self.store.clone(), swarm.clone());
                 let replay =
-                    move || match recovery::told_again(&store, &swarm, To::Step(step), |_| {}) {
+                    move || match recovery::replay_to(&store, &swarm, To::Step(step), |_| {}) {
                         Ok(replayed) => copy.make(replayed.checkpoint),
                         Err(error) => copy.responder.reject(&error, None),
                     };
                 let thread = thread::Builder::new().name("fork".into());
                 thread.spawn(replay).map_err(|_| CommandError::Busy)?;
             }
-            None => handle.send(Ticket::Copy(Answer::new(move |answered| match answered {
-                Ok((_, Outcome::Whole(checkpoint))) => copy.make(*checkpoint),
-                Ok(_) => copy.responder.reject(&CommandError::Internal, None),
-                Err(Refusal { step, error }) => copy.responder.reject(&error.into(), step),
-            }))),
+            None => handle.send(Message::Copy(ReplyTo::new(
+                move |answered| match answered {
+                    Ok((_, Outcome::Whole(checkpoint))) => copy.make(*checkpoint),
+                    Ok(_) => copy.responder.reject(&CommandError::Internal, None),
+                    Err(Rejection { step, error }) => copy.responder.reject(&error.into(), step),
+                },
+            ))),
         }
         Ok(())
     }
@@ -115,7 +117,7 @@ impl Copy {
         });
         let answer = || {
             let (responder, name) = (responder.clone(), name.clone());
-            Answer::new(move |answered| {
+            ReplyTo::new(move |answered| {
                 responder.respond(answered, move |place, outcome| {
                     created(&name, &place, &spec, outcome, true)
                 });

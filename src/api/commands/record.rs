@@ -13,9 +13,9 @@ use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::{self, Payload};
 use crate::health::RecordingCounts;
 use crate::recording::{NewRecording, Phase, RecordError, Recordings, Source, Status};
-use crate::swarm::error::OrderError;
-use crate::swarm::handle::Ticket;
-use crate::swarm::outcome::{Answer, Outcome, Refusal};
+use crate::swarm::error::SwarmError;
+use crate::swarm::handle::Message;
+use crate::swarm::outcome::{Outcome, Rejection, ReplyTo};
 use crate::swarm::registry::SwarmRegistry;
 
 impl Context {
@@ -45,22 +45,26 @@ impl Context {
                 }
                 let handle = self.find(&args.swarm)?;
                 let tapped = handle.clone();
-                handle.send(Ticket::Look(Answer::new(move |answered| match answered {
-                    Ok((_, Outcome::Seen(now))) => {
-                        let choice = (args.every, args.steps, args.drop_when_behind);
-                        let source = Source::tap(&tapped, &now, choice, 0);
-                        files.submit(move |recordings| {
-                            let new = NewRecording {
-                                name: args.recording,
-                                max_bytes: args.max_bytes.unwrap_or(DEFAULT_MAX_RECORDING_BYTES),
-                                temporary: args.temporary,
-                            };
-                            reply(&responder, node, recordings.begin(&new, source));
-                        });
-                    }
-                    Ok(_) => responder.reject(&CommandError::Internal, None),
-                    Err(Refusal { step, error }) => responder.reject(&error.into(), step),
-                })));
+                handle.send(Message::Look(ReplyTo::new(
+                    move |answered| match answered {
+                        Ok((_, Outcome::Seen(now))) => {
+                            let choice = (args.every, args.steps, args.drop_when_behind);
+                            let source = Source::tap(&tapped, &now, choice, 0);
+                            files.submit(move |recordings| {
+                                let new = NewRecording {
+                                    name: args.recording,
+                                    max_bytes: args
+                                        .max_bytes
+                                        .unwrap_or(DEFAULT_MAX_RECORDING_BYTES),
+                                    temporary: args.temporary,
+                                };
+                                reply(&responder, node, recordings.begin(&new, source));
+                            });
+                        }
+                        Ok(_) => responder.reject(&CommandError::Internal, None),
+                        Err(Rejection { step, error }) => responder.reject(&error.into(), step),
+                    },
+                )));
             }
             RecordArgs::Stop(args) => files.submit(move |recordings| {
                 let stopped = recordings.stop(&args.recording);
@@ -140,28 +144,30 @@ pub fn resume(recordings: &Recordings, files: &Executor<Recordings>, host: &Arc<
             continue;
         };
         let tapped = handle.clone();
-        handle.send(Ticket::Look(Answer::new(move |answered| match answered {
-            Ok((_, Outcome::Seen(now))) => {
-                let Status {
-                    every,
-                    steps_left,
-                    drop_when_behind,
-                    missed,
+        handle.send(Message::Look(ReplyTo::new(
+            move |answered| match answered {
+                Ok((_, Outcome::Seen(now))) => {
+                    let Status {
+                        every,
+                        steps_left,
+                        drop_when_behind,
+                        missed,
+                        ..
+                    } = standing;
+                    let choice = (every, steps_left, drop_when_behind);
+                    let source = Source::tap(&tapped, &now, choice, missed);
+                    resume(Some(source));
+                }
+                Err(Rejection {
+                    error: SwarmError::Gone,
                     ..
-                } = standing;
-                let choice = (every, steps_left, drop_when_behind);
-                let source = Source::tap(&tapped, &now, choice, missed);
-                resume(Some(source));
-            }
-            Err(Refusal {
-                error: OrderError::Gone,
-                ..
-            }) => resume(None),
-            // It is resumed when the daemon restarts.
-            _ => warn!(
-                recording = name,
-                "the swarm of the recording does not reply"
-            ),
-        })));
+                }) => resume(None),
+                // It is resumed when the daemon restarts.
+                _ => warn!(
+                    recording = name,
+                    "the swarm of the recording does not reply"
+                ),
+            },
+        )));
     }
 }

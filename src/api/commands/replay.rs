@@ -14,8 +14,8 @@ use crate::api::responder::Responder;
 use crate::convert::commands::{self, CommandError, check_name};
 use crate::convert::{self, Payload};
 use crate::playback::{McapSource, ReplayError};
-use crate::swarm::order::Order;
-use crate::swarm::outcome::{Answer, Outcome};
+use crate::swarm::command::Command;
+use crate::swarm::outcome::{Outcome, ReplyTo};
 use crate::swarm::registry::SwarmRegistry;
 
 /// The default timeout of opening a recording, which reads all of its index.
@@ -123,7 +123,7 @@ fn play(
     let frames = source.index().len();
     let answer = || {
         let (responder, swarm) = (responder.clone(), name.to_owned());
-        Answer::new(move |answered| {
+        ReplyTo::new(move |answered| {
             responder.respond(answered, move |place, outcome| match outcome {
                 Outcome::Seen(seen) => {
                     let result = ReplayResult {
@@ -143,7 +143,7 @@ fn play(
 }
 
 /// Parses a recorded command.
-fn read_command(verb: &str, args: &str) -> Result<Order, String> {
+fn read_command(verb: &str, args: &str) -> Result<Command, String> {
     let request = Request::from_json(args.as_bytes()).map_err(|error| error.to_string())?;
     let command = commands::read(verb, &request).map_err(|error| error.to_string())?;
     Ok(command.order)

@@ -11,7 +11,7 @@ use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::sanity;
 use crate::persistence::recovery;
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::phase::PauseReason;
 
 impl Context {
@@ -40,7 +40,7 @@ impl Context {
         let n = simulation.state.configuration.n().max(simulation.spec.n);
         let limit = self.host.limits().max_individuals;
         if n > limit {
-            return Err(OrderError::from(ReserveError::TooMany { n, limit }).into());
+            return Err(SwarmError::from(ReserveError::TooMany { n, limit }).into());
         }
         let copy = self.copy(name, PauseReason::Restored, &key, request, responder);
         copy.make(checkpoint);

@@ -9,7 +9,7 @@ use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert;
 use crate::convert::commands::{self, CommandError, seek};
-use crate::swarm::handle::Ticket;
+use crate::swarm::handle::Message;
 
 impl Context {
     pub(super) fn seek(
@@ -28,7 +28,7 @@ impl Context {
             swarm,
             responder,
             (timeout, CommandError::deadline),
-            |answer| Ticket::Seek(to, sender, answer),
+            |answer| Message::Seek(to, sender, answer),
             move |place, outcome| convert::outcome(&name, &place, outcome, None),
         );
         Ok(())

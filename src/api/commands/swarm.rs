@@ -6,9 +6,9 @@ use crate::api::context::Context;
 use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert;
-use crate::convert::commands::{self, Command, CommandError};
+use crate::convert::commands::{self, CommandError, ParsedCommand};
 use crate::convert::digest::RequestIdentity;
-use crate::swarm::handle::{self, Ticket};
+use crate::swarm::handle::{self, Message};
 
 impl Context {
     pub(super) fn swarm_command(
@@ -20,7 +20,7 @@ impl Context {
     ) -> Result<(), CommandError> {
         let key = incoming.key();
         let request = self.request(incoming)?;
-        let Command {
+        let ParsedCommand {
             order,
             when,
             mut sender,
@@ -50,7 +50,7 @@ impl Context {
             responder,
             (timeout, CommandError::deadline),
             |answer| {
-                Ticket::Command(handle::Command {
+                Message::Command(handle::CommandMessage {
                     order,
                     when,
                     sender,

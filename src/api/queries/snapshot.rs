@@ -7,8 +7,8 @@ use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
 use crate::convert::{self, Payload};
-use crate::swarm::handle::Ticket;
-use crate::swarm::outcome::{Answer, Refusal};
+use crate::swarm::handle::Message;
+use crate::swarm::outcome::{Rejection, ReplyTo};
 
 /// The bytes around a snapshot in a request that restores it.
 const RESTORE_BYTES: usize = 4096;
@@ -30,21 +30,23 @@ impl Context {
         // A daemon with the same limits must accept it: in base64, with a name.
         let max_bytes = self.max_request_bytes() / 4 * 3 - RESTORE_BYTES;
         let (name, responder) = (swarm.clone(), responder.clone());
-        handle.send(Ticket::Copy(Answer::new(move |answered| match answered {
-            Ok((place, outcome)) => responder.complete(move || {
-                let payload = convert::outcome(&name, &place, outcome, None);
-                let bytes = payload.bytes.len();
-                if bytes > max_bytes {
-                    let error = CommandError::SnapshotTooLong {
-                        bytes,
-                        most_bytes: max_bytes,
-                    };
-                    return Err(Payload::json(&error.to_wire(Some(place.step))));
-                }
-                Ok(payload)
-            }),
-            Err(Refusal { step, error }) => responder.reject(&error.into(), step),
-        })));
+        handle.send(Message::Copy(ReplyTo::new(
+            move |answered| match answered {
+                Ok((place, outcome)) => responder.complete(move || {
+                    let payload = convert::outcome(&name, &place, outcome, None);
+                    let bytes = payload.bytes.len();
+                    if bytes > max_bytes {
+                        let error = CommandError::SnapshotTooLong {
+                            bytes,
+                            most_bytes: max_bytes,
+                        };
+                        return Err(Payload::json(&error.to_wire(Some(place.step))));
+                    }
+                    Ok(payload)
+                }),
+                Err(Rejection { step, error }) => responder.reject(&error.into(), step),
+            },
+        )));
         Ok(())
     }
 }

@@ -13,7 +13,7 @@ use crate::convert::error::refusal;
 use crate::convert::{self, Payload};
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Place};
-use crate::swarm::handle::Ticket;
+use crate::swarm::handle::Message;
 use crate::swarm::outcome::Outcome;
 
 /// Nouns that a wildcard does not match: `wait` blocks, the others are expensive.
@@ -134,7 +134,7 @@ impl Context {
             swarm,
             responder,
             (DEFAULT_TIMEOUT, CommandError::deadline),
-            Ticket::Look,
+            Message::Look,
             move |place, outcome| match outcome {
                 Outcome::Seen(frame) => payload(&place, &frame),
                 other => convert::outcome(&name, &place, other, None),

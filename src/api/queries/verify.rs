@@ -12,12 +12,12 @@ use crate::api::responder::Responder;
 use crate::api::verifications::{Verification, Work};
 use crate::convert::commands::CommandError;
 use crate::convert::{self, Payload};
-use crate::persistence::recovery::{self, Retold};
+use crate::persistence::recovery::{self, Replayed};
 use crate::store::Store;
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Place;
-use crate::swarm::handle::{Handle, Ticket};
-use crate::swarm::outcome::{Answer, Outcome};
+use crate::swarm::handle::{Handle, Message};
+use crate::swarm::outcome::{Outcome, ReplyTo};
 use crate::swarm::worker::replay::To;
 
 /// The longest verification that the client waits for.
@@ -33,7 +33,7 @@ impl Context {
         incoming.no_parameters()?;
         let handle = self.find(swarm)?;
         if handle.summary().is_some_and(|it| it.is_replay) {
-            responder.reject(&OrderError::Recorded.into(), handle.step());
+            responder.reject(&SwarmError::Recorded.into(), handle.step());
             return Ok(());
         }
         responder.set_deadline(TIMEOUT, CommandError::deadline, None);
@@ -78,12 +78,12 @@ impl Work for Replay {
         };
         let progress = verification.clone();
         let on_progress = move |share| progress.advance(share);
-        let replayed = recovery::told_again(&store, &swarm, to, on_progress);
+        let replayed = recovery::replay_to(&store, &swarm, to, on_progress);
         drop(verification);
         match replayed {
             Ok(replayed) => {
                 let verified = verified(&replayed, seen);
-                handle.send(Ticket::Look(Answer::new(move |answered| {
+                handle.send(Message::Look(ReplyTo::new(move |answered| {
                     responder.respond(answered, move |place, _| {
                         Payload::json(&convert::reply(&swarm, &place, verified))
                     });
@@ -97,7 +97,7 @@ impl Work for Replay {
 /// Where a swarm is now, and its hash.
 fn present(handle: &Handle) -> Option<(Place, [u8; 32])> {
     let (sender, receiver) = sync_channel(1);
-    handle.send(Ticket::Look(Answer::new(move |answered| {
+    handle.send(Message::Look(ReplyTo::new(move |answered| {
         // The receiver waits.
         let _ = sender.send(answered);
     })));
@@ -108,7 +108,7 @@ fn present(handle: &Handle) -> Option<(Place, [u8; 32])> {
 }
 
 /// Whether a replayed swarm has the hash of the swarm itself; `None` if that is elsewhere.
-fn is_as_now(replayed: &Retold, place: &Place, hash: [u8; 32]) -> Option<bool> {
+fn is_as_now(replayed: &Replayed, place: &Place, hash: [u8; 32]) -> Option<bool> {
     let simulation = &replayed.checkpoint.simulation;
     let reached = (simulation.epoch, simulation.state.step, simulation.seq);
     let is_there = reached == (place.epoch, place.step, place.seq);
@@ -116,7 +116,7 @@ fn is_as_now(replayed: &Retold, place: &Place, hash: [u8; 32]) -> Option<bool> {
 }
 
 /// The result of a replay, compared with where the swarm was then and its hash.
-fn verified(replayed: &Retold, seen: Option<(Place, [u8; 32])>) -> Verified {
+fn verified(replayed: &Replayed, seen: Option<(Place, [u8; 32])>) -> Verified {
     let now = seen.and_then(|(place, hash)| is_as_now(replayed, &place, hash));
     let simulation = &replayed.checkpoint.simulation;
     let here = (simulation.epoch, simulation.state.step);

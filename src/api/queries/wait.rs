@@ -8,7 +8,7 @@ use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert;
 use crate::convert::commands::{CommandError, wait};
-use crate::swarm::handle::Ticket;
+use crate::swarm::handle::Message;
 use crate::swarm::outcome::Outcome;
 use crate::swarm::waiters::Waiter;
 
@@ -28,7 +28,7 @@ impl Context {
             responder,
             (timeout, CommandError::not_yet),
             |answer| {
-                Ticket::Wait(Waiter {
+                Message::Wait(Waiter {
                     awaited,
                     is_abandoned: Box::new(move || {
                         abandoned.upgrade().is_none_or(|it| it.is_done())

@@ -4,14 +4,14 @@ use jostle_convert::change::set_points;
 use jostle_proto::verbs::{AdvanceArgs, Return};
 
 use crate::convert::commands::{CommandError, check_name, step};
-use crate::swarm::order::Order;
+use crate::swarm::command::Command;
 
 /// Has a controller advance.
 ///
 /// # Errors
 ///
 /// [`CommandError`] for a name that is none, steps out of range, and columns that differ in length.
-pub fn order(args: AdvanceArgs) -> Result<Order, CommandError> {
+pub fn order(args: AdvanceArgs) -> Result<Command, CommandError> {
     let AdvanceArgs {
         controller,
         steps,
@@ -19,7 +19,7 @@ pub fn order(args: AdvanceArgs) -> Result<Order, CommandError> {
         return_: _,
     } = args;
     check_name("controller", &controller)?;
-    Ok(Order::Advance {
+    Ok(Command::Advance {
         controller,
         steps: step::count(steps)?,
         set: set.map(set_points).transpose()?,

@@ -4,14 +4,14 @@ use jostle_convert::change;
 use jostle_proto::verbs::BatchArgs;
 
 use crate::convert::commands::CommandError;
-use crate::swarm::order::Order;
+use crate::swarm::command::Command;
 
 /// Makes several changes.
 ///
 /// # Errors
 ///
 /// [`CommandError`] names the first field that is wrong, by its path.
-pub fn order(args: BatchArgs) -> Result<Order, CommandError> {
+pub fn order(args: BatchArgs) -> Result<Command, CommandError> {
     // Reading stops at one too many.
     if args.commands.is_empty() {
         return Err(CommandError::Field {
@@ -24,5 +24,5 @@ pub fn order(args: BatchArgs) -> Result<Order, CommandError> {
         let within = |error| CommandError::from(error).within(format!("commands[{index}].args"));
         changes.push(change::change(command).map_err(within)?);
     }
-    Ok(Order::Batch(changes))
+    Ok(Command::Batch(changes))
 }

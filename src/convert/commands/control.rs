@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 
 use crate::convert;
 use crate::convert::commands::{CommandError, check_name};
+use crate::swarm::command::Command;
 use crate::swarm::membership::Put;
-use crate::swarm::order::Order;
 use crate::swarm::sender::Sender;
 
 /// Set-points as the journal has them.
@@ -65,14 +65,14 @@ pub fn read(controller: &str, bytes: &[u8], is_cbor: bool) -> Result<(Option<u64
 /// # Errors
 ///
 /// [`CommandError`] when it is not as it was written.
-pub fn order(request: &jostle_proto::Request) -> Result<Order, CommandError> {
+pub fn order(request: &jostle_proto::Request) -> Result<Command, CommandError> {
     let Applied {
         controller,
         sequence,
         set,
     } = request.args()?;
     check_name("controller", &controller)?;
-    Ok(Order::Control {
+    Ok(Command::Control {
         controller,
         sequence,
         set: set_points(set)?,

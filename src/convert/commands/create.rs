@@ -4,7 +4,7 @@ use jostle_physics::simulation::{ChangeError, Spec};
 use jostle_proto::verbs::CreateArgs;
 
 use crate::convert::commands::{CommandError, check_name};
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::registry::Limits;
 
 /// Checks the name and the spec of a new swarm.
@@ -28,9 +28,9 @@ pub fn recipe(args: &CreateArgs, limits: Limits) -> Result<Spec, CommandError> {
 }
 
 /// Why a swarm could not be built from its spec.
-pub fn explain(error: OrderError) -> CommandError {
+pub fn explain(error: SwarmError) -> CommandError {
     match error {
-        OrderError::Change(ChangeError::Parameters(_) | ChangeError::Start(_)) => {
+        SwarmError::Change(ChangeError::Parameters(_) | ChangeError::Start(_)) => {
             within_spec(error.into())
         }
         other => other.into(),

@@ -2,9 +2,9 @@
 
 use jostle_proto::verbs::DeleteArgs;
 
-use crate::swarm::order::Order;
+use crate::swarm::command::Command;
 
 /// Ends the swarm.
-pub fn order(DeleteArgs {}: DeleteArgs) -> Order {
-    Order::Delete
+pub fn order(DeleteArgs {}: DeleteArgs) -> Command {
+    Command::Delete
 }

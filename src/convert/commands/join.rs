@@ -4,9 +4,9 @@ use jostle_proto::verbs::JoinArgs;
 
 use crate::convert;
 use crate::convert::commands::{CommandError, check_name};
+use crate::swarm::command::Command;
 use crate::swarm::membership;
-use crate::swarm::membership::Terms;
-use crate::swarm::order::Order;
+use crate::swarm::membership::JoinOptions;
 use jostle_convert::WireError;
 
 /// Has a controller join.
@@ -14,7 +14,7 @@ use jostle_convert::WireError;
 /// # Errors
 ///
 /// [`CommandError`] for a name that is none, and a deadline out of range.
-pub fn order(args: JoinArgs) -> Result<Order, CommandError> {
+pub fn order(args: JoinArgs) -> Result<Command, CommandError> {
     let JoinArgs {
         controller,
         select,
@@ -28,7 +28,7 @@ pub fn order(args: JoinArgs) -> Result<Order, CommandError> {
     let Some(deadline) = membership::deadline(deadline_secs) else {
         return Err(WireError::out_of_range("deadline_secs", deadline_secs).into());
     };
-    Ok(Order::Join(Terms {
+    Ok(Command::Join(JoinOptions {
         controller,
         selection: select.map(jostle_convert::change::selection).transpose()?,
         mode: convert::mode(mode),

@@ -3,14 +3,14 @@
 use jostle_proto::verbs::LeaveArgs;
 
 use crate::convert::commands::{CommandError, check_name};
-use crate::swarm::order::Order;
+use crate::swarm::command::Command;
 
 /// Has a controller leave.
 ///
 /// # Errors
 ///
 /// [`CommandError::Name`].
-pub fn order(LeaveArgs { controller }: LeaveArgs) -> Result<Order, CommandError> {
+pub fn order(LeaveArgs { controller }: LeaveArgs) -> Result<Command, CommandError> {
     check_name("controller", &controller)?;
-    Ok(Order::Leave(controller))
+    Ok(Command::Leave(controller))
 }

@@ -10,7 +10,7 @@ use jostle_convert::change;
 use jostle_proto::verbs::LeaveArgs;
 use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
 
-use crate::swarm::order::{Order, When};
+use crate::swarm::command::{Command, When};
 use crate::swarm::sender::Sender;
 use jostle_convert::WireError;
 
@@ -42,9 +42,9 @@ const LONGEST_TIMEOUT_SECS: f64 = 3600.0;
 
 /// A command read and checked, ready for its swarm.
 #[derive(Debug)]
-pub struct Command {
+pub struct ParsedCommand {
     /// What to do.
-    pub order: Order,
+    pub order: Command,
     /// When to do it.
     pub when: When,
     /// Who sent it.
@@ -60,7 +60,7 @@ pub struct Command {
 /// # Errors
 ///
 /// [`CommandError`] when there is no such verb or its arguments are wrong.
-pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
+pub fn read(verb: &str, request: &Request) -> Result<ParsedCommand, CommandError> {
     // A fork is the host's to make, a seek is for recordings: neither is an order to a swarm.
     let is_order = |verb: &&&str| !["fork", "seek"].contains(*verb);
     let known = keys::SWARM_VERBS.iter().filter(is_order);
@@ -81,11 +81,11 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
             step::order(args)?
         }
         "reset" => reset::order(request.args()?)?,
-        "set" => Order::Change(change::set(request.args().map_err(set::explain)?)?),
-        "inform" => Order::Change(change::inform(request.args()?)?),
-        "uninform" => Order::Change(change::uninform(request.args()?)?),
-        "inject" => Order::Change(change::inject(request.args()?)?),
-        "remove" => Order::Change(change::remove(request.args()?)?),
+        "set" => Command::Change(change::set(request.args().map_err(set::explain)?)?),
+        "inform" => Command::Change(change::inform(request.args()?)?),
+        "uninform" => Command::Change(change::uninform(request.args()?)?),
+        "inject" => Command::Change(change::inject(request.args()?)?),
+        "remove" => Command::Change(change::remove(request.args()?)?),
         "batch" => batch::order(request.args()?)?,
         "join" => join::order(request.args()?)?,
         "advance" => {
@@ -104,7 +104,7 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
         "leave" => leave::order(request.args()?)?,
         _ => unreachable!("every known verb is above"),
     };
-    Ok(Command {
+    Ok(ParsedCommand {
         order,
         when: When {
             at_step: request
@@ -125,20 +125,20 @@ pub fn read(verb: &str, request: &Request) -> Result<Command, CommandError> {
 /// # Errors
 ///
 /// [`CommandError`] as for [`read`].
-pub fn read_again(verb: &'static str, request: &Request) -> Result<Command, CommandError> {
+pub fn read_again(verb: &'static str, request: &Request) -> Result<ParsedCommand, CommandError> {
     let order = match verb {
         "deadline" | "lost" => {
             let LeaveArgs { controller } = request.args()?;
             check_name("controller", &controller)?;
             match verb {
-                "deadline" => Order::Deadline(controller),
-                _ => Order::Lost(controller),
+                "deadline" => Command::Deadline(controller),
+                _ => Command::Lost(controller),
             }
         }
         "control" => control::order(request)?,
         verb => return read(verb, request),
     };
-    Ok(Command {
+    Ok(ParsedCommand {
         order,
         when: When::default(),
         sender: Arc::new(sender(verb, request)?),

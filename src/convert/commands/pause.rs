@@ -2,9 +2,9 @@
 
 use jostle_proto::verbs::PauseArgs;
 
-use crate::swarm::order::Order;
+use crate::swarm::command::Command;
 
 /// Pauses the swarm.
-pub fn order(PauseArgs {}: PauseArgs) -> Order {
-    Order::Pause
+pub fn order(PauseArgs {}: PauseArgs) -> Command {
+    Command::Pause
 }

@@ -3,17 +3,17 @@
 use jostle_proto::verbs::ResetArgs;
 
 use crate::convert::commands::CommandError;
-use crate::swarm::order::Order;
+use crate::swarm::command::Command;
 
 /// Resets the swarm.
 ///
 /// # Errors
 ///
 /// [`CommandError::Value`].
-pub fn order(args: ResetArgs) -> Result<Order, CommandError> {
+pub fn order(args: ResetArgs) -> Result<Command, CommandError> {
     let seed = args
         .seed
         .map(|seed| jostle_convert::value::whole("seed", seed))
         .transpose()?;
-    Ok(Order::Reset(seed))
+    Ok(Command::Reset(seed))
 }

@@ -3,7 +3,7 @@
 use jostle_proto::verbs::RunArgs;
 
 use crate::convert::commands::CommandError;
-use crate::swarm::order::{Order, Until};
+use crate::swarm::command::{Command, Until};
 use jostle_convert::WireError;
 
 /// The latest time a run may end at: far beyond any, and exact as a number of steps.
@@ -14,7 +14,7 @@ const LATEST_TIME: f64 = 1e12;
 /// # Errors
 ///
 /// [`CommandError`] when an end or the rate is outside its range, or two ends are named.
-pub fn order(args: RunArgs) -> Result<Order, CommandError> {
+pub fn order(args: RunArgs) -> Result<Command, CommandError> {
     let until = match (args.until_step, args.until_time) {
         (Some(_), Some(_)) => {
             return Err(CommandError::Field {
@@ -31,5 +31,5 @@ pub fn order(args: RunArgs) -> Result<Order, CommandError> {
         (None, None) => None,
     };
     let rate = args.rate.map(jostle_convert::value::rate).transpose()?;
-    Ok(Order::Run { until, rate })
+    Ok(Command::Run { until, rate })
 }

@@ -3,7 +3,7 @@
 use jostle_proto::SeekArgs;
 
 use crate::convert::commands::CommandError;
-use crate::swarm::order::Seek;
+use crate::swarm::command::Seek;
 use jostle_convert::WireError;
 
 /// The latest time that is sought.

@@ -3,7 +3,7 @@
 use jostle_proto::verbs::{Return, StepArgs};
 
 use crate::convert::commands::CommandError;
-use crate::swarm::order::Order;
+use crate::swarm::command::Command;
 use jostle_convert::WireError;
 
 /// The most steps that one command takes.
@@ -14,8 +14,8 @@ const MOST_STEPS: u64 = 1_000_000_000;
 /// # Errors
 ///
 /// [`WireError::OutOfRange`].
-pub fn order(args: StepArgs) -> Result<Order, CommandError> {
-    count(args.steps).map(Order::Step)
+pub fn order(args: StepArgs) -> Result<Command, CommandError> {
+    count(args.steps).map(Command::Step)
 }
 
 /// Checks how many steps are to be taken.

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use crate::convert::commands::{CommandError, selector};
-use crate::swarm::order::Awaited;
+use crate::swarm::command::Awaited;
 
 /// The longest that one `wait` is held; libraries ask again.
 pub const LONGEST_WAIT: Duration = Duration::from_secs(30);

@@ -18,19 +18,19 @@ use tracing::warn;
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::clock;
+use crate::swarm::command::Command;
 use crate::swarm::controllers::Controllers;
 use crate::swarm::cpu_scheduler::Share;
 use crate::swarm::crash;
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{Event, EventKind, Frame, Place, Summary};
-use crate::swarm::handle::{Handle, Ticket, receive};
+use crate::swarm::handle::{Handle, Message, receive};
 use crate::swarm::history::History;
 use crate::swarm::journal::{Journal, JournalWriter, Record};
-use crate::swarm::order::Order;
-use crate::swarm::outcome::{Answer, DeferredAnswer, Outcome, Refusal};
+use crate::swarm::outcome::{DeferredReply, Outcome, Rejection, ReplyTo};
 use crate::swarm::outlet::Outlet;
 use crate::swarm::pace::{MAX_BACKLOG, Pace};
-use crate::swarm::phase::{Cue, PauseReason, Phase};
+use crate::swarm::phase::{PauseReason, Phase, PhaseInput};
 use crate::swarm::schedule::Schedule;
 use crate::swarm::sender::Sender;
 use crate::swarm::tally::Tally;
@@ -86,7 +86,7 @@ pub struct Worker {
 
 /// A `step` command that is being carried out.
 struct Pending {
-    answer: Answer,
+    answer: ReplyTo,
     from: u64,
     sender: Arc<Sender>,
 }
@@ -122,7 +122,7 @@ impl Since {
 /// What ended a swarm's thread.
 pub enum End {
     /// Its deletion; the answer is due once clients can no longer reach it.
-    Deleted(DeferredAnswer),
+    Deleted(DeferredReply),
     /// The daemon stops.
     Stopped,
 }
@@ -218,15 +218,15 @@ impl Worker {
     }
 
     /// Steps and takes tickets until the swarm ends.
-    pub fn run(self, tickets: &Receiver<Ticket>) -> End {
+    pub fn run(self, messages: &Receiver<Message>) -> End {
         let tally = self.tally.clone();
-        let end = self.live(tickets);
+        let end = self.live(messages);
         tally.pulse.rest();
         end
     }
 
-    fn live(mut self, tickets: &Receiver<Ticket>) -> End {
-        let others = || tickets.try_iter();
+    fn live(mut self, messages: &Receiver<Message>) -> End {
+        let others = || messages.try_iter();
         loop {
             if self.controllers.due().is_some()
                 && let Some(end) = self.fire_overdue()
@@ -263,10 +263,10 @@ impl Worker {
                     next.into_iter().chain(self.controllers.due()).min()
                 }
             };
-            match receive(tickets, wakes_at) {
-                Ok(ticket) => {
+            match receive(messages, wakes_at) {
+                Ok(message) => {
                     self.tally.pulse.beat();
-                    let all = std::iter::once(ticket).chain(others());
+                    let all = std::iter::once(message).chain(others());
                     if let Some(end) = self.take_with_others(all) {
                         return end;
                     }
@@ -300,16 +300,16 @@ impl Worker {
     /// Takes the tickets that have come. Commands that follow each other are made
     /// safe together; what comes after one that starts over has another step, and what comes after
     /// a `step`, which is written down when it is carried out, is to stand on a later line.
-    fn take_with_others(&mut self, tickets: impl Iterator<Item = Ticket>) -> Option<End> {
-        let mut tickets: VecDeque<Ticket> = tickets.take(TICKETS_PER_STEP).collect();
+    fn take_with_others(&mut self, messages: impl Iterator<Item = Message>) -> Option<End> {
+        let mut messages: VecDeque<Message> = messages.take(TICKETS_PER_STEP).collect();
         let mut together = Vec::new();
-        while let Some(ticket) = tickets.pop_front() {
-            match ticket {
-                Ticket::Command(command) => {
+        while let Some(message) = messages.pop_front() {
+            match message {
+                Message::Command(command) => {
                     let order = &command.order;
-                    let is_last = matches!(order, Order::Reset(_)) || order.is_carried_out_first();
+                    let is_last = matches!(order, Command::Reset(_)) || order.is_group_committed();
                     together.push(command);
-                    let goes_on = matches!(tickets.front(), Some(Ticket::Command(_)));
+                    let goes_on = matches!(messages.front(), Some(Message::Command(_)));
                     if (is_last || !goes_on)
                         && let Some(end) = self.commands(std::mem::take(&mut together))
                     {
@@ -327,14 +327,14 @@ impl Worker {
         None
     }
 
-    fn take(&mut self, ticket: Ticket) -> Option<End> {
-        match ticket {
-            Ticket::Look(answer) => {
+    fn take(&mut self, message: Message) -> Option<End> {
+        match message {
+            Message::Look(answer) => {
                 let (place, frame) = self.look_at_all();
                 answer.send(Ok((place, Outcome::Seen(frame))));
                 None
             }
-            Ticket::Put(controller, epoch, put) => {
+            Message::Put(controller, epoch, put) => {
                 let is_of_now = epoch.is_none_or(|epoch| epoch == self.simulation.epoch);
                 match put {
                     Some(put) => self.controllers.put(&controller, put, is_of_now),
@@ -342,15 +342,15 @@ impl Worker {
                 }
                 None
             }
-            Ticket::Lost(controller) => self.lost(controller),
-            Ticket::RecordingFailed(recording, reason) => {
+            Message::Lost(controller) => self.lost(controller),
+            Message::RecordingFailed(recording, reason) => {
                 self.tell(EventKind::RecordingFailed(recording, reason));
                 // The journal has no line of it: without a checkpoint the events after it would have
                 // other numbers when they are told again.
                 self.keep();
                 None
             }
-            Ticket::Wait(waiter) => {
+            Message::Wait(waiter) => {
                 self.waiters.add(waiter);
                 self.answer_waiters();
                 if let Some((answer, error)) = self.waiters.displace() {
@@ -358,19 +358,19 @@ impl Worker {
                 }
                 None
             }
-            Ticket::Copy(answer) => {
+            Message::Copy(answer) => {
                 let whole = Outcome::Whole(Box::new(self.checkpoint()));
                 answer.send(Ok((self.place(), whole)));
                 None
             }
-            Ticket::Seek(_, _, answer) => {
-                answer.send(Err(self.refusal(OrderError::NotRecorded)));
+            Message::Seek(_, _, answer) => {
+                answer.send(Err(self.refusal(SwarmError::NotRecorded)));
                 None
             }
-            Ticket::Command(command) => self.commands(vec![command]),
+            Message::Command(command) => self.commands(vec![command]),
             // It looks for itself, before its next step.
-            Ticket::Awake => None,
-            Ticket::Stop => {
+            Message::Awake => None,
+            Message::Stop => {
                 self.journal.keep(Checkpoint {
                     is_last: true,
                     ..self.checkpoint()
@@ -422,12 +422,12 @@ impl Worker {
             if matches!(self.phase, Phase::Stepping { .. }) {
                 self.phase = Phase::Paused(PauseReason::Finished);
             } else {
-                self.enter_by(Cue::Reached(step));
+                self.enter_by(PhaseInput::Reached(step));
             }
             self.record_state();
             self.show();
             self.renew_summary();
-            if let Some(end) = self.carry_out_due() {
+            if let Some(end) = self.execute_due() {
                 return Some(end);
             }
             // Unless what was due has begun to step anew, or has answered it.
@@ -447,7 +447,7 @@ impl Worker {
             if now.saturating_duration_since(self.summary_renewed) >= SUMMARY_PERIOD {
                 self.renew_summary();
             }
-            if let Some(end) = self.carry_out_due() {
+            if let Some(end) = self.execute_due() {
                 return Some(end);
             }
         }
@@ -513,7 +513,7 @@ impl Worker {
         self.tell(EventKind::Fault(reason.clone()));
         self.show();
         self.renew_summary();
-        let faulted = OrderError::Faulted(reason);
+        let faulted = SwarmError::Faulted(reason);
         if let Some(pending) = self.pending.take() {
             pending.answer.send(Err(self.refusal(faulted.clone())));
         }
@@ -533,8 +533,8 @@ impl Worker {
         self.waiters = waiters;
     }
 
-    pub(super) fn refusal(&self, error: OrderError) -> Refusal {
-        Refusal {
+    pub(super) fn refusal(&self, error: SwarmError) -> Rejection {
+        Rejection {
             step: Some(self.simulation.state.step),
             error,
         }

@@ -9,24 +9,24 @@ use jostle_physics::simulation::{Change, ChangeError, ChangeKind, ChangeOutcome}
 use tracing::warn;
 
 use crate::swarm::clock;
+use crate::swarm::command::{Command, Until, When};
 use crate::swarm::crash;
-use crate::swarm::error::OrderError;
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::EventKind;
-use crate::swarm::handle::Command;
+use crate::swarm::handle::CommandMessage;
 use crate::swarm::journal::Record;
-use crate::swarm::order::{Order, Until, When};
-use crate::swarm::outcome::{Answer, Answered, DeferredAnswer, Outcome, Refusal};
+use crate::swarm::outcome::{DeferredReply, Outcome, Rejection, ReplyTo, SwarmReply};
 use crate::swarm::pace::Pace;
-use crate::swarm::phase::{self, Cue, PauseReason, Phase};
+use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
-use crate::swarm::worker::steering::Coupling;
+use crate::swarm::worker::steering::ControllerInput;
 use crate::swarm::worker::{End, Pending, Worker};
 use jostle_physics::simulation::steps_in;
 
 impl Worker {
     /// Makes commands safe together, and then carries each out or puts it off until its step.
-    pub(super) fn commands(&mut self, commands: Vec<Command>) -> Option<End> {
+    pub(super) fn commands(&mut self, commands: Vec<CommandMessage>) -> Option<End> {
         let mut possible = Vec::with_capacity(commands.len());
         for command in commands {
             match self.check(&command.order, command.when) {
@@ -35,19 +35,20 @@ impl Worker {
             }
         }
         let step = self.simulation.state.step;
-        let put_off = |command: &Command| command.when.at_step.filter(|at_step| *at_step > step);
+        let schedule_command =
+            |command: &CommandMessage| command.when.at_step.filter(|at_step| *at_step > step);
         let is_far_ahead = self.journal.is_far_ahead();
-        let is_written_first = |command: &Command| {
+        let is_write_ahead = |command: &CommandMessage| {
             let order = &command.order;
-            let is_held = is_far_ahead && order.is_carried_out_first();
-            order.is_written_first() || put_off(command).is_some() || is_held
+            let is_held = is_far_ahead && order.is_group_committed();
+            order.is_write_ahead() || schedule_command(command).is_some() || is_held
         };
         let unix_secs = self.unix_secs();
         let records: Vec<Record> = possible
             .iter()
-            .filter(|command| is_written_first(command))
+            .filter(|command| is_write_ahead(command))
             .map(|command| Record::Input {
-                at_step: put_off(command),
+                at_step: schedule_command(command),
                 sender: command.sender.clone(),
                 seq: None,
                 unix_secs,
@@ -64,7 +65,7 @@ impl Worker {
                 }
                 Err(fault) => {
                     for command in possible {
-                        let error = OrderError::Unsafe(fault.clone());
+                        let error = SwarmError::Unsafe(fault.clone());
                         command.answer.send(Err(self.refusal(error)));
                     }
                     return None;
@@ -72,8 +73,8 @@ impl Worker {
             }
         }
         for command in possible {
-            let at_step = put_off(&command);
-            let is_written = is_written_first(&command);
+            let at_step = schedule_command(&command);
+            let is_written = is_write_ahead(&command);
             let line = if is_written { input } else { 0 };
             let end = match at_step {
                 // Nothing else says when it came.
@@ -94,26 +95,26 @@ impl Worker {
         &mut self,
         input: u64,
         at_step: Option<u64>,
-        command: Command,
+        command: CommandMessage,
     ) -> Option<End> {
         self.applied_at(self.unix_secs(), |it| it.apply(input, at_step, command))
     }
 
-    fn apply(&mut self, input: u64, at_step: Option<u64>, command: Command) -> Option<End> {
+    fn apply(&mut self, input: u64, at_step: Option<u64>, command: CommandMessage) -> Option<End> {
         self.since.inputs += 1;
-        let Command {
+        let CommandMessage {
             order,
             sender,
             answer,
             ..
         } = command;
         let Some(at_step) = at_step else {
-            return self.carry_out(input, order, sender, answer);
+            return self.execute(input, order, sender, answer);
         };
-        match self.put_off(input, at_step, order, sender) {
+        match self.schedule_command(input, at_step, order, sender) {
             Ok(()) => answer.send(Ok((self.place(), Outcome::Scheduled(at_step)))),
             Err(error) => {
-                self.became(input, Err(&error));
+                self.record_outcome(input, Err(&error));
                 answer.send(Err(self.refusal(error)));
             }
         }
@@ -122,7 +123,7 @@ impl Worker {
 
     /// Writes down what became of the command on line `input`. What was refused by chance must not
     /// be carried out when the journal is told again, so its refusal is safe before it is told.
-    pub(super) fn became(&mut self, input: u64, outcome: Result<u64, &OrderError>) {
+    pub(super) fn record_outcome(&mut self, input: u64, outcome: Result<u64, &SwarmError>) {
         let record = Record::Became {
             input,
             seq: outcome.ok(),
@@ -130,7 +131,7 @@ impl Worker {
         };
         let at = self.at();
         match outcome {
-            Err(error) if error.is_by_chance() => {
+            Err(error) if error.may_succeed_later() => {
                 if let Err(fault) = self.journal.commit(at, vec![record]) {
                     warn!(swarm = self.outlet.name, %fault, "failed to write a refusal down");
                 }
@@ -140,15 +141,15 @@ impl Worker {
     }
 
     /// Carries out a command and answers it; all but `step` at once.
-    pub(super) fn carry_out(
+    pub(super) fn execute(
         &mut self,
         input: u64,
-        order: Order,
+        order: Command,
         sender: Arc<Sender>,
-        answer: Answer,
+        answer: ReplyTo,
     ) -> Option<End> {
         if self.replay.was_refused(input) {
-            answer.send(Err(self.refusal(OrderError::RefusedBefore)));
+            answer.send(Err(self.refusal(SwarmError::RefusedBefore)));
             return None;
         }
         let before = self.phase.clone();
@@ -156,43 +157,43 @@ impl Worker {
         // A command's draws are keyed by its own number.
         self.simulation.seq += 1;
         let outcome = match order {
-            Order::Delete => return self.delete(input, sender, answer),
-            Order::Step(steps) => {
+            Command::Delete => return self.delete(input, sender, answer),
+            Command::Step(steps) => {
                 self.begin_steps(input, steps, sender, answer);
                 return None;
             }
-            Order::Advance {
+            Command::Advance {
                 controller,
                 steps,
                 set,
             } => {
-                let coupling = Coupling { input, sender };
+                let coupling = ControllerInput { input, sender };
                 self.begin_advance(coupling, (&controller, steps, set.as_ref()), answer);
                 return None;
             }
-            Order::Deadline(_) | Order::Lost(_) | Order::Control { .. } => {
-                if let Err(error) = self.couple(&Coupling { input, sender }, &order) {
+            Command::Deadline(_) | Command::Lost(_) | Command::Control { .. } => {
+                if let Err(error) = self.couple(&ControllerInput { input, sender }, &order) {
                     self.simulation.seq = seq;
                     answer.send(Err(self.refusal(error)));
                 }
                 return None;
             }
-            Order::Join(terms) => self.join(&terms),
-            Order::Leave(controller) => self.leave(&controller),
-            Order::Run { until, rate } => self.begin_run(until, rate),
-            Order::Pause => self.pause(),
-            Order::Reset(seed) => self.reset(seed),
-            Order::Change(change) => match self.change(std::slice::from_ref(&change)) {
+            Command::Join(options) => self.join(&options),
+            Command::Leave(controller) => self.leave(&controller),
+            Command::Run { until, rate } => self.begin_run(until, rate),
+            Command::Pause => self.pause(),
+            Command::Reset(seed) => self.reset(seed),
+            Command::Change(change) => match self.change(std::slice::from_ref(&change)) {
                 Ok(mut changed) => Ok(Outcome::Changed(changed.remove(0).1)),
-                Err(OrderError::InBatch { error, .. }) => Err(*error),
+                Err(SwarmError::InBatch { error, .. }) => Err(*error),
                 Err(error) => Err(error),
             },
-            Order::Batch(changes) => self.change(&changes).map(Outcome::Batch),
+            Command::Batch(changes) => self.change(&changes).map(Outcome::Batch),
         };
         match outcome {
             Ok(outcome) => {
                 let is_reset = matches!(outcome, Outcome::Reset(_));
-                self.became(input, Ok(self.simulation.seq));
+                self.record_outcome(input, Ok(self.simulation.seq));
                 self.tell(EventKind::Command(sender));
                 if is_reset {
                     self.drop_scheduled();
@@ -211,7 +212,7 @@ impl Worker {
             Err(error) => {
                 self.simulation.seq = seq;
                 let refusal = self.refusal(error);
-                self.became(input, Err(&refusal.error));
+                self.record_outcome(input, Err(&refusal.error));
                 answer.send(Err(refusal));
             }
         }
@@ -222,8 +223,8 @@ impl Worker {
     fn change(
         &mut self,
         changes: &[Change],
-    ) -> Result<Vec<(ChangeKind, ChangeOutcome)>, OrderError> {
-        phase::next(&self.phase, Cue::Change)?;
+    ) -> Result<Vec<(ChangeKind, ChangeOutcome)>, SwarmError> {
+        phase::next(&self.phase, PhaseInput::Change)?;
         let before = self.simulation.save();
         let simulation = &mut self.simulation;
         let changed = catch_unwind(AssertUnwindSafe(|| {
@@ -241,21 +242,21 @@ impl Worker {
             }
             Ok(Err((index, error))) => {
                 self.simulation.rollback(before);
-                Err(OrderError::InBatch {
+                Err(SwarmError::InBatch {
                     index,
                     error: Box::new(error.into()),
                 })
             }
             Err(_) => {
                 self.simulation.rollback(before);
-                Err(OrderError::Panicked)
+                Err(SwarmError::Panicked)
             }
         }
     }
 
-    pub(super) fn check(&mut self, order: &Order, when: When) -> Result<(), OrderError> {
+    pub(super) fn check(&mut self, order: &Command, when: When) -> Result<(), SwarmError> {
         // Who has left is behind, mostly, and is to hear why.
-        if let Order::Advance { controller, .. } = order {
+        if let Command::Advance { controller, .. } = order {
             self.controllers.find(controller)?;
         }
         let step = self.simulation.state.step;
@@ -267,7 +268,7 @@ impl Worker {
             if let Some(expected) = expected
                 && expected != actual
             {
-                return Err(OrderError::Conflict {
+                return Err(SwarmError::Conflict {
                     what,
                     expected,
                     actual,
@@ -275,27 +276,27 @@ impl Worker {
             }
         }
         match when.at_step {
-            Some(at_step) if at_step < step => Err(OrderError::Late { at_step, step }),
+            Some(at_step) if at_step < step => Err(SwarmError::Late { at_step, step }),
             _ => Ok(()),
         }
     }
 
     /// Puts a command off until its step. What can be seen to be wrong with it is refused now.
-    fn put_off(
+    fn schedule_command(
         &mut self,
         input: u64,
         at_step: u64,
-        order: Order,
+        order: Command,
         sender: Arc<Sender>,
-    ) -> Result<(), OrderError> {
-        if !matches!(order, Order::Reset(_) | Order::Delete) {
-            phase::next(&self.phase, Cue::Change)?;
+    ) -> Result<(), SwarmError> {
+        if !matches!(order, Command::Reset(_) | Command::Delete) {
+            phase::next(&self.phase, PhaseInput::Change)?;
         }
         match &order {
-            Order::Change(change) => self.simulation.check(change)?,
-            Order::Batch(changes) => {
+            Command::Change(change) => self.simulation.check(change)?,
+            Command::Batch(changes) => {
                 for (index, change) in changes.iter().enumerate() {
-                    let error = |error: ChangeError| OrderError::InBatch {
+                    let error = |error: ChangeError| SwarmError::InBatch {
                         index,
                         error: Box::new(error.into()),
                     };
@@ -316,7 +317,7 @@ impl Worker {
 
     /// Carries out what was put off until this step. Nobody waits for the answers any more, so
     /// an event tells of what is refused.
-    pub(super) fn carry_out_due(&mut self) -> Option<End> {
+    pub(super) fn execute_due(&mut self) -> Option<End> {
         while let Some(due) = self.schedule.take(self.simulation.state.step) {
             let Scheduled {
                 input,
@@ -326,7 +327,7 @@ impl Worker {
             let refused = Arc::new(Mutex::new(None));
             let answer = {
                 let refused = refused.clone();
-                move |answered: Answered| {
+                move |answered: SwarmReply| {
                     *refused.lock().unwrap_or_else(PoisonError::into_inner) = answered.err();
                 }
             };
@@ -335,12 +336,12 @@ impl Worker {
                 false => clock::unix_secs(),
             };
             let end = self.applied_at(unix_secs, |it| {
-                let end = it.carry_out(input, order, sender.clone(), Answer::new(answer));
+                let end = it.execute(input, order, sender.clone(), ReplyTo::new(answer));
                 let refusal = refused
                     .lock()
                     .unwrap_or_else(PoisonError::into_inner)
                     .take();
-                if let Some(Refusal { error, .. }) = refusal {
+                if let Some(Rejection { error, .. }) = refusal {
                     it.tell(EventKind::Refused(sender, error));
                 }
                 end
@@ -355,10 +356,10 @@ impl Worker {
     /// Refuses what was put off: after a reset its step would be another one.
     fn drop_scheduled(&mut self) {
         for (at_step, Scheduled { input, sender, .. }) in self.schedule.clear() {
-            self.became(input, Err(&OrderError::Overtaken { at_step }));
+            self.record_outcome(input, Err(&SwarmError::Overtaken { at_step }));
             self.tell(EventKind::Refused(
                 sender,
-                OrderError::Overtaken { at_step },
+                SwarmError::Overtaken { at_step },
             ));
         }
     }
@@ -367,7 +368,7 @@ impl Worker {
         &mut self,
         until: Option<Until>,
         rate: Option<Option<f64>>,
-    ) -> Result<Outcome, OrderError> {
+    ) -> Result<Outcome, SwarmError> {
         let step = self.simulation.state.step;
         let until = until.map(|until| match until {
             Until::Step(step) => step,
@@ -378,14 +379,14 @@ impl Worker {
             Phase::Running { until: end } => until.or(end),
             _ => until,
         };
-        let next = phase::next(&self.phase, Cue::Run(until))?;
+        let next = phase::next(&self.phase, PhaseInput::Run(until))?;
         if self.controllers.is_lockstep() {
-            return Err(OrderError::Lockstep);
+            return Err(SwarmError::Lockstep);
         }
         if let Some(until) = until
             && until < step
         {
-            return Err(OrderError::Past { until, step });
+            return Err(SwarmError::Past { until, step });
         }
         self.answer_pending(&next);
         self.rate = rate.unwrap_or(self.rate);
@@ -395,12 +396,12 @@ impl Worker {
             self.pace = Pace::new(self.rate, dt, Instant::now());
         }
         self.enter(next);
-        self.enter_by(Cue::Reached(step));
+        self.enter_by(PhaseInput::Reached(step));
         Ok(Outcome::Runs(until, self.rate))
     }
 
-    fn pause(&mut self) -> Result<Outcome, OrderError> {
-        let next = phase::next(&self.phase, Cue::Pause)?;
+    fn pause(&mut self) -> Result<Outcome, SwarmError> {
+        let next = phase::next(&self.phase, PhaseInput::Pause)?;
         self.answer_pending(&next);
         self.cut_short(&next);
         self.enter(next);
@@ -408,8 +409,8 @@ impl Worker {
         Ok(Outcome::Done)
     }
 
-    fn reset(&mut self, seed: Option<u64>) -> Result<Outcome, OrderError> {
-        let next = phase::next(&self.phase, Cue::Reset)?;
+    fn reset(&mut self, seed: Option<u64>) -> Result<Outcome, SwarmError> {
+        let next = phase::next(&self.phase, PhaseInput::Reset)?;
         let fresh = self.simulation.build_start(seed)?;
         // What is pending came this far; after the reset that could not be told any more.
         self.answer_pending(&next);
@@ -423,12 +424,12 @@ impl Worker {
         Ok(Outcome::Reset(self.frame(true)))
     }
 
-    fn begin_steps(&mut self, input: u64, steps: u64, sender: Arc<Sender>, answer: Answer) {
+    fn begin_steps(&mut self, input: u64, steps: u64, sender: Arc<Sender>, answer: ReplyTo) {
         let from = self.simulation.state.step;
         let until = from.saturating_add(steps);
-        let next = phase::next(&self.phase, Cue::Step(until)).map_err(OrderError::from);
+        let next = phase::next(&self.phase, PhaseInput::Step(until)).map_err(SwarmError::from);
         let next = next.and_then(|next| match self.controllers.is_lockstep() {
-            true => Err(OrderError::Lockstep),
+            true => Err(SwarmError::Lockstep),
             false => Ok(next),
         });
         match next {
@@ -451,7 +452,7 @@ impl Worker {
             Err(error) => {
                 self.simulation.seq -= 1;
                 if input > 0 {
-                    self.became(input, Err(&error));
+                    self.record_outcome(input, Err(&error));
                 }
                 answer.send(Err(self.refusal(error)));
             }
@@ -477,14 +478,14 @@ impl Worker {
     }
 
     /// Ends the swarm, once its end is safe.
-    fn delete(&mut self, input: u64, sender: Arc<Sender>, answer: Answer) -> Option<End> {
+    fn delete(&mut self, input: u64, sender: Arc<Sender>, answer: ReplyTo) -> Option<End> {
         let mut place = self.place();
         place.phase = Phase::Paused(PauseReason::Requested);
         if let Err(fault) = self.journal.end(place, sender) {
             self.simulation.seq -= 1;
-            let error = OrderError::Unsafe(fault);
+            let error = SwarmError::Unsafe(fault);
             if input > 0 {
-                self.became(input, Err(&error));
+                self.record_outcome(input, Err(&error));
             }
             answer.send(Err(self.refusal(error)));
             return None;
@@ -498,17 +499,17 @@ impl Worker {
         let place = self.place();
         let step = Some(place.step);
         self.waiters.answer_all(|| {
-            Err(Refusal {
+            Err(Rejection {
                 step,
-                error: OrderError::Gone,
+                error: SwarmError::Gone,
             })
         });
-        let reply = DeferredAnswer::new(answer, Ok((place, Outcome::Done)));
+        let reply = DeferredReply::new(answer, Ok((place, Outcome::Done)));
         Some(End::Deleted(reply))
     }
 
     /// Enters the phase that `cue` leads to, if it leads to another.
-    pub(super) fn enter_by(&mut self, cue: Cue) {
+    pub(super) fn enter_by(&mut self, cue: PhaseInput) {
         if let Ok(next) = phase::next(&self.phase, cue) {
             self.enter(next);
         }

@@ -5,15 +5,15 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::command::{Command, When};
 use crate::swarm::controllers::Controllers;
 use crate::swarm::crash;
 use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{EventKind, Place};
-use crate::swarm::handle::{Command, Handle};
+use crate::swarm::handle::{CommandMessage, Handle};
 use crate::swarm::history::Entry;
 use crate::swarm::journal::{Journal, JournalWriter, Line, NoWriter, Record};
-use crate::swarm::order::{Order, When};
-use crate::swarm::outcome::Answer;
+use crate::swarm::outcome::ReplyTo;
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::sender::Sender;
@@ -29,30 +29,30 @@ const EVENTS_LOST: u64 = 1 << 20;
 const REPLAY_NICENESS: i32 = 15;
 
 /// Makes the place that the answer to a command goes to.
-pub type Recall = Box<dyn Fn(&Arc<Sender>) -> Answer + Send>;
+pub type ReplyFor = Box<dyn Fn(&Arc<Sender>) -> ReplyTo + Send>;
 
 /// A line of the journal; commands with what they order.
-pub type Told = (Line, Option<Order>);
+pub type Told = (Line, Option<Command>);
 
 /// What is to be told again of a swarm.
-pub struct Past {
+pub struct ReplaySource {
     /// Where to begin.
     pub checkpoint: Checkpoint,
     /// The lines since, in order, read as they are told; or why they end.
     pub lines: Box<dyn Iterator<Item = Result<Told, String>> + Send>,
     /// What must be known of all those lines before the first is told.
-    pub outlook: Outlook,
+    pub index: JournalIndex,
     /// Why the lines after these cannot be told, if there are such.
     pub damage: Option<String>,
     /// The commands that were applied before the checkpoint, as far back as they are shown.
     pub entries: Vec<Applied>,
     /// Where the answer to a command goes that may have missed its sender.
-    pub recall: Recall,
+    pub recall: ReplyFor,
     /// Where it ends.
     pub to: To,
 }
 
-impl Past {
+impl ReplaySource {
     /// Replays it outside the registry, for verification and copies. Returns the final state and
     /// what the replay found.
     pub fn replay(self) -> (Checkpoint, Replay) {
@@ -94,7 +94,7 @@ pub enum To {
 
 /// What must be known of lines before the first of them is told.
 #[derive(Default)]
-pub struct Outlook {
+pub struct JournalIndex {
     /// Lines whose commands were refused when they were first carried out.
     refused: BTreeSet<u64>,
     /// Lines of commands whose outcome is on a later line, with the wall-clock time of the outcome.
@@ -109,11 +109,11 @@ pub struct Outlook {
     last: Option<u64>,
 }
 
-impl Outlook {
+impl JournalIndex {
     /// Takes in the next line.
     pub fn learn(&mut self, (line, order): &Told) {
         self.last = Some(line.number);
-        if matches!(order, Some(Order::Reset(_))) {
+        if matches!(order, Some(Command::Reset(_))) {
             self.last_reset = line.number;
         }
         match line.record {
@@ -142,11 +142,11 @@ impl Outlook {
     }
 }
 
-impl<'a> FromIterator<&'a Told> for Outlook {
+impl<'a> FromIterator<&'a Told> for JournalIndex {
     fn from_iter<I: IntoIterator<Item = &'a Told>>(lines: I) -> Self {
-        let mut outlook = Outlook::default();
-        lines.into_iter().for_each(|line| outlook.learn(line));
-        outlook
+        let mut index = JournalIndex::default();
+        lines.into_iter().for_each(|line| index.learn(line));
+        index
     }
 }
 
@@ -199,15 +199,15 @@ impl Worker {
     /// `admit` lets it grow meanwhile: what it was, it was let be. Returns how it ended, if the
     /// journal says that it did.
     pub fn from_past(
-        past: Past,
+        past: ReplaySource,
         handle: &Handle,
         shortest_between_frames: Duration,
         (writer, admit): (Arc<dyn JournalWriter>, ReserveMemory),
     ) -> (Self, Option<End>) {
-        let Past {
+        let ReplaySource {
             checkpoint,
             lines,
-            outlook,
+            index,
             damage,
             entries,
             recall,
@@ -226,7 +226,7 @@ impl Worker {
                 sender: entry.sender,
             });
         }
-        let is_last = checkpoint.is_last && outlook.last.is_none();
+        let is_last = checkpoint.is_last && index.last.is_none();
         let pending = checkpoint.pending.clone();
         let joined = checkpoint.controllers.clone();
         let mut worker =
@@ -240,7 +240,7 @@ impl Worker {
             sender,
         });
         worker.controllers = Controllers::recall(joined, &recall);
-        let end = worker.retell(lines, outlook, damage, &recall, to);
+        let end = worker.retell(lines, index, damage, &recall, to);
         if !is_last {
             worker.lose_events();
         }
@@ -331,19 +331,19 @@ impl Worker {
     fn retell(
         &mut self,
         lines: impl Iterator<Item = Result<Told, String>>,
-        outlook: Outlook,
+        index: JournalIndex,
         damage: Option<String>,
-        recall: &dyn Fn(&Arc<Sender>) -> Answer,
+        recall: &dyn Fn(&Arc<Sender>) -> ReplyTo,
         to: To,
     ) -> Option<End> {
         self.journal
-            .set_settled(outlook.settled.keys().copied().collect());
-        let applied = outlook.settled.into_iter();
+            .set_settled(index.settled.keys().copied().collect());
+        let applied = index.settled.into_iter();
         self.replay.unix_secs = applied
             .filter_map(|(input, unix_secs)| Some((input, unix_secs?)))
             .collect();
-        self.replay.refused = outlook.refused;
-        self.replay.hashes = outlook.hashes;
+        self.replay.refused = index.refused;
+        self.replay.hashes = index.hashes;
         let mut last = self.journal.lines();
         let mut end = None;
         for line in lines {
@@ -355,7 +355,7 @@ impl Worker {
                     break;
                 }
             };
-            let is_of_the_last_run = line.number > outlook.last_reset;
+            let is_of_the_last_run = line.number > index.last_reset;
             if matches!(to, To::Step(step) if is_of_the_last_run && line.step >= step) {
                 break;
             }
@@ -377,10 +377,10 @@ impl Worker {
                         continue;
                     }
                     let input = match order {
-                        ref order if order.is_carried_out_first() && at_step.is_none() => 0,
+                        ref order if order.is_group_committed() && at_step.is_none() => 0,
                         _ => line.number,
                     };
-                    let command = Command {
+                    let command = CommandMessage {
                         answer: recall(&sender),
                         order,
                         when: When::default(),
@@ -411,7 +411,7 @@ impl Worker {
                 break;
             }
         }
-        match (to, outlook.last_hash) {
+        match (to, index.last_hash) {
             // What was done then may not be written down yet: whoever asked sees how far it came.
             (To::Step(step), _) if end.is_none() => end = self.step_on(self.at().0, step),
             (To::Place(epoch, step), _) if end.is_none() => end = self.step_on(epoch, step),
@@ -459,6 +459,6 @@ impl Worker {
 }
 
 /// Whether an order may follow a fault.
-fn is_cure(order: &Order) -> bool {
-    matches!(order, Order::Reset(_) | Order::Delete)
+fn is_cure(order: &Command) -> bool {
+    matches!(order, Command::Reset(_) | Command::Delete)
 }

@@ -10,19 +10,19 @@ use std::time::Instant;
 use jostle_physics::model::selection::{Candidates, Selection, select};
 use jostle_physics::simulation::{ChangeError, SetPoints};
 
-use crate::swarm::error::OrderError;
+use crate::swarm::command::Command;
+use crate::swarm::error::SwarmError;
 use crate::swarm::frame::EventKind;
 use crate::swarm::history::Entry;
-use crate::swarm::membership::{Departure, MOST_MISSES, Mode, News, OnTimeout, Put, Terms};
-use crate::swarm::order::Order;
-use crate::swarm::outcome::{Answer, Outcome};
+use crate::swarm::membership::{Departure, JoinOptions, MAX_MISSES, Mode, News, OnTimeout, Put};
+use crate::swarm::outcome::{Outcome, ReplyTo};
 use crate::swarm::pace::Pace;
-use crate::swarm::phase::{self, Cue, PauseReason, Phase};
+use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
 use crate::swarm::sender::Sender;
 use crate::swarm::worker::{End, Worker};
 
 /// An order of a controller's that is carried out before it is safe, like a `step`.
-pub(super) struct Coupling {
+pub(super) struct ControllerInput {
     /// The line it stands on, or none.
     pub input: u64,
     pub sender: Arc<Sender>,
@@ -30,24 +30,24 @@ pub(super) struct Coupling {
 
 impl Worker {
     /// Takes a controller in.
-    pub(super) fn join(&mut self, terms: &Terms) -> Result<Outcome, OrderError> {
-        phase::next(&self.phase, Cue::Change)?;
-        self.controllers.admit(terms)?;
-        let claims = match &terms.selection {
-            Some(selection) => Some(self.claim(&terms.controller, selection)?),
+    pub(super) fn join(&mut self, options: &JoinOptions) -> Result<Outcome, SwarmError> {
+        phase::next(&self.phase, PhaseInput::Change)?;
+        self.controllers.admit(options)?;
+        let claims = match &options.selection {
+            Some(selection) => Some(self.claim(&options.controller, selection)?),
             None => None,
         };
         let step = self.simulation.state.step;
-        if terms.mode == Mode::Lockstep && !self.controllers.is_lockstep() {
+        if options.mode == Mode::Lockstep && !self.controllers.is_lockstep() {
             let paused = Phase::Paused(PauseReason::Lockstep);
             self.answer_pending(&paused);
             self.enter(paused);
         }
-        if let Some(answer) = self.controllers.join(terms, claims, step) {
-            answer.send(Err(self.refusal(OrderError::Superseded)));
+        if let Some(answer) = self.controllers.join(options, claims, step) {
+            answer.send(Err(self.refusal(SwarmError::Superseded)));
         }
         self.go_on();
-        let member = self.controllers.find(&terms.controller)?;
+        let member = self.controllers.find(&options.controller)?;
         let ids = member.kept.claims.iter().copied().collect();
         let news = std::mem::take(&mut member.kept.news);
         Ok(Outcome::Joined { ids, news })
@@ -55,13 +55,13 @@ impl Worker {
 
     /// Those that a controller is to steer, none of them claimed by another. Draws are from those
     /// that nobody has claimed.
-    fn claim(&self, controller: &str, selection: &Selection) -> Result<BTreeSet<u32>, OrderError> {
+    fn claim(&self, controller: &str, selection: &Selection) -> Result<BTreeSet<u32>, SwarmError> {
         let state = &self.simulation.state;
         let claimed = self.controllers.claimed_beside(controller);
         if let Selection::Ids(ids) = selection
             && let Some(id) = ids.iter().find(|id| claimed.contains(id))
         {
-            return Err(OrderError::Claimed {
+            return Err(SwarmError::Claimed {
                 id: *id,
                 controller: self.controllers.owner(*id).unwrap_or_default().to_owned(),
             });
@@ -83,8 +83,8 @@ impl Worker {
     }
 
     /// Lets a controller go, at its own wish.
-    pub(super) fn leave(&mut self, controller: &str) -> Result<Outcome, OrderError> {
-        phase::next(&self.phase, Cue::Change)?;
+    pub(super) fn leave(&mut self, controller: &str) -> Result<Outcome, SwarmError> {
+        phase::next(&self.phase, PhaseInput::Change)?;
         self.controllers.find(controller)?;
         self.part(controller, Departure::Left);
         self.go_on();
@@ -109,25 +109,25 @@ impl Worker {
         if let Some(answer) = member.take_answer() {
             let left = Some((why, step));
             let controller = controller.to_owned();
-            answer.send(Err(self.refusal(OrderError::NotJoined { controller, left })));
+            answer.send(Err(self.refusal(SwarmError::NotJoined { controller, left })));
         }
     }
 
     /// Has a controller advance, and answers it when the swarm has come so far.
     pub(super) fn begin_advance(
         &mut self,
-        coupling: Coupling,
+        from: ControllerInput,
         (controller, steps, set): (&str, u64, Option<&SetPoints>),
-        answer: Answer,
+        answer: ReplyTo,
     ) {
         if let Err(error) = self.check_advance(controller, set) {
-            return self.refuse_coupling(&coupling, &error, answer);
+            return self.refuse_coupling(&from, &error, answer);
         }
         let step = self.simulation.state.step;
         if let Some(set) = set
             && let Err(error) = self.simulation.steer(set)
         {
-            return self.refuse_coupling(&coupling, &error.into(), answer);
+            return self.refuse_coupling(&from, &error.into(), answer);
         }
         let Ok(member) = self.controllers.find(controller) else {
             unreachable!("it was found to have joined");
@@ -136,13 +136,13 @@ impl Worker {
             member.kept.steered.extend(&set.ids);
         }
         let target = step.saturating_add(steps);
-        let before = member.advance(step, target, coupling.sender.clone(), answer);
+        let before = member.advance(step, target, from.sender.clone(), answer);
         if let Some(before) = before {
-            before.send(Err(self.refusal(OrderError::Superseded)));
+            before.send(Err(self.refusal(SwarmError::Superseded)));
         }
         let until = self.controllers.together(step);
-        self.note_coupling(&coupling, until);
-        self.enter_in_history(coupling.sender);
+        self.note_coupling(&from, until);
+        self.enter_in_history(from.sender);
         self.go_on();
     }
 
@@ -151,15 +151,15 @@ impl Worker {
         &mut self,
         controller: &str,
         set: Option<&SetPoints>,
-    ) -> Result<(), OrderError> {
-        phase::next(&self.phase, Cue::Change)?;
+    ) -> Result<(), SwarmError> {
+        phase::next(&self.phase, PhaseInput::Change)?;
         let is_moving = self.phase.is_moving();
         let member = self.controllers.find(controller)?;
         if member.kept.mode != Mode::Lockstep {
-            return Err(OrderError::RunsFreely(controller.to_owned()));
+            return Err(SwarmError::RunsFreely(controller.to_owned()));
         }
         if is_moving {
-            return Err(OrderError::Advancing {
+            return Err(SwarmError::Advancing {
                 controller: controller.to_owned(),
                 target: member.kept.target,
             });
@@ -167,15 +167,15 @@ impl Worker {
         set.map_or(Ok(()), |set| self.check_claims(controller, set))
     }
 
-    fn check_claims(&mut self, controller: &str, set: &SetPoints) -> Result<(), OrderError> {
+    fn check_claims(&mut self, controller: &str, set: &SetPoints) -> Result<(), SwarmError> {
         let kept = &self.controllers.find(controller)?.kept;
         if set.drives.is_some() && !kept.driving {
-            return Err(OrderError::NotDriving(controller.to_owned()));
+            return Err(SwarmError::NotDriving(controller.to_owned()));
         }
         let claims = &kept.claims;
         match set.ids.iter().find(|id| !claims.contains(id)) {
             None => Ok(()),
-            Some(&id) => Err(OrderError::NotClaimed {
+            Some(&id) => Err(SwarmError::NotClaimed {
                 id,
                 owner: self.controllers.owner(id).map(str::to_owned),
             }),
@@ -183,19 +183,23 @@ impl Worker {
     }
 
     /// Carries out what came about by itself: a deadline, a lost token, set-points that were put.
-    pub(super) fn couple(&mut self, coupling: &Coupling, order: &Order) -> Result<(), OrderError> {
+    pub(super) fn couple(
+        &mut self,
+        from: &ControllerInput,
+        order: &Command,
+    ) -> Result<(), SwarmError> {
         match order {
-            Order::Deadline(controller) => {
+            Command::Deadline(controller) => {
                 self.controllers.find(controller)?;
-                self.note_coupling(coupling, None);
+                self.note_coupling(from, None);
                 self.deadline(controller);
             }
-            Order::Lost(controller) => {
+            Command::Lost(controller) => {
                 self.controllers.find(controller)?;
-                self.note_coupling(coupling, None);
+                self.note_coupling(from, None);
                 self.part(controller, Departure::Lost);
             }
-            Order::Control {
+            Command::Control {
                 controller,
                 sequence,
                 set,
@@ -209,13 +213,13 @@ impl Worker {
                     member.kept.steered.extend(&set.ids);
                 }
                 steered?;
-                self.note_coupling(coupling, None);
-                self.enter_in_history(coupling.sender.clone());
+                self.note_coupling(from, None);
+                self.enter_in_history(from.sender.clone());
                 return Ok(());
             }
             _ => unreachable!("all else has a sender who waits"),
         }
-        self.tell(EventKind::Command(coupling.sender.clone()));
+        self.tell(EventKind::Command(from.sender.clone()));
         self.go_on();
         self.show_if_standing();
         Ok(())
@@ -239,7 +243,7 @@ impl Worker {
         {
             kept.target = nearest;
         }
-        if mode == Mode::Lockstep && misses >= MOST_MISSES {
+        if mode == Mode::Lockstep && misses >= MAX_MISSES {
             self.part(controller, Departure::Late);
         }
         if on_timeout == OnTimeout::Pause {
@@ -253,18 +257,18 @@ impl Worker {
     }
 
     /// Refuses what was to be done for a controller: nothing has changed.
-    fn refuse_coupling(&mut self, coupling: &Coupling, error: &OrderError, answer: Answer) {
+    fn refuse_coupling(&mut self, from: &ControllerInput, error: &SwarmError, answer: ReplyTo) {
         self.simulation.seq -= 1;
-        if coupling.input > 0 {
-            self.became(coupling.input, Err(error));
+        if from.input > 0 {
+            self.record_outcome(from.input, Err(error));
         }
         answer.send(Err(self.refusal(error.clone())));
     }
 
     /// Writes down, when it suits, what was done for a controller. Once that is safe, so are the
     /// steps up to `until`.
-    fn note_coupling(&mut self, coupling: &Coupling, until: Option<u64>) {
-        let record = self.applied_record(coupling.input, &coupling.sender);
+    fn note_coupling(&mut self, from: &ControllerInput, until: Option<u64>) {
+        let record = self.applied_record(from.input, &from.sender);
         self.journal.append(self.at(), record, until);
     }
 
@@ -324,7 +328,7 @@ impl Worker {
         self.answer_advances(waiting, from_then_on);
     }
 
-    fn answer_advances(&mut self, answers: Vec<(Answer, u64, News)>, from_then_on: &Phase) {
+    fn answer_advances(&mut self, answers: Vec<(ReplyTo, u64, News)>, from_then_on: &Phase) {
         if answers.is_empty() {
             return;
         }
@@ -349,7 +353,7 @@ impl Worker {
         }
         for controller in self.controllers.overdue(Instant::now()) {
             let sender = by_itself("deadline", &controller);
-            if let Some(end) = self.order_itself(Order::Deadline(controller), sender) {
+            if let Some(end) = self.order_itself(Command::Deadline(controller), sender) {
                 return Some(end);
             }
         }
@@ -361,7 +365,7 @@ impl Worker {
         // Most tokens are of controllers that have said goodbye.
         self.controllers.find(&controller).ok()?;
         let sender = by_itself("lost", &controller);
-        self.order_itself(Order::Lost(controller), sender)
+        self.order_itself(Command::Lost(controller), sender)
     }
 
     /// Applies the set-points that were put since the last step.
@@ -376,7 +380,7 @@ impl Worker {
                 set,
                 sender,
             } = put;
-            let order = Order::Control {
+            let order = Command::Control {
                 controller,
                 sequence,
                 set,
@@ -388,14 +392,14 @@ impl Worker {
         self.controllers.wait_at(step, Instant::now());
     }
 
-    fn order_itself(&mut self, order: Order, sender: Arc<Sender>) -> Option<End> {
+    fn order_itself(&mut self, order: Command, sender: Arc<Sender>) -> Option<End> {
         // A fault keeps the last good state: nothing comes about by itself until a reset.
         if matches!(self.phase, Phase::Faulted(_)) {
             return None;
         }
         self.since.inputs += 1;
         self.applied_at(self.unix_secs(), |it| {
-            it.carry_out(0, order, sender, Answer::ignored())
+            it.execute(0, order, sender, ReplyTo::ignored())
         })
     }
 

@@ -12,7 +12,7 @@ use tracing::{info, warn};
 use crate::api::incoming::{Incoming, Target};
 use crate::convert::commands::CommandError;
 use crate::metrics::Pulse;
-use crate::swarm::outcome::DeferredAnswer;
+use crate::swarm::outcome::DeferredReply;
 use crate::transport::zenoh::claims::{Action, Gate, Name, Reserved};
 use crate::transport::zenoh::gateway::Gateway;
 use crate::transport::zenoh::messages::DispatchMessage;
@@ -195,7 +195,7 @@ impl Dispatcher {
         }
     }
 
-    fn begun(&mut self, swarm: &str, reply: DeferredAnswer) {
+    fn begun(&mut self, swarm: &str, reply: DeferredReply) {
         let is_recovering = &self.gateway.context.is_recovering;
         let is_recovering = is_recovering.load(Ordering::Acquire);
         let name = Name::Swarm(swarm.to_owned());
@@ -225,7 +225,7 @@ impl Dispatcher {
         }
     }
 
-    fn ended(&mut self, swarm: &str, reply: DeferredAnswer) {
+    fn ended(&mut self, swarm: &str, reply: DeferredReply) {
         if self.endpoints.close(swarm) {
             info!(swarm, "deleted");
         }

@@ -10,7 +10,7 @@ use zenoh::{Session, Wait};
 use crate::api::admission::Admission;
 use crate::api::context::{Context, Peers};
 use crate::api::incoming::{Incoming, Target};
-use crate::swarm::outcome::DeferredAnswer;
+use crate::swarm::outcome::DeferredReply;
 use crate::swarm::runner::SwarmObserver;
 use crate::transport::zenoh::claims::{Claims, Gate, Name};
 use crate::transport::zenoh::messages::DispatchMessage;
@@ -41,13 +41,13 @@ impl SwarmObserver for LifecycleNotifier {
         self.press.is_watched(name, is_moving)
     }
 
-    fn started(&self, name: &str, reply: DeferredAnswer) {
+    fn started(&self, name: &str, reply: DeferredReply) {
         // An error means that the daemon is stopping.
         let message = DispatchMessage::Begun(name.to_owned(), reply);
         let _ = self.messages.send(message);
     }
 
-    fn ended(&self, name: &str, reply: DeferredAnswer) {
+    fn ended(&self, name: &str, reply: DeferredReply) {
         let message = DispatchMessage::Ended(name.to_owned(), reply);
         let _ = self.messages.send(message);
     }

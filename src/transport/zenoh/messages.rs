@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::sync::mpsc::SyncSender;
 
 use crate::api::incoming::Incoming;
-use crate::swarm::outcome::DeferredAnswer;
+use crate::swarm::outcome::DeferredReply;
 
 /// Requests that may be queued for the dispatcher; further ones are rejected with `busy`.
 pub const MAX_QUEUED: usize = 1024;
@@ -20,11 +20,11 @@ pub enum DispatchMessage {
     /// Every swarm is recovered: open the daemon's own keys as soon as its claim permits it.
     Recovered(SyncSender<zenoh::Result<()>>),
     /// A swarm is built.
-    Begun(String, DeferredAnswer),
+    Begun(String, DeferredReply),
     /// A swarm has ended.
-    Ended(String, DeferredAnswer),
+    Ended(String, DeferredReply),
     /// Everything of a swarm that has ended is published.
-    Closed(String, DeferredAnswer),
+    Closed(String, DeferredReply),
     /// The daemon stops.
     Stop,
 }

@@ -21,7 +21,7 @@ use crate::convert::error::refusal;
 use crate::convert::{self, Payload};
 use crate::metrics::Pulse;
 use crate::swarm::frame::Frame;
-use crate::swarm::outcome::DeferredAnswer;
+use crate::swarm::outcome::DeferredReply;
 use crate::swarm::outlet::Outlet;
 use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::session_pool::Lease;
@@ -96,7 +96,7 @@ pub struct Press {
 
 enum Bell {
     Ring(String),
-    Close(String, DeferredAnswer),
+    Close(String, DeferredReply),
     Stop,
 }
 
@@ -164,7 +164,7 @@ impl Press {
 
     /// Publishes what is left of a swarm, and nothing after it. The dispatcher then receives
     /// [`DispatchMessage::Closed`].
-    pub fn close(&self, swarm: &str, reply: DeferredAnswer) {
+    pub fn close(&self, swarm: &str, reply: DeferredReply) {
         let close = Bell::Close(swarm.to_owned(), reply);
         if let Err(error) = self.bells.send(close)
             && let Bell::Close(_, reply) = error.0

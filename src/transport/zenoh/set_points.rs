@@ -14,7 +14,7 @@ use zenoh::{Session, Wait};
 
 use crate::auth::live::LiveRights;
 use crate::convert::commands::control;
-use crate::swarm::handle::Ticket;
+use crate::swarm::handle::Message;
 use crate::swarm::registry::SwarmRegistry;
 use crate::transport::zenoh::claims::Claims;
 
@@ -105,7 +105,7 @@ impl Reader {
         if !self.rights.permits_set_points(controller, token.as_deref()) {
             debug!(swarm, controller, "set-points not permitted");
             // Counted as rejected, so that `get/controllers` shows it.
-            return handle.send(Ticket::Put(controller.to_owned(), None, None));
+            return handle.send(Message::Put(controller.to_owned(), None, None));
         }
         let is_cbor = *sample.encoding() == Encoding::APPLICATION_CBOR;
         let read = match sample.kind() {
@@ -121,7 +121,7 @@ impl Reader {
         };
         // If another daemon serves the name, the set-point may be for that daemon's swarm.
         if self.claims.serves(swarm) {
-            handle.send(Ticket::Put(controller.to_owned(), epoch, put));
+            handle.send(Message::Put(controller.to_owned(), epoch, put));
         }
     }
 
@@ -137,7 +137,7 @@ impl Reader {
             .wait()
             .is_ok_and(|tokens| tokens.into_iter().any(|token| token.result().is_ok()));
         if !is_held && let Some(handle) = self.host.find(swarm) {
-            handle.send(Ticket::Lost(controller.to_owned()));
+            handle.send(Message::Lost(controller.to_owned()));
         }
     }
 

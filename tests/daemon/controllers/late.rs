@@ -77,8 +77,8 @@ async fn steps_are_told_to_be_durable_also_where_deadlines_let_them_be_taken() {
     let (client, swarm) = (&daemon.client, "late");
     client.create(swarm, json!({"n": 12})).await;
     for controller in ["ada", "bob"] {
-        let terms = json!({"controller": controller, "deadline_secs": 0.05});
-        client.ok(swarm, "join", terms).await;
+        let options = json!({"controller": controller, "deadline_secs": 0.05});
+        client.ok(swarm, "join", options).await;
     }
     let mut durable = Vec::new();
     for step in 1..=2_u64 {

@@ -10,8 +10,8 @@ use jostle_proto::{Phase, Request};
 use jostled::convert::commands::{self, create};
 use jostled::convert::durable;
 use jostled::store::Row;
+use jostled::swarm::command::{Command, Until};
 use jostled::swarm::journal::Record;
-use jostled::swarm::order::{Order, Until};
 use jostled::swarm::registry::Limits;
 use jostled::swarm::sender::Sender;
 use serde_json::value::RawValue;
@@ -33,11 +33,11 @@ pub struct Twin {
     pub line: u64,
     epoch: u64,
     /// What became of each line's command: its number, or nothing if it was refused.
-    became: HashMap<u64, Option<u64>>,
+    record_outcome: HashMap<u64, Option<u64>>,
     /// The hashes that steps were answered with.
     hashes: BTreeMap<u64, String>,
     applied: BTreeMap<Name, u64>,
-    put_off: BTreeSet<Name>,
+    schedule_command: BTreeSet<Name>,
     /// Whether what it does now is to be undone.
     is_trying: bool,
     /// Every hash it had, if it is to remember them.
@@ -68,10 +68,10 @@ impl Twin {
             waiting: BTreeMap::new(),
             line: 0,
             epoch: 1,
-            became: HashMap::new(),
+            record_outcome: HashMap::new(),
             hashes: BTreeMap::new(),
             applied: BTreeMap::new(),
-            put_off: BTreeSet::new(),
+            schedule_command: BTreeSet::new(),
             is_trying: false,
             passed: None,
         }
@@ -115,12 +115,12 @@ impl Twin {
                 } => {
                     assert_eq!(row.epoch, self.epoch, "{}: {sender:?}", self.name);
                     self.step_to(row.step);
-                    self.carry_out(at_step, &sender, answers);
+                    self.execute(at_step, &sender, answers);
                 }
                 Record::Became { input, seq, .. } => {
                     // A step's line says itself; so early a line was told before the last kill.
-                    if let Some(became) = self.became.get(&input) {
-                        assert_eq!(*became, seq, "{}: line {input}", self.name);
+                    if let Some(record_outcome) = self.record_outcome.get(&input) {
+                        assert_eq!(*record_outcome, seq, "{}: line {input}", self.name);
                     }
                 }
                 Record::Resumed(epoch) => {
@@ -156,7 +156,7 @@ impl Twin {
                 if self.is_trying {
                     continue;
                 }
-                self.became.insert(line, made);
+                self.record_outcome.insert(line, made);
                 if made.is_some() {
                     self.note(id);
                 }
@@ -167,7 +167,7 @@ impl Twin {
         }
     }
 
-    fn carry_out(&mut self, at_step: Option<u64>, sender: &Sender, answers: &Answers) {
+    fn execute(&mut self, at_step: Option<u64>, sender: &Sender, answers: &Answers) {
         let id = (
             sender.client.clone().unwrap(),
             sender.request_id.clone().unwrap(),
@@ -175,20 +175,20 @@ impl Twin {
         let answer = answers.get(&id);
         let step = self.at();
         let made = match (order(sender), at_step) {
-            (Order::Change(change), None) => self.apply(&[change]),
-            (Order::Batch(changes), None) => self.apply(&changes),
-            (Order::Change(change), Some(at_step)) => {
+            (Command::Change(change), None) => self.apply(&[change]),
+            (Command::Batch(changes), None) => self.apply(&changes),
+            (Command::Change(change), Some(at_step)) => {
                 let waiting = self.waiting.entry(at_step).or_default();
                 waiting.push((self.line, vec![change], id.clone()));
                 let told = format!("{}: {id:?} was put off twice", self.name);
-                assert!(self.put_off.insert(id), "{told}");
+                assert!(self.schedule_command.insert(id), "{told}");
                 if let Some(answer) = answer {
                     assert_eq!(answer["result"]["applies_at_step"], at_step);
                 }
                 return;
             }
             (
-                Order::Run {
+                Command::Run {
                     until: Some(Until::Step(until)),
                     ..
                 },
@@ -201,7 +201,7 @@ impl Twin {
             }
             (order, at_step) => panic!("{}: {order:?} at {at_step:?}", self.name),
         };
-        self.became.insert(self.line, made);
+        self.record_outcome.insert(self.line, made);
         let Some(seq) = made else { return };
         if let Some(answer) = answer.filter(|_| sender.verb != "step") {
             let told = [&answer["seq"], &answer["step"]].map(|it| it.as_u64().unwrap());
@@ -211,9 +211,9 @@ impl Twin {
         self.note(id);
     }
 
-    fn move_by(&mut self, order: Order, answer: Option<&Value>) {
+    fn move_by(&mut self, order: Command, answer: Option<&Value>) {
         match order {
-            Order::Step(steps) => {
+            Command::Step(steps) => {
                 assert_eq!(self.moving, Moving::No, "{}", self.name);
                 let until = self.at() + steps;
                 self.moving = Moving::To(Some(until));
@@ -223,7 +223,7 @@ impl Twin {
                     self.hashes.insert(until, hash.to_owned());
                 }
             }
-            Order::Run { until, .. } => {
+            Command::Run { until, .. } => {
                 let until = until.map(|until| match until {
                     Until::Step(step) => step,
                     Until::Time(time) => panic!("until {time}"),
@@ -234,8 +234,8 @@ impl Twin {
                     Moving::No => Moving::To(until),
                 };
             }
-            Order::Pause => self.moving = Moving::No,
-            Order::Reset(seed) => {
+            Command::Pause => self.moving = Moving::No,
+            Command::Reset(seed) => {
                 let fresh = self.simulation.build_start(seed).unwrap();
                 self.simulation.restart(fresh);
                 self.epoch += 1;
@@ -267,7 +267,7 @@ impl Twin {
 
     /// Whether what was sent under this name was carried out, or put off until its step.
     pub fn has(&self, id: &Name) -> bool {
-        self.applied.contains_key(id) || self.put_off.contains(id)
+        self.applied.contains_key(id) || self.schedule_command.contains(id)
     }
 
     /// Holds an answer against what was carried out, perhaps long before it was given.
@@ -275,7 +275,7 @@ impl Twin {
         let is_a_step = answer["result"]["durable_step"].is_u64();
         if let Some(seq) = self.applied.get(id)
             && !is_a_step
-            && !self.put_off.contains(id)
+            && !self.schedule_command.contains(id)
         {
             assert_eq!(answer["seq"], *seq, "{}: {id:?}: {answer}", self.name);
         }
@@ -313,7 +313,7 @@ impl Twin {
     }
 }
 
-fn order(sender: &Sender) -> Order {
+fn order(sender: &Sender) -> Command {
     let args = RawValue::from_string(sender.args.clone()).unwrap();
     let request = Request {
         args: Some(args),

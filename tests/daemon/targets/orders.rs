@@ -3,8 +3,8 @@
 use jostle_physics::simulation::{Change, Placement, Settings, Spec, Start};
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Error, ErrorCode, Request, keys};
-use jostled::convert::commands::{self, Command, CommandError, create};
-use jostled::swarm::order::{Order, Until};
+use jostled::convert::commands::{self, CommandError, ParsedCommand, create};
+use jostled::swarm::command::{Command, Until};
 use jostled::swarm::registry::Limits;
 
 const LIMITS: Limits = Limits {
@@ -70,7 +70,7 @@ fn is_worded(error: &CommandError) {
     assert!(details.len() < 2000, "{details}");
 }
 
-fn is_in_range(command: &Command) {
+fn is_in_range(command: &ParsedCommand) {
     assert!(command.timeout.as_secs_f64() > 0.0 && command.timeout.as_secs() <= 3600);
     let sender = &command.sender;
     for label in [&sender.client, &sender.request_id].into_iter().flatten() {
@@ -88,7 +88,7 @@ fn is_in_range(command: &Command) {
     );
     let rate = |rate: f64| rate > 0.0 && rate <= 1e6;
     match &command.order {
-        Order::Run { until, rate: new } => {
+        Command::Run { until, rate: new } => {
             assert!(new.is_none_or(|new| new.is_none_or(rate)), "{command:?}");
             match until {
                 Some(Until::Step(step)) => assert!(whole.contains(step)),
@@ -96,18 +96,18 @@ fn is_in_range(command: &Command) {
                 None => {}
             }
         }
-        Order::Step(steps) => assert!((1..=1_000_000_000).contains(steps)),
-        Order::Reset(seed) => assert!(seed.is_none_or(|seed| whole.contains(&seed))),
-        Order::Change(change) => can_be_tried(change),
-        Order::Batch(changes) => {
+        Command::Step(steps) => assert!((1..=1_000_000_000).contains(steps)),
+        Command::Reset(seed) => assert!(seed.is_none_or(|seed| whole.contains(&seed))),
+        Command::Change(change) => can_be_tried(change),
+        Command::Batch(changes) => {
             assert!((1..=256).contains(&changes.len()));
             changes.iter().for_each(can_be_tried);
         }
-        Order::Join(terms) => {
-            let secs = terms.deadline.as_secs_f64();
-            assert!(keys::is_name(&terms.controller) && secs > 0.0 && secs <= 60.0);
+        Command::Join(options) => {
+            let secs = options.deadline.as_secs_f64();
+            assert!(keys::is_name(&options.controller) && secs > 0.0 && secs <= 60.0);
         }
-        Order::Advance {
+        Command::Advance {
             controller,
             steps,
             set,
@@ -118,11 +118,11 @@ fn is_in_range(command: &Command) {
                 assert_eq!([set.direction.len(), weights], [set.ids.len(); 2]);
             }
         }
-        Order::Leave(controller) => assert!(keys::is_name(controller)),
-        Order::Deadline(_) | Order::Lost(_) | Order::Control { .. } => {
+        Command::Leave(controller) => assert!(keys::is_name(controller)),
+        Command::Deadline(_) | Command::Lost(_) | Command::Control { .. } => {
             panic!("nobody can order {command:?}")
         }
-        Order::Pause | Order::Delete => {}
+        Command::Pause | Command::Delete => {}
     }
 }
 

@@ -17,13 +17,13 @@ use jostle_physics::model::Parameters;
 use jostle_physics::model::selection::Selection;
 use jostle_physics::simulation::{Change, ChangeError, Placement, Settings, Spec, Start};
 use jostled::swarm::checkpoint::Checkpoint;
-use jostled::swarm::error::OrderError;
+use jostled::swarm::command::{Awaited, Command, Until, When};
+use jostled::swarm::error::SwarmError;
 use jostled::swarm::error::WriteFault;
 use jostled::swarm::frame::{EventKind, Frame, Place};
-use jostled::swarm::handle::{Command, Handle, Ticket};
+use jostled::swarm::handle::{CommandMessage, Handle, Message};
 use jostled::swarm::journal::{JournalWriter, NoWriter};
-use jostled::swarm::order::{Awaited, Order, Until, When};
-use jostled::swarm::outcome::{Answer, Answered, DeferredAnswer, Outcome};
+use jostled::swarm::outcome::{DeferredReply, Outcome, ReplyTo, SwarmReply};
 use jostled::swarm::phase::Phase;
 use jostled::swarm::registry::{Created, Limits, SwarmRegistry};
 use jostled::swarm::runner::{JournalFactory, PersistNew, SwarmObserver};
@@ -78,11 +78,11 @@ impl SwarmObserver for Silence {
         false
     }
 
-    fn started(&self, _: &str, reply: DeferredAnswer) {
+    fn started(&self, _: &str, reply: DeferredReply) {
         reply.send();
     }
 
-    fn ended(&self, name: &str, reply: DeferredAnswer) {
+    fn ended(&self, name: &str, reply: DeferredReply) {
         if let Some(host) = self.0.get().and_then(Weak::upgrade) {
             host.release(name);
         }
@@ -111,18 +111,18 @@ impl PersistNew for NoStore {
 }
 
 /// The same order for the swarm.
-fn order(told: &Told) -> Order {
+fn order(told: &Told) -> Command {
     match told {
-        Told::Run { until, rate } => Order::Run {
+        Told::Run { until, rate } => Command::Run {
             until: until.map(Until::Step),
             rate: Some(*rate),
         },
-        Told::Pause => Order::Pause,
-        Told::Step(steps) => Order::Step(*steps),
-        Told::Change(step) => Order::Change(change(*step)),
-        Told::Batch(steps) => Order::Batch(steps.iter().map(|step| change(*step)).collect()),
-        Told::Reset => Order::Reset(None),
-        Told::Delete => Order::Delete,
+        Told::Pause => Command::Pause,
+        Told::Step(steps) => Command::Step(*steps),
+        Told::Change(step) => Command::Change(change(*step)),
+        Told::Batch(steps) => Command::Batch(steps.iter().map(|step| change(*step)).collect()),
+        Told::Reset => Command::Reset(None),
+        Told::Delete => Command::Delete,
     }
 }
 
@@ -188,12 +188,12 @@ fn next(bytes: &mut Bytes, model: &Model) -> (Told, When) {
 }
 
 /// The name of an error's variant, and of what is in it where that matters.
-fn name_of(error: &OrderError) -> String {
+fn name_of(error: &SwarmError) -> String {
     match error {
-        OrderError::InBatch { error, .. } => format!("InBatch({})", name_of(error)),
-        OrderError::Phase(error) => format!("Phase({error:?})"),
-        OrderError::Change(ChangeError::Reserve(error)) => variant(error),
-        OrderError::Change(error) => variant(error),
+        SwarmError::InBatch { error, .. } => format!("InBatch({})", name_of(error)),
+        SwarmError::Phase(error) => format!("Phase({error:?})"),
+        SwarmError::Change(ChangeError::Reserve(error)) => variant(error),
+        SwarmError::Change(error) => variant(error),
         other => variant(other),
     }
 }
@@ -204,16 +204,16 @@ fn variant(error: &impl Debug) -> String {
     text[..end.unwrap_or(text.len())].to_owned()
 }
 
-fn answers() -> (Answer, Receiver<Answered>) {
+fn answers() -> (ReplyTo, Receiver<SwarmReply>) {
     let (sender, answers) = channel();
     let answer = move |answered| {
         // Nobody waits any more when the sequence has failed.
         let _ = sender.send(answered);
     };
-    (Answer::new(answer), answers)
+    (ReplyTo::new(answer), answers)
 }
 
-fn answer_from(answers: &Receiver<Answered>) -> Answered {
+fn answer_from(answers: &Receiver<SwarmReply>) -> SwarmReply {
     answers
         .recv_timeout(PATIENCE)
         .expect("every order is answered")
@@ -221,7 +221,7 @@ fn answer_from(answers: &Receiver<Answered>) -> Answered {
 
 fn look(handle: &Handle) -> (Place, Arc<Frame>) {
     let (answer, seen) = answers();
-    handle.send(Ticket::Look(answer));
+    handle.send(Message::Look(answer));
     match answer_from(&seen) {
         Ok((place, Outcome::Seen(frame))) => (place, frame),
         other => panic!("{other:?}"),
@@ -237,7 +237,7 @@ fn settled(handle: &Handle, model: &Model) -> (Place, Arc<Frame>) {
     };
     loop {
         let (answer, arrived) = answers();
-        handle.send(Ticket::Wait(Waiter {
+        handle.send(Message::Wait(Waiter {
             awaited,
             is_abandoned: Box::new(|| false),
             answer,
@@ -299,7 +299,7 @@ pub fn hold(data: &[u8]) {
         model.settle();
         let expected = expected.or_else(|| model.stepped.take());
         let (answer, answered) = answers();
-        handle.send(Ticket::Command(Command {
+        handle.send(Message::Command(CommandMessage {
             order: order(&told),
             when,
             sender: Arc::new(Sender::default()),
@@ -337,9 +337,9 @@ pub fn hold(data: &[u8]) {
             std::thread::yield_now();
         }
         let (answer, answered) = answers();
-        handle.send(Ticket::Look(answer));
+        handle.send(Message::Look(answer));
         let refusal = answer_from(&answered).err();
-        assert!(matches!(refusal.map(|it| it.error), Some(OrderError::Gone)));
+        assert!(matches!(refusal.map(|it| it.error), Some(SwarmError::Gone)));
     }
     has_its_history(&handle, &model);
     assert_eq!(host.stop(PATIENCE), 0);

@@ -19,14 +19,14 @@ pub async fn play(recorded: &Recorded) {
 }
 
 /// Arguments of a fixture, with another deadline.
-fn terms(fixture: &str, deadline_secs: f64) -> Value {
-    let mut terms = args(fixture);
-    terms["deadline_secs"] = json!(deadline_secs);
-    terms
+fn options(fixture: &str, deadline_secs: f64) -> Value {
+    let mut options = args(fixture);
+    options["deadline_secs"] = json!(deadline_secs);
+    options
 }
 
-async fn join(lab: &Lab<'_>, reply: &str, swarm: &str, terms: Value) {
-    lab.cmd(reply, swarm, "join", terms).await;
+async fn join(lab: &Lab<'_>, reply: &str, swarm: &str, options: Value) {
+    lab.cmd(reply, swarm, "join", options).await;
 }
 
 /// Waits until a swarm waits for a controller.
@@ -47,13 +47,13 @@ fn advance(controller: &str, more: Value) -> Value {
 async fn waited_for(lab: &Lab<'_>) {
     let spec = json!({"n": 4, "seed": 1, "start": {"kind": "disc", "radius": 4.0}});
     lab.create("school", spec).await;
-    let ada = terms("join.args", DEADLINE_SECS);
+    let ada = options("join.args", DEADLINE_SECS);
     join(lab, "join.reply", "school", ada).await;
-    let mut bob = terms("join.args.free_running", DEADLINE_SECS);
+    let mut bob = options("join.args.free_running", DEADLINE_SECS);
     bob["select"] = json!({"count": 1});
     bob["again"] = json!(false);
     join(lab, "", "school", bob).await;
-    let eve = terms("join.args.pause", DEADLINE_SECS);
+    let eve = options("join.args.pause", DEADLINE_SECS);
     join(lab, "", "school", eve).await;
     // It is of no epoch that there is.
     let stale = json!({"sequence": 1, "epoch": 7, "set": {"ids": [0], "direction": [1.0],
@@ -115,10 +115,10 @@ async fn late(lab: &Lab<'_>) {
 async fn steered(lab: &Lab<'_>) {
     let spec = json!({"n": 6, "seed": 1, "start": {"kind": "disc", "radius": 2.0}});
     lab.create("crowd", spec).await;
-    let mut ada = terms("join.args", DEADLINE_SECS);
+    let mut ada = options("join.args", DEADLINE_SECS);
     ada["driving"] = json!(true);
     join(lab, "", "crowd", ada).await;
-    let eve = terms("join.args.pause", DEADLINE_SECS);
+    let eve = options("join.args.pause", DEADLINE_SECS);
     join(lab, "", "crowd", eve).await;
     let set = json!({"ids": [1, 2], "direction": [0.5, -1.0], "weight": [0.75, 0.0],
         "turn": [0.5, null], "speed": [null, 0.25]});

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use jostled::swarm::order::When;
+use jostled::swarm::command::When;
 
 /// How many individuals the swarm may grow to.
 pub const LIMIT: usize = 4;
@@ -124,7 +124,7 @@ impl Model {
                 self.waiting.insert((at_step, self.arrived), told.clone());
                 Some(Came::Scheduled(at_step))
             }
-            _ => match self.carry_out(told) {
+            _ => match self.execute(told) {
                 Ok(()) if matches!(told, Told::Step(_)) => {
                     self.stepped = None;
                     None
@@ -139,7 +139,7 @@ impl Model {
     }
 
     /// Carries an order out, or says by which error it is refused.
-    fn carry_out(&mut self, told: &Told) -> Result<(), String> {
+    fn execute(&mut self, told: &Told) -> Result<(), String> {
         let at = self.step;
         let applied = match told {
             Told::Step(steps) => match self.doing {
@@ -223,7 +223,7 @@ impl Model {
                     break;
                 }
                 let told = first.remove();
-                if self.carry_out(&told).is_err() {
+                if self.execute(&told).is_err() {
                     self.refused_later += 1;
                 }
                 if self.deleted {

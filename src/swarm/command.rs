@@ -2,11 +2,11 @@
 
 use jostle_physics::simulation::{Change, Rate, SetPoints};
 
-use crate::swarm::membership::Terms;
+use crate::swarm::membership::JoinOptions;
 
 /// What a swarm is told to do.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Order {
+pub enum Command {
     /// Run, to an end or for good; `rate` only if it is to change.
     Run {
         /// Where to pause.
@@ -25,7 +25,7 @@ pub enum Order {
     /// Several changes at one step, or none of them.
     Batch(Vec<Change>),
     /// Take a controller in.
-    Join(Terms),
+    Join(JoinOptions),
     /// A controller has advanced by so many steps, with these set-points.
     Advance {
         /// Which.
@@ -54,32 +54,32 @@ pub enum Order {
     Delete,
 }
 
-impl Order {
+impl Command {
     /// The controller that it is from.
     pub fn controller(&self) -> Option<&str> {
         match self {
-            Order::Join(Terms { controller, .. })
-            | Order::Advance { controller, .. }
-            | Order::Leave(controller) => Some(controller),
+            Command::Join(JoinOptions { controller, .. })
+            | Command::Advance { controller, .. }
+            | Command::Leave(controller) => Some(controller),
             _ => None,
         }
     }
 
     /// Whether it is written down and safe before it is carried out. Steps are carried out first,
     /// and an end is written when it comes.
-    pub fn is_written_first(&self) -> bool {
-        !self.is_carried_out_first() && !matches!(self, Order::Delete)
+    pub fn is_write_ahead(&self) -> bool {
+        !self.is_group_committed() && !matches!(self, Command::Delete)
     }
 
     /// Whether it is carried out before it is safe: what is exchanged thousands of times a second.
-    pub fn is_carried_out_first(&self) -> bool {
+    pub fn is_group_committed(&self) -> bool {
         matches!(
             self,
-            Order::Step(_)
-                | Order::Advance { .. }
-                | Order::Deadline(_)
-                | Order::Lost(_)
-                | Order::Control { .. }
+            Command::Step(_)
+                | Command::Advance { .. }
+                | Command::Deadline(_)
+                | Command::Lost(_)
+                | Command::Control { .. }
         )
     }
 }
