@@ -1,11 +1,12 @@
 """The overhead of `jostle.sweep` on all cores of this machine, in CPU time.
 
-    target/venv/bin/python benches/sweep.py [TASKS] [--dask]
+    target/venv/bin/python benches/sweep.py [TASKS] [--dask [--dask-defaults]]
 
 It executes runs of n = 50 for 1,000 time units in tasks that are planned for 30 s, and compares
 the CPU time of the overhead (Python, planning, merging) with that of `jostled run`. With --dask a
-Dask scheduler and a worker for each core execute the tasks, and their CPU time is overhead, too.
-It exits with 1 above 5 %.
+Dask scheduler and a worker for each core execute the tasks, and their CPU time is overhead, too;
+they have the settings that `docs/cluster.md` recommends, or with --dask-defaults Dask's own. It
+exits with 1 above 5 %.
 """
 
 from __future__ import annotations
@@ -35,6 +36,11 @@ spec = {{ n = 50 }}
 grid = [{{ pi1 = 4, informed = 5 }}]
 measure = {{ order_every = 50 }}
 """
+# The settings of Dask that `docs/cluster.md` recommends.
+DASK_SETTINGS = {
+    "DASK_DISTRIBUTED__ADMIN__TICK__INTERVAL": "1s",
+    "DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED": "False",
+}
 # A wrapper of `jostled` that appends its CPU time to a file.
 TIMED = """#!/bin/bash
 TIMEFORMAT='%U %S'
@@ -65,7 +71,11 @@ def main() -> None:
     parser = argparse.ArgumentParser(description="The overhead of jostle.sweep.")
     parser.add_argument("tasks", nargs="?", type=int, default=10, help="number of tasks [10]")
     parser.add_argument("--dask", action="store_true", help="execute the tasks by Dask")
+    parser.add_argument("--dask-defaults", action="store_true", help="with Dask's own settings")
     arguments = parser.parse_args()
+    if not arguments.dask_defaults:
+        # `distributed` reads them when it is imported, and so do its workers.
+        os.environ.update(DASK_SETTINGS)
     tasks = arguments.tasks
     release = ROOT / "target" / "release"
     runs = round(tasks * TASK_SECS / RUN_SECS)

@@ -15,6 +15,7 @@ use serde_json::json;
 use signal_hook::consts::{SIGINT, SIGTERM};
 use thiserror::Error;
 
+use jostle_experiment::shell::{operand, quoted};
 use jostle_experiment::{
     Control, ExecuteError, Execution, Folder, FolderError, Outcome, Plan, PlanError, Progress,
     Subset, SubsetError, execute, unfinished,
@@ -94,7 +95,7 @@ impl Which {
         match self {
             Which::All => String::new(),
             Which::Part { number, of } => format!(" --part {number}/{of}"),
-            Which::Runs(text) => format!(" --runs {text}"),
+            Which::Runs(text) => format!(" --runs {}", quoted(text)),
         }
     }
 }
@@ -375,8 +376,46 @@ fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Prog
         let _ = writeln!(out, "and {more} more: see runs.jsonl");
     }
     if *is_cancelled {
-        let (file, which) = (options.file.display(), options.which.options());
-        let output = options.output.as_deref().unwrap_or(output).display();
-        eprintln!("jostled: interrupted; `jostled run {file}{which} -o {output}` continues");
+        let output = options.output.as_deref().unwrap_or(output);
+        let command = command(options, output);
+        eprintln!("jostled: interrupted; `{command}` continues");
+    }
+}
+
+/// The command that executes the same runs again.
+fn command(options: &Options, output: &Path) -> String {
+    let path = |path: &Path| quoted(&operand(&path.to_string_lossy()));
+    let (file, which, output) = (path(&options.file), options.which.options(), path(output));
+    let mut command = format!("jostled run {file}{which} -o {output}");
+    if let Some(every) = options.checkpoint_every {
+        command.push_str(&format!(" --checkpoint {}s", every.as_secs_f64()));
+    }
+    if let Some(threads) = options.threads {
+        command.push_str(&format!(" --threads {threads}"));
+    }
+    command
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_command_that_continues_is_quoted_and_has_all_options() {
+        let mut options = Options {
+            file: "my order.toml".into(),
+            output: None,
+            which: Which::Part { number: 3, of: 40 },
+            threads: NonZero::new(2),
+            checkpoint_every: Some(Duration::from_millis(1500)),
+            json: false,
+        };
+        let expected = "jostled run 'my order.toml' --part 3/40 -o './-o$' --checkpoint 1.5s \
+                        --threads 2";
+        assert_eq!(command(&options, Path::new("-o$")), expected);
+        options.which = Which::Runs("1, 2".to_owned());
+        (options.threads, options.checkpoint_every) = (None, None);
+        let expected = "jostled run 'my order.toml' --runs '1, 2' -o out";
+        assert_eq!(command(&options, Path::new("out")), expected);
     }
 }

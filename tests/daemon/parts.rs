@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::os::unix::fs::PermissionsExt as _;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output, Stdio};
 use std::time::Duration;
@@ -486,6 +487,105 @@ fn folders_that_cannot_be_written_are_named_and_nothing_is_left() {
         message.contains("empty contains no results: use folders"),
         "{message}"
     );
+}
+
+#[test]
+fn a_part_that_cannot_be_read_is_named() {
+    let fixture = Fixture::new();
+    for (name, part) in [("one", "1/2"), ("two", "2/2")] {
+        fixture.run(&format!("parts/{name}"), &["--part", part]);
+    }
+    let two = fixture.path("parts/two");
+    let set_mode = |mode| fs::set_permissions(&two, fs::Permissions::from_mode(mode)).unwrap();
+    set_mode(0o000);
+    let program = Path::new(env!("CARGO_BIN_EXE_jostled")).with_file_name("jostle");
+    let merge = ["results", "merge", "parts", "-o", "merged"];
+    let plan = ["experiment", "plan", "parts.toml", "--missing", "parts"];
+    for arguments in [&merge[..], &plan] {
+        // With these capabilities the superuser may read everywhere.
+        let capabilities = "=-dac_override,-dac_read_search";
+        let mut command = Command::new("setpriv");
+        command.args(["bounding-set", "inh-caps"].map(|it| format!("--{it}{capabilities}")));
+        if !rustix::process::geteuid().is_root() {
+            command = Command::new("env");
+        }
+        let command = command.arg(&program).args(arguments);
+        let output = command.current_dir(fixture.0.path()).output().unwrap();
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(5), "{message}");
+        assert!(
+            message.contains("parts/two: Permission denied"),
+            "{message}"
+        );
+    }
+    set_mode(0o755);
+    assert!(!fixture.path("merged").exists());
+}
+
+#[test]
+fn a_damaged_line_of_the_first_part_is_named() {
+    let fixture = Fixture::new();
+    let parts = ["one", "three", "two"];
+    for (name, part) in parts.iter().zip(["1/3", "2/3", "3/3"]) {
+        fixture.run(name, &["--part", part]);
+    }
+    let damage = |text: String| {
+        let mut lines: Vec<&str> = text.split_inclusive('\n').collect();
+        lines[1] = "{\"run\": 3}\n";
+        lines.concat()
+    };
+    fixture.edit("one", damage);
+    let message = fixture.rejected(&parts, 2);
+    assert!(message.contains("one/runs.jsonl, line 2: "), "{message}");
+    assert!(
+        message.contains("restore the file from a copy"),
+        "{message}"
+    );
+}
+
+#[test]
+fn a_merge_that_cannot_be_renamed_names_the_folder_of_its_results() {
+    let fixture = Fixture::new();
+    fixture.run("one", &["--part", "1/1"]);
+    // A mount point cannot be replaced.
+    let Some(disk) = Small::mount(1) else {
+        return;
+    };
+    let target = disk.path().to_str().unwrap();
+    let (_, message) = fixture.merge(&["one"], &["-o", target]).unwrap_err();
+    let (folder, name) = target.rsplit_once('/').unwrap();
+    let results = format!("{folder}/.jostle-{name}.merge");
+    assert!(message.contains(&format!("failed to rename {results} to {target}: ")));
+    assert!(message.contains("the results are complete in the former"));
+    let table = fs::read(Path::new(&results).join("results.csv")).unwrap();
+    fs::remove_dir_all(&results).unwrap();
+    assert_eq!(table, fixture.tables("one")["results.csv"]);
+}
+
+#[test]
+fn names_in_a_script_are_neither_options_nor_commands() {
+    let fixture = Fixture::new();
+    fs::copy(fixture.path("parts.toml"), fixture.path("-p.toml")).unwrap();
+    let plan = ["experiment", "plan", "--parts", "2", "--emit", "slurm"];
+    let planned = |more: &[&str]| fixture.jostle(&[&plan[..], more].concat());
+    let script = planned(&["--out=-o", "--", "-p.toml"]).stdout;
+    let script = String::from_utf8(script).unwrap();
+    assert!(
+        script.contains("\nexec jostled run ./-p.toml --part "),
+        "{script}"
+    );
+    assert!(script.contains("\n  -o ./-o/part-"), "{script}");
+    fs::copy(fixture.path("parts.toml"), fixture.path("p\nrm.toml")).unwrap();
+    for more in [["p\nrm.toml", "--out=o"], ["parts.toml", "--out=o\rrm"]] {
+        let output = planned(&more);
+        let message = String::from_utf8(output.stderr).unwrap();
+        assert_eq!(output.status.code(), Some(2), "{message}");
+        assert!(
+            message.contains("a script cannot contain control characters"),
+            "{message}"
+        );
+        assert!(output.stdout.is_empty());
+    }
 }
 
 /// The text of the blocks of a kind in a section of the page.

@@ -183,7 +183,9 @@ pub fn ids(text: &str) -> Result<RangeInclusive<u32>, String> {
 pub fn seconds(text: &str) -> Result<f64, String> {
     match number(text.strip_suffix('s').unwrap_or(text)) {
         Ok(seconds) if seconds > 0.0 && seconds <= 1e9 => Ok(seconds),
-        _ => Err(format!("`{text}` is not a number of seconds above 0")),
+        _ => Err(format!(
+            "`{text}` is not a number of seconds above 0 and at most 1e9"
+        )),
     }
 }
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -58,6 +59,18 @@ def test_a_value_of_the_spec_keeps_the_seeds(tmp_path: Path) -> None:
     assert [row.pi1 for row in (*one, *other)] == [2.0, 2.0, 3.0, 3.0]
 
 
+def test_a_value_replaces_an_axis_of_the_file_and_keeps_the_seeds(tmp_path: Path) -> None:
+    experiment = f"{EXPERIMENT}[[grid]]\npi1 = [2, 3]\n"
+    objective = jostle.Objective(experiment, "v", folder=tmp_path / "search")
+    one, other = objective.rows(pi1=2.0), objective.rows(pi1=3.0)
+    assert [row.run for row in one] == ["#0", "#1"]
+    assert [row.seed for row in one] == [row.seed for row in other]
+    with jostle.sweep(experiment, folder=tmp_path / "whole") as sweep:
+        of_file = [row for row in sweep.wait().rows() if row.pi1 == 2.0]
+    assert [row.run for row in of_file] == ["pi1=2 #0", "pi1=2 #1"]
+    assert not {row.seed for row in of_file} & {row.seed for row in one}
+
+
 def test_invalid_searches_are_errors(tmp_path: Path) -> None:
     with pytest.raises(
         jostle.InvalidArgument, match="unknown measure 'speed': use one of seed, n,"
@@ -66,12 +79,29 @@ def test_invalid_searches_are_errors(tmp_path: Path) -> None:
     with pytest.raises(jostle.InvalidArgument, match="invalid experiment: "):
         jostle.Objective("name = \n=", "v", folder=tmp_path)
     objective = jostle.Objective(EXPERIMENT, "v_pd", folder=tmp_path)
-    with pytest.raises(jostle.InvalidArgument, match="pi1"):
-        objective(pi1=-1.0)
+    with pytest.raises(
+        jostle.InvalidArgument, match=r"^the experiment with n=4, pi1=-1.0: run .#0.: pi1 = -1.0"
+    ):
+        objective(n=4, pi1=-1.0)
+    for value in (None, [1], float("nan"), 10**400):
+        with pytest.raises(
+            jostle.InvalidArgument, match=r"^pi1 is .* a finite number or text"
+        ) as it:
+            objective(pi1=value)  # type: ignore[arg-type]
+        assert it.value.details == {"field": "pi1"}
     with pytest.raises(jostle.InvalidArgument, match="exclude each other"):
         objective(informed=1, informed_fraction=0.5)
-    with pytest.raises(jostle.InvalidArgument, match="colour"):
+    # The line of the generated file is not the caller's.
+    with pytest.raises(
+        jostle.InvalidArgument, match=r"^the experiment with colour='red': colour: unknown field"
+    ):
         objective(colour="red")
+    file = tmp_path / "wrong.toml"
+    file.write_text(EXPERIMENT.replace("n = 8", "n = 8\npi1 = 0"), encoding="utf-8")
+    with pytest.raises(
+        jostle.InvalidArgument, match=rf"^{re.escape(str(file))}: run .#0.: pi1 = 0"
+    ):
+        jostle.Objective(file, "v", folder=tmp_path)()
     with pytest.raises(
         jostle.Faulted, match=r"no finite .v_pd. in 2 of 2 runs.*v_pd needs informed"
     ):

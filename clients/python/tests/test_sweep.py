@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import random
+import re
 import signal
 import subprocess
 import sys
+import tarfile
 import textwrap
 import threading
 from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import dask
 import distributed
@@ -156,18 +160,54 @@ def test_a_worker_of_another_version_is_an_error(tmp_path: Path) -> None:
     jostle.sweep(SMALL, folder=folder, task_secs=TASK_SECS).wait()
 
 
+class WithoutRuns(ThreadPoolExecutor):
+    """An executor whose results lack `runs.jsonl`, as those of another version might."""
+
+    def submit(self, work: Callable[..., Any], /, *arguments: Any, **options: Any) -> Future[Any]:
+        """Submits `work`, and reduces its result."""
+
+        def run() -> bytes:
+            reduced = io.BytesIO()
+            with (
+                tarfile.open(fileobj=io.BytesIO(work(*arguments, **options))) as archive,
+                tarfile.open(fileobj=reduced, mode="w:gz") as tar,
+            ):
+                file = archive.getmember("experiment.toml")
+                tar.addfile(file, archive.extractfile(file))
+            return reduced.getvalue()
+
+        return super().submit(run)
+
+
+def test_a_result_without_a_file_is_an_error(tmp_path: Path) -> None:
+    with WithoutRuns(1) as executor:
+        sweep = jostle.sweep(SMALL, executor, folder=tmp_path / "results", task_secs=TASK_SECS)
+        with pytest.raises(
+            jostle.Conflict, match=r"the result of runs [\d,-]+ has no runs.jsonl: install the same"
+        ):
+            sweep.wait()
+    assert not list(tmp_path.iterdir())
+
+
 def test_invalid_arguments_and_folders_change_nothing(tmp_path: Path) -> None:
     folder = tmp_path / "results"
     for source, arguments, message in (
-        ("name = 3\n", {}, "line 1"),
+        ("name = 3\n", {}, "^the experiment: line 1: "),
+        ({"name": 3}, {}, "^the experiment: line 1: "),
         (SMALL, {"executor": "spark:here"}, "invalid executor 'spark:here'"),
         (SMALL, {"executor": 3}, "invalid executor 3: it has no method `submit`"),
+        (SMALL, {"executor": ThreadPoolExecutor}, "it is a class; use an instance"),
         (SMALL, {"task_secs": 0.0}, "task_secs"),
+        (SMALL, {"task_secs": 1e300}, r"task_secs is 1e\+300, but must be at most 1e\+09"),
         (SMALL, {"task_secs": float("nan")}, "task_secs"),
     ):
         with pytest.raises(jostle.InvalidArgument, match=message):
             jostle.sweep(source, folder=folder, **arguments)
         assert not list(tmp_path.iterdir())
+    file = tmp_path / "wrong.toml"
+    file.write_text("name = 3\n", encoding="utf-8")
+    with pytest.raises(jostle.InvalidArgument, match=f"^{re.escape(str(file))}: line 1: "):
+        jostle.sweep(file, folder=folder)
     (folder / "experiment.toml").parent.mkdir()
     (folder / "experiment.toml").write_text("name = 'another'", encoding="utf-8")
     with pytest.raises(jostle.IncorrectState, match="contains another experiment"):
@@ -395,6 +435,17 @@ def test_the_page_about_clusters_sweeps_on_dask(
     monkeypatch.chdir(tmp_path)
     exec(compile(code, "cluster.md", "exec"), {})
     assert len((tmp_path / "results" / "results.csv").read_text().splitlines()) == 41
+
+
+def test_the_variables_of_the_page_are_settings_of_dask() -> None:
+    page = (ROOT / "docs" / "cluster.md").read_text(encoding="utf-8")
+    lines = page.split("```text\n")[1].split("```")[0].splitlines()
+    found = dask.config.collect_env(dict(line.split("=") for line in lines))["distributed"]
+    defaults = dask.config.config["distributed"]
+    assert defaults["worker"]["profile"]["enabled"] is True
+    assert found["worker"]["profile"]["enabled"] is False
+    assert defaults["admin"]["tick"]["interval"] == "20ms"
+    assert found["admin"]["tick"]["interval"] == "1s"
 
 
 def test_a_scheduler_that_does_not_answer_is_unavailable(

@@ -88,10 +88,10 @@ pub fn execute(
     let (done, mut left): (Vec<usize>, Vec<usize>) = subset
         .indices()
         .iter()
-        .partition(|&&index| folder.is_finished(&runs[index]));
+        .partition(|&&index| folder.is_finished(index));
     let sum = |indices: &[usize]| indices.iter().map(|&index| cost(index)).sum();
     let costs = [sum(subset.indices()), sum(&done)];
-    let faults = folder.faults(plan, subset).len();
+    let faults = folder.faults(subset).len();
     control.begin(subset.indices().len(), done.len(), faults, costs);
     left.sort_by(|&one, &other| cost(other).total_cmp(&cost(one)));
 
@@ -160,12 +160,12 @@ pub fn execute(
     let unwritten = unwritten
         .into_inner()
         .unwrap_or_else(PoisonError::into_inner);
-    let is_finished = |index: &&usize| folder.is_finished(&runs[**index]);
+    let is_finished = |index: &&usize| folder.is_finished(**index);
     let finished = subset.indices().iter().filter(is_finished).count();
     Ok(Outcome {
         runs: subset.indices().len(),
         finished,
-        faults: folder.faults(plan, subset),
+        faults: folder.faults(subset),
         is_cancelled: finished < subset.indices().len(),
         checkpoint_error: unwritten.map(|error| error.to_string()),
     })
@@ -345,7 +345,7 @@ mod tests {
         assert_eq!(control.progress().faulted, outcome.faults.len());
         let (name, reason) = &outcome.faults[0];
         assert!(reason.contains("cross"), "{reason}");
-        let rows = folder.rows(&plan);
+        let rows = folder.rows();
         let row = rows.iter().find(|row| row.run == *name).unwrap();
         assert!(row.time < 40.0 && row.steps > 0 && row.number(Measure::V) > 0.0);
     }

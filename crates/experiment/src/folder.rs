@@ -33,7 +33,7 @@ use self::list::{
     to_line, to_range,
 };
 pub use self::part::{Part, parts_in};
-use crate::plan::{Plan, PlannedRun};
+use crate::plan::Plan;
 use crate::run::Finished;
 use crate::subset::Subset;
 
@@ -52,7 +52,8 @@ pub struct Folder {
     runs: File,
     /// The length of the list of runs, in bytes.
     length: u64,
-    finished: BTreeMap<String, Entry>,
+    /// The finished runs by their index in the plan.
+    finished: BTreeMap<usize, Entry>,
     /// The lock is released when this file is closed.
     _lock: File,
 }
@@ -110,7 +111,7 @@ impl Folder {
     pub fn read(path: &Path, plan: &Plan) -> Result<Vec<ResultRow>, FolderError> {
         let bytes = read_or_empty(&path.join(RUNS))?;
         let (finished, _) = parse_runs(path, plan, &bytes)?;
-        Ok(rows(plan, &finished))
+        Ok(rows(&finished))
     }
 
     /// Reads the order over time of a finished run, by its index in the plan.
@@ -121,7 +122,7 @@ impl Folder {
     pub fn read_order(path: &Path, plan: &Plan, index: usize) -> Result<OrderSeries, FolderError> {
         let bytes = read_or_empty(&path.join(RUNS))?;
         let (finished, _) = parse_runs(path, plan, &bytes)?;
-        let line = match finished.get(&plan.runs()[index].name) {
+        let line = match finished.get(&index) {
             Some(entry) => &bytes[to_range(&entry.line)],
             None => &[],
         };
@@ -134,22 +135,16 @@ impl Folder {
         &self.path
     }
 
-    /// Returns the row of a run; none if it is not finished or ended before its first step.
+    /// Returns whether a run is finished, by its index in the plan.
     #[must_use]
-    pub fn row(&self, run: &str) -> Option<&ResultRow> {
-        self.finished.get(run)?.record.row.as_ref()
-    }
-
-    /// Returns whether a run is finished.
-    #[must_use]
-    pub fn is_finished(&self, run: &PlannedRun) -> bool {
-        self.finished.contains_key(&run.name)
+    pub fn is_finished(&self, index: usize) -> bool {
+        self.finished.contains_key(&index)
     }
 
     /// Returns the rows of the finished runs, in the plan's order.
     #[must_use]
-    pub fn rows(&self, plan: &Plan) -> Vec<ResultRow> {
-        rows(plan, &self.finished)
+    pub fn rows(&self) -> Vec<ResultRow> {
+        rows(&self.finished)
     }
 
     /// Returns the checkpoints of its unfinished runs.
@@ -160,9 +155,9 @@ impl Folder {
 
     /// Returns the names of the runs of a subset that ended early, each with its reason.
     #[must_use]
-    pub fn faults(&self, plan: &Plan, subset: &Subset) -> Vec<(String, String)> {
-        let runs = subset.indices().iter().map(|&index| &plan.runs()[index]);
-        let records = runs.map(|run| self.finished.get(&run.name));
+    pub fn faults(&self, subset: &Subset) -> Vec<(String, String)> {
+        let runs = subset.indices().iter();
+        let records = runs.map(|index| self.finished.get(index));
         let faults = records.flatten().filter_map(|Entry { record, .. }| {
             let fault = record.fault.as_ref()?;
             Some((record.run.clone(), fault.clone()))
@@ -200,7 +195,7 @@ impl Folder {
                 order,
             }));
             let line = start..self.length + lines.len() as u64;
-            entries.push((record.run.clone(), Entry { record, line }));
+            entries.push((index, Entry { record, line }));
         }
         let written = self.runs.write_all(&lines);
         let synced = written.and_then(|()| self.runs.sync_data());
@@ -284,12 +279,10 @@ impl Folder {
     ///
     /// [`FolderError`].
     pub fn write_tables(&self, plan: &Plan) -> Result<(), FolderError> {
-        table::write(&self.path, &self.rows(plan))?;
+        table::write(&self.path, &self.rows())?;
         if plan.touch {
-            let records = plan.runs().iter().map(|run| self.finished.get(&run.name));
-            let rows = records
-                .flatten()
-                .filter_map(|entry| entry.record.touch.clone());
+            let entries = self.finished.values();
+            let rows = entries.filter_map(|entry| entry.record.touch.clone());
             touch::write(&self.path.join(TOUCH_NAME), &rows.collect::<Vec<_>>())?;
         }
         if plan.order_every.is_none() {
@@ -299,10 +292,8 @@ impl Folder {
         let fail = |source| io_error(&path, source);
         let mut list = File::open(&path).map_err(fail)?;
         let mut writer = OrderWriter::begin(&self.path.join(ORDER_NAME))?;
-        for (index, run) in plan.runs().iter().enumerate() {
-            if let Some(entry) = self.finished.get(&run.name)
-                && entry.record.row.is_some()
-            {
+        for (&index, entry) in &self.finished {
+            if entry.record.row.is_some() {
                 list.seek(SeekFrom::Start(entry.line.start)).map_err(fail)?;
                 let mut line = vec![0; to_range(&entry.line).len()];
                 list.read_exact(&mut line).map_err(fail)?;
@@ -354,8 +345,8 @@ fn claim(folder: &Path, plan: &Plan) -> Result<(), FolderError> {
     }
 }
 
-fn rows(plan: &Plan, finished: &BTreeMap<String, Entry>) -> Vec<ResultRow> {
-    let entries = plan.runs().iter().filter_map(|run| finished.get(&run.name));
+fn rows(finished: &BTreeMap<usize, Entry>) -> Vec<ResultRow> {
+    let entries = finished.values();
     entries
         .filter_map(|entry| entry.record.row.clone())
         .collect()

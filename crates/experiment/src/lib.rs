@@ -15,6 +15,7 @@ mod limits;
 mod merge;
 mod plan;
 mod run;
+pub mod shell;
 mod subset;
 
 pub use control::{Control, Progress};

@@ -179,7 +179,7 @@ impl Parts {
         let mut part_of = vec![None; plan.runs().len()];
         for (number, part) in parts.iter().enumerate() {
             let mut duplicates: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-            for index in part.finished(&plan) {
+            for index in part.finished() {
                 match part_of[index] {
                     None => part_of[index] = Some(number),
                     Some(other) => duplicates.entry(other).or_default().push(index),
@@ -233,7 +233,7 @@ impl Parts {
         };
         let mut sampled = Vec::new();
         for part in &self.parts {
-            let mut runs = part.finished(&self.plan);
+            let mut runs = part.finished();
             runs.sort_by_cached_key(|&index| key(index));
             #[expect(
                 clippy::cast_possible_truncation,
@@ -333,7 +333,8 @@ impl Parts {
     ///
     /// # Errors
     ///
-    /// [`MergeError::Exists`] if `to` is not an empty folder; others if it cannot be written.
+    /// [`MergeError::Exists`] if `to` is not an empty folder; [`FolderError::Rename`], after which the
+    /// temporary folder is complete; others if it cannot be written.
     pub fn write(&self, to: &Path) -> Result<Folder, MergeError> {
         Self::check_target(to)?;
         // An empty folder that exists may be a link or the current folder.
@@ -344,12 +345,12 @@ impl Parts {
             Folder::discard(&temporary)?;
         }
         let mut folder = Folder::open(&temporary, &self.plan)?;
-        let written = self.fill(&mut folder).and_then(|()| Ok(folder.rename(to)?));
-        if let Err(error) = written {
+        if let Err(error) = self.fill(&mut folder) {
             // A folder that cannot be removed is discarded by the next merge.
             let _ = fs::remove_dir_all(&temporary);
             return Err(error);
         }
+        folder.rename(to)?;
         Ok(folder)
     }
 
@@ -391,7 +392,7 @@ pub fn missing(plan: &Plan, folders: &[PathBuf]) -> Result<Subset, MergeError> {
                 folder: folder.clone(),
             });
         }
-        for index in Part::read(folder, plan)?.finished(plan) {
+        for index in Part::read(folder, plan)?.finished() {
             is_finished[index] = true;
         }
     }

@@ -1,6 +1,6 @@
 //! The plan of an experiment: all its runs, checked before the first one starts.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 
 use jostle_physics::simulation::{Spec, Start, begin, steps_in};
 use jostle_proto::{LARGEST_WHOLE, keys};
@@ -29,6 +29,8 @@ pub struct Plan {
     pub text: String,
     points: Vec<Point>,
     runs: Vec<PlannedRun>,
+    /// The indices of all runs, sorted by name.
+    by_name: Vec<usize>,
 }
 
 /// The settings that the replicates of a run share.
@@ -96,23 +98,25 @@ impl Plan {
             text: text.to_owned(),
             points: Vec::new(),
             runs: Vec::new(),
+            by_name: Vec::new(),
         };
         let is_varied = |axis: &&str| grids.iter().any(|grid| grid.has(axis));
         let varied: Vec<&str> = AXES.into_iter().filter(is_varied).collect();
-        let mut names = BTreeSet::new();
+        let mut names = BTreeMap::new();
         for grid in &grids {
             for index in 0..count(grid.size().unwrap_or(0)) {
                 let choice = grid.choice(source, &common, index)?;
                 plan.add_point(source, grid, &choice, &choice.name(&varied))?;
-                let new = plan.runs.iter().rev();
-                for run in new.take(count(grid.replicates)) {
-                    if !names.insert(run.name.clone()) {
+                let new = plan.runs.iter().enumerate().rev();
+                for (index, run) in new.take(count(grid.replicates)) {
+                    if names.insert(run.name.clone(), index).is_some() {
                         let (line, run) = (source.line(&grid.span), run.name.clone());
                         return Err(PlanError::Repeated { line, run });
                     }
                 }
             }
         }
+        plan.by_name = names.into_values().collect();
         let entries = plan.runs.iter().map(|run| plan.entries(run));
         match entries.fold(0, u64::saturating_add) {
             entries if entries > MAX_ENTRIES => Err(PlanError::TooManyEntries { entries }),
@@ -124,6 +128,14 @@ impl Plan {
     #[must_use]
     pub fn runs(&self) -> &[PlannedRun] {
         &self.runs
+    }
+
+    /// Returns the index of the run with this name.
+    #[must_use]
+    pub fn index(&self, name: &str) -> Option<usize> {
+        let by_name = &self.by_name;
+        let found = by_name.binary_search_by(|&index| self.runs[index].name.as_str().cmp(name));
+        found.ok().map(|position| by_name[position])
     }
 
     /// Returns the settings that `run` shares with its replicates.
@@ -298,6 +310,10 @@ mod tests {
             "pi1=4 pi3=0.5 n=4 #0",
         ];
         assert_eq!(names(&both), expected);
+        for (index, run) in both.runs().iter().enumerate() {
+            assert_eq!(both.index(&run.name), Some(index));
+        }
+        assert_eq!(both.index("pi1=2 pi3=1 n=5 #2"), None);
         // A value that does not vary is that of [spec], or the default.
         assert_eq!(both.spec(&both.runs()[8]).parameters.pi3, 0.5);
         let laws = plan(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
+import re
 import statistics
 import tomllib
 from collections.abc import Mapping
@@ -15,11 +16,13 @@ from ._cancel import rest
 from ._errors import Conflict, Faulted, InvalidArgument
 from ._experiment import Source, to_toml
 from ._results import ResultRow
-from ._sweep import Sweep, sweep
+from ._sweep import UNNAMED, Sweep, name_of, sweep
 
 _RETRY_INTERVAL_SECS = 0.2
 # Fields of a grid that a spec does not have.
 _OF_GRID = ("informed", "informed_fraction")
+# Integers of TOML are below it.
+_INT_LIMIT = 2**63
 
 
 class Objective:
@@ -32,7 +35,9 @@ class Objective:
     The results of each set of values are stored in the folder: the same values give the same number
     without executing a run, in this process and in later ones. After an interruption a call
     executes only the missing runs. All values but `informed` and `informed_fraction` leave the
-    seeds of the runs unchanged, so two values are compared with common random numbers.
+    seeds of the runs unchanged, so two values are compared with common random numbers. For that, a
+    value replaces the axis of the same name in the file's grid: the names of the runs do not
+    contain it, so their seeds differ from those of the file's runs with that value.
     """
 
     def __init__(
@@ -75,6 +80,7 @@ class Objective:
                 f"unknown measure {measure!r}: use one of {', '.join(measures)}",
                 details={"field": "measure"},
             )
+        self._name = name_of(source)
         self._measure = measure
         self._folder = Path(folder)
         self._executor = executor
@@ -115,9 +121,17 @@ class Objective:
             InvalidArgument: A value is invalid; the message names the field.
             Faulted: A run ended early.
         """
-        toml = to_toml(self._with(values))
-        name = hashlib.blake2b(toml.encode(), digest_size=12).hexdigest()
-        with self._sweep(toml, self._folder / name) as task:
+        fields = self._with(values)
+        name = hashlib.blake2b(to_toml(fields).encode(), digest_size=12).hexdigest()
+        try:
+            task = self._sweep(fields, self._folder / name)
+        except InvalidArgument as error:
+            given = ", ".join(f"{field}={value!r}" for field, value in values.items())
+            named = f"{self._name} with {given}" if given else self._name
+            # The caller did not write the lines of the mapping's text.
+            message = re.sub(rf"^{UNNAMED}(: line \d+)?", lambda _: named, error.message)
+            raise InvalidArgument(message, details=error.details) from None
+        with task:
             task.wait(show=False)
             if faults := task.faults():
                 run, reason = next(iter(faults.items()))
@@ -128,7 +142,7 @@ class Objective:
                 )
             return task.rows()
 
-    def _sweep(self, toml: str, folder: Path) -> Sweep:
+    def _sweep(self, fields: Mapping[str, Any], folder: Path) -> Sweep:
         """Creates the sweep of these values.
 
         While another process holds the lock of its folder, it retries, without a timeout.
@@ -136,7 +150,7 @@ class Objective:
         while True:
             try:
                 return sweep(
-                    toml,
+                    fields,
                     self._executor,
                     folder=folder,
                     task_secs=self._task_secs,
@@ -155,7 +169,7 @@ class Objective:
         spec = dict(self._fields.get("spec", {}))
         grids = [dict(grid) for grid in self._fields.get("grid", [])]
         for name in sorted(values):
-            value = _canonical(values[name])
+            value = _canonical(name, values[name])
             for grid in grids:
                 grid.pop(name, None)
             if name in _OF_GRID:
@@ -170,9 +184,17 @@ class Objective:
         return {name: it for name, it in fields.items() if it != []}
 
 
-def _canonical(value: float | str) -> float | str:
+def _canonical(name: str, value: float | str) -> float | str:
     """Converts integral floats to int, so that 2.0 and 2 have the same text and folder."""
     if isinstance(value, str):
         return value
-    number = float(value)
-    return int(number) if number.is_integer() else number
+    try:
+        number = float(value)
+    except (TypeError, ValueError, OverflowError):
+        number = math.nan
+    if not math.isfinite(number):
+        raise InvalidArgument(
+            f"{name} is {value!r}, but must be a finite number or text", details={"field": name}
+        )
+    is_int = number.is_integer() and abs(number) < _INT_LIMIT
+    return int(number) if is_int else number

@@ -10,7 +10,7 @@ import hashlib
 import os
 import shutil
 import subprocess
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from types import TracebackType
@@ -42,6 +42,12 @@ if TYPE_CHECKING:
 DASK = "dask:"
 """Prefix of the address of a Dask scheduler."""
 
+UNNAMED = "the experiment"
+"""What errors call an experiment that is not in a file of the caller."""
+
+# The limit of `jostle experiment plan --secs`.
+_MAX_TASK_SECS = 1e9
+
 
 class _Task(msgspec.Struct, frozen=True):
     """A line of `jostle experiment plan --emit jsonl`."""
@@ -57,6 +63,12 @@ class _Line(msgspec.Struct, frozen=True):
     run: str
     fault: str | None = None
     row: ResultRow | None = None
+
+
+def name_of(source: Source) -> str:
+    """What errors call an experiment: its file, if it has one."""
+    is_text = isinstance(source, Mapping) or (isinstance(source, str) and "\n" in source)
+    return UNNAMED if is_text else str(source)
 
 
 def sweep(
@@ -95,6 +107,11 @@ def sweep(
         OSError: A file cannot be read or written.
     """
     secs = check_seconds("task_secs", task_secs)
+    if secs > _MAX_TASK_SECS:
+        raise InvalidArgument(
+            f"task_secs is {task_secs!r}, but must be at most {_MAX_TASK_SECS:g} seconds",
+            details={"field": "task_secs"},
+        )
     if isinstance(executor, str):
         if not executor.startswith(DASK):
             raise InvalidArgument(
@@ -102,6 +119,11 @@ def sweep(
                 "client",
                 details={"field": "executor"},
             )
+    elif isinstance(executor, type):
+        raise InvalidArgument(
+            f"invalid executor {executor!r}: it is a class; use an instance of it",
+            details={"field": "executor"},
+        )
     elif executor is not None and not callable(getattr(executor, "submit", None)):
         raise InvalidArgument(
             f"invalid executor {executor!r}: it has no method `submit`; use a "
@@ -112,7 +134,7 @@ def sweep(
     if path.exists():
         # A link, or the current folder, which cannot be renamed to.
         path = path.resolve()
-    return Sweep(to_toml(source), executor, path, secs, jostled)
+    return Sweep(source, executor, path, secs, jostled)
 
 
 class Sweep:
@@ -124,13 +146,14 @@ class Sweep:
 
     def __init__(
         self,
-        toml: str,
+        source: Source,
         executor: Executor | str | Any,
         folder: Path,
         task_secs: float,
         jostled: str | os.PathLike[str] | None,
     ) -> None:
-        self._toml = toml
+        self._source = source
+        self._toml = to_toml(source)
         self._executor = executor
         self._jostled = None if jostled is None else os.fspath(jostled)
         self._programs = _Programs(self._jostled)
@@ -262,9 +285,18 @@ class Sweep:
         for draft in self._parts.glob(".*"):
             # A part that was being written when an earlier sweep was killed.
             shutil.rmtree(draft, ignore_errors=True)
-        self._planned = self._programs.plan(file, task_secs, self._parts)
+        try:
+            self._planned = self._programs.plan(file, task_secs, self._parts)
+        except InvalidArgument as error:
+            raise self._renamed(error, file) from None
         for part in done:
             self._read(part)
+
+    def _renamed(self, error: InvalidArgument, file: Path) -> InvalidArgument:
+        """The error with the caller's name of the experiment in place of the copy's."""
+        rest = error.message.removeprefix(str(file))
+        name = name_of(self._source) if rest != error.message else ""
+        return InvalidArgument(name + rest, details=error.details)
 
     def _check_merged(self) -> None:
         """Checks that the folder has all results of this experiment."""

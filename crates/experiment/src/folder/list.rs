@@ -124,23 +124,18 @@ pub fn read_series_file(
     Ok(Series { order, drift })
 }
 
-/// Parses the list of runs. Returns the finished runs by name, and the number of bytes in complete
+/// Parses the list of runs. Returns the finished runs by their index in the plan, and the number of bytes in complete
 /// lines.
 pub fn parse_runs(
     folder: &Path,
     plan: &Plan,
     bytes: &[u8],
-) -> Result<(BTreeMap<String, Entry>, u64), FolderError> {
+) -> Result<(BTreeMap<usize, Entry>, u64), FolderError> {
     let damaged = |line: usize, reason: String| FolderError::Damaged {
         path: folder.join(RUNS),
         line: line + 1,
         reason,
     };
-    let seeds: BTreeMap<&str, u64> = plan
-        .runs()
-        .iter()
-        .map(|run| (run.name.as_str(), run.seed))
-        .collect();
     let (mut finished, mut length) = (BTreeMap::new(), 0);
     for (number, line) in bytes.split_inclusive(|&byte| byte == b'\n').enumerate() {
         let is_last = length + line.len() == bytes.len();
@@ -165,24 +160,20 @@ pub fn parse_runs(
                 Ok(_) => unreachable!("only the last line can lack a newline"),
                 Err(error) => return Err(damaged(number, error.to_string())),
             };
-            let seed = record.row.as_ref().map(|row| row.seed);
-            match seeds.get(record.run.as_str()) {
-                None => {
-                    let reason = format!("the experiment has no run {:?}", record.run);
-                    return Err(damaged(number, reason));
-                }
-                Some(&planned) if seed.is_some_and(|seed| seed != planned) => {
-                    let reason = format!(
-                        "run {:?} has seed {}, expected {planned}",
-                        record.run,
-                        seed.unwrap_or_default()
-                    );
-                    return Err(damaged(number, reason));
-                }
-                Some(_) => {}
+            let Some(index) = plan.index(&record.run) else {
+                let reason = format!("the experiment has no run {:?}", record.run);
+                return Err(damaged(number, reason));
+            };
+            let planned = plan.runs()[index].seed;
+            if let Some(row) = &record.row
+                && row.seed != planned
+            {
+                let (run, seed) = (&record.run, row.seed);
+                let reason = format!("run {run:?} has seed {seed}, expected {planned}");
+                return Err(damaged(number, reason));
             }
             let line = length as u64..(length + line.len()) as u64;
-            finished.insert(record.run.clone(), Entry { record, line });
+            finished.insert(index, Entry { record, line });
         }
         length += line.len();
     }

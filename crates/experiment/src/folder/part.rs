@@ -20,7 +20,7 @@ use crate::run::Finished;
 /// would exceed the limit of the process.
 pub struct Part {
     path: PathBuf,
-    finished: BTreeMap<String, Entry>,
+    finished: BTreeMap<usize, Entry>,
 }
 
 impl Part {
@@ -66,11 +66,8 @@ impl Part {
     }
 
     /// Returns the indices of its finished runs in the plan, in ascending order.
-    pub fn finished(&self, plan: &Plan) -> Vec<usize> {
-        let runs = plan.runs().iter().enumerate();
-        runs.filter(|(_, run)| self.finished.contains_key(&run.name))
-            .map(|(index, _)| index)
-            .collect()
+    pub fn finished(&self) -> Vec<usize> {
+        self.finished.keys().copied().collect()
     }
 
     /// Reads the result of a finished run, as `conduct` returns it.
@@ -80,7 +77,7 @@ impl Part {
     /// [`FolderError`]; also if the run is not finished.
     pub fn result(&self, plan: &Plan, index: usize) -> Result<Finished, FolderError> {
         let line = self.line(plan, index)?;
-        let record = self.finished[&plan.runs()[index].name].record.clone();
+        let record = self.finished[&index].record.clone();
         let has_series = plan.order_every.is_some() && record.row.is_some();
         let series = has_series.then(|| read_series(&self.path, plan, index, &line));
         Ok(Finished {
@@ -99,7 +96,7 @@ impl Part {
     /// [`FolderError`]; also if the run is not finished.
     pub fn line(&self, plan: &Plan, index: usize) -> Result<Vec<u8>, FolderError> {
         let path = self.path.join(RUNS);
-        let Some(entry) = self.finished.get(&plan.runs()[index].name) else {
+        let Some(entry) = self.finished.get(&index) else {
             return Err(io_error(&path, io::ErrorKind::NotFound.into()));
         };
         let mut line = vec![0; to_range(&entry.line).len()];

@@ -1,5 +1,4 @@
-//! The order over time, run by run. It has far more rows than runs, so each run is written when it
-//! ends.
+//! The order over time, run by run. It has far more rows than runs, so they are written in groups.
 
 use std::path::{Path, PathBuf};
 
@@ -30,13 +29,28 @@ pub struct OrderSeries {
     pub drifts: Vec<f64>,
 }
 
-/// Writes a file of rows `run, step, time, order, drift`, a row group for each run.
+/// Number of rows after which a row group is written. The metadata of a row group takes 540 bytes: with
+/// a group for each of 100,000 short runs, `order.parquet` had 130 MB, 54 of them metadata.
+const ROWS_OF_GROUP: usize = 1 << 16;
+
+/// Writes a file of rows `run, step, time, order, drift`. All rows of a run are in one row group.
 ///
 /// [`OrderWriter::finish`] gives the file its name; if the writer is dropped before, the file is
 /// deleted.
 pub struct OrderWriter {
     path: PathBuf,
     writer: SerializedFileWriter<NamedTempFile>,
+    group: Columns,
+}
+
+/// The rows of the next row group.
+#[derive(Default)]
+struct Columns {
+    runs: Vec<String>,
+    steps: Vec<u64>,
+    times: Vec<f64>,
+    orders: Vec<f64>,
+    drifts: Vec<Option<f64>>,
 }
 
 impl OrderWriter {
@@ -49,10 +63,11 @@ impl OrderWriter {
         Ok(Self {
             path: path.to_owned(),
             writer: begin(path, schema())?,
+            group: Columns::default(),
         })
     }
 
-    /// Writes one run.
+    /// Adds one run, and writes a row group if there are enough rows.
     ///
     /// # Errors
     ///
@@ -65,17 +80,36 @@ impl OrderWriter {
         let rows = series.steps.len();
         assert_eq!((rows, rows), (series.times.len(), series.orders.len()));
         assert!(series.drifts.is_empty() || series.drifts.len() == rows);
-        let drifts: Vec<Option<f64>> = match series.drifts.len() {
-            0 => vec![None; rows],
-            _ => series.drifts.iter().copied().map(Some).collect(),
-        };
+        let group = &mut self.group;
+        group.runs.extend(vec![series.run.clone(); rows]);
+        group.steps.extend(&series.steps);
+        group.times.extend(&series.times);
+        group.orders.extend(&series.orders);
+        match series.drifts.len() {
+            0 => group.drifts.extend(vec![None; rows]),
+            _ => group.drifts.extend(series.drifts.iter().copied().map(Some)),
+        }
+        match group.runs.len() {
+            ROWS_OF_GROUP.. => self.write_group(),
+            _ => Ok(()),
+        }
+    }
+
+    fn write_group(&mut self) -> Result<(), TableError> {
+        let Columns {
+            runs,
+            steps,
+            times,
+            orders,
+            drifts,
+        } = std::mem::take(&mut self.group);
         let malformed = |error| failed(&self.path, &error, "");
         let mut group = self.writer.next_row_group().map_err(malformed)?;
         let path = &self.path;
-        write_column(path, &mut group, "run", &vec![series.run.clone(); rows])?;
-        write_column(path, &mut group, "step", &series.steps)?;
-        write_column(path, &mut group, "time", &series.times)?;
-        write_column(path, &mut group, "order", &series.orders)?;
+        write_column(path, &mut group, "run", &runs)?;
+        write_column(path, &mut group, "step", &steps)?;
+        write_column(path, &mut group, "time", &times)?;
+        write_column(path, &mut group, "order", &orders)?;
         write_column(path, &mut group, "drift", &drifts)?;
         group.close().map_err(malformed)?;
         Ok(())
@@ -86,7 +120,10 @@ impl OrderWriter {
     /// # Errors
     ///
     /// [`TableError::Io`].
-    pub fn finish(self) -> Result<(), TableError> {
+    pub fn finish(mut self) -> Result<(), TableError> {
+        if !self.group.runs.is_empty() {
+            self.write_group()?;
+        }
         finish(&self.path, self.writer)
     }
 }
@@ -143,6 +180,16 @@ fn schema() -> Result<Type, ParquetError> {
 mod tests {
     use super::*;
 
+    fn groups(path: &Path) -> usize {
+        let mut groups = 0;
+        for_each_group(path, |_| {
+            groups += 1;
+            Ok(())
+        })
+        .unwrap();
+        groups
+    }
+
     #[test]
     fn series_round_trip_run_by_run() {
         let directory = tempfile::tempdir().unwrap();
@@ -160,10 +207,20 @@ mod tests {
             ..quiet.clone()
         };
         let mut writer = OrderWriter::begin(&path).unwrap();
-        writer.append(&quiet).unwrap();
-        writer.append(&led).unwrap();
+        let long = OrderSeries {
+            run: "long".to_owned(),
+            steps: vec![7; ROWS_OF_GROUP - 1],
+            times: vec![0.5; ROWS_OF_GROUP - 1],
+            orders: vec![0.25; ROWS_OF_GROUP - 1],
+            drifts: vec![],
+        };
+        // Two row groups: `quiet` and `long`, then `led`.
+        for series in [&quiet, &long, &led] {
+            writer.append(series).unwrap();
+        }
         assert!(!path.exists(), "the file has its name before it is whole");
         writer.finish().unwrap();
-        assert_eq!(read(&path).unwrap(), [quiet, led]);
+        assert_eq!(groups(&path), 2);
+        assert_eq!(read(&path).unwrap(), [quiet, long, led]);
     }
 }

@@ -2,6 +2,7 @@
 
 use std::num::NonZero;
 
+use jostle_experiment::shell::operand;
 use jostle_experiment::{MODEL_VERSION, Plan, Subset, missing};
 use serde_json::{Value, json};
 
@@ -134,14 +135,6 @@ fn incomplete(plan: &Plan, left: &Subset, of: usize) -> Result<Vec<Subset>, Fail
                 index + 1
             ),
         }),
-    }
-}
-
-/// A path as an argument of a command, where it is not taken for an option.
-fn operand(path: &str) -> String {
-    match path.starts_with('-') {
-        true => format!("./{path}"),
-        false => path.to_owned(),
     }
 }
 
