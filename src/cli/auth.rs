@@ -1,14 +1,20 @@
 //! `jostled auth`: who may do what, and where the daemon is reached.
 
 use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::Subcommand;
+use jostle_proto::Role;
+use serde_json::json;
 
 use crate::auth::AuthError;
 use crate::auth::address::Reach;
 use crate::auth::folder::{Folder, PeopleFile};
 use crate::auth::issue::{self, Moved, SetUp};
-use clap::Subcommand;
-use jostle_proto::Role;
-use serde_json::json;
+use crate::cli::{fail, print};
+use crate::config::{self, Resolved, Source};
+use crate::transport::http;
+use crate::transport::zenoh::session;
 
 /// What is to be done.
 #[derive(Subcommand)]
@@ -58,14 +64,14 @@ pub enum Auth {
     },
 }
 
-/// What `--listen` and `--http` say.
-pub struct Settings {
+/// The settings that `init` and `address` use.
+struct Settings {
     /// Endpoints to listen on; `None` for the default.
-    pub listen: Option<Vec<String>>,
-    /// Where to serve HTTP; `None` for the default.
-    pub http: Option<String>,
+    listen: Option<Vec<String>>,
+    /// Address of the HTTP server; `None` for the default.
+    http: Option<String>,
     /// Whether one of them is a flag of this command.
-    pub are_flags: bool,
+    are_flags: bool,
 }
 
 impl Settings {
@@ -78,18 +84,41 @@ impl Settings {
     }
 }
 
-/// Makes, changes or tells who may do what, in `folder`. Returns what there is to say.
-///
-/// # Errors
-///
-/// An exit code, and what is wrong.
-pub fn give_rights(
-    folder: &str,
-    settings: &Settings,
-    command: &Auth,
-) -> Result<String, (u8, String)> {
+/// Runs `jostled auth`.
+pub fn run(resolved: &Resolved, command: &Auth) -> ExitCode {
+    let set = |name: &str| match &resolved[name] {
+        (_, Source::Default) => None,
+        (text, _) => Some(text.trim().to_owned()),
+    };
+    let is_flag = |name: &str| matches!(resolved[name].1, Source::Flag(_));
+    let settings = Settings {
+        listen: set("listen").map(|listen| config::endpoints(&listen)),
+        http: set("http"),
+        are_flags: is_flag("listen") || is_flag("http"),
+    };
+    if let Some(listen) = &settings.listen {
+        if listen.is_empty() {
+            return fail(2, &"--listen takes at least one endpoint");
+        }
+        if let Err(error) = session::check(listen, true) {
+            return fail(2, &error);
+        }
+    }
+    if let Some(http) = &settings.http
+        && let Err(error) = http::check(http, true)
+    {
+        return fail(2, &error);
+    }
+    match execute(resolved["auth_dir"].0.trim(), &settings, command) {
+        Ok(output) => print(&output),
+        Err((code, problem)) => fail(code, &problem),
+    }
+}
+
+/// Returns the output, or an exit code and the error message.
+fn execute(folder: &str, settings: &Settings, command: &Auth) -> Result<String, (u8, String)> {
     if folder.is_empty() {
-        let problem = "say where: --auth-dir FOLDER, or auth_dir in the settings";
+        let problem = "no folder: set auth_dir, or use --auth-dir FOLDER";
         return Err((2, problem.to_owned()));
     }
     let folder = Folder::at(PathBuf::from(folder));

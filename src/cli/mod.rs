@@ -1,7 +1,29 @@
-//! The subcommands of `jostled` and the settings of its process.
+//! The command line of `jostled` and the configuration of its process.
 
+pub mod arguments;
 pub mod auth;
+pub mod backup;
 pub mod demo;
+pub mod explain;
+pub mod man;
 pub mod process;
 pub mod run;
+pub mod serve;
+pub mod settings;
 pub mod systemd;
+
+use std::fmt::Display;
+use std::io::Write as _;
+use std::process::ExitCode;
+
+/// Prints text. A closed standard output is no error.
+pub fn print(text: &str) -> ExitCode {
+    let _ = std::io::stdout().write_all(text.as_bytes());
+    ExitCode::SUCCESS
+}
+
+/// Prints an error message; returns the exit code.
+pub fn fail(code: u8, error: &dyn Display) -> ExitCode {
+    eprintln!("jostled: {error}");
+    ExitCode::from(code)
+}

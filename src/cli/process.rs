@@ -1,67 +1,95 @@
-//! What is settled for the whole process before its first thread.
+//! Configuration of the process: allocator, zenoh's threads, file descriptors.
 
 use std::env;
 use std::num::NonZero;
 use std::thread::available_parallelism;
 
-/// Where zenoh reads how its threads are shared out.
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use tracing::warn;
+
+/// The environment variable from which zenoh reads the configuration of its threads.
 const RUNTIMES: &str = "ZENOH_RUNTIME";
 
-/// The threads that read from the bus also let clients in and watch every socket, and do what
-/// routing leaves for later. With threads apart for these, as zenoh has them, a query wakes two more
-/// before it is read, each of which takes longer than a step. What is sent leaves from a thread
-/// apart still: whoever reads may have to wait for it.
-const FEWER: &str = "(acc: (handover: rx), net: (handover: rx))";
+/// zenoh's RX threads also accept connections, poll sockets and run deferred routing tasks. With
+/// zenoh's default, a query wakes two more threads before it is read, and each wake-up takes longer
+/// than a step. The TX thread stays separate, since RX threads may block on sending.
+const SHARED_THREADS: &str = "(acc: (handover: rx), net: (handover: rx))";
 
-/// Settles it, once, before the first thread is started. What could not be settled costs memory, and
-/// nothing else.
-pub fn settle() {
-    let _ = keep_few_heaps();
+/// Descriptors of the store, recordings, HTTP connections and wakers, beside one for each client.
+const RESERVED_FILES: u64 = 500;
+
+/// Configures the allocator and zenoh's threads. Called before the first thread is started.
+pub fn configure_process() {
+    // A rejected setting costs memory only.
+    let _ = limit_arenas();
     share_threads();
 }
 
-/// What is free at a heap's end goes back to the system from this size on, in bytes. Left alone,
-/// glibc raises it to twice the largest thing that ever was freed.
-#[cfg(target_env = "gnu")]
-const MOST_FREE: libc::c_int = 256 * 1024;
+/// Raises the limit on open files to the hard limit: each client takes one, and the soft limit is
+/// often 1024.
+pub fn raise_file_limit(max_clients: usize) {
+    let limit = getrlimit(Resource::Nofile);
+    let raised = Rlimit {
+        current: limit.maximum,
+        ..limit
+    };
+    if let Err(error) = setrlimit(Resource::Nofile, raised) {
+        warn!(%error, "failed to raise the limit on open files");
+    }
+    let limit = getrlimit(Resource::Nofile).current;
+    if limit.is_some_and(|files| files < max_clients as u64 + RESERVED_FILES) {
+        warn!(
+            limit,
+            max_clients,
+            "the limit on open files is too low: raise `ulimit -n`, or lower max_clients"
+        );
+    }
+}
 
-/// What is as large as this lies apart from the heaps, in bytes: the columns of 130,000 individuals.
+/// Free memory at the end of an arena is returned to the system from this size on, in bytes. By
+/// default glibc raises this limit to twice the largest block freed so far.
 #[cfg(target_env = "gnu")]
-const LARGE: libc::c_int = 1024 * 1024;
+const TRIM_THRESHOLD: libc::c_int = 256 * 1024;
 
-/// Has the C library keep as many heaps as there are cores, and no more in them than is in use;
-/// says whether it agrees.
+/// Blocks from this size on are mapped outside the arenas, in bytes: the columns of 130,000
+/// individuals.
+#[cfg(target_env = "gnu")]
+const MMAP_THRESHOLD: libc::c_int = 1024 * 1024;
+
+/// Limits the allocator to one arena per core; returns whether it accepts the settings.
 ///
-/// glibc has up to eight for each core, spreads threads over them, and what is freed in one of them
-/// is of no use in another and seldom goes back to the system. Here threads come and go, most of
-/// them asleep: their heaps would grow to many times of what is in use.
+/// By default glibc creates up to eight arenas per core. Memory freed in one arena is not reused by
+/// others, and with many short-lived threads the arenas grow to several times the memory in use.
 #[cfg(target_env = "gnu")]
 #[expect(unsafe_code, reason = "no library has this call")]
-fn keep_few_heaps() -> bool {
+fn limit_arenas() -> bool {
     let cores = available_parallelism().map_or(1, NonZero::get);
     let count = libc::c_int::try_from(cores).unwrap_or(libc::c_int::MAX);
     let settings = [
         (libc::M_ARENA_MAX, count),
-        (libc::M_TRIM_THRESHOLD, MOST_FREE),
-        (libc::M_MMAP_THRESHOLD, LARGE),
+        (libc::M_TRIM_THRESHOLD, TRIM_THRESHOLD),
+        (libc::M_MMAP_THRESHOLD, MMAP_THRESHOLD),
     ];
     settings.into_iter().all(|(which, value)| {
-        // SAFETY: the call takes two numbers, and sets one of the library's own.
+        // SAFETY: the call takes two numbers and sets a parameter of the allocator.
         unsafe { libc::mallopt(which, value) == 1 }
     })
 }
 
-/// Other libraries keep one, or see to it themselves.
+/// Other C libraries have no such parameters.
 #[cfg(not(target_env = "gnu"))]
-fn keep_few_heaps() -> bool {
+fn limit_arenas() -> bool {
     true
 }
 
-/// Has zenoh keep fewer threads apart, unless somebody has told it otherwise.
-#[expect(unsafe_code, reason = "zenoh takes it from the environment alone")]
+/// Sets [`SHARED_THREADS`], unless the variable is set.
+#[expect(
+    unsafe_code,
+    reason = "zenoh reads this setting from the environment only"
+)]
 fn share_threads() {
     if env::var_os(RUNTIMES).is_none() {
-        // SAFETY: there is no other thread yet that could read the environment meanwhile.
-        unsafe { env::set_var(RUNTIMES, FEWER) };
+        // SAFETY: no other thread is running that could read the environment.
+        unsafe { env::set_var(RUNTIMES, SHARED_THREADS) };
     }
 }

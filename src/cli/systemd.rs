@@ -1,7 +1,7 @@
-//! What a supervisor such as systemd is told: that the daemon serves, how it is, and that it stops.
+//! Notifications for a supervisor such as systemd: ready, status, watchdog, stopping.
 //!
-//! Nobody is told anything where `NOTIFY_SOCKET` names nobody. The watchdog is fed by a task of the
-//! runtime, so that a runtime that hangs starves it, too.
+//! Without `NOTIFY_SOCKET` nothing is sent. The watchdog message is sent by a task of the runtime,
+//! so a runtime that hangs misses it too.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,54 +14,54 @@ use tracing::warn;
 use crate::health::{Reason, Watch};
 use crate::swarm::registry::SwarmRegistry;
 
-/// How often is told how it is, where there is no watchdog.
-const PERIOD: Duration = Duration::from_secs(10);
+/// The interval between status messages without a watchdog.
+const STATUS_INTERVAL: Duration = Duration::from_secs(10);
 
-/// Tells that the daemon serves, and from then on how it is; feeds the watchdog at half the time
-/// that it allows, as long as no other start is needed. Never ends where somebody listens.
-pub async fn keep_informed(watch: Arc<Watch>, host: Arc<SwarmRegistry>) {
+/// Sends ready, then the status whenever it changes, and a watchdog message at half the allowed
+/// interval unless the daemon needs a restart. Does not return if there is a supervisor.
+pub async fn notify_status(watch: Arc<Watch>, host: Arc<SwarmRegistry>) {
     if std::env::var_os("NOTIFY_SOCKET").is_none() {
         return;
     }
-    tell(&[NotifyState::Ready]);
+    notify(&[NotifyState::Ready]);
     let watchdog = sd_notify::watchdog_enabled();
-    let period = watchdog.map_or(PERIOD, |allowed| allowed / 2);
+    let period = watchdog.map_or(STATUS_INTERVAL, |allowed| allowed / 2);
     let mut due = interval(period.max(Duration::from_millis(1)));
     due.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut told = String::new();
+    let mut sent = String::new();
     loop {
         due.tick().await;
         let reasons = watch.reasons();
         if watchdog.is_some() && !reasons.iter().any(Reason::asks_for_restart) {
-            tell(&[NotifyState::Watchdog]);
+            notify(&[NotifyState::Watchdog]);
         }
         let status = status(host.handles().0.len(), &reasons);
-        if status != told {
-            tell(&[NotifyState::Status(&status)]);
-            told = status;
+        if status != sent {
+            notify(&[NotifyState::Status(&status)]);
+            sent = status;
         }
     }
 }
 
-/// Tells that the daemon stops.
-pub fn tell_end() {
-    tell(&[NotifyState::Stopping]);
+/// Sends that the daemon is stopping.
+pub fn notify_stopping() {
+    notify(&[NotifyState::Stopping]);
 }
 
-fn tell(news: &[NotifyState]) {
-    if let Err(error) = sd_notify::notify(news) {
-        warn!(%error, "the supervisor does not take what it is told");
+fn notify(messages: &[NotifyState]) {
+    if let Err(error) = sd_notify::notify(messages) {
+        warn!(%error, "sd_notify failed");
     }
 }
 
-/// How it is, in a line.
+/// The status, in one line.
 fn status(swarms: usize, reasons: &[Reason]) -> String {
     let swarms = counted(swarms, "swarm");
     if reasons.is_empty() {
         return format!("{swarms}, all is well");
     }
     let reasons: Vec<String> = reasons.iter().map(ToString::to_string).collect();
-    // A second line would be another piece of news.
+    // A second line would be another message.
     format!("{swarms}, not all is well: {}", reasons.join("; ")).replace('\n', " ")
 }
 

@@ -28,12 +28,11 @@ const LAYERS: [&[&str]; 7] = [
 const UPWARD: [(&str, &str); 0] = [];
 
 /// Libraries, and the modules that may name them.
-const LIBRARIES: [(&str, &[&str]); 10] = [
+const LIBRARIES: [(&str, &[&str]); 9] = [
     ("zenoh", &["app", "transport"]),
     ("zenoh_ext", &["transport/zenoh"]),
     ("axum", &["transport/http"]),
     ("hyper", &["transport/http"]),
-    ("prometheus_client", &["transport/http"]),
     ("rusqlite", &["store"]),
     ("clap", &["cli", "main"]),
     (

@@ -16,7 +16,8 @@ use jostle_proto::{Credentials, Role, keys};
 use jostled::app::{self, Server};
 use jostled::auth::folder::Folder;
 use jostled::auth::issue;
-use jostled::config::{self, Config};
+use jostled::cli::settings;
+use jostled::config::Config;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio::sync::RwLockReadGuard;
@@ -54,17 +55,16 @@ impl Lab {
         let folder = Folder::at(base.path().join("auth"));
         let people = PEOPLE.map(|(name, role)| (name.to_owned(), role));
         issue::init(&folder, &[], &people).unwrap();
-        let text = |path: PathBuf| Some(path.to_str().unwrap().to_owned());
-        let listen = "tls/127.0.0.1:0,tcp/127.0.0.1:0".to_owned();
+        let data = base.path().join("data");
         let flags = [
-            ("listen", Some(listen)),
-            ("node", Some(NODE.to_owned())),
-            ("http", Some(http.to_owned())),
-            ("data_dir", text(base.path().join("data"))),
-            ("auth_dir", text(folder.path().to_owned())),
+            ("listen", "tls/127.0.0.1:0,tcp/127.0.0.1:0"),
+            ("node", NODE),
+            ("http", http),
+            ("data_dir", data.to_str().unwrap()),
+            ("auth_dir", folder.path().to_str().unwrap()),
         ];
-        let merged = config::merge(None, std::iter::empty(), &flags).unwrap();
-        let server = app::start(&Config::new(&merged).unwrap()).await.unwrap();
+        let resolved = settings::from_flags(flags).unwrap();
+        let server = app::start(&Config::new(&resolved).unwrap()).await.unwrap();
         Lab {
             server,
             folder,

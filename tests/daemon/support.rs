@@ -1,11 +1,13 @@
 //! A daemon in this process, and clients with sessions of their own.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::{Duration, Instant};
 
 use jostle_proto::{Error, ErrorCode, keys};
 use jostled::app::{self, Server};
-use jostled::config::{self, Config};
+use jostled::cli::settings;
+use jostled::config::Config;
 use serde_json::{Value, json};
 use tempfile::TempDir;
 use tokio::sync::{RwLock, RwLockReadGuard, RwLockWriteGuard};
@@ -44,7 +46,7 @@ impl Daemon {
     }
 
     /// A daemon with these settings beside those that tests need.
-    pub async fn with(settings: &[(&'static str, &str)]) -> Self {
+    pub async fn with(settings: &[(&str, &str)]) -> Self {
         let machine = beside_others().await;
         Self::on(Some(machine), settings, tempfile::tempdir().unwrap()).await
     }
@@ -56,23 +58,18 @@ impl Daemon {
 
     async fn on(
         machine: Option<RwLockReadGuard<'static, ()>>,
-        settings: &[(&'static str, &str)],
+        settings: &[(&str, &str)],
         folder: TempDir,
     ) -> Self {
-        let mut flags = vec![
-            ("listen", Some("tcp/127.0.0.1:0".to_owned())),
-            ("node", Some(NODE.to_owned())),
-            ("http", Some("127.0.0.1:0".to_owned())),
+        let base = [
+            ("listen", "tcp/127.0.0.1:0"),
+            ("node", NODE),
+            ("http", "127.0.0.1:0"),
+            ("data_dir", folder.path().to_str().unwrap()),
         ];
-        let path = folder.path().to_str().unwrap().to_owned();
-        flags.push(("data_dir", Some(path)));
-        flags.extend(
-            settings
-                .iter()
-                .map(|(name, value)| (*name, Some((*value).to_owned()))),
-        );
-        let merged = config::merge(None, std::iter::empty(), &flags).unwrap();
-        let server = app::start(&Config::new(&merged).unwrap()).await.unwrap();
+        let flags = BTreeMap::from_iter(base.iter().chain(settings).copied());
+        let resolved = settings::from_flags(flags).unwrap();
+        let server = app::start(&Config::new(&resolved).unwrap()).await.unwrap();
         let client = Client::open(&server.endpoints()[0]).await;
         Daemon {
             server,

@@ -17,7 +17,6 @@ use zenoh::Wait;
 use zenoh::pubsub::Subscriber;
 
 use crate::transport::http::bus::Bus;
-use crate::transport::http::past::Past;
 use crate::transport::zenoh::session_pool::Lease;
 
 /// Events that a tab may be behind.
@@ -26,9 +25,6 @@ const EVENTS: usize = 64;
 /// How often the list of swarms is looked at while a tab is open, and told though nothing changed.
 const LIST_PERIOD: Duration = Duration::from_millis(500);
 const LIST_TOLD: Duration = Duration::from_secs(1);
-
-/// How often the order of every swarm is kept, tab or none.
-const KEPT: Duration = Duration::from_secs(1);
 
 /// What is told of one swarm.
 pub struct Feed {
@@ -59,8 +55,6 @@ pub struct Feeds {
     watched: Mutex<HashMap<String, Weak<Feed>>>,
     /// The list of swarms, in JSON.
     pub list: watch::Sender<Bytes>,
-    /// The order of each over the last minutes.
-    pub past: Past,
 }
 
 impl Feeds {
@@ -70,7 +64,6 @@ impl Feeds {
             bus,
             watched: Mutex::default(),
             list: watch::Sender::new(Bytes::new()),
-            past: Past::default(),
         });
         tokio::spawn(list(Arc::downgrade(&feeds)));
         feeds
@@ -145,25 +138,19 @@ impl Feeds {
 async fn list(feeds: Weak<Feeds>) {
     let mut tick = interval(LIST_PERIOD);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let (mut told, mut kept) = (Instant::now(), Instant::now());
+    let mut told = Instant::now();
     loop {
         tick.tick().await;
         let Some(feeds) = feeds.upgrade() else {
             return;
         };
-        let is_read = feeds.list.receiver_count() > 0;
-        let is_due = kept.elapsed() >= KEPT;
-        if !is_read && !is_due {
+        if feeds.list.receiver_count() == 0 {
             continue;
         }
         let answer = feeds.bus.ask("@node/get/swarms", "", None, None).await;
         let Some(document) = answer.ok().and_then(|answer| answer.ok()) else {
             continue;
         };
-        if is_due {
-            feeds.past.keep(&document);
-            kept = Instant::now();
-        }
         let is_new = *feeds.list.borrow() != document;
         if is_new || told.elapsed() >= LIST_TOLD {
             feeds.list.send_replace(document);

@@ -11,13 +11,12 @@ mod admit;
 mod bus;
 mod connections;
 mod feed;
+mod openmetrics;
 mod page;
 mod parameters;
 mod pass;
-mod past;
 mod secure;
 mod socket;
-mod text;
 mod token;
 
 pub use bus::Bus;
@@ -261,10 +260,8 @@ async fn metrics(State(seen): Seen, headers: HeaderMap) -> Response {
     if !seen.pass.may_watch(&headers) {
         return seen.unknown();
     }
-    match text::of(seen.watch.figures(), seen.connections.figures()) {
-        Ok(text) => ([(CONTENT_TYPE, text::CONTENT_TYPE)], text).into_response(),
-        Err(error) => (StatusCode::INTERNAL_SERVER_ERROR, error.to_string()).into_response(),
-    }
+    let text = openmetrics::encode(seen.watch.figures(), seen.connections.figures());
+    ([(CONTENT_TYPE, openmetrics::CONTENT_TYPE)], text).into_response()
 }
 
 async fn hello(State(seen): Seen, headers: HeaderMap) -> Response {

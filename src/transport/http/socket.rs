@@ -71,9 +71,6 @@ async fn feed(socket: &mut WebSocket, feeds: Arc<Feeds>, swarm: Option<String>) 
     let mut lists = feeds.list.subscribe();
     lists.mark_changed();
     let mut watched = None;
-    if swarm.is_none() && tell(socket, text(feeds.past.told())).await.is_none() {
-        return;
-    }
     if let Some(swarm) = swarm {
         let Some((feed, state)) = feeds.watch(&swarm).await else {
             return say_gone(socket).await;

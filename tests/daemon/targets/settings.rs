@@ -1,10 +1,12 @@
 //! The daemon's settings, from a file, the environment and flags.
 
+use std::ffi::OsString;
 use std::path::PathBuf;
 use std::process;
 use std::thread;
 
-use jostled::config::{self, Config};
+use jostled::cli::settings;
+use jostled::config::Config;
 
 /// A file, an environment and a flag, one after the other with NULs between them: either all
 /// values are in range, or what is wrong is named.
@@ -20,13 +22,18 @@ pub fn hold(data: &[u8]) {
         thread::current().id()
     ));
     std::fs::write(&path, file).expect("the temporary folder takes a file");
-    let environment = [(format!("JOSTLED_{name}"), value)];
-    let merged = config::merge(
-        Some(&path),
-        environment.into_iter(),
-        &[("max_hz", Some(flag).filter(|flag| !flag.is_empty()))],
-    );
-    let read = merged.and_then(|merged| Config::new(&merged));
+    let variable = OsString::from(format!("JOSTLED_{name}"));
+    let name = name.to_lowercase();
+    let file = path.to_str().expect("the temporary folder's name is text");
+    // The value of a variable is handled as that of a flag.
+    let flags = [("config", file), ("max_hz", &*flag), (&*name, &*value)];
+    let given = flags
+        .into_iter()
+        .filter(|(name, value)| *name != "max_hz" || !value.is_empty());
+    let read = settings::check_variables([variable].into_iter())
+        .map_err(Into::into)
+        .and_then(|()| settings::from_flags(given))
+        .and_then(|resolved| Ok(Config::new(&resolved)?));
     std::fs::remove_file(&path).expect("it was just written");
     match read {
         Ok(Config { listen, limits, .. }) => {

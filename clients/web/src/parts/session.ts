@@ -24,14 +24,13 @@ export function linkCommand(origin: string, hello: Hello | null): string {
 export class Session {
   readonly live = new Live();
   hello: Hello | null = null;
-  /** The order of each swarm, as the list told it, oldest first. */
+  /** The order of each swarm in the last lists that this tab received, oldest first. */
   readonly orders = new Map<string, number[]>();
   private readonly listeners = new Set<() => void>();
 
   constructor() {
     this.live.listen({
       swarms: (rows) => this.remember(rows),
-      orders: (orders) => this.recall(orders),
       connection: (connection) => {
         // Who is not known is not let in, which looks like a daemon that is away.
         if (connection !== "connecting") {
@@ -101,15 +100,6 @@ export class Session {
     }
     for (const listener of [...this.listeners]) {
       listener();
-    }
-  }
-
-  /** What was before this page looked; what it has seen itself is finer. */
-  private recall(orders: Record<string, number[]>): void {
-    for (const [swarm, past] of Object.entries(orders)) {
-      if ((this.orders.get(swarm)?.length ?? 0) < past.length) {
-        this.orders.set(swarm, past);
-      }
     }
   }
 

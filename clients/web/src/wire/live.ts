@@ -18,8 +18,6 @@ export type Connection = "connecting" | "here" | "away";
 
 export interface Listener {
   swarms?(rows: SwarmRow[]): void;
-  /** The order of each swarm over the last minutes. */
-  orders?(orders: Record<string, number[]>): void;
   /** A newer state is there: `takeState` has it. */
   state?(): void;
   order?(message: OrderMessage): void;
@@ -127,10 +125,7 @@ export class Live {
       return;
     }
     const text = JSON.parse(data) as LiveText;
-    const { swarms, orders, order, event, missed } = text;
-    if (orders) {
-      this.tell((listener) => listener.orders?.(orders));
-    }
+    const { swarms, order, event, missed } = text;
     if (swarms) {
       this.rows = swarms;
       this.tell((listener) => listener.swarms?.(swarms));

@@ -147,8 +147,6 @@ export interface Spec {
 /** The text messages of the socket; each has one of these fields. */
 export interface LiveText {
   swarms?: SwarmRow[];
-  /** The order of each swarm over the last minutes, oldest first. */
-  orders?: Record<string, number[]>;
   order?: OrderMessage;
   event?: SwarmEvent;
   missed?: number;

@@ -5,6 +5,7 @@ mod impostor;
 mod link;
 mod terminal;
 
+use std::collections::BTreeMap;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
@@ -13,7 +14,8 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 use jostled::app::{self, Server};
-use jostled::config::{self, Config};
+use jostled::cli::settings;
+use jostled::config::Config;
 use serde_json::Value;
 
 pub use self::canned::Canned;
@@ -59,7 +61,7 @@ impl Daemon {
     }
 
     /// A daemon with these settings on top.
-    pub async fn with(settings: &[(&'static str, &str)]) -> Self {
+    pub async fn with(settings: &[(&str, &str)]) -> Self {
         Self::on(tempfile::tempdir().unwrap(), settings).await
     }
 
@@ -74,19 +76,16 @@ impl Daemon {
         Self::on(folder, &[("listen", &endpoint)]).await
     }
 
-    async fn on(folder: tempfile::TempDir, settings: &[(&'static str, &str)]) -> Self {
-        let mut flags = vec![
-            ("listen", Some("tcp/127.0.0.1:0".to_owned())),
-            ("node", Some("test".to_owned())),
-            ("http", Some(String::new())),
+    async fn on(folder: tempfile::TempDir, settings: &[(&str, &str)]) -> Self {
+        let base = [
+            ("listen", "tcp/127.0.0.1:0"),
+            ("node", "test"),
+            ("http", ""),
+            ("data_dir", folder.path().to_str().unwrap()),
         ];
-        flags.push(("data_dir", Some(folder.path().to_str().unwrap().to_owned())));
-        for (name, value) in settings {
-            flags.retain(|(earlier, _)| earlier != name);
-            flags.push((*name, Some((*value).to_owned())));
-        }
-        let merged = config::merge(None, std::iter::empty(), &flags).unwrap();
-        let server = app::start(&Config::new(&merged).unwrap()).await.unwrap();
+        let flags = BTreeMap::from_iter(base.iter().chain(settings).copied());
+        let resolved = settings::from_flags(flags).unwrap();
+        let server = app::start(&Config::new(&resolved).unwrap()).await.unwrap();
         let endpoint = server.endpoints()[0].clone();
         Daemon {
             server,

@@ -1,0 +1,175 @@
+//! `jostled config`.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+
+use clap::Arg;
+use serde::Serialize;
+use serde_json::Value;
+
+use crate::cli::settings::{arguments, default, name};
+use crate::config::{Resolved, Source, machine_name};
+
+/// A setting in the output of `jostled config explain --json`.
+#[derive(Serialize)]
+struct Explained {
+    name: String,
+    value: Value,
+    source: Origin,
+    default: Value,
+    meaning: String,
+}
+
+#[derive(Serialize)]
+struct Origin {
+    kind: &'static str,
+    place: Option<String>,
+}
+
+fn explained(resolved: &Resolved) -> Vec<(Explained, &Source)> {
+    let explain = |argument: &Arg| {
+        let (name, default) = (name(argument), default(argument));
+        let (value, source) = &resolved[name];
+        let value = match (name, value.trim()) {
+            ("node", "") => machine_name(),
+            (_, value) => value.to_owned(),
+        };
+        let is_number = default.parse::<u64>().is_ok();
+        let json = |text: String| match text.parse::<u64>() {
+            Ok(number) if is_number => number.into(),
+            _ => text.into(),
+        };
+        let (kind, place) = match source {
+            Source::Default => ("default", None),
+            Source::File(path) => ("file", Some(path.display().to_string())),
+            Source::Environment(variable) => ("environment", Some(variable.clone())),
+            Source::Flag(flag) => ("flag", Some(flag.clone())),
+        };
+        let explained = Explained {
+            name: name.to_owned(),
+            value: json(value),
+            source: Origin { kind, place },
+            default: json(default),
+            meaning: meaning(argument),
+        };
+        (explained, source)
+    };
+    arguments().iter().map(explain).collect()
+}
+
+/// Each setting with its value, source and meaning, as a table.
+pub fn table(resolved: &Resolved) -> String {
+    let header = ["setting", "value", "from", "meaning"].map(str::to_owned);
+    let settings = explained(resolved).into_iter();
+    let settings = settings.map(|(it, source)| {
+        let value = it.value.as_str().map(str::to_owned);
+        let value = value.unwrap_or_else(|| it.value.to_string());
+        [it.name, value, source.to_string(), it.meaning]
+    });
+    let rows: Vec<[String; 4]> = [header].into_iter().chain(settings).collect();
+    let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max();
+    let [name, value, source] = [0, 1, 2].map(|column| width(column).unwrap_or_default());
+    let mut table = String::new();
+    for [a, b, c, meaning] in &rows {
+        // Writing to a string does not fail.
+        let _ = writeln!(table, "{a:name$}  {b:value$}  {c:source$}  {meaning}");
+    }
+    table
+}
+
+/// The same as JSON, with the defaults.
+pub fn json(resolved: &Resolved) -> String {
+    let settings = explained(resolved).into_iter().map(|(it, _)| it);
+    let document = BTreeMap::from([("settings", settings.collect::<Vec<_>>())]);
+    let text = serde_json::to_string_pretty(&document).expect("text and numbers only");
+    text + "\n"
+}
+
+/// A settings file with comments that sets each setting to its default.
+pub fn default_file() -> String {
+    let mut file = "# Settings of jostled, each with its default. Environment variables override this \
+                    file, and flags\n# override both: JOSTLED_MAX_HZ=50, --max-hz 50. `jostled config \
+                    explain` shows the values in effect.\n"
+        .to_owned();
+    for argument in arguments() {
+        let default = default(&argument);
+        let value = match default.parse::<u32>() {
+            Ok(number) => number.into(),
+            Err(_) => toml::Value::from(default),
+        };
+        let _ = write!(
+            file,
+            "\n# {}\n{} = {value}\n",
+            meaning(&argument),
+            name(&argument)
+        );
+    }
+    file
+}
+
+fn meaning(argument: &Arg) -> String {
+    argument
+        .get_help()
+        .map(ToString::to_string)
+        .unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use std::collections::BTreeSet;
+    use std::fs;
+
+    use super::*;
+    use crate::cli::settings::from_flags;
+    use crate::config::Config;
+
+    #[test]
+    fn the_default_file_reads_back_as_the_defaults() {
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let text = default_file();
+        fs::write(&file, &text).unwrap();
+        let path = file.path().to_str().unwrap();
+        let read = from_flags([("config", path)]).unwrap();
+        let defaults = from_flags([]).unwrap();
+        for (name, (value, source)) in &read {
+            assert_eq!(value, &defaults[name].0);
+            assert_eq!(source, &Source::File(file.path().to_owned()), "{name}");
+        }
+        assert_eq!(Config::new(&read).unwrap(), Config::new(&defaults).unwrap());
+        let comments = text.lines().filter(|line| line.starts_with("# "));
+        assert_eq!(comments.count(), arguments().len() + 2);
+    }
+
+    #[test]
+    fn each_setting_is_explained_with_its_source_in_aligned_columns() {
+        let table = table(&from_flags([("max_swarms", "7")]).unwrap());
+        let lines: Vec<&str> = table.lines().collect();
+        let column = lines[0].find("meaning").unwrap();
+        assert_eq!(lines.len(), arguments().len() + 1);
+        for (argument, line) in arguments().iter().zip(&lines[1..]) {
+            assert!(line.starts_with(&format!("{} ", name(argument))), "{line}");
+            assert_eq!(line[column..], meaning(argument));
+        }
+        assert!(table.contains("flag --max-swarms"), "{table}");
+        assert!(table.contains(&machine_name()), "{table}");
+    }
+
+    #[test]
+    fn any_value_is_written_as_valid_json() {
+        let log = "x\"\\\n\u{7f}üy";
+        let json = json(&from_flags([("log", log), ("max_hz", " +20 ")]).unwrap());
+        let read: Value = serde_json::from_str(&json).unwrap();
+        let settings = read["settings"].as_array().unwrap();
+        let names: BTreeSet<_> = settings.iter().map(|it| it["name"].as_str()).collect();
+        assert_eq!(names.len(), arguments().len());
+        let find = |name| settings.iter().find(|it| it["name"] == name).unwrap();
+        assert_eq!(find("log")["value"], log);
+        assert_eq!(find("log")["source"]["place"], "--log");
+        assert_eq!(find("max_hz")["value"], 20);
+        assert_eq!(find("max_hz")["default"], 50);
+        assert_eq!(find("max_hz")["source"]["kind"], "flag");
+        assert_eq!(find("prefix")["source"]["place"], Value::Null);
+    }
+}

@@ -1,0 +1,159 @@
+//! `jostled serve` and `jostled demo`.
+
+use std::io::{IsTerminal as _, Write as _};
+use std::process::ExitCode;
+use std::time::Duration;
+
+use tokio::signal::unix::{SignalKind, signal};
+use tracing::warn;
+use tracing_subscriber::EnvFilter;
+
+use crate::app::{self, ServerError};
+use crate::cli::{demo, fail, process, systemd};
+use crate::config::Config;
+use crate::transport::http::{GatewayError, Token};
+use crate::transport::zenoh::session::SessionError;
+
+/// The mode of the daemon.
+#[derive(Clone, Copy, Debug)]
+pub enum Mode {
+    /// Serves until a signal.
+    Serve,
+    /// Runs the demo, which ends after this time if one is given.
+    Demo(Option<Duration>),
+}
+
+/// Serves until a signal or the end of the demo, and exits the process.
+pub fn run(
+    config: &Config,
+    filter: EnvFilter,
+    mode: Mode,
+    temporary: Option<tempfile::TempDir>,
+) -> ExitCode {
+    let logs = tracing_subscriber::fmt()
+        .with_env_filter(filter)
+        .with_ansi(std::io::stderr().is_terminal())
+        .with_writer(std::io::stderr);
+    if config.logs_json {
+        logs.json().init();
+    } else {
+        logs.init();
+    }
+    process::raise_file_limit(config.max_clients);
+    if let Some(points) = std::env::var_os("FAILPOINTS") {
+        warn!(?points, "failpoints enabled");
+    }
+    // zenoh needs a runtime with more than one thread.
+    let runtime = tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build();
+    let code = match runtime {
+        Ok(runtime) => runtime.block_on(serve(config, mode)),
+        Err(error) => return fail(1, &error),
+    };
+    // Skips the exit handlers: zenoh's waited ten seconds for a frozen client. Does not wait for
+    // threads in a long step.
+    let _ = std::io::stdout().flush();
+    if let Some(temporary) = temporary {
+        let _ = temporary.close();
+    }
+    signal_hook::low_level::exit(code)
+}
+
+/// Returns the exit code.
+async fn serve(config: &Config, mode: Mode) -> i32 {
+    let server = match app::start(config).await {
+        Ok(server) => server,
+        Err(error) => {
+            let code = if is_invalid_setting(&error) { 2 } else { 1 };
+            fail(code, &error);
+            return code.into();
+        }
+    };
+    for endpoint in server.endpoints() {
+        // A closed standard output is no error.
+        let _ = writeln!(std::io::stdout(), "listening on {endpoint}");
+    }
+    if let Some(url) = server.url() {
+        let _ = writeln!(std::io::stdout(), "http on {url}");
+    }
+    if let Some(link) = server.page() {
+        // Without a terminal the output may be a log, which must not contain the token.
+        let page = match std::io::stdout().is_terminal() {
+            true => link,
+            false => {
+                let url = link.split('#').next().unwrap_or_default();
+                let file = Token::file_in(&config.data_dir);
+                format!("{url} with the token in {}", file.display())
+            }
+        };
+        let _ = writeln!(std::io::stdout(), "page on {page}");
+    }
+    let notifier = systemd::notify_status(server.watch().clone(), server.host().clone());
+    let notifier = tokio::spawn(notifier);
+    let code = match mode {
+        Mode::Serve => {
+            stop_signal().await;
+            0
+        }
+        Mode::Demo(duration) => tokio::select! {
+            ended = demo::run(&server, duration) => match ended {
+                Ok(()) => 0,
+                Err(demo::DemoError::Gone) if duration.is_none() => {
+                    eprintln!("jostled: the demo's swarm was deleted; still serving, Ctrl-C stops");
+                    stop_signal().await;
+                    0
+                }
+                Err(error) => {
+                    fail(1, &error);
+                    1
+                }
+            },
+            () = stop_signal() => 0,
+        },
+    };
+    notifier.abort();
+    systemd::notify_stopping();
+    match server.stop().await {
+        false if code == 0 => app::EXIT_STORE,
+        _ => code,
+    }
+}
+
+/// Whether the cause is a setting, not the machine.
+fn is_invalid_setting(error: &ServerError) -> bool {
+    matches!(
+        error,
+        ServerError::Name(_)
+            | ServerError::Store(_)
+            | ServerError::Rights(_)
+            | ServerError::Gateway(
+                GatewayError::NoAddress(_)
+                    | GatewayError::NotLoopback(_)
+                    | GatewayError::NobodyKnown(_)
+                    | GatewayError::Certificate(_)
+            )
+            | ServerError::Session(
+                SessionError::NoEndpoint(_)
+                    | SessionError::NotLoopback(_)
+                    | SessionError::NobodyKnown(_)
+                    | SessionError::OtherTls(_)
+            )
+    )
+}
+
+/// Completes at SIGTERM or Ctrl-C.
+async fn stop_signal() {
+    let (Ok(mut terminate), Ok(mut interrupt)) = (
+        signal(SignalKind::terminate()),
+        signal(SignalKind::interrupt()),
+    ) else {
+        // Without handlers the signals end the process.
+        return std::future::pending().await;
+    };
+    tokio::select! {
+        _ = terminate.recv() => {}
+        _ = interrupt.recv() => {}
+    }
+}
