@@ -137,8 +137,8 @@ fn is_invalid_setting(error: &ServerError) -> bool {
             | ServerError::Session(
                 SessionError::NoEndpoint(_)
                     | SessionError::NotLoopback(_)
-                    | SessionError::NobodyKnown(_)
-                    | SessionError::OtherTls(_)
+                    | SessionError::NoAuthDir(_)
+                    | SessionError::TlsOptions(_)
             )
     )
 }

@@ -64,21 +64,8 @@ pub fn copy(folder: &Path, to: &Path) -> Result<u64, StoreError> {
         }
     }
     drop(snapshot);
-    check(to, &target)?;
+    // A daemon would reject a database with damaged pages.
+    schema::check_pages(to, &target)?;
     target.close().map_err(|(_, error)| fail_writing(error))?;
     Ok(swarms.cast_unsigned())
-}
-
-/// Checks the pages of the copy: a daemon would reject a database with broken pages.
-fn check(file: &Path, copy: &Connection) -> Result<(), StoreError> {
-    let found: String = copy
-        .query_row("PRAGMA quick_check(1)", [], |row| row.get(0))
-        .map_err(|error| StoreError::of_reading(file, &error))?;
-    match found.as_str() {
-        "ok" => Ok(()),
-        _ => Err(StoreError::Corrupt {
-            file: file.to_path_buf(),
-            detail: found,
-        }),
-    }
 }

@@ -42,7 +42,7 @@ pub(super) struct Meter {
     pub(super) is_overrun: AtomicBool,
     pub(super) backlog: AtomicUsize,
     pub(super) refused: AtomicU64,
-    pub(super) damaged: AtomicU64,
+    damaged: AtomicU64,
     commits: AtomicU64,
     writes: AtomicU64,
     last_nanos: AtomicU64,
@@ -51,6 +51,11 @@ pub(super) struct Meter {
 }
 
 impl Meter {
+    /// Counts records that a read found damaged or missing.
+    pub(super) fn found_damaged(&self, records: u64) {
+        self.damaged.fetch_add(records, Ordering::Relaxed);
+    }
+
     /// Counts a commit.
     pub(super) fn committed(&self, took: Duration, writes: usize) {
         let nanos = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);

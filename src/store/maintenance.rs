@@ -139,7 +139,7 @@ impl Writer {
                 return Ok(false);
             }
             self.connection
-                .execute_batch(&format!("PRAGMA incremental_vacuum({})", VACUUM_PAGES))?;
+                .execute_batch(&format!("PRAGMA incremental_vacuum({VACUUM_PAGES})"))?;
             Ok(true)
         };
         let has_vacuumed =

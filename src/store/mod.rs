@@ -36,9 +36,8 @@ use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
 use std::sync::mpsc::sync_channel;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -118,7 +117,7 @@ struct Inner {
     file: PathBuf,
     shared: Arc<Shared>,
     reader: Mutex<Option<Connection>>,
-    thread: Mutex<Option<JoinHandle<()>>>,
+    thread: Option<JoinHandle<()>>,
 }
 
 /// State shared by submitters and the writer thread.
@@ -182,7 +181,7 @@ impl Store {
                 maintenance::run(writer, &for_thread, &on_fatal);
             })
             .map_err(StoreError::NoThread)?;
-        let (reader, thread) = (Mutex::new(Some(reader)), Mutex::new(Some(thread)));
+        let (reader, thread) = (Mutex::new(Some(reader)), Some(thread));
         Ok(Store(Arc::new(Inner {
             file,
             shared,
@@ -205,18 +204,12 @@ impl Store {
             return;
         }
         let durability = done.map_or(Durability::Deferred(None), Durability::Sync);
-        complete_returned(self.0.shared.queue.push(Submit { writes, durability }));
+        self.push(writes, durability, true);
     }
 
     /// As [`Store::submit`], but never blocks: for submitters with at most one such submit in the queue.
     pub fn submit_at_once(&self, writes: Vec<Write>, done: Done) {
-        let durability = Durability::Sync(done);
-        complete_returned(
-            self.0
-                .shared
-                .queue
-                .push_unbounded(Submit { writes, durability }),
-        );
+        self.push(writes, Durability::Sync(done), false);
     }
 
     /// Writes `writes` and blocks until they are synced; if empty, until all earlier submits are.
@@ -235,9 +228,7 @@ impl Store {
 
     /// As [`Store::submit`] without `done`; `synced` is called on the writer thread once they are synced.
     pub fn submit_then(&self, writes: Vec<Write>, synced: Box<dyn FnOnce() + Send>) {
-        let durability = Durability::Deferred(Some(synced));
-        // After the end of the store nothing is synced.
-        let _ = self.0.shared.queue.push(Submit { writes, durability });
+        self.push(writes, Durability::Deferred(Some(synced)), true);
     }
 
     /// Names and metadata of the swarms, by name.
@@ -263,11 +254,7 @@ impl Store {
                 swarm,
                 damaged, "checkpoints are damaged or missing: using older ones"
             );
-            self.0
-                .shared
-                .meter
-                .damaged
-                .fetch_add(damaged, Ordering::Relaxed);
+            self.0.shared.meter.found_damaged(damaged);
         }
         Ok(marks)
     }
@@ -299,7 +286,7 @@ impl Store {
                 swarm,
                 damaged_at, "a row of the journal is damaged or missing"
             );
-            self.0.shared.meter.damaged.fetch_add(1, Ordering::Relaxed);
+            self.0.shared.meter.found_damaged(1);
         }
         Ok(rows)
     }
@@ -310,18 +297,13 @@ impl Store {
     ///
     /// [`StoreError::Damaged`] if their extent is damaged, and those of any read.
     pub fn answers(&self) -> Result<Vec<Answer>, StoreError> {
-        let page = |after| self.read("", |connection| read::answer_page(connection, after));
-        let (answers, damaged) = read::answers(page)?;
+        let (answers, damaged) = self.read("", read::answers)?;
         if damaged > 0 {
             warn!(
                 damaged,
                 "answers are damaged or missing: retries of these requests would be executed"
             );
-            self.0
-                .shared
-                .meter
-                .damaged
-                .fetch_add(damaged, Ordering::Relaxed);
+            self.0.shared.meter.found_damaged(damaged);
         }
         Ok(answers)
     }
@@ -359,15 +341,18 @@ impl Store {
     pub fn stop(&self, timeout: Duration) -> bool {
         let until = Instant::now() + timeout;
         self.0.shared.queue.end(End::Stop);
-        drop(
-            self.0
-                .reader
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .take(),
-        );
+        drop(self.reader().take());
         let timeout = until.saturating_duration_since(Instant::now());
         self.0.shared.queue.wait_for_end(timeout).unwrap_or(false)
+    }
+
+    fn push(&self, writes: Vec<Write>, durability: Durability, blocks: bool) {
+        let submit = Submit { writes, durability };
+        self.0.shared.queue.push(submit, blocks);
+    }
+
+    fn reader(&self) -> MutexGuard<'_, Option<Connection>> {
+        self.0.reader.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn read<T>(
@@ -375,7 +360,7 @@ impl Store {
         swarm: &str,
         read: impl FnOnce(&Connection) -> Result<T, ReadError>,
     ) -> Result<T, StoreError> {
-        let reader = self.0.reader.lock().unwrap_or_else(PoisonError::into_inner);
+        let reader = self.reader();
         let connection = reader.as_ref().ok_or(StoreError::Stopped)?;
         read(connection).map_err(|error| error.into_store_error(&self.0.file, swarm))
     }
@@ -385,29 +370,13 @@ impl Drop for Inner {
     /// Writes what is queued, however long it takes; [`Store::stop`] has a timeout.
     fn drop(&mut self) {
         self.shared.queue.end(End::Stop);
-        drop(
-            self.reader
-                .lock()
-                .unwrap_or_else(PoisonError::into_inner)
-                .take(),
-        );
-        let thread = self
-            .thread
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .take();
+        // The writer deletes the WAL if its connection is the last.
+        let reader = self.reader.get_mut();
+        drop(reader.unwrap_or_else(PoisonError::into_inner).take());
+        let thread = self.thread.take();
         if let Some(thread) = thread.filter(|_| !self.shared.queue.is_writer()) {
             let _ = thread.join();
         }
-    }
-}
-
-/// Calls the callback of a sync submit that the queue returned.
-fn complete_returned(pushed: Result<(), (Submit, End)>) {
-    if let Err((submit, end)) = pushed
-        && let Durability::Sync(done) = submit.durability
-    {
-        done(Err(end.fault()));
     }
 }
 

@@ -80,20 +80,17 @@ pub(super) struct Queue {
 }
 
 impl Queue {
-    /// Appends `submit`, and blocks while the queue is full. Never blocks the writer thread, which
-    /// would deadlock.
-    ///
-    /// # Errors
-    ///
-    /// Returns `submit` if the queue has ended.
-    pub(super) fn push(&self, submit: Submit) -> Result<(), (Submit, End)> {
+    /// Appends `submit`; with `blocks` it waits while the queue is full, except on the writer thread,
+    /// which would deadlock. If the queue has ended, a sync submit is completed with the reason.
+    pub(super) fn push(&self, submit: Submit, blocks: bool) {
         let (writes, bytes) = submit.size();
         let max = match submit.durability.is_sync() {
             true => MAX_QUEUED,
             false => MAX_QUEUED_DEFERRED,
         };
         let mut state = self.lock();
-        while state.end.is_none()
+        while blocks
+            && state.end.is_none()
             && !state.submits.is_empty()
             && (state.size.0 + writes > max.0 || state.size.1 + bytes > max.1)
             && state.writer != Some(thread::current().id())
@@ -103,22 +100,12 @@ impl Queue {
                 .wait(state)
                 .unwrap_or_else(PoisonError::into_inner);
         }
-        self.put(state, submit)
-    }
-
-    /// Appends `submit` even if the queue is full: its sender has at most one in the queue.
-    ///
-    /// # Errors
-    ///
-    /// Returns `submit` if the queue has ended.
-    pub(super) fn push_unbounded(&self, submit: Submit) -> Result<(), (Submit, End)> {
-        self.put(self.lock(), submit)
-    }
-
-    fn put(&self, mut state: MutexGuard<'_, State>, submit: Submit) -> Result<(), (Submit, End)> {
-        let (writes, bytes) = submit.size();
         if let Some(end) = state.end.clone() {
-            return Err((submit, end));
+            drop(state);
+            if let Durability::Sync(done) = submit.durability {
+                done(Err(end.fault()));
+            }
+            return;
         }
         state.size = (state.size.0 + writes, state.size.1 + bytes);
         state.sync_submits += usize::from(submit.durability.is_sync());
@@ -130,7 +117,6 @@ impl Queue {
             state.wakes_at = None;
             self.filled.notify_one();
         }
-        Ok(())
     }
 
     /// Takes the next group as soon as a sync submit is queued, a group is full, or the oldest submit

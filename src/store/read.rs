@@ -8,9 +8,6 @@ use super::error::StoreError;
 use super::integrity::{self, Extent};
 use super::record::{Answer, Checkpoint, CheckpointInfo, Rows};
 
-/// Answers in one page.
-const ANSWERS_PER_PAGE: i64 = 1000;
-
 /// Why something was not read.
 pub(super) enum ReadError {
     /// An error of SQLite.
@@ -200,75 +197,38 @@ pub(super) fn checkpoint(
         .ok_or_else(|| ReadError::damaged(swarm, format!("checkpoint {number}")))
 }
 
-/// All answers, oldest first, and how many are damaged or missing. `page` can release the connection
-/// after each page.
-pub(super) fn answers(
-    page: impl Fn(u64) -> Result<AnswerPage, StoreError>,
-) -> Result<(Vec<Answer>, u64), StoreError> {
-    let (mut answers, mut after) = (Vec::new(), 0);
-    loop {
-        let mut read = page(after)?;
-        answers.append(&mut read.answers);
-        match read.next {
-            Some(next) if next > after => after = next,
-            _ => {
-                let missing = read.expected.saturating_sub(answers.len() as u64);
-                return Ok((answers, missing));
-            }
+/// All answers, oldest first, and how many are damaged or missing.
+pub(super) fn answers(connection: &Connection) -> Result<(Vec<Answer>, u64), ReadError> {
+    let snapshot = connection.unchecked_transaction()?;
+    let Some(extent) = integrity::read_extent(&snapshot, integrity::ANSWERS)? else {
+        return Err(ReadError::damaged("", "the extent of the answers"));
+    };
+    let Extent { first, last, .. } = extent;
+    let deleted = extent.checkpoints;
+    let expected = last.saturating_sub(first).saturating_sub(deleted);
+    let mut statement = snapshot.prepare_cached(&format!(
+        "SELECT {} FROM answer WHERE id > ? ORDER BY id",
+        integrity::ANSWER
+    ))?;
+    let mut cursor = statement.query([first.cast_signed()])?;
+    let (mut answers, mut next) = (Vec::new(), first + 1);
+    while let Some(record) = cursor.next()? {
+        // Those out of order or after the last one are not among the expected.
+        if let Some((id, answer)) = integrity::answer(record)?
+            && (next..=last).contains(&id)
+        {
+            next = id + 1;
+            answers.push(answer);
         }
     }
+    let missing = expected.saturating_sub(answers.len() as u64);
+    Ok((answers, missing))
 }
 
 /// Whether an answer was ever deleted.
 pub(super) fn has_forgotten(connection: &Connection) -> Result<bool, ReadError> {
     let extent = integrity::read_extent(connection, integrity::ANSWERS)?;
     Ok(extent.is_some_and(|it| it.first > 0 || it.checkpoints > 0))
-}
-
-/// A page of answers.
-#[derive(Default)]
-pub(super) struct AnswerPage {
-    answers: Vec<Answer>,
-    /// Number of answers on all pages, according to the extent.
-    expected: u64,
-    /// Where the next page begins, if there may be one.
-    next: Option<u64>,
-}
-
-/// The answers after the answer `after`.
-pub(super) fn answer_page(connection: &Connection, after: u64) -> Result<AnswerPage, ReadError> {
-    let snapshot = connection.unchecked_transaction()?;
-    let Some(extent) = integrity::read_extent(&snapshot, integrity::ANSWERS)? else {
-        return Err(ReadError::damaged("", "the extent of the answers"));
-    };
-    let Extent { first, last, .. } = extent;
-    let mut next = after.max(first) + 1;
-    let mut page = AnswerPage {
-        expected: last
-            .saturating_sub(first)
-            .saturating_sub(extent.checkpoints),
-        ..AnswerPage::default()
-    };
-    let mut statement = snapshot.prepare_cached(&format!(
-        "SELECT {} FROM answer WHERE id >= ? ORDER BY id LIMIT ?",
-        integrity::ANSWER
-    ))?;
-    let mut cursor = statement.query(params![next.cast_signed(), ANSWERS_PER_PAGE])?;
-    let mut count = 0;
-    while let Some(record) = cursor.next()? {
-        count += 1;
-        // Those out of order or after the last one are not among the expected.
-        if let Some((id, answer)) = integrity::answer(record)?
-            && (next..=last).contains(&id)
-        {
-            next = id + 1;
-            page.answers.push(answer);
-        }
-    }
-    if count == ANSWERS_PER_PAGE && next <= last {
-        page.next = Some(next - 1);
-    }
-    Ok(page)
 }
 
 /// Id and extent of `swarm`.

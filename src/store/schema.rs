@@ -1,5 +1,6 @@
 //! The database file: opening, tables, migrations.
 
+use std::fs;
 use std::path::Path;
 use std::time::Duration;
 
@@ -103,7 +104,9 @@ pub(super) fn open(file: &Path, max_checked_bytes: u64) -> Result<Connection, St
             detail,
         });
     }
-    check_pages(file, &connection, max_checked_bytes)?;
+    if fs::metadata(file).is_ok_and(|file| file.len() <= max_checked_bytes) {
+        check_pages(file, &connection)?;
+    }
     migrate(&mut connection).map_err(fail)?;
     Ok(connection)
 }
@@ -175,21 +178,22 @@ pub(super) fn check_origin(file: &Path, connection: &Connection) -> Result<bool,
     Ok(false)
 }
 
-fn check_pages(file: &Path, connection: &Connection, max_bytes: u64) -> Result<(), StoreError> {
-    let fail = |error| StoreError::of_reading(file, &error);
-    if std::fs::metadata(file).is_ok_and(|file| file.len() > max_bytes) {
-        return Ok(());
-    }
+/// Has SQLite check the structure of all pages.
+///
+/// # Errors
+///
+/// [`StoreError::Corrupt`] and those of any read.
+pub(super) fn check_pages(file: &Path, connection: &Connection) -> Result<(), StoreError> {
     let found: String = connection
         .query_row("PRAGMA quick_check(1)", [], |row| row.get(0))
-        .map_err(fail)?;
-    if found == "ok" {
-        return Ok(());
+        .map_err(|error| StoreError::of_reading(file, &error))?;
+    match found.as_str() {
+        "ok" => Ok(()),
+        _ => Err(StoreError::Corrupt {
+            file: file.to_path_buf(),
+            detail: found,
+        }),
     }
-    Err(StoreError::Corrupt {
-        file: file.to_path_buf(),
-        detail: found,
-    })
 }
 
 fn migrate(connection: &mut Connection) -> SqlResult<()> {

@@ -1,7 +1,7 @@
 //! Full disks, failed syncs, killed processes, and files that are rejected.
 
 use std::process::Command;
-use std::sync::atomic::AtomicUsize;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Mutex, MutexGuard};
 
 use rusqlite::{ErrorCode, ffi};

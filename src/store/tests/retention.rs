@@ -137,7 +137,7 @@ fn deleted_answers_do_not_count_as_damaged() {
         } = answer(number);
         Write::Forget { client, request_id }
     };
-    // More than one page of them; the request of 7 has two answers, that of another client stays.
+    // The request of 7 has two answers; that of another client stays.
     let mut writes: Vec<Write> = (1..=2500).map(|it| Write::Answer(answer(it))).collect();
     let namesake = Answer {
         client: Some("someone else".to_string()),

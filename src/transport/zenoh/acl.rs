@@ -1,27 +1,27 @@
-//! zenoh's access control: which keys whose session may touch.
+//! The configuration of zenoh's access control: which messages each user's session may send on which
+//! keys.
 //!
-//! Whatever a session sends beyond what its person may is dropped, or anyone could forge the
-//! states and answers of a swarm; what goes beyond these keys by a wildcard is dropped too. It
-//! knows a person by the name they opened their session with, and over TLS by their certificate
-//! as well: both must be the same person's.
+//! zenoh drops every other message, so that no client can forge the states and replies of a swarm. A
+//! wildcard that exceeds the permitted keys is dropped, too. zenoh identifies a user by the user name
+//! of the session and, over TLS, by the certificate as well: both must belong to the same user.
 
 use jostle_proto::{Role, keys};
 use serde_json::{Value, json};
 
 use crate::auth::{Rights, User};
 
-/// A verbatim chunk is matched only by itself.
-const EVERYTHING: [&str; 3] = ["**", "**/@node/**", "**/@adv/**"];
+/// Every key. `**` does not match a chunk that begins with `@`.
+const ALL_KEYS: [&str; 3] = ["**", "**/@node/**", "**/@adv/**"];
 
-/// What looks.
-const WATCHING: [&str; 3] = [
+/// Messages that only read.
+const READ: [&str; 3] = [
     "declare_subscriber",
     "liveliness_query",
     "declare_liveliness_subscriber",
 ];
 
-/// What tells.
-const TELLING: [&str; 5] = [
+/// Messages that publish, reply or declare something to be found by others.
+const WRITE: [&str; 5] = [
     "put",
     "delete",
     "reply",
@@ -29,35 +29,35 @@ const TELLING: [&str; 5] = [
     "liveliness_token",
 ];
 
-/// The rule for claims of other daemons.
+/// The id of the rule for claims of other daemons.
 const CLAIMS: &str = "claims";
 
-/// The links on which a session proves by its password alone who it is: those within a machine.
+/// The links on which a password alone authenticates a session: those within this machine.
 const LOCAL_LINKS: [&str; 2] = ["tcp", "unixsock-stream"];
 
-/// Who may touch which keys below `prefix`.
+/// The configuration for these users and the keys below `prefix`.
 pub fn control(prefix: &str, rights: &Rights) -> Value {
     let mut rules = vec![rule(
-        "the_daemon_tells",
+        "daemon",
         "egress",
-        &[&["query"], &WATCHING[..], &TELLING].concat(),
-        &EVERYTHING.map(str::to_owned),
+        &[&["query"], &READ[..], &WRITE].concat(),
+        &ALL_KEYS.map(str::to_owned),
     )];
     let mut subjects = Vec::new();
     let mut policies = Vec::new();
     match rights.users() {
         None => {
-            let asking = [&["query"], &WATCHING[..]].concat();
+            let asking = [&["query"], &READ[..]].concat();
             rules.push(rule(
                 "ask",
                 "ingress",
                 &asking,
-                &EVERYTHING.map(str::to_owned),
+                &ALL_KEYS.map(str::to_owned),
             ));
-            rules.extend(steering(prefix, "steer", &["*".to_owned()]));
+            rules.extend(control_rules(prefix, "steer", &["*".to_owned()]));
             rules.push(claims(prefix));
             subjects.push(json!({"id": "everyone"}));
-            let names = ["the_daemon_tells", "ask", "steer_put", "steer_live", CLAIMS];
+            let names = ["daemon", "ask", "steer_put", "steer_live", CLAIMS];
             policies.push(json!({"rules": names, "subjects": ["everyone"]}));
         }
         Some(people) => {
@@ -79,13 +79,13 @@ pub fn control(prefix: &str, rights: &Rights) -> Value {
     })
 }
 
-/// What the people of one role may alike.
+/// The rules that do not depend on the name of a user.
 fn roles(prefix: &str) -> Vec<Value> {
     let every = |verb: &str| keys::cmd(prefix, "*", verb);
     let gets = [
         keys::get(prefix, "*", "**"),
         keys::state(prefix, "*"),
-        // The last events, as whoever begins to listen asks for them.
+        // The cached events, which a new subscriber queries.
         format!("{}/@adv/**", keys::event(prefix, "*")),
         keys::node_get(prefix, "*", "**"),
         keys::experiment(prefix, "*", "*", "**"),
@@ -97,12 +97,7 @@ fn roles(prefix: &str) -> Vec<Value> {
         .collect();
     let everything = [every("**"), keys::node_cmd(prefix, "*", "**")];
     vec![
-        rule(
-            "watch",
-            "ingress",
-            &WATCHING,
-            &EVERYTHING.map(str::to_owned),
-        ),
+        rule("watch", "ingress", &READ, &ALL_KEYS.map(str::to_owned)),
         rule("get", "ingress", &["query"], &gets),
         denial(
             "no_recording",
@@ -110,7 +105,7 @@ fn roles(prefix: &str) -> Vec<Value> {
             "query",
             &keys::node_get(prefix, "*", "recording"),
         ),
-        // Set-points have the token of their sender as an attachment.
+        // A set-point contains the token of its sender.
         denial(
             "no_set_points",
             "egress",
@@ -122,9 +117,9 @@ fn roles(prefix: &str) -> Vec<Value> {
     ]
 }
 
-/// The names of the rules for `person`; those that are theirs alone are added.
+/// The ids of the rules for a user. Rules that depend on the name of the user are added to `rules`.
 fn rules_of(prefix: &str, person: &User, rules: &mut Vec<Value>) -> Vec<String> {
-    let mut names = vec!["the_daemon_tells", "watch", "get"];
+    let mut names = vec!["daemon", "watch", "get"];
     let controllers = match person.role {
         Role::Viewer => {
             names.extend(["no_recording", "no_set_points"]);
@@ -141,7 +136,7 @@ fn rules_of(prefix: &str, person: &User, rules: &mut Vec<Value>) -> Vec<String> 
     };
     let mut names: Vec<String> = names.into_iter().map(str::to_owned).collect();
     if !controllers.is_empty() {
-        let own = steering(prefix, &person.name, &controllers);
+        let own = control_rules(prefix, &person.name, &controllers);
         names.extend(
             own.iter()
                 .filter_map(|rule| Some(rule["id"].as_str()?.to_owned())),
@@ -161,7 +156,7 @@ fn claims(prefix: &str) -> Value {
     rule(CLAIMS, "ingress", &["liveliness_token"], &keys)
 }
 
-/// The ids of the subjects that are `person`, which are added.
+/// The ids of the subjects that match a user; the subjects are added.
 fn subjects_of(person: &User, subjects: &mut Vec<Value>) -> [String; 2] {
     let name = &person.name;
     let ids = [format!("{name}_here"), format!("{name}_by_tls")];
@@ -176,8 +171,8 @@ fn subjects_of(person: &User, subjects: &mut Vec<Value>) -> [String; 2] {
     ids
 }
 
-/// Controllers of these names put set-points and hold a token.
-fn steering(prefix: &str, id: &str, controllers: &[String]) -> [Value; 2] {
+/// Permits controllers of these names to publish set-points and to declare their token.
+fn control_rules(prefix: &str, id: &str, controllers: &[String]) -> [Value; 2] {
     let each = |key: fn(&str, &str, &str) -> String| -> Vec<String> {
         let names = controllers.iter();
         names

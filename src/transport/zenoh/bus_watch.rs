@@ -1,9 +1,9 @@
-//! Whether zenoh takes queries: while it removes the declarations of a session it takes none, and
-//! with many subscriptions that takes long (docs/security.md).
+//! Detects when zenoh is blocked. zenoh routes no query while it removes the declarations of a closed
+//! session, which takes long if there are many (docs/security.md).
 //!
-//! One thread sends a query each second to a key without a queryable: it passes through zenoh's
-//! routing tables and ends there. A second thread checks how long the query has taken and which
-//! sessions are being closed.
+//! The thread `bus-probe` sends a query each second to a key without a queryable: it passes through
+//! zenoh's routing tables and ends there. The thread `bus-watch` checks how long the query has taken
+//! and which sessions are being closed.
 
 use std::io;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -16,20 +16,20 @@ use zenoh::{Session, Wait};
 use crate::health::Bus;
 use crate::transport::zenoh::clients::{Client, Sessions};
 
-/// The time between two queries.
-const PROBE_PERIOD: Duration = Duration::from_secs(1);
+/// The time between two probes.
+const PROBE_INTERVAL: Duration = Duration::from_secs(1);
 
-/// The time after which a query that has not ended is a block.
-const BLOCKED_AFTER: Duration = Duration::from_secs(2);
+/// zenoh is blocked if a probe has not ended after this time.
+const PROBE_TIMEOUT: Duration = Duration::from_secs(2);
 
-/// The time after which the sessions that are being closed are looked at, and the time between two
-/// looks.
-const LOOK_PERIOD: Duration = Duration::from_millis(100);
+/// The time between two checks of a probe, and the age at which a probe causes the first look at the
+/// sessions that are being closed.
+const CHECK_INTERVAL: Duration = Duration::from_millis(100);
 
-/// The clients that are named.
+/// The most clients that are named in a message.
 const MAX_NAMED: usize = 3;
 
-/// Watches a session.
+/// Probes a zenoh session.
 pub struct BusWatch {
     sessions: Arc<Sessions>,
     state: Mutex<State>,
@@ -38,18 +38,18 @@ pub struct BusWatch {
 
 #[derive(Default)]
 struct State {
-    /// Since when a query is under way.
+    /// When the probe that has not ended was sent.
     since: Option<Instant>,
-    /// The sessions that were being closed when they were looked at first during this query.
+    /// The sessions that were being closed at the first look during this probe.
     closing: Vec<Client>,
-    /// Whether it has been counted as a block.
+    /// Whether this probe has been counted as a block.
     is_counted: bool,
     blocks: u64,
     is_ended: bool,
 }
 
 impl BusWatch {
-    /// Starts the threads; they send queries to `key`, which must have no queryable.
+    /// Starts the threads. `key` is the key of the probes and must have no queryable.
     ///
     /// # Errors
     ///
@@ -60,27 +60,27 @@ impl BusWatch {
             state: Mutex::default(),
             ended: Condvar::new(),
         });
-        let (probing, looking) = (watch.clone(), watch.clone());
+        let (probing, checking) = (watch.clone(), watch.clone());
         thread::Builder::new()
             .name("bus-probe".into())
             .spawn(move || probing.probe(&session, &key))?;
         thread::Builder::new()
             .name("bus-watch".into())
-            .spawn(move || looking.look())?;
+            .spawn(move || checking.check())?;
         Ok(watch)
     }
 
-    /// Ends it.
+    /// Ends the threads.
     pub fn stop(&self) {
         self.lock().is_ended = true;
         self.ended.notify_all();
     }
 
-    /// What there is to report.
+    /// The state for the health report.
     pub fn report(&self) -> Bus {
         let mut state = self.lock();
-        // A block that is reported is counted, though the watching thread may see it later.
-        self.look_now(&mut state);
+        // The other thread may not have counted a block that this report contains.
+        self.check_now(&mut state);
         let age = state.since.map(|since| since.elapsed());
         Bus {
             blocked: age.filter(|_| state.is_counted),
@@ -104,41 +104,41 @@ impl BusWatch {
                 log_end(secs, &state.closing);
             }
             (state.closing, state.is_counted) = (Vec::new(), false);
-            if self.wait(state, PROBE_PERIOD) {
+            if self.wait(state, PROBE_INTERVAL) {
                 return;
             }
         }
     }
 
-    fn look(&self) {
+    fn check(&self) {
         loop {
             let mut state = self.lock();
-            self.look_now(&mut state);
-            if self.wait(state, LOOK_PERIOD) {
+            self.check_now(&mut state);
+            if self.wait(state, CHECK_INTERVAL) {
                 return;
             }
         }
     }
 
     /// Reads which sessions are being closed, and counts a block once.
-    fn look_now(&self, state: &mut State) {
+    fn check_now(&self, state: &mut State) {
         let age = state.since.map_or(Duration::ZERO, |since| since.elapsed());
-        if age >= LOOK_PERIOD && state.closing.is_empty() {
+        if age >= CHECK_INTERVAL && state.closing.is_empty() {
             let closing = self.sessions.closing();
             state.closing = closing.into_iter().map(|(client, _)| client).collect();
         }
-        if age >= BLOCKED_AFTER && !state.is_counted {
+        if age >= PROBE_TIMEOUT && !state.is_counted {
             state.is_counted = true;
             state.blocks += 1;
             let closing = named(&state.closing);
             warn!(
                 closing,
-                "zenoh takes no commands and queries: it is closing a session"
+                "zenoh is blocked: commands and queries wait until it has closed a session"
             );
         }
     }
 
-    /// Waits; whether it has ended.
+    /// Waits for `period`, or until the threads are to end; returns whether they are.
     fn wait(&self, state: MutexGuard<'_, State>, period: Duration) -> bool {
         let waited = self
             .ended

@@ -1,4 +1,4 @@
-//! The clients' sessions: under which name each was opened, and which of them zenoh is closing.
+//! The sessions of the clients: the user of each, and which of them zenoh is closing.
 //!
 //! zenoh passes the user name of a session only to its own access control and to transport event
 //! handlers, so this module implements such a handler.
@@ -13,10 +13,10 @@ use zenoh_transport::{
     TransportMulticastEventHandler, TransportPeer, TransportPeerEventHandler,
 };
 
-/// Entries after which those of closed sessions are removed.
-const MIN_SWEPT: usize = 64;
+/// The fewest entries at which those of closed sessions are removed.
+const MIN_SWEEP_ENTRIES: usize = 64;
 
-/// The sessions that are open, or being closed.
+/// The sessions that are open or being closed.
 #[derive(Default)]
 pub struct Sessions {
     known: Mutex<Known>,
@@ -32,18 +32,18 @@ struct Known {
 struct Entry {
     client: Client,
     transport: TransportUnicast,
-    /// Since when it is seen to be closing.
+    /// When it was first seen to be closing.
     closing: Option<Instant>,
 }
 
-/// Whose session it is.
+/// The client of a session.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Client {
-    /// The person whose password opened it, where people are known.
+    /// The user whose password opened it, if the daemon has users.
     pub person: Option<String>,
-    /// What zenoh calls it.
+    /// The id of the session.
     pub zid: String,
-    /// Where it connects from.
+    /// The address that it connects from.
     pub address: String,
 }
 
@@ -60,15 +60,15 @@ impl std::fmt::Display for Client {
 }
 
 impl Sessions {
-    /// The sessions that zenoh is closing, the one first that has been for longest, each with the
-    /// moment when this was first seen.
+    /// The sessions that zenoh is closing, each with the time when this was first seen, the oldest
+    /// first.
     ///
-    /// zenoh takes the links of a session away, then removes its declarations, and then forgets it.
+    /// zenoh closes the links of a session, then removes its declarations, then removes the session.
     pub fn closing(&self) -> Vec<(Client, Instant)> {
         let mut known = self.lock();
         let mut closing = Vec::new();
         for entry in &mut known.entries {
-            // An error says that zenoh has forgotten it.
+            // An error means that zenoh has removed the session.
             if entry
                 .transport
                 .get_links()
@@ -87,7 +87,7 @@ impl Sessions {
     }
 }
 
-/// What zenoh calls when a session is opened.
+/// Adds each session that is opened.
 pub struct Handler(pub Arc<Sessions>);
 
 impl TransportEventHandler for Handler {
@@ -108,7 +108,7 @@ impl TransportEventHandler for Handler {
             known
                 .entries
                 .retain(|entry| entry.transport.get_zid().is_ok());
-            known.sweep_at = MIN_SWEPT.max(2 * known.entries.len());
+            known.sweep_at = MIN_SWEEP_ENTRIES.max(2 * known.entries.len());
         }
         known.entries.push(Entry {
             client,

@@ -1,6 +1,6 @@
-//! The dispatcher: a thread that receives requests and the changes of what this daemon serves.
+//! The thread `dispatch`: handles requests, and declares the keys that this daemon serves.
 //!
-//! It never waits for a swarm.
+//! It does not wait for a swarm's thread, nor for the disk.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -16,7 +16,7 @@ use crate::swarm::outcome::DeferredReply;
 use crate::transport::zenoh::claims::{Action, Gate, Name, Reserved};
 use crate::transport::zenoh::gateway::Gateway;
 use crate::transport::zenoh::messages::DispatchMessage;
-use crate::transport::zenoh::publisher::Press;
+use crate::transport::zenoh::publisher::Publisher;
 use crate::transport::zenoh::queryables::{LINGER, SwarmEndpoints};
 use crate::transport::zenoh::session_pool::SessionPool;
 
@@ -27,7 +27,7 @@ pub struct Dispatcher {
     /// The sessions that declare the keys of swarms.
     pub pool: SessionPool,
     /// Publishes the states of swarms.
-    pub press: Arc<Press>,
+    pub publisher: Arc<Publisher>,
     /// The keys of the daemon and of its swarms.
     pub endpoints: SwarmEndpoints,
     /// Requests that are held, and until when.
@@ -131,7 +131,7 @@ impl Dispatcher {
             Gate::Hold(until) => return Some(until),
             Gate::Drop => return None,
             Gate::Busy => Some(CommandError::Busy),
-            Gate::Refuse(contest) => Some((*contest).into()),
+            Gate::Reject(contest) => Some((*contest).into()),
         };
         match error {
             None => context.handle(incoming),
@@ -178,12 +178,12 @@ impl Dispatcher {
                 Action::Close(Name::Node) => self.endpoints.close_node(),
                 Action::Open(Name::Swarm(swarm)) => self.open(&swarm),
                 Action::Close(Name::Swarm(swarm)) => {
-                    self.endpoints.shut(&swarm);
-                    self.press.silence(&swarm, true);
+                    self.endpoints.close_now(&swarm);
+                    self.publisher.mute(&swarm, true);
                 }
-                Action::Refuse(Name::Swarm(swarm)) => self.press.silence(&swarm, true),
-                Action::Resume(Name::Swarm(swarm)) => self.press.silence(&swarm, false),
-                Action::Refuse(Name::Node) | Action::Resume(Name::Node) => {}
+                Action::Reject(Name::Swarm(swarm)) => self.publisher.mute(&swarm, true),
+                Action::Resume(Name::Swarm(swarm)) => self.publisher.mute(&swarm, false),
+                Action::Reject(Name::Node) | Action::Resume(Name::Node) => {}
             }
         }
         // If this daemon has to wait, its start is complete without serving anything.
@@ -209,14 +209,14 @@ impl Dispatcher {
         let Some(handle) = self.gateway.context.host.find(swarm) else {
             return;
         };
-        let opened = match self.press.find(swarm) {
+        let opened = match self.publisher.find(swarm) {
             Some(_) => {
-                self.press.silence(swarm, false);
+                self.publisher.mute(swarm, false);
                 Ok(())
             }
             None => {
                 let lease = self.pool.lease();
-                lease.and_then(|lease| self.press.open(lease, swarm, handle.outlet.clone()))
+                lease.and_then(|lease| self.publisher.open(lease, swarm, handle.outlet.clone()))
             }
         };
         match opened.and_then(|()| self.endpoints.open(swarm)) {
@@ -230,6 +230,6 @@ impl Dispatcher {
             info!(swarm, "deleted");
         }
         self.gateway.claims.end(&Name::Swarm(swarm.to_owned()));
-        self.press.close(swarm, reply);
+        self.publisher.close(swarm, reply);
     }
 }

@@ -14,31 +14,34 @@ use crate::swarm::outcome::DeferredReply;
 use crate::swarm::runner::SwarmObserver;
 use crate::transport::zenoh::claims::{Claims, Gate, Name};
 use crate::transport::zenoh::messages::DispatchMessage;
-use crate::transport::zenoh::publisher::Press;
+use crate::transport::zenoh::publisher::Publisher;
 
-/// The longest request that is handled on the thread that received it, in bytes.
-const MAX_BYTES_AT_ONCE: usize = 16 * 1024;
+/// The longest request that the receiving thread handles, in bytes.
+const MAX_INLINE_BYTES: usize = 16 * 1024;
 
-/// Notifies the dispatcher and the publisher of swarms.
+/// Notifies the dispatcher and the publisher of changes of swarms.
 pub struct LifecycleNotifier {
     messages: SyncSender<DispatchMessage>,
-    press: Arc<Press>,
+    publisher: Arc<Publisher>,
 }
 
 impl LifecycleNotifier {
-    /// A notifier of these two.
-    pub fn new(messages: SyncSender<DispatchMessage>, press: Arc<Press>) -> Self {
-        LifecycleNotifier { messages, press }
+    /// A notifier of this dispatcher and this publisher.
+    pub fn new(messages: SyncSender<DispatchMessage>, publisher: Arc<Publisher>) -> Self {
+        LifecycleNotifier {
+            messages,
+            publisher,
+        }
     }
 }
 
 impl SwarmObserver for LifecycleNotifier {
     fn output_ready(&self, name: &str) {
-        self.press.ring(name);
+        self.publisher.notify(name);
     }
 
     fn is_watched(&self, name: &str, is_moving: bool) -> bool {
-        self.press.is_watched(name, is_moving)
+        self.publisher.has_subscribers(name, is_moving)
     }
 
     fn started(&self, name: &str, reply: DeferredReply) {
@@ -85,16 +88,17 @@ pub struct Gateway {
 }
 
 impl Gateway {
-    /// Whether a request is handled on the thread that received it, which wakes one thread less:
-    /// a short command that takes no time, if no other request is queued before it.
-    pub fn handles_at_once(&self, incoming: &Incoming, bytes: usize) -> bool {
+    /// Whether the thread that received a request handles it, which wakes one thread less. That is the
+    /// case if the request is a short command whose handler does not take long, and if no other request
+    /// is queued before it.
+    pub fn handles_inline(&self, incoming: &Incoming, bytes: usize) -> bool {
         let Target::Command(swarm) = incoming.target() else {
             return false;
         };
         let verb = incoming.key().rsplit('/').next();
         let is_slow = verb.is_none_or(|verb| matches!(verb, "fork" | "seek" | "delete"));
         let is_first = self.queued.load(Ordering::Acquire) == 0;
-        bytes <= MAX_BYTES_AT_ONCE
+        bytes <= MAX_INLINE_BYTES
             && is_first
             && !is_slow
             && self.claims.gate(&Name::Swarm(swarm.to_string()), true) == Gate::Open

@@ -1,4 +1,4 @@
-//! Publishes the progress of experiments.
+//! The thread `progress`: publishes the progress of experiments.
 
 use std::collections::BTreeMap;
 use std::thread;
@@ -15,11 +15,12 @@ use crate::experiments::{ExperimentManager, Report};
 /// The least time between two publications of the progress of one experiment.
 const MIN_INTERVAL: Duration = Duration::from_millis(500);
 
-/// Publishes the progress of experiments when it changes, until `lab` is closed.
+/// Starts the thread. It publishes the progress of an experiment when it changes, until `lab` is
+/// closed.
 ///
 /// # Errors
 ///
-/// When the system starts no thread.
+/// When no thread can be started.
 pub fn publish(
     lab: ExperimentManager,
     session: Session,

@@ -1,7 +1,17 @@
-//! Publishes the newest state of every swarm, its order and its events.
+//! Publishes the states, the order samples and the events of every swarm.
 //!
-//! One thread takes what each outlet holds in turn. Congestion drops samples and never blocks:
-//! a stopped reader costs nobody else anything.
+//! | topic | queue | what is dropped | rate |
+//! |---|---|---|---|
+//! | `state` | the frames in the swarm's output | the oldest frames, if the publisher lags; all without a subscriber | each `publish_every`-th step, at most `max_hz`, and each change of a swarm that does not move |
+//! | `order` | the same frames | the same | the same |
+//! | `event` | the events in the swarm's output | the oldest events, if the publisher lags | each event, with or without a subscriber |
+//!
+//! In addition, zenoh drops a sample of any topic for a subscriber whose connection is congested, so
+//! that a stopped subscriber delays no other. A subscriber detects missing events by their numbers, and
+//! fetches them from the cache of this publisher or with `get/events`.
+//!
+//! The thread `publish` takes the contents of one output after the other. A swarm notifies it through
+//! an unbounded channel, but only when its output was empty before: the channel stays short.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -12,7 +22,7 @@ use std::time::{Duration, Instant};
 
 use jostle_proto::{CBOR, JSON, keys};
 use tracing::warn;
-use zenoh::pubsub::Publisher;
+use zenoh::pubsub::Publisher as ZenohPublisher;
 use zenoh::qos::CongestionControl;
 use zenoh::{Session, Wait};
 use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, MissDetectionConfig};
@@ -24,39 +34,38 @@ use crate::swarm::frame::Frame;
 use crate::swarm::outcome::DeferredReply;
 use crate::swarm::outlet::Outlet;
 use crate::transport::zenoh::messages::DispatchMessage;
+use crate::transport::zenoh::publish_schedule::{MAX_BATCH_WINDOW, PublishScheduler};
 use crate::transport::zenoh::session_pool::Lease;
 
-use crate::transport::zenoh::publish_schedule::{MOST_GATHERED, Turns};
+/// The newest events that zenoh caches for late subscribers.
+const MAX_CACHED_EVENTS: usize = 64;
 
-/// Events a late joiner still gets from the publisher's own cache.
-const EVENTS_CACHED: usize = 64;
+/// How often the number of the last event is published, so that a subscriber notices that it missed it.
+const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(2);
 
-/// How often the number of the last event is told, so that a reader notices that it missed it.
-const HEARTBEAT: Duration = Duration::from_secs(2);
-
-/// How long the frames of one swarm are published one after the other while others wait: twice as
-/// long as they are gathered at most. Of those left then, the newest.
-const MOST_AT_ONCE: Duration = MOST_GATHERED.saturating_mul(2);
+/// How long the queued frames of one swarm are published while other swarms wait: twice the longest
+/// batching window. After that only the newest frame is.
+const MAX_BURST: Duration = MAX_BATCH_WINDOW.saturating_mul(2);
 
 /// The publishers of one swarm.
 pub struct Publication {
     outlet: Arc<Outlet>,
-    /// Whether the outlet's frames and events are discarded instead of published.
-    is_silent: AtomicBool,
+    /// Whether frames and events are discarded instead of published.
+    is_muted: AtomicBool,
     publishers: Publishers,
     _lease: Lease,
 }
 
 struct Publishers {
-    state: Watched,
-    order: Watched,
+    state: MatchedPublisher,
+    order: MatchedPublisher,
     event: AdvancedPublisher<'static>,
 }
 
-/// A publisher that knows whether anyone reads: asking zenoh takes longer than a step.
-struct Watched {
-    publisher: Publisher<'static>,
-    is_read: Arc<AtomicBool>,
+/// A publisher with its last known matching status: a query of the status takes longer than a step.
+struct MatchedPublisher {
+    publisher: ZenohPublisher<'static>,
+    is_matched: Arc<AtomicBool>,
 }
 
 impl Publishers {
@@ -67,7 +76,7 @@ impl Publishers {
                 .congestion_control(CongestionControl::Drop)
                 .encoding(encoding)
                 .wait()?;
-            Watched::new(publisher)
+            MatchedPublisher::new(publisher)
         };
         Ok(Publishers {
             state: publisher(keys::state(prefix, swarm), CBOR)?,
@@ -77,31 +86,33 @@ impl Publishers {
                 .congestion_control(CongestionControl::Drop)
                 .encoding(JSON)
                 .advanced()
-                .cache(CacheConfig::default().max_samples(EVENTS_CACHED))
-                .sample_miss_detection(MissDetectionConfig::default().heartbeat(HEARTBEAT))
+                .cache(CacheConfig::default().max_samples(MAX_CACHED_EVENTS))
+                .sample_miss_detection(MissDetectionConfig::default().heartbeat(HEARTBEAT_INTERVAL))
                 .wait()?,
         })
     }
 }
 
-/// Where swarms ring, and the publications there are.
-pub struct Press {
+/// Publishes every swarm, on a thread of its own.
+pub struct Publisher {
     prefix: String,
     publications: Mutex<BTreeMap<String, Arc<Publication>>>,
-    bells: Sender<Bell>,
+    messages: Sender<PublishMessage>,
     dispatcher: SyncSender<DispatchMessage>,
-    /// Whether its thread is at work.
+    /// Whether the thread is working.
     pub pulse: Arc<Pulse>,
 }
 
-enum Bell {
-    Ring(String),
+enum PublishMessage {
+    /// The output of this swarm is no longer empty.
+    Notify(String),
+    /// Publish the rest of this swarm, then forget it and notify the dispatcher.
     Close(String, DeferredReply),
     Stop,
 }
 
-impl Press {
-    /// Starts the publishing thread.
+impl Publisher {
+    /// Starts the thread.
     ///
     /// # Errors
     ///
@@ -109,65 +120,65 @@ impl Press {
     pub fn start(
         prefix: &str,
         dispatcher: SyncSender<DispatchMessage>,
-    ) -> std::io::Result<(Arc<Self>, thread::JoinHandle<()>)> {
-        let (bells, rung) = channel();
-        let press = Arc::new(Press {
+    ) -> std::io::Result<Arc<Self>> {
+        let (messages, received) = channel();
+        let publisher = Arc::new(Publisher {
             prefix: prefix.to_owned(),
             publications: Mutex::default(),
-            bells,
+            messages,
             dispatcher,
             pulse: Arc::default(),
         });
-        let thread = thread::Builder::new().name("publish".into()).spawn({
-            let press = press.clone();
-            move || press.run(&rung)
+        thread::Builder::new().name("publish".into()).spawn({
+            let publisher = publisher.clone();
+            move || publisher.run(&received)
         })?;
-        Ok((press, thread))
+        Ok(publisher)
     }
 
-    /// Says that a swarm's outlet holds something.
-    pub fn ring(&self, swarm: &str) {
-        // After the thread has ended there is nothing left to publish to.
-        let _ = self.bells.send(Bell::Ring(swarm.to_owned()));
+    /// Notifies the thread that a swarm's output is no longer empty.
+    pub fn notify(&self, swarm: &str) {
+        // An error means that the daemon is stopping.
+        let _ = self.messages.send(PublishMessage::Notify(swarm.to_owned()));
     }
 
-    /// Ends the publishing thread.
+    /// Publishes every delayed swarm, then ends the thread.
     pub fn stop(&self) {
-        let _ = self.bells.send(Bell::Stop);
+        let _ = self.messages.send(PublishMessage::Stop);
     }
 
-    /// Begins to publish a swarm by a leased session.
+    /// Begins to publish a swarm in a leased session.
     ///
     /// # Errors
     ///
-    /// When zenoh refuses the publishers.
+    /// When zenoh rejects a publisher.
     pub fn open(&self, lease: Lease, swarm: &str, outlet: Arc<Outlet>) -> zenoh::Result<()> {
         let publishers = Publishers::declare(&lease, &self.prefix, swarm)?;
         let publication = Arc::new(Publication {
             outlet,
-            is_silent: AtomicBool::new(false),
+            is_muted: AtomicBool::new(false),
             publishers,
             _lease: lease,
         });
         self.lock().insert(swarm.to_owned(), publication);
-        // What was put there before is still to be published.
-        self.ring(swarm);
+        // The output may have been filled before; its notification had no effect then.
+        self.notify(swarm);
         Ok(())
     }
 
     /// Stops or resumes publishing a swarm whose name another daemon also holds.
-    pub fn silence(&self, swarm: &str, is_silent: bool) {
+    pub fn mute(&self, swarm: &str, is_muted: bool) {
         if let Some(publication) = self.find(swarm) {
-            publication.is_silent.store(is_silent, Ordering::Relaxed);
+            publication.is_muted.store(is_muted, Ordering::Relaxed);
         }
     }
 
-    /// Publishes what is left of a swarm, and nothing after it. The dispatcher then receives
+    /// Publishes the rest of a swarm and forgets it. The dispatcher then receives
     /// [`DispatchMessage::Closed`].
     pub fn close(&self, swarm: &str, reply: DeferredReply) {
-        let close = Bell::Close(swarm.to_owned(), reply);
-        if let Err(error) = self.bells.send(close)
-            && let Bell::Close(_, reply) = error.0
+        let close = PublishMessage::Close(swarm.to_owned(), reply);
+        if let Err(error) = self.messages.send(close)
+            && let PublishMessage::Close(_, reply) = error.0
         {
             // The daemon is stopping.
             reply.send();
@@ -179,40 +190,40 @@ impl Press {
         self.lock().get(swarm).cloned()
     }
 
-    /// Whether anyone reads a swarm's states or order; of a swarm that does not move, who came this
-    /// moment too.
-    pub fn is_watched(&self, swarm: &str, is_moving: bool) -> bool {
+    /// Whether a swarm's states or order samples have a subscriber. If the swarm does not move, a
+    /// subscriber that has just been declared counts, too.
+    pub fn has_subscribers(&self, swarm: &str, is_moving: bool) -> bool {
         self.find(swarm)
-            .is_some_and(|publication| publication.is_watched(is_moving))
+            .is_some_and(|publication| publication.has_subscribers(is_moving))
     }
 
-    fn run(&self, rung: &Receiver<Bell>) {
-        let mut turns = Turns::default();
+    fn run(&self, messages: &Receiver<PublishMessage>) {
+        let mut scheduler = PublishScheduler::default();
         loop {
-            let bell = match turns.until_next(Instant::now()) {
-                None => rung.recv().map_err(RecvTimeoutError::from),
-                // Whose turn it is does not wait until nobody rings.
+            let message = match scheduler.until_next(Instant::now()) {
+                None => messages.recv().map_err(RecvTimeoutError::from),
+                // A swarm that is due does not wait until the channel is empty.
                 Some(Duration::ZERO) => Err(RecvTimeoutError::Timeout),
-                Some(wait) => rung.recv_timeout(wait),
+                Some(wait) => messages.recv_timeout(wait),
             };
             self.pulse.beat();
             let began = Instant::now();
-            let swarm = match bell {
-                Ok(Bell::Ring(swarm)) => turns.ring(swarm, began),
-                Ok(Bell::Close(swarm, reply)) => {
+            let swarm = match message {
+                Ok(PublishMessage::Notify(swarm)) => scheduler.notify(swarm, began),
+                Ok(PublishMessage::Close(swarm, reply)) => {
                     let publication = self.lock().remove(&swarm);
                     if let Some(publication) = publication {
                         publication.publish(&swarm);
                     }
-                    turns.forget(&swarm);
+                    scheduler.forget(&swarm);
                     let closed = DispatchMessage::Closed(swarm, reply);
                     // An error means that the daemon is stopping.
                     let _ = self.dispatcher.send(closed);
                     None
                 }
-                Err(RecvTimeoutError::Timeout) => turns.next(),
-                Ok(Bell::Stop) | Err(RecvTimeoutError::Disconnected) => {
-                    while let Some(swarm) = turns.next() {
+                Err(RecvTimeoutError::Timeout) => scheduler.pop(),
+                Ok(PublishMessage::Stop) | Err(RecvTimeoutError::Disconnected) => {
+                    while let Some(swarm) = scheduler.pop() {
                         self.publish(&swarm);
                     }
                     return self.pulse.rest();
@@ -221,13 +232,13 @@ impl Press {
             if let Some(swarm) = swarm
                 && self.publish(&swarm)
             {
-                turns.published(swarm, began, Instant::now());
+                scheduler.published(swarm, began, Instant::now());
             }
             self.pulse.rest();
         }
     }
 
-    /// Publishes what a swarm's outlet holds, and says whether there is such a swarm.
+    /// Publishes the contents of a swarm's output. Returns false if the swarm is not published.
     fn publish(&self, swarm: &str) -> bool {
         let publication = self.find(swarm);
         publication.inspect(|it| it.publish(swarm)).is_some()
@@ -241,17 +252,17 @@ impl Press {
 }
 
 impl Publication {
-    fn is_watched(&self, is_moving: bool) -> bool {
+    fn has_subscribers(&self, is_moving: bool) -> bool {
         let Publishers { state, order, .. } = &self.publishers;
-        state.is_known_to_be_read()
-            || order.is_known_to_be_read()
-            || (!is_moving && (state.is_read() || order.is_read()))
+        state.is_known_matched()
+            || order.is_known_matched()
+            || (!is_moving && (state.is_matched() || order.is_matched()))
     }
 
     fn publish(&self, swarm: &str) {
         let publishers = &self.publishers;
         let (mut frames, events) = self.outlet.take();
-        if self.is_silent.load(Ordering::Relaxed) {
+        if self.is_muted.load(Ordering::Relaxed) {
             return;
         }
         for event in events {
@@ -261,7 +272,7 @@ impl Publication {
         let began = Instant::now();
         while let Some(frame) = frames.pop_front() {
             self.publish_frame(swarm, publishers, &frame);
-            if frames.len() > 1 && began.elapsed() > MOST_AT_ONCE {
+            if frames.len() > 1 && began.elapsed() > MAX_BURST {
                 let newest = frames.split_off(frames.len() - 1);
                 self.outlet.passed_over(frames.len() as u64);
                 frames = newest;
@@ -269,44 +280,47 @@ impl Publication {
         }
     }
 
-    /// Publishes a state and its order, each only if someone listens.
+    /// Publishes a state and an order sample, each only if it has a subscriber.
     fn publish_frame(&self, swarm: &str, publishers: &Publishers, frame: &Frame) {
         let number = self.outlet.count_published();
         let is_moving = frame.place.phase.is_moving();
-        let is_read = |publisher: &Watched| match is_moving {
-            true => publisher.is_known_to_be_read(),
-            false => publisher.is_read(),
+        let is_matched = |publisher: &MatchedPublisher| match is_moving {
+            true => publisher.is_known_matched(),
+            false => publisher.is_matched(),
         };
-        if is_read(&publishers.state) {
+        if is_matched(&publishers.state) {
             let bytes = convert::state(swarm, frame, number).to_cbor();
             report(swarm, publishers.state.publisher.put(bytes).wait());
         }
-        if is_read(&publishers.order) {
+        if is_matched(&publishers.order) {
             let Payload { bytes, .. } = Payload::json(&convert::order_sample(swarm, frame, number));
             report(swarm, publishers.order.publisher.put(bytes).wait());
         }
     }
 }
 
-impl Watched {
-    fn new(publisher: Publisher<'static>) -> zenoh::Result<Self> {
-        let is_read = Arc::new(AtomicBool::new(false));
-        let told = is_read.clone();
+impl MatchedPublisher {
+    fn new(publisher: ZenohPublisher<'static>) -> zenoh::Result<Self> {
+        let is_matched = Arc::new(AtomicBool::new(false));
+        let status = is_matched.clone();
         let listener = publisher
             .matching_listener()
-            .callback(move |status| told.store(status.matching(), Ordering::Relaxed));
+            .callback(move |matching| status.store(matching.matching(), Ordering::Relaxed));
         listener.background().wait()?;
-        Ok(Watched { publisher, is_read })
+        Ok(MatchedPublisher {
+            publisher,
+            is_matched,
+        })
     }
 
-    /// Whether zenoh has told that anyone reads, which it does a moment after they came.
-    fn is_known_to_be_read(&self) -> bool {
-        self.is_read.load(Ordering::Relaxed)
+    /// Whether zenoh has reported a subscriber, which it does a moment after the declaration.
+    fn is_known_matched(&self) -> bool {
+        self.is_matched.load(Ordering::Relaxed)
     }
 
-    /// Whether anyone reads who came before whatever was asked for last.
-    fn is_read(&self) -> bool {
-        self.is_known_to_be_read()
+    /// Whether there is a subscriber, including one that was declared just before the last request.
+    fn is_matched(&self) -> bool {
+        self.is_known_matched()
             || self
                 .publisher
                 .matching_status()

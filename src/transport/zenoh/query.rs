@@ -71,7 +71,7 @@ pub fn queryable(
             if let Target::Command(swarm) = &target
                 && let Some(verb) = first_use(query.key_expr(), &used)
             {
-                // If the queue is full, zenoh finds such commands by comparing keys as before.
+                // If the queue is full, the key stays undeclared, which only costs time.
                 let _ = messages.try_send(DispatchMessage::FirstUse(swarm.clone(), verb));
             }
             let bytes = query.payload().map_or(0, ZBytes::len);
@@ -79,7 +79,7 @@ pub fn queryable(
             let is_admitted = permit.is_some_and(|permit| {
                 let received = received(&target, query.clone(), guard.clone());
                 let incoming = Incoming::new(received, permit);
-                if gateway.handles_at_once(&incoming, bytes) {
+                if gateway.handles_inline(&incoming, bytes) {
                     gateway.context.handle(&incoming);
                     return true;
                 }

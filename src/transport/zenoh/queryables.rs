@@ -142,7 +142,7 @@ impl SwarmEndpoints {
     }
 
     /// Undeclares the keys of a swarm at once, the token first: another daemon serves it.
-    pub fn shut(&mut self, swarm: &str) {
+    pub fn close_now(&mut self, swarm: &str) {
         if let Some(mut endpoint) = self.swarms.remove(swarm) {
             drop(endpoint.token.take());
         }

@@ -1,4 +1,4 @@
-//! The daemon's zenoh session: what it listens on and what it refuses from the bus.
+//! Opens the daemon's zenoh session: its endpoints, limits and authentication.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -19,97 +19,94 @@ use crate::transport::zenoh::acl;
 use crate::transport::zenoh::clients::{Handler, Sessions};
 use crate::transport::zenoh::session_pool::SessionPool;
 
-/// How much higher than the rest of the daemon the threads rank that read from the bus.
-const READING_NICENESS: i32 = -10;
+/// The niceness of zenoh's receiving threads.
+const RX_NICENESS: i32 = -10;
 
-/// The largest message accepted from the bus, in bytes. Larger ones vanish.
+/// The longest message that zenoh accepts, in bytes. It drops longer ones.
 pub const MAX_MESSAGE_BYTES: usize = 1 << 20;
 
 /// The most bytes that zenoh adds to a request.
-pub const FRAMING_BYTES: usize = 4096;
+pub const MAX_FRAMING_BYTES: usize = 4096;
 
-/// Sessions that are let in beyond the clients there may be, so that they are told: one more is cut
-/// off by zenoh without a word.
-const SESSIONS_TO_REFUSE: usize = 96;
+/// Sessions beyond `max_clients` that zenoh accepts, so that they receive an error. zenoh closes
+/// further ones without a reason.
+const MAX_EXTRA_SESSIONS: usize = 96;
 
-/// Why there is no session.
+/// Why the session cannot be opened.
 #[derive(Debug, Error)]
 pub enum SessionError {
-    /// It is no endpoint at all.
+    /// An endpoint cannot be parsed.
     #[error(
-        "{0:?} is no endpoint: give tcp/127.0.0.1:PORT, unixsock-stream/PATH, or with an auth_dir \
+        "invalid endpoint {0:?}: use tcp/127.0.0.1:PORT, unixsock-stream/PATH, or with an auth_dir \
          tls/ADDRESS:PORT"
     )]
     NoEndpoint(String),
-    /// An address that others could reach is not offered in the clear.
+    /// Other machines can reach an endpoint that is not encrypted.
     #[error(
-        "{0} can be reached from other machines, and is not encrypted: listen on \
-         tls/ADDRESS:PORT, which takes an auth_dir (`jostled auth init` makes one), or on \
-         tcp/127.0.0.1:PORT or unixsock-stream/PATH and let others in through a tunnel"
+        "other machines can reach {0}, which is not encrypted: listen on tls/ADDRESS:PORT with an \
+         auth_dir (`jostled auth init` creates one), or on tcp/127.0.0.1:PORT or \
+         unixsock-stream/PATH with a tunnel for other machines"
     )]
     NotLoopback(String),
-    /// TLS without people.
+    /// TLS without users.
+    #[error("{0} requires users: set auth_dir to their folder (`jostled auth init` creates one)")]
+    NoAuthDir(String),
+    /// A TLS endpoint with options that override those of the auth_dir.
     #[error(
-        "{0} is for people who are known, and none are: name their folder as auth_dir \
-         (`jostled auth init` makes one)"
+        "invalid endpoint {0}: after # only iface=NAME is permitted, since the auth_dir determines \
+         the certificates"
     )]
-    NobodyKnown(String),
-    /// TLS in another way than that of the people's folder.
+    TlsOptions(String),
+    /// zenoh cannot listen on the endpoints.
     #[error(
-        "{0}: behind # may stand iface=NAME alone, since certificates and who must show one are \
-         the auth_dir's to say"
-    )]
-    OtherTls(String),
-    /// Nothing can be listened on.
-    #[error(
-        "cannot listen on {endpoints}: {reason}\nanother daemon may hold it, or a zenoh router, \
-         whose own port 7447 is: `--listen tcp/127.0.0.1:0` takes a free one"
+        "cannot listen on {endpoints}: {reason}\nanother daemon or a zenoh router, whose default \
+         port is 7447, may use it: `--listen tcp/127.0.0.1:0` selects a free port"
     )]
     Listen {
-        /// Where.
+        /// The endpoints.
         endpoints: String,
-        /// What zenoh says.
+        /// The error of zenoh.
         reason: String,
     },
-    /// zenoh refuses the configuration.
-    #[error("zenoh refuses the setting {0}")]
+    /// zenoh rejects a setting.
+    #[error("zenoh rejects the setting {0}")]
     Setting(String),
 }
 
-/// Checks that only this machine can reach each endpoint, or only people who are known.
+/// Checks that each endpoint is local, or encrypted and only for users.
 ///
 /// # Errors
 ///
-/// [`SessionError::NoEndpoint`], [`SessionError::NotLoopback`], [`SessionError::NobodyKnown`] and
-/// [`SessionError::OtherTls`].
-pub fn check(listen: &[String], are_people_known: bool) -> Result<(), SessionError> {
+/// [`SessionError::NoEndpoint`], [`SessionError::NotLoopback`], [`SessionError::NoAuthDir`] and
+/// [`SessionError::TlsOptions`].
+pub fn check(listen: &[String], has_users: bool) -> Result<(), SessionError> {
     for endpoint in listen {
-        let refused: fn(String) -> SessionError = match endpoint.split_once('/') {
+        let error: fn(String) -> SessionError = match endpoint.split_once('/') {
             None => SessionError::NoEndpoint,
-            Some(("tls", _)) if !are_people_known => SessionError::NobodyKnown,
-            Some(("tls", address)) if has_settings_of_its_own(address) => SessionError::OtherTls,
+            Some(("tls", _)) if !has_users => SessionError::NoAuthDir,
+            Some(("tls", address)) if has_options(address) => SessionError::TlsOptions,
             Some(("tls", _)) => continue,
             Some(_) if is_local(endpoint) => continue,
             Some(_) => SessionError::NotLoopback,
         };
-        return Err(refused(endpoint.clone()));
+        return Err(error(endpoint.clone()));
     }
     Ok(())
 }
 
-/// The daemon's session, and what it runs on.
+/// The session and what belongs to it.
 pub struct Opened {
     /// The session.
     pub session: Session,
-    /// Other sessions of the same runtime.
+    /// Further sessions of the same runtime.
     pub pool: SessionPool,
-    /// What it runs on, until this is dropped.
+    /// The runtime of the sessions.
     pub runtime: OpenRuntime,
-    /// The sessions of its clients.
+    /// The sessions of the clients.
     pub clients: Arc<Sessions>,
 }
 
-/// What zenoh runs on. It is closed when this is dropped, which is to be after its session.
+/// The runtime of the sessions, which is closed on drop. Drop it after the sessions.
 pub struct OpenRuntime(Runtime);
 
 impl Drop for OpenRuntime {
@@ -120,8 +117,7 @@ impl Drop for OpenRuntime {
     }
 }
 
-/// Opens the session on `listen`, for keys below `prefix`, whoever has rights there and so many
-/// clients.
+/// Opens the session: it listens on `listen`, for these users and at most `max_clients` clients.
 ///
 /// # Errors
 ///
@@ -133,12 +129,12 @@ pub async fn open(
     max_clients: usize,
 ) -> Result<Opened, SessionError> {
     check(listen, rights.users().is_some())?;
-    read_first();
+    prioritise_rx();
     let mut config = Config::default();
     let mut settings = settings(listen, max_clients);
     settings.push(("access_control", acl::control(prefix, rights)));
     if let Rights::Users { folder, .. } = rights {
-        settings.extend(proofs(folder));
+        settings.extend(authentication(folder));
     }
     for (key, value) in settings {
         config
@@ -160,7 +156,7 @@ pub async fn open(
         })
 }
 
-/// Does what `zenoh::open` does, which has no place for a handler of transports.
+/// Like `zenoh::open`, which does not accept a transport event handler.
 async fn start(
     config: Config,
     clients: Arc<Sessions>,
@@ -173,25 +169,25 @@ async fn start(
     Ok((session, SessionPool::new(shared), runtime))
 }
 
-/// Starts zenoh's reading threads, and has them rank above the daemon's others where that is
-/// permitted: in a flood they turn away most of what they read, and whoever is behind it is read
-/// soon, while each thread that only answers the flood would have as much of a core as they.
-fn read_first() {
-    // What a thread starts ranks like it. Whoever sends is not to come before whoever has more to
-    // send: several messages that leave together cost little more than one.
+/// Starts zenoh's receiving threads, with a higher priority than the other threads if that is
+/// permitted. In a flood they reject most requests; with equal priorities the threads that reply to the
+/// flood would delay the requests of other clients.
+fn prioritise_rx() {
+    // A thread inherits the niceness of its parent, so TX is started first: with a higher priority it
+    // would send each message by itself, and a batch of messages costs little more than one.
     let _: &Handle = &ZRuntime::TX;
     let started = thread::spawn(|| {
-        if let Err(error) = setpriority_process(None, READING_NICENESS) {
-            debug!(%error, "not permitted to rank the reading of queries above all else");
+        if let Err(error) = setpriority_process(None, RX_NICENESS) {
+            debug!(%error, "not permitted to raise the priority of zenoh's receiving threads");
         }
         let _: &Handle = &ZRuntime::RX;
     });
     if started.join().is_err() {
-        debug!("zenoh failed to start its reading threads: it tries again with the first client");
+        debug!("zenoh failed to start its receiving threads; it retries with the first client");
     }
 }
 
-/// What zenoh says, without the places in its source.
+/// zenoh's error without the positions in its source.
 fn reason(text: &str) -> String {
     if text.contains("Address already in use") {
         return "the address is in use".to_owned();
@@ -199,7 +195,7 @@ fn reason(text: &str) -> String {
     text.split(" at /").next().unwrap_or(text).to_owned()
 }
 
-/// Every setting that differs from zenoh's own default, each measured to matter.
+/// Every setting that differs from zenoh's default.
 fn settings(listen: &[String], max_clients: usize) -> Vec<(&'static str, Value)> {
     vec![
         // A zenoh router forwards claims to other routers, but not from one peer to another.
@@ -207,23 +203,23 @@ fn settings(listen: &[String], max_clients: usize) -> Vec<(&'static str, Value)>
         // The daemon opens no connections, so there is nothing to wait for.
         ("scouting/delay", json!(0)),
         ("listen/endpoints", json!(listen)),
-        // Nobody joins whom they did not name.
+        // Sessions connect only to configured endpoints.
         ("scouting/multicast/enabled", json!(false)),
         ("scouting/gossip/enabled", json!(false)),
-        // A query of it that meets a client's declaration locks up the whole session for good.
+        // A query to it during a declaration of a client deadlocks the session.
         ("adminspace/enabled", json!(false)),
         // Sequence numbers order events. After the clock is set back zenoh logs two lines for every
         // sample with a timestamp, until the clock catches up.
         ("timestamping/enabled", json!(false)),
         ("transport/shared_memory/enabled", json!(false)),
-        // Silent connections must not lock out new clients.
+        // Connections that send nothing must not block new clients.
         ("transport/unicast/accept_timeout", json!(2000)),
         ("transport/unicast/accept_pending", json!(1000)),
         (
             "transport/unicast/max_sessions",
-            json!(max_clients + SESSIONS_TO_REFUSE),
+            json!(max_clients + MAX_EXTRA_SESSIONS),
         ),
-        // A client that is gone is noticed within three seconds.
+        // A client that was disconnected is noticed within three seconds.
         ("transport/link/tx/lease", json!(3000)),
         (
             "transport/link/rx/max_message_size",
@@ -232,9 +228,8 @@ fn settings(listen: &[String], max_clients: usize) -> Vec<(&'static str, Value)>
     ]
 }
 
-/// How whoever opens a session proves who they are: by their password, and over TLS by their
-/// certificate too.
-fn proofs(folder: &Folder) -> [(&'static str, Value); 2] {
+/// The authentication of sessions: by password, and over TLS by certificate, too.
+fn authentication(folder: &Folder) -> [(&'static str, Value); 2] {
     let ([authority, _], [certificate, key]) = (folder.authority(), folder.daemon());
     [
         (
@@ -254,9 +249,9 @@ fn proofs(folder: &Folder) -> [(&'static str, Value); 2] {
     ]
 }
 
-/// Whether an address says more of how it is to be listened on than the interface, as
-/// `0.0.0.0:7447#enable_mtls=false` does: to zenoh that stands above the settings.
-fn has_settings_of_its_own(address: &str) -> bool {
+/// Whether an address has options other than the interface, such as `0.0.0.0:7447#enable_mtls=false`:
+/// to zenoh they take precedence over its settings.
+fn has_options(address: &str) -> bool {
     let Some((_, settings)) = address.split_once('#') else {
         return false;
     };
@@ -316,29 +311,29 @@ mod tests {
     }
 
     #[test]
-    fn others_are_let_in_by_tls_alone_and_only_if_people_are_known() {
-        let check = |endpoint: &str, are_known| check(&[endpoint.to_owned()], are_known);
+    fn other_machines_need_tls_and_users() {
+        let check = |endpoint: &str, has_users| check(&[endpoint.to_owned()], has_users);
         assert!(check("tls/0.0.0.0:7447", true).is_ok());
         assert!(check("tls/0.0.0.0:7447#iface=eth0", true).is_ok());
         assert!(check("tcp/127.0.0.1:7447", true).is_ok());
         for settings in ["enable_mtls=false", "iface=eth0;enable_mtls=false", ""] {
-            let refused = check(&format!("tls/0.0.0.0:7447#{settings}"), true);
+            let rejected = check(&format!("tls/0.0.0.0:7447#{settings}"), true);
             assert!(
-                matches!(refused, Err(SessionError::OtherTls(_))),
+                matches!(rejected, Err(SessionError::TlsOptions(_))),
                 "{settings}"
             );
         }
         for endpoint in ["tls/0.0.0.0:7447", "tls/127.0.0.1:7447"] {
-            let refused = check(endpoint, false);
+            let rejected = check(endpoint, false);
             assert!(
-                matches!(refused, Err(SessionError::NobodyKnown(_))),
+                matches!(rejected, Err(SessionError::NoAuthDir(_))),
                 "{endpoint}"
             );
         }
         for endpoint in ["tcp/0.0.0.0:7447", "quic/0.0.0.0:7447", "ws/10.0.0.1:1"] {
-            let refused = check(endpoint, true);
+            let rejected = check(endpoint, true);
             assert!(
-                matches!(refused, Err(SessionError::NotLoopback(_))),
+                matches!(rejected, Err(SessionError::NotLoopback(_))),
                 "{endpoint}"
             );
         }

@@ -1,11 +1,11 @@
-//! zenoh sessions that share one runtime, so that none of them runs out of numbers for its keys.
+//! A pool of zenoh sessions that share one runtime, so that no session runs out of numbers for keys.
 //!
 //! A session of zenoh 1.10 numbers the keys that it declares with a 16-bit counter and never reuses a
 //! number. After the counter has wrapped, a new key replaces another one that still has its number, and
 //! queries and samples of both are lost or delivered under the wrong key. Publishers, subscribers and
-//! queryables declare their keys, so that one session lasts for some 9,000 swarms. Therefore what is
-//! declared for a swarm belongs to a session of this pool, which opens another session before the
-//! counter can wrap. All of them share the listeners and connections of one runtime.
+//! queryables declare their keys, so that one session lasts for some 9,000 swarms. Therefore the keys of
+//! a swarm are declared in a session of this pool, which opens another session before the counter can
+//! wrap. All of them share the listeners and connections of one runtime.
 
 use std::ops::Deref;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -15,12 +15,12 @@ use tracing::debug;
 use zenoh::internal::runtime::DynamicRuntime;
 use zenoh::{Session, Wait};
 
-/// The most leases of one session. zenoh keeps a few hundred bytes of each session until its runtime
-/// is closed, so that sessions should be few.
+/// The most leases of one session. zenoh retains a few hundred bytes of each session until its runtime
+/// is closed, so the sessions should be few.
 const MAX_LEASES: usize = 3_000;
 
-/// The most keys that may be declared with one lease: those of a swarm's three queryables and one for
-/// each of its verbs. The publishers of a swarm have four keys, a subscription to it three.
+/// The most keys that may be declared with one lease: those of a swarm's three queryables, and one for
+/// each verb. The publishers of a swarm have four keys, a subscription to it three.
 const MAX_KEYS: usize = 3 + SWARM_VERBS.len();
 
 const _: () = assert!(MAX_LEASES * MAX_KEYS < u16::MAX as usize);
@@ -34,27 +34,28 @@ pub struct SessionPool {
 
 #[derive(Default)]
 struct Sessions {
-    /// The last one is leased; the others are kept for the leases that they have.
+    /// New leases are of the last one; the others stay open for their leases.
     open: Vec<Lease>,
-    /// How often the last one was leased.
+    /// The number of leases of the last one so far.
     leases: usize,
     is_closed: bool,
 }
 
-/// A session of the pool for at most `MAX_KEYS` different keys. Keep it as long as what it declared:
-/// the pool may close a session that has no lease.
+/// A session of the pool, for at most `MAX_KEYS` different keys. Hold it as long as the declarations:
+/// the pool may close a session without a lease.
 #[derive(Clone)]
 pub struct Lease {
     session: Session,
     users: Arc<()>,
 }
 
-/// Keeps the session of a lease open, as the lease does. A callback that the session holds may hold it.
+/// Keeps the session of a lease open, as the lease does. Unlike a lease, it may be held by a callback of
+/// the session.
 #[derive(Clone)]
-pub struct LeaseGuard(#[expect(dead_code, reason = "held for its count")] Arc<()>);
+pub struct LeaseGuard(#[expect(dead_code, reason = "held for its reference count")] Arc<()>);
 
 impl Lease {
-    /// A guard of this lease: until it is dropped, queries that the session received can be answered.
+    /// A guard of this lease: until it is dropped, the session can reply to queries that it received.
     pub fn guard(&self) -> LeaseGuard {
         LeaseGuard(self.users.clone())
     }
@@ -69,7 +70,7 @@ impl Deref for Lease {
 }
 
 impl SessionPool {
-    /// A pool of sessions of `runtime`, without any yet.
+    /// An empty pool for sessions of `runtime`.
     pub fn new(runtime: DynamicRuntime) -> Self {
         SessionPool {
             runtime,
@@ -81,11 +82,11 @@ impl SessionPool {
     ///
     /// # Errors
     ///
-    /// When the pool is closed, and when zenoh opens no session.
+    /// When the pool is closed, or zenoh rejects a session.
     pub fn lease(&self) -> zenoh::Result<Lease> {
         let mut sessions = self.sessions();
         if sessions.is_closed {
-            return Err("the daemon is ending".into());
+            return Err("the daemon is stopping".into());
         }
         if let Some(last) = sessions.open.last()
             && sessions.leases < MAX_LEASES
@@ -107,14 +108,14 @@ impl SessionPool {
         debug!(
             open = sessions.open.len(),
             closing = unused.len(),
-            "another zenoh session"
+            "new zenoh session"
         );
         drop(sessions);
         close(unused);
         Ok(lease)
     }
 
-    /// Closes all sessions with what they declared, and leases no more.
+    /// Closes all sessions and their declarations, and grants no more leases.
     pub fn close(&self) {
         let mut sessions = self.sessions();
         sessions.is_closed = true;

@@ -1,4 +1,5 @@
-//! What controllers send that nobody answers: set-points, and the end of their tokens.
+//! The thread `control`: passes set-points and the end of controllers' tokens to swarms. Neither gets
+//! a reply.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
@@ -18,25 +19,25 @@ use crate::swarm::handle::Message;
 use crate::swarm::registry::SwarmRegistry;
 use crate::transport::zenoh::claims::Claims;
 
-/// What may wait to be read; beyond that the newest are dropped, as on any link that is full.
-const MOST: usize = 4096;
+/// Messages that are queued for the thread. If the queue is full, new set-points are dropped.
+const MAX_QUEUED: usize = 4096;
 
-/// How long a look takes at most for another token of the same controller.
-const PATIENCE_WITH_TOKENS: Duration = Duration::from_secs(1);
+/// The timeout of a query for another token of the same controller.
+const TOKEN_QUERY_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// Something that a controller sent.
-enum Sent {
+/// A sample on its way to the thread.
+enum Received {
     /// Set-points.
     Put(Sample),
-    /// The end of a token.
-    Gone(Sample),
+    /// The token of a controller was undeclared.
+    Lost(Sample),
 }
 
-/// Listens to controllers.
+/// Starts the thread and subscribes to set-points and tokens.
 ///
 /// # Errors
 ///
-/// When zenoh refuses the keys.
+/// When zenoh rejects the keys, or no thread can be started.
 pub fn listen(
     session: &Session,
     prefix: &str,
@@ -44,7 +45,7 @@ pub fn listen(
     rights: Arc<LiveRights>,
     claims: Arc<Claims>,
 ) -> zenoh::Result<[Subscriber<()>; 2]> {
-    let (sent, to_read) = sync_channel(MOST);
+    let (messages, received) = sync_channel(MAX_QUEUED);
     let reader = Reader {
         session: session.clone(),
         prefix: format!("{prefix}/"),
@@ -54,13 +55,13 @@ pub fn listen(
     };
     thread::Builder::new()
         .name("control".into())
-        .spawn(move || reader.run(&to_read))?;
-    let puts: SyncSender<Sent> = sent.clone();
+        .spawn(move || reader.run(&received))?;
+    let puts: SyncSender<Received> = messages.clone();
     let puts = session
         .declare_subscriber(keys::ctl(prefix, "*", "*"))
         .callback(move |sample| {
-            // What finds no room is dropped; the next one says the same anew.
-            let _ = puts.try_send(Sent::Put(sample));
+            // A dropped set-point is replaced by the next one.
+            let _ = puts.try_send(Received::Put(sample));
         })
         .wait()?;
     let tokens = session
@@ -68,7 +69,7 @@ pub fn listen(
         .declare_subscriber(keys::ctl_alive(prefix, "*", "*"))
         .callback(move |sample| {
             if sample.kind() == SampleKind::Delete {
-                let _ = sent.send(Sent::Gone(sample));
+                let _ = messages.send(Received::Lost(sample));
             }
         })
         .wait()?;
@@ -84,18 +85,18 @@ struct Reader {
 }
 
 impl Reader {
-    fn run(&self, sent: &Receiver<Sent>) {
-        while let Ok(sent) = sent.recv() {
-            match sent {
-                Sent::Put(sample) => self.put(&sample),
-                Sent::Gone(sample) => self.gone(&sample),
+    fn run(&self, messages: &Receiver<Received>) {
+        while let Ok(message) = messages.recv() {
+            match message {
+                Received::Put(sample) => self.put(&sample),
+                Received::Lost(sample) => self.lost(&sample),
             }
         }
     }
 
-    /// Hands set-points to their swarm.
+    /// Passes set-points to their swarm.
     fn put(&self, sample: &Sample) {
-        let Some((swarm, controller)) = self.whose(sample) else {
+        let Some((swarm, controller)) = parts(&self.prefix, sample) else {
             return;
         };
         let Some(handle) = self.host.find(swarm) else {
@@ -115,7 +116,7 @@ impl Reader {
         let (epoch, put) = match read {
             Ok((epoch, put)) => (epoch, Some(put)),
             Err(problem) => {
-                debug!(swarm, controller, problem, "refused set-points");
+                debug!(swarm, controller, problem, "invalid set-points");
                 (None, None)
             }
         };
@@ -125,27 +126,27 @@ impl Reader {
         }
     }
 
-    /// Tells a swarm that a controller is gone, unless another session holds its token: one that
-    /// came back, whose link was noticed to be cut only now.
-    fn gone(&self, sample: &Sample) {
-        let Some((swarm, controller)) = self.whose(sample) else {
+    /// Notifies a swarm that a controller is gone, unless another session holds its token: the
+    /// controller has reconnected before zenoh noticed that its first connection was closed.
+    fn lost(&self, sample: &Sample) {
+        let Some((swarm, controller)) = parts(&self.prefix, sample) else {
             return;
         };
         let tokens = self.session.liveliness().get(sample.key_expr());
         let is_held = tokens
-            .timeout(PATIENCE_WITH_TOKENS)
+            .timeout(TOKEN_QUERY_TIMEOUT)
             .wait()
             .is_ok_and(|tokens| tokens.into_iter().any(|token| token.result().is_ok()));
         if !is_held && let Some(handle) = self.host.find(swarm) {
             handle.send(Message::Lost(controller.to_owned()));
         }
     }
+}
 
-    /// The swarm and the controller that a key names; none if it is a wildcard.
-    fn whose<'a>(&self, sample: &'a Sample) -> Option<(&'a str, &'a str)> {
-        let key = sample.key_expr().as_str().strip_prefix(&self.prefix)?;
-        let (swarm, rest) = key.split_once("/ctl/")?;
-        let controller = rest.split('/').next()?;
-        (keys::is_name(swarm) && keys::is_name(controller)).then_some((swarm, controller))
-    }
+/// The swarm and the controller in a sample's key; `None` if it contains a wildcard.
+fn parts<'a>(prefix: &str, sample: &'a Sample) -> Option<(&'a str, &'a str)> {
+    let key = sample.key_expr().as_str().strip_prefix(prefix)?;
+    let (swarm, rest) = key.split_once("/ctl/")?;
+    let controller = rest.split('/').next()?;
+    (keys::is_name(swarm) && keys::is_name(controller)).then_some((swarm, controller))
 }

@@ -317,7 +317,7 @@ async fn an_orderly_end_on_a_full_disk_says_that_not_all_is_written() {
     life.stop();
     assert_eq!(life.end(), Some(8));
     let log = life::log(logs.path());
-    assert!(log.contains("not all is on the disk"), "{log}");
+    assert!(log.contains("the store is not completely written"), "{log}");
     disk.make_room();
     let mut life = Life::begin(&mut command).unwrap();
     let client = Client::open(&life.endpoint).await;

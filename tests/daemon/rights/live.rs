@@ -451,7 +451,7 @@ async fn a_damaged_people_file_keeps_the_rights_and_is_reported() {
     soon("olga", async || lab.command(&olga) == 401).await;
     assert!(!lab.is_reported());
     let log = fs::read_to_string(lab.base.path().join("log")).unwrap();
-    let reports = log.matches("failed to read the people again").count();
+    let reports = log.matches("failed to reload the users").count();
     assert!((6..=12).contains(&reports), "{reports}: {log}");
     for secret in [&vera, &olga] {
         assert!(!log.contains(secret.as_str()));

@@ -121,7 +121,7 @@ fn what_others_could_reach_unasked_does_not_start() {
         ),
         (
             &["--listen", "tls/0.0.0.0:0"],
-            "name their folder as auth_dir",
+            "set auth_dir to their folder",
         ),
         (
             &[
@@ -130,11 +130,11 @@ fn what_others_could_reach_unasked_does_not_start() {
                 "--auth-dir",
                 auth,
             ],
-            "iface=NAME alone",
+            "only iface=NAME",
         ),
         (
             &["--listen", "tls/127.0.0.1:0"],
-            "name their folder as auth_dir",
+            "set auth_dir to their folder",
         ),
         (
             &["--auth-dir", nowhere.to_str().unwrap()],

@@ -17,12 +17,12 @@ pub enum Verdict {
     /// Another daemon serves it.
     Wait(Claimant),
     /// Several daemons have executed commands on swarms of this name: none may.
-    Refuse(Claimant),
+    Reject(Claimant),
 }
 
 /// Whether the daemon `own` may serve the name, beside `others`.
 ///
-/// Of two daemons at least one yields or both refuse, as long as each knows the other's claim: the
+/// Of two daemons at least one yields or both reject, as long as each knows the other's claim: the
 /// daemon with the lower standing yields, and of equal ones the daemon that started later. If both
 /// executed commands, neither yields, since that would revoke acknowledged commands.
 pub fn judge(standing: Standing, own: &Claimant, others: &Others) -> Verdict {
@@ -32,7 +32,7 @@ pub fn judge(standing: Standing, own: &Claimant, others: &Others) -> Verdict {
         .max_by(|(a, first), (b, second)| a.cmp(b).then(second.cmp(first)));
     match rival {
         Some((Standing::Changed, rival)) if standing == Standing::Changed => {
-            Verdict::Refuse(rival.clone())
+            Verdict::Reject(rival.clone())
         }
         Some((higher, rival)) if higher > standing => Verdict::Wait(rival.clone()),
         Some((equal, rival)) if equal == standing && rival < own => Verdict::Wait(rival.clone()),
@@ -52,7 +52,7 @@ mod tests {
     }
 
     #[test]
-    fn of_any_claimants_at_most_one_serves_and_only_changed_ones_refuse() {
+    fn of_any_claimants_at_most_one_serves_and_only_changed_ones_reject() {
         let names = ["1", "2", "3"].map(claimant);
         let present = |count: usize| {
             (0..4_usize.pow(3)).filter_map(move |code| {
@@ -82,15 +82,15 @@ mod tests {
                     .count()
             };
             let serving = count(|it| *it == Verdict::Serve);
-            let refusing = count(|it| matches!(it, Verdict::Refuse(_)));
+            let rejecting = count(|it| matches!(it, Verdict::Reject(_)));
             let changed = verdicts
                 .iter()
                 .filter(|(it, _)| *it == Standing::Changed)
                 .count();
-            let (serves, refuses) = if changed > 1 { (0, changed) } else { (1, 0) };
+            let (serves, rejects) = if changed > 1 { (0, changed) } else { (1, 0) };
             assert_eq!(
-                (serving, refusing),
-                (serves, refuses),
+                (serving, rejecting),
+                (serves, rejects),
                 "{standings:?}: {verdicts:?}"
             );
         }
@@ -107,7 +107,7 @@ mod tests {
         ));
         assert!(matches!(
             judge(Standing::Changed, &own, &others),
-            Verdict::Refuse(_)
+            Verdict::Reject(_)
         ));
     }
 }

@@ -1,0 +1,15 @@
+//! The composition root: constructs the parts of the daemon in order, connects them, and stops them.
+//!
+//! [`start`] lists the steps. No other module knows all parts, and this one contains no logic of
+//! theirs.
+
+mod error;
+mod server;
+mod start;
+mod stop;
+mod users;
+mod watch;
+
+pub use error::{EXIT_STORE, ServerError};
+pub use server::Server;
+pub use start::start;

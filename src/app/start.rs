@@ -1,0 +1,465 @@
+//! The start of the daemon: [`open`] lists the steps, each of which is a function below it.
+
+use std::num::NonZero;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::{Arc, OnceLock};
+use std::thread;
+use std::time::Instant;
+
+use jostle_proto::keys;
+use tokio::net::TcpListener;
+use tokio::task::spawn_blocking;
+use tokio_rustls::TlsAcceptor;
+use tracing::{error, info};
+use zenoh::Session;
+
+use crate::api::admission::Admission;
+use crate::api::context::Context;
+use crate::api::executor::Executor;
+use crate::api::idempotency::IdempotencyCache;
+use crate::api::responder::Replies;
+use crate::api::{commands, queries};
+use crate::app::error::{EXIT_STORE, ServerError};
+use crate::app::server::{Connection, Server};
+use crate::app::users;
+use crate::app::watch::Sources;
+use crate::auth::Rights;
+use crate::auth::live::LiveRights;
+use crate::config::Config;
+use crate::convert::commands::check_name;
+use crate::convert::error::refusal;
+use crate::experiments::ExperimentManager;
+use crate::health::Watch;
+use crate::metrics::Pulse;
+use crate::persistence::recovery;
+use crate::playback::Uploads;
+use crate::recording::Recordings;
+use crate::store::{self, Store, StoreError, StoreFault};
+use crate::swarm::registry::SwarmRegistry;
+use crate::transport::http::{self, Bus, Gateway, GatewayError, Pass, Token};
+use crate::transport::zenoh::bus_watch::BusWatch;
+use crate::transport::zenoh::claims::{ClaimSubscribers, Claims};
+use crate::transport::zenoh::dispatcher::Dispatcher;
+use crate::transport::zenoh::gateway::{self, Connections, LifecycleNotifier};
+use crate::transport::zenoh::messages::{DispatchMessage, MAX_QUEUED};
+use crate::transport::zenoh::publisher::Publisher;
+use crate::transport::zenoh::queryables::SwarmEndpoints;
+use crate::transport::zenoh::session::Opened;
+use crate::transport::zenoh::session_pool::SessionPool;
+use crate::transport::zenoh::{progress, session, set_points};
+
+type BoxedFuture<'a, T> = std::pin::Pin<Box<dyn Future<Output = T> + Send + 'a>>;
+
+/// Starts the daemon. When this returns, every swarm of the previous run is recovered, and the
+/// daemon's keys are declared.
+///
+/// # Errors
+///
+/// [`ServerError`].
+pub fn start(config: &Config) -> BoxedFuture<'_, Result<Server, ServerError>> {
+    // Boxed, so that it is compiled here and not again in each program that starts a daemon.
+    Box::pin(open(config))
+}
+
+async fn open(config: &Config) -> Result<Server, ServerError> {
+    check_name("node", &config.node).map_err(ServerError::Name)?;
+    check_name("prefix", &config.prefix).map_err(ServerError::Name)?;
+    let rights = users::open(config)?;
+    let http = HttpListener::bind(config, &rights).await?;
+    let store = open_store(config)?;
+    let Opened {
+        session,
+        pool,
+        runtime,
+        clients,
+    } = session::open(
+        &config.listen,
+        &config.prefix,
+        &rights.current(),
+        config.max_clients,
+    )
+    .await?;
+    let endpoints = endpoints(config, &session).await;
+
+    let (core, received, claim_subscribers) = Core::start(config, rights, store, session, pool)?;
+    let files = Files::open(config, &core).await?;
+    progress::publish(
+        files.lab.clone(),
+        core.session.clone(),
+        config.prefix.clone(),
+        config.node.clone(),
+    )?;
+    let watch = Arc::new(OnceLock::new());
+    let url = http.as_ref().map(HttpListener::url).transpose()?;
+    let context = context(config, &core, &files, url, watch.clone());
+    let pulse = start_dispatcher(config, &core, context.clone(), received)?;
+
+    // The probe's key must have no queryable.
+    let probe = keys::node_get(&config.prefix, &config.node, "@probe");
+    let bus = BusWatch::start(core.session.clone(), probe, clients)?;
+    let mut probed = endpoints.clone();
+    if let Some(http) = &http {
+        probed.push(http.endpoint()?);
+    }
+    let started = start_watch(&core, &files, bus.clone(), pulse, probed)?;
+    let watch = watch.get_or_init(|| started).clone();
+    // Before the recovery, which may take long: the health checks must be reachable meanwhile.
+    let pass = pass(config, &core)?;
+    let gateway = match http {
+        Some(http) => Some(http.serve(config, &core, pass.clone(), watch.clone())?),
+        None => None,
+    };
+
+    recover(&core).await?;
+    commands::resume(&files.recordings, &files.recording_files, &core.host);
+    context.is_recovering.store(false, Ordering::Release);
+    let set_point_subscribers = set_points::listen(
+        &core.session,
+        &config.prefix,
+        core.host.clone(),
+        core.rights.clone(),
+        core.claims.clone(),
+    )
+    .map_err(rejected)?;
+    // After the recovery: a client that sees the daemon finds its swarms.
+    open_node(&core.messages).await?;
+    info!(
+        node = config.node,
+        endpoints = endpoints.join(" "),
+        "serving"
+    );
+    Ok(Server {
+        host: core.host,
+        store: core.store,
+        connection: Connection {
+            session: core.session,
+            pool: core.pool,
+            _subscribers: (set_point_subscribers, claim_subscribers),
+            _runtime: runtime,
+        },
+        bus,
+        publisher: core.publisher,
+        replies: core.replies,
+        messages: core.messages,
+        endpoints,
+        watch,
+        gateway,
+        pass,
+        lab: files.lab,
+        recordings: files.recordings,
+    })
+}
+
+/// The listener of the HTTP server.
+struct HttpListener {
+    listener: TcpListener,
+    acceptor: Option<TlsAcceptor>,
+}
+
+impl HttpListener {
+    /// Binds the address; `None` if the daemon serves no HTTP.
+    async fn bind(config: &Config, rights: &LiveRights) -> Result<Option<Self>, ServerError> {
+        let Some(place) = http::check(&config.http, config.auth_dir.is_some())? else {
+            return Ok(None);
+        };
+        let acceptor = match &*rights.current() {
+            Rights::Users { folder, .. } if place.is_secure => {
+                Some(http::acceptor(&folder.daemon()).map_err(GatewayError::Certificate)?)
+            }
+            _ => None,
+        };
+        let listener = Gateway::bind(place.address).await?;
+        Ok(Some(HttpListener { listener, acceptor }))
+    }
+
+    fn url(&self) -> std::io::Result<String> {
+        let scheme = http::scheme(self.acceptor.is_some());
+        Ok(format!("{scheme}://{}", self.listener.local_addr()?))
+    }
+
+    /// The address in the form of a zenoh endpoint, for the health checks.
+    fn endpoint(&self) -> std::io::Result<String> {
+        let scheme = http::scheme(self.acceptor.is_some());
+        Ok(format!("{scheme}/{}", self.listener.local_addr()?))
+    }
+
+    fn serve(
+        self,
+        config: &Config,
+        core: &Core,
+        pass: Pass,
+        watch: Arc<Watch>,
+    ) -> std::io::Result<Gateway> {
+        let bus = Bus {
+            session: core.session.clone(),
+            pool: core.pool.clone(),
+            prefix: config.prefix.clone(),
+            node: config.node.clone(),
+        };
+        Gateway::serve(self.listener, self.acceptor, bus, pass, watch)
+    }
+}
+
+/// Opens the store. If it fails later, the process exits at once: only a recovery finds out what is
+/// durable.
+fn open_store(config: &Config) -> Result<Store, StoreError> {
+    let settings = store::Settings {
+        quota_bytes: config.quota_bytes,
+    };
+    let on_fatal = Box::new(|fault: &StoreFault| {
+        error!(%fault, "the store failed: exiting; restart the daemon");
+        eprintln!("jostled: {fault}");
+        signal_hook::low_level::exit(EXIT_STORE)
+    });
+    Store::open(&config.data_dir, settings, on_fatal)
+}
+
+/// The endpoints by which clients reach the session.
+async fn endpoints(config: &Config, session: &Session) -> Vec<String> {
+    let locators = session.info().locators().await;
+    if locators.is_empty() {
+        // For an unspecified address zenoh lists the machine's external addresses; this one has none.
+        return config.listen.clone();
+    }
+    locators.iter().map(ToString::to_string).collect()
+}
+
+/// The swarms, and the parts by which requests reach them and replies and states leave.
+struct Core {
+    rights: Arc<LiveRights>,
+    store: Store,
+    session: Session,
+    pool: SessionPool,
+    replies: Replies,
+    publisher: Arc<Publisher>,
+    messages: SyncSender<DispatchMessage>,
+    claims: Arc<Claims>,
+    host: Arc<SwarmRegistry>,
+    idempotency: IdempotencyCache,
+}
+
+impl Core {
+    /// Starts the threads of replies and of the publisher, and reads the claims of other daemons.
+    /// Returns the receiver for the dispatcher and the subscribers of the claims, too.
+    fn start(
+        config: &Config,
+        rights: Arc<LiveRights>,
+        store: Store,
+        session: Session,
+        pool: SessionPool,
+    ) -> Result<(Self, Receiver<DispatchMessage>, ClaimSubscribers), ServerError> {
+        let replies = Replies::start()?;
+        let (messages, received) = sync_channel(MAX_QUEUED);
+        let publisher = Publisher::start(&config.prefix, messages.clone())?;
+        let wake = messages.clone();
+        let (claims, subscribers) =
+            Claims::watch(&session, &config.prefix, &config.node, move || {
+                // If the queue is full, the dispatcher is awake and reconciles anyway.
+                let _ = wake.try_send(DispatchMessage::Claimed);
+            })
+            .map_err(rejected)?;
+        let notifier = Arc::new(LifecycleNotifier::new(messages.clone(), publisher.clone()));
+        let host = SwarmRegistry::new(config.limits, notifier, Box::new(store.clone()));
+        let has_users = rights.current().users().is_some();
+        let core = Core {
+            idempotency: IdempotencyCache::new(store.clone(), has_users),
+            rights,
+            store,
+            session,
+            pool,
+            replies,
+            publisher,
+            messages,
+            claims,
+            host: Arc::new(host),
+        };
+        Ok((core, received, subscribers))
+    }
+}
+
+/// The experiments and recordings, which have folders beside the store.
+struct Files {
+    lab: ExperimentManager,
+    experiment_files: Executor<ExperimentManager>,
+    recordings: Recordings,
+    recording_files: Executor<Recordings>,
+    uploads: Arc<Uploads>,
+}
+
+impl Files {
+    async fn open(config: &Config, core: &Core) -> Result<Self, ServerError> {
+        let lab = open_lab(config).await?;
+        let recordings = open_recordings(config, core.host.clone())?;
+        Ok(Files {
+            experiment_files: Executor::start("experiments", lab.clone())?,
+            lab,
+            recording_files: Executor::start("recordings", recordings.clone())?,
+            recordings,
+            uploads: Arc::new(open_uploads(config)?),
+        })
+    }
+}
+
+async fn open_lab(config: &Config) -> Result<ExperimentManager, ServerError> {
+    let folder = config.data_dir.join("experiments");
+    let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
+    let threads = config.experiment_threads.unwrap_or_else(cores).get();
+    let opened = spawn_blocking({
+        let folder = folder.clone();
+        move || ExperimentManager::open(&folder, threads)
+    });
+    let opened = opened.await.expect("opening does not panic");
+    opened.map_err(|error| ServerError::Lab {
+        folder: folder.display().to_string(),
+        error,
+    })
+}
+
+fn open_recordings(config: &Config, host: Arc<SwarmRegistry>) -> Result<Recordings, ServerError> {
+    let folder = config.data_dir.join("recordings");
+    let quota_bytes = config.recordings_quota_bytes;
+    let opened = Recordings::open(&folder, refusal, quota_bytes, host);
+    opened.map_err(|error| ServerError::Recordings {
+        folder: folder.display().to_string(),
+        error,
+    })
+}
+
+fn open_uploads(config: &Config) -> Result<Uploads, ServerError> {
+    let folder = config.data_dir.join("replays");
+    Uploads::open(&folder).map_err(|error| ServerError::Uploads {
+        folder: folder.display().to_string(),
+        error,
+    })
+}
+
+/// The state that all request handlers share.
+fn context(
+    config: &Config,
+    core: &Core,
+    files: &Files,
+    url: Option<String>,
+    watch: Arc<OnceLock<Arc<Watch>>>,
+) -> Arc<Context> {
+    Arc::new(Context {
+        prefix: config.prefix.clone(),
+        node: config.node.clone(),
+        http: url,
+        max_clients: config.max_clients,
+        max_message_bytes: session::MAX_MESSAGE_BYTES - session::MAX_FRAMING_BYTES,
+        peers: Arc::new(Connections {
+            session: core.session.clone(),
+            claims: core.claims.clone(),
+        }),
+        host: core.host.clone(),
+        replies: core.replies.clone(),
+        rights: core.rights.clone(),
+        started: Instant::now(),
+        store: core.store.clone(),
+        idempotency: core.idempotency.clone(),
+        schemas: queries::schemas(),
+        lab: files.lab.clone(),
+        experiment_files: files.experiment_files.clone(),
+        uploads: files.uploads.clone(),
+        recordings: files.recordings.clone(),
+        recording_files: files.recording_files.clone(),
+        watch,
+        is_recovering: AtomicBool::new(true),
+        verifications: Arc::default(),
+    })
+}
+
+/// Starts the dispatcher thread, and returns its activity for the health checks.
+fn start_dispatcher(
+    config: &Config,
+    core: &Core,
+    context: Arc<Context>,
+    received: Receiver<DispatchMessage>,
+) -> Result<Arc<Pulse>, ServerError> {
+    let gateway = Arc::new(gateway::Gateway {
+        context,
+        claims: core.claims.clone(),
+        admission: Admission::default(),
+        queued: AtomicUsize::new(0),
+    });
+    let pulse = Arc::new(Pulse::default());
+    let dispatcher = Dispatcher {
+        gateway: gateway.clone(),
+        pool: core.pool.clone(),
+        publisher: core.publisher.clone(),
+        endpoints: SwarmEndpoints::new(
+            core.session.clone(),
+            core.pool.clone(),
+            config.prefix.clone(),
+            config.node.clone(),
+            core.messages.clone(),
+            gateway,
+        ),
+        held: Vec::new(),
+        recovered: None,
+        pulse: pulse.clone(),
+    };
+    thread::Builder::new()
+        .name("dispatch".into())
+        .spawn(move || dispatcher.run(&received))?;
+    Ok(pulse)
+}
+
+/// Starts the health checks.
+fn start_watch(
+    core: &Core,
+    files: &Files,
+    bus: Arc<BusWatch>,
+    dispatch: Arc<Pulse>,
+    endpoints: Vec<String>,
+) -> Result<Arc<Watch>, ServerError> {
+    let sources = Sources {
+        endpoints,
+        threads: vec![
+            ("dispatch", dispatch),
+            ("publish", core.publisher.pulse.clone()),
+            ("replies", core.replies.pulse.clone()),
+        ],
+        host: core.host.clone(),
+        store: core.store.clone(),
+        session: core.session.clone(),
+        bus,
+        claims: core.claims.clone(),
+        rights: core.rights.clone(),
+        recordings: files.recordings.clone(),
+    };
+    Ok(Watch::start(sources.watched())?)
+}
+
+/// How HTTP clients prove that they may send commands: by the token of the page, or as users.
+fn pass(config: &Config, core: &Core) -> Result<Pass, ServerError> {
+    Ok(match core.rights.current().users() {
+        None => Pass::Page(Token::of(&config.data_dir).map_err(ServerError::Token)?),
+        Some(_) => Pass::People(core.rights.clone()),
+    })
+}
+
+/// Recovers the swarms of the previous run.
+async fn recover(core: &Core) -> Result<(), ServerError> {
+    let (host, store) = (core.host.clone(), core.store.clone());
+    let idempotency = core.idempotency.clone();
+    let recovered = spawn_blocking(move || recovery::recover(&host, &store, &idempotency));
+    recovered.await.expect("recovery does not panic")?;
+    Ok(())
+}
+
+/// Has the dispatcher declare the daemon's own keys. Returns once they are declared, or once it is
+/// known that another daemon of this name serves them.
+async fn open_node(messages: &SyncSender<DispatchMessage>) -> Result<(), ServerError> {
+    let (opened, result) = sync_channel(1);
+    let _ = messages.send(DispatchMessage::Recovered(opened));
+    match spawn_blocking(move || result.recv()).await {
+        Ok(Ok(Err(error))) => Err(rejected(error)),
+        _ => Ok(()),
+    }
+}
+
+fn rejected(error: zenoh::Error) -> ServerError {
+    ServerError::Keys(error.to_string())
+}

@@ -1,0 +1,83 @@
+//! The users and their roles: read at the start, and again while the daemon runs.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::time::MissedTickBehavior;
+use tracing::{error, info, warn};
+
+use crate::auth::folder::Folder;
+use crate::auth::live::{Changes, LiveRights};
+use crate::auth::{AuthError, Rights};
+use crate::config::Config;
+
+/// How many days before its expiry a certificate is reported.
+const EXPIRY_WARNING_DAYS: i64 = 60;
+
+const EXPIRY_CHECK_INTERVAL: Duration = Duration::from_secs(24 * 60 * 60);
+
+/// How often the users are read again: a removed user's token is rejected within 5 s.
+const RELOAD_INTERVAL: Duration = Duration::from_secs(1);
+
+/// Reads the users of `auth_dir`, and starts the tasks that reload and check them.
+///
+/// # Errors
+///
+/// [`AuthError`].
+pub fn open(config: &Config) -> Result<Arc<LiveRights>, AuthError> {
+    let rights = match &config.auth_dir {
+        Some(path) => Rights::read(Folder::at(path.clone()))?,
+        None => Rights::Open,
+    };
+    let has_users = rights.users().is_some();
+    let rights = Arc::new(LiveRights::new(rights));
+    if has_users {
+        tokio::spawn(warn_of_expiry(rights.clone()));
+        tokio::spawn(reload(rights.clone()));
+    }
+    Ok(rights)
+}
+
+/// Logs certificates that expire soon and passwords without a user, at once and then every day.
+async fn warn_of_expiry(rights: Arc<LiveRights>) {
+    let mut ticks = tokio::time::interval(EXPIRY_CHECK_INTERVAL);
+    loop {
+        ticks.tick().await;
+        match rights.current().expiry_warnings(EXPIRY_WARNING_DAYS) {
+            Ok(notices) => notices.iter().for_each(|line| warn!("{line}")),
+            Err(error) => warn!(%error, "failed to check the certificates and passwords"),
+        }
+    }
+}
+
+/// Reads the users again every second, so that `jostled auth add` and `remove` take effect without a
+/// restart.
+async fn reload(rights: Arc<LiveRights>) {
+    let mut ticks = tokio::time::interval(RELOAD_INTERVAL);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut last_problem = None;
+    loop {
+        ticks.tick().await;
+        let reloaded = tokio::task::spawn_blocking({
+            let rights = rights.clone();
+            move || rights.reload()
+        });
+        match reloaded.await {
+            Ok(Ok(changes)) => {
+                if changes != Changes::default() {
+                    let Changes { added, removed } = changes;
+                    let (added, removed) = (added.join(" "), removed.join(" "));
+                    info!(added, removed, "users changed");
+                }
+            }
+            Ok(Err(error)) => {
+                let problem = Some(error.to_string());
+                if problem != last_problem {
+                    warn!(%error, "failed to reload the users; roles stay as they were");
+                }
+            }
+            Err(error) => error!(%error, "a defect: reloading the users panicked"),
+        }
+        last_problem = rights.problem();
+    }
+}

@@ -1,0 +1,186 @@
+//! The claims that a daemon knows, and what follows from them.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::{Duration, Instant};
+
+use jostle_proto::{Claimant, Standing};
+use tracing::warn;
+
+use super::types::{Action, Name};
+use super::verdict::{Others, Verdict, judge};
+
+/// The time that claims of other daemons may take to arrive. zenoh's routers compute their routes
+/// 100 ms after a connection and then forward claims, so this leaves 300 ms for the network.
+pub const SETTLING: Duration = Duration::from_millis(400);
+
+/// The most router connections within [`HOLD_WINDOW`] that hold commands. A client can connect as
+/// a router, and must not delay the commands of all clients indefinitely.
+const MAX_HOLDS: usize = 5;
+const HOLD_WINDOW: Duration = Duration::from_secs(60);
+
+/// After a daemon was suspended for longer than this, it rejects the commands that arrived
+/// meanwhile: other daemons notice its absence after 2.3 s to 3 s (the lease of its connections),
+/// and may then serve its names.
+const MAX_PAUSE: Duration = Duration::from_millis(1500);
+
+/// All claims that this daemon knows.
+pub(super) struct Known {
+    /// The names that this daemon claims.
+    pub(super) own: BTreeMap<Name, Own>,
+    /// The claims of other daemons.
+    pub(super) others: BTreeMap<Name, Others>,
+    /// The connected routers.
+    pub(super) routers: BTreeSet<String>,
+    /// Commands are held until then.
+    pub(super) held_until: Instant,
+    /// The recent router connections that held commands.
+    holds: VecDeque<Instant>,
+    /// The last time when the daemon was known not to be suspended.
+    pub(super) beat: Instant,
+    /// Commands are rejected until then, after a suspension.
+    pub(super) stale_until: Instant,
+    /// The names whose claims changed since the last `reconcile`.
+    pub(super) changed: BTreeSet<Name>,
+    /// When to judge all names again.
+    pub(super) due: Option<Instant>,
+}
+
+/// A name that this daemon claims.
+pub(super) struct Own {
+    pub(super) standing: Standing,
+    /// The name must not be served before this instant.
+    pub(super) settled: Instant,
+    /// When the name was reserved for a swarm that is still being built; `None` once it is built.
+    pub(super) reserved: Option<Instant>,
+    /// Whether its keys are open.
+    pub(super) is_open: bool,
+    /// Whether it rejects everything.
+    pub(super) is_rejecting: bool,
+    /// Whether another daemon held it when it was judged last.
+    is_contested: bool,
+}
+
+impl Known {
+    pub(super) fn new(now: Instant) -> Self {
+        Known {
+            own: BTreeMap::new(),
+            others: BTreeMap::new(),
+            routers: BTreeSet::new(),
+            held_until: now,
+            holds: VecDeque::new(),
+            beat: now,
+            stale_until: now,
+            changed: BTreeSet::new(),
+            due: None,
+        }
+    }
+
+    /// The verdict on a name of this daemon. A swarm waits if the daemon's own name waits.
+    pub(super) fn verdict(&self, name: &Name, claimant: &Claimant) -> Option<(Verdict, &Own)> {
+        let own = self.own.get(name)?;
+        // Without a router, a claim can only come from a client: ignore it.
+        if self.routers.is_empty() {
+            return Some((Verdict::Serve, own));
+        }
+        if *name != Name::Node
+            && let Some((Verdict::Wait(other), _)) = self.verdict(&Name::Node, claimant)
+        {
+            return Some((Verdict::Wait(other), own));
+        }
+        let none = Others::new();
+        let others = self.others.get(name).unwrap_or(&none);
+        Some((judge(own.standing, claimant, others), own))
+    }
+
+    /// Holds commands until the claims that a new router knows have arrived.
+    pub(super) fn hold(&mut self, now: Instant) {
+        self.holds
+            .retain(|at| now.duration_since(*at) < HOLD_WINDOW);
+        if self.holds.len() >= MAX_HOLDS {
+            return warn!("too many router connections: commands are not held for this one");
+        }
+        self.holds.push_back(now);
+        self.held_until = now + SETTLING;
+    }
+
+    /// Detects that the daemon was suspended for so long that others may serve its names.
+    pub(super) fn notice_pause(&mut self, now: Instant) {
+        let paused = now.saturating_duration_since(self.beat);
+        if self.routers.is_empty() || paused <= MAX_PAUSE {
+            return;
+        }
+        warn!(
+            secs = paused.as_secs_f64(),
+            "daemon was suspended: rejecting commands that arrived meanwhile"
+        );
+        self.beat = now;
+        self.stale_until = now + SETTLING;
+        self.changed.insert(Name::Node);
+    }
+}
+
+impl Own {
+    pub(super) fn new(standing: Standing, settled: Instant, reserved: Option<Instant>) -> Self {
+        Own {
+            standing,
+            settled,
+            reserved,
+            is_open: false,
+            is_rejecting: false,
+            is_contested: false,
+        }
+    }
+
+    /// Applies a verdict and returns what to change.
+    pub(super) fn apply(&mut self, name: &Name, verdict: &Verdict, now: Instant) -> Vec<Action> {
+        let mut actions = Vec::new();
+        match verdict {
+            Verdict::Serve => {
+                if std::mem::take(&mut self.is_contested) {
+                    self.settled = now + SETTLING;
+                }
+                if now < self.settled {
+                    return actions;
+                }
+                self.standing = self.standing.max(Standing::Serving);
+                if !std::mem::replace(&mut self.is_open, true) {
+                    actions.push(Action::Open(name.clone()));
+                } else if std::mem::take(&mut self.is_rejecting) {
+                    actions.push(Action::Resume(name.clone()));
+                }
+            }
+            Verdict::Wait(other) => {
+                if !std::mem::replace(&mut self.is_contested, true) {
+                    let Claimant { node, instance } = other;
+                    let name = name.text();
+                    warn!(name, node, instance, "contested: another daemon serves it");
+                }
+                self.standing = Standing::Waiting;
+                self.is_rejecting = false;
+                if std::mem::take(&mut self.is_open) {
+                    actions.push(Action::Close(name.clone()));
+                }
+            }
+            Verdict::Reject(other) => {
+                if !std::mem::replace(&mut self.is_contested, true) {
+                    let Claimant { node, instance } = other;
+                    let problem = "contested: rejecting everything, both daemons executed commands";
+                    let name = name.text();
+                    warn!(name, node, instance, "{problem}");
+                }
+                if !std::mem::replace(&mut self.is_open, true) {
+                    actions.push(Action::Open(name.clone()));
+                }
+                if !std::mem::replace(&mut self.is_rejecting, true) {
+                    actions.push(Action::Reject(name.clone()));
+                }
+            }
+        }
+        actions
+    }
+
+    /// Whether the name must be judged again at `settled`.
+    pub(super) fn is_settling(&self) -> bool {
+        !self.is_contested && (!self.is_open || self.is_rejecting)
+    }
+}
