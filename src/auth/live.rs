@@ -5,13 +5,12 @@
 //! opened and has no call that changes them: an open session of a removed user still reads until
 //! the daemon is restarted, and the session of a new user is rejected until then.
 
-use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::watch;
 
 use crate::auth::folder::Folder;
-use crate::auth::{AuthError, Rights, User, by_token};
+use crate::auth::{AuthError, ByToken, Rights, User, by_token};
 
 /// The rights in force.
 pub struct LiveRights {
@@ -60,24 +59,30 @@ impl LiveRights {
     /// Reads `people.json` again. A file that cannot be read, or that others could have changed,
     /// leaves the rights as they are, and [`LiveRights::problem`] has the reason.
     pub fn reload(&self) -> Result<Changes, AuthError> {
-        let Rights::Users { folder, until, .. } = &*self.at_start else {
+        let before = self.current();
+        let (
+            Rights::Users {
+                folder,
+                users: at_start,
+                until,
+            },
+            Rights::Users { users: before, .. },
+        ) = (&*self.at_start, &*before)
+        else {
             return Ok(Changes::default());
         };
         let read = read_tokens(folder);
         let problem = read.as_ref().err().map(ToString::to_string);
         *self.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
         let users = read?;
-        let before = self.current();
         let changes = Changes {
-            added: names_beyond(&users, &before),
-            removed: removed(&before, &users)
-                .map(|user| user.name.clone())
-                .collect(),
+            added: names(difference(&users, before)),
+            removed: names(difference(before, &users)),
         };
         if changes == Changes::default() {
             return Ok(changes);
         }
-        let removed = removed(&self.at_start, &users).cloned().collect();
+        let removed = difference(at_start, &users).cloned().collect();
         let rights = Rights::Users {
             folder: folder.clone(),
             users,
@@ -123,30 +128,17 @@ impl LiveRights {
 
 /// Reads the tokens. No lock is needed, since `people.json` is replaced as a whole. Unlike at the
 /// start it may be empty: then no request is permitted.
-fn read_tokens(folder: &Folder) -> Result<BTreeMap<[u8; 32], User>, AuthError> {
+fn read_tokens(folder: &Folder) -> Result<ByToken, AuthError> {
     folder.check_people()?;
     by_token(folder, folder.people()?.people)
 }
 
-/// The users of `rights` who are not in `users` with the same token and role.
-fn removed<'a>(
-    rights: &'a Rights,
-    users: &'a BTreeMap<[u8; 32], User>,
-) -> impl Iterator<Item = &'a User> {
-    let known = match rights {
-        Rights::Open => None,
-        Rights::Users { users, .. } => Some(users),
-    };
-    let known = known.into_iter().flatten();
-    known.filter_map(|(hash, user)| (users.get(hash) != Some(user)).then_some(user))
+/// The users of `these` who are not in `others` with the same token and role.
+fn difference<'a>(these: &'a ByToken, others: &'a ByToken) -> impl Iterator<Item = &'a User> {
+    let these = these.iter();
+    these.filter_map(|(hash, user)| (others.get(hash) != Some(user)).then_some(user))
 }
 
-/// The names of the users who are not in `rights` with the same token and role.
-fn names_beyond(users: &BTreeMap<[u8; 32], User>, rights: &Rights) -> Vec<String> {
-    let is_known = |hash: &[u8; 32], user: &User| match rights {
-        Rights::Open => true,
-        Rights::Users { users, .. } => users.get(hash) == Some(user),
-    };
-    let new = users.iter().filter(|(hash, user)| !is_known(hash, user));
-    new.map(|(_, user)| user.name.clone()).collect()
+fn names<'a>(users: impl Iterator<Item = &'a User>) -> Vec<String> {
+    users.map(|user| user.name.clone()).collect()
 }

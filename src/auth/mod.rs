@@ -36,6 +36,9 @@ pub struct User {
     pub role: Role,
 }
 
+/// Users by the hashes of their tokens.
+pub type ByToken = BTreeMap<[u8; 32], User>;
+
 /// Who is authorized.
 #[derive(Clone, Default, PartialEq, Eq)]
 pub enum Rights {
@@ -46,8 +49,8 @@ pub enum Rights {
     Users {
         /// The folder with their secrets.
         folder: Folder,
-        /// The users by the hashes of their tokens.
-        users: BTreeMap<[u8; 32], User>,
+        /// The users.
+        users: ByToken,
         /// The last day of the daemon's certificate, if that is known.
         until: Option<String>,
     },
@@ -189,10 +192,7 @@ impl Rights {
 }
 
 /// The users of `people.json`, by the hashes of their tokens.
-fn by_token(
-    folder: &Folder,
-    entries: Vec<UserEntry>,
-) -> Result<BTreeMap<[u8; 32], User>, AuthError> {
+fn by_token(folder: &Folder, entries: Vec<UserEntry>) -> Result<ByToken, AuthError> {
     let mut users = BTreeMap::new();
     for entry in entries {
         let wrong = |problem: &str| AuthError::Content {
