@@ -1,14 +1,13 @@
-//! Counters that one thread writes without waiting and others read.
+//! Counters with a single writer thread.
 //!
-//! The writer loads and stores, it never locks, allocates or adds atomically: where every step is
-//! counted that is some nanoseconds of its microseconds.
+//! The writer uses plain loads and stores, without locks or atomic additions: a few nanoseconds for
+//! a step that takes microseconds.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Upper bounds of a histogram's buckets, in nanoseconds: from the smallest step to what is an
-/// accident, and closest to each other about a millisecond, by which steps may be late. A last bucket
-/// holds what is longer.
+/// Upper bounds of a histogram's buckets, in nanoseconds, from the shortest steps to outliers. They
+/// are densest around a millisecond, the usual lateness of a step. The last bucket has no bound.
 pub const BOUNDS_NANOS: [u64; 24] = [
     5_000,
     10_000,
@@ -38,7 +37,7 @@ pub const BOUNDS_NANOS: [u64; 24] = [
 
 const BUCKETS: usize = BOUNDS_NANOS.len() + 1;
 
-/// How long things took, counted by one thread.
+/// A histogram of durations with a single writer thread.
 #[derive(Debug, Default)]
 pub struct Histogram {
     counts: [AtomicU64; BUCKETS],
@@ -46,7 +45,7 @@ pub struct Histogram {
 }
 
 impl Histogram {
-    /// Counts one more. Only one thread may.
+    /// Counts a duration. Called by one thread only.
     pub fn record(&self, took: Duration) {
         let nanos = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
         let bucket = BOUNDS_NANOS.partition_point(|bound| *bound < nanos);
@@ -54,7 +53,7 @@ impl Histogram {
         add(&self.nanos, nanos);
     }
 
-    /// What has been counted.
+    /// The current counts.
     pub fn read(&self) -> Durations {
         Durations {
             counts: self.counts.each_ref().map(|it| it.load(Ordering::Relaxed)),
@@ -63,7 +62,7 @@ impl Histogram {
     }
 }
 
-/// How long things took: how many in each bucket, and all together.
+/// Durations: the number in each bucket, and their sum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Durations {
     counts: [u64; BUCKETS],
@@ -71,17 +70,17 @@ pub struct Durations {
 }
 
 impl Durations {
-    /// How many there were.
+    /// The number of durations.
     pub fn count(&self) -> u64 {
         self.counts.iter().sum()
     }
 
-    /// How long all of them took.
+    /// Their sum.
     pub fn secs(&self) -> f64 {
         Duration::from_nanos(self.nanos).as_secs_f64()
     }
 
-    /// The buckets: each upper bound in seconds, the last infinite, and how many are in it alone.
+    /// For each bucket its upper bound in seconds, the last one infinite, and its own count.
     pub fn buckets(&self) -> impl Iterator<Item = (f64, u64)> {
         let bounds = BOUNDS_NANOS
             .iter()
@@ -90,7 +89,7 @@ impl Durations {
         bounds.zip(self.counts)
     }
 
-    /// Adds what others counted.
+    /// Adds the counts of `others`.
     pub fn add(&mut self, others: &Durations) {
         for (count, other) in self.counts.iter_mut().zip(others.counts) {
             *count += other;
@@ -99,32 +98,32 @@ impl Durations {
     }
 }
 
-/// Adds to what only this thread writes.
+/// Adds to a counter that only this thread writes.
 pub fn add(counter: &AtomicU64, more: u64) {
     let now = counter.load(Ordering::Relaxed).wrapping_add(more);
     counter.store(now, Ordering::Relaxed);
 }
 
-/// Whether a thread is at work, and on what number of it: odd while it works. It needs no clock;
-/// who watches it has one, and sees whether the number changes.
+/// Whether a thread is executing a task, and the number of that task, which is odd. The thread reads
+/// no clock: the watchdog sees whether the number changes.
 #[derive(Debug, Default)]
-pub struct Pulse(AtomicU64);
+pub struct Activity(AtomicU64);
 
-impl Pulse {
-    /// Begins a piece of work, or the next one. Only one thread may.
-    pub fn beat(&self) {
+impl Activity {
+    /// Begins a task, or the next one. Called by one thread only.
+    pub fn begin(&self) {
         let now = self.0.load(Ordering::Relaxed);
         self.0.store(now.wrapping_add(1) | 1, Ordering::Relaxed);
     }
 
-    /// Waits for work from here on. Only one thread may.
-    pub fn rest(&self) {
+    /// Ends the task. Called by one thread only.
+    pub fn end(&self) {
         let now = self.0.load(Ordering::Relaxed);
         self.0.store((now | 1).wrapping_add(1), Ordering::Relaxed);
     }
 
-    /// The number of the piece of work under way; none while it waits for work.
-    pub fn at_work(&self) -> Option<u64> {
+    /// The number of the current task.
+    pub fn task(&self) -> Option<u64> {
         let now = self.0.load(Ordering::Relaxed);
         (now % 2 == 1).then_some(now)
     }
@@ -159,20 +158,20 @@ mod tests {
     }
 
     #[test]
-    fn a_pulse_has_another_number_for_every_piece_of_work_and_none_at_rest() {
-        let pulse = Pulse::default();
-        assert_eq!(pulse.at_work(), None);
+    fn each_task_has_another_number() {
+        let activity = Activity::default();
+        assert_eq!(activity.task(), None);
         let mut before = None;
         for _ in 0..3 {
-            pulse.beat();
-            assert!(pulse.at_work() > before);
-            before = pulse.at_work();
-            pulse.beat();
-            assert!(pulse.at_work() > before);
-            before = pulse.at_work();
-            pulse.rest();
-            pulse.rest();
-            assert_eq!(pulse.at_work(), None);
+            activity.begin();
+            assert!(activity.task() > before);
+            before = activity.task();
+            activity.begin();
+            assert!(activity.task() > before);
+            before = activity.task();
+            activity.end();
+            activity.end();
+            assert_eq!(activity.task(), None);
         }
     }
 }

@@ -17,8 +17,8 @@ pub fn measure() -> Row {
         let began = Instant::now();
         for i in 0..STEPS {
             let took = Duration::from_nanos(5000 + u64::from(i % 64) * 100);
-            tally.pulse.beat();
-            tally.pulse.beat();
+            tally.pulse.begin();
+            tally.pulse.begin();
             tally.stepped(took, Some(took), std::hint::black_box(&report));
         }
         began.elapsed() / STEPS

@@ -16,7 +16,7 @@ use crate::api::deadlines::{Deadlines, Expire};
 use crate::api::incoming::Incoming;
 use crate::convert::Payload;
 use crate::convert::error::CommandError;
-use crate::metrics::Pulse;
+use crate::metrics::Activity;
 use crate::persistence::recovery::ReplySlot;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Place;
@@ -60,7 +60,7 @@ pub struct Replies {
     outgoing: Sender<Option<Outgoing>>,
     deadlines: Deadlines<Deadline>,
     /// Whether the thread is working.
-    pub pulse: Arc<Pulse>,
+    pub pulse: Arc<Activity>,
     /// Whether the daemon is stopping: swarms that end then exist again after the restart.
     is_closing: Arc<AtomicBool>,
     /// Requests whose responder was dropped without a reply.
@@ -82,7 +82,7 @@ impl Replies {
     /// When the system starts no thread.
     pub fn start() -> std::io::Result<Self> {
         let (outgoing, receiver) = channel();
-        let pulse = Arc::new(Pulse::default());
+        let pulse = Arc::new(Activity::default());
         let sending = pulse.clone();
         thread::Builder::new()
             .name("replies".into())
@@ -264,11 +264,11 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn send_all(receiver: &Receiver<Option<Outgoing>>, pulse: &Pulse) {
+fn send_all(receiver: &Receiver<Option<Outgoing>>, pulse: &Activity) {
     while let Ok(Some(reply)) = receiver.recv() {
-        pulse.beat();
+        pulse.begin();
         reply.send();
-        pulse.rest();
+        pulse.end();
     }
 }
 

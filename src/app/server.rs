@@ -14,7 +14,7 @@ use crate::health::Watch;
 use crate::recording::Recordings;
 use crate::store::Store;
 use crate::swarm::registry::SwarmRegistry;
-use crate::transport::http::{Gateway, Pass};
+use crate::transport::http::{Credentials, Gateway};
 use crate::transport::zenoh::bus_watch::BusWatch;
 use crate::transport::zenoh::claims::ClaimSubscribers;
 use crate::transport::zenoh::messages::DispatchMessage;
@@ -34,7 +34,7 @@ pub struct Server {
     pub(super) endpoints: Vec<String>,
     pub(super) watch: Arc<Watch>,
     pub(super) gateway: Option<Gateway>,
-    pub(super) pass: Pass,
+    pub(super) credentials: Credentials,
     pub(super) lab: ExperimentManager,
     pub(super) recordings: Recordings,
 }
@@ -67,7 +67,7 @@ impl Server {
     /// The URL of the page with the token that permits commands, if all clients share one token. It
     /// must not be logged.
     pub fn page(&self) -> Option<String> {
-        let Pass::Page(token) = &self.pass else {
+        let Credentials::PageToken(token) = &self.credentials else {
             return None;
         };
         Some(format!("http://{}/#token={}", self.http()?, token.text()))

@@ -31,13 +31,13 @@ use crate::convert::commands::check_name;
 use crate::convert::error::refusal;
 use crate::experiments::ExperimentManager;
 use crate::health::Watch;
-use crate::metrics::Pulse;
+use crate::metrics::Activity;
 use crate::persistence::recovery;
 use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::{self, Store, StoreError, StoreFault};
 use crate::swarm::registry::SwarmRegistry;
-use crate::transport::http::{self, Bus, Gateway, GatewayError, Pass, Token};
+use crate::transport::http::{self, Bus, Credentials, Gateway, GatewayError, Token};
 use crate::transport::zenoh::bus_watch::BusWatch;
 use crate::transport::zenoh::claims::{ClaimSubscribers, Claims};
 use crate::transport::zenoh::dispatcher::Dispatcher;
@@ -105,9 +105,9 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     let started = start_watch(&core, &files, bus.clone(), pulse, probed)?;
     let watch = watch.get_or_init(|| started).clone();
     // Before the recovery, which may take long: the health checks must be reachable meanwhile.
-    let pass = pass(config, &core)?;
+    let credentials = credentials(config, &core)?;
     let gateway = match http {
-        Some(http) => Some(http.serve(config, &core, pass.clone(), watch.clone())?),
+        Some(http) => Some(http.serve(config, &core, credentials.clone(), watch.clone())?),
         None => None,
     };
 
@@ -145,7 +145,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         endpoints,
         watch,
         gateway,
-        pass,
+        credentials,
         lab: files.lab,
         recordings: files.recordings,
     })
@@ -188,7 +188,7 @@ impl HttpListener {
         self,
         config: &Config,
         core: &Core,
-        pass: Pass,
+        credentials: Credentials,
         watch: Arc<Watch>,
     ) -> std::io::Result<Gateway> {
         let bus = Bus {
@@ -197,7 +197,7 @@ impl HttpListener {
             prefix: config.prefix.clone(),
             node: config.node.clone(),
         };
-        Gateway::serve(self.listener, self.acceptor, bus, pass, watch)
+        Gateway::serve(self.listener, self.acceptor, bus, credentials, watch)
     }
 }
 
@@ -376,14 +376,14 @@ fn start_dispatcher(
     core: &Core,
     context: Arc<Context>,
     received: Receiver<DispatchMessage>,
-) -> Result<Arc<Pulse>, ServerError> {
+) -> Result<Arc<Activity>, ServerError> {
     let gateway = Arc::new(gateway::Gateway {
         context,
         claims: core.claims.clone(),
         admission: Admission::default(),
         queued: AtomicUsize::new(0),
     });
-    let pulse = Arc::new(Pulse::default());
+    let pulse = Arc::new(Activity::default());
     let dispatcher = Dispatcher {
         gateway: gateway.clone(),
         pool: core.pool.clone(),
@@ -411,7 +411,7 @@ fn start_watch(
     core: &Core,
     files: &Files,
     bus: Arc<BusWatch>,
-    dispatch: Arc<Pulse>,
+    dispatch: Arc<Activity>,
     endpoints: Vec<String>,
 ) -> Result<Arc<Watch>, ServerError> {
     let sources = Sources {
@@ -433,10 +433,10 @@ fn start_watch(
 }
 
 /// How HTTP clients prove that they may send commands: by the token of the page, or as users.
-fn pass(config: &Config, core: &Core) -> Result<Pass, ServerError> {
+fn credentials(config: &Config, core: &Core) -> Result<Credentials, ServerError> {
     Ok(match core.rights.current().users() {
-        None => Pass::Page(Token::of(&config.data_dir).map_err(ServerError::Token)?),
-        Some(_) => Pass::People(core.rights.clone()),
+        None => Credentials::PageToken(Token::of(&config.data_dir).map_err(ServerError::Token)?),
+        Some(_) => Credentials::Users(core.rights.clone()),
     })
 }
 

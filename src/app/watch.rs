@@ -7,7 +7,7 @@ use zenoh::{Session, Wait};
 use crate::api::commands;
 use crate::auth::live::LiveRights;
 use crate::health::Watched;
-use crate::metrics::Pulse;
+use crate::metrics::Activity;
 use crate::recording::Recordings;
 use crate::store::Store;
 use crate::swarm::registry::SwarmRegistry;
@@ -19,7 +19,7 @@ pub struct Sources {
     /// The zenoh endpoints and the HTTP address, which are probed.
     pub endpoints: Vec<String>,
     /// The threads that must not be blocked.
-    pub threads: Vec<(&'static str, Arc<Pulse>)>,
+    pub threads: Vec<(&'static str, Arc<Activity>)>,
     pub host: Arc<SwarmRegistry>,
     pub store: Store,
     pub session: Session,

@@ -131,7 +131,7 @@ fn is_invalid_setting(error: &ServerError) -> bool {
             | ServerError::Gateway(
                 GatewayError::NoAddress(_)
                     | GatewayError::NotLoopback(_)
-                    | GatewayError::NobodyKnown(_)
+                    | GatewayError::NoUsers(_)
                     | GatewayError::Certificate(_)
             )
             | ServerError::Session(

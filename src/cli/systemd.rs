@@ -32,7 +32,7 @@ pub async fn notify_status(watch: Arc<Watch>, host: Arc<SwarmRegistry>) {
     loop {
         due.tick().await;
         let reasons = watch.reasons();
-        if watchdog.is_some() && !reasons.iter().any(Reason::asks_for_restart) {
+        if watchdog.is_some() && !reasons.iter().any(Reason::needs_restart) {
             notify(&[NotifyState::Watchdog]);
         }
         let status = status(host.handles().0.len(), &reasons);
@@ -58,11 +58,11 @@ fn notify(messages: &[NotifyState]) {
 fn status(swarms: usize, reasons: &[Reason]) -> String {
     let swarms = counted(swarms, "swarm");
     if reasons.is_empty() {
-        return format!("{swarms}, all is well");
+        return format!("{swarms}, healthy");
     }
     let reasons: Vec<String> = reasons.iter().map(ToString::to_string).collect();
     // A second line would be another message.
-    format!("{swarms}, not all is well: {}", reasons.join("; ")).replace('\n', " ")
+    format!("{swarms}, unhealthy: {}", reasons.join("; ")).replace('\n', " ")
 }
 
 #[cfg(test)]
@@ -71,15 +71,15 @@ mod tests {
 
     #[test]
     fn a_status_is_one_line_whatever_is_wrong() {
-        assert_eq!(status(1, &[]), "1 swarm, all is well");
-        let deaf = Reason::Deaf {
+        assert_eq!(status(1, &[]), "1 swarm, healthy");
+        let unresponsive = Reason::Unresponsive {
             endpoint: "tcp/127.0.0.1:1".to_owned(),
             problem: "refused\nWATCHDOG=1".to_owned(),
         };
         assert_eq!(
-            status(2, &[Reason::StoreFull, deaf]),
-            "2 swarms, not all is well: the disk is full: free some space, and the journal goes on \
-             by itself; tcp/127.0.0.1:1 does not answer: refused WATCHDOG=1"
+            status(2, &[Reason::StoreFull, unresponsive]),
+            "2 swarms, unhealthy: the disk is full: free some space, and the journal goes on by \
+             itself; tcp/127.0.0.1:1 does not answer: refused WATCHDOG=1"
         );
     }
 }

@@ -3,7 +3,7 @@
 use jostle_proto as proto;
 
 use crate::convert::to_proto::phase;
-use crate::health::figures::{Figures, SwarmFigures};
+use crate::health::metrics::{Figures, SwarmFigures};
 
 /// The daemon and its swarms in numbers.
 pub fn metrics(figures: &Figures) -> proto::Metrics {

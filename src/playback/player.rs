@@ -58,19 +58,19 @@ impl Runner for Player {
     fn run(mut self: Box<Self>, messages: &Receiver<Message>) -> End {
         let tally = self.tally.clone();
         loop {
-            tally.pulse.beat();
+            tally.pulse.begin();
             let next = self.play(Instant::now());
-            tally.pulse.rest();
+            tally.pulse.end();
             let end = match receive(messages, next) {
                 Ok(message) => {
-                    tally.pulse.beat();
+                    tally.pulse.begin();
                     self.handle(message)
                 }
                 Err(RecvTimeoutError::Timeout) => None,
                 Err(RecvTimeoutError::Disconnected) => Some(End::Stopped),
             };
             if let Some(end) = end {
-                tally.pulse.rest();
+                tally.pulse.end();
                 return end;
             }
         }

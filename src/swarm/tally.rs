@@ -5,13 +5,13 @@ use std::time::Duration;
 
 use jostle_physics::stepper::StepReport;
 
-use crate::metrics::{Durations, Histogram, Pulse, add};
+use crate::metrics::{Activity, Durations, Histogram, add};
 
 /// What a swarm's thread counts. It alone writes; nobody waits for anybody.
 #[derive(Debug, Default)]
 pub struct Tally {
     /// Whether it is at work.
-    pub pulse: Pulse,
+    pub pulse: Activity,
     step_time: Histogram,
     lateness: Histogram,
     degraded: AtomicU64,

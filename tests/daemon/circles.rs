@@ -16,26 +16,7 @@ const CIRCLES: [(&str, &[&[&str]]); 8] = [
     (
         "src/lib.rs",
         &[
-            &[
-                "src/health/mod.rs",
-                "src/health/probe.rs",
-                "src/health/stuck.rs",
-            ],
-            &[
-                "src/swarm/checkpoint.rs",
-                "src/swarm/control.rs",
-                "src/swarm/frame.rs",
-                "src/swarm/journal.rs",
-                "src/swarm/order.rs",
-                "src/swarm/outcome.rs",
-                "src/swarm/schedule.rs",
-            ],
-            &[
-                "src/swarm/handle.rs",
-                "src/swarm/shelf.rs",
-                "src/swarm/worker/mod.rs",
-                "src/swarm/worker/replay.rs",
-            ],
+            &["src/swarm/worker/mod.rs", "src/swarm/worker/replay.rs"],
             &["src/convert/durable.rs", "src/convert/to_proto.rs"],
         ],
     ),

@@ -65,7 +65,7 @@ async fn it_is_ready_when_it_serves_feeds_the_watchdog_in_time_and_says_that_it_
     let (mut daemon, endpoint) = supervisor.start(Some(watchdog), "");
     assert_eq!(supervisor.hear(), "READY=1\n");
     assert_eq!(supervisor.hear(), "WATCHDOG=1\n");
-    assert_eq!(supervisor.hear(), "STATUS=0 swarms, all is well\n");
+    assert_eq!(supervisor.hear(), "STATUS=0 swarms, healthy\n");
     let began = Instant::now();
     for _ in 0..4 {
         let asked = Instant::now();
@@ -77,7 +77,7 @@ async fn it_is_ready_when_it_serves_feeds_the_watchdog_in_time_and_says_that_it_
     assert!(took > Duration::from_millis(1900), "{took:?}");
     let client = Client::open(&endpoint).await;
     client.create("a", json!({"n": 5})).await;
-    supervisor.hear_until("STATUS=1 swarm, all is well\n");
+    supervisor.hear_until("STATUS=1 swarm, healthy\n");
     daemon.signal("-TERM");
     let before = supervisor.hear_until("STOPPING=1\n");
     assert!(before.iter().all(|it| it == "WATCHDOG=1\n"), "{before:?}");
@@ -95,11 +95,11 @@ async fn the_watchdog_starves_while_a_swarm_is_stuck() {
     let client = Client::open(&endpoint).await;
     client.create("a", json!({"n": 5})).await;
     client.ok("a", "run", json!({"rate": null})).await;
-    let before = supervisor.hear_until("STATUS=1 swarm, not all is well: swarm a");
+    let before = supervisor.hear_until("STATUS=1 swarm, unhealthy: swarm a");
     assert!(before.iter().any(|it| it == "WATCHDOG=1\n"), "{before:?}");
-    let meanwhile = supervisor.hear_until("STATUS=1 swarm, all is well");
+    let meanwhile = supervisor.hear_until("STATUS=1 swarm, healthy");
     let fed = meanwhile.iter().filter(|it| *it == "WATCHDOG=1\n").count();
-    // It is fed before it is told that all is well again.
+    // The watchdog message is sent before the status.
     assert!(fed <= 1, "{meanwhile:?}");
     supervisor.hear_until("WATCHDOG=1\n");
 }
@@ -110,7 +110,7 @@ async fn without_a_watchdog_it_is_ready_all_the_same_and_feeds_nobody() {
     let supervisor = Supervisor::listen();
     let (mut daemon, _) = supervisor.start(None, "");
     assert_eq!(supervisor.hear(), "READY=1\n");
-    assert_eq!(supervisor.hear(), "STATUS=0 swarms, all is well\n");
+    assert_eq!(supervisor.hear(), "STATUS=0 swarms, healthy\n");
     daemon.signal("-TERM");
     assert_eq!(supervisor.hear(), "STOPPING=1\n");
     assert_eq!(daemon.end().0, Some(0));

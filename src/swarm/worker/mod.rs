@@ -221,7 +221,7 @@ impl Worker {
     pub fn run(self, messages: &Receiver<Message>) -> End {
         let tally = self.tally.clone();
         let end = self.live(messages);
-        tally.pulse.rest();
+        tally.pulse.end();
         end
     }
 
@@ -234,7 +234,7 @@ impl Worker {
                 return end;
             }
             if self.phase.is_moving() {
-                self.tally.pulse.beat();
+                self.tally.pulse.begin();
                 if let Some(end) = self.take_with_others(others()) {
                     return end;
                 }
@@ -242,13 +242,13 @@ impl Worker {
             let wait = self.wait();
             let is_held_up = wait == Some(Duration::ZERO) && !self.outlet.has_room();
             if wait == Some(Duration::ZERO) && !is_held_up && self.has_core() {
-                self.tally.pulse.beat();
+                self.tally.pulse.begin();
                 if let Some(end) = self.step() {
                     return end;
                 }
                 continue;
             }
-            self.tally.pulse.rest();
+            self.tally.pulse.end();
             let wakes_at = match wait {
                 // A recording that cannot take another state wakes it once it can.
                 Some(Duration::ZERO) if is_held_up => {
@@ -265,7 +265,7 @@ impl Worker {
             };
             match receive(messages, wakes_at) {
                 Ok(message) => {
-                    self.tally.pulse.beat();
+                    self.tally.pulse.begin();
                     let all = std::iter::once(message).chain(others());
                     if let Some(end) = self.take_with_others(all) {
                         return end;

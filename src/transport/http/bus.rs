@@ -1,5 +1,5 @@
-//! What the page asks and orders goes over the bus, as everybody's does: it is checked, answered,
-//! named and written down in the same places.
+//! Forwards the requests of the page to the bus, so that they take the same path as those of other
+//! clients.
 
 use std::time::Duration;
 
@@ -15,15 +15,15 @@ use zenoh::{Session, Wait};
 
 use crate::transport::zenoh::session_pool::SessionPool;
 
-/// Longer than any `timeout_secs` that a page gives; the daemon answers before.
-const PATIENCE: Duration = Duration::from_secs(70);
+/// Longer than any `timeout_secs` of the page, so that the daemon replies first.
+const QUERY_TIMEOUT: Duration = Duration::from_secs(70);
 
-/// The daemon's own session, and whose keys it asks.
+/// The daemon's own session and the prefix of its keys.
 #[derive(Clone)]
 pub struct Bus {
-    /// The session.
+    /// The session for queries.
     pub session: Session,
-    /// The sessions that subscribe to swarms.
+    /// The sessions for subscriptions.
     pub pool: SessionPool,
     /// The first chunk of every key.
     pub prefix: String,
@@ -31,8 +31,8 @@ pub struct Bus {
     pub node: String,
 }
 
-/// What was answered.
-pub struct Answer {
+/// A reply.
+pub struct Reply {
     is_ok: bool,
     encoding: &'static str,
     /// The payload.
@@ -48,24 +48,24 @@ impl Bus {
         }
     }
 
-    /// Asks under one key, with the parameters of a selector behind its `?`, a request in JSON if
-    /// there is one, and the token of whoever asks.
+    /// Sends a query to one key, with selector parameters, an optional request in JSON and the token
+    /// of the sender.
     ///
     /// # Errors
     ///
-    /// What there is to tell when nobody answers.
-    pub async fn ask(
+    /// `invalid_argument` for a wildcard, `not_found` without a reply.
+    pub async fn query(
         &self,
         rest: &str,
         parameters: &str,
         request: Option<Bytes>,
         token: Option<&str>,
-    ) -> Result<Answer, Error> {
+    ) -> Result<Reply, Error> {
         let key = self.key(rest);
         let is_one_key = KeyExpr::new(key.as_str()).is_ok_and(|key| !key.is_wild());
         if !is_one_key {
-            let told = format!("{rest:?} is not one key");
-            return Err(told_of(ErrorCode::InvalidArgument, told));
+            let message = format!("{rest:?} is not a single key");
+            return Err(error(ErrorCode::InvalidArgument, message));
         }
         let selector = match parameters {
             "" => key,
@@ -73,7 +73,7 @@ impl Bus {
         };
         let (session, token) = (self.session.clone(), token.map(str::to_owned));
         let sending = move || {
-            let mut query = session.get(selector).timeout(PATIENCE);
+            let mut query = session.get(selector).timeout(QUERY_TIMEOUT);
             if let Some(request) = request {
                 query = query
                     .payload(request.to_vec())
@@ -84,15 +84,15 @@ impl Bus {
             }
             query.wait()
         };
-        let silence = || {
-            let told = format!("nothing answers under {rest:?}: look at the list of swarms");
-            told_of(ErrorCode::NotFound, told)
+        let no_reply = || {
+            let message = format!("no reply to {rest:?}: check the list of swarms");
+            error(ErrorCode::NotFound, message)
         };
         // zenoh blocks the thread that sends while it removes what a session has declared.
-        let answers = spawn_blocking(sending).await.map_err(|_| silence())?;
-        let answers = answers.map_err(|_| silence())?;
-        let answer = answers.recv_async().await.map_err(|_| silence())?;
-        let (is_ok, payload, encoding) = match answer.result() {
+        let replies = spawn_blocking(sending).await.map_err(|_| no_reply())?;
+        let replies = replies.map_err(|_| no_reply())?;
+        let reply = replies.recv_async().await.map_err(|_| no_reply())?;
+        let (is_ok, payload, encoding) = match reply.result() {
             Ok(sample) => (true, sample.payload(), sample.encoding()),
             Err(error) => (false, error.payload(), error.encoding()),
         };
@@ -101,7 +101,7 @@ impl Bus {
             false => jostle_proto::JSON,
         };
         let bytes = Bytes::from(payload.to_bytes().into_owned());
-        Ok(Answer {
+        Ok(Reply {
             is_ok,
             encoding,
             bytes,
@@ -109,14 +109,14 @@ impl Bus {
     }
 }
 
-impl Answer {
-    /// The payload, if it is no error.
+impl Reply {
+    /// The payload, unless it is an error.
     pub fn ok(self) -> Option<Bytes> {
         self.is_ok.then_some(self.bytes)
     }
 }
 
-impl IntoResponse for Answer {
+impl IntoResponse for Reply {
     fn into_response(self) -> Response {
         let status = match self.is_ok {
             true => StatusCode::OK,
@@ -129,8 +129,8 @@ impl IntoResponse for Answer {
     }
 }
 
-/// An error that the daemon itself did not answer with.
-pub fn told_of(code: ErrorCode, message: impl Into<String>) -> Error {
+/// An error of the HTTP server itself.
+pub fn error(code: ErrorCode, message: impl Into<String>) -> Error {
     Error {
         code,
         message: message.into(),
@@ -139,8 +139,8 @@ pub fn told_of(code: ErrorCode, message: impl Into<String>) -> Error {
     }
 }
 
-/// An error as HTTP has it.
-pub fn refuse(error: &Error) -> Response {
+/// The response for an error.
+pub fn reject(error: &Error) -> Response {
     let text = serde_json::to_string(error).unwrap_or_default();
     let kind = [(CONTENT_TYPE, jostle_proto::JSON)];
     (status(error.code), kind, text).into_response()

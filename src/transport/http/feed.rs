@@ -1,7 +1,7 @@
-//! What tabs watch: the newest of each, held once however many tabs there are.
+//! Subscriptions for the tabs, shared by all tabs that watch the same swarm.
 //!
-//! A tab that does not read costs what its socket holds: the next frame replaces the last, and
-//! events beyond a few dozen are counted and left to be asked for.
+//! A slow tab uses no further memory: a newer state replaces an unread one, and events beyond
+//! [`EVENT_CAPACITY`] are dropped and counted; the page queries them.
 
 use std::collections::HashMap;
 use std::sync::{Arc, Mutex, PoisonError, Weak};
@@ -19,16 +19,17 @@ use zenoh::pubsub::Subscriber;
 use crate::transport::http::bus::Bus;
 use crate::transport::zenoh::session_pool::Lease;
 
-/// Events that a tab may be behind.
-const EVENTS: usize = 64;
+/// Events that are queued for a tab.
+const EVENT_CAPACITY: usize = 64;
 
-/// How often the list of swarms is looked at while a tab is open, and told though nothing changed.
-const LIST_PERIOD: Duration = Duration::from_millis(500);
-const LIST_TOLD: Duration = Duration::from_secs(1);
+/// The interval between queries of the list of swarms while a tab is open, and the longest interval
+/// between sending it, as a heartbeat.
+const LIST_INTERVAL: Duration = Duration::from_millis(500);
+const HEARTBEAT_INTERVAL: Duration = Duration::from_secs(1);
 
-/// What is told of one swarm.
+/// The messages of one swarm.
 pub struct Feed {
-    /// Its newest state, in CBOR; empty until there is one.
+    /// Its newest state, in CBOR; empty before the first.
     pub states: watch::Sender<Bytes>,
     /// Its newest order, in JSON.
     pub orders: watch::Sender<Bytes>,
@@ -37,19 +38,19 @@ pub struct Feed {
     subscribers: Option<Subscribers>,
 }
 
-/// The subscribers to state, order and events, and the session that declared them.
+/// The subscribers to states, orders and events, and the session that declared them.
 type Subscribers = ([Subscriber<()>; 3], Lease);
 
 impl Drop for Feed {
     fn drop(&mut self) {
-        // Letting go of what is declared may wait for other clients.
+        // Undeclaring may block on other clients.
         if let Some(subscribers) = self.subscribers.take() {
             spawn_blocking(move || drop(subscribers));
         }
     }
 }
 
-/// The feeds that somebody watches.
+/// The feeds with at least one tab.
 pub struct Feeds {
     bus: Bus,
     watched: Mutex<HashMap<String, Weak<Feed>>>,
@@ -58,7 +59,7 @@ pub struct Feeds {
 }
 
 impl Feeds {
-    /// Starts to look at the list of swarms, while a tab is open.
+    /// Starts the task that queries the list of swarms while a tab is open.
     pub fn start(bus: Bus) -> Arc<Self> {
         let feeds = Arc::new(Feeds {
             bus,
@@ -69,13 +70,13 @@ impl Feeds {
         feeds
     }
 
-    /// The feed of a swarm, and its state as it is now; none if there is no such swarm.
+    /// The feed of a swarm and its current state; `None` if there is no such swarm.
     pub async fn watch(&self, swarm: &str) -> Option<(Arc<Feed>, Bytes)> {
         let feed = self.feed(swarm).await?;
-        // After the subscription, so that nothing falls between.
+        // Queried after the subscription, so that no state is missed.
         let state = self
             .bus
-            .ask(&format!("{swarm}/state"), "", None, None)
+            .query(&format!("{swarm}/state"), "", None, None)
             .await;
         Some((feed, state.ok()?.ok()?))
     }
@@ -88,11 +89,11 @@ impl Feeds {
             watch::Sender::new(Bytes::new()),
             watch::Sender::new(Bytes::new()),
         );
-        let events = broadcast::Sender::new(EVENTS);
+        let events = broadcast::Sender::new(EVENT_CAPACITY);
         let pool = self.bus.pool.clone();
         let of = |key: fn(&str, &str) -> String| key(&self.bus.prefix, swarm);
         let [state, order, event] = [of(keys::state), of(keys::order), of(keys::event)];
-        let (told, to) = (events.clone(), [states.clone(), orders.clone()]);
+        let (sender, newest_of) = (events.clone(), [states.clone(), orders.clone()]);
         let declaring = move || {
             let session = pool.lease()?;
             let newest = |key: String, sender: watch::Sender<Bytes>| {
@@ -102,17 +103,17 @@ impl Feeds {
                 declared.wait()
             };
             let each = session.declare_subscriber(event).callback(move |sample| {
-                // Nobody may be listening.
-                let _ = told.send(Bytes::from(sample.payload().to_bytes().into_owned()));
+                // There may be no receiver.
+                let _ = sender.send(Bytes::from(sample.payload().to_bytes().into_owned()));
             });
-            let [states, orders] = to;
+            let [states, orders] = newest_of;
             let subscribers = [newest(state, states)?, newest(order, orders)?, each.wait()?];
             zenoh::Result::Ok((subscribers, session))
         };
         // zenoh blocks the thread that declares while it removes what a session has declared.
         let subscribers = spawn_blocking(declaring).await.ok()?;
-        let subscribers =
-            subscribers.inspect_err(|error| debug!(swarm, %error, "failed to watch for the page"));
+        let subscribers = subscribers
+            .inspect_err(|error| debug!(swarm, %error, "failed to subscribe for the page"));
         let feed = Arc::new(Feed {
             states,
             orders,
@@ -121,7 +122,7 @@ impl Feeds {
         });
         let mut watched = self.lock();
         watched.retain(|_, feed| feed.strong_count() > 0);
-        // Another tab may have been quicker.
+        // Another tab may have inserted one meanwhile.
         if let Some(feed) = watched.get(swarm).and_then(Weak::upgrade) {
             return Some(feed);
         }
@@ -134,11 +135,11 @@ impl Feeds {
     }
 }
 
-/// Tells the list when it has changed, and now and then as a sign of life.
+/// Sends the list when it has changed, and as a heartbeat.
 async fn list(feeds: Weak<Feeds>) {
-    let mut tick = interval(LIST_PERIOD);
+    let mut tick = interval(LIST_INTERVAL);
     tick.set_missed_tick_behavior(MissedTickBehavior::Delay);
-    let mut told = Instant::now();
+    let mut sent = Instant::now();
     loop {
         tick.tick().await;
         let Some(feeds) = feeds.upgrade() else {
@@ -147,14 +148,14 @@ async fn list(feeds: Weak<Feeds>) {
         if feeds.list.receiver_count() == 0 {
             continue;
         }
-        let answer = feeds.bus.ask("@node/get/swarms", "", None, None).await;
-        let Some(document) = answer.ok().and_then(|answer| answer.ok()) else {
+        let reply = feeds.bus.query("@node/get/swarms", "", None, None).await;
+        let Some(document) = reply.ok().and_then(|reply| reply.ok()) else {
             continue;
         };
         let is_new = *feeds.list.borrow() != document;
-        if is_new || told.elapsed() >= LIST_TOLD {
+        if is_new || sent.elapsed() >= HEARTBEAT_INTERVAL {
             feeds.list.send_replace(document);
-            told = Instant::now();
+            sent = Instant::now();
         }
     }
 }

@@ -1,27 +1,25 @@
-//! HTTP: the page, what it watches and orders, and `/healthz` and `/metrics` for machines.
+//! The HTTP server: the page and its API, `/healthz` and `/metrics`.
 //!
-//! Only this machine reaches it, unless people are known and it is served over TLS; and only its own
-//! page: a name that an attacker's page resolves to 127.0.0.1 is refused by its `Host`, another page by
-//! its `Origin`. Whoever changes something
-//! shows the token that the daemon prints when it starts; where people are known, everybody who
-//! sees more than the page itself and `/healthz` shows their own.
+//! Without users it listens on loopback only. Requests with a foreign `Host` (DNS rebinding) or a
+//! foreign `Origin` (another site) are rejected. Commands need the token that the daemon prints when
+//! it starts; with users, everything but the page and `/healthz` needs the token of a user.
 
 mod accept;
-mod admit;
 mod bus;
 mod connections;
+mod credentials;
 mod feed;
 mod openmetrics;
+mod origin_guard;
 mod page;
 mod parameters;
-mod pass;
-mod secure;
 mod socket;
+mod tls;
 mod token;
 
 pub use bus::Bus;
-pub use pass::Pass;
-pub use secure::acceptor;
+pub use credentials::Credentials;
+pub use tls::acceptor;
 pub use token::Token;
 
 use std::net::SocketAddr;
@@ -33,7 +31,7 @@ use axum::http::header::CONTENT_TYPE;
 use axum::http::{HeaderMap, StatusCode};
 use axum::middleware::{from_fn, from_fn_with_state, map_response};
 use axum::response::{IntoResponse, Response};
-use axum::routing::{any, get, post};
+use axum::routing::{self, any, post};
 use jostle_proto::{ErrorCode, Role, keys};
 use serde::Deserialize;
 use serde_json::json;
@@ -44,73 +42,72 @@ use tokio_rustls::TlsAcceptor;
 
 use crate::health::Watch;
 use crate::transport::http::accept::{WholeBody, accept, record_completion};
-use crate::transport::http::admit::{Guests, MOST_BODY_BYTES, admit, harden};
-use crate::transport::http::bus::{refuse, told_of};
+use crate::transport::http::bus::{error, reject};
 use crate::transport::http::connections::{Connections, Slot, Sockets, max_connections};
+use crate::transport::http::credentials::PROTOCOL;
 use crate::transport::http::feed::Feeds;
-use crate::transport::http::pass::PROTOCOL;
+use crate::transport::http::origin_guard::{
+    MAX_BODY_BYTES, OriginGuard, check_origin, security_headers,
+};
 
-/// Why HTTP is not served.
+/// Why the server cannot start.
 #[derive(Debug, Error)]
 pub enum GatewayError {
-    /// It is no address.
+    /// The address is invalid.
     #[error(
-        "--http {0:?} is no address: give 127.0.0.1:PORT, with an auth_dir https://ADDRESS:PORT, or \
-         nothing to serve no HTTP"
+        "invalid --http {0:?}: use 127.0.0.1:PORT, https://ADDRESS:PORT with an auth_dir, or an empty \
+         value for no server"
     )]
     NoAddress(String),
-    /// An address that others could reach is not offered in the clear.
+    /// An address that other machines can reach needs TLS.
     #[error(
-        "--http {0} can be reached from other machines, and is not encrypted: serve on \
-         https://ADDRESS:PORT, which takes an auth_dir (`jostled auth init` makes one), or on \
-         127.0.0.1:PORT and let others in through a tunnel"
+        "--http {0} can be reached from other machines and is not encrypted: use \
+         https://ADDRESS:PORT, which needs an auth_dir (`jostled auth init` makes one), or \
+         127.0.0.1:PORT and a tunnel"
     )]
     NotLoopback(String),
-    /// TLS without people.
-    #[error(
-        "--http {0} is for people who are known, and none are: name their folder as auth_dir \
-         (`jostled auth init` makes one)"
-    )]
-    NobodyKnown(String),
-    /// The daemon's certificate cannot be shown.
+    /// TLS needs users.
+    #[error("--http {0} needs users: set auth_dir to their folder (`jostled auth init` makes one)")]
+    NoUsers(String),
+    /// The daemon's certificate cannot be used.
     #[error("cannot serve HTTP over TLS: {0}")]
     Certificate(std::io::Error),
-    /// Nothing can be listened on.
+    /// The address cannot be bound.
     #[error(
-        "cannot serve HTTP on {address}: {source}; `--http 127.0.0.1:0` takes a free port, \
-         `--http ''` serves none"
+        "cannot serve HTTP on {address}: {source}; `--http 127.0.0.1:0` selects a free port, \
+         `--http ''` disables HTTP"
     )]
     Listen {
-        /// Where.
+        /// The address.
         address: SocketAddr,
-        /// Why.
+        /// The cause.
         source: std::io::Error,
     },
 }
 
-/// Where HTTP is served, and how.
+/// The address of the server.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Place {
     /// The address.
     pub address: SocketAddr,
-    /// Whether over TLS.
+    /// Whether it uses TLS.
     pub is_secure: bool,
 }
 
-/// A server that answers.
+/// A running server.
 pub struct Gateway {
     address: SocketAddr,
     is_secure: bool,
     serving: JoinHandle<()>,
 }
 
-/// Reads where to serve, and checks that only this machine can reach it, or only people who are
-/// known, over TLS; nowhere if empty.
+/// Parses the setting `http`; empty is `None`. The address must be a loopback address, or use TLS and
+/// have users.
 ///
 /// # Errors
 ///
-/// [`GatewayError::NoAddress`], [`GatewayError::NotLoopback`] and [`GatewayError::NobodyKnown`].
-pub fn check(http: &str, are_people_known: bool) -> Result<Option<Place>, GatewayError> {
+/// [`GatewayError::NoAddress`], [`GatewayError::NotLoopback`] and [`GatewayError::NoUsers`].
+pub fn check(http: &str, has_users: bool) -> Result<Option<Place>, GatewayError> {
     if http.is_empty() {
         return Ok(None);
     }
@@ -121,8 +118,8 @@ pub fn check(http: &str, are_people_known: bool) -> Result<Option<Place>, Gatewa
     let named = bare.replacen("localhost:", "127.0.0.1:", 1);
     let address = named.parse::<SocketAddr>();
     let address = address.map_err(|_| GatewayError::NoAddress(http.to_owned()))?;
-    match (is_secure, are_people_known) {
-        (true, false) => Err(GatewayError::NobodyKnown(http.to_owned())),
+    match (is_secure, has_users) {
+        (true, false) => Err(GatewayError::NoUsers(http.to_owned())),
         (false, _) if !address.ip().is_loopback() => {
             Err(GatewayError::NotLoopback(http.to_owned()))
         }
@@ -136,7 +133,7 @@ pub fn scheme(is_secure: bool) -> &'static str {
 }
 
 impl Gateway {
-    /// Takes the port, before anybody is told that the daemon is there.
+    /// Binds the port.
     ///
     /// # Errors
     ///
@@ -146,45 +143,44 @@ impl Gateway {
         listener.map_err(|source| GatewayError::Listen { address, source })
     }
 
-    /// Serves the page, and what `watch` sees of the daemon; over TLS by an `acceptor`.
+    /// Serves in a new task, over TLS with an `acceptor`.
     ///
     /// # Errors
     ///
-    /// When the listener does not know its address.
+    /// The listener has no address.
     pub fn serve(
         listener: TcpListener,
         acceptor: Option<TlsAcceptor>,
         bus: Bus,
-        pass: Pass,
+        credentials: Credentials,
         watch: Arc<Watch>,
     ) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
         let is_secure = acceptor.is_some();
         let max_connections = max_connections();
         let connections = Connections::new(max_connections);
-        let served = Served {
+        let server = Server {
             connections: connections.clone(),
             feeds: Feeds::start(bus.clone()),
             bus,
             watch,
-            pass,
+            credentials,
             sockets: Sockets::new(max_connections),
         };
         let router = Router::new()
-            .route("/healthz", get(healthz))
-            .route("/metrics", get(metrics))
-            .route("/api/hello", get(hello))
-            .route("/api/get/{*rest}", get(look))
+            .route("/healthz", routing::get(healthz))
+            .route("/metrics", routing::get(metrics))
+            .route("/api/hello", routing::get(hello))
+            .route("/api/get/{*rest}", routing::get(get))
             .route("/api/cmd/{swarm}/{verb}", post(command))
             .route("/api/node/{verb}", post(node_command))
-            .route("/api/ws", any(tab))
-            .fallback(get(page::file))
-            .layer(DefaultBodyLimit::max(MOST_BODY_BYTES))
-            .with_state(Arc::new(served))
-            .layer(from_fn_with_state(Guests { is_secure }, admit))
-            .layer(map_response(harden))
+            .route("/api/ws", any(websocket))
+            .fallback(routing::get(page::file))
+            .layer(DefaultBodyLimit::max(MAX_BODY_BYTES))
+            .with_state(Arc::new(server))
+            .layer(from_fn_with_state(OriginGuard { is_secure }, check_origin))
+            .layer(map_response(security_headers))
             .layer(from_fn(record_completion));
-        // It ends only when it is stopped.
         let serving = tokio::spawn(accept(listener, acceptor, router, connections));
         Ok(Gateway {
             address,
@@ -193,50 +189,51 @@ impl Gateway {
         })
     }
 
-    /// Where it serves.
+    /// Its address.
     pub fn address(&self) -> SocketAddr {
         self.address
     }
 
-    /// Where it serves, as a browser takes it.
+    /// Its URL.
     pub fn url(&self) -> String {
         format!("{}://{}", scheme(self.is_secure), self.address)
     }
 
-    /// Answers no more.
+    /// Stops accepting connections.
     pub fn stop(&self) {
         self.serving.abort();
     }
 }
 
-struct Served {
+struct Server {
     bus: Bus,
     feeds: Arc<Feeds>,
     watch: Arc<Watch>,
-    pass: Pass,
+    credentials: Credentials,
     sockets: Arc<Sockets>,
     connections: Arc<Connections>,
 }
 
-type Seen = State<Arc<Served>>;
+type SharedServer = State<Arc<Server>>;
 
-impl Served {
-    /// What somebody is answered who shows nothing that opens.
-    fn unknown(&self) -> Response {
-        let mut refusal = refuse(&told_of(ErrorCode::PermissionDenied, self.pass.remedy()));
-        *refusal.status_mut() = StatusCode::UNAUTHORIZED;
-        refusal
+impl Server {
+    /// The response to a request without a valid token.
+    fn unauthorized(&self) -> Response {
+        let remedy = self.credentials.remedy();
+        let mut response = reject(&error(ErrorCode::PermissionDenied, remedy));
+        *response.status_mut() = StatusCode::UNAUTHORIZED;
+        response
     }
 }
 
-async fn healthz(State(seen): Seen) -> Response {
-    let (node, watch) = (&seen.bus.node, &seen.watch);
+async fn healthz(State(server): SharedServer) -> Response {
+    let (node, watch) = (&server.bus.node, &server.watch);
     let reasons = watch.reasons();
     let status = match reasons.is_empty() {
         true => StatusCode::OK,
         false => StatusCode::SERVICE_UNAVAILABLE,
     };
-    let told: Vec<_> = reasons
+    let reason_list: Vec<_> = reasons
         .iter()
         .map(|reason| json!({"code": reason.code(), "message": reason.to_string()}))
         .collect();
@@ -249,31 +246,31 @@ async fn healthz(State(seen): Seen) -> Response {
         "healthy": reasons.is_empty(),
         "node": node,
         "uptime_secs": watch.uptime().as_secs_f64(),
-        "reasons": told,
+        "reasons": reason_list,
         "warnings": warnings,
     });
     let json = [(CONTENT_TYPE, "application/json")];
     (status, json, format!("{document}\n")).into_response()
 }
 
-async fn metrics(State(seen): Seen, headers: HeaderMap) -> Response {
-    if !seen.pass.may_watch(&headers) {
-        return seen.unknown();
+async fn metrics(State(server): SharedServer, headers: HeaderMap) -> Response {
+    if !server.credentials.may_watch(&headers) {
+        return server.unauthorized();
     }
-    let text = openmetrics::encode(seen.watch.figures(), seen.connections.figures());
+    let text = openmetrics::encode(server.watch.figures(), server.connections.figures());
     ([(CONTENT_TYPE, openmetrics::CONTENT_TYPE)], text).into_response()
 }
 
-async fn hello(State(seen): Seen, headers: HeaderMap) -> Response {
-    let person = seen.pass.person(&headers);
+async fn hello(State(server): SharedServer, headers: HeaderMap) -> Response {
+    let person = server.credentials.person(&headers);
     let role = person.as_ref().map(|person| person.role);
-    let token = seen.pass.page_token();
+    let token = server.credentials.page_token();
     let document = json!({
-        "node": seen.bus.node,
-        "prefix": seen.bus.prefix,
+        "node": server.bus.node,
+        "prefix": server.bus.prefix,
         "version": env!("CARGO_PKG_VERSION"),
-        "may_watch": seen.pass.may_watch(&headers),
-        "may_command": seen.pass.may_command(&headers) && role.is_none_or(|it| it == Role::Operator),
+        "may_watch": server.credentials.may_watch(&headers),
+        "may_command": server.credentials.may_command(&headers) && role.is_none_or(|it| it == Role::Operator),
         "person": person.map(|person| person.name),
         "role": role,
         "token_file": token.map(|token| token.file().display().to_string()),
@@ -283,121 +280,126 @@ async fn hello(State(seen): Seen, headers: HeaderMap) -> Response {
     (json, document.to_string()).into_response()
 }
 
-/// What changes nothing: a key with `get` in it, and a swarm's state.
-async fn look(
-    State(seen): Seen,
+/// Queries a key that changes nothing: one with `get` in it, or the state of a swarm.
+async fn get(
+    State(server): SharedServer,
     Path(rest): Path<String>,
     RawQuery(parameters): RawQuery,
     headers: HeaderMap,
 ) -> Response {
-    if !seen.pass.may_watch(&headers) {
-        return seen.unknown();
+    if !server.credentials.may_watch(&headers) {
+        return server.unauthorized();
     }
     let chunks: Vec<&str> = rest.split('/').collect();
-    // The one get that operators alone may send.
-    if chunks[..] == ["@node", "get", "recording"] && !seen.pass.may_command(&headers) {
-        return seen.unknown();
+    // Only operators may send this query.
+    if chunks[..] == ["@node", "get", "recording"] && !server.credentials.may_command(&headers) {
+        return server.unauthorized();
     }
-    let is_look = match chunks[..] {
+    let is_query = match chunks[..] {
         ["@node", "get", _] | [_, "get", _] | [_, "state"] => true,
         ["@node", "experiment", ..] => chunks.len() > 2,
         _ => false,
     };
-    if !is_look {
-        let told = format!("{rest:?} is nothing to look at: SWARM/get/… or @node/get/…");
-        return refuse(&told_of(ErrorCode::NotFound, told));
+    if !is_query {
+        let message = format!("unknown query {rest:?}: use SWARM/get/… or @node/get/…");
+        return reject(&error(ErrorCode::NotFound, message));
     }
     let parameters = match parameters::selector(&parameters.unwrap_or_default()) {
         Ok(parameters) => parameters,
-        Err(message) => return refuse(&told_of(ErrorCode::InvalidArgument, message)),
+        Err(message) => return reject(&error(ErrorCode::InvalidArgument, message)),
     };
-    let token = seen.pass.token(&headers);
-    match seen.bus.ask(&rest, &parameters, None, token).await {
-        Ok(answer) => answer.into_response(),
-        Err(error) => refuse(&error),
+    let token = server.credentials.token(&headers);
+    match server.bus.query(&rest, &parameters, None, token).await {
+        Ok(reply) => reply.into_response(),
+        Err(error) => reject(&error),
     }
 }
 
 async fn command(
-    seen: Seen,
+    server: SharedServer,
     Path((swarm, verb)): Path<(String, String)>,
     headers: HeaderMap,
     body: Result<WholeBody, Response>,
 ) -> Response {
-    order(seen, &format!("{swarm}/cmd/{verb}"), &headers, body).await
+    send(server, &format!("{swarm}/cmd/{verb}"), &headers, body).await
 }
 
 async fn node_command(
-    seen: Seen,
+    server: SharedServer,
     Path(verb): Path<String>,
     headers: HeaderMap,
     body: Result<WholeBody, Response>,
 ) -> Response {
-    order(seen, &format!("@node/cmd/{verb}"), &headers, body).await
+    send(server, &format!("@node/cmd/{verb}"), &headers, body).await
 }
 
-/// What changes something: only with the token.
-async fn order(
-    State(seen): Seen,
+/// Sends a command, which needs a token.
+async fn send(
+    State(server): SharedServer,
     rest: &str,
     headers: &HeaderMap,
     body: Result<WholeBody, Response>,
 ) -> Response {
-    if !seen.pass.may_command(headers) {
-        return seen.unknown();
+    if !server.credentials.may_command(headers) {
+        return server.unauthorized();
     }
     let body = match body {
         Ok(WholeBody(body)) => body,
         Err(rejection) => return rejection,
     };
-    // What is under way goes on, whether or not the tab waits for it.
-    let asked = tokio::spawn({
-        let (seen, rest) = (seen.clone(), rest.to_owned());
-        let token = seen.pass.token(headers).map(str::to_owned);
-        async move { seen.bus.ask(&rest, "", Some(body), token.as_deref()).await }
+    // A command is not cancelled when the client disconnects.
+    let reply = tokio::spawn({
+        let (server, rest) = (server.clone(), rest.to_owned());
+        let token = server.credentials.token(headers).map(str::to_owned);
+        async move {
+            server
+                .bus
+                .query(&rest, "", Some(body), token.as_deref())
+                .await
+        }
     });
-    match asked.await {
-        Ok(Ok(answer)) => answer.into_response(),
-        Ok(Err(error)) => refuse(&error),
-        Err(_) => refuse(&told_of(ErrorCode::Internal, "the daemon is going")),
+    match reply.await {
+        Ok(Ok(reply)) => reply.into_response(),
+        Ok(Err(error)) => reject(&error),
+        Err(_) => reject(&error(ErrorCode::Internal, "the daemon is stopping")),
     }
 }
 
-/// Which swarm a tab watches beside the list.
+/// The swarm that a tab watches, in addition to the list.
 #[derive(Deserialize)]
-struct Tab {
+struct Watched {
     swarm: Option<String>,
 }
 
-async fn tab(
-    State(seen): Seen,
-    Query(tab): Query<Tab>,
+async fn websocket(
+    State(server): SharedServer,
+    Query(watched): Query<Watched>,
     Extension(slot): Extension<Arc<Slot>>,
     headers: HeaderMap,
     upgrade: WebSocketUpgrade,
 ) -> Response {
-    if !seen.pass.may_watch(&headers) {
-        return seen.unknown();
+    if !server.credentials.may_watch(&headers) {
+        return server.unauthorized();
     }
-    if let Some(swarm) = &tab.swarm
+    if let Some(swarm) = &watched.swarm
         && !keys::is_name(swarm)
     {
-        let told = format!("{swarm:?} is no name of a swarm");
-        return refuse(&told_of(ErrorCode::InvalidArgument, told));
+        let message = format!("invalid swarm name {swarm:?}");
+        return reject(&error(ErrorCode::InvalidArgument, message));
     }
-    let person = seen.pass.person(&headers);
+    let person = server.credentials.person(&headers);
     let name = person.as_ref().map(|person| person.name.as_str());
-    let place = match seen.sockets.open(name) {
+    let place = match server.sockets.open(name) {
         Ok(place) => place,
-        Err(message) => return refuse(&told_of(ErrorCode::ResourceExhausted, message)),
+        Err(message) => return reject(&error(ErrorCode::ResourceExhausted, message)),
     };
-    let feeds = seen.feeds.clone();
+    let feeds = server.feeds.clone();
     let upgrade = upgrade.protocols([PROTOCOL]);
     let upgrade = upgrade.max_message_size(4096).max_frame_size(4096);
     upgrade.on_upgrade(async move |socket| {
         slot.upgrade();
-        let revoked = seen.pass.revoked(&headers);
-        socket::serve(socket, feeds, tab.swarm, place, revoked).await;
+        let revoked = server.credentials.revoked(&headers);
+        socket::serve(socket, feeds, watched.swarm, place, revoked).await;
         drop(slot);
     })
 }
@@ -407,7 +409,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_addresses_of_this_machine_are_served_on() {
+    fn only_loopback_or_tls_addresses_are_accepted() {
         assert!(matches!(check("", false), Ok(None)));
         for local in ["127.0.0.1:8080", "localhost:0", "[::1]:1", "http://[::1]:1"] {
             assert!(
@@ -420,9 +422,9 @@ mod tests {
                 matches!(check(secure, true), Ok(Some(place)) if place.is_secure),
                 "{secure}"
             );
-            let refused = check(secure, false);
+            let rejected = check(secure, false);
             assert!(
-                matches!(refused, Err(GatewayError::NobodyKnown(_))),
+                matches!(rejected, Err(GatewayError::NoUsers(_))),
                 "{secure}"
             );
         }
@@ -432,13 +434,13 @@ mod tests {
             "10.0.0.1:8080",
             "http://10.0.0.1:8080",
         ] {
-            let refused = check(open, true);
+            let rejected = check(open, true);
             assert!(
-                matches!(refused, Err(GatewayError::NotLoopback(_))),
+                matches!(rejected, Err(GatewayError::NotLoopback(_))),
                 "{open}"
             );
         }
-        for nothing in [
+        for invalid in [
             "8080",
             ":8080",
             "example.org:80",
@@ -446,10 +448,10 @@ mod tests {
             "https://",
             "ftp://127.0.0.1:1",
         ] {
-            let refused = check(nothing, true);
+            let rejected = check(invalid, true);
             assert!(
-                matches!(refused, Err(GatewayError::NoAddress(_))),
-                "{nothing}"
+                matches!(rejected, Err(GatewayError::NoAddress(_))),
+                "{invalid}"
             );
         }
     }

@@ -4,7 +4,7 @@
 
 use std::fmt::Write as _;
 
-use crate::health::figures::{Figures, SwarmFigures};
+use crate::health::metrics::{Figures, SwarmFigures};
 use crate::metrics::Durations;
 use crate::swarm::phase::Phase;
 use crate::transport::http::connections::HttpFigures;

@@ -1,11 +1,11 @@
-//! The page, built into the daemon.
+//! The files of the page, which are compiled into the daemon.
 
 use axum::http::header::{CONTENT_SECURITY_POLICY, CONTENT_TYPE, REFERRER_POLICY};
 use axum::http::{HeaderValue, StatusCode, Uri};
 use axum::response::{IntoResponse, Response};
 use rust_embed::RustEmbed;
 
-/// What the page may do: only what comes from here.
+/// The page may only load resources of this server.
 const POLICY: &str = "default-src 'self'; img-src 'self' data: blob:; \
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'; object-src 'none'";
 
@@ -20,8 +20,8 @@ pub async fn file(uri: Uri) -> Response {
         path => path.trim_start_matches('/'),
     };
     let Some(file) = Files::get(path) else {
-        let told = "nothing is here: / is the page, /healthz and /metrics are for machines\n";
-        return (StatusCode::NOT_FOUND, told).into_response();
+        let message = "not found: see /, /healthz and /metrics\n";
+        return (StatusCode::NOT_FOUND, message).into_response();
     };
     let policy = [
         (CONTENT_SECURITY_POLICY, HeaderValue::from_static(POLICY)),

@@ -1,19 +1,19 @@
-//! The parameters of an HTTP query, as a zenoh selector has them.
+//! Translates the query string of a URL to the parameters of a zenoh selector.
 
 use axum::extract::Query;
 use axum::http::Uri;
 
-/// What separates two parameters of a selector, which has no escape for it.
+/// The separator of selector parameters. A selector has no escape for it.
 const SEPARATOR: char = ';';
 
-/// Decodes the percent-encoded query string of a URL, whose parameters `&` or `;` separates, and
-/// writes its parameters as a selector has them behind its `?`.
+/// Decodes a percent-encoded query string with the separators `&` or `;`, and encodes its parameters
+/// for a selector.
 ///
 /// # Errors
 ///
-/// The reason why a selector cannot express the parameters.
+/// A message if a selector cannot express the parameters.
 pub fn selector(query: &str) -> Result<String, String> {
-    let unreadable = || format!("invalid parameters {query:?}: give NAME=VALUE&NAME=VALUE");
+    let unreadable = || format!("invalid parameters {query:?}: use NAME=VALUE&NAME=VALUE");
     let uri = format!("/?{}", query.replace(SEPARATOR, "&"));
     let uri = uri.parse::<Uri>().map_err(|_| unreadable())?;
     let Query(parameters) =

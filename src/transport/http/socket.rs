@@ -1,4 +1,4 @@
-//! A tab's WebSocket: it is told, and says nothing.
+//! The WebSocket of a tab: the server sends, the tab sends nothing.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,13 +14,14 @@ use tokio::time::timeout;
 use crate::transport::http::connections::OpenSocket;
 use crate::transport::http::feed::{Feed, Feeds};
 
-/// How long a tab may not read before it is let go. It comes back by itself.
-const PATIENCE: Duration = Duration::from_secs(150);
+/// The time for sending a message, after which a tab that does not read is disconnected. The page
+/// reconnects.
+const SEND_TIMEOUT: Duration = Duration::from_secs(150);
 
-/// How long sending a close frame may take.
+/// The time for sending a close frame.
 const CLOSE_TIMEOUT: Duration = Duration::from_secs(1);
 
-/// The part of the list's document that is told.
+/// The part of the list that is sent.
 #[derive(Deserialize)]
 struct Document<'a> {
     #[serde(borrow)]
@@ -33,9 +34,9 @@ struct ListResult<'a> {
     swarms: &'a RawValue,
 }
 
-/// What an event is about.
+/// The part of an event that is read here.
 #[derive(Deserialize)]
-struct Told<'a> {
+struct Event<'a> {
     #[serde(borrow)]
     event: Kind<'a>,
 }
@@ -59,32 +60,32 @@ pub async fn serve(
         () = revoked => {
             let reason = Utf8Bytes::from_static("this token is no longer valid");
             let close = CloseFrame { code: close_code::POLICY, reason };
-            // A client that does not read is disconnected all the same.
+            // A client that does not read is disconnected anyway.
             let close = socket.send(Message::Close(Some(close)));
             let _ = timeout(CLOSE_TIMEOUT, close).await;
         }
     }
 }
 
-/// Sends a tab the list, and of one swarm if it names one, until it goes.
+/// Sends the list, and the messages of one swarm if given, until the tab disconnects.
 async fn feed(socket: &mut WebSocket, feeds: Arc<Feeds>, swarm: Option<String>) {
     let mut lists = feeds.list.subscribe();
     lists.mark_changed();
     let mut watched = None;
     if let Some(swarm) = swarm {
         let Some((feed, state)) = feeds.watch(&swarm).await else {
-            return say_gone(socket).await;
+            return send_gone(socket).await;
         };
-        let seen = Watched::new(feed);
-        if tell(socket, Message::Binary(state)).await.is_none() {
+        let subscribed = Watched::new(feed);
+        if send(socket, Message::Binary(state)).await.is_none() {
             return;
         }
-        watched = Some(seen);
+        watched = Some(subscribed);
     }
     loop {
         let message = tokio::select! {
-            said = socket.recv() => match said {
-                // What a tab says means nothing, but that it is there.
+            received = socket.recv() => match received {
+                // Other messages of a tab are ignored.
                 Some(Ok(Message::Close(_)) | Err(_)) | None => return,
                 Some(Ok(_)) => continue,
             },
@@ -101,23 +102,23 @@ async fn feed(socket: &mut WebSocket, feeds: Arc<Feeds>, swarm: Option<String>) 
             continue;
         };
         let is_end = is_end(&message);
-        if tell(socket, message).await.is_none() {
+        if send(socket, message).await.is_none() {
             return;
         }
-        // Another swarm of its name is another one: the tab asks for it.
+        // For a new swarm of the same name the tab reconnects.
         if is_end {
-            return say_gone(socket).await;
+            return send_gone(socket).await;
         }
     }
 }
 
-/// Says that there is no such swarm.
-async fn say_gone(socket: &mut WebSocket) {
-    let _ = tell(socket, text(r#"{"gone":true}"#.into())).await;
-    let _ = tell(socket, Message::Close(None::<CloseFrame>)).await;
+/// Sends that there is no such swarm.
+async fn send_gone(socket: &mut WebSocket) {
+    let _ = send(socket, text(r#"{"gone":true}"#.into())).await;
+    let _ = send(socket, Message::Close(None::<CloseFrame>)).await;
 }
 
-/// Whether a message tells of the swarm's end.
+/// Whether a message is the event that the swarm is deleted.
 fn is_end(message: &Message) -> bool {
     let Message::Text(text) = message else {
         return false;
@@ -125,15 +126,15 @@ fn is_end(message: &Message) -> bool {
     #[derive(Deserialize)]
     struct Wrapped<'a> {
         #[serde(borrow)]
-        event: Option<Told<'a>>,
+        event: Option<Event<'a>>,
     }
     let event = serde_json::from_str::<Wrapped<'_>>(text)
         .ok()
         .and_then(|it| it.event);
-    event.is_some_and(|told| told.event.kind == "deleted")
+    event.is_some_and(|it| it.event.kind == "deleted")
 }
 
-/// What a tab has seen of a swarm.
+/// The subscription of a tab to a swarm.
 struct Watched {
     states: watch::Receiver<Bytes>,
     orders: watch::Receiver<Bytes>,
@@ -154,7 +155,7 @@ impl Watched {
     }
 }
 
-/// The next message of what is watched; never, if nothing is.
+/// The next message of the watched swarm. Never completes if there is none.
 async fn next(watched: &mut Option<Watched>) -> Option<Message> {
     let Some(Watched {
         states,
@@ -194,7 +195,7 @@ fn text(text: String) -> Message {
     Message::Text(Utf8Bytes::from(text))
 }
 
-/// Sends a message, unless the tab is gone or reads nothing for too long.
-async fn tell(socket: &mut WebSocket, message: Message) -> Option<()> {
-    timeout(PATIENCE, socket.send(message)).await.ok()?.ok()
+/// Sends a message; `None` if the tab is disconnected or does not read.
+async fn send(socket: &mut WebSocket, message: Message) -> Option<()> {
+    timeout(SEND_TIMEOUT, socket.send(message)).await.ok()?.ok()
 }

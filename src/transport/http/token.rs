@@ -1,4 +1,4 @@
-//! What whoever steers through the page shows: a secret that the daemon prints when it starts.
+//! The page token: a secret that the daemon prints when it starts, and that commands need.
 
 use std::fs;
 use std::io;
@@ -7,12 +7,12 @@ use std::path::{self, Path, PathBuf};
 
 use crate::auth::secret;
 
-/// Its file in the data directory: a page that is open survives the daemon's restart.
+/// Its file in the data directory, so that open pages stay valid after a restart of the daemon.
 const FILE: &str = "page-token";
 
 const BYTES: usize = 16;
 
-/// The secret, in hexadecimal digits, and its file. It is in no log: it has no `Debug`.
+/// The secret, in hexadecimal digits, and its file. Has no `Debug`, so that it is never logged.
 #[derive(Clone)]
 pub struct Token {
     secret: String,
@@ -32,24 +32,24 @@ impl Token {
         &self.file
     }
 
-    /// Whether a person has to be root to read its file: it belongs to the account of a service.
+    /// Whether reading its file takes root, since it belongs to a service account.
     pub fn needs_root(&self) -> bool {
         self.needs_root
     }
 
-    /// The token of a data directory; a new one if there is none, or none that is whole.
+    /// The token of a data directory. Creates one if there is none or it is damaged.
     ///
     /// # Errors
     ///
-    /// When it can neither be read nor written.
+    /// The file cannot be read or written.
     pub fn of(data_dir: &Path) -> io::Result<Self> {
         let file = Self::file_in(data_dir);
-        let kept = match fs::read_to_string(&file) {
+        let stored = match fs::read_to_string(&file) {
             Ok(text) => Some(text.trim().to_owned()).filter(|text| is_whole(text)),
             Err(error) if error.kind() == io::ErrorKind::NotFound => None,
             Err(error) => return Err(error),
         };
-        let secret = match kept {
+        let secret = match stored {
             Some(secret) => secret,
             None => {
                 let drawn = secret::draw(BYTES)?;
@@ -57,7 +57,7 @@ impl Token {
                 drawn
             }
         };
-        let needs_root = !is_of_a_person(fs::metadata(&file)?.uid());
+        let needs_root = !is_login_account(fs::metadata(&file)?.uid());
         Ok(Token {
             secret,
             file,
@@ -65,12 +65,12 @@ impl Token {
         })
     }
 
-    /// What is printed for whoever started the daemon.
+    /// The secret.
     pub fn text(&self) -> &str {
         &self.secret
     }
 
-    /// Whether it is this one. It takes as long whatever is wrong with it.
+    /// Compares in constant time.
     pub fn is(&self, given: &str) -> bool {
         let (given, secret) = (given.as_bytes(), self.secret.as_bytes());
         let differences = given.iter().zip(secret).map(|(a, b)| a ^ b);
@@ -78,11 +78,11 @@ impl Token {
     }
 }
 
-/// Whether people log in as this user: not root, a system user or one that systemd allocates.
-fn is_of_a_person(uid: u32) -> bool {
-    const FIRST_OF_PEOPLE: u32 = 1000;
+/// Whether a uid is that of a login account: not root, a system user or a systemd dynamic user.
+fn is_login_account(uid: u32) -> bool {
+    const MIN_LOGIN: u32 = 1000;
     const DYNAMIC_AND_NOBODY: std::ops::RangeInclusive<u32> = 61_184..=65_535;
-    uid >= FIRST_OF_PEOPLE && !DYNAMIC_AND_NOBODY.contains(&uid)
+    uid >= MIN_LOGIN && !DYNAMIC_AND_NOBODY.contains(&uid)
 }
 
 fn is_whole(text: &str) -> bool {
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_token_is_the_same_after_a_restart_and_nobody_elses_to_read() {
+    fn a_token_survives_a_restart_and_only_its_owner_can_read_it() {
         let folder = tempfile::tempdir().unwrap();
         let first = Token::of(folder.path()).unwrap();
         assert_eq!(Token::of(folder.path()).unwrap().text(), first.text());
@@ -111,17 +111,17 @@ mod tests {
     }
 
     #[test]
-    fn root_system_users_and_dynamic_users_are_no_people() {
+    fn root_system_users_and_dynamic_users_are_no_login_accounts() {
         for service in [0, 104, 999, 61_184, 65_534] {
-            assert!(!is_of_a_person(service), "{service}");
+            assert!(!is_login_account(service), "{service}");
         }
-        for person in [1000, 1001, 60_001, 100_000, 1_500_000_000] {
-            assert!(is_of_a_person(person), "{person}");
+        for login in [1000, 1001, 60_001, 100_000, 1_500_000_000] {
+            assert!(is_login_account(login), "{login}");
         }
     }
 
     #[test]
-    fn only_the_whole_token_is_taken() {
+    fn only_the_whole_token_is_accepted() {
         let token = Token {
             secret: "0123456789abcdef0123456789abcdef".into(),
             file: PathBuf::new(),

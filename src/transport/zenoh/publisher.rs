@@ -29,7 +29,7 @@ use zenoh_ext::{AdvancedPublisher, AdvancedPublisherBuilderExt, CacheConfig, Mis
 
 use crate::convert::error::refusal;
 use crate::convert::{self, Payload};
-use crate::metrics::Pulse;
+use crate::metrics::Activity;
 use crate::swarm::frame::Frame;
 use crate::swarm::outcome::DeferredReply;
 use crate::swarm::outlet::Outlet;
@@ -100,7 +100,7 @@ pub struct Publisher {
     messages: Sender<PublishMessage>,
     dispatcher: SyncSender<DispatchMessage>,
     /// Whether the thread is working.
-    pub pulse: Arc<Pulse>,
+    pub pulse: Arc<Activity>,
 }
 
 enum PublishMessage {
@@ -206,7 +206,7 @@ impl Publisher {
                 Some(Duration::ZERO) => Err(RecvTimeoutError::Timeout),
                 Some(wait) => messages.recv_timeout(wait),
             };
-            self.pulse.beat();
+            self.pulse.begin();
             let began = Instant::now();
             let swarm = match message {
                 Ok(PublishMessage::Notify(swarm)) => scheduler.notify(swarm, began),
@@ -226,7 +226,7 @@ impl Publisher {
                     while let Some(swarm) = scheduler.pop() {
                         self.publish(&swarm);
                     }
-                    return self.pulse.rest();
+                    return self.pulse.end();
                 }
             };
             if let Some(swarm) = swarm
@@ -234,7 +234,7 @@ impl Publisher {
             {
                 scheduler.published(swarm, began, Instant::now());
             }
-            self.pulse.rest();
+            self.pulse.end();
         }
     }
 

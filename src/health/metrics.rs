@@ -1,4 +1,4 @@
-//! The daemon in numbers, as they are now.
+//! The current metrics of the daemon.
 
 use std::fs;
 use std::thread;
@@ -10,60 +10,60 @@ use crate::store;
 use crate::swarm::frame::Summary;
 use crate::swarm::tally::{LastStep, Totals};
 
-/// The daemon in numbers.
+/// The metrics of the daemon.
 #[derive(Clone, Debug)]
 pub struct Figures {
     /// Seconds since it started.
     pub uptime_secs: f64,
-    /// Why not all is well; nothing if it is.
+    /// Why the daemon is unhealthy; empty if it is healthy.
     pub reasons: Vec<Reason>,
-    /// What is wrong without keeping it from its work.
+    /// Problems with which it stays healthy.
     pub warnings: Vec<Warning>,
-    /// Seconds that its threads have computed.
+    /// CPU time in seconds.
     pub cpu_secs: f64,
-    /// Cores it may use.
+    /// Cores that it may use.
     pub cores: usize,
-    /// Memory in use.
+    /// Resident memory.
     pub resident_bytes: u64,
-    /// Memory set aside for the swarms.
+    /// Memory reserved for swarms.
     pub reserved_bytes: u64,
     /// Its threads.
     pub threads: u64,
-    /// Clients connected.
+    /// Connected clients.
     pub sessions: usize,
-    /// How long its own listener took to answer; nothing if it did not, or was not asked yet.
+    /// Response time of its slowest listener; `None` before the first successful probe.
     pub probe_secs: Option<f64>,
-    /// Whether zenoh takes queries.
+    /// Whether zenoh is blocked.
     pub bus: Bus,
-    /// Of all swarms since it started, those that are gone too.
+    /// Sums over all swarms since it started, including deleted ones.
     pub totals: Totals,
-    /// Names that another daemon holds, too.
+    /// Names that another daemon uses too.
     pub contested: usize,
-    /// How the store is doing.
+    /// The health of the store.
     pub store: store::Health,
-    /// The daemon's recordings.
+    /// The number of recordings by phase.
     pub recordings: RecordingCounts,
-    /// The bytes of all recordings, and those that they may have.
+    /// The size of all recordings and its limit, in bytes.
     pub recordings_bytes: (u64, u64),
-    /// Every swarm that is built, ordered by name.
+    /// Each swarm that is built, ordered by name.
     pub swarms: Vec<SwarmFigures>,
 }
 
-/// A swarm in numbers.
+/// The metrics of a swarm.
 #[derive(Clone, Debug)]
 pub struct SwarmFigures {
     /// Its name.
     pub name: String,
-    /// What it is doing.
+    /// Its summary.
     pub summary: Summary,
-    /// What has been counted of it since it is hosted here.
+    /// Its totals since it was loaded.
     pub totals: Totals,
-    /// How its last step was.
+    /// Its last step.
     pub last: LastStep,
 }
 
 impl Watch {
-    /// The daemon in numbers. No swarm is asked: it is read what they count.
+    /// The current metrics. Reads counters; sends no message to a swarm.
     pub fn figures(&self) -> Figures {
         let (handles, mut totals) = self.watched.host.handles();
         let mut swarms = Vec::with_capacity(handles.len());
@@ -81,12 +81,10 @@ impl Watch {
         }
         let (resident_bytes, threads) = process();
         let (sessions, probe_secs) = {
-            let seen = self.seen();
-            let heard = seen.hearing.iter().filter(|it| it.failures == 0);
-            (
-                seen.sessions,
-                heard.filter_map(|it| it.secs).reduce(f64::max),
-            )
+            let last = self.last();
+            let probes = last.probes.iter().filter(|it| it.failures == 0);
+            let slowest = probes.filter_map(|it| it.secs).reduce(f64::max);
+            (last.sessions, slowest)
         };
         let cpu = clock_gettime(ClockId::ProcessCPUTime);
         Figures {
@@ -111,7 +109,7 @@ impl Watch {
     }
 }
 
-/// Memory in use, in bytes, and threads, as the kernel tells; 0 where it does not.
+/// Resident memory in bytes and the number of threads; 0 if the kernel does not report them.
 fn process() -> (u64, u64) {
     let status = fs::read_to_string("/proc/self/status").unwrap_or_default();
     let number = |name: &str| {

@@ -1,4 +1,4 @@
-//! HTTP over TLS, for other machines: the daemon shows its certificate, people their tokens.
+//! TLS for clients on other machines; they authenticate with tokens.
 
 use std::io;
 use std::path::PathBuf;
@@ -10,11 +10,11 @@ use tokio_rustls::TlsAcceptor;
 use tokio_rustls::rustls::ServerConfig;
 use tokio_rustls::rustls::crypto::ring;
 
-/// What the daemon shows: its certificate and key, as PEM files.
+/// An acceptor with a certificate and its key, from PEM files.
 ///
 /// # Errors
 ///
-/// When they cannot be read or do not belong together.
+/// The files cannot be read or do not match.
 pub fn acceptor([certificate, key]: &[PathBuf; 2]) -> io::Result<TlsAcceptor> {
     let chain = CertificateDer::pem_file_iter(certificate).map_err(io::Error::other)?;
     let chain: Result<Vec<_>, _> = chain.collect();

@@ -1,4 +1,4 @@
-//! What whoever watches or steers over HTTP shows: the page's own token, or a person's.
+//! The tokens that HTTP requests carry: that of the page, or that of a user.
 
 use std::sync::Arc;
 
@@ -9,41 +9,43 @@ use crate::auth::User;
 use crate::auth::live::LiveRights;
 use crate::transport::http::token::Token;
 
-/// What a tab's WebSocket speaks. Behind it stands its token, since a page can give no header
-/// there: a link with the token in it would be written down on the way.
+/// The WebSocket protocol of the page. The page offers its token as a second protocol: it cannot set
+/// a header, and a token in the URL would end up in logs.
 pub const PROTOCOL: &str = "jostle";
 
-/// What comes before the token among the protocols that a WebSocket offers.
+/// The prefix of the token among the offered protocols.
 const TOKEN_PROTOCOL: &str = "token.";
 
-/// Who is let in with what.
+/// The tokens that are accepted.
 #[derive(Clone)]
-pub enum Pass {
-    /// Everybody may watch; with this token they may command.
-    Page(Token),
-    /// The daemon's people, with theirs.
-    People(Arc<LiveRights>),
+pub enum Credentials {
+    /// Without a token a client may watch; with this one it may send commands.
+    PageToken(Token),
+    /// Each user has a token.
+    Users(Arc<LiveRights>),
 }
 
-impl Pass {
-    /// Whether whoever sends these headers may watch.
+impl Credentials {
+    /// Whether the sender of these headers may watch.
     pub fn may_watch(&self, headers: &HeaderMap) -> bool {
-        matches!(self, Pass::Page(_)) || self.person(headers).is_some()
+        matches!(self, Credentials::PageToken(_)) || self.person(headers).is_some()
     }
 
-    /// Whether they may command at all; the daemon sees to it that they may what they ask for.
+    /// Whether the sender may send commands. The rights for each command are checked later.
     pub fn may_command(&self, headers: &HeaderMap) -> bool {
         match self {
-            Pass::Page(token) => given(headers).is_some_and(|given| token.is(given)),
-            Pass::People(_) => self.person(headers).is_some(),
+            Credentials::PageToken(token) => given(headers).is_some_and(|given| token.is(given)),
+            Credentials::Users(_) => self.person(headers).is_some(),
         }
     }
 
-    /// Who it is, where people are known.
+    /// The user, if there are users.
     pub fn person(&self, headers: &HeaderMap) -> Option<User> {
         match self {
-            Pass::Page(_) => None,
-            Pass::People(rights) => rights.current().owner(given(headers)?.as_bytes()).cloned(),
+            Credentials::PageToken(_) => None,
+            Credentials::Users(rights) => {
+                rights.current().owner(given(headers)?.as_bytes()).cloned()
+            }
         }
     }
 
@@ -51,48 +53,47 @@ impl Pass {
     /// users.
     pub async fn revoked(&self, headers: &HeaderMap) {
         match self {
-            Pass::Page(_) => std::future::pending().await,
-            Pass::People(rights) => {
+            Credentials::PageToken(_) => std::future::pending().await,
+            Credentials::Users(rights) => {
                 let token = given(headers).unwrap_or_default();
                 rights.revoked(token.as_bytes()).await;
             }
         }
     }
 
-    /// The token to send on to the daemon.
+    /// The token to attach to a query.
     pub fn token<'a>(&self, headers: &'a HeaderMap) -> Option<&'a str> {
         match self {
-            Pass::Page(_) => None,
-            Pass::People(_) => given(headers),
+            Credentials::PageToken(_) => None,
+            Credentials::Users(_) => given(headers),
         }
     }
 
-    /// What to tell somebody who shows nothing that opens.
+    /// The error message for a request without a valid token.
     pub fn remedy(&self) -> String {
         match self {
-            Pass::Page(token) => format!(
-                "no valid token, which commands need: send the one in {} as `Authorization: \
-                 Bearer`, or open the page with it",
+            Credentials::PageToken(token) => format!(
+                "no valid token: send the one in {} as `Authorization: Bearer`, or open the page \
+                 with it",
                 token.file().display()
             ),
-            Pass::People(_) => {
-                "not known here: send your token as `Authorization: Bearer`, or open the page with \
-                 it (`jostle --credentials FOLDER auth link` prints the link)"
+            Credentials::Users(_) => {
+                "no valid token: send yours as `Authorization: Bearer`, or open the page with it (`jostle --credentials FOLDER auth link` prints the link)"
                     .to_owned()
             }
         }
     }
 
-    /// The page's own token, where people are not known.
+    /// The page token, if there are no users.
     pub fn page_token(&self) -> Option<&Token> {
         match self {
-            Pass::Page(token) => Some(token),
-            Pass::People(_) => None,
+            Credentials::PageToken(token) => Some(token),
+            Credentials::Users(_) => None,
         }
     }
 }
 
-/// The one token that is given.
+/// The token in the headers, unless there are several.
 fn given(headers: &HeaderMap) -> Option<&str> {
     let mut bearers = headers.get_all(AUTHORIZATION).iter();
     match (bearers.next(), bearers.next()) {
@@ -120,8 +121,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn one_token_is_given_or_none() {
-        let shown = |pairs: &[(HeaderName, &str)]| {
+    fn only_a_single_token_is_read() {
+        let read = |pairs: &[(HeaderName, &str)]| {
             let mut headers = HeaderMap::new();
             for (name, value) in pairs {
                 headers.append(name.clone(), HeaderValue::from_str(value).unwrap());
@@ -130,10 +131,10 @@ mod tests {
         };
         let secret = Some("abc".to_owned());
         let protocol = SEC_WEBSOCKET_PROTOCOL;
-        assert_eq!(shown(&[(AUTHORIZATION, "Bearer abc")]), secret);
-        assert_eq!(shown(&[(AUTHORIZATION, "bearer abc")]), secret);
-        assert_eq!(shown(&[(protocol.clone(), "jostle, token.abc")]), secret);
-        for nothing in [
+        assert_eq!(read(&[(AUTHORIZATION, "Bearer abc")]), secret);
+        assert_eq!(read(&[(AUTHORIZATION, "bearer abc")]), secret);
+        assert_eq!(read(&[(protocol.clone(), "jostle, token.abc")]), secret);
+        for invalid in [
             &[][..],
             &[(AUTHORIZATION, "abc")],
             &[(AUTHORIZATION, "Basic abc")],
@@ -141,7 +142,7 @@ mod tests {
             &[(protocol.clone(), "jostle")],
             &[(protocol, "token.abc, token.abc")],
         ] {
-            assert_eq!(shown(nothing), None, "{nothing:?}");
+            assert_eq!(read(invalid), None, "{invalid:?}");
         }
     }
 }

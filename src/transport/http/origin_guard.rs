@@ -1,4 +1,4 @@
-//! Who is let in, and with what: this machine, its own page, and short bodies where one is read.
+//! Checks of `Host`, `Origin` and body length, before a request is handled.
 
 use std::net::IpAddr;
 
@@ -10,53 +10,57 @@ use axum::http::{HeaderMap, HeaderValue, Method, StatusCode, Uri};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-/// The longest body that is read: what the bus lets through.
-pub const MOST_BODY_BYTES: usize = (1 << 20) - 4096;
+/// The maximum length of a body: that of a request on the bus.
+pub const MAX_BODY_BYTES: usize = (1 << 20) - 4096;
 
-/// Who may ask at all.
+/// The state of [`check_origin`].
 #[derive(Clone, Copy)]
-pub struct Guests {
-    /// Whether it is served over TLS: then by whatever name, since everybody shows a token of their
-    /// own, which the page of a name that was bent to this machine does not have.
+pub struct OriginGuard {
+    /// Whether the server uses TLS. Then any `Host` is accepted: a page under a rebound name has no
+    /// user's token.
     pub is_secure: bool,
 }
 
-/// Lets in who asks this machine by one of its own names, from its own page if from any, and
-/// brings a body along only where one is read.
-pub async fn admit(State(guests): State<Guests>, request: Request, next: Next) -> Response {
+/// Middleware that rejects a request with a foreign `Host` or `Origin`, and one with a body that no
+/// handler reads.
+pub async fn check_origin(
+    State(guard): State<OriginGuard>,
+    request: Request,
+    next: Next,
+) -> Response {
     let headers = request.headers();
     let mut hosts = headers.get_all(HOST).iter();
     let is_ours = matches!((hosts.next(), hosts.next()), (Some(host), None) if is_own(host))
         && request.uri().host().is_none_or(is_own_name);
-    if !is_ours && !guests.is_secure {
-        let told = "ask 127.0.0.1 or localhost by that name: the Host of this request is another\n";
-        return (StatusCode::MISDIRECTED_REQUEST, told).into_response();
+    if !is_ours && !guard.is_secure {
+        let message = "foreign Host: use 127.0.0.1 or localhost in the URL\n";
+        return (StatusCode::MISDIRECTED_REQUEST, message).into_response();
     }
     if !is_own_page(headers) {
-        let told = "this is for the daemon's own page: the Origin of this request is another\n";
-        return (StatusCode::FORBIDDEN, told).into_response();
+        let message = "foreign Origin: only the daemon's own page may send this request\n";
+        return (StatusCode::FORBIDDEN, message).into_response();
     }
-    if !is_body_taken(request.method(), headers) {
-        let told = format!("a body is taken with POST, of at most {MOST_BODY_BYTES} bytes\n");
-        return (StatusCode::PAYLOAD_TOO_LARGE, told).into_response();
+    if !is_body_allowed(request.method(), headers) {
+        let message = format!("a body needs POST and is limited to {MAX_BODY_BYTES} bytes\n");
+        return (StatusCode::PAYLOAD_TOO_LARGE, message).into_response();
     }
     next.run(request).await
 }
 
-/// Whether what comes along is short, by its own account, and meant to be read.
-fn is_body_taken(method: &Method, headers: &HeaderMap) -> bool {
-    let most = match *method {
-        Method::POST => MOST_BODY_BYTES,
+/// Whether the declared length of the body is within the limit of the method.
+fn is_body_allowed(method: &Method, headers: &HeaderMap) -> bool {
+    let max = match *method {
+        Method::POST => MAX_BODY_BYTES,
         _ => 0,
     };
     let length = headers
         .get(CONTENT_LENGTH)
         .map_or(Ok("0"), HeaderValue::to_str);
     let length = length.ok().and_then(|length| length.parse::<usize>().ok());
-    !headers.contains_key(TRANSFER_ENCODING) && length.is_some_and(|length| length <= most)
+    !headers.contains_key(TRANSFER_ENCODING) && length.is_some_and(|length| length <= max)
 }
 
-/// Whether no page asks, or the one that is served here: its origin is the host that is asked.
+/// Whether there is no `Origin`, or it is the requested host.
 fn is_own_page(headers: &HeaderMap) -> bool {
     let mut origins = headers.get_all(ORIGIN).iter();
     let (origin, host) = match (origins.next(), origins.next(), headers.get(HOST)) {
@@ -72,16 +76,16 @@ fn is_own_page(headers: &HeaderMap) -> bool {
     authority.is_some_and(|it| it.as_str().eq_ignore_ascii_case(host))
 }
 
-/// What holds for every answer: it is as of now, and it is what it says it is.
-pub async fn harden(mut response: Response) -> Response {
+/// Adds headers to each response that forbid caching and content sniffing.
+pub async fn security_headers(mut response: Response) -> Response {
     let headers = response.headers_mut();
     headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-store"));
-    let plain = HeaderValue::from_static("nosniff");
-    headers.insert(X_CONTENT_TYPE_OPTIONS, plain);
+    let nosniff = HeaderValue::from_static("nosniff");
+    headers.insert(X_CONTENT_TYPE_OPTIONS, nosniff);
     response
 }
 
-/// Whether a `Host` is this machine, whatever the port: a tunnel may have another one.
+/// Whether a `Host` names this machine. The port is ignored, since a tunnel may use another.
 fn is_own(host: &HeaderValue) -> bool {
     let Ok(host) = host.to_str() else {
         return false;
@@ -104,7 +108,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_names_of_this_machine_that_nobody_can_rebind_are_its_own() {
+    fn only_loopback_names_that_cannot_be_rebound_are_accepted() {
         for own in [
             "localhost",
             "LocalHost:8080",

@@ -1,0 +1,211 @@
+//! Why the daemon is unhealthy, and warnings.
+
+use std::time::Duration;
+
+use thiserror::Error;
+
+/// Why the daemon is unhealthy.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum Reason {
+    /// The thread of a swarm executes one step or command for too long.
+    #[error("swarm {swarm} has been in one step or command for {secs:.0} s")]
+    SwarmStuck {
+        /// The swarm.
+        swarm: String,
+        /// For how long.
+        secs: f64,
+    },
+    /// Another thread executes one task for too long.
+    #[error("thread {thread} has been executing one task for {secs:.0} s")]
+    ThreadStuck {
+        /// The thread.
+        thread: &'static str,
+        /// For how long.
+        secs: f64,
+    },
+    /// The disk is full.
+    #[error("the disk is full: free some space, and the journal goes on by itself")]
+    StoreFull,
+    /// Writing to the journal fails for another reason.
+    #[error("the journal cannot be written; see the log")]
+    StoreFailing,
+    /// The queue of writes exceeds its limit.
+    #[error("the queue of the journal exceeds its limit")]
+    StoreOverrun,
+    /// A listener of the daemon does not respond.
+    #[error("{endpoint} does not answer: {problem}")]
+    Unresponsive {
+        /// The endpoint.
+        endpoint: String,
+        /// The error.
+        problem: String,
+    },
+    /// zenoh is blocked.
+    #[error(
+        "commands and queries have been blocked for {secs:.0} s{}: this ends by itself; see \
+         docs/security.md on what the subscriptions of a session can block",
+        while_closing(closing)
+    )]
+    BusBlocked {
+        /// For how long.
+        secs: f64,
+        /// The clients whose sessions zenoh is closing; may be empty.
+        closing: String,
+    },
+    /// Another daemon uses the same name.
+    #[error("{0}")]
+    Contested(Contested),
+    /// The certificate of the daemon has expired.
+    #[error(
+        "the daemon's certificate expired on {day}: run `jostled auth init --host NAME` with each of \
+         its names, then restart the daemon"
+    )]
+    CertificateEnded {
+        /// Its last day.
+        day: String,
+    },
+    /// `people.json` cannot be reloaded.
+    #[error(
+        "people.json cannot be reloaded: the rights loaded last stay in force, and `jostled auth add` \
+         and `remove` have no effect; see the log"
+    )]
+    PeopleUnreadable,
+    /// The health thread itself is blocked.
+    #[error("the health checks have not run for {secs:.0} s")]
+    WatchStuck {
+        /// For how long.
+        secs: f64,
+    },
+}
+
+impl Reason {
+    /// Its code in `/healthz`.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Reason::SwarmStuck { .. } => "swarm_stuck",
+            Reason::ThreadStuck { .. } => "thread_stuck",
+            Reason::StoreFull => "store_full",
+            Reason::StoreFailing => "store_failing",
+            Reason::StoreOverrun => "store_overrun",
+            Reason::Unresponsive { .. } => "listener_deaf",
+            Reason::BusBlocked { .. } => "bus_blocked",
+            Reason::Contested(_) => "contested",
+            Reason::CertificateEnded { .. } => "certificate_ended",
+            Reason::PeopleUnreadable => "people_unreadable",
+            Reason::WatchStuck { .. } => "watch_stuck",
+        }
+    }
+
+    /// Whether a restart is the remedy: of a blocked thread it is, of a full disk it is not.
+    pub fn needs_restart(&self) -> bool {
+        matches!(
+            self,
+            Reason::SwarmStuck { .. }
+                | Reason::ThreadStuck { .. }
+                | Reason::Unresponsive { .. }
+                | Reason::WatchStuck { .. }
+        )
+    }
+}
+
+/// A name that another daemon uses too.
+#[derive(Clone, Debug, Error, PartialEq, Eq)]
+#[error("{}", contested(self))]
+pub struct Contested {
+    /// The swarm; `None` for the daemon's own name.
+    pub swarm: Option<String>,
+    /// The other daemon's name.
+    pub node: String,
+    /// Its instance.
+    pub instance: String,
+    /// Whether the other daemon serves the name and this one waits.
+    pub waits: bool,
+}
+
+fn contested(
+    Contested {
+        swarm,
+        node,
+        instance,
+        waits,
+    }: &Contested,
+) -> String {
+    let what = match swarm {
+        Some(swarm) => format!("daemon {node} has a swarm {swarm}, too"),
+        None => format!("another daemon is named {node}, too ({instance})"),
+    };
+    let outcome = match waits {
+        true => "the other daemon serves it, and this one waits",
+        false => "both created it or executed commands on it, so both reject everything",
+    };
+    let end = match swarm {
+        Some(_) => "until one is stopped or deletes it",
+        None => "until one is stopped",
+    };
+    format!("contested: {what}; {outcome}, {end}")
+}
+
+/// How many failed recordings a warning names.
+const MAX_NAMED: usize = 5;
+
+/// A problem with which the daemon stays healthy.
+#[derive(Clone, Debug, Error, PartialEq)]
+pub enum Warning {
+    /// Recordings have failed.
+    #[error("{}", recordings_failed(.0))]
+    RecordingsFailed(Vec<(String, String)>),
+}
+
+impl Warning {
+    /// Its code in `/healthz`.
+    pub fn code(&self) -> &'static str {
+        match self {
+            Warning::RecordingsFailed(_) => "recording_failed",
+        }
+    }
+}
+
+fn recordings_failed(failed: &[(String, String)]) -> String {
+    let named = failed.iter().take(MAX_NAMED);
+    let named: Vec<String> = named
+        .map(|(name, reason)| format!("{name} ({reason})"))
+        .collect();
+    let others = match failed.len().saturating_sub(MAX_NAMED) {
+        0 => String::new(),
+        others => format!(" and {others} more"),
+    };
+    format!(
+        "recordings failed: {}{others}; `jostle record --list` lists them, \
+         `jostle record --delete NAME` removes one with its files",
+        named.join(", ")
+    )
+}
+
+/// The number of the daemon's recordings by phase.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RecordingCounts {
+    /// Being recorded.
+    pub recording: u64,
+    /// Ended.
+    pub ended: u64,
+    /// The names of failed ones, with the reasons.
+    pub failed: Vec<(String, String)>,
+}
+
+fn while_closing(closing: &str) -> String {
+    match closing {
+        "" => String::new(),
+        closing => format!(" while zenoh closes the session of {closing}"),
+    }
+}
+
+/// Whether zenoh is blocked.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Bus {
+    /// For how long it has been blocked, if that is longer than the limit.
+    pub blocked: Option<Duration>,
+    /// The clients whose sessions it is closing.
+    pub closing: String,
+    /// The number of blocks longer than the limit.
+    pub blocks: u64,
+}
