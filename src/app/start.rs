@@ -428,6 +428,7 @@ fn start_watch(
         claims: core.claims.clone(),
         rights: core.rights.clone(),
         recordings: files.recordings.clone(),
+        replies: core.replies.clone(),
     };
     Ok(Watch::start(sources.watched())?)
 }

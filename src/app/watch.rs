@@ -5,6 +5,7 @@ use std::sync::Arc;
 use zenoh::{Session, Wait};
 
 use crate::api::commands;
+use crate::api::responder::Replies;
 use crate::auth::live::LiveRights;
 use crate::health::Watched;
 use crate::metrics::Activity;
@@ -27,6 +28,7 @@ pub struct Sources {
     pub claims: Arc<Claims>,
     pub rights: Arc<LiveRights>,
     pub recordings: Recordings,
+    pub replies: Replies,
 }
 
 impl Sources {
@@ -42,6 +44,7 @@ impl Sources {
             claims,
             rights,
             recordings,
+            replies,
         } = self;
         let usage_of = recordings.clone();
         let live = rights.clone();
@@ -63,6 +66,7 @@ impl Sources {
                 let usage = usage_of.usage();
                 (usage.bytes, usage.quota_bytes)
             }),
+            dropped_requests: Box::new(move || replies.dropped()),
         }
     }
 }

@@ -45,6 +45,8 @@ pub struct Figures {
     pub recordings: RecordingCounts,
     /// The size of all recordings and its limit, in bytes.
     pub recordings_bytes: (u64, u64),
+    /// Requests that a defect dropped without a reply.
+    pub dropped_requests: u64,
     /// Each swarm that is built, ordered by name.
     pub swarms: Vec<SwarmFigures>,
 }
@@ -104,6 +106,7 @@ impl Watch {
             store: self.watched.store.health(),
             recordings: (self.watched.recordings)(),
             recordings_bytes: (self.watched.recordings_bytes)(),
+            dropped_requests: (self.watched.dropped_requests)(),
             swarms,
         }
     }

@@ -61,6 +61,8 @@ pub struct Watched {
     pub are_people_unreadable: Box<dyn Fn() -> bool + Send + Sync>,
     /// The size of all recordings and its limit, in bytes.
     pub recordings_bytes: Box<dyn Fn() -> (u64, u64) + Send + Sync>,
+    /// Requests that a defect dropped without a reply.
+    pub dropped_requests: Box<dyn Fn() -> u64 + Send + Sync>,
     /// The names that another daemon uses too.
     pub contested: Box<dyn Fn() -> Vec<Contested> + Send + Sync>,
 }

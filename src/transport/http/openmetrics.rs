@@ -51,6 +51,7 @@ const METRICS: &[(&str, &str, Value)] = &[
     ("sessions", "Connected clients", Gauge(|it| it.daemon.sessions as f64)),
     ("bus_blocked_seconds", "Time for which commands and queries have been blocked; 0 if they are not", Gauge(|it| it.daemon.bus.blocked.map_or(0.0, |age| age.as_secs_f64()))),
     ("bus_blocks", "Times that commands and queries were blocked for at least 2 s", Counter(|it| it.daemon.bus.blocks as f64)),
+    ("dropped_requests", "Requests that a defect dropped without a reply", Counter(|it| it.daemon.dropped_requests as f64)),
     ("probe_seconds", "Response time of the slowest of the daemon's own listeners at the last probe", OptionalGauge(|it| it.daemon.probe_secs)),
     ("http_connections", "Open HTTP connections, including WebSockets", Gauge(|it| it.http.open as f64)),
     ("http_accept_failures", "HTTP connections that could not be accepted", Counter(|it| it.http.accept_failures as f64)),
