@@ -1,6 +1,9 @@
 //! A queue of deadlines, in a task of its own.
 
+use std::collections::HashMap;
 use std::future::poll_fn;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Instant;
 
 use tokio::sync::mpsc::{UnboundedReceiver, UnboundedSender, unbounded_channel};
@@ -12,41 +15,75 @@ pub trait Expire: Send + 'static {
     fn expire(self);
 }
 
-/// Deadlines. One that no longer matters stays in the queue until it passes, so an entry must not
-/// keep its request alive. Clones share the queue.
-pub struct Deadlines<T>(UnboundedSender<(Instant, T)>);
+/// Deadlines. Clones share the queue.
+pub struct Deadlines<T> {
+    messages: UnboundedSender<Message<T>>,
+    newest: Arc<AtomicU64>,
+}
+
+/// Identifies a deadline.
+#[derive(Clone, Copy)]
+pub struct DeadlineId(u64);
+
+enum Message<T> {
+    Add(u64, Instant, T),
+    Remove(u64),
+}
 
 impl<T> Clone for Deadlines<T> {
     fn clone(&self) -> Self {
-        Deadlines(self.0.clone())
+        Deadlines {
+            messages: self.messages.clone(),
+            newest: self.newest.clone(),
+        }
     }
 }
 
 impl<T: Expire> Deadlines<T> {
     /// Starts the task, which runs until the last clone is dropped.
     pub fn start() -> Self {
-        let (sender, receiver) = unbounded_channel();
+        let (messages, receiver) = unbounded_channel();
         tokio::spawn(run(receiver));
-        Deadlines(sender)
+        Deadlines {
+            messages,
+            newest: Arc::default(),
+        }
     }
 
     /// Adds a deadline.
-    pub fn add(&self, at: Instant, entry: T) {
+    pub fn add(&self, at: Instant, entry: T) -> DeadlineId {
+        let id = self.newest.fetch_add(1, Ordering::Relaxed);
         // An error means that the runtime is shutting down.
-        let _ = self.0.send((at, entry));
+        let _ = self.messages.send(Message::Add(id, at, entry));
+        DeadlineId(id)
+    }
+
+    /// Removes a deadline, unless it has passed.
+    pub fn remove(&self, id: DeadlineId) {
+        let _ = self.messages.send(Message::Remove(id.0));
     }
 }
 
-async fn run<T: Expire>(mut added: UnboundedReceiver<(Instant, T)>) {
+async fn run<T: Expire>(mut messages: UnboundedReceiver<Message<T>>) {
     let mut queue = DelayQueue::new();
+    let mut keys = HashMap::new();
     loop {
         tokio::select! {
-            entry = added.recv() => match entry {
-                Some((at, entry)) => drop(queue.insert_at(entry, at.into())),
+            message = messages.recv() => match message {
+                Some(Message::Add(id, at, entry)) => {
+                    keys.insert(id, queue.insert_at((id, entry), at.into()));
+                }
+                Some(Message::Remove(id)) => {
+                    if let Some(key) = keys.remove(&id) {
+                        queue.remove(&key);
+                    }
+                }
                 None => return,
             },
             Some(expired) = poll_fn(|context| queue.poll_expired(context)), if !queue.is_empty() => {
-                expired.into_inner().expire();
+                let (id, entry) = expired.into_inner();
+                keys.remove(&id);
+                entry.expire();
             }
         }
     }

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use tracing::error;
 
-use crate::api::deadlines::{Deadlines, Expire};
+use crate::api::deadlines::{DeadlineId, Deadlines, Expire};
 use crate::api::incoming::Incoming;
 use crate::convert::Payload;
 use crate::convert::error::CommandError;
@@ -41,6 +41,7 @@ struct Pending {
     incoming: Mutex<Option<Incoming>>,
     /// Where the reply is remembered, if the request has an id.
     slot: Mutex<Option<Box<dyn ReplySlot>>>,
+    deadlines: Mutex<Vec<DeadlineId>>,
     key: String,
     replies: Replies,
 }
@@ -101,6 +102,7 @@ impl Replies {
         Responder(Arc::new(Pending {
             incoming: Mutex::new(Some(incoming.clone())),
             slot: Mutex::default(),
+            deadlines: Mutex::default(),
             key,
             replies: self.clone(),
         }))
@@ -195,7 +197,8 @@ impl Responder {
             step,
         };
         let deadlines = &self.0.replies.deadlines;
-        deadlines.add(Instant::now() + timeout, deadline);
+        let id = deadlines.add(Instant::now() + timeout, deadline);
+        lock(&self.0.deadlines).push(id);
     }
 
     /// A responder that does not keep the request pending.
@@ -232,6 +235,11 @@ impl Pending {
     fn send(&self, slot: Option<Box<dyn ReplySlot>>, encode: Encode) {
         let incoming = lock(&self.incoming).take();
         let incoming = incoming.map(|incoming| (incoming, self.key.clone()));
+        if incoming.is_some() {
+            for id in std::mem::take(&mut *lock(&self.deadlines)) {
+                self.replies.deadlines.remove(id);
+            }
+        }
         if incoming.is_some() || slot.is_some() {
             self.replies.send(Outgoing {
                 incoming,
