@@ -3,7 +3,6 @@
 mod driving;
 mod late;
 mod order;
-mod wakes;
 
 use std::time::{Duration, Instant};
 
