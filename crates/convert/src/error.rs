@@ -1,4 +1,4 @@
-//! Code and details of the error reply to a rejected start or change.
+//! Codes and details of error replies.
 
 use jostle_physics::model::injection::InjectionError;
 use jostle_physics::model::parameters::ParametersError;
@@ -6,90 +6,148 @@ use jostle_physics::model::reshape::ReshapeError;
 use jostle_physics::model::selection::SelectionError;
 use jostle_physics::model::start::StartError;
 use jostle_physics::simulation::{ChangeError, ReserveError};
-use jostle_proto::{ErrorCode, keys};
-use serde_json::{Value, json};
+use jostle_proto::{ErrorCode, RequestError, keys};
+use serde_json::{Map, Value, json};
 
-/// Returns the code of a rejected start or change.
-pub fn code(error: &ChangeError) -> ErrorCode {
-    match error {
-        ChangeError::Parameters(_) | ChangeError::Selection(_) | ChangeError::NoneLeft(_) => {
-            ErrorCode::InvalidArgument
-        }
-        ChangeError::AxesCross { .. } => ErrorCode::IncorrectState,
-        ChangeError::Start(StartError::NoRoom { .. })
-        | ChangeError::Injection(InjectionError::NoRoom { .. })
-        | ChangeError::Reserve(_) => ErrorCode::ResourceExhausted,
-        ChangeError::Start(_)
-        | ChangeError::Injection(_)
-        | ChangeError::Reshape(ReshapeError::Parameters(_)) => ErrorCode::InvalidArgument,
-        ChangeError::Reshape(_) => ErrorCode::ResourceExhausted,
+use crate::WireError;
+
+/// The code and the details with which an error is sent to a client.
+pub trait WireCode {
+    /// Returns the code that clients branch on.
+    fn code(&self) -> ErrorCode;
+
+    /// Returns the details for programs, such as `field` and `range`.
+    fn details(&self) -> Map<String, Value> {
+        Map::new()
     }
 }
 
-/// Returns the details of a rejected start or change, an object with the field and numbers, or
-/// null.
-pub fn details(error: &ChangeError) -> Value {
-    match error {
-        ChangeError::Reserve(ReserveError::NoMemory { n, needed, free }) => {
-            json!({"field": "n", "n": n, "needed": needed, "free": free})
+impl WireCode for RequestError {
+    fn code(&self) -> ErrorCode {
+        ErrorCode::InvalidArgument
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        if self.field.is_empty() {
+            return Map::new();
         }
-        ChangeError::Reserve(ReserveError::TooMany { n, limit }) => {
-            json!({"field": "n", "n": n, "limit": limit})
-        }
-        ChangeError::Parameters(error)
-        | ChangeError::Start(StartError::Parameters(error))
-        | ChangeError::Selection(SelectionError::Number(error))
-        | ChangeError::Injection(InjectionError::Parameters(error))
-        | ChangeError::Reshape(ReshapeError::Parameters(error)) => parameters(error),
-        ChangeError::NoneLeft(n) => json!({"field": "select", "selected": n, "n": n}),
-        ChangeError::Injection(InjectionError::Pose { index, error }) => {
-            let mut details = parameters(error);
-            let field = details["field"].as_str().unwrap_or_default().to_owned();
-            details["field"] = json!(format!("at[{index}].{field}"));
-            details
-        }
-        ChangeError::Injection(InjectionError::Overlap { index, gap }) => {
-            json!({"field": format!("at[{index}]"), "gap": gap})
-        }
-        ChangeError::Injection(InjectionError::NoRoom { placed, .. }) => {
-            json!({"field": "count", "placed": placed})
-        }
-        ChangeError::AxesCross { pairs } => json!({"field": "contacts", "pairs": pairs}),
-        ChangeError::Start(StartError::NoRoom { placed, radius, .. }) => {
-            json!({"field": "start.radius", "value": radius, "placed": placed})
-        }
-        ChangeError::Start(_) => json!({"field": "start"}),
-        ChangeError::Selection(SelectionError::Count {
-            field, candidates, ..
-        }) => json!({"field": field, "range": format!("[0, {candidates}]")}),
-        ChangeError::Selection(_) => json!({"field": "select.ids"}),
-        _ => Value::Null,
+        // The range of an unknown field does not help.
+        let is_known = !self.problem.starts_with("unknown");
+        let range = is_known.then(|| range_of(&self.field)).flatten();
+        named(&self.field, Value::Null, range)
     }
 }
 
-fn parameters(error: &ParametersError) -> Value {
-    match *error {
-        ParametersError::OutOfRange {
-            field,
-            value,
-            range,
-        } => named(field, number(value), range_of(field).or(Some(range))),
-        ParametersError::Clash { field, .. } => named(field, Value::Null, None),
-        ParametersError::StepTooLong { dt, largest } => json!({
-            "field": "dt", "value": dt, "range": format!("(0, {largest}]"),
-        }),
+impl WireCode for WireError {
+    fn code(&self) -> ErrorCode {
+        ErrorCode::InvalidArgument
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        match self {
+            WireError::OutOfRange { field, value } => named(field, value.clone(), range_of(field)),
+            WireError::Length { field, length, n } => {
+                object(json!({"field": field, "length": length, "n": n}))
+            }
+        }
+    }
+}
+
+impl WireCode for ChangeError {
+    fn code(&self) -> ErrorCode {
+        match self {
+            ChangeError::Parameters(_) | ChangeError::Selection(_) | ChangeError::NoneLeft(_) => {
+                ErrorCode::InvalidArgument
+            }
+            ChangeError::AxesCross { .. } => ErrorCode::IncorrectState,
+            ChangeError::Start(StartError::NoRoom { .. })
+            | ChangeError::Injection(InjectionError::NoRoom { .. })
+            | ChangeError::Reserve(_) => ErrorCode::ResourceExhausted,
+            ChangeError::Start(_)
+            | ChangeError::Injection(_)
+            | ChangeError::Reshape(ReshapeError::Parameters(_)) => ErrorCode::InvalidArgument,
+            ChangeError::Reshape(_) => ErrorCode::ResourceExhausted,
+        }
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        object(match self {
+            ChangeError::Reserve(ReserveError::NoMemory { n, needed, free }) => {
+                json!({"field": "n", "n": n, "needed": needed, "free": free})
+            }
+            ChangeError::Reserve(ReserveError::TooMany { n, limit }) => {
+                json!({"field": "n", "n": n, "limit": limit})
+            }
+            ChangeError::Parameters(error)
+            | ChangeError::Start(StartError::Parameters(error))
+            | ChangeError::Selection(SelectionError::Number(error))
+            | ChangeError::Injection(InjectionError::Parameters(error))
+            | ChangeError::Reshape(ReshapeError::Parameters(error)) => return error.details(),
+            ChangeError::NoneLeft(n) => json!({"field": "select", "selected": n, "n": n}),
+            ChangeError::Injection(InjectionError::Pose { index, error }) => {
+                let mut details = error.details();
+                if let Some(Value::String(field)) = details.get_mut("field") {
+                    *field = format!("at[{index}].{field}");
+                }
+                return details;
+            }
+            ChangeError::Injection(InjectionError::Overlap { index, gap }) => {
+                json!({"field": format!("at[{index}]"), "gap": gap})
+            }
+            ChangeError::Injection(InjectionError::NoRoom { placed, .. }) => {
+                json!({"field": "count", "placed": placed})
+            }
+            ChangeError::AxesCross { pairs } => json!({"field": "contacts", "pairs": pairs}),
+            ChangeError::Start(StartError::NoRoom { placed, radius, .. }) => {
+                json!({"field": "start.radius", "value": radius, "placed": placed})
+            }
+            ChangeError::Start(_) => json!({"field": "start"}),
+            ChangeError::Selection(SelectionError::Count {
+                field, candidates, ..
+            }) => json!({"field": field, "range": format!("[0, {candidates}]")}),
+            ChangeError::Selection(_) => json!({"field": "select.ids"}),
+            _ => Value::Null,
+        })
+    }
+}
+
+impl WireCode for ParametersError {
+    fn code(&self) -> ErrorCode {
+        ErrorCode::InvalidArgument
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        match *self {
+            ParametersError::OutOfRange {
+                field,
+                value,
+                range,
+            } => named(field, number(value), range_of(field).or(Some(range))),
+            ParametersError::Clash { field, .. } => named(field, Value::Null, None),
+            ParametersError::StepTooLong { dt, largest } => object(json!({
+                "field": "dt", "value": dt, "range": format!("(0, {largest}]"),
+            })),
+        }
+    }
+}
+
+/// Returns the fields of a JSON object, and none of another value.
+pub fn object(value: Value) -> Map<String, Value> {
+    match value {
+        Value::Object(fields) => fields,
+        _ => Map::new(),
     }
 }
 
 /// Returns the details of an invalid field: its name, its value unless null, and its range if
 /// given.
-pub fn named(field: &str, value: Value, range: Option<&str>) -> Value {
-    let mut details = json!({"field": field});
+pub fn named(field: &str, value: Value, range: Option<&str>) -> Map<String, Value> {
+    let mut details = object(json!({"field": field}));
     if !value.is_null() {
-        details["value"] = value;
+        details.insert("value".to_owned(), value);
     }
     if let Some(range) = range {
-        details["range"] = json!(range);
+        details.insert("range".to_owned(), range.into());
     }
     details
 }

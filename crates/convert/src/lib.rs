@@ -2,7 +2,7 @@
 //!
 //! [`spec`] and [`change`] convert the arguments of requests, and check them as far as they can be
 //! checked without a swarm. [`snapshot`] writes and reads the state of a simulation. [`error`]
-//! gives the code and the details of an error of the physics. No bus, no runtime and no database is
+//! gives the code and the details of errors. No bus, no runtime and no database is
 //! needed.
 
 pub mod change;
@@ -12,5 +12,6 @@ pub mod spec;
 pub mod value;
 
 pub use change::ArgsError;
+pub use error::WireCode;
 pub use snapshot::{SnapshotError, hexadecimal};
 pub use value::WireError;

@@ -3,7 +3,7 @@
 
 use jostle_convert::change::{change, set_points};
 use jostle_convert::value::{count, publish_every, rate, weight, whole};
-use jostle_convert::{ArgsError, error, spec};
+use jostle_convert::{ArgsError, WireCode, error, spec};
 use jostle_physics::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use jostle_physics::model::selection::Selection;
 use jostle_physics::simulation::{
@@ -326,7 +326,7 @@ fn a_rejected_change_has_its_code_and_field() {
     let mut simulation = Simulation::new(&Spec::new(4, 1)).unwrap();
     let mut code_of = |value: Value| {
         let error = simulation.apply(&read(value)).unwrap_err();
-        (error::code(&error), error::details(&error)["field"].clone())
+        (error.code(), error.details()["field"].clone())
     };
     let all = json!({"fraction": 1.0});
     let at = json!([{"x": 1e7, "y": 0.0, "alpha": 0.0}]);
@@ -370,27 +370,27 @@ fn a_rejected_change_has_its_code_and_field() {
         needed: 8,
         free: 7,
     });
-    assert_eq!(error::code(&reserve), ErrorCode::ResourceExhausted);
+    assert_eq!(reserve.code(), ErrorCode::ResourceExhausted);
     assert_eq!(
-        error::details(&reserve),
+        Value::Object(reserve.details()),
         json!({"field": "n", "n": 9, "needed": 8, "free": 7})
     );
     let limit = ChangeError::from(ReserveError::TooMany { n: 9, limit: 8 });
     assert_eq!(
-        error::details(&limit),
+        Value::Object(limit.details()),
         json!({"field": "n", "n": 9, "limit": 8})
     );
     let cross = ChangeError::AxesCross { pairs: 3 };
-    assert_eq!(error::code(&cross), ErrorCode::IncorrectState);
+    assert_eq!(cross.code(), ErrorCode::IncorrectState);
     assert_eq!(
-        error::details(&cross),
+        Value::Object(cross.details()),
         json!({"field": "contacts", "pairs": 3})
     );
     let mut spec = Spec::new(50, 1);
     spec.start = Start::Disc(Some(1.0));
     let full = Simulation::new(&spec).err().unwrap();
-    assert_eq!(error::code(&full), ErrorCode::ResourceExhausted);
-    assert_eq!(error::details(&full)["field"], "start.radius");
+    assert_eq!(full.code(), ErrorCode::ResourceExhausted);
+    assert_eq!(full.details()["field"], "start.radius");
 }
 
 #[test]

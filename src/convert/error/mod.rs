@@ -1,0 +1,379 @@
+//! Why a request is rejected, and the error reply.
+
+mod auth;
+mod jobs;
+mod swarm;
+
+use jostle_convert::error::{named, object, range_of};
+use jostle_convert::{ArgsError, WireCode, WireError};
+use jostle_physics::simulation::ChangeError;
+use jostle_proto::{Claimant, Error, ErrorCode, RequestError, claim, keys};
+use serde_json::{Map, Value, json};
+use thiserror::Error as ThisError;
+
+use crate::auth::NotPermitted;
+use crate::experiments::ExperimentError;
+use crate::playback::ReplayError;
+use crate::recording::RecordError;
+use crate::swarm::error::SwarmError;
+use crate::swarm::registry::RegistryError;
+
+/// Why a request is rejected.
+#[derive(Clone, Debug, ThisError)]
+pub enum CommandError {
+    /// The payload cannot be read.
+    #[error("{0}")]
+    Request(#[from] RequestError),
+    /// A value is invalid.
+    #[error(transparent)]
+    Value(#[from] WireError),
+    /// A field is invalid for another reason.
+    #[error("{field} {problem}")]
+    Field {
+        /// The field.
+        field: &'static str,
+        /// What is wrong with it, and the remedy.
+        problem: &'static str,
+    },
+    /// A name is invalid.
+    #[error("{field} {name:?} is no name")]
+    Name {
+        /// The field.
+        field: &'static str,
+        /// At most the first 64 characters of the name.
+        name: String,
+    },
+    /// The number of individuals exceeds the daemon's limit.
+    #[error("n = {n} is outside its range: give a whole number from 1 to {limit}")]
+    Individuals {
+        /// The requested number.
+        n: u64,
+        /// The limit.
+        limit: usize,
+    },
+    /// A selector has an unknown parameter.
+    #[error("there is no parameter {name:?} here")]
+    Parameter {
+        /// As received.
+        name: String,
+        /// The known ones.
+        known: &'static [&'static str],
+    },
+    /// A selector has a parameter twice.
+    #[error("{0} is given twice: give it once")]
+    Twice(&'static str),
+    /// The payload is too long.
+    #[error("the request has {bytes} bytes, the most is {most_bytes}: send less at once")]
+    TooLong {
+        /// Its length.
+        bytes: usize,
+        /// The limit.
+        most_bytes: usize,
+    },
+    /// The payload has another encoding than JSON.
+    #[error("the payload is {0:?}: requests are application/json")]
+    Encoding(String),
+    /// The key of a command has a wildcard.
+    #[error("a wildcard executes nothing: send the command to one concrete key")]
+    Wildcard,
+    /// The verb is unknown.
+    #[error("there is no verb {verb:?}")]
+    UnknownVerb {
+        /// As received.
+        verb: String,
+        /// The known ones.
+        known: &'static [&'static str],
+    },
+    /// The noun of a query is unknown.
+    #[error("there is no {noun:?} to get")]
+    UnknownNoun {
+        /// As received.
+        noun: String,
+        /// The known ones.
+        known: &'static [&'static str],
+    },
+    /// The swarm does not exist.
+    #[error("there is no swarm {0:?}: the node's get/swarms lists what there is")]
+    UnknownSwarm(String),
+    /// A part of an argument is invalid.
+    #[error("{path}: {error}")]
+    Within {
+        /// The path of the part, such as `commands[2].args`.
+        path: String,
+        /// The error.
+        error: Box<CommandError>,
+    },
+    /// An earlier request had the same id and another content.
+    #[error(
+        "request_id {0:?} was given to another request of this client: give each request one of \
+         its own"
+    )]
+    OtherRequest(String),
+    /// A snapshot is invalid.
+    #[error("not a snapshot that this daemon can restore: {0}")]
+    Snapshot(String),
+    /// A snapshot does not fit into one message.
+    #[error(
+        "the snapshot has {bytes} bytes, the most that one message carries is {most_bytes}: fork \
+         the swarm on this daemon, or stop the daemon and copy its data folder"
+    )]
+    SnapshotTooLong {
+        /// Its length.
+        bytes: usize,
+        /// The limit.
+        most_bytes: usize,
+    },
+    /// The swarm has not reached the step.
+    #[error("step {step} is not reached, the swarm is at step {now}: name an earlier one")]
+    NotReached {
+        /// The requested step.
+        step: u64,
+        /// The current step of the swarm.
+        now: u64,
+    },
+    /// The history cannot be replayed.
+    #[error("the swarm's past cannot be told: {0}")]
+    History(String),
+    /// The client has no permission.
+    #[error(transparent)]
+    NotPermitted(#[from] NotPermitted),
+    /// Another daemon serves the same name and has executed commands on it.
+    #[error("{}", claim::refused(swarm.as_deref(), claimants).message)]
+    Contested {
+        /// The swarm; `None` for the daemon's own name.
+        swarm: Option<String>,
+        /// Both daemons.
+        claimants: [Claimant; 2],
+    },
+    /// The name of a new swarm is claimed by another daemon.
+    #[error(
+        "daemon {0:?} claims this name: choose another name, or delete the swarm of this name there"
+    )]
+    Claimed(String),
+    /// The daemon has a defect.
+    #[error("a defect of the daemon: nothing was changed; please report what you sent")]
+    Internal,
+    /// The request was dropped without a reply.
+    #[error(
+        "a defect of the daemon: it dropped the request, and whether it was executed is unknown: send \
+         the same request_id again"
+    )]
+    Dropped,
+    /// The limit of connected clients is exceeded.
+    #[error(
+        "more than the daemon's {} connected: close one, or raise max_clients and start it again",
+        match .limit {
+            1 => "1 client is".to_owned(),
+            limit => format!("{limit} clients are"),
+        }
+    )]
+    TooManyClients {
+        /// The limit.
+        limit: usize,
+    },
+    /// The daemon has too many requests.
+    #[error("too much at once for this daemon: try again in a moment")]
+    Busy,
+    /// The request was not executed before its timeout.
+    #[error(
+        "not done within {after_secs} s: the work goes on; get/wait tells when it is done, \
+         timeout_secs waits longer"
+    )]
+    Deadline {
+        /// The timeout.
+        after_secs: f64,
+    },
+    /// The condition of a `wait` did not become true before the timeout.
+    #[error("not yet so after {after_secs} s: ask again")]
+    NotYet {
+        /// The timeout.
+        after_secs: f64,
+    },
+    /// The daemon rejects the swarm.
+    #[error(transparent)]
+    Host(#[from] RegistryError),
+    /// The swarm rejects the command.
+    #[error(transparent)]
+    Order(#[from] SwarmError),
+    /// A playback is rejected.
+    #[error(transparent)]
+    Replay(#[from] ReplayError),
+    /// A command to an experiment is rejected.
+    #[error(transparent)]
+    Lab(#[from] ExperimentError),
+    /// A command to a recording is rejected.
+    #[error(transparent)]
+    Record(#[from] RecordError),
+}
+
+impl CommandError {
+    /// The request was not executed within `after_secs`.
+    pub fn deadline(after_secs: f64) -> Self {
+        CommandError::Deadline { after_secs }
+    }
+
+    /// The condition of a `wait` did not become true within `after_secs`.
+    pub fn not_yet(after_secs: f64) -> Self {
+        CommandError::NotYet { after_secs }
+    }
+
+    /// Returns the error as that of the part at `path` of an argument.
+    #[must_use]
+    pub fn within(self, path: String) -> Self {
+        CommandError::Within {
+            path,
+            error: Box::new(self),
+        }
+    }
+
+    /// Returns the error reply; `step` is the current step of the swarm.
+    pub fn to_wire(&self, step: Option<u64>) -> Error {
+        if let CommandError::Within { path, error } = self {
+            return error.to_wire(step).within(path);
+        }
+        if let CommandError::Order(SwarmError::InBatch { index, error }) = self {
+            let error = CommandError::Order((**error).clone()).to_wire(step);
+            let mut error = error.within(&format!("commands[{index}].args"));
+            error.message.push_str("; none of the batch was applied");
+            return error;
+        }
+        let details = self.details();
+        let mut message = self.to_string();
+        match (&self, details.get("range")) {
+            (CommandError::Request(_) | CommandError::Value(_), Some(range)) => {
+                let range = range.as_str().unwrap_or_default();
+                message = format!("{message}: give {range}");
+            }
+            (CommandError::Name { .. }, _) => {
+                message = format!(
+                    "{message}: names are 1 to {} of a-z, 0-9, - and _, the first a letter or digit",
+                    keys::MAX_NAME_LENGTH
+                );
+            }
+            (CommandError::UnknownVerb { known, .. }, _)
+            | (CommandError::UnknownNoun { known, .. }, _)
+            | (CommandError::Parameter { known, .. }, _) => {
+                let known = match known {
+                    [] => "none".to_owned(),
+                    known => known.join(", "),
+                };
+                message = format!("{message}: there are {known}");
+            }
+            _ => {}
+        }
+        Error {
+            code: self.code(),
+            message,
+            details,
+            step,
+        }
+    }
+}
+
+impl WireCode for CommandError {
+    fn code(&self) -> ErrorCode {
+        match self {
+            CommandError::Request(error) => error.code(),
+            CommandError::Value(error) => error.code(),
+            CommandError::Within { error, .. } => error.code(),
+            CommandError::NotPermitted(error) => error.code(),
+            CommandError::Host(error) => error.code(),
+            CommandError::Order(error) => error.code(),
+            CommandError::Replay(error) => error.code(),
+            CommandError::Lab(error) => error.code(),
+            CommandError::Record(error) => error.code(),
+            CommandError::Field { .. }
+            | CommandError::Name { .. }
+            | CommandError::Individuals { .. }
+            | CommandError::Parameter { .. }
+            | CommandError::Twice(_)
+            | CommandError::Encoding(_)
+            | CommandError::Wildcard
+            | CommandError::Snapshot(_) => ErrorCode::InvalidArgument,
+            CommandError::UnknownVerb { .. }
+            | CommandError::UnknownNoun { .. }
+            | CommandError::UnknownSwarm(_) => ErrorCode::NotFound,
+            CommandError::OtherRequest(_)
+            | CommandError::NotReached { .. }
+            | CommandError::History(_) => ErrorCode::Conflict,
+            CommandError::Contested { .. } => ErrorCode::Contested,
+            CommandError::Claimed(_) => ErrorCode::AlreadyExists,
+            CommandError::Internal | CommandError::Dropped => ErrorCode::Internal,
+            CommandError::TooLong { .. }
+            | CommandError::SnapshotTooLong { .. }
+            | CommandError::TooManyClients { .. } => ErrorCode::ResourceExhausted,
+            CommandError::Busy => ErrorCode::Busy,
+            CommandError::Deadline { .. } | CommandError::NotYet { .. } => {
+                ErrorCode::DeadlineExceeded
+            }
+        }
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        match self {
+            CommandError::Request(error) => error.details(),
+            CommandError::Value(error) => error.details(),
+            CommandError::NotPermitted(error) => error.details(),
+            CommandError::Host(error) => error.details(),
+            CommandError::Order(error) => error.details(),
+            CommandError::Replay(error) => error.details(),
+            CommandError::Lab(error) => error.details(),
+            CommandError::Record(error) => error.details(),
+            CommandError::Field { field, .. } => named(field, Value::Null, range_of(field)),
+            CommandError::Name { field, name } => named(field, json!(name), Some(keys::NAME_RULE)),
+            CommandError::Individuals { n, limit } => {
+                object(json!({"field": "n", "value": n, "range": format!("[1, {limit}]")}))
+            }
+            CommandError::Contested { swarm, claimants } => {
+                claim::refused(swarm.as_deref(), claimants).details
+            }
+            CommandError::Claimed(node) => object(json!({"node": node})),
+            CommandError::Snapshot(_) => named("snapshot", Value::Null, range_of("snapshot")),
+            CommandError::Parameter { name, known } => {
+                object(json!({"field": name, "known": known}))
+            }
+            CommandError::Twice(name) => object(json!({"field": name})),
+            CommandError::TooLong { bytes, most_bytes }
+            | CommandError::SnapshotTooLong { bytes, most_bytes } => {
+                object(json!({"bytes": bytes, "limit": most_bytes}))
+            }
+            CommandError::UnknownVerb { known, .. } | CommandError::UnknownNoun { known, .. } => {
+                object(json!({"known": known}))
+            }
+            CommandError::Deadline { after_secs } | CommandError::NotYet { after_secs } => {
+                object(json!({"after_secs": after_secs}))
+            }
+            CommandError::TooManyClients { limit } => object(json!({"limit": limit})),
+            CommandError::OtherRequest(id) => object(json!({"field": "request_id", "value": id})),
+            CommandError::Within { .. }
+            | CommandError::Encoding(_)
+            | CommandError::Wildcard
+            | CommandError::UnknownSwarm(_)
+            | CommandError::NotReached { .. }
+            | CommandError::History(_)
+            | CommandError::Internal
+            | CommandError::Dropped
+            | CommandError::Busy => Map::new(),
+        }
+    }
+}
+
+impl From<ArgsError> for CommandError {
+    fn from(error: ArgsError) -> Self {
+        match error {
+            ArgsError::Value(error) => error.into(),
+            ArgsError::Field { field, problem } => CommandError::Field { field, problem },
+        }
+    }
+}
+
+impl From<ChangeError> for CommandError {
+    fn from(error: ChangeError) -> Self {
+        SwarmError::from(error).into()
+    }
+}
+
+/// Returns the error with which a swarm at `step` rejects a command.
+pub fn refusal(error: SwarmError, step: u64) -> Error {
+    CommandError::from(error).to_wire(Some(step))
+}

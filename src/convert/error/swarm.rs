@@ -1,0 +1,115 @@
+//! Codes and details of commands that a swarm rejects, and of swarms that the daemon rejects.
+
+use jostle_convert::WireCode;
+use jostle_convert::error::object;
+use jostle_proto::ErrorCode;
+use serde_json::{Map, Value, json};
+
+use crate::swarm::error::SwarmError;
+use crate::swarm::registry::RegistryError;
+
+impl WireCode for RegistryError {
+    fn code(&self) -> ErrorCode {
+        match self {
+            RegistryError::OtherSpec | RegistryError::SameSpec => ErrorCode::AlreadyExists,
+            RegistryError::TooManySwarms { .. }
+            | RegistryError::TooMuchMemory { .. }
+            | RegistryError::NoThread(_) => ErrorCode::ResourceExhausted,
+            RegistryError::Stopping => ErrorCode::Busy,
+        }
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        object(match self {
+            RegistryError::TooManySwarms { limit } => json!({"limit": limit}),
+            RegistryError::TooMuchMemory {
+                needed,
+                free,
+                limit,
+            } => json!({"needed": needed, "free": free, "limit": limit}),
+            _ => Value::Null,
+        })
+    }
+}
+
+impl WireCode for SwarmError {
+    fn code(&self) -> ErrorCode {
+        match self {
+            SwarmError::Change(error) => error.code(),
+            SwarmError::InBatch { error, .. } => error.code(),
+            SwarmError::NotClaimed { .. }
+            | SwarmError::NotDriving(_)
+            | SwarmError::Film(_)
+            | SwarmError::OutsideRecording { .. } => ErrorCode::InvalidArgument,
+            SwarmError::Phase(_)
+            | SwarmError::Lockstep
+            | SwarmError::Recorded
+            | SwarmError::NotRecorded
+            | SwarmError::RunsFreely(_) => ErrorCode::IncorrectState,
+            SwarmError::Conflict { .. }
+            | SwarmError::Past { .. }
+            | SwarmError::Late { .. }
+            | SwarmError::Overtaken { .. }
+            | SwarmError::Claimed { .. }
+            | SwarmError::Advancing { .. }
+            | SwarmError::Superseded
+            | SwarmError::RefusedBefore => ErrorCode::Conflict,
+            SwarmError::NotJoined { .. } | SwarmError::Gone => ErrorCode::NotFound,
+            SwarmError::HasJoined(_) => ErrorCode::AlreadyExists,
+            SwarmError::TooManyControllers { .. } | SwarmError::TooManyScheduled { .. } => {
+                ErrorCode::ResourceExhausted
+            }
+            SwarmError::Unsafe(_) => ErrorCode::StorageFull,
+            SwarmError::Displaced { .. } => ErrorCode::DeadlineExceeded,
+            SwarmError::Busy => ErrorCode::Busy,
+            SwarmError::Faulted(_) => ErrorCode::Faulted,
+            SwarmError::Panicked => ErrorCode::Internal,
+        }
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        object(match self {
+            SwarmError::Change(error) => return error.details(),
+            SwarmError::Conflict {
+                what,
+                expected,
+                actual,
+            } => {
+                json!({"field": format!("expect_{what}"), "expected": expected, "actual": actual})
+            }
+            SwarmError::Past { until, step } => {
+                json!({"field": "until_step", "until": until, "step": step})
+            }
+            SwarmError::OutsideRecording {
+                field,
+                value,
+                first,
+                last,
+            } => json!({"field": field, "value": value, "range": format!("[{first}, {last}]")}),
+            SwarmError::Late { at_step, step } => {
+                json!({"field": "at_step", "at_step": at_step, "step": step})
+            }
+            SwarmError::Overtaken { at_step } => json!({"field": "at_step", "at_step": at_step}),
+            SwarmError::Displaced { after_secs, limit } => {
+                json!({"after_secs": after_secs, "limit": limit})
+            }
+            SwarmError::TooManyScheduled { limit } => json!({"field": "at_step", "limit": limit}),
+            SwarmError::NotJoined { controller, .. }
+            | SwarmError::HasJoined(controller)
+            | SwarmError::RunsFreely(controller)
+            | SwarmError::NotDriving(controller) => {
+                json!({"field": "controller", "value": controller})
+            }
+            SwarmError::Claimed { id, controller } => {
+                json!({"field": "select", "id": id, "controller": controller})
+            }
+            SwarmError::NotClaimed { id, owner } => {
+                json!({"field": "set.ids", "id": id, "controller": owner})
+            }
+            SwarmError::Advancing { target, .. } => {
+                json!({"field": "controller", "target": target})
+            }
+            _ => Value::Null,
+        })
+    }
+}
