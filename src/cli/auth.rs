@@ -1,4 +1,4 @@
-//! `jostled auth`: who may do what, and where the daemon is reached.
+//! `jostled auth`: users, their roles, and the address of the daemon.
 
 use std::path::PathBuf;
 use std::process::ExitCode;
@@ -16,49 +16,49 @@ use crate::config::{self, Resolved, Source};
 use crate::transport::http;
 use crate::transport::zenoh::session;
 
-/// What is to be done.
+/// The commands below `auth`.
 #[derive(Subcommand)]
 pub enum Auth {
-    /// Make what is not there yet: a private certificate authority, the daemon's certificate, people.
+    /// Create what is missing: a private certificate authority, the daemon's certificate, users.
     ///
-    /// `--listen` and `--http` are written into the settings file that it makes.
+    /// `--listen` and `--http` are written into the settings file that it creates.
     Init {
-        /// A name or an address by which other machines reach the daemon; once for each, and all of
-        /// them each time: the daemon's certificate is made anew for these.
+        /// Host name or address by which other machines reach the daemon; repeat it for each, and give
+        /// all of them each time: a new certificate is issued for these.
         #[arg(long = "host", value_name = "HOST")]
         hosts: Vec<String>,
-        /// People, and what each is: viewer, controller or operator.
+        /// Users and their roles: viewer, controller or operator.
         #[arg(value_name = "NAME=ROLE", value_parser = person)]
         people: Vec<(String, Role)>,
     },
-    /// Change where the daemon is reached, or show it if nothing is given.
+    /// Change the address of the daemon, or show it without options.
     ///
-    /// `--listen` and `--http` change the settings file and `--host` the names. The daemon's
-    /// certificate is issued again by the same authority, and people's folders are rewritten.
+    /// `--listen` and `--http` change the settings file, `--host` the names. The same authority issues
+    /// a new certificate for the daemon, and the users' folders are rewritten.
     Address {
-        /// A name or an address by which other machines reach the daemon; once for each, and all of
-        /// them each time.
+        /// Host name or address by which other machines reach the daemon; repeat it for each, and give
+        /// all of them each time.
         #[arg(long = "host", value_name = "HOST")]
         hosts: Vec<String>,
-        /// As JSON.
+        /// Print JSON.
         #[arg(long)]
         json: bool,
     },
-    /// Add people; a running daemon accepts their tokens within 5 s.
+    /// Add users; a running daemon accepts their tokens within 5 s.
     Add {
-        /// People, and what each is: viewer, controller or operator.
+        /// Users and their roles: viewer, controller or operator.
         #[arg(value_name = "NAME=ROLE", value_parser = person, required = true)]
         people: Vec<(String, Role)>,
     },
-    /// Take people's rights away; a running daemon rejects their tokens within 5 s.
+    /// Remove users; a running daemon rejects their tokens within 5 s.
     Remove {
-        /// Who.
+        /// Users to remove.
         #[arg(value_name = "NAME", required = true)]
         names: Vec<String>,
     },
-    /// Say who there is, what they are, and until when their certificates hold.
+    /// List the users, their roles and when their certificates expire.
     List {
-        /// As JSON.
+        /// Print JSON.
         #[arg(long)]
         json: bool,
     },
@@ -151,19 +151,19 @@ fn execute(folder: &str, settings: &Settings, command: &Auth) -> Result<String, 
     done.map_err(|error| (if is_argument(&error) { 2 } else { 1 }, error.to_string()))
 }
 
-/// Who there is, for people or for programs.
+/// The output of `list`.
 fn listed(known: &PeopleFile, as_json: bool) -> String {
     let people = known.people.iter();
     if as_json {
         let people: Vec<_> = people
             .map(|it| json!({"person": it.person, "role": it.role, "until": it.until}))
             .collect();
-        let told = json!({"people": people, "daemon_until": known.until});
-        return format!("{told}\n");
+        let text = json!({"people": people, "daemon_until": known.until});
+        return format!("{text}\n");
     }
     let until = |day: &Option<String>| {
-        let told = day.as_ref().map(|day| format!("until {day}"));
-        told.unwrap_or_default()
+        let text = day.as_ref().map(|day| format!("until {day}"));
+        text.unwrap_or_default()
     };
     let line = |what: &str, who: &str, day| {
         let line = format!("{what:12} {who:20} {}", until(day));
@@ -175,15 +175,15 @@ fn listed(known: &PeopleFile, as_json: bool) -> String {
     all + &line("(daemon)", "", &known.until)
 }
 
-/// Where the daemon is reached, for people or for programs.
+/// The output of `address` without options.
 fn reached(known: &PeopleFile, as_json: bool) -> String {
     if as_json {
-        let told = json!({"endpoint": known.endpoint, "page": known.page, "hosts": known.hosts});
-        return format!("{told}\n");
+        let text = json!({"endpoint": known.endpoint, "page": known.page, "hosts": known.hosts});
+        return format!("{text}\n");
     }
-    let page = known.page.as_deref().unwrap_or("nowhere that is recorded");
+    let page = known.page.as_deref().unwrap_or("not recorded");
     let hosts = match &known.hosts {
-        Some(hosts) if hosts.is_empty() => "none but this machine's own".to_owned(),
+        Some(hosts) if hosts.is_empty() => "only those of this machine".to_owned(),
         Some(hosts) => hosts.join(", "),
         None => "not recorded".to_owned(),
     };
@@ -191,11 +191,11 @@ fn reached(known: &PeopleFile, as_json: bool) -> String {
     format!("endpoint  {endpoint}\npage      {page}\nnames     {hosts}\n")
 }
 
-/// What a change of address takes: of the daemon, and of people.
+/// The output after a change of address.
 fn moved(moved: &Moved, folder: &Folder, as_json: bool) -> String {
     let address = &moved.address;
     if as_json {
-        let told = json!({
+        let text = json!({
             "endpoint": address.endpoint,
             "page": address.page,
             "hosts": address.hosts,
@@ -205,58 +205,58 @@ fn moved(moved: &Moved, folder: &Folder, as_json: bool) -> String {
             "rewritten": moved.rewritten,
             "stale": moved.stale,
         });
-        return format!("{told}\n");
+        return format!("{text}\n");
     }
-    let mut told = format!(
-        "people reach the daemon at {}\nits page: {}\nits certificate names {}\n",
+    let mut text = format!(
+        "endpoint: {}\npage: {}\nnames in the certificate: {}\n",
         address.endpoint,
         address.page.as_deref().unwrap_or("none"),
         moved.names.join(", ")
     );
     if address.is_out_of_reach() {
-        told += &format!(
-            "it listens within this machine alone ({}): `jostled auth address --listen \
-             tls/0.0.0.0:7447` has it listen for others\n",
+        text += &format!(
+            "the daemon listens on this machine only ({}): to listen for others, run `jostled auth \
+             address --listen tls/0.0.0.0:7447`\n",
             address.listen.join(", ")
         );
     }
-    told += &format!(
-        "restart the daemon: it takes its addresses (settings: {}) and its certificate when it \
+    text += &format!(
+        "restart the daemon: it reads its addresses (settings: {}) and its certificate when it \
          starts\n",
         folder.settings_file().display()
     );
     if !moved.rewritten.is_empty() {
-        told += "hand these folders to their people again; the secrets in them are the same:\n";
+        text += "give these folders to their users again; the secrets in them are unchanged:\n";
     }
     for folder in &moved.rewritten {
-        told += &format!("  {}\n", folder.display());
+        text += &format!("  {}\n", folder.display());
     }
     if !moved.stale.is_empty() {
-        told += &format!(
-            "not found: the folders of {}; these people pass `-e {}` or set JOSTLE_ENDPOINT, or \
+        text += &format!(
+            "not found: the folders of {}; these users pass `-e {}` or set JOSTLE_ENDPOINT, or \
              change \"endpoint\" in credentials.json and zenoh.json5\n",
             moved.stale.join(", "),
             address.endpoint
         );
     }
-    told
+    text
 }
 
-/// What a removal means to a running daemon.
+/// The output of `remove`.
 fn removed(names: &[String], is_last: bool) -> String {
     let mut who = names.to_owned();
     who.sort();
     who.dedup();
-    let mut told = format!(
+    let mut text = format!(
         "{}: removed. A running daemon rejects their tokens within 5 s: requests over HTTP, open \
          pages, commands and set-points over zenoh. A zenoh session that is open, or is opened with \
          the old folder, still reads states and events until the daemon is restarted.\n",
         who.join(", ")
     );
     if is_last {
-        told += "no people are left: the daemon does not start until `jostled auth add` adds one\n";
+        text += "no users are left: the daemon does not start until `jostled auth add` adds one\n";
     }
-    told
+    text
 }
 
 /// The output of `init`: what it created and what it changed.
@@ -268,29 +268,29 @@ fn set_up(done: &SetUp, folder: &Folder) -> String {
     }
 }
 
-/// What to do with the folders of new people.
+/// The output of `add`.
 fn handed(folders: &[PathBuf]) -> String {
     if folders.is_empty() {
-        return "all is there; `jostled auth add NAME=ROLE` adds people\n".into();
+        return "nothing to create; `jostled auth add NAME=ROLE` adds users\n".into();
     }
-    let mut told =
-        String::from("hand each folder to its person, over a safe way, and delete it here:\n");
+    let mut text =
+        String::from("hand each folder to its user over a secure channel, and delete it here:\n");
     for folder in folders {
-        told += &format!("  {}\n", folder.display());
+        text += &format!("  {}\n", folder.display());
     }
-    told += "they name it: jostle --credentials FOLDER …\n\
+    text += "the user passes it: jostle --credentials FOLDER …\n\
              A running daemon accepts their tokens within 5 s: the page and requests over HTTP. \
-             Their zenoh sessions, those of jostle and Python too, take a restart of the daemon.\n";
-    told
+             Their zenoh sessions, including those of jostle and Python, need a restart of the daemon.\n";
+    text
 }
 
-/// Reads `anna=operator`.
+/// Parses `anna=operator`.
 fn person(text: &str) -> Result<(String, Role), String> {
     let roles = Role::ALL.map(Role::name).join(", ");
     let (name, role) = text
         .split_once('=')
-        .ok_or_else(|| format!("give NAME=ROLE, a role being one of {roles}"))?;
+        .ok_or_else(|| format!("use NAME=ROLE with one of the roles {roles}"))?;
     let role = Role::ALL.into_iter().find(|known| known.name() == role);
-    let role = role.ok_or_else(|| format!("a role is one of {roles}"))?;
+    let role = role.ok_or_else(|| format!("unknown role: use one of {roles}"))?;
     Ok((name.to_owned(), role))
 }

@@ -1,5 +1,5 @@
-//! A swarm that is worth watching, in the daemon's own process: fifty bodies walk and push, and
-//! at t = 50 ten of them learn of a direction. A line a second says what comes of it.
+//! `jostled demo`: a swarm of fifty bodies, ten of which are informed of a direction at t = 50.
+//! Prints a line each second.
 
 use std::io::Write as _;
 use std::sync::Arc;
@@ -24,7 +24,7 @@ use crate::swarm::registry::{Created, RegistryError};
 use crate::swarm::sender::Sender;
 use crate::swarm::waiters::Waiter;
 
-/// Prints a line at once. A pipe that nobody reads any more is no reason to end.
+/// Prints and flushes a line. A closed standard output is no error.
 macro_rules! say {
     ($($text:tt)*) => {{
         let mut out = std::io::stdout().lock();
@@ -32,29 +32,29 @@ macro_rules! say {
     }};
 }
 
-/// Its name.
+/// The name of the swarm.
 const NAME: &str = "demo";
-/// Its seed: one whose group ends up as led as the mean of many; one in ten is hardly led at all.
+/// A seed with a typical drift: with one in ten seeds the drift is close to zero.
 const SEED: u64 = 12;
 /// Time units per second of wall clock.
 const RATE: f64 = 20.0;
-/// When ten individuals learn of a direction.
+/// When individuals are informed.
 const INFORMED_AT: f64 = 50.0;
-/// How many learn of it.
+/// How many are informed.
 const INFORMED: u64 = 10;
-/// How long to wait after a displaced wait before asking again.
-const BETWEEN_WAITS: Duration = Duration::from_millis(500);
-/// The span at the end that the last line averages over.
+/// The pause before a displaced wait is retried.
+const RETRY_DELAY: Duration = Duration::from_millis(500);
+/// The time at the end over which the last line averages.
 const LAST: f64 = 200.0;
 
 /// Why the demo ended early.
 #[derive(Debug, Error)]
 pub enum DemoError {
-    /// A command was refused.
-    #[error("the demo's own command was refused: {0}")]
+    /// A command was rejected.
+    #[error("a command of the demo was rejected: {0}")]
     Command(#[from] CommandError),
     /// The swarm was deleted or the daemon stops.
-    #[error("the swarm {NAME} is gone")]
+    #[error("the swarm {NAME} was deleted")]
     Gone,
 }
 
@@ -73,12 +73,11 @@ impl From<SwarmError> for DemoError {
     }
 }
 
-/// Runs the demo on `server`: for good, or until the demo's rate has brought it through
-/// `lasting`.
+/// Runs the demo on `server`, for `lasting` if given.
 ///
 /// # Errors
 ///
-/// [`DemoError`] when somebody deleted the swarm before its end, or a step failed.
+/// [`DemoError::Gone`] if the swarm was deleted, [`DemoError::Command`] if a step failed.
 pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoError> {
     let swarm = create_swarm(server).await?;
     let endpoint = server.endpoints().first().cloned().unwrap_or_default();
@@ -96,8 +95,8 @@ pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoE
     }
 }
 
-/// Moves the swarm through the demo and reports at its end; without one, never returns but when
-/// the swarm is gone.
+/// Sends the commands of the demo, and reports at its end. Without an end, returns only if the swarm
+/// was deleted.
 async fn play(swarm: &Handle, lasting: Option<Duration>) -> Result<(), DemoError> {
     let end = lasting.map(|lasting| lasting.as_secs_f64() * RATE);
     let until_informed = end.map_or(INFORMED_AT, |end| end.min(INFORMED_AT));
@@ -116,9 +115,9 @@ async fn play(swarm: &Handle, lasting: Option<Duration>) -> Result<(), DemoError
         let from = arrival(swarm, from).await?;
         Ok::<_, DemoError>((from, arrival(swarm, until).await?))
     };
-    // Whoever steers it may have paused it: the demo ends all the same.
-    let patience = lasting.unwrap_or_default() * 3 / 2 + Duration::from_secs(5);
-    let (from, reached) = match tokio::time::timeout(patience, rest).await {
+    // The demo also ends if a client has paused the swarm.
+    let limit = lasting.unwrap_or_default() * 3 / 2 + Duration::from_secs(5);
+    let (from, reached) = match tokio::time::timeout(limit, rest).await {
         Ok(rest) => rest?,
         Err(_) => (before.clone(), look(swarm).await?),
     };
@@ -157,7 +156,7 @@ async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
     Ok(handle)
 }
 
-/// Tells ten individuals of +x: the same ones at the same step in every run.
+/// Informs individuals of +x: the same ones at the same step in every run.
 async fn inform_some(swarm: &Handle, at_step: u64) -> Result<(), DemoError> {
     let args = InformArgs {
         select: Select::Count(INFORMED),
@@ -165,11 +164,11 @@ async fn inform_some(swarm: &Handle, at_step: u64) -> Result<(), DemoError> {
         weight: None,
         for_time: None,
     };
-    let told = serde_json::to_string(&args).unwrap_or_default();
+    let text = serde_json::to_string(&args).unwrap_or_default();
     command(
         swarm,
         "inform",
-        told,
+        text,
         Command::Change(change::inform(args).map_err(CommandError::from)?),
         Some(at_step),
     )
@@ -177,15 +176,15 @@ async fn inform_some(swarm: &Handle, at_step: u64) -> Result<(), DemoError> {
     Ok(())
 }
 
-/// Lets it run to a time or for good, and returns the step that is. Whoever took it further
-/// already is let.
+/// Runs to a time or without end; returns the step of that time, or the current step if a client has
+/// already gone beyond it.
 async fn run_on(swarm: &Handle, until_time: Option<f64>) -> Result<u64, DemoError> {
     let args = RunArgs {
         until_time,
         ..RunArgs::default()
     };
-    let told = serde_json::to_string(&args).unwrap_or_default();
-    match command(swarm, "run", told, run::order(args)?, None).await {
+    let text = serde_json::to_string(&args).unwrap_or_default();
+    match command(swarm, "run", text, run::order(args)?, None).await {
         Ok((_, Outcome::Runs(until, _))) => Ok(until.unwrap_or(u64::MAX)),
         Ok(_) => Ok(u64::MAX),
         Err(DemoError::Command(CommandError::Order(SwarmError::Past { step, .. }))) => Ok(step),
@@ -193,7 +192,7 @@ async fn run_on(swarm: &Handle, until_time: Option<f64>) -> Result<u64, DemoErro
     }
 }
 
-/// The swarm at the moment it reaches a step.
+/// The frame at which the swarm reaches a step.
 async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
     loop {
         let (answer, answered) = oneshot::channel();
@@ -204,7 +203,7 @@ async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
         }));
         match outcome(answered).await {
             Err(DemoError::Command(CommandError::Order(SwarmError::Displaced { .. }))) => {
-                tokio::time::sleep(BETWEEN_WAITS).await;
+                tokio::time::sleep(RETRY_DELAY).await;
             }
             answered => return seen(answered?),
         }
@@ -224,7 +223,7 @@ fn seen((_, outcome): (Place, Outcome)) -> Result<Arc<Frame>, DemoError> {
     }
 }
 
-/// Prints a line a second, until the swarm is gone.
+/// Prints a line each second, until the swarm is deleted.
 async fn print_lines(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
     let mut tick = tokio::time::interval(Duration::from_secs(1));
     tick.tick().await;
@@ -250,7 +249,7 @@ async fn print_line(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
     Ok(())
 }
 
-/// The mean drift before informing and over the last span, from sums over every step.
+/// Prints the mean drift before informing and over the last span, from sums over all steps.
 fn report(before: &Frame, from: &Frame, reached: &Frame) {
     let sum = |frame: &Frame| {
         let mean = frame.means.mean_velocity().unwrap_or_default();

@@ -1,72 +1,29 @@
 //! `jostled config`.
 
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
 
 use clap::Arg;
-use serde::Serialize;
-use serde_json::Value;
+use serde_json::json;
 
 use crate::cli::settings::{arguments, default, name};
 use crate::config::{Resolved, Source, machine_name};
 
-/// A setting in the output of `jostled config explain --json`.
-#[derive(Serialize)]
-struct Explained {
-    name: String,
-    value: Value,
-    source: Origin,
-    default: Value,
-    meaning: String,
-}
-
-#[derive(Serialize)]
-struct Origin {
-    kind: &'static str,
-    place: Option<String>,
-}
-
-fn explained(resolved: &Resolved) -> Vec<(Explained, &Source)> {
-    let explain = |argument: &Arg| {
-        let (name, default) = (name(argument), default(argument));
-        let (value, source) = &resolved[name];
-        let value = match (name, value.trim()) {
-            ("node", "") => machine_name(),
-            (_, value) => value.to_owned(),
-        };
-        let is_number = default.parse::<u64>().is_ok();
-        let json = |text: String| match text.parse::<u64>() {
-            Ok(number) if is_number => number.into(),
-            _ => text.into(),
-        };
-        let (kind, place) = match source {
-            Source::Default => ("default", None),
-            Source::File(path) => ("file", Some(path.display().to_string())),
-            Source::Environment(variable) => ("environment", Some(variable.clone())),
-            Source::Flag(flag) => ("flag", Some(flag.clone())),
-        };
-        let explained = Explained {
-            name: name.to_owned(),
-            value: json(value),
-            source: Origin { kind, place },
-            default: json(default),
-            meaning: meaning(argument),
-        };
-        (explained, source)
-    };
-    arguments().iter().map(explain).collect()
+/// The value of a setting; for an empty `node`, the one in effect.
+fn value(resolved: &Resolved, name: &str) -> String {
+    match (name, resolved[name].0.trim()) {
+        ("node", "") => machine_name(),
+        (_, value) => value.to_owned(),
+    }
 }
 
 /// Each setting with its value, source and meaning, as a table.
 pub fn table(resolved: &Resolved) -> String {
-    let header = ["setting", "value", "from", "meaning"].map(str::to_owned);
-    let settings = explained(resolved).into_iter();
-    let settings = settings.map(|(it, source)| {
-        let value = it.value.as_str().map(str::to_owned);
-        let value = value.unwrap_or_else(|| it.value.to_string());
-        [it.name, value, source.to_string(), it.meaning]
-    });
-    let rows: Vec<[String; 4]> = [header].into_iter().chain(settings).collect();
+    let mut rows = vec![["setting", "value", "from", "meaning"].map(str::to_owned)];
+    for argument in arguments() {
+        let name = name(&argument).to_owned();
+        let (value, source) = (value(resolved, &name), resolved[&name].1.to_string());
+        rows.push([name, value, source, meaning(&argument)]);
+    }
     let width = |column: usize| rows.iter().map(|row| row[column].chars().count()).max();
     let [name, value, source] = [0, 1, 2].map(|column| width(column).unwrap_or_default());
     let mut table = String::new();
@@ -79,10 +36,29 @@ pub fn table(resolved: &Resolved) -> String {
 
 /// The same as JSON, with the defaults.
 pub fn json(resolved: &Resolved) -> String {
-    let settings = explained(resolved).into_iter().map(|(it, _)| it);
-    let document = BTreeMap::from([("settings", settings.collect::<Vec<_>>())]);
-    let text = serde_json::to_string_pretty(&document).expect("text and numbers only");
-    text + "\n"
+    let settings = arguments().into_iter().map(|argument| {
+        let (name, default) = (name(&argument), default(&argument));
+        let is_number = default.parse::<u64>().is_ok();
+        let scalar = |text: String| match text.parse::<u64>() {
+            Ok(number) if is_number => json!(number),
+            _ => json!(text),
+        };
+        let (kind, place) = match &resolved[name].1 {
+            Source::Default => ("default", None),
+            Source::File(path) => ("file", Some(path.display().to_string())),
+            Source::Environment(variable) => ("environment", Some(variable.clone())),
+            Source::Flag(flag) => ("flag", Some(flag.clone())),
+        };
+        json!({
+            "name": name,
+            "value": scalar(value(resolved, name)),
+            "source": {"kind": kind, "place": place},
+            "default": scalar(default),
+            "meaning": meaning(&argument),
+        })
+    });
+    let document = json!({"settings": settings.collect::<Vec<_>>()});
+    format!("{document:#}\n")
 }
 
 /// A settings file with comments that sets each setting to its default.
@@ -120,6 +96,8 @@ mod tests {
 
     use std::collections::BTreeSet;
     use std::fs;
+
+    use serde_json::Value;
 
     use super::*;
     use crate::cli::settings::from_flags;

@@ -1,4 +1,4 @@
-//! `jostled run`: an experiment from its file to its tables, without a network.
+//! `jostled run`: executes an experiment without a daemon.
 
 use std::io::{IsTerminal as _, Write as _};
 use std::num::NonZero;
@@ -8,7 +8,6 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use comfy_table::{CellAlignment, Table, presets::NOTHING};
 use indicatif::{ProgressBar, ProgressStyle};
 use jostle_physics::plural::counted;
 use serde_json::json;
@@ -21,35 +20,36 @@ use jostle_experiment::{
     Subset, SubsetError, execute, unfinished,
 };
 
-/// How often the bar is renewed and Ctrl-C looked for.
-const LOOK: Duration = Duration::from_millis(50);
+/// The interval between updates of the progress bar, and between checks for a signal.
+const UPDATE_INTERVAL: Duration = Duration::from_millis(50);
 
-/// How often a line tells of the progress where there is no terminal.
-const TELL: Duration = Duration::from_secs(10);
+/// The interval between progress lines without a terminal.
+const LINE_INTERVAL: Duration = Duration::from_secs(10);
 
-/// How many runs that ended early are listed.
-const MOST_LISTED: usize = 10;
+/// The number of runs that ended early that are listed.
+const MAX_LISTED: usize = 10;
 
-/// The exit code of what Ctrl-C ended.
+/// The exit code after SIGINT or SIGTERM.
 const INTERRUPTED: u8 = 130;
 
-/// How long after a signal another one ends the process without checkpoints and tables.
+/// After this time a second signal ends the process without checkpoints and tables. Some programs,
+/// such as `timeout`, send a signal twice: to the process and to its group.
 const FORCE_AFTER: Duration = Duration::from_secs(1);
 
-/// What was asked for.
+/// The options of the command.
 #[derive(Clone, Debug)]
 pub struct Options {
-    /// The experiment's file.
+    /// The experiment file.
     pub file: PathBuf,
-    /// Where its results go; if nowhere, its runs are only listed.
+    /// Folder of the results; without it the runs are only listed.
     pub output: Option<PathBuf>,
-    /// Which of its runs.
+    /// The runs to execute.
     pub which: Which,
-    /// How many runs at a time; as many as there are cores if not given.
+    /// Runs executed in parallel; `None` for the number of cores.
     pub threads: Option<NonZero<usize>>,
-    /// The time between two checkpoints of a run; none if no checkpoints are written.
+    /// Interval between checkpoints of a run; `None` for no checkpoints.
     pub checkpoint_every: Option<Duration>,
-    /// Whether programs read what is printed.
+    /// Whether to print JSON.
     pub json: bool,
 }
 
@@ -110,10 +110,12 @@ pub fn part(text: &str) -> Result<Which, String> {
         let (number, of) = (number.parse().ok()?, of.parse().ok()?);
         Some(Which::Part { number, of })
     });
-    parsed.ok_or_else(|| "use the number of a part and how many there are, such as 3/40".to_owned())
+    parsed.ok_or_else(|| {
+        "use the number of the part and the number of parts, such as 3/40".to_owned()
+    })
 }
 
-/// Why there are no results, or not all.
+/// Why the experiment failed.
 #[derive(Debug, Error)]
 pub enum BatchError {
     /// The file cannot be read.
@@ -121,15 +123,15 @@ pub enum BatchError {
     Unreadable {
         /// The file.
         file: PathBuf,
-        /// What the system says.
+        /// The cause.
         source: std::io::Error,
     },
-    /// The file describes no experiment.
+    /// The file describes no valid experiment.
     #[error("failed to plan {}: {source}", file.display())]
     Plan {
         /// The file.
         file: PathBuf,
-        /// Why.
+        /// The cause.
         source: PlanError,
     },
     /// The experiment has no such part or runs.
@@ -137,21 +139,21 @@ pub enum BatchError {
     Subset {
         /// The file.
         file: PathBuf,
-        /// Why.
+        /// The cause.
         source: SubsetError,
     },
     /// The folder cannot be used.
     #[error(transparent)]
     Folder(#[from] FolderError),
-    /// The experiment came to no end.
+    /// The execution failed.
     #[error("failed to execute the experiment: {0}")]
     Execute(#[from] ExecuteError),
-    /// Ctrl-C cannot be waited for.
-    #[error("failed to wait for signals: {0}")]
+    /// No signal handlers can be registered.
+    #[error("failed to register signal handlers: {0}")]
     Signals(std::io::Error),
 }
 
-/// Carries out an experiment and returns the exit code.
+/// Executes an experiment and returns the exit code.
 ///
 /// # Errors
 ///
@@ -175,17 +177,16 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
         list(&plan, &subset, options.json);
         return Ok(0);
     };
-    // Without a final `.`, which no folder can be renamed to.
+    // Removes a final `.`, to which no folder can be renamed.
     let output = &output.components().collect::<PathBuf>();
-    // A part gets its name when it is complete, unless there is a folder already, such as a mount.
-    let is_there = std::fs::symlink_metadata(output).is_ok();
-    let label = options.which.label().filter(|_| !is_there);
+    // A part is renamed when it is complete, unless the folder exists, such as a mount.
+    let exists = std::fs::symlink_metadata(output).is_ok();
+    let label = options.which.label().filter(|_| !exists);
     let path = label.as_ref().map(|label| unfinished(output, label));
     let path = path.unwrap_or_else(|| output.clone());
     let mut folder = Folder::open(&path, &plan)?;
     let control = Control::new();
     let interrupted = Arc::new(AtomicBool::new(false));
-    // Some programs send a signal twice, such as `timeout`, to the process and to its group.
     let has_time_passed = Arc::new(AtomicBool::new(false));
     let mut interrupted_at = None;
     for signal in [SIGINT, SIGTERM] {
@@ -215,7 +216,7 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
                 }
             }
             display.show(&control.progress());
-            thread::sleep(LOOK);
+            thread::sleep(UPDATE_INTERVAL);
         }
         display.clear();
         executing.join()
@@ -235,7 +236,7 @@ fn list(plan: &Plan, subset: &Subset, is_json: bool) {
         let run = &plan.runs()[index];
         let point = plan.point(run);
         let number = index + 1;
-        let told = match is_json {
+        let written = match is_json {
             true => writeln!(
                 out,
                 "{}",
@@ -245,30 +246,30 @@ fn list(plan: &Plan, subset: &Subset, is_json: bool) {
             ),
             false => writeln!(out, "{number}\t{}\t{}", run.seed, run.name),
         };
-        if told.is_err() {
-            // Nobody reads on.
+        if written.is_err() {
+            // Standard output is closed.
             return;
         }
     }
 }
 
-/// What is seen meanwhile: a bar on a terminal, else a line now and then.
+/// The progress: a bar on a terminal, else a line at each interval.
 struct Display {
     bar: Option<ProgressBar>,
-    told: Instant,
+    printed: Instant,
     is_quiet: bool,
 }
 
 impl Display {
     fn new(is_quiet: bool) -> Self {
-        let is_seen = std::io::stderr().is_terminal() && !is_quiet;
+        let has_bar = std::io::stderr().is_terminal() && !is_quiet;
         let template = "{bar:30} {percent:>3} %  {msg}";
         Self {
-            bar: is_seen.then(|| {
+            bar: has_bar.then(|| {
                 let style = ProgressStyle::with_template(template).expect("a constant");
                 ProgressBar::new(1000).with_style(style)
             }),
-            told: Instant::now(),
+            printed: Instant::now(),
             is_quiet,
         }
     }
@@ -286,9 +287,9 @@ impl Display {
                 bar.set_position(position);
                 bar.set_message(text);
             }
-            None if !self.is_quiet && self.told.elapsed() >= TELL => {
+            None if !self.is_quiet && self.printed.elapsed() >= LINE_INTERVAL => {
                 eprintln!("jostled: {:3} %, {text}", position / 10);
-                self.told = Instant::now();
+                self.printed = Instant::now();
             }
             None => {}
         }
@@ -327,7 +328,7 @@ fn duration(secs: f64) -> String {
     }
 }
 
-/// Tells what came of it.
+/// Prints the summary.
 fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Progress) {
     let Outcome {
         runs,
@@ -340,7 +341,7 @@ fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Prog
         eprintln!("jostled: failed to write a checkpoint: {error}");
     }
     let mut out = std::io::stdout().lock();
-    // Whoever started it may have closed its output.
+    // A closed standard output is no error.
     if options.json {
         let faults: Vec<_> = faults
             .iter()
@@ -352,27 +353,27 @@ fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Prog
         let _ = writeln!(out, "{summary}");
         return;
     }
-    let mut table = Table::new();
-    table.load_style(NOTHING);
     let counted = if finished == runs {
         runs.to_string()
     } else {
         format!("{finished} of {runs}")
     };
-    table.add_row(["runs finished".to_owned(), counted]);
-    table.add_row(["ended early".to_owned(), faults.len().to_string()]);
-    table.add_row(["took".to_owned(), duration(progress.elapsed_secs)]);
-    let files = output.join("results.{parquet,csv}");
-    table.add_row(["results".to_owned(), files.display().to_string()]);
-    if let Some(column) = table.column_mut(0) {
-        column.set_cell_alignment(CellAlignment::Left);
+    for (name, value) in [
+        ("runs finished", counted),
+        ("ended early", faults.len().to_string()),
+        ("took", duration(progress.elapsed_secs)),
+        (
+            "results",
+            output.join("results.{parquet,csv}").display().to_string(),
+        ),
+    ] {
+        let _ = writeln!(out, " {name:13}  {value}");
     }
-    let _ = writeln!(out, "{table}");
-    for (run, reason) in faults.iter().take(MOST_LISTED) {
+    for (run, reason) in faults.iter().take(MAX_LISTED) {
         let _ = writeln!(out, "{run} ended early: {reason}");
     }
-    if faults.len() > MOST_LISTED {
-        let more = faults.len() - MOST_LISTED;
+    if faults.len() > MAX_LISTED {
+        let more = faults.len() - MAX_LISTED;
         let _ = writeln!(out, "and {more} more: see runs.jsonl");
     }
     if *is_cancelled {

@@ -13,10 +13,10 @@ use tokio::sync::Notify;
 const MAX_CONNECTIONS: usize = 1024;
 
 /// Open WebSockets in total.
-pub const MAX_SOCKETS: usize = 256;
+const MAX_SOCKETS: usize = 256;
 
-/// Open WebSockets of one person.
-pub const MAX_SOCKETS_PER_PERSON: usize = 32;
+/// Open WebSockets of one user.
+const MAX_SOCKETS_PER_PERSON: usize = 32;
 
 /// The cap on open connections: [`MAX_CONNECTIONS`], or a quarter of the descriptor limit if that
 /// is less.
@@ -95,8 +95,13 @@ struct Entry {
     peer: IpAddr,
     /// When the last request was answered, or the connection was accepted.
     last_complete: Instant,
-    is_socket: bool,
+    socket: Option<Socket>,
     evicted: Arc<Notify>,
+}
+
+/// An open WebSocket.
+struct Socket {
+    person: Option<String>,
 }
 
 impl Connections {
@@ -155,7 +160,7 @@ impl Connections {
         let entry = Entry {
             peer,
             last_complete: Instant::now(),
-            is_socket: false,
+            socket: None,
             evicted: evicted.clone(),
         };
         registry.entries.insert(id, entry);
@@ -174,7 +179,7 @@ impl Connections {
 impl Registry {
     fn evict(&mut self, is_candidate: impl Fn(&Entry) -> bool) -> Option<()> {
         let candidates = self.entries.iter();
-        let candidates = candidates.filter(|(_, it)| !it.is_socket && is_candidate(it));
+        let candidates = candidates.filter(|(_, it)| it.socket.is_none() && is_candidate(it));
         let (&id, _) = candidates.min_by_key(|(id, it)| (it.last_complete, **id))?;
         self.entries.remove(&id)?.evicted.notify_one();
         Some(())
@@ -206,83 +211,40 @@ impl Slot {
         }
     }
 
-    /// Records that the connection is a WebSocket from now on: it is not evicted.
-    pub fn upgrade(&self) {
-        if let Some(entry) = self.connections.lock().entries.get_mut(&self.id) {
-            entry.is_socket = true;
+    /// Records that the connection is a WebSocket from now on, which is not evicted. At most
+    /// [`MAX_SOCKETS`] are open, and at most three quarters of all connections, so that WebSockets
+    /// alone cannot reach that cap.
+    ///
+    /// # Errors
+    ///
+    /// A message that names the limit that is reached.
+    pub fn upgrade(&self, person: Option<&str>) -> Result<(), String> {
+        let mut registry = self.connections.lock();
+        let max = MAX_SOCKETS.min((self.connections.max * 3 / 4).max(1));
+        let entries = registry.entries.values();
+        let sockets: Vec<&Socket> = entries.filter_map(|it| it.socket.as_ref()).collect();
+        let of_person = sockets.iter().filter(|it| it.person.as_deref() == person);
+        if sockets.len() >= max {
+            return Err(format!("{max} tabs are open: close one"));
         }
+        if let Some(name) = person
+            && of_person.count() >= MAX_SOCKETS_PER_PERSON
+        {
+            return Err(format!(
+                "{MAX_SOCKETS_PER_PERSON} tabs of {name} are open: close one"
+            ));
+        }
+        if let Some(entry) = registry.entries.get_mut(&self.id) {
+            let person = person.map(str::to_owned);
+            entry.socket = Some(Socket { person });
+        }
+        Ok(())
     }
 }
 
 impl Drop for Slot {
     fn drop(&mut self) {
         self.connections.lock().entries.remove(&self.id);
-    }
-}
-
-/// The open WebSockets, by person where people are known.
-pub struct Sockets {
-    max: usize,
-    open: Mutex<HashMap<Option<String>, usize>>,
-}
-
-impl Sockets {
-    /// At most [`MAX_SOCKETS`], and three quarters of the cap on connections, so that WebSockets
-    /// alone cannot reach that cap.
-    pub fn new(max_connections: usize) -> Arc<Self> {
-        Arc::new(Sockets {
-            max: MAX_SOCKETS.min((max_connections * 3 / 4).max(1)),
-            open: Mutex::default(),
-        })
-    }
-
-    /// Counts one more WebSocket, of a person if people are known.
-    ///
-    /// # Errors
-    ///
-    /// A message that names the limit that is reached.
-    pub fn open(self: &Arc<Self>, person: Option<&str>) -> Result<OpenSocket, String> {
-        let person = person.map(str::to_owned);
-        let mut open = self.lock();
-        if open.values().sum::<usize>() >= self.max {
-            return Err(format!("{} tabs are open: close one", self.max));
-        }
-        let own = open.get(&person).copied().unwrap_or(0);
-        if let Some(name) = &person
-            && own >= MAX_SOCKETS_PER_PERSON
-        {
-            return Err(format!(
-                "{MAX_SOCKETS_PER_PERSON} tabs of {name} are open: close one"
-            ));
-        }
-        open.insert(person.clone(), own + 1);
-        drop(open);
-        Ok(OpenSocket {
-            person,
-            sockets: self.clone(),
-        })
-    }
-
-    fn lock(&self) -> MutexGuard<'_, HashMap<Option<String>, usize>> {
-        self.open.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
-
-/// One counted WebSocket, until it is dropped.
-pub struct OpenSocket {
-    person: Option<String>,
-    sockets: Arc<Sockets>,
-}
-
-impl Drop for OpenSocket {
-    fn drop(&mut self) {
-        let mut open = self.sockets.lock();
-        if let Some(count) = open.get_mut(&self.person) {
-            *count -= 1;
-            if *count == 0 {
-                open.remove(&self.person);
-            }
-        }
     }
 }
 
@@ -309,13 +271,17 @@ mod tests {
         let slots: Vec<_> = (0..3)
             .map(|_| connections.register(LOCAL).unwrap())
             .collect();
-        slots[0].upgrade();
+        slots[0].upgrade(None).unwrap();
         std::thread::sleep(std::time::Duration::from_millis(2));
         slots[1].complete();
         let fourth = connections.register(LOCAL).unwrap();
         assert_eq!(ids(&connections), [0, 1, 3]);
-        slots[1].upgrade();
-        fourth.upgrade();
+        slots[1].upgrade(None).unwrap();
+        assert!(fourth.upgrade(None).is_err(), "three quarters");
+        // Sockets reach a cap only if it is that of one peer.
+        let mut registry = connections.lock();
+        registry.entries.get_mut(&fourth.id).unwrap().socket = Some(Socket { person: None });
+        drop(registry);
         assert!(connections.register(LOCAL).is_none(), "all are WebSockets");
         let HttpFigures { open, closed, .. } = connections.figures();
         assert_eq!(
@@ -340,16 +306,20 @@ mod tests {
 
     #[test]
     fn a_person_has_at_most_32_web_sockets_and_all_have_256() {
-        let sockets = Sockets::new(MAX_CONNECTIONS);
-        let mut open: Vec<_> = (0..MAX_SOCKETS_PER_PERSON)
-            .map(|_| sockets.open(Some("ada")).unwrap())
+        let connections = Connections::new(MAX_CONNECTIONS);
+        let open = |person| {
+            let slot = connections.register(LOCAL).unwrap();
+            slot.upgrade(person).map(|()| slot)
+        };
+        let mut slots: Vec<_> = (0..MAX_SOCKETS_PER_PERSON)
+            .map(|_| open(Some("ada")).unwrap())
             .collect();
-        assert!(sockets.open(Some("ada")).is_err());
-        open.extend((open.len()..MAX_SOCKETS).map(|_| sockets.open(None).unwrap()));
-        assert!(sockets.open(Some("bob")).is_err());
-        open.pop();
-        assert!(sockets.open(Some("bob")).is_ok());
-        drop(open);
-        assert!(sockets.lock().is_empty());
+        assert!(open(Some("ada")).is_err());
+        slots.extend((slots.len()..MAX_SOCKETS).map(|_| open(None).unwrap()));
+        assert!(open(Some("bob")).is_err());
+        slots.pop();
+        assert!(open(Some("bob")).is_ok());
+        drop(slots);
+        assert!(connections.lock().entries.is_empty());
     }
 }

@@ -54,7 +54,7 @@ impl Drop for Feed {
 pub struct Feeds {
     bus: Bus,
     watched: Mutex<HashMap<String, Weak<Feed>>>,
-    /// The list of swarms, in JSON.
+    /// The list of swarms, in JSON; empty while no tab is open.
     pub list: watch::Sender<Bytes>,
 }
 
@@ -79,6 +79,15 @@ impl Feeds {
             .query(&format!("{swarm}/state"), "", None, None)
             .await;
         Some((feed, state.ok()?.ok()?))
+    }
+
+    /// Queries the list of swarms, and sends it if it has changed or `is_due`. Returns `None` if it was
+    /// not sent.
+    pub async fn refresh(&self, is_due: bool) -> Option<()> {
+        let reply = self.bus.query("@node/get/swarms", "", None, None).await;
+        let document = reply.ok()?.ok()?;
+        let is_new = *self.list.borrow() != document;
+        (is_new || is_due).then(|| drop(self.list.send_replace(document)))
     }
 
     async fn feed(&self, swarm: &str) -> Option<Arc<Feed>> {
@@ -146,15 +155,12 @@ async fn list(feeds: Weak<Feeds>) {
             return;
         };
         if feeds.list.receiver_count() == 0 {
+            // The next tab must not receive an old list.
+            feeds.list.send_replace(Bytes::new());
             continue;
         }
-        let reply = feeds.bus.query("@node/get/swarms", "", None, None).await;
-        let Some(document) = reply.ok().and_then(|reply| reply.ok()) else {
-            continue;
-        };
-        let is_new = *feeds.list.borrow() != document;
-        if is_new || sent.elapsed() >= HEARTBEAT_INTERVAL {
-            feeds.list.send_replace(document);
+        let is_due = sent.elapsed() >= HEARTBEAT_INTERVAL;
+        if feeds.refresh(is_due).await.is_some() {
             sent = Instant::now();
         }
     }

@@ -43,7 +43,7 @@ use tokio_rustls::TlsAcceptor;
 use crate::health::Watch;
 use crate::transport::http::accept::{WholeBody, accept, record_completion};
 use crate::transport::http::bus::{error, reject};
-use crate::transport::http::connections::{Connections, Slot, Sockets, max_connections};
+use crate::transport::http::connections::{Connections, Slot, max_connections};
 use crate::transport::http::credentials::PROTOCOL;
 use crate::transport::http::feed::Feeds;
 use crate::transport::http::origin_guard::{
@@ -157,15 +157,13 @@ impl Gateway {
     ) -> std::io::Result<Self> {
         let address = listener.local_addr()?;
         let is_secure = acceptor.is_some();
-        let max_connections = max_connections();
-        let connections = Connections::new(max_connections);
+        let connections = Connections::new(max_connections());
         let server = Server {
             connections: connections.clone(),
             feeds: Feeds::start(bus.clone()),
             bus,
             watch,
             credentials,
-            sockets: Sockets::new(max_connections),
         };
         let router = Router::new()
             .route("/healthz", routing::get(healthz))
@@ -210,7 +208,6 @@ struct Server {
     feeds: Arc<Feeds>,
     watch: Arc<Watch>,
     credentials: Credentials,
-    sockets: Arc<Sockets>,
     connections: Arc<Connections>,
 }
 
@@ -389,17 +386,15 @@ async fn websocket(
     }
     let person = server.credentials.person(&headers);
     let name = person.as_ref().map(|person| person.name.as_str());
-    let place = match server.sockets.open(name) {
-        Ok(place) => place,
-        Err(message) => return reject(&error(ErrorCode::ResourceExhausted, message)),
-    };
+    if let Err(message) = slot.upgrade(name) {
+        return reject(&error(ErrorCode::ResourceExhausted, message));
+    }
     let feeds = server.feeds.clone();
     let upgrade = upgrade.protocols([PROTOCOL]);
     let upgrade = upgrade.max_message_size(4096).max_frame_size(4096);
     upgrade.on_upgrade(async move |socket| {
-        slot.upgrade();
         let revoked = server.credentials.revoked(&headers);
-        socket::serve(socket, feeds, watched.swarm, place, revoked).await;
+        socket::serve(socket, feeds, watched.swarm, revoked).await;
         drop(slot);
     })
 }

@@ -11,7 +11,6 @@ use tokio::sync::broadcast::error::RecvError;
 use tokio::sync::{broadcast, watch};
 use tokio::time::timeout;
 
-use crate::transport::http::connections::OpenSocket;
 use crate::transport::http::feed::{Feed, Feeds};
 
 /// The time for sending a message, after which a tab that does not read is disconnected. The page
@@ -52,7 +51,6 @@ pub async fn serve(
     mut socket: WebSocket,
     feeds: Arc<Feeds>,
     swarm: Option<String>,
-    _place: OpenSocket,
     revoked: impl Future<Output = ()>,
 ) {
     tokio::select! {
@@ -71,6 +69,10 @@ pub async fn serve(
 async fn feed(socket: &mut WebSocket, feeds: Arc<Feeds>, swarm: Option<String>) {
     let mut lists = feeds.list.subscribe();
     lists.mark_changed();
+    let is_first = lists.borrow().is_empty();
+    if is_first {
+        feeds.refresh(false).await;
+    }
     let mut watched = None;
     if let Some(swarm) = swarm {
         let Some((feed, state)) = feeds.watch(&swarm).await else {

@@ -84,7 +84,7 @@ async fn after_a_failed_sync_it_ends_with_code_8_and_answers_nobody() {
     }
     assert_eq!(life.end(), Some(8));
     let log = life::log(folder.path());
-    assert!(log.contains("start jostled again"), "{log}");
+    assert!(log.contains("restart jostled"), "{log}");
 }
 
 /// A disk of its own, as small as this.

@@ -226,7 +226,7 @@ async fn one_address_changes_and_the_others_stay() {
         &["address", "--host", "10.0.0.5", "--host", "lab.example"],
     );
     assert!(
-        told.contains("names localhost, 127.0.0.1, ::1, 10.0.0.5, lab.example"),
+        told.contains("certificate: localhost, 127.0.0.1, ::1, 10.0.0.5, lab.example"),
         "{told}"
     );
     assert_eq!(
@@ -283,7 +283,7 @@ fn an_address_that_people_could_not_use_is_refused_and_changes_nothing() {
         (&["--listen", "tls/10.0.0.1"], "has no port"),
         (&["--listen", "tcp/0.0.0.0:7447"], "is not encrypted"),
         (&["--http", "0.0.0.0:8080"], "is not encrypted"),
-        (&["--http", "lab"], "is no address"),
+        (&["--http", "lab"], "invalid --http"),
         (&["--listen", " , "], "at least one endpoint"),
         (
             &["--host", "no such host"],

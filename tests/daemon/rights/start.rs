@@ -146,7 +146,7 @@ fn what_others_could_reach_unasked_does_not_start() {
         ),
         (
             &["--http", "https://0.0.0.0:0"],
-            "name their folder as auth_dir",
+            "set auth_dir to their folder",
         ),
     ] {
         let mut command = jostled(&["--data-dir", data]);
