@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use jostle_physics::stepper::StepReport;
-use jostled::swarm::tally::Tally;
+use jostled::swarm::metrics::SwarmMetrics;
 
 use crate::{Limit, Row};
 
@@ -12,14 +12,14 @@ const ROUNDS: usize = 20;
 const STEPS: u32 = 100_000;
 
 pub fn measure() -> Row {
-    let (tally, report) = (Tally::default(), StepReport::default());
+    let (metrics, report) = (SwarmMetrics::default(), StepReport::default());
     let costs = (0..ROUNDS).map(|_| {
         let began = Instant::now();
         for i in 0..STEPS {
             let took = Duration::from_nanos(5000 + u64::from(i % 64) * 100);
-            tally.pulse.begin();
-            tally.pulse.begin();
-            tally.stepped(took, Some(took), std::hint::black_box(&report));
+            metrics.pulse.begin();
+            metrics.pulse.begin();
+            metrics.stepped(took, Some(took), std::hint::black_box(&report));
         }
         began.elapsed() / STEPS
     });

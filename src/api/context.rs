@@ -24,7 +24,7 @@ use crate::health::Watch;
 use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::Store;
-use crate::swarm::frame::Place;
+use crate::swarm::frame::Stamp;
 use crate::swarm::handle::{Handle, Message};
 use crate::swarm::outcome::{Outcome, ReplyTo};
 use crate::swarm::registry::SwarmRegistry;
@@ -236,7 +236,7 @@ impl Context {
         responder: &Responder,
         (timeout, error): (Duration, TimeoutError),
         message: impl FnOnce(ReplyTo) -> Message,
-        payload: impl FnOnce(Place, Outcome) -> Payload + Send + 'static,
+        payload: impl FnOnce(Stamp, Outcome) -> Payload + Send + 'static,
     ) {
         let handle = match self.find(swarm) {
             Ok(handle) => handle,

@@ -17,7 +17,7 @@ use jostle_proto::{CBOR, JSON, Request};
 use crate::api::responder::Responder;
 use crate::convert::Payload;
 use crate::convert::digest::{Digest, digest};
-use crate::persistence::recovery::{ReplyCache, ReplySlot};
+use crate::persistence::reply_cache::{ReplyCache, ReplySlot};
 use crate::store::{self, Store, Write};
 
 /// Replies remembered at most.

@@ -17,9 +17,9 @@ use crate::api::incoming::Incoming;
 use crate::convert::Payload;
 use crate::convert::error::CommandError;
 use crate::metrics::Activity;
-use crate::persistence::recovery::ReplySlot;
+use crate::persistence::reply_cache::ReplySlot;
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::Place;
+use crate::swarm::frame::Stamp;
 use crate::swarm::handle::LastStep;
 use crate::swarm::outcome::{Outcome, Rejection, SwarmReply};
 
@@ -151,10 +151,10 @@ impl Responder {
     pub fn respond(
         &self,
         answered: SwarmReply,
-        payload: impl FnOnce(Place, Outcome) -> Payload + Send + 'static,
+        payload: impl FnOnce(Stamp, Outcome) -> Payload + Send + 'static,
     ) {
         match answered {
-            Ok((place, outcome)) => self.complete(move || Ok(payload(place, outcome))),
+            Ok((stamp, outcome)) => self.complete(move || Ok(payload(stamp, outcome))),
             // It was executed, but not to its end.
             Err(Rejection {
                 step,

@@ -15,9 +15,9 @@ use tokio::sync::oneshot;
 use crate::app::Server;
 use crate::convert::commands::{CommandError, create, run};
 use crate::persistence::writer::NewSwarm;
-use crate::swarm::command::{Awaited, Command, When};
+use crate::swarm::command::{Command, WaitCondition, When};
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::{Frame, Place};
+use crate::swarm::frame::{Frame, Stamp};
 use crate::swarm::handle::{self, Handle, Message};
 use crate::swarm::outcome::{Outcome, ReplyTo, SwarmReply};
 use crate::swarm::registry::{Created, RegistryError};
@@ -100,7 +100,7 @@ pub async fn run(server: &Server, lasting: Option<Duration>) -> Result<(), DemoE
 async fn play(swarm: &Handle, lasting: Option<Duration>) -> Result<(), DemoError> {
     let end = lasting.map(|lasting| lasting.as_secs_f64() * RATE);
     let until_informed = end.map_or(INFORMED_AT, |end| end.min(INFORMED_AT));
-    let dt = swarm.recipe.parameters.dt;
+    let dt = swarm.spec.parameters.dt;
     if until_informed == INFORMED_AT {
         inform_some(swarm, steps_in(INFORMED_AT, dt)).await?;
     }
@@ -137,16 +137,16 @@ async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
         exist_ok: false,
     };
     let host = server.host();
-    let recipe = create::recipe(&args, host.limits())?;
+    let spec = create::recipe(&args, host.limits())?;
     let (answer, answered) = oneshot::channel();
     let promise = || -> ReplyTo { ReplyTo::new(move |it| drop(answer.send(it))) };
     let register = Box::new(NewSwarm {
         store: server.store().clone(),
         name: NAME.to_owned(),
-        spec: recipe.clone(),
+        spec: spec.clone(),
         identity: None,
     });
-    let handle = match host.create(NAME, recipe, false, register, promise)? {
+    let handle = match host.create(NAME, spec, false, register, promise)? {
         Created::Existing(handle) => handle,
         Created::New => {
             outcome(answered).await?;
@@ -197,9 +197,9 @@ async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
     loop {
         let (answer, answered) = oneshot::channel();
         swarm.send(Message::Wait(Waiter {
-            awaited: Awaited::Reached(step),
+            condition: WaitCondition::Reached(step),
             is_abandoned: Box::new(|| false),
-            answer: ReplyTo::new(move |it| drop(answer.send(it))),
+            reply_to: ReplyTo::new(move |it| drop(answer.send(it))),
         }));
         match outcome(answered).await {
             Err(DemoError::Command(CommandError::Order(SwarmError::Displaced { .. }))) => {
@@ -212,13 +212,15 @@ async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
 
 async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {
     let (answer, answered) = oneshot::channel();
-    swarm.send(Message::Look(ReplyTo::new(move |it| drop(answer.send(it)))));
+    swarm.send(Message::Query(ReplyTo::new(move |it| {
+        drop(answer.send(it))
+    })));
     seen(outcome(answered).await?)
 }
 
-fn seen((_, outcome): (Place, Outcome)) -> Result<Arc<Frame>, DemoError> {
+fn seen((_, outcome): (Stamp, Outcome)) -> Result<Arc<Frame>, DemoError> {
     match outcome {
-        Outcome::Seen(frame) => Ok(frame),
+        Outcome::State(frame) => Ok(frame),
         _ => Err(DemoError::Gone),
     }
 }
@@ -238,11 +240,11 @@ async fn print_line(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
     let clients = server.sessions();
     let factor = match frame.real_time_factor {
         Some(factor) => format!("{factor:.1} of {RATE}"),
-        None => frame.place.phase.reason().unwrap_or_default(),
+        None => frame.stamp.phase.reason().unwrap_or_default(),
     };
     say!(
         "{:9.1} {:7.3} {:+10.3} {factor:>18} {clients:9}",
-        frame.place.time,
+        frame.stamp.time,
         frame.order.order,
         frame.order.velocity[0]
     );
@@ -253,11 +255,11 @@ async fn print_line(server: &Server, swarm: &Handle) -> Result<(), DemoError> {
 fn report(before: &Frame, from: &Frame, reached: &Frame) {
     let sum = |frame: &Frame| {
         let mean = frame.means.mean_velocity().unwrap_or_default();
-        mean[0] * frame.place.step as f64
+        mean[0] * frame.stamp.step as f64
     };
-    let (informed_at, end) = (before.place.time, reached.place.time);
+    let (informed_at, end) = (before.stamp.time, reached.stamp.time);
     let uninformed = before.means.mean_velocity().unwrap_or_default()[0];
-    let steps = reached.place.step.saturating_sub(from.place.step);
+    let steps = reached.stamp.step.saturating_sub(from.stamp.step);
     if steps == 0 {
         say!(
             "mean drift towards +x: {uninformed:+.3} before informing (t = 0 to {informed_at:.0})"
@@ -268,7 +270,7 @@ fn report(before: &Frame, from: &Frame, reached: &Frame) {
     say!(
         "mean drift towards +x: {uninformed:+.3} before informing (t = 0 to {informed_at:.0}), \
          {after:+.3} with ten informed (t = {:.0} to {end:.0})",
-        from.place.time
+        from.stamp.time
     );
 }
 
@@ -278,10 +280,10 @@ async fn command(
     args: String,
     order: Command,
     at_step: Option<u64>,
-) -> Result<(Place, Outcome), DemoError> {
+) -> Result<(Stamp, Outcome), DemoError> {
     let (answer, answered) = oneshot::channel();
     swarm.send(Message::Command(handle::CommandMessage {
-        order,
+        command: order,
         when: When {
             at_step,
             ..When::default()
@@ -292,12 +294,12 @@ async fn command(
             client: Some("jostled demo".to_owned()),
             ..Sender::default()
         }),
-        answer: ReplyTo::new(move |it| drop(answer.send(it))),
+        reply_to: ReplyTo::new(move |it| drop(answer.send(it))),
     }));
     outcome(answered).await
 }
 
-async fn outcome(answered: oneshot::Receiver<SwarmReply>) -> Result<(Place, Outcome), DemoError> {
+async fn outcome(answered: oneshot::Receiver<SwarmReply>) -> Result<(Stamp, Outcome), DemoError> {
     match answered.await {
         Ok(Ok(answer)) => Ok(answer),
         Ok(Err(refusal)) => Err(refusal.error.into()),

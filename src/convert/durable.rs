@@ -82,7 +82,7 @@ pub fn checkpoint(
         let input = waiting.line;
         let scheduled = Scheduled {
             input,
-            order,
+            command: order,
             sender,
         };
         Ok((waiting.at_step, scheduled))

@@ -54,8 +54,8 @@ fn swarm(figures: &SwarmFigures) -> proto::SwarmMetrics {
     } = figures;
     proto::SwarmMetrics {
         swarm: name.clone(),
-        phase: phase(&summary.place.phase),
-        step: summary.place.step,
+        phase: phase(&summary.stamp.phase),
+        step: summary.stamp.step,
         n: summary.n as u64,
         rate: summary.rate,
         real_time_factor: summary.real_time_factor,

@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use crate::convert::durable::snapshot;
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
+use crate::swarm::frame::{Event, EventKind, Frame, Replay, Stamp, Summary};
 use crate::swarm::history::{Entry, Page};
 use crate::swarm::membership::{Departure, Mode, News, OnTimeout};
 use crate::swarm::outcome::Outcome;
@@ -28,14 +28,14 @@ const USUAL_BYTES: usize = 512;
 const MAX_REMEMBERED_BYTES: usize = 4096;
 
 /// The reply of `swarm` at `place`.
-pub fn reply<T>(swarm: &str, place: &Place, result: T) -> proto::Reply<T> {
+pub fn reply<T>(swarm: &str, stamp: &Stamp, result: T) -> proto::Reply<T> {
     proto::Reply {
         swarm: swarm.to_owned(),
-        epoch: place.epoch,
-        step: place.step,
-        time: place.time,
-        phase: phase(&place.phase),
-        seq: place.seq,
+        epoch: stamp.epoch,
+        step: stamp.step,
+        time: stamp.time,
+        phase: phase(&stamp.phase),
+        seq: stamp.seq,
         result,
     }
 }
@@ -102,25 +102,25 @@ impl Payload {
 
 /// The reply to a command that came to `outcome`. With a `frame` number the state goes along, in
 /// CBOR.
-pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>) -> Payload {
+pub fn outcome(swarm: &str, stamp: &Stamp, outcome: Outcome, frame: Option<u64>) -> Payload {
     match outcome {
-        Outcome::Done => Payload::json(&reply(swarm, place, EmptyResult {})),
+        Outcome::Done => Payload::json(&reply(swarm, stamp, EmptyResult {})),
         Outcome::Runs(until_step, rate) => {
-            Payload::json(&reply(swarm, place, RunResult { until_step, rate }))
+            Payload::json(&reply(swarm, stamp, RunResult { until_step, rate }))
         }
         Outcome::Stepped {
             steps,
-            safe_step,
-            seen,
+            durable_step,
+            frame: seen,
         } => {
             let state = frame.map(|frame| state(swarm, &seen, frame));
             let result = StepResult {
                 steps,
-                durable_step: safe_step,
+                durable_step,
                 state_hash: hash(&seen),
                 state,
             };
-            let reply = reply(swarm, place, result);
+            let reply = reply(swarm, stamp, result);
             match frame {
                 Some(_) => Payload::with_state(reply, |result| result.state = None),
                 None => Payload::json(&reply),
@@ -128,23 +128,23 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
         }
         Outcome::Joined { ids, news: told } => {
             let news = news(told);
-            Payload::json(&reply(swarm, place, JoinResult { ids, news }))
+            Payload::json(&reply(swarm, stamp, JoinResult { ids, news }))
         }
         Outcome::Advanced {
             steps,
-            safe_step,
-            seen,
+            durable_step,
+            frame: seen,
             news: told,
         } => {
             let state = frame.map(|frame| state(swarm, &seen, frame));
             let result = AdvanceResult {
                 steps,
-                durable_step: safe_step,
+                durable_step,
                 state_hash: hash(&seen),
                 news: news(told),
                 state,
             };
-            let reply = reply(swarm, place, result);
+            let reply = reply(swarm, stamp, result);
             match frame {
                 Some(_) => Payload::with_state(reply, |result| result.state = None),
                 None => Payload::json(&reply),
@@ -155,41 +155,41 @@ pub fn outcome(swarm: &str, place: &Place, outcome: Outcome, frame: Option<u64>)
                 seed: seen.seed,
                 state_hash: hash(&seen),
             };
-            Payload::json(&reply(swarm, place, result))
+            Payload::json(&reply(swarm, stamp, result))
         }
         Outcome::Changed(ChangeOutcome::Set {
             before,
             now,
             scaled_by,
-        }) => Payload::json(&reply(swarm, place, set_result(before, now, scaled_by))),
+        }) => Payload::json(&reply(swarm, stamp, set_result(before, now, scaled_by))),
         Outcome::Changed(ChangeOutcome::Ids { ids, n }) => {
-            Payload::json(&reply(swarm, place, ids_result(ids, n)))
+            Payload::json(&reply(swarm, stamp, ids_result(ids, n)))
         }
         Outcome::Batch(outcomes) => {
             let results = outcomes.into_iter();
             let results = results
                 .map(|(kind, outcome)| changed(kind, outcome))
                 .collect();
-            Payload::json(&reply(swarm, place, BatchResult { results }))
+            Payload::json(&reply(swarm, stamp, BatchResult { results }))
         }
         Outcome::Scheduled(applies_at_step) => {
-            Payload::json(&reply(swarm, place, Scheduled { applies_at_step }))
+            Payload::json(&reply(swarm, stamp, Scheduled { applies_at_step }))
         }
-        Outcome::Whole(whole) => {
-            Payload::cbor(&reply(swarm, place, snapshot(swarm, &whole).sealed()))
+        Outcome::Checkpoint(whole) => {
+            Payload::cbor(&reply(swarm, stamp, snapshot(swarm, &whole).sealed()))
         }
-        Outcome::Seen(seen) => Payload::json(&reply(swarm, place, status(&seen, None))),
+        Outcome::State(seen) => Payload::json(&reply(swarm, stamp, status(&seen, None))),
     }
 }
 
 /// The reply to `create`.
-pub fn created(swarm: &str, place: &Place, recipe: &Spec, seen: &Frame, is_new: bool) -> Payload {
+pub fn created(swarm: &str, stamp: &Stamp, recipe: &Spec, seen: &Frame, is_new: bool) -> Payload {
     let result = CreateResult {
         created: is_new,
         spec: spec::to_proto(recipe, seen.seed),
         state_hash: hash(seen),
     };
-    Payload::json(&reply(swarm, place, result))
+    Payload::json(&reply(swarm, stamp, result))
 }
 
 pub(super) fn mode(mode: Mode) -> verbs::Mode {
@@ -247,7 +247,7 @@ pub fn controllers(seen: &Frame) -> proto::ControllerList {
             applied: it.puts.applied,
             stale: it.puts.stale,
             overtaken: it.puts.overtaken,
-            refused: it.puts.refused,
+            refused: it.puts.rejected,
         },
     });
     proto::ControllerList {
@@ -270,8 +270,8 @@ fn waiting_for(seen: &Frame) -> Vec<proto::Awaited> {
 /// A swarm's status, with where its history begins.
 pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::Status {
     proto::Status {
-        reason: seen.place.phase.reason(),
-        until_step: seen.place.phase.until(),
+        reason: seen.stamp.phase.reason(),
+        until_step: seen.stamp.phase.until(),
         rate: seen.rate,
         real_time_factor: seen.real_time_factor,
         n: seen.configuration.n() as u64,
@@ -307,11 +307,11 @@ pub fn state(swarm: &str, seen: &Frame, frame: u64) -> proto::State {
     let configuration = &seen.configuration;
     proto::State {
         swarm: swarm.to_owned(),
-        epoch: seen.place.epoch,
+        epoch: seen.stamp.epoch,
         frame,
-        step: seen.place.step,
-        time: seen.place.time,
-        phase: phase(&seen.place.phase),
+        step: seen.stamp.step,
+        time: seen.stamp.time,
+        phase: phase(&seen.stamp.phase),
         origin: configuration.origin,
         id: configuration.id.clone(),
         x: configuration.x.clone(),
@@ -328,11 +328,11 @@ pub fn state(swarm: &str, seen: &Frame, frame: u64) -> proto::State {
 pub fn order_sample(swarm: &str, seen: &Frame, frame: u64) -> proto::OrderSample {
     proto::OrderSample {
         swarm: swarm.to_owned(),
-        epoch: seen.place.epoch,
+        epoch: seen.stamp.epoch,
         frame,
-        step: seen.place.step,
-        time: seen.place.time,
-        phase: phase(&seen.place.phase),
+        step: seen.stamp.step,
+        time: seen.stamp.time,
+        phase: phase(&seen.stamp.phase),
         n: seen.configuration.n() as u64,
         informed: informed(seen),
         order: order(seen),
@@ -349,25 +349,25 @@ pub type WordRefusal = fn(SwarmError, u64) -> proto::Error;
 pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
     let Event {
         number,
-        place,
+        stamp,
         unix_secs,
         kind,
     } = event;
     proto::Event {
         swarm: swarm.to_owned(),
         number,
-        epoch: place.epoch,
-        step: place.step,
-        time: place.time,
-        phase: phase(&place.phase),
+        epoch: stamp.epoch,
+        step: stamp.step,
+        time: stamp.time,
+        phase: phase(&stamp.phase),
         unix_secs,
         event: match kind {
             EventKind::Created => proto::EventKind::Created {},
             EventKind::Phase => proto::EventKind::Phase {
-                reason: place.phase.reason(),
+                reason: stamp.phase.reason(),
             },
             EventKind::Command(sender) => proto::EventKind::Command {
-                seq: place.seq,
+                seq: stamp.seq,
                 verb: sender.verb.to_owned(),
                 args: args(&sender),
                 client: sender.client.clone(),
@@ -380,12 +380,12 @@ pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
                 client: sender.client.clone(),
                 request_id: sender.request_id.clone(),
             },
-            EventKind::Refused(sender, error) => proto::EventKind::Refused {
+            EventKind::Rejected(sender, error) => proto::EventKind::Refused {
                 verb: sender.verb.to_owned(),
                 args: args(&sender),
                 client: sender.client.clone(),
                 request_id: sender.request_id.clone(),
-                error: word(error, place.step),
+                error: word(error, stamp.step),
             },
             EventKind::Lapsed(ids) => proto::EventKind::Lapsed { ids },
             EventKind::Fault(reason) => proto::EventKind::Fault { reason },
@@ -394,7 +394,7 @@ pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
                 reason: reason.to_string(),
             },
             // It was one when it was recorded.
-            EventKind::Told(what) => {
+            EventKind::Recorded(what) => {
                 serde_json::from_str(&what).unwrap_or(proto::EventKind::Phase { reason: None })
             }
             EventKind::Deleted => proto::EventKind::Deleted {},
@@ -416,15 +416,15 @@ pub fn events(swarm: &str, page: Page<Event>, word: WordRefusal) -> proto::Event
 pub fn journal(page: Page<Entry>) -> proto::Journal {
     let entries = page.records.into_iter().map(|entry| {
         let Entry {
-            place,
+            stamp,
             unix_secs,
             sender,
         } = entry;
         proto::JournalEntry {
-            seq: place.seq,
-            epoch: place.epoch,
-            step: place.step,
-            time: place.time,
+            seq: stamp.seq,
+            epoch: stamp.epoch,
+            step: stamp.step,
+            time: stamp.time,
             unix_secs,
             verb: sender.verb.to_owned(),
             args: args(&sender),
@@ -486,10 +486,10 @@ fn args(sender: &Sender) -> serde_json::Value {
 pub fn summary(swarm: &str, summary: &Summary) -> proto::SwarmSummary {
     proto::SwarmSummary {
         swarm: swarm.to_owned(),
-        phase: phase(&summary.place.phase),
-        reason: summary.place.phase.reason(),
-        step: summary.place.step,
-        time: summary.place.time,
+        phase: phase(&summary.stamp.phase),
+        reason: summary.stamp.phase.reason(),
+        step: summary.stamp.step,
+        time: summary.stamp.time,
         n: summary.n as u64,
         informed: summary.informed as u64,
         order: summary.order,

@@ -8,7 +8,7 @@ use rustix::time::{ClockId, clock_gettime};
 use crate::health::{Bus, Reason, RecordingCounts, Warning, Watch};
 use crate::store;
 use crate::swarm::frame::Summary;
-use crate::swarm::tally::{LastStep, Totals};
+use crate::swarm::metrics::{LastStep, Totals};
 
 /// The metrics of the daemon.
 #[derive(Clone, Debug)]
@@ -77,7 +77,7 @@ impl Watch {
                     name,
                     summary,
                     totals: own,
-                    last: handle.tally.last_step(),
+                    last: handle.metrics.last_step(),
                 });
             }
         }

@@ -202,7 +202,7 @@ impl Watch {
     fn tasks(&self) -> Vec<(Worker, u64)> {
         let (swarms, _) = self.watched.host.handles();
         let swarms = swarms.into_iter().filter_map(|(name, handle)| {
-            let task = handle.tally.pulse.task()?;
+            let task = handle.metrics.pulse.task()?;
             Some((Worker::Swarm(name), task))
         });
         let threads = self.watched.threads.iter();

@@ -1,4 +1,4 @@
-//! A swarm's journal, read back from the store.
+//! Reads the journal of a swarm from the store.
 
 use std::vec;
 
@@ -12,35 +12,35 @@ use crate::store::{Row, Store, StoreError};
 use crate::swarm::command::Command;
 use crate::swarm::journal::{Line, Record};
 use crate::swarm::sender::Sender;
-use crate::swarm::worker::replay::Told;
+use crate::swarm::worker::journal_index::ReplayEntry;
 
-/// Lines read at once.
-pub const PAGE: usize = 1000;
+/// Lines per page.
+pub const PAGE_LINES: usize = 1000;
 
-/// Why a line cannot be read. None after it is.
+/// Why a line cannot be read. Iteration ends after it.
 #[derive(Debug, Error)]
 pub enum LineError {
     /// The store cannot be read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// It is not as it was written.
+    /// It is damaged.
     #[error(
-        "line {number} of its journal is damaged ({problem}): this is the last state that is sure; \
+        "line {number} of its journal is damaged ({problem}): this is the last state that is certain; \
          reset it, or delete it and restore a snapshot"
     )]
     Damaged {
         /// Its number.
         number: u64,
-        /// What is wrong.
+        /// The problem.
         problem: String,
     },
-    /// It has gone meanwhile.
-    #[error("line {0} of its journal is no longer kept: ask again")]
+    /// It was deleted during the iteration.
+    #[error("line {0} of its journal is no longer stored: retry")]
     Gone(u64),
 }
 
-/// The lines after one, in order, read a page at a time.
-pub struct Lines {
+/// An iterator over the lines of a journal, in order, which loads a page at a time.
+pub struct JournalReader {
     store: Store,
     swarm: String,
     after: u64,
@@ -50,10 +50,10 @@ pub struct Lines {
     is_last_page: bool,
 }
 
-impl Lines {
-    /// Those after the line `after`: all of them, or up to the line `until`.
+impl JournalReader {
+    /// The lines after line `after`: all of them, or up to line `until`.
     pub fn new(store: &Store, swarm: &str, after: u64, until: Option<u64>) -> Self {
-        Lines {
+        JournalReader {
             store: store.clone(),
             swarm: swarm.to_owned(),
             after,
@@ -64,58 +64,54 @@ impl Lines {
         }
     }
 
-    fn turn_the_page(&mut self) -> Result<(), LineError> {
-        let rows = self.store.rows(&self.swarm, self.after, PAGE)?;
-        self.is_last_page = rows.rows.len() < PAGE;
+    fn load_page(&mut self) -> Result<(), LineError> {
+        let rows = self.store.rows(&self.swarm, self.after, PAGE_LINES)?;
+        self.is_last_page = rows.rows.len() < PAGE_LINES;
         self.damaged_at = rows.damaged_at;
         self.page = rows.rows.into_iter();
         Ok(())
     }
 
-    fn read(&mut self) -> Result<Option<Told>, LineError> {
+    fn read(&mut self) -> Result<Option<ReplayEntry>, LineError> {
         let number = self.after + 1;
         if self.until.is_some_and(|until| until < number) {
             return Ok(None);
         }
         if self.page.as_slice().is_empty() && self.damaged_at.is_none() && !self.is_last_page {
-            self.turn_the_page()?;
+            self.load_page()?;
         }
         let damaged = |problem| LineError::Damaged { number, problem };
         match self.page.next() {
             Some(row) if row.number == number => {
                 self.after = number;
-                read(&row).map(Some).map_err(damaged)
+                parse_line(&row).map(Some).map_err(damaged)
             }
             Some(_) => Err(LineError::Gone(number)),
-            None if self.damaged_at.is_some() => Err(damaged("it is not as it was written".into())),
+            None if self.damaged_at.is_some() => Err(damaged("its checksum is wrong".into())),
             None if self.until.is_some() => Err(LineError::Gone(number)),
             None => Ok(None),
         }
     }
 }
 
-impl Iterator for Lines {
-    type Item = Result<Told, LineError>;
+impl Iterator for JournalReader {
+    type Item = Result<ReplayEntry, LineError>;
 
     fn next(&mut self) -> Option<Self::Item> {
         let read = self.read();
         if read.is_err() {
-            // Nothing that comes after it is sure.
+            // The lines after it cannot be trusted.
             self.until = Some(self.after);
         }
         read.transpose()
     }
 }
 
-/// Reads a line; a command with what it orders.
-///
-/// # Errors
-///
-/// What is wrong with it.
-pub fn read(row: &Row) -> Result<Told, String> {
+/// Parses a line, and its command if it records one.
+pub fn parse_line(row: &Row) -> Result<ReplayEntry, String> {
     let record = durable::read_record(&row.body).map_err(|error| error.to_string())?;
-    let order = match &record {
-        Record::Input { sender, .. } => Some(read_order(sender)?),
+    let command = match &record {
+        Record::Input { sender, .. } => Some(parse_command(sender)?),
         _ => None,
     };
     let line = Line {
@@ -124,24 +120,16 @@ pub fn read(row: &Row) -> Result<Told, String> {
         step: row.step,
         record,
     };
-    Ok((line, order))
+    Ok((line, command))
 }
 
-/// What a command ordered; it was read before, so it can be read again.
-///
-/// # Errors
-///
-/// What is wrong with it.
-pub fn read_order(sender: &Sender) -> Result<Command, String> {
-    read_command(sender).map(|command| command.order)
+/// Parses the command of a sender.
+pub fn parse_command(sender: &Sender) -> Result<Command, String> {
+    parse_request(sender).map(|command| command.order)
 }
 
-/// A command as it was sent.
-///
-/// # Errors
-///
-/// What is wrong with it.
-pub fn read_command(sender: &Sender) -> Result<ParsedCommand, String> {
+/// Parses a stored request.
+pub fn parse_request(sender: &Sender) -> Result<ParsedCommand, String> {
     let args = RawValue::from_string(sender.args.clone()).map_err(|error| error.to_string())?;
     let request = Request {
         args: Some(args),

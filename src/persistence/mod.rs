@@ -1,5 +1,8 @@
-//! Between the swarms and the store: journal entries on their way to disk, and back after a restart.
+//! Between the swarms and the store: writes journals and checkpoints, and recovers swarms from them.
 
+pub mod checkpoints;
 pub mod journal_reader;
 pub mod recovery;
+pub mod replay;
+pub mod reply_cache;
 pub mod writer;

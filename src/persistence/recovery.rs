@@ -1,337 +1,191 @@
-//! What is stored of swarms, told again: all of them when the daemon starts, one when somebody asks.
+//! Recovers all stored swarms when the daemon starts.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 
 use jostle_physics::simulation::Spec;
-use jostle_proto as proto;
 use thiserror::Error;
 use tracing::{error, info, warn};
 
 use crate::convert::commands::CommandError;
-use crate::convert::digest::Digest;
 use crate::convert::{self, Payload, durable};
-use crate::persistence::journal_reader::{self, LineError, Lines, PAGE};
-use crate::persistence::writer::{About, writes};
-use crate::store::{self, Store, StoreError, Write};
+use crate::persistence::checkpoints::read_checkpoint;
+use crate::persistence::journal_reader::{self, JournalReader, LineError, PAGE_LINES};
+use crate::persistence::reply_cache::ReplyCache;
+use crate::persistence::writer::{SwarmMetadata, writes};
+use crate::store::{Store, StoreError, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::SwarmError;
 use crate::swarm::journal::{Entry, Line, Record};
 use crate::swarm::outcome::{Rejection, ReplyTo};
-use crate::swarm::phase::Phase;
 use crate::swarm::registry::{RegistryError, SwarmRegistry};
 use crate::swarm::sender::Sender;
-use crate::swarm::worker::replay::{Applied, JournalIndex, ReplaySource, To, Told};
+use crate::swarm::worker::journal_index::ReplayEntry;
+use crate::swarm::worker::replay::{Applied, ReplaySource, ReplayTarget};
 
-/// Lines looked through for the commands that were applied before a checkpoint.
-const LINES_FOR_ENTRIES: u64 = 10_000;
+/// Lines before a checkpoint that are read for the commands in the hitail.
+const MAX_HISTORY_LINES: u64 = 10_000;
 
-/// The replies to requests that have an id, which recovery reads and completes.
-pub trait ReplyCache: Clone + Send + 'static {
-    /// Adds the persisted replies, oldest first.
-    fn fill(&self, replies: Vec<store::Answer>);
-
-    /// Whether a request with this id is known.
-    fn contains(&self, client: &Option<String>, id: &str) -> bool;
-
-    /// Begins a request that was received before the restart and is replayed. Retries of it wait for
-    /// its reply. `None` if it is known.
-    fn begin_replayed(
-        &self,
-        name: (Option<String>, String),
-        digest: Digest,
-    ) -> Option<Box<dyn ReplySlot>>;
-}
-
-/// Where the reply to a request is written.
-pub trait ReplySlot: Send {
-    /// Remembers the reply.
-    fn write(self: Box<Self>, reply: &Result<Payload, Payload>);
-
-    /// Forgets the request, which changed nothing; retries that wait get the error.
-    fn forget(self: Box<Self>, error: &Payload);
-}
-
-/// Why swarms cannot be brought back.
+/// Why a swarm cannot be recovered.
 #[derive(Debug, Error)]
 pub enum RecoveryError {
     /// The store cannot be read.
     #[error(transparent)]
     Store(#[from] StoreError),
-    /// What is stored of a swarm means nothing to this daemon.
+    /// The stored data of a swarm cannot be parsed.
     #[error("swarm {swarm}: {problem}")]
     Unreadable {
-        /// Which.
+        /// Its name.
         swarm: String,
-        /// What is wrong.
+        /// The problem.
         problem: String,
     },
-    /// A swarm's thread cannot be started.
+    /// The thread of a swarm cannot be started.
     #[error("swarm {0}: {1}")]
     Host(String, RegistryError),
 }
 
-/// Checkpoints between a command whose answer is kept for sure and the newest one.
+/// The number of checkpoints after which the reply to a command is certainly stored.
 const SETTLED_CHECKPOINTS: usize = 8;
 
-/// Brings every swarm back, and waits until each is as it was. Returns how many there are.
+/// Recovers every swarm, and waits until all are replayed. Returns their number.
 ///
-/// A swarm of which nothing can be read is left in the store and told of in the log.
+/// A swarm that cannot be recovered stays in the store, and an error is logged.
 ///
 /// # Errors
 ///
-/// [`RecoveryError`] when the store as a whole cannot be read.
+/// [`RecoveryError::Store`] if the list of swarms or the replies cannot be read.
 pub fn recover(
     host: &Arc<SwarmRegistry>,
     store: &Store,
     replies: &impl ReplyCache,
 ) -> Result<usize, RecoveryError> {
     replies.fill(store.answers()?);
-    let (told, is_told) = channel();
+    let (replayed, all_replayed) = channel();
     let mut count = 0;
-    for (swarm, about) in store.swarms()? {
-        let begun = recall(store, replies, &swarm, &about).and_then(|(recipe, past)| {
-            let told = told.clone();
-            host.recover(&swarm, recipe, past, move || {
+    for (swarm, metadata) in store.swarms()? {
+        let started = load(store, replies, &swarm, &metadata).and_then(|(spec, source)| {
+            let replayed = replayed.clone();
+            host.recover(&swarm, spec, source, move || {
                 ReplyTo::new(move |_| {
-                    let _ = told.send(());
+                    let _ = replayed.send(());
                 })
             })
             .map_err(|error| RecoveryError::Host(swarm.clone(), error))
         });
-        match begun {
+        match started {
             Ok(()) => count += 1,
-            Err(error) => error!(swarm, %error, "failed to bring back: it is left in the store"),
+            Err(error) => error!(swarm, %error, "failed to recover: the swarm stays in the store"),
         }
     }
-    drop(told);
-    let back = is_told.iter().take(count).count();
-    if back > 0 {
-        info!(swarms = back, "brought back");
+    drop(replayed);
+    let recovered = all_replayed.iter().take(count).count();
+    if recovered > 0 {
+        info!(swarms = recovered, "recovered");
     }
-    Ok(back)
+    Ok(recovered)
 }
 
-/// What is stored of a swarm, read back.
-fn recall(
+/// Loads the spec, a checkpoint and the journal of a swarm.
+fn load(
     store: &Store,
     replies: &impl ReplyCache,
     swarm: &str,
-    about: &[u8],
+    metadata: &[u8],
 ) -> Result<(Spec, ReplaySource), RecoveryError> {
     let unreadable = |problem: String| RecoveryError::Unreadable {
         swarm: swarm.to_owned(),
         problem,
     };
-    let about: About =
-        ciborium::from_reader(about).map_err(|error| unreadable(error.to_string()))?;
-    let recipe =
-        jostle_convert::spec::from_proto(&about.spec, jostle_convert::value::count(about.spec.n))
-            .map_err(|error| unreadable(error.to_string()))?;
+    let metadata: SwarmMetadata =
+        ciborium::from_reader(metadata).map_err(|error| unreadable(error.to_string()))?;
+    let spec = jostle_convert::spec::from_proto(
+        &metadata.spec,
+        jostle_convert::value::count(metadata.spec.n),
+    )
+    .map_err(|error| unreadable(error.to_string()))?;
     let mut newest = None;
-    let mut problem = "no checkpoint of it is kept".to_owned();
-    let marks = store.checkpoints(swarm)?;
+    let mut problem = "it has no checkpoint".to_owned();
+    let checkpoints = store.checkpoints(swarm)?;
     // A reply is stored soon after its command, so replies to commands before an older checkpoint
     // were stored before the newest one: if the store has ever evicted a reply, a missing one was
     // evicted, not lost.
-    let settled = marks.get(SETTLED_CHECKPOINTS);
+    let settled = checkpoints.get(SETTLED_CHECKPOINTS);
     let settled = settled.filter(|_| store.has_forgotten());
-    let answered = settled.map_or(0, |mark| mark.number);
-    for mark in marks {
+    let replied = settled.map_or(0, |it| it.number);
+    for stored in checkpoints {
         let checkpoint = store
-            .checkpoint(swarm, mark.number)
+            .checkpoint(swarm, stored.number)
             .map_err(|error| error.to_string())
-            .and_then(|kept| read_checkpoint(&kept.body));
+            .and_then(|it| read_checkpoint(&it.body));
         match checkpoint {
             Ok(checkpoint) => {
-                let past = lines_after(store, swarm, checkpoint)?;
-                if past.damage.is_some() && newest.is_some() {
-                    // What is sure goes before what was answered.
+                let tail = read_tail(store, swarm, checkpoint)?;
+                if tail.damage.is_some() && newest.is_some() {
+                    // Intact lines are more important than lost replies.
                     break;
                 }
-                let is_answered =
-                    past.is_answered(replies, store, swarm, (answered, mark.number))?;
-                if is_answered {
-                    let entries = entries_before(store, swarm, past.checkpoint.lines)?;
-                    let past = past.cut(store, swarm);
-                    return Ok((recipe, past.told_to(replies.clone(), swarm, entries)));
+                let has_replies =
+                    tail.has_replies(replies, store, swarm, (replied, stored.number))?;
+                if has_replies {
+                    let history = history_before(store, swarm, tail.checkpoint.lines)?;
+                    let tail = tail.truncate(store, swarm);
+                    return Ok((spec, tail.into_source(replies.clone(), swarm, history)));
                 }
-                // An answer was lost: from an older checkpoint on it comes about again.
-                newest.get_or_insert(past);
+                // A reply was lost: a replay from an older checkpoint produces it again.
+                newest.get_or_insert(tail);
             }
             Err(error) => {
-                warn!(swarm, step = mark.step, %error, "a checkpoint is damaged: an older one is taken");
+                warn!(swarm, step = stored.step, %error, "a checkpoint is damaged: using an older one");
                 problem = error;
             }
         }
     }
     match newest {
-        Some(past) => {
-            let entries = entries_before(store, swarm, past.checkpoint.lines)?;
-            let past = past.cut(store, swarm);
-            Ok((recipe, past.told_to(replies.clone(), swarm, entries)))
+        Some(tail) => {
+            let history = history_before(store, swarm, tail.checkpoint.lines)?;
+            let tail = tail.truncate(store, swarm);
+            Ok((spec, tail.into_source(replies.clone(), swarm, history)))
         }
         None => Err(unreadable(problem)),
     }
 }
 
-/// A swarm's past, told again.
-pub struct Replayed {
-    /// The step it was told from.
-    pub from: u64,
-    /// The swarm at the end of it.
-    pub checkpoint: Checkpoint,
-    /// How many hashes came out as they had been.
-    pub same: u64,
-    /// The first epoch and step that came out otherwise.
-    pub differs_at: Option<(u64, u64)>,
-}
-
-/// Tells a swarm's past again: to a step from the last checkpoint before it, else from the oldest.
-/// Passes the share of the journal's lines that are done, from 0 to 1, to `on_progress`.
-///
-/// # Errors
-///
-/// [`CommandError::History`] when what is needed is no longer kept, or damaged.
-pub fn replay_to(
-    store: &Store,
-    swarm: &str,
-    to: To,
-    on_progress: impl Fn(f64) + Clone + Send + 'static,
-) -> Result<Replayed, CommandError> {
-    // Nothing, which is written after everything before it; if it cannot be, the rest tells.
-    let _ = store.commit(Vec::new());
-    let history = |problem: String| CommandError::History(problem);
-    let mut marks = store
-        .checkpoints(swarm)
-        .map_err(|it| history(it.to_string()))?;
-    match to {
-        To::Step(step) => marks.retain(|mark| mark.step <= step),
-        To::LastInput | To::LastHash | To::Place(..) => marks.reverse(),
-    }
-    let mut problem = "so old a history is not kept: get/status says from where on".to_owned();
-    for mark in marks {
-        let kept = store.checkpoint(swarm, mark.number);
-        let checkpoint = match kept
-            .map_err(|it| it.to_string())
-            .and_then(|it| read_checkpoint(&it.body))
-        {
-            Ok(checkpoint) => checkpoint,
-            Err(error) => {
-                problem = error;
-                continue;
-            }
-        };
-        let after = checkpoint.lines;
-        let mut index = JournalIndex::default();
-        for line in Lines::new(store, swarm, after, None) {
-            index.learn(&line.map_err(|it| history(it.to_string()))?);
-        }
-        // Lines that are written from now on are not told.
-        let until = index.last().unwrap_or(after);
-        let on_progress = on_progress.clone();
-        let lines = Lines::new(store, swarm, after, Some(until)).inspect(move |line| {
-            if let Ok((line, _)) = line {
-                on_progress((line.number - after - 1) as f64 / (until - after) as f64);
-            }
-        });
-        let past = ReplaySource {
-            checkpoint,
-            lines: Box::new(lines.map(|line| line.map_err(|it| it.to_string()))),
-            index,
-            damage: None,
-            entries: Vec::new(),
-            recall: Box::new(|_| ReplyTo::ignored()),
-            to,
-        };
-        let (checkpoint, replay) = past.replay();
-        if let Some(problem) = replay.broken_off {
-            return Err(history(problem));
-        }
-        match (to, &checkpoint.phase) {
-            (To::Step(_), Phase::Faulted(reason)) if replay.differs_at.is_some() => {
-                return Err(history(reason.clone()));
-            }
-            (To::Step(step) | To::Place(_, step), _)
-                if replay.differs_at.is_none() && !is_there(&checkpoint, to) =>
-            {
-                return Err(history(format!(
-                    "step {step} is not on the disk yet, which the journal there reaches up to {}: \
-                     ask again in a moment, or once the disk has room",
-                    checkpoint.simulation.state.step
-                )));
-            }
-            _ => {}
-        }
-        return Ok(Replayed {
-            from: mark.step,
-            checkpoint,
-            same: replay.same,
-            differs_at: replay.differs_at,
-        });
-    }
-    Err(history(problem))
-}
-
-fn is_there(checkpoint: &Checkpoint, to: To) -> bool {
-    let here = (
-        checkpoint.simulation.epoch,
-        checkpoint.simulation.state.step,
-    );
-    match to {
-        To::Step(step) => here.1 == step,
-        To::Place(epoch, step) => here == (epoch, step),
-        To::LastInput | To::LastHash => true,
-    }
-}
-
-/// Reads a snapshot that was sent.
-///
-/// # Errors
-///
-/// What is wrong with it.
-pub fn read_snapshot(file: &[u8]) -> Result<Checkpoint, String> {
-    let snapshot = proto::Snapshot::from_file(file)?;
-    durable::checkpoint(&snapshot, &journal_reader::read_order).map_err(|error| error.to_string())
-}
-
-/// Reads a checkpoint that was kept; the store has seen to it that it is whole.
-fn read_checkpoint(body: &[u8]) -> Result<Checkpoint, String> {
-    let snapshot = proto::Snapshot::from_cbor(body)?;
-    durable::checkpoint(&snapshot, &journal_reader::read_order).map_err(|error| error.to_string())
-}
-
-/// What the journal says after a checkpoint.
-struct Story {
+/// A checkpoint and the journal after it.
+struct JournalTail {
     checkpoint: Checkpoint,
-    lines: Vec<Told>,
+    lines: Vec<ReplayEntry>,
     damage: Option<String>,
 }
 
-fn lines_after(store: &Store, swarm: &str, checkpoint: Checkpoint) -> Result<Story, RecoveryError> {
-    let mut story = Story {
+fn read_tail(
+    store: &Store,
+    swarm: &str,
+    checkpoint: Checkpoint,
+) -> Result<JournalTail, RecoveryError> {
+    let mut tail = JournalTail {
         lines: Vec::new(),
         damage: None,
         checkpoint,
     };
-    for line in Lines::new(store, swarm, story.checkpoint.lines, None) {
+    for line in JournalReader::new(store, swarm, tail.checkpoint.lines, None) {
         match line {
-            Ok(line) => story.lines.push(line),
+            Ok(line) => tail.lines.push(line),
             Err(LineError::Store(error)) => return Err(error.into()),
             Err(error @ (LineError::Damaged { .. } | LineError::Gone(_))) => {
                 warn!(swarm, %error, "the journal is damaged");
-                story.damage = Some(error.to_string());
+                tail.damage = Some(error.to_string());
             }
         }
     }
-    Ok(story)
+    Ok(tail)
 }
 
-impl Story {
-    /// Where lines are damaged, has the journal end before them with a fault that says so: what is
-    /// written from then on follows what can be told again. Both are safe, or neither.
-    fn cut(mut self, store: &Store, swarm: &str) -> Self {
+impl JournalTail {
+    /// If lines are damaged, replaces them by a fault, in one transaction: later lines then follow lines
+    /// that can be replayed.
+    fn truncate(mut self, store: &Store, swarm: &str) -> Self {
         let Some(damage) = self.damage.take() else {
             return self;
         };
@@ -356,39 +210,39 @@ impl Story {
             step,
             record: Record::Fault(damage.clone()),
         };
-        let cut = Write::Cut {
+        let truncation = Write::Cut {
             swarm: swarm.to_owned(),
             after: number,
         };
         let fault = writes(swarm, Entry::Line(line.clone()));
-        match store.commit(std::iter::once(cut).chain(fault).collect()) {
+        match store.commit(std::iter::once(truncation).chain(fault).collect()) {
             Ok(()) => {
-                error!(swarm, damage, "the journal is cut where it is damaged");
+                error!(swarm, damage, "truncated a damaged journal");
                 self.lines.push((line, None));
             }
             Err(fault) => {
-                warn!(swarm, %fault, "failed to cut a damaged journal: nothing can follow it yet");
+                warn!(swarm, %fault, "failed to truncate a damaged journal: the swarm cannot continue yet");
                 self.damage = Some(damage);
             }
         }
         self
     }
 
-    /// Whether every named command of the rows after `answered` up to `number`, the checkpoint's,
-    /// has its answer in the replies.
-    fn is_answered(
+    /// Whether the cache has the reply to every command with a request id on the lines after `replied`
+    /// up to `number`, the line of the checkpoint.
+    fn has_replies(
         &self,
         replies: &impl ReplyCache,
         store: &Store,
         swarm: &str,
-        (answered, number): (u64, u64),
+        (replied, number): (u64, u64),
     ) -> Result<bool, RecoveryError> {
-        let after = answered.max(number.saturating_sub(PAGE as u64));
-        let rows = store.rows(swarm, after, PAGE)?;
-        let mut unanswered = Vec::new();
+        let after = replied.max(number.saturating_sub(PAGE_LINES as u64));
+        let rows = store.rows(swarm, after, PAGE_LINES)?;
+        let mut missing = Vec::new();
         for row in rows.rows.into_iter().filter(|row| row.number <= number) {
             let number = row.number;
-            match journal_reader::read(&row) {
+            match journal_reader::parse_line(&row) {
                 Ok((
                     Line {
                         record: Record::Input { sender, .. },
@@ -399,7 +253,7 @@ impl Story {
                     if let Some(id) = &sender.request_id
                         && !replies.contains(&sender.client, id)
                     {
-                        unanswered.push(number);
+                        missing.push(number);
                     }
                 }
                 Ok((
@@ -411,20 +265,25 @@ impl Story {
                         ..
                     },
                     _,
-                )) => unanswered.retain(|it| *it != input),
+                )) => missing.retain(|it| *it != input),
                 _ => {}
             }
         }
-        // A step under way has its answer still before it.
+        // The reply to a pending `step` has not been sent yet.
         if let Some((_, sender)) = &self.checkpoint.pending
             && sender.request_id.is_some()
         {
-            unanswered.pop();
+            missing.pop();
         }
-        Ok(unanswered.is_empty())
+        Ok(missing.is_empty())
     }
 
-    fn told_to(self, replies: impl ReplyCache, swarm: &str, entries: Vec<Applied>) -> ReplaySource {
+    fn into_source(
+        self,
+        replies: impl ReplyCache,
+        swarm: &str,
+        entries: Vec<Applied>,
+    ) -> ReplaySource {
         let swarm = swarm.to_owned();
         ReplaySource {
             entries,
@@ -432,18 +291,18 @@ impl Story {
             index: self.lines.iter().collect(),
             lines: Box::new(self.lines.into_iter().map(Ok)),
             damage: self.damage,
-            recall: Box::new(move |sender| remember(&replies, &swarm, sender)),
-            to: To::LastInput,
+            reply_for: Box::new(move |sender| rebuild_reply(&replies, &swarm, sender)),
+            to: ReplayTarget::LastInput,
         }
     }
 }
 
-/// The commands that were applied up to a line, as many as `get/journal` shows.
-fn entries_before(store: &Store, swarm: &str, line: u64) -> Result<Vec<Applied>, RecoveryError> {
-    let mut after = line.saturating_sub(LINES_FOR_ENTRIES);
+/// The commands that were applied up to a line, for `get/journal`.
+fn history_before(store: &Store, swarm: &str, line: u64) -> Result<Vec<Applied>, RecoveryError> {
+    let mut after = line.saturating_sub(MAX_HISTORY_LINES);
     let (mut inputs, mut entries) = (BTreeMap::new(), Vec::new());
     while after < line {
-        let rows = store.rows(swarm, after, PAGE)?.rows;
+        let rows = store.rows(swarm, after, PAGE_LINES)?.rows;
         let Some(last) = rows.last().map(|row| row.number) else {
             break;
         };
@@ -481,8 +340,8 @@ fn entries_before(store: &Store, swarm: &str, line: u64) -> Result<Vec<Applied>,
     Ok(entries)
 }
 
-/// Takes what a command came to, for its sender to ask for again.
-fn remember(replies: &impl ReplyCache, swarm: &str, sender: &Arc<Sender>) -> ReplyTo {
+/// Receives the reply to a replayed command and puts it into the cache, for retries of the client.
+fn rebuild_reply(replies: &impl ReplyCache, swarm: &str, sender: &Arc<Sender>) -> ReplyTo {
     let Some((id, digest)) = sender.request_id.clone().zip(sender.digest) else {
         return ReplyTo::ignored();
     };
@@ -490,19 +349,19 @@ fn remember(replies: &impl ReplyCache, swarm: &str, sender: &Arc<Sender>) -> Rep
         return ReplyTo::ignored();
     };
     let returns_state =
-        journal_reader::read_command(sender).is_ok_and(|command| command.returns_state);
+        journal_reader::parse_request(sender).is_ok_and(|command| command.returns_state);
     let swarm = swarm.to_owned();
-    let worded = |step, error| Payload::json(&CommandError::from(error).to_wire(step));
-    ReplyTo::new(move |answered| match answered {
-        Ok((place, outcome)) => {
+    let to_payload = |step, error| Payload::json(&CommandError::from(error).to_wire(step));
+    ReplyTo::new(move |reply| match reply {
+        Ok((stamp, outcome)) => {
             let frame = returns_state.then_some(0);
-            slot.write(&Ok(convert::outcome(&swarm, &place, outcome, frame)));
+            slot.write(&Ok(convert::outcome(&swarm, &stamp, outcome, frame)));
         }
         Err(Rejection {
             step,
             error: error @ SwarmError::Faulted(_),
-        }) => slot.write(&Err(worded(step, error))),
-        // What was refused changed nothing, and may be tried again.
-        Err(Rejection { step, error }) => slot.forget(&worded(step, error)),
+        }) => slot.write(&Err(to_payload(step, error))),
+        // A rejected command changed nothing and may be retried.
+        Err(Rejection { step, error }) => slot.forget(&to_payload(step, error)),
     })
 }

@@ -1,4 +1,4 @@
-//! What swarms write down, on its way into the store.
+//! Writes the journals, checkpoints and ends of swarms to the store.
 
 use std::sync::Arc;
 
@@ -11,15 +11,15 @@ use crate::convert::{self, durable};
 use crate::store::{self, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::WriteFault;
-use crate::swarm::frame::{Frame, Place};
+use crate::swarm::frame::{Frame, Stamp};
 use crate::swarm::journal::{Entry, JournalWriter, Reached};
 use crate::swarm::outcome::Outcome;
 use crate::swarm::runner::{JournalFactory, PersistNew};
 
-/// What is stored of a swarm beside its journal.
+/// The stored metadata of a swarm.
 #[derive(Serialize, Deserialize)]
-pub(crate) struct About {
-    /// What it was created from.
+pub(crate) struct SwarmMetadata {
+    /// The spec from which it was created.
     pub(crate) spec: proto::Spec,
 }
 
@@ -79,7 +79,7 @@ impl PersistNew for NewSwarm {
     fn persist(
         self: Box<Self>,
         checkpoint: &Checkpoint,
-        place: &Place,
+        stamp: &Stamp,
         frame: &Arc<Frame>,
     ) -> Result<(), WriteFault> {
         let NewSwarm {
@@ -88,16 +88,16 @@ impl PersistNew for NewSwarm {
             spec,
             identity,
         } = *self;
-        let about = About {
+        let metadata = SwarmMetadata {
             spec: jostle_convert::spec::to_proto(&spec, spec.seed),
         };
         let mut writes = vec![Write::Create {
             swarm: name.clone(),
-            about: proto::to_cbor(&about),
-            first: kept(&name, checkpoint),
+            about: proto::to_cbor(&metadata),
+            first: stored_checkpoint(&name, checkpoint),
         }];
         if let Some(identity) = identity {
-            let payload = convert::created(&name, place, &spec, frame, true);
+            let payload = convert::created(&name, stamp, &spec, frame, true);
             writes.push(Write::Answer(store::Answer {
                 client: identity.client,
                 request_id: identity.request_id,
@@ -113,7 +113,7 @@ impl PersistNew for NewSwarm {
     }
 }
 
-/// What is to be stored of what a swarm writes.
+/// The writes to the store for an entry.
 pub(crate) fn writes(swarm: &str, entry: Entry) -> Vec<Write> {
     let swarm = swarm.to_owned();
     match entry {
@@ -129,13 +129,13 @@ pub(crate) fn writes(swarm: &str, entry: Entry) -> Vec<Write> {
             vec![Write::Append { swarm, row }]
         }
         Entry::Checkpoint(checkpoint) => {
-            let checkpoint = kept(&swarm, &checkpoint);
+            let checkpoint = stored_checkpoint(&swarm, &checkpoint);
             vec![Write::Keep { swarm, checkpoint }]
         }
-        Entry::End(place, sender) => {
-            let answer = sender.request_id.clone().zip(sender.digest);
-            let answer = answer.map(|(request_id, digest)| {
-                let payload = convert::outcome(&swarm, &place, Outcome::Done, None);
+        Entry::End(stamp, sender) => {
+            let reply = sender.request_id.clone().zip(sender.digest);
+            let reply = reply.map(|(request_id, digest)| {
+                let payload = convert::outcome(&swarm, &stamp, Outcome::Done, None);
                 Write::Answer(store::Answer {
                     client: sender.client.clone(),
                     request_id,
@@ -148,12 +148,12 @@ pub(crate) fn writes(swarm: &str, entry: Entry) -> Vec<Write> {
                 })
             });
             let end = Write::Delete { swarm };
-            std::iter::once(end).chain(answer).collect()
+            std::iter::once(end).chain(reply).collect()
         }
     }
 }
 
-fn kept(swarm: &str, checkpoint: &Checkpoint) -> store::Checkpoint {
+fn stored_checkpoint(swarm: &str, checkpoint: &Checkpoint) -> store::Checkpoint {
     store::Checkpoint {
         number: checkpoint.lines,
         epoch: checkpoint.simulation.epoch,

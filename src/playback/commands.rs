@@ -17,20 +17,20 @@ impl Player {
     /// Handles a ticket. Returns how the playback ends, if it does.
     pub(super) fn handle(&mut self, message: Message) -> Option<End> {
         match message {
-            Message::Look(answer) => answer.send(Ok((self.place(), Outcome::Seen(self.frame())))),
+            Message::Query(answer) => answer.send(Ok((self.stamp(), Outcome::State(self.frame())))),
             Message::Wait(waiter) => {
                 self.waiters.add(waiter);
-                self.answer_waiters();
-                if let Some((answer, error)) = self.waiters.displace() {
+                self.reply_to_waiters();
+                if let Some((answer, error)) = self.waiters.evict_oldest() {
                     answer.send(Err(self.refusal(error)));
                 }
             }
-            Message::Copy(answer) => answer.send(Err(self.refusal(SwarmError::Recorded))),
+            Message::TakeCheckpoint(answer) => answer.send(Err(self.refusal(SwarmError::Recorded))),
             Message::Seek(seek, sender, answer) => match self.find(seek) {
                 Ok(frame) => {
                     self.applied(&sender);
                     self.jump_to(frame);
-                    answer.send(Ok((self.place(), Outcome::Done)));
+                    answer.send(Ok((self.stamp(), Outcome::Done)));
                 }
                 Err(error) => answer.send(Err(self.refusal(error))),
             },
@@ -38,7 +38,7 @@ impl Player {
             Message::RecordingFailed(recording, reason) => {
                 self.publish_event(EventKind::RecordingFailed(recording, reason));
             }
-            Message::Put(..) | Message::Lost(_) | Message::Awake => {}
+            Message::Put(..) | Message::Lost(_) | Message::Wake => {}
             Message::Stop => return Some(End::Stopped),
         }
         None
@@ -46,32 +46,32 @@ impl Player {
 
     fn command(&mut self, command: CommandMessage) -> Option<End> {
         let CommandMessage {
-            order,
+            command: order,
             when,
             sender,
-            answer,
+            reply_to: answer,
         } = command;
         if order == Command::Delete {
             self.publish_event(EventKind::Deleted);
-            self.waiters.answer_all(|| {
+            self.waiters.reply_to_all(|| {
                 Err(Rejection {
                     step: None,
                     error: SwarmError::Gone,
                 })
             });
-            let place = self.place();
-            let reply = DeferredReply::new(answer, Ok((place, Outcome::Done)));
+            let stamp = self.stamp();
+            let reply = DeferredReply::new(answer, Ok((stamp, Outcome::Done)));
             return Some(End::Deleted(reply));
         }
         let done = self.check(when).and_then(|()| self.execute(&order));
         match done {
             Ok(outcome) => {
                 self.applied(&sender);
-                answer.send(Ok((self.place(), outcome)));
+                answer.send(Ok((self.stamp(), outcome)));
             }
             Err(error) => answer.send(Err(self.refusal(error))),
         }
-        self.answer_waiters();
+        self.reply_to_waiters();
         None
     }
 
@@ -137,8 +137,8 @@ impl Player {
                 let step = self.source.index()[self.at].step;
                 Ok(Outcome::Stepped {
                     steps: step.saturating_sub(from),
-                    safe_step: step,
-                    seen: self.frame(),
+                    durable_step: step,
+                    frame: self.frame(),
                 })
             }
             Command::Reset(None) => {

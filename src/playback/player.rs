@@ -12,15 +12,15 @@ use crate::playback::McapSource;
 use crate::playback::source::{FrameIndex, RecordedEvent, RecordedFrame};
 use crate::swarm::clock;
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::{Event, EventKind, Frame, Place, Replay, Summary};
+use crate::swarm::frame::{Event, EventKind, Frame, Replay, Stamp, Summary};
 use crate::swarm::handle::{Handle, Message, receive};
 use crate::swarm::history::History;
+use crate::swarm::metrics::SwarmMetrics;
 use crate::swarm::outcome::{Outcome, Rejection};
-use crate::swarm::outlet::Outlet;
+use crate::swarm::output::Output;
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::runner::{Playback, Runner};
 use crate::swarm::sender::Sender;
-use crate::swarm::tally::Tally;
 use crate::swarm::waiters::Waiters;
 use crate::swarm::worker::End;
 
@@ -51,26 +51,26 @@ impl Playback for McapSource {
 }
 
 impl Runner for Player {
-    fn look(&self) -> (Place, Arc<Frame>) {
-        (self.place(), self.frame())
+    fn look(&self) -> (Stamp, Arc<Frame>) {
+        (self.stamp(), self.frame())
     }
 
     fn run(mut self: Box<Self>, messages: &Receiver<Message>) -> End {
-        let tally = self.tally.clone();
+        let metrics = self.metrics.clone();
         loop {
-            tally.pulse.begin();
+            metrics.pulse.begin();
             let next = self.play(Instant::now());
-            tally.pulse.end();
+            metrics.pulse.end();
             let end = match receive(messages, next) {
                 Ok(message) => {
-                    tally.pulse.begin();
+                    metrics.pulse.begin();
                     self.handle(message)
                 }
                 Err(RecvTimeoutError::Timeout) => None,
                 Err(RecvTimeoutError::Disconnected) => Some(End::Stopped),
             };
             if let Some(end) = end {
-                tally.pulse.end();
+                metrics.pulse.end();
                 return end;
             }
         }
@@ -81,9 +81,9 @@ impl Runner for Player {
 pub struct Player {
     pub(super) source: McapSource,
     spec: Arc<Spec>,
-    outlet: Arc<Outlet>,
+    output: Arc<Output>,
     history: Arc<History>,
-    tally: Arc<Tally>,
+    metrics: Arc<SwarmMetrics>,
     summary: Arc<Mutex<Option<Summary>>>,
     summary_renewed: Instant,
     min_interval: Duration,
@@ -116,14 +116,14 @@ impl Player {
         handle: &Handle,
         min_interval: Duration,
     ) -> Result<Self, SwarmError> {
-        let frame = source.frame(0).map_err(SwarmError::Film)?;
+        let frame = source.frame(0).map_err(SwarmError::Playback)?;
         let now = Instant::now();
         let mut player = Player {
             source,
-            spec: handle.recipe.clone(),
-            outlet: handle.outlet.clone(),
+            spec: handle.spec.clone(),
+            output: handle.output.clone(),
             history: handle.history.clone(),
-            tally: handle.tally.clone(),
+            metrics: handle.metrics.clone(),
             summary: handle.summary.clone(),
             summary_renewed: now,
             min_interval,
@@ -132,7 +132,7 @@ impl Player {
             frame,
             passed: 0,
             phase: Phase::Paused(PauseReason::Created),
-            rate: handle.recipe.rate,
+            rate: handle.spec.rate,
             since: (now, 0.0),
             measured: (now, 0.0),
             real_time_factor: None,
@@ -182,7 +182,7 @@ impl Player {
             self.publish_frame();
         }
         self.measure(now);
-        self.answer_waiters();
+        self.reply_to_waiters();
         if !self.phase.is_moving() {
             return None;
         }
@@ -212,12 +212,12 @@ impl Player {
             ..
         } in events
         {
-            let place = Place {
+            let stamp = Stamp {
                 step,
                 time,
-                ..self.place()
+                ..self.stamp()
             };
-            self.publish_event_at(place, unix_secs, EventKind::Told(what));
+            self.publish_event_at(stamp, unix_secs, EventKind::Recorded(what));
         }
         let index = self.source.index();
         if index[target].epoch != index[self.at].epoch {
@@ -236,7 +236,7 @@ impl Player {
                 self.publish_frame();
             }
             Err(reason) => {
-                warn!(swarm = self.outlet.name, reason, "faulted");
+                warn!(swarm = self.output.name, reason, "faulted");
                 self.phase = Phase::Faulted(reason.clone());
                 self.publish_event(EventKind::Fault(reason));
                 self.publish_frame();
@@ -273,7 +273,7 @@ impl Player {
         self.set_frame(frame);
         self.anchor();
         self.renew_summary();
-        self.answer_waiters();
+        self.reply_to_waiters();
     }
 
     /// Restarts the clock of the playback at the present frame.
@@ -309,11 +309,11 @@ impl Player {
         self.renew_summary();
     }
 
-    pub(super) fn answer_waiters(&mut self) {
+    pub(super) fn reply_to_waiters(&mut self) {
         let mut waiters = std::mem::take(&mut self.waiters);
         let step = self.source.index()[self.at].step;
-        waiters.answer(step, &self.phase, || {
-            Ok((self.place(), Outcome::Seen(self.frame())))
+        waiters.reply(step, &self.phase, || {
+            Ok((self.stamp(), Outcome::State(self.frame())))
         });
         self.waiters = waiters;
     }
@@ -325,9 +325,9 @@ impl Player {
         }
     }
 
-    pub(super) fn place(&self) -> Place {
+    pub(super) fn stamp(&self) -> Stamp {
         let at = self.source.index()[self.at];
-        Place {
+        Stamp {
             epoch: self.epoch,
             step: at.step,
             time: at.time,
@@ -351,7 +351,7 @@ impl Player {
             gaps,
         } = self.frame.clone();
         Arc::new(Frame {
-            place: self.place(),
+            stamp: self.stamp(),
             parameters,
             publish_every: self.spec.publish_every,
             seed: self.spec.seed,
@@ -377,34 +377,34 @@ impl Player {
 
     pub(super) fn publish_frame(&mut self) {
         self.published = Instant::now();
-        let Place { epoch, step, .. } = self.place();
-        self.outlet.state((epoch, step), || self.frame());
-        if self.outlet.is_watched(self.phase.is_moving()) {
-            self.outlet.show(self.frame());
+        let Stamp { epoch, step, .. } = self.stamp();
+        self.output.state((epoch, step), || self.frame());
+        if self.output.is_watched(self.phase.is_moving()) {
+            self.output.push_frame(self.frame());
         }
     }
 
     pub(super) fn publish_event(&mut self, kind: EventKind) {
-        self.publish_event_at(self.place(), clock::unix_secs(), kind);
+        self.publish_event_at(self.stamp(), clock::unix_secs(), kind);
     }
 
-    fn publish_event_at(&mut self, place: Place, unix_secs: Option<f64>, kind: EventKind) {
+    fn publish_event_at(&mut self, stamp: Stamp, unix_secs: Option<f64>, kind: EventKind) {
         self.events += 1;
         let event = Event {
             number: self.events,
-            place,
+            stamp,
             unix_secs,
             kind,
         };
-        self.history.tell(&event);
-        self.outlet.tell(event);
+        self.history.record_event(&event);
+        self.output.push_event(event);
     }
 
     fn renew_summary(&mut self) {
         self.summary_renewed = Instant::now();
         let configuration = &self.frame.configuration;
         let summary = Summary {
-            place: self.place(),
+            stamp: self.stamp(),
             n: configuration.n(),
             informed: configuration.weight.iter().filter(|w| **w > 0.0).count(),
             order: self.frame.order.order,

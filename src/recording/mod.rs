@@ -1,6 +1,6 @@
 //! The recordings of a daemon: every k-th state of a swarm, in its data directory.
 //!
-//! Each has its own folder and its own thread, which writes what a tap on the swarm's outlet
+//! Each has its own folder and its own thread, which writes what a subscriber of the swarm's output
 //! enqueues. By default the swarm waits for that thread, never for a client. A running recording
 //! resumes with its next part when the daemon restarts.
 
@@ -363,7 +363,10 @@ impl Recordings {
         recorder: Recorder,
     ) -> Result<(), RecordError> {
         let Source {
-            swarm, queue, tap, ..
+            swarm,
+            queue,
+            subscriber,
+            ..
         } = source;
         let writer = RecordingWriter {
             swarm,
@@ -385,7 +388,7 @@ impl Recordings {
                 let _ = rustix::process::setpriority_process(None, NICENESS);
             }
             recordings.write(&of, status, writer);
-            drop(tap);
+            drop(subscriber);
         };
         let thread = thread::Builder::new().name(format!("record-{name}"));
         thread.spawn(run).map(drop).map_err(|error| {

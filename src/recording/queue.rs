@@ -10,7 +10,7 @@ use std::time::{Instant, SystemTime};
 use jostle_results::recording::Written;
 
 use crate::swarm::frame::{Event, EventKind, Frame};
-use crate::swarm::outlet::Tap;
+use crate::swarm::output::Subscriber;
 
 /// Capacity of the queue in states.
 const MAX_FRAMES: usize = 64;
@@ -224,7 +224,7 @@ impl FrameQueue {
     }
 }
 
-impl Tap for FrameQueue {
+impl Subscriber for FrameQueue {
     fn state(&self, at: (u64, u64), frame: &dyn Fn() -> Arc<Frame>) {
         let mut contents = self.lock();
         if contents.end.is_some() || contents.last == Some(at) {

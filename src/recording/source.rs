@@ -10,7 +10,7 @@ use super::status::Status;
 use crate::convert::{self, Payload};
 use crate::swarm::frame::Frame;
 use crate::swarm::handle::Handle;
-use crate::swarm::outlet::Tap;
+use crate::swarm::output::Subscriber;
 
 /// A subscription to the states of a swarm.
 pub struct Source {
@@ -21,8 +21,8 @@ pub struct Source {
     /// Receives these states until `tap` is dropped.
     pub queue: Arc<FrameQueue>,
     /// Keeps the subscription.
-    pub tap: Arc<dyn Tap>,
-    recipe: Arc<Spec>,
+    pub subscriber: Arc<dyn Subscriber>,
+    spec: Arc<Spec>,
     now: Arc<Frame>,
 }
 
@@ -45,24 +45,24 @@ impl Source {
             drops,
             steps,
         };
-        let queue = Arc::new(FrameQueue::new(choice, missed, handle.awaken()));
-        let tap: Arc<dyn Tap> = queue.clone();
-        tap.state((now.place.epoch, now.place.step), &|| now.clone());
-        handle.outlet.tap(&tap);
+        let queue = Arc::new(FrameQueue::new(choice, missed, handle.waker()));
+        let subscriber: Arc<dyn Subscriber> = queue.clone();
+        subscriber.state((now.stamp.epoch, now.stamp.step), &|| now.clone());
+        handle.output.subscribe(&subscriber);
         Source {
-            swarm: handle.outlet.name.clone(),
+            swarm: handle.output.name.clone(),
             choice,
-            recipe: handle.recipe.clone(),
+            spec: handle.spec.clone(),
             now: now.clone(),
             queue,
-            tap,
+            subscriber,
         }
     }
 
     /// The metadata of its recording.
     pub fn about(&self, status: &Status) -> About {
         let json = |Payload { bytes, .. }| String::from_utf8_lossy(&bytes).into_owned();
-        let spec = Payload::json(&jostle_convert::spec::to_proto(&self.recipe, self.now.seed));
+        let spec = Payload::json(&jostle_convert::spec::to_proto(&self.spec, self.now.seed));
         let parameters = Payload::json(&convert::status(&self.now, None).parameters);
         let began = status.began_unix_secs.to_string();
         About::from([

@@ -126,9 +126,9 @@ impl RecordingWriter {
 
     fn event(&mut self, event: Event, taken: SystemTime) -> Result<(), RecordingError> {
         let moment = Moment {
-            epoch: event.place.epoch,
+            epoch: event.stamp.epoch,
             number: event.number,
-            time: event.place.time,
+            time: event.stamp.time,
             taken,
         };
         let event = Payload::json(&convert::event(&self.swarm, event, self.word));

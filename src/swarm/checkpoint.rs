@@ -1,4 +1,4 @@
-//! A swarm as a whole at one step: what it is kept, copied and brought back by.
+//! The whole state of a swarm at one step, for recovery, forks and snapshots.
 
 use std::sync::Arc;
 
@@ -9,36 +9,37 @@ use crate::swarm::phase::Phase;
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
 
-/// A swarm as a whole: two swarms with equal checkpoints have one future.
+/// The whole state of a swarm: swarms with equal checkpoints evolve equally. On disk it is called a
+/// checkpoint, on the wire a snapshot.
 #[derive(Clone, Debug)]
 pub struct Checkpoint {
     /// The simulation.
     pub simulation: simulation::Checkpoint,
-    /// What it does.
+    /// The phase.
     pub phase: Phase,
-    /// How fast it is to run.
+    /// The rate.
     pub rate: Rate,
-    /// Commands that wait for their step: each with that step, in the order they come due.
+    /// Scheduled commands, each with its step, in the order of execution.
     pub scheduled: Vec<(u64, Scheduled)>,
-    /// The `step` that is being carried out: where it began, and who sent it.
+    /// The `step` that is being executed: where it began, and its client.
     pub pending: Option<(u64, Arc<Sender>)>,
     /// The controllers that have joined.
     pub controllers: Vec<(String, ControllerState)>,
-    /// How many events there have been.
+    /// The number of the last event.
     pub events: u64,
-    /// How many lines of its journal it contains.
+    /// The number of journal lines that it includes.
     pub lines: u64,
-    /// Whether the swarm was put away after it, so that nothing can have come since.
+    /// Whether the daemon stopped cleanly after it, so that no events follow it.
     pub is_last: bool,
 }
 
 impl Checkpoint {
-    /// The same swarm as the beginning of another one: paused, with a history of its own.
+    /// The start of another swarm with the same state: paused, with a history of its own.
     #[must_use]
     pub fn for_another(mut self, phase: Phase) -> Self {
-        for (k, (_, waiting)) in self.scheduled.iter_mut().enumerate() {
-            // They stand on lines of another journal: numbers that this one never gets to.
-            waiting.input = u64::MAX - k as u64;
+        for (k, (_, scheduled)) in self.scheduled.iter_mut().enumerate() {
+            // Their lines are in another journal: numbers that this one does not reach.
+            scheduled.input = u64::MAX - k as u64;
         }
         Checkpoint {
             phase,

@@ -1,61 +1,61 @@
-//! What a swarm can be told.
+//! Commands of a swarm.
 
 use jostle_physics::simulation::{Change, Rate, SetPoints};
 
 use crate::swarm::membership::JoinOptions;
 
-/// What a swarm is told to do.
+/// A command.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Command {
-    /// Run, to an end or for good; `rate` only if it is to change.
+    /// Run.
     Run {
-        /// Where to pause.
+        /// Where to pause; without it the swarm runs until another command.
         until: Option<Until>,
-        /// How fast, if it is to change.
+        /// The new rate; without it the rate does not change.
         rate: Option<Rate>,
     },
-    /// Stand still.
+    /// Pause.
     Pause,
-    /// Take this many steps as fast as possible, and answer when they are taken.
+    /// Take this many steps as fast as possible, and reply after them.
     Step(u64),
-    /// Go back to the start, with a new seed or the old one.
+    /// Return to the start, with a new seed or the old one.
     Reset(Option<u64>),
     /// Change parameters or the group.
     Change(Change),
-    /// Several changes at one step, or none of them.
+    /// Apply all these changes at one step, or none.
     Batch(Vec<Change>),
-    /// Take a controller in.
+    /// Add a controller.
     Join(JoinOptions),
-    /// A controller has advanced by so many steps, with these set-points.
+    /// Advance a controller in lockstep.
     Advance {
-        /// Which.
+        /// Its name.
         controller: String,
-        /// How many.
+        /// By how many steps.
         steps: u64,
-        /// What it wants from now on; without them what it wanted before.
+        /// New set-points; without them the old ones stay.
         set: Option<SetPoints>,
     },
-    /// Let a controller go.
+    /// Remove a controller at its request.
     Leave(String),
-    /// The others have waited long enough for this controller.
+    /// The deadline of this controller has passed.
     Deadline(String),
-    /// This controller's token is gone.
+    /// The liveliness token of this controller is lost.
     Lost(String),
-    /// Set-points that a controller put.
+    /// Apply set-points that a controller put.
     Control {
-        /// Which.
+        /// Its name.
         controller: String,
-        /// Counts its puts.
+        /// The number of the put.
         sequence: u64,
-        /// What it wants.
+        /// The set-points.
         set: SetPoints,
     },
-    /// End.
+    /// Delete the swarm.
     Delete,
 }
 
 impl Command {
-    /// The controller that it is from.
+    /// The controller that sent it.
     pub fn controller(&self) -> Option<&str> {
         match self {
             Command::Join(JoinOptions { controller, .. })
@@ -65,13 +65,12 @@ impl Command {
         }
     }
 
-    /// Whether it is written down and safe before it is carried out. Steps are carried out first,
-    /// and an end is written when it comes.
+    /// Whether it is durable before it is executed. `delete` is not: it journals the end itself.
     pub fn is_write_ahead(&self) -> bool {
         !self.is_group_committed() && !matches!(self, Command::Delete)
     }
 
-    /// Whether it is carried out before it is safe: what is exchanged thousands of times a second.
+    /// Whether it is executed before it is durable, since it is sent thousands of times a second.
     pub fn is_group_committed(&self) -> bool {
         matches!(
             self,
@@ -84,48 +83,48 @@ impl Command {
     }
 }
 
-/// An end of a run.
+/// Where a run ends.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Until {
-    /// This step.
+    /// At this step.
     Step(u64),
-    /// The first step at or after this time.
+    /// At the first step at or after this time.
     Time(f64),
 }
 
-/// Where a recording is to go: to the last frame that is not later.
+/// A position in a recording: the last frame that is not later.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Seek {
-    /// This step of its present run.
+    /// This step of the present run.
     Step(u64),
-    /// This time of its present run.
+    /// This time of the present run.
     Time(f64),
-    /// This share of all of it, from 0 to 1.
+    /// This fraction of the recording, from 0 to 1.
     Fraction(f64),
 }
 
-/// When an order is to be carried out.
+/// When a command is executed, and on which conditions.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct When {
-    /// At this step; at once without one.
+    /// At this step; without it at once.
     pub at_step: Option<u64>,
-    /// Only if the swarm is in this epoch when it comes.
+    /// Only if the swarm is in this epoch when the command is received.
     pub expect_epoch: Option<u64>,
-    /// Only if the swarm is at this step when it comes.
+    /// Only if the swarm is at this step when the command is received.
     pub expect_step: Option<u64>,
 }
 
-/// When a waiting `get` is answered.
+/// The condition of `get/wait`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Awaited {
-    /// When this step is reached, or the swarm stands still.
+pub enum WaitCondition {
+    /// At this step, or when the swarm does not move.
     Step(u64),
-    /// When this step is reached, however often the swarm stands still before.
+    /// At this step, whether or not the swarm pauses before.
     Reached(u64),
-    /// When it is paused.
+    /// When the swarm is paused.
     Paused,
-    /// When it moves.
+    /// When the swarm moves.
     Running,
-    /// When it has faulted.
+    /// When the swarm has faulted.
     Faulted,
 }

@@ -1,6 +1,7 @@
-//! The controllers that have joined a swarm: whom each steers, how far each has advanced, and for
-//! whom the swarm waits. Clocks are the caller's: whether a deadline has passed is asked with a
-//! time, and that it did is an order like any other, so that a journal told again needs no clock.
+//! The controllers that have joined a swarm: the individuals that each steers, the step that each has
+//! advanced to, and their deadlines.
+//!
+//! The caller passes the time. A deadline that has passed is a command, so a replay needs no clock.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
@@ -8,24 +9,24 @@ use std::time::Instant;
 
 use crate::swarm::error::SwarmError;
 use crate::swarm::membership::{
-    ControllerState, Departure, JoinOptions, Miss, Mode, News, Put, Puts, Seen,
+    ControllerState, ControllerStatus, Departure, JoinOptions, Miss, Mode, News, Put, Puts,
 };
 use crate::swarm::outcome::ReplyTo;
 use crate::swarm::sender::Sender;
 
 /// Controllers that may join one swarm.
-const MOST: usize = 256;
+const MAX_CONTROLLERS: usize = 256;
 
-/// Departures that are remembered, to tell whoever comes back.
-const MOST_DEPARTURES: usize = 256;
+/// Departures that are kept for the error that a controller gets after it has left.
+const MAX_DEPARTURES: usize = 256;
 
 /// A controller that has joined.
 pub struct Member {
-    /// What outlives a crash.
-    pub kept: ControllerState,
-    /// Takes the answer to its `advance`.
-    answer: Option<ReplyTo>,
-    /// Since when the swarm waits for it, or since when it has put nothing.
+    /// What is persisted.
+    pub state: ControllerState,
+    /// Receives the reply to its `advance`.
+    reply_to: Option<ReplyTo>,
+    /// Since when the swarm waits for it, or the time of its last put.
     since: Option<Instant>,
     put: Option<Put>,
     puts: Puts,
@@ -36,19 +37,19 @@ pub struct Member {
 pub struct Controllers {
     members: BTreeMap<String, Member>,
     departures: VecDeque<(String, Departure, u64)>,
-    /// When the next deadline or lease ends.
+    /// The next deadline or end of a lease.
     due: Option<Instant>,
 }
 
 impl Controllers {
-    /// Those that were there at a checkpoint; `answers` takes what their advances come to.
-    pub fn recall(
-        kept: Vec<(String, ControllerState)>,
-        mut answers: impl FnMut(&Arc<Sender>) -> ReplyTo,
+    /// The controllers of a checkpoint; `reply_for` makes the receivers of the replies to their advances.
+    pub fn restore(
+        state: Vec<(String, ControllerState)>,
+        mut reply_for: impl FnMut(&Arc<Sender>) -> ReplyTo,
     ) -> Self {
-        let members = kept.into_iter().map(|(name, kept)| {
-            let answer = kept.advance.as_ref().map(&mut answers);
-            (name, Member::new(kept, answer))
+        let members = state.into_iter().map(|(name, state)| {
+            let reply_to = state.advance.as_ref().map(&mut reply_for);
+            (name, Member::new(state, reply_to))
         });
         Controllers {
             members: members.collect(),
@@ -56,15 +57,15 @@ impl Controllers {
         }
     }
 
-    /// All that outlives a crash.
-    pub fn kept(&self) -> Vec<(String, ControllerState)> {
+    /// The persisted state of each.
+    pub fn states(&self) -> Vec<(String, ControllerState)> {
         let members = self.members.iter();
         members
-            .map(|(name, member)| (name.clone(), member.kept.clone()))
+            .map(|(name, member)| (name.clone(), member.state.clone()))
             .collect()
     }
 
-    /// Whether nobody has joined.
+    /// Whether no controller has joined.
     pub fn is_empty(&self) -> bool {
         self.members.is_empty()
     }
@@ -78,7 +79,7 @@ impl Controllers {
     ///
     /// # Errors
     ///
-    /// [`SwarmError::NotJoined`], with why it is no longer there, if it once was.
+    /// [`SwarmError::NotJoined`], with the reason of its departure if it had joined.
     pub fn find(&mut self, controller: &str) -> Result<&mut Member, SwarmError> {
         let departures = self.departures.iter().rev();
         let mut departures = departures.filter(|(name, ..)| name == controller);
@@ -91,28 +92,28 @@ impl Controllers {
             })
     }
 
-    /// Who may steer this individual.
+    /// The controller that has claimed this individual.
     pub fn owner(&self, id: u32) -> Option<&str> {
         let mut members = self.members.iter();
         members
-            .find(|(_, member)| member.kept.claims.contains(&id))
+            .find(|(_, member)| member.state.claims.contains(&id))
             .map(|(name, _)| name.as_str())
     }
 
-    /// Everybody who is claimed by another than this controller.
-    pub fn claimed_beside(&self, controller: &str) -> BTreeSet<u32> {
+    /// The individuals that other controllers have claimed.
+    pub fn claimed_by_others(&self, controller: &str) -> BTreeSet<u32> {
         let others = self.members.iter().filter(|(name, _)| *name != controller);
         others
-            .flat_map(|(_, member)| member.kept.claims.iter().copied())
+            .flat_map(|(_, member)| member.state.claims.iter().copied())
             .collect()
     }
 
-    /// Whether a controller may join by these terms.
+    /// Whether a controller may join with these options.
     ///
     /// # Errors
     ///
     /// [`SwarmError::HasJoined`] and [`SwarmError::TooManyControllers`].
-    pub fn admit(&self, options: &JoinOptions) -> Result<(), SwarmError> {
+    pub fn check_join(&self, options: &JoinOptions) -> Result<(), SwarmError> {
         if self.members.contains_key(&options.controller) {
             return match options.again {
                 true => Ok(()),
@@ -120,13 +121,15 @@ impl Controllers {
             };
         }
         match self.members.len() {
-            MOST => Err(SwarmError::TooManyControllers { limit: MOST }),
+            MAX_CONTROLLERS => Err(SwarmError::TooManyControllers {
+                limit: MAX_CONTROLLERS,
+            }),
             _ => Ok(()),
         }
     }
 
-    /// Takes a controller in at `step`; with `None` it claims whom it claimed before. Gives back
-    /// whoever still waited for its last advance.
+    /// Adds a controller at `step`; without `claims` it keeps its earlier ones. Returns the receiver of
+    /// the reply to an `advance` that was pending.
     pub fn join(
         &mut self,
         options: &JoinOptions,
@@ -134,7 +137,7 @@ impl Controllers {
         step: u64,
     ) -> Option<ReplyTo> {
         let before = self.members.remove(&options.controller);
-        let (old, answer) = before.map_or((None, None), |it| (Some(it.kept), it.answer));
+        let (old, reply_to) = before.map_or((None, None), |it| (Some(it.state), it.reply_to));
         let old = old.unwrap_or_else(|| ControllerState {
             mode: options.mode,
             deadline: options.deadline,
@@ -150,7 +153,7 @@ impl Controllers {
             sequence: 0,
         });
         let claims = claims.unwrap_or_else(|| old.claims.clone());
-        let kept = ControllerState {
+        let state = ControllerState {
             mode: options.mode,
             deadline: options.deadline,
             on_timeout: options.on_timeout,
@@ -164,17 +167,17 @@ impl Controllers {
             ..old
         };
         self.members
-            .insert(options.controller.clone(), Member::new(kept, None));
-        answer
+            .insert(options.controller.clone(), Member::new(state, None));
+        reply_to
     }
 
-    /// Takes a controller out at `step`, and tells the others. Gives back what it was.
-    pub fn part(&mut self, controller: &str, why: Departure, step: u64) -> Option<Member> {
+    /// Removes a controller at `step`, and adds that to the news of the others.
+    pub fn remove(&mut self, controller: &str, why: Departure, step: u64) -> Option<Member> {
         let member = self.members.remove(controller)?;
         for other in self.members.values_mut() {
-            other.kept.news.left.push((controller.to_owned(), why));
+            other.state.news.left.push((controller.to_owned(), why));
         }
-        if self.departures.len() == MOST_DEPARTURES {
+        if self.departures.len() == MAX_DEPARTURES {
             self.departures.pop_front();
         }
         self.departures
@@ -182,157 +185,157 @@ impl Controllers {
         Some(member)
     }
 
-    /// Tells everybody of a deadline that fired at `step`. Returns how many were missed in a row.
-    pub fn miss(&mut self, controller: &str, step: u64) -> u32 {
+    /// Adds a deadline that fired at `step` to the news of all. Returns the number of misses in a row.
+    pub fn record_miss(&mut self, controller: &str, step: u64) -> u32 {
         let Some(member) = self.members.get_mut(controller) else {
             return 0;
         };
-        member.kept.misses += 1;
+        member.state.misses += 1;
         member.since = None;
         let miss = Miss {
             controller: controller.to_owned(),
             step,
-            misses: member.kept.misses,
+            misses: member.state.misses,
         };
         for member in self.members.values_mut() {
-            member.kept.news.missed.push(miss.clone());
+            member.state.news.missed.push(miss.clone());
         }
         miss.misses
     }
 
-    /// The least step that anybody has advanced to beyond `step`.
-    pub fn nearest(&self, step: u64) -> Option<u64> {
-        let targets = self.lockstep().map(|(_, member)| member.kept.target);
+    /// The least step beyond `step` that a controller has advanced to.
+    pub fn nearest_target(&self, step: u64) -> Option<u64> {
+        let targets = self.lockstep().map(|(_, member)| member.state.target);
         targets.filter(|&target| target > step).min()
     }
 
-    /// The step up to which every controller has advanced, if that lies beyond `step`.
-    pub fn together(&self, step: u64) -> Option<u64> {
-        let targets = self.lockstep().map(|(_, member)| member.kept.target);
+    /// The step that all controllers have advanced to, if it is beyond `step`.
+    pub fn common_target(&self, step: u64) -> Option<u64> {
+        let targets = self.lockstep().map(|(_, member)| member.state.target);
         targets.min().filter(|&target| target > step)
     }
 
-    /// Takes out the answers of all whose advance has come to its end at `step`, or of everybody,
-    /// each with where it began and what is news to it.
-    pub fn arrived(&mut self, step: u64, everybody: bool) -> Vec<(ReplyTo, u64, News)> {
+    /// Takes the pending advances that end at `step`, or all: the receiver of the reply, the step at
+    /// which each began, and the news.
+    pub fn take_arrived(&mut self, step: u64, all: bool) -> Vec<(ReplyTo, u64, News)> {
         let mut arrived = Vec::new();
         for member in self.members.values_mut() {
-            let kept = &mut member.kept;
-            if (kept.target <= step || everybody) && kept.advance.take().is_some() {
-                kept.target = kept.target.min(step);
-                if let Some(answer) = member.answer.take() {
-                    arrived.push((answer, kept.from, std::mem::take(&mut kept.news)));
+            let state = &mut member.state;
+            if (state.target <= step || all) && state.advance.take().is_some() {
+                state.target = state.target.min(step);
+                if let Some(reply_to) = member.reply_to.take() {
+                    arrived.push((reply_to, state.from, std::mem::take(&mut state.news)));
                 }
             }
         }
         arrived
     }
 
-    /// Takes out the answers of everybody who waits.
-    pub fn give_up(&mut self) -> Vec<ReplyTo> {
+    /// Takes the receivers of all pending replies.
+    pub fn cancel_advances(&mut self) -> Vec<ReplyTo> {
         let members = self.members.values_mut();
         members
             .filter_map(|member| {
-                member.kept.advance = None;
-                member.answer.take()
+                member.state.advance = None;
+                member.reply_to.take()
             })
             .collect()
     }
 
-    /// Begins anew at `step`, with only these individuals left.
-    pub fn restart(&mut self, step: u64, is_there: impl Fn(u32) -> bool) {
+    /// Restarts at `step`, with only these individuals left.
+    pub fn restart(&mut self, step: u64, exists: impl Fn(u32) -> bool) {
         for member in self.members.values_mut() {
-            member.kept.target = step;
-            member.kept.from = step;
-            member.kept.steered.clear();
+            member.state.target = step;
+            member.state.from = step;
+            member.state.steered.clear();
             member.put = None;
         }
-        self.forget(is_there);
+        self.retain_individuals(exists);
     }
 
-    /// Forgets those who are gone, and has their owners told.
-    pub fn forget(&mut self, is_there: impl Fn(u32) -> bool) {
+    /// Drops the individuals that no longer exist, and adds that to the news of their controllers.
+    pub fn retain_individuals(&mut self, exists: impl Fn(u32) -> bool) {
         for member in self.members.values_mut() {
-            let kept = &mut member.kept;
-            let gone: Vec<u32> = kept
+            let state = &mut member.state;
+            let gone: Vec<u32> = state
                 .claims
                 .iter()
                 .copied()
-                .filter(|&id| !is_there(id))
+                .filter(|&id| !exists(id))
                 .collect();
             for id in gone {
-                kept.claims.remove(&id);
-                kept.steered.remove(&id);
-                kept.news.removed.push(id);
+                state.claims.remove(&id);
+                state.steered.remove(&id);
+                state.news.removed.push(id);
             }
         }
     }
 
-    /// Looks anew for whom the swarm waits at `step`, and until when.
-    pub fn wait_at(&mut self, step: u64, now: Instant) {
-        let somebody_waits = self.nearest(step).is_some();
+    /// Updates the deadlines at `step`.
+    pub fn update_deadlines(&mut self, step: u64, now: Instant) {
+        let is_waiting = self.nearest_target(step).is_some();
         self.due = None;
         for member in self.members.values_mut() {
-            let is_awaited = match member.kept.mode {
-                Mode::Lockstep => somebody_waits && member.kept.target <= step,
-                // Its lease runs from its last put on, if what that said still holds.
-                Mode::FreeRunning => !member.kept.steered.is_empty() && member.kept.misses == 0,
+            let is_awaited = match member.state.mode {
+                Mode::Lockstep => is_waiting && member.state.target <= step,
+                // The lease begins at the last put, as long as its set-points hold.
+                Mode::FreeRunning => !member.state.steered.is_empty() && member.state.misses == 0,
             };
             if !is_awaited {
                 member.since = None;
                 continue;
             }
-            let due = *member.since.get_or_insert(now) + member.kept.deadline;
+            let due = *member.since.get_or_insert(now) + member.state.deadline;
             self.due = Some(self.due.map_or(due, |least| least.min(due)));
         }
     }
 
-    /// Waits for nobody, until it is looked anew.
-    pub fn rest(&mut self) {
+    /// Clears the deadline until the next update.
+    pub fn clear_deadline(&mut self) {
         self.due = None;
     }
 
-    /// When the next deadline or lease ends.
+    /// The next deadline or end of a lease.
     pub fn due(&self) -> Option<Instant> {
         self.due
     }
 
-    /// Whose deadline or lease has ended.
+    /// The controllers whose deadline or lease has ended.
     pub fn overdue(&self, now: Instant) -> Vec<String> {
         if self.due.is_none_or(|due| due > now) {
             return Vec::new();
         }
         let overdue = self.members.iter().filter(|(_, member)| {
             let since = member.since;
-            since.is_some_and(|since| since + member.kept.deadline <= now)
+            since.is_some_and(|since| since + member.state.deadline <= now)
         });
         overdue.map(|(name, _)| name.clone()).collect()
     }
 
-    /// Takes set-points that were put; the newest wins, and all are counted.
-    pub fn put(&mut self, controller: &str, put: Put, is_of_now: bool) {
+    /// Queues set-points, which replace older ones, and counts the outcome.
+    pub fn put(&mut self, controller: &str, put: Put, is_current_epoch: bool) {
         let Some(member) = self.members.get_mut(controller) else {
             return;
         };
-        let kept = &member.kept;
-        let newest = member.put.as_ref().map_or(kept.sequence, |it| it.sequence);
-        if kept.mode == Mode::Lockstep {
-            member.puts.refused += 1;
-        } else if put.sequence <= newest || !is_of_now {
+        let state = &member.state;
+        let newest = member.put.as_ref().map_or(state.sequence, |it| it.sequence);
+        if state.mode == Mode::Lockstep {
+            member.puts.rejected += 1;
+        } else if put.sequence <= newest || !is_current_epoch {
             member.puts.stale += 1;
         } else if member.put.replace(put).is_some() {
             member.puts.overtaken += 1;
         }
     }
 
-    /// Counts a put that could not be read.
-    pub fn refuse_put(&mut self, controller: &str) {
+    /// Counts a put that could not be parsed.
+    pub fn count_rejected_put(&mut self, controller: &str) {
         if let Some(member) = self.members.get_mut(controller) {
-            member.puts.refused += 1;
+            member.puts.rejected += 1;
         }
     }
 
-    /// Takes out the set-points that wait, in the order of their controllers' names.
+    /// Takes the queued set-points, in the order of the controllers' names.
     pub fn take_puts(&mut self) -> Vec<(String, Put)> {
         let members = self.members.iter_mut();
         members
@@ -340,21 +343,21 @@ impl Controllers {
             .collect()
     }
 
-    /// All of them, as others see them.
-    pub fn seen(&self, now: Instant) -> Vec<Seen> {
+    /// All of them, for replies to queries.
+    pub fn statuses(&self, now: Instant) -> Vec<ControllerStatus> {
         let members = self.members.iter().map(|(name, member)| {
-            let kept = &member.kept;
-            let is_lockstep = kept.mode == Mode::Lockstep;
+            let state = &member.state;
+            let is_lockstep = state.mode == Mode::Lockstep;
             let waited = member.since.filter(|_| is_lockstep);
-            Seen {
+            ControllerStatus {
                 controller: name.clone(),
-                mode: kept.mode,
-                ids: kept.claims.iter().copied().collect(),
-                deadline: kept.deadline,
-                on_timeout: kept.on_timeout,
-                driving: kept.driving,
-                target: is_lockstep.then_some(kept.target),
-                misses: kept.misses,
+                mode: state.mode,
+                ids: state.claims.iter().copied().collect(),
+                deadline: state.deadline,
+                on_timeout: state.on_timeout,
+                driving: state.driving,
+                target: is_lockstep.then_some(state.target),
+                misses: state.misses,
                 waited: waited.map(|since| now.saturating_duration_since(since)),
                 puts: member.puts,
             }
@@ -362,54 +365,54 @@ impl Controllers {
         members.collect()
     }
 
-    /// Those that advance in lock-step.
+    /// The controllers in lockstep.
     fn lockstep(&self) -> impl Iterator<Item = (&String, &Member)> {
         let members = self.members.iter();
-        members.filter(|(_, member)| member.kept.mode == Mode::Lockstep)
+        members.filter(|(_, member)| member.state.mode == Mode::Lockstep)
     }
 }
 
 impl Member {
-    fn new(kept: ControllerState, answer: Option<ReplyTo>) -> Self {
+    fn new(state: ControllerState, reply_to: Option<ReplyTo>) -> Self {
         Member {
-            kept,
-            answer,
+            state,
+            reply_to,
             since: None,
             put: None,
             puts: Puts::default(),
         }
     }
 
-    /// Has advanced to a step; gives back whoever waited for an advance before.
+    /// Begins an `advance`. Returns the receiver of the reply to one that was pending.
     pub fn advance(
         &mut self,
         from: u64,
         target: u64,
         sender: Arc<Sender>,
-        answer: ReplyTo,
+        reply_to: ReplyTo,
     ) -> Option<ReplyTo> {
-        self.kept.from = from;
-        self.kept.target = target;
-        self.kept.misses = 0;
-        self.kept.advance = Some(sender);
+        self.state.from = from;
+        self.state.target = target;
+        self.state.misses = 0;
+        self.state.advance = Some(sender);
         self.since = None;
-        self.answer.replace(answer)
+        self.reply_to.replace(reply_to)
     }
 
-    /// Counts set-points that were put and applied, or were not to be.
+    /// Counts set-points that were applied or rejected.
     pub fn count_put(&mut self, sequence: u64, is_applied: bool) {
-        self.kept.sequence = sequence;
-        self.kept.misses = 0;
+        self.state.sequence = sequence;
+        self.state.misses = 0;
         self.since = None;
         match is_applied {
             true => self.puts.applied += 1,
-            false => self.puts.refused += 1,
+            false => self.puts.rejected += 1,
         }
     }
 
-    /// Who waits for its advance.
-    pub fn take_answer(&mut self) -> Option<ReplyTo> {
-        self.kept.advance = None;
-        self.answer.take()
+    /// Takes the receiver of the reply to the pending `advance`.
+    pub fn take_reply_to(&mut self) -> Option<ReplyTo> {
+        self.state.advance = None;
+        self.reply_to.take()
     }
 }

@@ -6,61 +6,61 @@ use thiserror::Error;
 use crate::swarm::membership::{Departure, MAX_MISSES};
 use crate::swarm::phase::PhaseError;
 
-/// Why an order was not carried out; nothing has changed then.
+/// Why a command was rejected; nothing has changed.
 #[derive(Clone, Debug, Error)]
 pub enum SwarmError {
     /// The phase does not allow it.
     #[error(transparent)]
     Phase(#[from] PhaseError),
-    /// The swarm is elsewhere than the sender takes it to be.
+    /// The swarm is not at the expected step or epoch.
     #[error("the swarm is at {what} {actual}, not {expected}: look at its status and send again")]
     Conflict {
         /// `step` or `epoch`.
         what: &'static str,
-        /// Where the sender takes it to be.
+        /// What the client expected.
         expected: u64,
-        /// Where it is.
+        /// What it is.
         actual: u64,
     },
-    /// The step it was to be carried out at lies behind.
+    /// `at_step` is in the past.
     #[error("at_step {at_step} is in the past, the swarm is at step {step}: name a later one")]
     Late {
-        /// The step asked for.
+        /// The requested step.
         at_step: u64,
-        /// Where it is.
+        /// The present step.
         step: u64,
     },
-    /// Too many commands wait for their step.
-    #[error("{limit} commands wait for their step already: send this one later, or reset")]
+    /// Too many commands are scheduled.
+    #[error("{limit} commands are scheduled already: send this one later, or reset")]
     TooManyScheduled {
         /// The limit.
         limit: usize,
     },
-    /// The swarm was reset before the command's step came.
+    /// The swarm was reset before the step of a scheduled command.
     #[error(
-        "the swarm was reset before step {at_step} came: send it anew, under another request_id"
+        "the swarm was reset before step {at_step} came: send it again with another request_id"
     )]
     Overtaken {
-        /// The step it was to be carried out at.
+        /// The step for which it was scheduled.
         at_step: u64,
     },
-    /// One of several changes is not possible, so none was made.
+    /// One change of a batch was rejected, so none was applied.
     #[error("commands[{index}]: {error}; none was applied")]
     InBatch {
-        /// Which.
+        /// Its index.
         index: usize,
         /// Why.
         error: Box<SwarmError>,
     },
-    /// The order uncovered a defect.
+    /// The command panicked.
     #[error("a defect of the daemon: nothing was changed; please report what you sent")]
     Panicked,
-    /// The end of a run lies behind.
+    /// The end of a run is in the past.
     #[error("until_step {until} is in the past, the swarm is at step {step}: name a later one")]
     Past {
-        /// The end asked for.
+        /// The requested end.
         until: u64,
-        /// Where it is.
+        /// The present step.
         step: u64,
     },
     /// A start or a change was rejected.
@@ -71,78 +71,78 @@ pub enum SwarmError {
     NotJoined {
         /// The name.
         controller: String,
-        /// Why it is no longer there, and at which step it left.
+        /// Why and at which step it left, if it had joined.
         left: Option<(Departure, u64)>,
     },
     /// A controller of this name has joined.
     #[error(
-        "a controller {0} has joined: take another name, or say `again` if it is the same one that \
-         comes back"
+        "a controller {0} has joined: take another name, or set `again` if it is the same one that \
+         rejoins"
     )]
     HasJoined(String),
     /// No more controllers can join.
-    #[error("{limit} controllers have joined already: have one leave")]
+    #[error("{limit} controllers have joined already: remove one with `leave`")]
     TooManyControllers {
         /// The limit.
         limit: usize,
     },
-    /// Another controller steers an individual.
+    /// Another controller has claimed an individual.
     #[error(
-        "individual {id} is steered by controller {controller}: choose others, or have it leave"
+        "individual {id} is steered by controller {controller}: choose others, or send `leave` for it"
     )]
     Claimed {
-        /// Which.
+        /// The individual.
         id: u32,
-        /// Whose it is.
+        /// The controller that has claimed it.
         controller: String,
     },
-    /// A controller wants to steer an individual that is not its own.
+    /// The controller has not claimed an individual that it steers.
     #[error("{}", not_claimed(*.id, .owner.as_deref()))]
     NotClaimed {
-        /// Which.
+        /// The individual.
         id: u32,
-        /// Whose it is.
+        /// The controller that has claimed it.
         owner: Option<String>,
     },
-    /// A controller wants to drive individuals directly that did not join for it.
+    /// The controller did not join with `driving`.
     #[error("controller {0} did not join to drive individuals directly: join with `driving`")]
     NotDriving(String),
     /// The swarm moves when its controllers advance.
     #[error(
-        "controllers have joined, and the swarm steps when all of them `advance`: have them leave \
+        "controllers have joined, and the swarm steps when all of them `advance`: remove them \
          first"
     )]
     Lockstep,
-    /// A controller that steers while the swarm runs does not advance it.
+    /// A free-running controller cannot advance the swarm.
     #[error("controller {0} joined a swarm that runs freely: join in mode lockstep to advance it")]
     RunsFreely(String),
-    /// A controller's last advance is under way.
-    #[error("controller {controller} is advancing to step {target} already: wait for that answer")]
+    /// The last advance of the controller is pending.
+    #[error("controller {controller} is advancing to step {target} already: wait for that reply")]
     Advancing {
-        /// Which.
+        /// The controller.
         controller: String,
-        /// Whither.
+        /// The step it advances to.
         target: u64,
     },
-    /// The same controller asked again, and the newer request takes the place of this one.
+    /// A newer request of the same controller replaced this one.
     #[error("a later request of the same controller took the place of this one")]
     Superseded,
-    /// It was refused before the daemon restarted, and is not tried again.
-    #[error("it was refused before the daemon restarted: send it anew")]
-    RefusedBefore,
-    /// The order could not be made safe, so it was not carried out.
+    /// The command was rejected before the daemon restarted; a replay does not execute it.
+    #[error("it was rejected before the daemon restarted: send it again")]
+    RejectedBefore,
+    /// The command could not be made durable, so it was not executed.
     #[error("{0}: nothing was changed; make room on the disk of data_dir and send it again")]
     Unsafe(WriteFault),
-    /// A recording has no future that could be changed.
+    /// A playback does not accept this command.
     #[error(
         "this is a replay of a recording: it takes run, pause, step, seek, reset and delete; create \
          or restore a swarm to change what happens"
     )]
     Recorded,
-    /// Only a recording can be sought through.
+    /// Only a playback can seek.
     #[error("this swarm is no replay: fork it at a step it has passed, or replay a recording")]
     NotRecorded,
-    /// A replay has no frame there.
+    /// The recording has no frame there.
     #[error(
         "{field} = {value} is outside the run that was recorded: give a {field} from {first} to \
          {last}, or a fraction from 0 to 1"
@@ -150,51 +150,51 @@ pub enum SwarmError {
     OutsideRecording {
         /// `step` or `time`.
         field: &'static str,
-        /// What was sought.
+        /// The requested value.
         value: f64,
-        /// The first there is in the run of the recorded swarm that the replay is at.
+        /// The first in the run at which the playback is.
         first: f64,
-        /// The last there is.
+        /// The last in that run.
         last: f64,
     },
-    /// A recording cannot be shown.
-    #[error("the recording cannot be shown: {0}")]
-    Film(String),
-    /// More than `limit` waited for the swarm, and this one had waited longest.
+    /// The recording cannot be read.
+    #[error("cannot play the recording: {0}")]
+    Playback(String),
+    /// More than `limit` queries wait for the swarm, and this one has waited longest.
     #[error(
-        "not yet so after {after_secs:.3} s, and more than {limit} wait for this swarm, of which \
-         this one has waited longest: ask again in a moment"
+        "condition not met within {after_secs:.3} s, and more than {limit} queries wait for this \
+         swarm, of which this one has waited longest: retry"
     )]
     Displaced {
-        /// How long it was waited for.
+        /// How long it has waited.
         after_secs: f64,
-        /// How many may wait.
+        /// The limit.
         limit: usize,
     },
-    /// Too many orders at once.
-    #[error("too much at once for this swarm: try again in a moment")]
+    /// The queue of the swarm is full.
+    #[error("the queue of this swarm is full: retry in a moment")]
     Busy,
-    /// A step failed while the order ran.
+    /// A step failed while the command was executed.
     #[error("the swarm faulted while this ran ({0}): reset or delete it")]
     Faulted(String),
-    /// The swarm ended before the order's turn.
+    /// The swarm ended before it received the command.
     #[error("the swarm was deleted")]
     Gone,
 }
 
-/// Why something could not be written; nothing of it was.
+/// Why a write to the journal failed; nothing was written.
 #[derive(Clone, Debug, Error, PartialEq, Eq)]
 pub enum WriteFault {
-    /// There is no space.
+    /// The disk is full.
     #[error("no space is left for the journal")]
     Full,
-    /// It failed otherwise, or the daemon stops.
+    /// Another failure, or the daemon is stopping.
     #[error("the journal cannot be written ({0})")]
     Failed(String),
 }
 
 impl SwarmError {
-    /// Whether it may come out otherwise when the same is ordered again of the same state.
+    /// Whether the same command may succeed later in the same state.
     pub fn may_succeed_later(&self) -> bool {
         match self {
             SwarmError::Change(ChangeError::Reserve(_))
@@ -216,9 +216,11 @@ fn not_joined(controller: &str, left: Option<(Departure, u64)>) -> String {
     let why = match left {
         None => return format!("no controller {controller} has joined: join first"),
         Some((Departure::Left, step)) => format!("left at step {step}"),
-        Some((Departure::Lost, step)) => format!("was lost at step {step}, its token went"),
+        Some((Departure::Lost, step)) => {
+            format!("was lost at step {step} (its liveliness token is gone)")
+        }
         Some((Departure::Late, step)) => {
-            format!("missed {MAX_MISSES} deadlines up to step {step} and was let go")
+            format!("missed {MAX_MISSES} deadlines up to step {step} and was removed")
         }
     };
     format!("controller {controller} {why}: join again")

@@ -1,4 +1,4 @@
-//! What a swarm shows of itself.
+//! Frames, summaries and events of a swarm.
 
 use std::sync::{Arc, OnceLock};
 
@@ -9,62 +9,62 @@ use jostle_physics::observables::{Order, RunningMeans};
 use jostle_physics::simulation::{Exactness, Rate};
 
 use crate::swarm::error::SwarmError;
-use crate::swarm::membership::Seen;
+use crate::swarm::membership::ControllerStatus;
 use crate::swarm::phase::Phase;
 use crate::swarm::sender::Sender;
 
-/// Where a swarm is: the head of every answer.
+/// The epoch, step, time, phase and sequence number of a swarm, in every reply and event.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Place {
-    /// Grows whenever `step` does not continue what was shown before.
+pub struct Stamp {
+    /// Grows whenever `step` does not continue the steps before.
     pub epoch: u64,
     /// The number of steps since the start.
     pub step: u64,
     /// `step · dt`.
     pub time: f64,
-    /// What it is doing.
+    /// The phase.
     pub phase: Phase,
-    /// Counts the applied commands.
+    /// The number of applied commands.
     pub seq: u64,
 }
 
-/// A whole state, measured.
+/// A state and its observables.
 #[derive(Clone, Debug)]
 pub struct Frame {
-    /// Where the swarm is.
-    pub place: Place,
+    /// Where the swarm was.
+    pub stamp: Stamp,
     /// The parameters in force.
     pub parameters: Parameters,
     /// Steps between two published states.
     pub publish_every: u64,
     /// The seed of every draw.
     pub seed: u64,
-    /// Commands that wait for their step.
+    /// The number of scheduled commands.
     pub scheduled: usize,
-    /// Everybody.
+    /// The individuals.
     pub configuration: Configuration,
     /// Order and drift now.
     pub order: Order,
     /// Their means since the start or reset.
     pub means: RunningMeans,
-    /// How exact the last step was.
+    /// The exactness of the last step.
     pub exactness: Exactness,
-    /// How fast it is to run.
+    /// The rate.
     pub rate: Rate,
-    /// How fast it lately ran.
+    /// The measured rate.
     pub real_time_factor: Option<f64>,
-    /// What it is a frame of, if it was recorded.
+    /// The position in the recording, of a playback.
     pub replay: Option<Replay>,
-    /// The controllers that have joined, where they were asked for.
-    pub controllers: Vec<Seen>,
-    /// BLAKE3 of the state, where it was asked for.
+    /// The controllers that have joined, if requested.
+    pub controllers: Vec<ControllerStatus>,
+    /// BLAKE3 of the state, if requested.
     pub hash: Option<[u8; 32]>,
-    /// Filled by the first who asks, so that the swarm's thread need not measure.
+    /// Computed by the first reader, not on the thread of the swarm.
     pub(crate) gaps: OnceLock<Gaps>,
 }
 
 impl Frame {
-    /// The gaps between the bodies, measured apart from the solver.
+    /// The gaps between the bodies, computed independently of the solver.
     pub fn gaps(&self) -> Gaps {
         *self
             .gaps
@@ -72,14 +72,14 @@ impl Frame {
     }
 }
 
-/// Where in a recording a frame stands.
+/// The position of a frame in a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Replay {
     /// The swarm that was recorded.
     pub of: Arc<str>,
     /// The number of the frame, from 1.
     pub frame: u64,
-    /// How many there are.
+    /// The number of frames.
     pub frames: u64,
     /// Time units since the first.
     pub position: f64,
@@ -87,32 +87,32 @@ pub struct Replay {
     pub duration: f64,
 }
 
-/// A swarm in a list: cheap enough to be kept up to date always.
+/// A swarm in a list: cheap enough to be kept up to date.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Summary {
-    /// Where it is.
-    pub place: Place,
+    /// Where the swarm was.
+    pub stamp: Stamp,
     /// The size of the group.
     pub n: usize,
-    /// How many of it are informed.
+    /// The number of informed individuals.
     pub informed: usize,
     /// The polar order parameter.
     pub order: f64,
-    /// How fast it is to run.
+    /// The rate.
     pub rate: Rate,
-    /// How fast it lately ran.
+    /// The measured rate.
     pub real_time_factor: Option<f64>,
-    /// Whether it is a recording.
+    /// Whether it is a playback.
     pub is_replay: bool,
 }
 
-/// Something that happened to a swarm.
+/// An event of a swarm.
 #[derive(Clone, Debug)]
 pub struct Event {
-    /// Counts them from 1.
+    /// Its number, from 1.
     pub number: u64,
     /// Where the swarm was.
-    pub place: Place,
+    pub stamp: Stamp,
     /// The wall-clock time, in seconds since 1970, if known.
     pub unix_secs: Option<f64>,
     /// What happened.
@@ -128,18 +128,18 @@ pub enum EventKind {
     Phase,
     /// A command was applied.
     Command(Arc<Sender>),
-    /// A command waits for this step.
+    /// A command was scheduled for this step.
     Scheduled(u64, Arc<Sender>),
-    /// A command that waited for its step was not carried out, for this reason.
-    Refused(Arc<Sender>, SwarmError),
-    /// These are uninformed again.
+    /// A scheduled command was rejected, for this reason.
+    Rejected(Arc<Sender>, SwarmError),
+    /// These individuals are uninformed again.
     Lapsed(Vec<u32>),
     /// A step failed.
     Fault(String),
-    /// The daemon's recording of that name has failed, for this reason.
+    /// The recording of this name has failed, for this reason.
     RecordingFailed(Arc<str>, Arc<str>),
-    /// A recording tells this, as JSON.
-    Told(Arc<str>),
+    /// An event of a recording, as JSON.
+    Recorded(Arc<str>),
     /// It was deleted.
     Deleted,
 }

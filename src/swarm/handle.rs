@@ -1,4 +1,4 @@
-//! How the rest of the daemon reaches a swarm.
+//! The handle of a swarm, and the messages it accepts.
 
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -12,139 +12,139 @@ use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Summary;
 use crate::swarm::history::History;
 use crate::swarm::membership::Put;
+use crate::swarm::metrics::{SwarmMetrics, Totals};
 use crate::swarm::outcome::{Rejection, ReplyTo};
-use crate::swarm::outlet::Outlet;
+use crate::swarm::output::Output;
 use crate::swarm::sender::Sender;
-use crate::swarm::tally::{Tally, Totals};
 use crate::swarm::waiters::Waiter;
 
-/// What a swarm's thread takes, in the order of arrival.
+/// A message to the thread of a swarm. Messages are handled in the order of arrival.
 pub enum Message {
     /// A command.
     Command(CommandMessage),
-    /// A look at the state as it is now.
-    Look(ReplyTo),
-    /// A look when something has come about.
+    /// Reply with the present state.
+    Query(ReplyTo),
+    /// Reply with the state when a condition is met.
     Wait(Waiter),
-    /// All of it as it is now.
-    Copy(ReplyTo),
-    /// A recording is to go there.
+    /// Reply with a checkpoint.
+    TakeCheckpoint(ReplyTo),
+    /// Seek in a recording.
     Seek(Seek, Arc<Sender>, ReplyTo),
-    /// Set-points of a controller's, made in an epoch if that is known; none if they could not be
-    /// read.
+    /// Set-points of a controller, and the epoch for which they were computed if it is known; `None` if
+    /// they could not be parsed.
     Put(String, Option<u64>, Option<Put>),
-    /// A controller's token is gone.
+    /// The liveliness token of a controller is lost.
     Lost(String),
-    /// A recording of the swarm has failed: its name, and why.
+    /// A recording of the swarm has failed: its name and the reason.
     RecordingFailed(Arc<str>, Arc<str>),
-    /// It is to look for itself: it has a core now, or somebody else has done what it waited for.
-    Awake,
-    /// End now, without an event: the daemon stops.
+    /// Check again what the swarm waits for: a core, or room in a lossless recording.
+    Wake,
+    /// End without an event: the daemon is stopping.
     Stop,
 }
 
-/// A command to a swarm.
+/// A command for a swarm.
 pub struct CommandMessage {
-    /// What to do.
-    pub order: Command,
-    /// When to do it.
+    /// The command.
+    pub command: Command,
+    /// When it is executed.
     pub when: When,
-    /// Who sent it.
+    /// The client that sent it.
     pub sender: Arc<Sender>,
-    /// Takes what it came to.
-    pub answer: ReplyTo,
+    /// Receives the reply.
+    pub reply_to: ReplyTo,
 }
 
-/// The step that a swarm reached lately.
+/// The last step in the summary of a swarm.
 pub struct LastStep(Arc<Mutex<Option<Summary>>>);
 
 impl LastStep {
     /// The step; `None` until the swarm is built.
     pub fn get(&self) -> Option<u64> {
         let summary = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        Some(summary.as_ref()?.place.step)
+        Some(summary.as_ref()?.stamp.step)
     }
 }
 
-/// A swarm as others see it. Clones reach the same swarm.
+/// A handle of a swarm. Clones refer to the same swarm.
 #[derive(Clone)]
 pub struct Handle {
     /// What it was created from.
-    pub recipe: Arc<Spec>,
-    /// Where it puts what is to be published.
-    pub outlet: Arc<Outlet>,
-    /// What happened to it, and the commands it applied.
+    pub spec: Arc<Spec>,
+    /// Its frames and events for the publisher.
+    pub output: Arc<Output>,
+    /// Its past events and applied commands.
     pub history: Arc<History>,
-    /// What its thread counts of itself.
-    pub tally: Arc<Tally>,
+    /// Its metrics.
+    pub metrics: Arc<SwarmMetrics>,
     pub(crate) messages: Arc<SyncSender<Message>>,
     pub(crate) cores: Arc<CpuScheduler>,
     pub(crate) summary: Arc<Mutex<Option<Summary>>>,
 }
 
 impl Handle {
-    /// A handle of a swarm that nobody else knows of, that has a core of its own and no name.
-    pub(crate) fn alone(recipe: Spec) -> Self {
+    /// A handle of a swarm outside the registry, with a core of its own and no name.
+    pub(crate) fn alone(spec: Spec) -> Self {
         let (messages, _) = sync_channel(1);
         Handle {
-            recipe: Arc::new(recipe),
-            outlet: Arc::new(Outlet::new(String::new(), || {}, |_| false)),
+            spec: Arc::new(spec),
+            output: Arc::new(Output::new(String::new(), || {}, |_| false)),
             history: Arc::default(),
-            tally: Arc::default(),
+            metrics: Arc::default(),
             messages: Arc::new(messages),
             cores: Arc::new(CpuScheduler::new(1)),
             summary: Arc::default(),
         }
     }
 
-    /// Hands over a ticket. Its answer comes from the swarm's thread, or from here when too many
-    /// wait already ([`SwarmError::Busy`]) or the swarm has ended ([`SwarmError::Gone`]).
+    /// Queues a message. If the queue is full ([`SwarmError::Busy`]) or the swarm has ended
+    /// ([`SwarmError::Gone`]), the error is sent as the reply.
     pub fn send(&self, message: Message) {
         let (message, error) = match self.messages.try_send(message) {
             Ok(()) => return,
             Err(TrySendError::Full(message)) => (message, SwarmError::Busy),
             Err(TrySendError::Disconnected(message)) => (message, SwarmError::Gone),
         };
-        message.refuse(self.step(), error);
+        message.reject(self.step(), error);
     }
 
-    /// Wakes its thread, and keeps no queue of tickets alive.
-    pub(crate) fn awaken(&self) -> impl Fn() + Send + Sync + use<> {
+    /// A callback that wakes the thread of the swarm. It does not keep the queue alive.
+    pub(crate) fn waker(&self) -> impl Fn() + Send + Sync + use<> {
         let messages = Arc::downgrade(&self.messages);
         move || {
             if let Some(messages) = messages.upgrade() {
-                // A thread whose queue is full is awake, or wakes for that.
-                let _ = messages.try_send(Message::Awake);
+                // A thread with a full queue is awake.
+                let _ = messages.try_send(Message::Wake);
             }
         }
     }
 
-    /// Its place among the swarms that share the cores.
-    pub(crate) fn seat(&self) -> Share {
-        self.cores.share(self.awaken())
+    /// Its share of the cores.
+    pub(crate) fn cpu_share(&self) -> Share {
+        self.cores.share(self.waker())
     }
 
-    /// What has been counted of it since it is hosted here.
+    /// Its metrics since the daemon started.
     pub fn totals(&self) -> Totals {
-        let (frames, frames_dropped) = self.outlet.frames();
+        let (frames, frames_dropped) = self.output.frames();
         Totals {
             frames,
             frames_dropped,
-            ..self.tally.totals()
+            ..self.metrics.totals()
         }
     }
 
-    /// The step the swarm lately was at.
+    /// The step in its summary; `None` until it is built.
     pub fn step(&self) -> Option<u64> {
-        Some(self.summary()?.place.step)
+        Some(self.summary()?.stamp.step)
     }
 
-    /// The step that the swarm reached lately, without keeping its mailbox alive.
+    /// Like [`Self::step`], without keeping the queue alive.
     pub fn last_step(&self) -> LastStep {
         LastStep(self.summary.clone())
     }
 
-    /// The swarm in a list; `None` until it is built.
+    /// Its summary; `None` until it is built.
     pub fn summary(&self) -> Option<Summary> {
         self.summary
             .lock()
@@ -154,26 +154,26 @@ impl Handle {
 }
 
 impl Message {
-    /// Answers a ticket that no swarm took.
-    fn refuse(self, step: Option<u64>, error: SwarmError) {
+    /// Sends an error as the reply to a message that was not queued.
+    fn reject(self, step: Option<u64>, error: SwarmError) {
         match self {
-            Message::Command(CommandMessage { answer, .. })
-            | Message::Look(answer)
-            | Message::Copy(answer)
-            | Message::Seek(_, _, answer)
-            | Message::Wait(Waiter { answer, .. }) => {
-                answer.send(Err(Rejection { step, error }));
+            Message::Command(CommandMessage { reply_to, .. })
+            | Message::Query(reply_to)
+            | Message::TakeCheckpoint(reply_to)
+            | Message::Seek(_, _, reply_to)
+            | Message::Wait(Waiter { reply_to, .. }) => {
+                reply_to.send(Err(Rejection { step, error }));
             }
             Message::Put(..)
             | Message::Lost(_)
             | Message::RecordingFailed(..)
-            | Message::Awake
+            | Message::Wake
             | Message::Stop => {}
         }
     }
 }
 
-/// The next ticket, which may come until then.
+/// Receives the next message, until a deadline.
 pub(crate) fn receive(
     messages: &Receiver<Message>,
     until: Option<Instant>,

@@ -1,45 +1,45 @@
-//! What happened to a swarm and the commands it applied, kept in memory within bounds.
+//! The past events and applied commands of a swarm, in bounded memory.
 //!
-//! The swarm's thread writes before it answers, so whoever was answered finds it here.
+//! The thread of the swarm records a command before it replies, so a client finds its command here.
 
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use crate::swarm::frame::{Event, EventKind, Place};
+use crate::swarm::frame::{Event, EventKind, Stamp};
 use crate::swarm::sender::Sender;
 
-/// Events kept, and the bytes they may take.
-const MOST_EVENTS: (usize, usize) = (1024, 256 * 1024);
+/// Limits of the events: their number and bytes.
+const MAX_EVENTS: (usize, usize) = (1024, 256 * 1024);
 
-/// Applied commands kept, and the bytes they may take.
-const MOST_ENTRIES: (usize, usize) = (4096, 256 * 1024);
+/// Limits of the applied commands: their number and bytes.
+const MAX_ENTRIES: (usize, usize) = (4096, 256 * 1024);
 
-/// What a record takes beside the text in it.
+/// Bytes of a record without its text.
 const RECORD_BYTES: usize = 64;
 
 /// A command that was applied.
 #[derive(Clone, Debug)]
 pub struct Entry {
-    /// Where the swarm was; its `seq` numbers the entry.
-    pub place: Place,
+    /// The stamp of the swarm after it; its `seq` numbers the entry.
+    pub stamp: Stamp,
     /// The wall-clock time, in seconds since 1970, if known.
     pub unix_secs: Option<f64>,
-    /// The command and who sent it.
+    /// The command and its client.
     pub sender: Arc<Sender>,
 }
 
-/// Records after a number, and which there are at all.
+/// Records after a number, and the range of numbers.
 #[derive(Clone, Debug)]
 pub struct Page<T> {
     /// Oldest first.
     pub records: Vec<T>,
-    /// The number of the oldest that is kept.
+    /// The number of the oldest record that is kept.
     pub oldest: Option<u64>,
-    /// The number of the newest there ever was; 0 before the first.
+    /// The number of the newest record; 0 before the first.
     pub newest: u64,
 }
 
-/// What happened to a swarm and the commands it applied. The oldest give way.
+/// The past events and applied commands of a swarm. The oldest are evicted.
 #[derive(Default)]
 pub struct History(Mutex<Records>);
 
@@ -50,38 +50,38 @@ struct Records {
 }
 
 impl History {
-    /// Keeps an event, and the command it tells of if it was applied.
-    pub fn tell(&self, event: &Event) {
+    /// Adds an event, and the command if it is the event of one.
+    pub fn record_event(&self, event: &Event) {
         let mut records = self.lock();
         if let EventKind::Command(sender) = &event.kind {
             let entry = Entry {
-                place: event.place.clone(),
+                stamp: event.stamp.clone(),
                 unix_secs: event.unix_secs,
                 sender: sender.clone(),
             };
             let bytes = RECORD_BYTES + sender.bytes();
-            let number = entry.place.seq;
-            records.entries.push(number, bytes, entry, MOST_ENTRIES);
+            let number = entry.stamp.seq;
+            records.entries.push(number, bytes, entry, MAX_ENTRIES);
         }
         let bytes = RECORD_BYTES + event.kind.bytes();
         records
             .events
-            .push(event.number, bytes, event.clone(), MOST_EVENTS);
+            .push(event.number, bytes, event.clone(), MAX_EVENTS);
     }
 
-    /// Keeps a command that was applied before the daemon restarted.
-    pub fn recall(&self, entry: Entry) {
+    /// Adds a command that has no event in this history.
+    pub fn record_command(&self, entry: Entry) {
         let bytes = RECORD_BYTES + entry.sender.bytes();
-        let number = entry.place.seq;
-        self.lock().entries.push(number, bytes, entry, MOST_ENTRIES);
+        let number = entry.stamp.seq;
+        self.lock().entries.push(number, bytes, entry, MAX_ENTRIES);
     }
 
-    /// The events after number `after`, at most `limit`.
+    /// At most `limit` events after number `after`.
     pub fn events(&self, after: u64, limit: usize) -> Page<Event> {
         self.lock().events.after(after, limit)
     }
 
-    /// The commands applied after `seq`, at most `limit`.
+    /// At most `limit` commands applied after `seq`.
     pub fn entries(&self, seq: u64, limit: usize) -> Page<Entry> {
         self.lock().entries.after(seq, limit)
     }
@@ -110,12 +110,12 @@ impl<T> Default for Ring<T> {
 }
 
 impl<T: Clone> Ring<T> {
-    fn push(&mut self, number: u64, bytes: usize, record: T, (most, most_bytes): (usize, usize)) {
+    fn push(&mut self, number: u64, bytes: usize, record: T, (max, max_bytes): (usize, usize)) {
         self.newest = number;
         self.bytes += bytes;
         self.records.push_back((number, bytes, record));
         // The newest stays even if it alone takes more.
-        while self.records.len() > 1 && (self.records.len() > most || self.bytes > most_bytes) {
+        while self.records.len() > 1 && (self.records.len() > max || self.bytes > max_bytes) {
             if let Some((_, bytes, _)) = self.records.pop_front() {
                 self.bytes -= bytes;
             }
@@ -123,12 +123,10 @@ impl<T: Clone> Ring<T> {
     }
 
     fn after(&self, number: u64, limit: usize) -> Page<T> {
-        // Numbers grow, so those wanted are the last ones.
         let first = self.records.partition_point(|(it, ..)| *it <= number);
-        let wanted = self.records.range(first..);
-        // An answer is bounded like the ring, so that it fits a message.
+        let records = self.records.range(first..);
         Page {
-            records: wanted.take(limit).map(|(.., it)| it.clone()).collect(),
+            records: records.take(limit).map(|(.., it)| it.clone()).collect(),
             oldest: self.records.front().map(|(number, ..)| *number),
             newest: self.newest,
         }
@@ -136,23 +134,23 @@ impl<T: Clone> Ring<T> {
 }
 
 impl EventKind {
-    /// What the text in it takes.
+    /// Bytes of its text.
     fn bytes(&self) -> usize {
         match self {
             EventKind::Command(sender)
             | EventKind::Scheduled(_, sender)
-            | EventKind::Refused(sender, _) => sender.bytes(),
+            | EventKind::Rejected(sender, _) => sender.bytes(),
             EventKind::Lapsed(ids) => 4 * ids.len(),
             EventKind::Fault(reason) => reason.len(),
             EventKind::RecordingFailed(recording, reason) => recording.len() + reason.len(),
-            EventKind::Told(what) => what.len(),
+            EventKind::Recorded(what) => what.len(),
             EventKind::Created | EventKind::Phase | EventKind::Deleted => 0,
         }
     }
 }
 
 impl Sender {
-    /// What the text in it takes.
+    /// Bytes of its text.
     pub fn bytes(&self) -> usize {
         let label = |label: &Option<String>| label.as_ref().map_or(0, String::len);
         self.args.len() + label(&self.client) + label(&self.request_id)
@@ -164,7 +162,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_oldest_give_way_to_count_and_to_bytes_and_the_newest_stays() {
+    fn the_oldest_are_evicted_by_count_and_by_bytes_and_the_newest_stays() {
         let mut ring = Ring::default();
         for number in 1..=10 {
             ring.push(number, 10, number, (4, 1000));

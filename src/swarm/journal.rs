@@ -10,7 +10,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::WriteFault;
-use crate::swarm::frame::Place;
+use crate::swarm::frame::Stamp;
 use crate::swarm::sender::Sender;
 
 /// Commands that may be executed before they are durable. The next one waits for the disk, and is
@@ -69,7 +69,7 @@ pub enum Entry {
     /// The whole state: earlier lines need not be replayed.
     Checkpoint(Box<Checkpoint>),
     /// The end of the swarm: where it was, and the client that deleted it.
-    End(Place, Arc<Sender>),
+    End(Stamp, Arc<Sender>),
 }
 
 /// Writes the entries of one swarm, in the order of calls. The entries of one call are written
@@ -306,8 +306,8 @@ impl Journal {
     /// # Errors
     ///
     /// [`WriteFault`]: it was not written.
-    pub fn end(&self, place: Place, sender: Arc<Sender>) -> Result<(), WriteFault> {
-        self.writer.commit(vec![Entry::End(place, sender)])
+    pub fn end(&self, stamp: Stamp, sender: Arc<Sender>) -> Result<(), WriteFault> {
+        self.writer.commit(vec![Entry::End(stamp, sender)])
     }
 
     /// Waits until all queued entries are durable.

@@ -1,4 +1,4 @@
-//! Controllers as data: how they join, what persists of them, and what they are sent.
+//! The data of controllers: how they join, what is persisted, and their replies.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -9,72 +9,72 @@ use jostle_physics::simulation::SetPoints;
 
 use crate::swarm::sender::Sender;
 
-/// Misses after which a controller has left.
+/// Missed deadlines in a row after which a controller is removed.
 pub const MAX_MISSES: u32 = 3;
 
-/// The longest that others wait for a controller, or that its set-points hold.
-const LONGEST_DEADLINE_SECS: f64 = 60.0;
+/// The longest deadline or lease.
+const MAX_DEADLINE_SECS: f64 = 60.0;
 
-/// So many seconds, if a deadline may be so long.
+/// A deadline of `secs` seconds, if that is valid.
 pub fn deadline(secs: f64) -> Option<Duration> {
-    let is_fine = secs > 0.0 && secs <= LONGEST_DEADLINE_SECS;
-    is_fine.then(|| Duration::from_secs_f64(secs).max(Duration::from_nanos(1)))
+    let is_valid = secs > 0.0 && secs <= MAX_DEADLINE_SECS;
+    is_valid.then(|| Duration::from_secs_f64(secs).max(Duration::from_nanos(1)))
 }
 
-/// How a controller takes part.
+/// How a controller takes part in a swarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Mode {
-    /// The swarm steps when every one of these has advanced.
+    /// The swarm steps when all controllers in lockstep have advanced.
     Lockstep,
-    /// The swarm runs; set-points are put while it does.
+    /// The swarm runs, and set-points are put meanwhile.
     FreeRunning,
 }
 
-/// What becomes of the individuals of a controller that is late.
+/// What happens when a controller misses its deadline.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum OnTimeout {
-    /// They keep their last set-points.
+    /// Its individuals keep their last set-points.
     Hold,
-    /// They are uninformed.
+    /// Its individuals become uninformed.
     Free,
     /// The swarm pauses.
     Pause,
 }
 
-/// What a controller joins with.
+/// The options of `join`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct JoinOptions {
     /// Its name.
     pub controller: String,
-    /// Whom it is to steer; without one nobody, or whom it steered before.
+    /// The individuals to steer; without it those that it claimed before, or none.
     pub selection: Option<Selection>,
-    /// How it takes part.
+    /// Its mode.
     pub mode: Mode,
-    /// How long others wait for it, or how long its set-points hold.
+    /// How long the swarm waits for it in lockstep, or how long its set-points hold otherwise.
     pub deadline: Duration,
-    /// What becomes of its individuals when it is late.
+    /// What happens when it misses its deadline.
     pub on_timeout: OnTimeout,
     /// Whether it may drive individuals directly.
     pub driving: bool,
-    /// Whether it comes back, and takes the place it had.
+    /// Whether it rejoins and may replace itself.
     pub again: bool,
 }
 
 /// Why a controller has left.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Departure {
-    /// It said so.
+    /// It sent `leave`.
     Left,
-    /// Its liveliness token went.
+    /// Its liveliness token was lost.
     Lost,
-    /// It was late too often.
+    /// It missed too many deadlines.
     Late,
 }
 
 /// A deadline that fired.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Miss {
-    /// Whose.
+    /// The controller.
     pub controller: String,
     /// The step at which the swarm waited.
     pub step: u64,
@@ -82,91 +82,91 @@ pub struct Miss {
     pub misses: u32,
 }
 
-/// What a controller is told beside the step reached: what came about since it was last told.
+/// What has happened since the last reply to a controller.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct News {
-    /// Deadlines that fired, its own too.
+    /// Deadlines that fired, including its own.
     pub missed: Vec<Miss>,
     /// Controllers that have left.
     pub left: Vec<(String, Departure)>,
-    /// Individuals of its own that were removed.
+    /// Its individuals that were removed from the group.
     pub removed: Vec<u32>,
 }
 
-/// All of a controller that outlives a crash.
+/// The persisted state of a controller.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControllerState {
-    /// How it takes part.
+    /// Its mode.
     pub mode: Mode,
-    /// How long others wait for it, or how long its set-points hold.
+    /// How long the swarm waits for it in lockstep, or how long its set-points hold otherwise.
     pub deadline: Duration,
-    /// What becomes of its individuals when it is late.
+    /// What happens when it misses its deadline.
     pub on_timeout: OnTimeout,
     /// Whether it may drive individuals directly.
     pub driving: bool,
-    /// Whom it may steer.
+    /// The individuals it may steer.
     pub claims: BTreeSet<u32>,
-    /// Whom it has steered.
+    /// The individuals it has steered.
     pub steered: BTreeSet<u32>,
     /// The step that it has advanced to.
     pub target: u64,
-    /// The step at which it began to.
+    /// The step at which its last `advance` began.
     pub from: u64,
-    /// The `advance` that is to be answered.
+    /// The `advance` that has no reply yet.
     pub advance: Option<Arc<Sender>>,
     /// Deadlines missed in a row.
     pub misses: u32,
-    /// What it is yet to be told.
+    /// What its next reply contains.
     pub news: News,
-    /// The newest set-points that were applied have this number.
+    /// The number of the newest set-points that were applied.
     pub sequence: u64,
 }
 
-/// Set-points by `put` that wait for the next step.
+/// Set-points that wait for the next step.
 #[derive(Clone, Debug)]
 pub struct Put {
-    /// Counts a controller's puts.
+    /// The number of the put.
     pub sequence: u64,
-    /// What it wants.
+    /// The set-points.
     pub set: SetPoints,
-    /// As they came.
+    /// The put as it was sent.
     pub sender: Arc<Sender>,
 }
 
-/// What has become of a controller's puts.
+/// The number of puts by outcome.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Puts {
     /// Applied.
     pub applied: u64,
-    /// Not newer than one that came before, or of another epoch.
+    /// Not newer than an earlier one, or of another epoch.
     pub stale: u64,
-    /// Overtaken by a newer one before the next step.
+    /// Replaced by a newer one before the next step.
     pub overtaken: u64,
-    /// Of individuals that are not its own, or with a number out of range.
-    pub refused: u64,
+    /// Rejected: for individuals that it has not claimed, or out of range.
+    pub rejected: u64,
 }
 
-/// A controller as others see it.
+/// A controller in the replies to queries.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Seen {
+pub struct ControllerStatus {
     /// Its name.
     pub controller: String,
-    /// How it takes part.
+    /// Its mode.
     pub mode: Mode,
     /// Its individuals.
     pub ids: Vec<u32>,
     /// Its deadline or lease.
     pub deadline: Duration,
-    /// What becomes of its individuals when it is late.
+    /// What happens when it misses its deadline.
     pub on_timeout: OnTimeout,
     /// Whether it may drive individuals directly.
     pub driving: bool,
-    /// The step that it has advanced to, in lock-step.
+    /// The step that it has advanced to, in lockstep.
     pub target: Option<u64>,
     /// Deadlines missed in a row.
     pub misses: u32,
     /// How long the swarm has waited for it.
     pub waited: Option<Duration>,
-    /// What has become of its puts.
+    /// Its puts.
     pub puts: Puts,
 }

@@ -1,4 +1,4 @@
-//! What a swarm answers: what an order came to, or why it came to nothing.
+//! Replies of a swarm: the outcome of a message, or why it was rejected.
 
 use std::sync::Arc;
 
@@ -6,65 +6,65 @@ use jostle_physics::simulation::{ChangeKind, ChangeOutcome, Rate};
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::{Frame, Place};
+use crate::swarm::frame::{Frame, Stamp};
 use crate::swarm::membership::News;
 
-/// What an order came to.
+/// The outcome of a message.
 #[derive(Clone, Debug)]
 pub enum Outcome {
-    /// Nothing more to say.
+    /// Done, without a result.
     Done,
-    /// It runs to this step at this rate.
+    /// The swarm runs to this step at this rate.
     Runs(Option<u64>, Rate),
-    /// It took this many steps, fewer than asked for if another command came between.
+    /// The swarm took steps, fewer than requested if another command interrupted them.
     Stepped {
         /// How many.
         steps: u64,
-        /// The last step that a crash would not take back.
-        safe_step: u64,
-        /// Where it arrived.
-        seen: Arc<Frame>,
+        /// The last step that a crash does not undo.
+        durable_step: u64,
+        /// The state reached.
+        frame: Arc<Frame>,
     },
-    /// The controller steers these, and this is news to it.
+    /// A controller has joined.
     Joined {
-        /// Whom.
+        /// The individuals it steers.
         ids: Vec<u32>,
-        /// What came about since it was last there.
+        /// What has happened since it left.
         news: News,
     },
-    /// It took this many steps since the controller advanced, fewer than it wanted if another
-    /// command came between.
+    /// The swarm took steps since a controller advanced, fewer than requested if another command
+    /// interrupted them.
     Advanced {
         /// How many.
         steps: u64,
-        /// The last step that a crash would not take back.
-        safe_step: u64,
-        /// Where it arrived.
-        seen: Arc<Frame>,
-        /// What came about since the controller was last told.
+        /// The last step that a crash does not undo.
+        durable_step: u64,
+        /// The state reached.
+        frame: Arc<Frame>,
+        /// What has happened since the last reply to the controller.
         news: News,
     },
-    /// It is this, as a whole.
-    Whole(Box<Checkpoint>),
-    /// It is back at its start.
+    /// The whole state.
+    Checkpoint(Box<Checkpoint>),
+    /// The swarm is back at its start.
     Reset(Arc<Frame>),
     /// A change was applied.
     Changed(ChangeOutcome),
     /// The changes of a batch were applied.
     Batch(Vec<(ChangeKind, ChangeOutcome)>),
-    /// It will be carried out at this step.
+    /// The command will be executed at this step.
     Scheduled(u64),
-    /// A look at it.
-    Seen(Arc<Frame>),
+    /// The present state.
+    State(Arc<Frame>),
 }
 
-/// What an order came to and where the swarm then was; or why it came to nothing.
-pub type SwarmReply = Result<(Place, Outcome), Rejection>;
+/// The outcome and the stamp of the swarm after it, or the rejection.
+pub type SwarmReply = Result<(Stamp, Outcome), Rejection>;
 
-/// An order that was not carried out.
+/// A rejected message.
 #[derive(Debug)]
 pub struct Rejection {
-    /// The step the swarm was at, if it was reached.
+    /// The step of the swarm, if it has received the message.
     pub step: Option<u64>,
     /// Why.
     pub error: SwarmError,
@@ -86,9 +86,9 @@ impl ReplyTo {
     }
 
     /// Replies.
-    pub fn send(mut self, answered: SwarmReply) {
-        if let Some(reply) = self.0.take() {
-            reply(answered);
+    pub fn send(mut self, reply: SwarmReply) {
+        if let Some(callback) = self.0.take() {
+            callback(reply);
         }
     }
 }
@@ -96,22 +96,22 @@ impl ReplyTo {
 /// A reply that is known but not sent yet: clients cannot reach the new swarm yet, or can still reach
 /// the deleted one.
 pub struct DeferredReply {
-    answer: ReplyTo,
-    answered: Box<SwarmReply>,
+    reply_to: ReplyTo,
+    reply: Box<SwarmReply>,
 }
 
 impl DeferredReply {
-    /// Keeps `answered` for `answer`.
-    pub fn new(answer: ReplyTo, answered: SwarmReply) -> Self {
+    /// Defers `reply`.
+    pub fn new(reply_to: ReplyTo, reply: SwarmReply) -> Self {
         DeferredReply {
-            answer,
-            answered: Box::new(answered),
+            reply_to,
+            reply: Box::new(reply),
         }
     }
 
     /// Sends the reply.
     pub fn send(self) {
-        self.answer.send(*self.answered);
+        self.reply_to.send(*self.reply);
     }
 }
 

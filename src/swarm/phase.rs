@@ -1,25 +1,25 @@
-//! What a swarm is doing, and what an order makes of it: a pure state machine.
+//! The phases of a swarm: a pure state machine.
 
 use std::fmt;
 
 use thiserror::Error;
 
-/// What a swarm is doing.
+/// The phase of a swarm.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Phase {
-    /// Standing still, open to every command.
+    /// Not moving; every command is accepted.
     Paused(PauseReason),
     /// Stepping, at its rate.
     Running {
-        /// The step it pauses at; without one it runs until told otherwise.
+        /// The step at which it pauses; without it the swarm runs until a command.
         until: Option<u64>,
     },
-    /// Stepping as fast as it can, whatever its rate, to a step that a command waits for.
+    /// Stepping as fast as possible, whatever the rate, to the step that a command waits for.
     Stepping {
-        /// The step it pauses at.
+        /// The step at which it pauses.
         until: u64,
     },
-    /// A step failed; the last good state is kept.
+    /// A step failed; the state is the last good one.
     Faulted(String),
 }
 
@@ -28,19 +28,19 @@ pub enum Phase {
 pub enum PauseReason {
     /// It was just created.
     Created,
-    /// It was told to.
+    /// A client paused it.
     Requested,
-    /// It reached the step it was to run to.
+    /// It reached the end of its run.
     Finished,
-    /// It was put back to its start.
+    /// It was reset.
     Reset,
-    /// It was just made as another swarm was.
+    /// It was just forked from another swarm.
     Forked,
-    /// It was just made from a snapshot.
+    /// It was just restored from a snapshot.
     Restored,
     /// It waits for its controllers.
     Lockstep,
-    /// A controller was late that joined to have it paused then.
+    /// A controller that joined with `on_timeout: pause` missed its deadline.
     Deadline,
 }
 
@@ -73,18 +73,18 @@ impl fmt::Display for PauseReason {
     }
 }
 
-/// What may change a phase.
+/// An input of the state machine.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum PhaseInput {
-    /// Run, to a step or for good.
+    /// Run, to a step or without an end.
     Run(Option<u64>),
-    /// Stand still.
+    /// Pause.
     Pause,
-    /// Go to this step as fast as possible.
+    /// Step to this step as fast as possible.
     Step(u64),
-    /// A change of parameters or of the group is to be applied.
+    /// Change parameters or the group.
     Change,
-    /// Go back to the start.
+    /// Return to the start.
     Reset,
     /// This step has been reached.
     Reached(u64),
@@ -92,28 +92,24 @@ pub enum PhaseInput {
     Fault(String),
 }
 
-/// An order that the phase does not allow.
+/// Why the phase does not allow a command.
 #[derive(Clone, Copy, Debug, Error, PartialEq, Eq)]
 pub enum PhaseError {
-    /// `step` while it runs.
+    /// `step` while running.
     #[error("the swarm is running: pause it first")]
     Running,
-    /// `step` while steps are being taken.
-    #[error("the swarm is stepping already: wait for that answer, or pause it first")]
+    /// `step` while stepping.
+    #[error("the swarm is stepping already: wait for that reply, or pause it first")]
     Stepping,
-    /// Anything but `reset`, `delete` and the gets after a fault.
+    /// A command other than `reset` and `delete` after a fault.
     #[error("the swarm has faulted and keeps its last good state: reset or delete it")]
     Faulted,
 }
 
-/// The phase that `cue` makes of `phase`.
-///
-/// # Errors
-///
-/// [`PhaseError`] when the phase does not allow it; nothing has changed then.
-pub fn next(phase: &Phase, cue: PhaseInput) -> Result<Phase, PhaseError> {
+/// The phase that follows `phase` after `input`.
+pub fn next(phase: &Phase, input: PhaseInput) -> Result<Phase, PhaseError> {
     use Phase::{Faulted, Paused, Running, Stepping};
-    match (phase, cue) {
+    match (phase, input) {
         (_, PhaseInput::Reset) => Ok(Paused(PauseReason::Reset)),
         (_, PhaseInput::Fault(reason)) => Ok(Faulted(reason)),
         (Faulted(_), PhaseInput::Reached(_)) => Ok(phase.clone()),
@@ -138,12 +134,12 @@ pub fn next(phase: &Phase, cue: PhaseInput) -> Result<Phase, PhaseError> {
 }
 
 impl Phase {
-    /// Whether steps are being taken.
+    /// Whether it is running or stepping.
     pub fn is_moving(&self) -> bool {
         matches!(self, Phase::Running { .. } | Phase::Stepping { .. })
     }
 
-    /// The step it will pause at by itself.
+    /// The step at which it pauses by itself.
     pub fn until(&self) -> Option<u64> {
         match self {
             Phase::Running { until } => *until,
@@ -152,7 +148,7 @@ impl Phase {
         }
     }
 
-    /// Why it does not move.
+    /// Why the swarm does not move.
     pub fn reason(&self) -> Option<String> {
         match self {
             Phase::Paused(reason) => Some(reason.to_string()),
@@ -166,7 +162,7 @@ impl Phase {
 mod tests {
     use super::*;
 
-    /// The table of DESIGN.md, cell by cell.
+    /// Every cell of the table of phases and inputs.
     #[test]
     fn every_order_in_every_phase_does_what_the_table_says() {
         let paused = Phase::Paused(PauseReason::Created);
@@ -180,7 +176,7 @@ mod tests {
         let to_20 = Phase::Stepping { until: 20 };
         let broken = Phase::Faulted("no solution".into());
         let fault = || PhaseInput::Fault("no solution".into());
-        let refused = Err(PhaseError::Faulted);
+        let rejected = Err(PhaseError::Faulted);
 
         let table = [
             (&paused, PhaseInput::Run(None), Ok(&on)),
@@ -207,18 +203,18 @@ mod tests {
             (&stepping, PhaseInput::Reached(8), Ok(&stepping)),
             (&stepping, PhaseInput::Reached(9), Ok(&finished)),
             (&stepping, fault(), Ok(&broken)),
-            (&faulted, PhaseInput::Run(None), refused),
-            (&faulted, PhaseInput::Pause, refused),
-            (&faulted, PhaseInput::Step(20), refused),
-            (&faulted, PhaseInput::Change, refused),
+            (&faulted, PhaseInput::Run(None), rejected),
+            (&faulted, PhaseInput::Pause, rejected),
+            (&faulted, PhaseInput::Step(20), rejected),
+            (&faulted, PhaseInput::Change, rejected),
             (&faulted, PhaseInput::Reset, Ok(&reset)),
             (&faulted, PhaseInput::Reached(9), Ok(&faulted)),
         ];
-        for (phase, cue, expected) in table {
+        for (phase, input, expected) in table {
             assert_eq!(
-                next(phase, cue.clone()).as_ref().map_err(|error| *error),
+                next(phase, input.clone()).as_ref().map_err(|error| *error),
                 expected,
-                "{phase:?} at {cue:?}"
+                "{phase:?} at {input:?}"
             );
         }
     }

@@ -17,16 +17,16 @@ use crate::swarm::cpu_scheduler::CpuScheduler;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Summary;
 use crate::swarm::handle::{Handle, Message};
+use crate::swarm::metrics::Totals;
 use crate::swarm::outcome::{DeferredReply, Outcome, Rejection, ReplyTo};
-use crate::swarm::outlet::Outlet;
+use crate::swarm::output::Output;
 use crate::swarm::runner::{JournalFactory, PersistNew, Playback, Runner, SwarmObserver};
-use crate::swarm::tally::Totals;
 use crate::swarm::thread_priority;
 use crate::swarm::worker::replay::ReplaySource;
 use crate::swarm::worker::{End, Worker};
 
-/// Capacity of a swarm's queue; tickets beyond it are rejected.
-const MAX_TICKETS: usize = 1024;
+/// Capacity of a swarm's queue; messages beyond it are rejected.
+const MAX_MESSAGES: usize = 1024;
 
 /// Memory per individual: its columns, contacts and share of the factor, with the copies that
 /// frames and replies hold. Packed groups of 200 to 2000 take 3 to 6 kB an individual. Clarabel's
@@ -166,7 +166,7 @@ impl SwarmRegistry {
     ) -> Result<Created, RegistryError> {
         let mut state = self.lock_running()?;
         if let Some(entry) = state.swarms.get(name) {
-            return match (*entry.handle.recipe == spec, exist_ok) {
+            return match (*entry.handle.spec == spec, exist_ok) {
                 (true, true) => Ok(Created::Existing(entry.handle.clone())),
                 (true, false) => Err(RegistryError::SameSpec),
                 (false, _) => Err(RegistryError::OtherSpec),
@@ -234,19 +234,19 @@ impl SwarmRegistry {
         from: StartFrom,
         answer: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
-        let (messages, taken) = sync_channel(MAX_TICKETS);
+        let (messages, taken) = sync_channel(MAX_MESSAGES);
         let ready = (self.observer.clone(), name.to_owned());
         let watched = ready.clone();
-        let outlet = Outlet::new(
+        let output = Output::new(
             name.to_owned(),
             move || ready.0.output_ready(&ready.1),
             move |is_moving| watched.0.is_watched(&watched.1, is_moving),
         );
         let handle = Handle {
-            recipe: Arc::new(spec),
-            outlet: Arc::new(outlet),
+            spec: Arc::new(spec),
+            output: Arc::new(output),
             history: Arc::default(),
-            tally: Arc::default(),
+            metrics: Arc::default(),
             messages: Arc::new(messages),
             cores: self.cores.clone(),
             summary: Arc::default(),
@@ -378,13 +378,13 @@ impl SwarmRegistry {
         from: StartFrom,
         answer: ReplyTo,
     ) {
-        let name = &handle.outlet.name;
+        let name = &handle.output.name;
         // Without the right to it, the thread keeps its priority.
         let _ = thread_priority::short_slice();
         let end = match self.build(handle, from) {
             Ok(Ok(runner)) => {
-                let (place, frame) = runner.look();
-                let reply = DeferredReply::new(answer, Ok((place, Outcome::Seen(frame))));
+                let (stamp, frame) = runner.look();
+                let reply = DeferredReply::new(answer, Ok((stamp, Outcome::State(frame))));
                 self.observer.started(name, reply);
                 runner.run(&taken)
             }
@@ -407,26 +407,26 @@ impl SwarmRegistry {
         handle: &Handle,
         from: StartFrom,
     ) -> Result<Result<Box<dyn Runner>, End>, SwarmError> {
-        let name = &handle.outlet.name;
+        let name = &handle.output.name;
         let (registry, swarm) = (self.clone(), name.clone());
         let reserve: ReserveMemory = Box::new(move |size| registry.reserve(&swarm, size));
         let min_interval = Duration::from_secs(1) / self.limits.max_hz.max(1);
         let writer = self.journals.open(name);
         let (worker, persist) = match from {
             StartFrom::Spec(persist) => {
-                let simulation = Simulation::with_reserve((*handle.recipe).clone(), reserve)?;
+                let simulation = Simulation::with_reserve((*handle.spec).clone(), reserve)?;
                 let worker = Worker::new(simulation, handle, min_interval, writer);
                 (worker, Some(persist))
             }
             StartFrom::Checkpoint(checkpoint, persist) => {
                 let writer = (writer, reserve);
-                let worker = Worker::from_copy(*checkpoint, handle, min_interval, writer);
+                let worker = Worker::from_checkpoint(*checkpoint, handle, min_interval, writer);
                 (worker, Some(persist))
             }
             StartFrom::Journal(past) => {
                 let always: ReserveMemory = Box::new(|_| Ok(()));
                 let (mut worker, end) =
-                    Worker::from_past(*past, handle, min_interval, (writer, always));
+                    Worker::from_journal(*past, handle, min_interval, (writer, always));
                 if let Some(end) = end {
                     return Ok(Err(end));
                 }
@@ -441,8 +441,8 @@ impl SwarmRegistry {
             }
         };
         if let Some(persist) = persist {
-            let (place, frame) = worker.look();
-            let persisted = persist.persist(&worker.checkpoint(), &place, &frame);
+            let (stamp, frame) = worker.look();
+            let persisted = persist.persist(&worker.checkpoint(), &stamp, &frame);
             persisted.map_err(SwarmError::Unsafe)?;
         }
         Ok(Ok(Box::new(worker)))

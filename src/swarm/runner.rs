@@ -8,7 +8,7 @@ use jostle_physics::simulation::Spec;
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::{SwarmError, WriteFault};
-use crate::swarm::frame::{Frame, Place};
+use crate::swarm::frame::{Frame, Stamp};
 use crate::swarm::handle::{Handle, Message};
 use crate::swarm::journal::JournalWriter;
 use crate::swarm::outcome::DeferredReply;
@@ -20,7 +20,7 @@ pub trait PersistNew: Send {
     fn persist(
         self: Box<Self>,
         checkpoint: &Checkpoint,
-        place: &Place,
+        stamp: &Stamp,
         frame: &Arc<Frame>,
     ) -> Result<(), WriteFault>;
 }
@@ -34,13 +34,13 @@ pub trait JournalFactory: Send + Sync {
 /// What the thread of a hosted name runs: a swarm, or a playback.
 pub trait Runner: Send {
     /// The present state.
-    fn look(&self) -> (Place, Arc<Frame>);
-    /// Runs and takes tickets until it ends.
+    fn look(&self) -> (Stamp, Arc<Frame>);
+    /// Runs and handles messages until it ends.
     fn run(self: Box<Self>, messages: &Receiver<Message>) -> End;
 }
 
 impl Runner for Worker {
-    fn look(&self) -> (Place, Arc<Frame>) {
+    fn look(&self) -> (Stamp, Arc<Frame>) {
         Worker::look(self)
     }
 
@@ -67,9 +67,9 @@ pub trait Playback: Send {
 
 /// Lifecycle callbacks of swarms, called on the thread of the swarm.
 pub trait SwarmObserver: Send + Sync {
-    /// The outlet of the swarm was empty and no longer is.
+    /// The output of the swarm was empty and no longer is.
     fn output_ready(&self, name: &str);
-    /// Whether frames of the swarm have a reader: see [`Outlet::is_watched`].
+    /// Whether frames of the swarm have a reader: see [`Output::is_watched`](crate::swarm::output::Output::is_watched).
     fn is_watched(&self, name: &str, is_moving: bool) -> bool;
     /// The swarm is built. The observer sends `reply` once clients can reach it.
     fn started(&self, name: &str, reply: DeferredReply);

@@ -1,4 +1,4 @@
-//! Commands that wait for their step.
+//! Scheduled commands.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -7,21 +7,21 @@ use crate::swarm::command::Command;
 use crate::swarm::error::SwarmError;
 use crate::swarm::sender::Sender;
 
-/// Commands that may wait at once, and the bytes of text they may have.
-const MOST: (usize, usize) = (1024, 256 * 1024);
+/// Limits of the scheduled commands: their number and the bytes of their text.
+const MAX_SCHEDULED: (usize, usize) = (1024, 256 * 1024);
 
-/// A command that waits for its step.
+/// A scheduled command.
 #[derive(Clone, Debug)]
 pub struct Scheduled {
-    /// The line of the journal that it stands on.
+    /// Its journal line.
     pub input: u64,
-    /// What to do.
-    pub order: Command,
-    /// Who sent it.
+    /// The command.
+    pub command: Command,
+    /// Its client.
     pub sender: Arc<Sender>,
 }
 
-/// Commands that wait, by step and, at one step, in the order of arrival.
+/// Scheduled commands, by step and order of arrival.
 #[derive(Debug, Default)]
 pub struct Schedule {
     waiting: BTreeMap<(u64, u64), Scheduled>,
@@ -30,15 +30,15 @@ pub struct Schedule {
 }
 
 impl Schedule {
-    /// Takes in a command for `at_step`.
+    /// Adds a command for `at_step`.
     ///
     /// # Errors
     ///
     /// [`SwarmError::TooManyScheduled`].
     pub fn add(&mut self, at_step: u64, command: Scheduled) -> Result<(), SwarmError> {
         let bytes = self.bytes + command.sender.bytes();
-        let (limit, most_bytes) = MOST;
-        if self.waiting.len() == limit || (bytes > most_bytes && !self.waiting.is_empty()) {
+        let (limit, max_bytes) = MAX_SCHEDULED;
+        if self.waiting.len() == limit || (bytes > max_bytes && !self.waiting.is_empty()) {
             let limit = self.waiting.len();
             return Err(SwarmError::TooManyScheduled { limit });
         }
@@ -48,7 +48,7 @@ impl Schedule {
         Ok(())
     }
 
-    /// Takes out the first that is to be carried out at `step`.
+    /// Removes the first command that is due at `step`.
     pub fn take(&mut self, step: u64) -> Option<Scheduled> {
         let first = self.waiting.first_entry()?;
         if first.key().0 > step {
@@ -59,7 +59,7 @@ impl Schedule {
         Some(command)
     }
 
-    /// Takes out all, each with its step.
+    /// Removes all, each with its step.
     pub fn clear(&mut self) -> Vec<(u64, Scheduled)> {
         self.bytes = 0;
         std::mem::take(&mut self.waiting)
@@ -68,7 +68,7 @@ impl Schedule {
             .collect()
     }
 
-    /// All, each with its step, in the order they come due.
+    /// All, each with its step, in the order of execution.
     pub fn list(&self) -> Vec<(u64, Scheduled)> {
         let waiting = self.waiting.iter();
         waiting
@@ -76,7 +76,7 @@ impl Schedule {
             .collect()
     }
 
-    /// How many wait.
+    /// The number of commands.
     pub fn count(&self) -> usize {
         self.waiting.len()
     }

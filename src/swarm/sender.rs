@@ -1,16 +1,16 @@
 //! The client that sent a command.
 
-/// Who sent a command and how, for the event that tells of it.
+/// A command as it was sent, for its event and the journal.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Sender {
     /// The verb's name.
     pub verb: &'static str,
-    /// The arguments as they came, JSON.
+    /// The arguments as they were sent, JSON.
     pub args: String,
-    /// Who says to have sent it.
+    /// The name that the client gave.
     pub client: Option<String>,
-    /// What the sender called it.
+    /// The id that the client gave to the request.
     pub request_id: Option<String>,
-    /// What tells it from any other request of that name.
+    /// The digest of the request, which detects another request with the same id.
     pub digest: Option<[u8; 32]>,
 }

@@ -15,10 +15,7 @@ use syn::{Attribute, Item, ItemMod, ItemUse, Macro, UseTree, Visibility};
 const CIRCLES: [(&str, &[&[&str]]); 8] = [
     (
         "src/lib.rs",
-        &[
-            &["src/swarm/worker/mod.rs", "src/swarm/worker/replay.rs"],
-            &["src/convert/durable.rs", "src/convert/to_proto.rs"],
-        ],
+        &[&["src/convert/durable.rs", "src/convert/to_proto.rs"]],
     ),
     ("clients/cli/src/main.rs", &[]),
     ("crates/convert/src/lib.rs", &[]),

@@ -30,8 +30,8 @@ impl Context {
             let (responder, name, spec) = (responder.clone(), name.clone(), spec.clone());
             ReplyTo::new(move |answered| match answered {
                 Err(Rejection { step, error }) => responder.reject(&create::explain(error), step),
-                answered => responder.respond(answered, move |place, outcome| {
-                    created(&name, &place, &spec, outcome, is_new)
+                answered => responder.respond(answered, move |stamp, outcome| {
+                    created(&name, &stamp, &spec, outcome, is_new)
                 }),
             })
         };
@@ -45,7 +45,7 @@ impl Context {
             .host
             .create(&name, spec.clone(), exist_ok, persist, || answer(true))?;
         if let Created::Existing(handle) = created {
-            handle.send(Message::Look(answer(false)));
+            handle.send(Message::Query(answer(false)));
         }
         Ok(())
     }

@@ -42,13 +42,13 @@ impl Context {
             (timeout, CommandError::deadline),
             |answer| {
                 Message::Command(handle::CommandMessage {
-                    order,
+                    command: order,
                     when,
                     sender,
-                    answer,
+                    reply_to: answer,
                 })
             },
-            move |place, outcome| convert::outcome(&name, &place, outcome, None),
+            move |stamp, outcome| convert::outcome(&name, &stamp, outcome, None),
         );
         Ok(())
     }

@@ -12,7 +12,7 @@ use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::digest::RequestIdentity;
-use crate::persistence::recovery;
+use crate::persistence::replay;
 use crate::persistence::writer::NewSwarm;
 use crate::store::Store;
 use crate::swarm::checkpoint::Checkpoint;
@@ -20,7 +20,7 @@ use crate::swarm::handle::Message;
 use crate::swarm::outcome::{Outcome, Rejection, ReplyTo};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::registry::SwarmRegistry;
-use crate::swarm::worker::replay::To;
+use crate::swarm::worker::replay::ReplayTarget;
 
 impl Context {
     pub(super) fn fork(
@@ -47,17 +47,21 @@ impl Context {
         match step {
             Some(step) => {
                 let (store, swarm) = (self.store.clone(), swarm.clone());
-                let replay =
-                    move || match recovery::replay_to(&store, &swarm, To::Step(step), |_| {}) {
-                        Ok(replayed) => copy.make(replayed.checkpoint),
-                        Err(error) => copy.responder.reject(&error, None),
-                    };
+                let replay = move || match replay::replay_to(
+                    &store,
+                    &swarm,
+                    ReplayTarget::Step(step),
+                    |_| {},
+                ) {
+                    Ok(replayed) => copy.make(replayed.checkpoint),
+                    Err(error) => copy.responder.reject(&error, None),
+                };
                 let thread = thread::Builder::new().name("fork".into());
                 thread.spawn(replay).map_err(|_| CommandError::Busy)?;
             }
-            None => handle.send(Message::Copy(ReplyTo::new(
+            None => handle.send(Message::TakeCheckpoint(ReplyTo::new(
                 move |answered| match answered {
-                    Ok((_, Outcome::Whole(checkpoint))) => copy.make(*checkpoint),
+                    Ok((_, Outcome::Checkpoint(checkpoint))) => copy.make(*checkpoint),
                     Ok(_) => copy.responder.reject(&CommandError::Internal, None),
                     Err(Rejection { step, error }) => copy.responder.reject(&error.into(), step),
                 },
@@ -118,8 +122,8 @@ impl Copy {
         let answer = || {
             let (responder, name) = (responder.clone(), name.clone());
             ReplyTo::new(move |answered| {
-                responder.respond(answered, move |place, outcome| {
-                    created(&name, &place, &spec, outcome, true)
+                responder.respond(answered, move |stamp, outcome| {
+                    created(&name, &stamp, &spec, outcome, true)
                 });
             })
         };

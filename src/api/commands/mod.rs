@@ -22,7 +22,7 @@ use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, shortened};
 use crate::convert::{self, Payload};
-use crate::swarm::frame::Place;
+use crate::swarm::frame::Stamp;
 use crate::swarm::outcome::Outcome;
 
 impl Context {
@@ -80,9 +80,9 @@ impl Context {
 }
 
 /// The reply to a command that creates a swarm.
-fn created(name: &str, place: &Place, spec: &Spec, outcome: Outcome, is_new: bool) -> Payload {
+fn created(name: &str, stamp: &Stamp, spec: &Spec, outcome: Outcome, is_new: bool) -> Payload {
     match outcome {
-        Outcome::Seen(frame) => convert::created(name, place, spec, &frame, is_new),
-        other => convert::outcome(name, place, other, None),
+        Outcome::State(frame) => convert::created(name, stamp, spec, &frame, is_new),
+        other => convert::outcome(name, stamp, other, None),
     }
 }

@@ -45,9 +45,9 @@ impl Context {
                 }
                 let handle = self.find(&args.swarm)?;
                 let tapped = handle.clone();
-                handle.send(Message::Look(ReplyTo::new(
+                handle.send(Message::Query(ReplyTo::new(
                     move |answered| match answered {
-                        Ok((_, Outcome::Seen(now))) => {
+                        Ok((_, Outcome::State(now))) => {
                             let choice = (args.every, args.steps, args.drop_when_behind);
                             let source = Source::tap(&tapped, &now, choice, 0);
                             files.submit(move |recordings| {
@@ -144,9 +144,9 @@ pub fn resume(recordings: &Recordings, files: &Executor<Recordings>, host: &Arc<
             continue;
         };
         let tapped = handle.clone();
-        handle.send(Message::Look(ReplyTo::new(
+        handle.send(Message::Query(ReplyTo::new(
             move |answered| match answered {
-                Ok((_, Outcome::Seen(now))) => {
+                Ok((_, Outcome::State(now))) => {
                     let Status {
                         every,
                         steps_left,

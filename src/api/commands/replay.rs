@@ -124,15 +124,15 @@ fn play(
     let answer = || {
         let (responder, swarm) = (responder.clone(), name.to_owned());
         ReplyTo::new(move |answered| {
-            responder.respond(answered, move |place, outcome| match outcome {
-                Outcome::Seen(seen) => {
+            responder.respond(answered, move |stamp, outcome| match outcome {
+                Outcome::State(seen) => {
                     let result = ReplayResult {
                         uploaded: None,
                         replay: seen.replay.as_ref().map(convert::replay),
                     };
                     Payload::json(&NodeReply { node, result })
                 }
-                other => convert::outcome(&swarm, &place, other, None),
+                other => convert::outcome(&swarm, &stamp, other, None),
             });
         })
     };

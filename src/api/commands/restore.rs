@@ -10,7 +10,7 @@ use crate::api::context::Context;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::sanity;
-use crate::persistence::recovery;
+use crate::persistence::checkpoints;
 use crate::swarm::error::SwarmError;
 use crate::swarm::phase::PauseReason;
 
@@ -29,7 +29,7 @@ impl Context {
         let checkpoint = STANDARD
             .decode(snapshot.as_bytes())
             .map_err(|error| error.to_string())
-            .and_then(|bytes| recovery::read_snapshot(&bytes))
+            .and_then(|bytes| checkpoints::read_snapshot(&bytes))
             .and_then(|it| match sanity::check(&it) {
                 Ok(()) => Ok(it),
                 Err(error) => Err(error.to_string()),

@@ -29,7 +29,7 @@ impl Context {
             responder,
             (timeout, CommandError::deadline),
             |answer| Message::Seek(to, sender, answer),
-            move |place, outcome| convert::outcome(&name, &place, outcome, None),
+            move |stamp, outcome| convert::outcome(&name, &stamp, outcome, None),
         );
         Ok(())
     }

@@ -44,22 +44,22 @@ impl Context {
             return Ok(());
         }
         let handle = self.find(swarm)?;
-        let (name, outlet) = (swarm.clone(), handle.outlet.clone());
+        let (name, output) = (swarm.clone(), handle.output.clone());
         self.send(
             swarm,
             responder,
             (timeout, CommandError::deadline),
             |answer| {
                 Message::Command(handle::CommandMessage {
-                    order,
+                    command: order,
                     when,
                     sender,
-                    answer,
+                    reply_to: answer,
                 })
             },
-            move |place, outcome| {
-                let frame = returns_state.then(|| outlet.published());
-                convert::outcome(&name, &place, outcome, frame)
+            move |stamp, outcome| {
+                let frame = returns_state.then(|| output.published());
+                convert::outcome(&name, &stamp, outcome, frame)
             },
         );
         Ok(())

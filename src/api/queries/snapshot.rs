@@ -30,17 +30,17 @@ impl Context {
         // A daemon with the same limits must accept it: in base64, with a name.
         let max_bytes = self.max_request_bytes() / 4 * 3 - RESTORE_BYTES;
         let (name, responder) = (swarm.clone(), responder.clone());
-        handle.send(Message::Copy(ReplyTo::new(
+        handle.send(Message::TakeCheckpoint(ReplyTo::new(
             move |answered| match answered {
-                Ok((place, outcome)) => responder.complete(move || {
-                    let payload = convert::outcome(&name, &place, outcome, None);
+                Ok((stamp, outcome)) => responder.complete(move || {
+                    let payload = convert::outcome(&name, &stamp, outcome, None);
                     let bytes = payload.bytes.len();
                     if bytes > max_bytes {
                         let error = CommandError::SnapshotTooLong {
                             bytes,
                             most_bytes: max_bytes,
                         };
-                        return Err(Payload::json(&error.to_wire(Some(place.step))));
+                        return Err(Payload::json(&error.to_wire(Some(stamp.step))));
                     }
                     Ok(payload)
                 }),

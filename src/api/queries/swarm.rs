@@ -12,7 +12,7 @@ use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
 use crate::convert::error::refusal;
 use crate::convert::{self, Payload};
 use crate::store::Store;
-use crate::swarm::frame::{Frame, Place};
+use crate::swarm::frame::{Frame, Stamp};
 use crate::swarm::handle::Message;
 use crate::swarm::outcome::Outcome;
 
@@ -29,9 +29,9 @@ impl Context {
             Err(error) => return responder.reject(&error, None),
         };
         let name = swarm.clone();
-        let outlet = self.host.find(swarm).map(|handle| handle.outlet);
+        let output = self.host.find(swarm).map(|handle| handle.output);
         self.look(swarm, &responder, move |_, frame| {
-            let number = outlet.map_or(0, |outlet| outlet.published());
+            let number = output.map_or(0, |output| output.published());
             let state = convert::state(&name, frame, number);
             if is_json {
                 Payload::json(&state)
@@ -96,28 +96,28 @@ impl Context {
         let (name, handle) = (swarm.clone(), self.find(swarm)?);
         let (limits, store) = (self.host.limits(), self.store.clone());
         let verifying = self.verifications.share(swarm);
-        self.look(swarm, responder, move |place, seen| match noun {
+        self.look(swarm, responder, move |stamp, seen| match noun {
             "spec" => {
-                let spec = jostle_convert::spec::to_proto(&handle.recipe, seen.seed);
-                Payload::json(&convert::reply(&name, place, spec))
+                let spec = jostle_convert::spec::to_proto(&handle.spec, seen.seed);
+                Payload::json(&convert::reply(&name, stamp, spec))
             }
             "controllers" => {
                 let controllers = convert::controllers(seen);
-                Payload::json(&convert::reply(&name, place, controllers))
+                Payload::json(&convert::reply(&name, stamp, controllers))
             }
             "parameters" => {
                 let parameters = convert::parameters(seen, limits);
-                Payload::json(&convert::reply(&name, place, parameters))
+                Payload::json(&convert::reply(&name, stamp, parameters))
             }
             "events" => {
                 let events = convert::events(&name, handle.history.events(after, limit), refusal);
-                Payload::json(&convert::reply(&name, place, events))
+                Payload::json(&convert::reply(&name, stamp, events))
             }
             "journal" => {
                 let journal = convert::journal(handle.history.entries(after, limit));
-                Payload::json(&convert::reply(&name, place, journal))
+                Payload::json(&convert::reply(&name, stamp, journal))
             }
-            _ => status(&store, verifying, &name, place, seen),
+            _ => status(&store, verifying, &name, stamp, seen),
         });
         Ok(())
     }
@@ -127,17 +127,17 @@ impl Context {
         &self,
         swarm: &Arc<str>,
         responder: &Responder,
-        payload: impl FnOnce(&Place, &Frame) -> Payload + Send + 'static,
+        payload: impl FnOnce(&Stamp, &Frame) -> Payload + Send + 'static,
     ) {
         let name = swarm.clone();
         self.send(
             swarm,
             responder,
             (DEFAULT_TIMEOUT, CommandError::deadline),
-            Message::Look,
-            move |place, outcome| match outcome {
-                Outcome::Seen(frame) => payload(&place, &frame),
-                other => convert::outcome(&name, &place, other, None),
+            Message::Query,
+            move |stamp, outcome| match outcome {
+                Outcome::State(frame) => payload(&stamp, &frame),
+                other => convert::outcome(&name, &stamp, other, None),
             },
         );
     }
@@ -148,7 +148,7 @@ pub(super) fn status(
     store: &Store,
     verifying: Option<f64>,
     swarm: &str,
-    place: &Place,
+    stamp: &Stamp,
     frame: &Frame,
 ) -> Payload {
     // A store that cannot be read writes to the log; the field is then omitted.
@@ -161,5 +161,5 @@ pub(super) fn status(
         verifying,
         ..convert::status(frame, history_from)
     };
-    Payload::json(&convert::reply(swarm, place, status))
+    Payload::json(&convert::reply(swarm, stamp, status))
 }

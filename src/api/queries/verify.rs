@@ -12,13 +12,13 @@ use crate::api::responder::Responder;
 use crate::api::verifications::{Verification, Work};
 use crate::convert::commands::CommandError;
 use crate::convert::{self, Payload};
-use crate::persistence::recovery::{self, Replayed};
+use crate::persistence::replay::{self, Replayed};
 use crate::store::Store;
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::Place;
+use crate::swarm::frame::Stamp;
 use crate::swarm::handle::{Handle, Message};
 use crate::swarm::outcome::{Outcome, ReplyTo};
-use crate::swarm::worker::replay::To;
+use crate::swarm::worker::replay::ReplayTarget;
 
 /// The longest verification that the client waits for.
 const TIMEOUT: Duration = Duration::from_secs(3600);
@@ -73,19 +73,21 @@ impl Work for Replay {
         }
         let seen = present(&handle);
         let to = match &seen {
-            Some((place, _)) if !place.phase.is_moving() => To::Place(place.epoch, place.step),
-            _ => To::LastHash,
+            Some((stamp, _)) if !stamp.phase.is_moving() => {
+                ReplayTarget::At(stamp.epoch, stamp.step)
+            }
+            _ => ReplayTarget::LastHash,
         };
         let progress = verification.clone();
         let on_progress = move |share| progress.advance(share);
-        let replayed = recovery::replay_to(&store, &swarm, to, on_progress);
+        let replayed = replay::replay_to(&store, &swarm, to, on_progress);
         drop(verification);
         match replayed {
             Ok(replayed) => {
                 let verified = verified(&replayed, seen);
-                handle.send(Message::Look(ReplyTo::new(move |answered| {
-                    responder.respond(answered, move |place, _| {
-                        Payload::json(&convert::reply(&swarm, &place, verified))
+                handle.send(Message::Query(ReplyTo::new(move |answered| {
+                    responder.respond(answered, move |stamp, _| {
+                        Payload::json(&convert::reply(&swarm, &stamp, verified))
                     });
                 })));
             }
@@ -95,29 +97,29 @@ impl Work for Replay {
 }
 
 /// Where a swarm is now, and its hash.
-fn present(handle: &Handle) -> Option<(Place, [u8; 32])> {
+fn present(handle: &Handle) -> Option<(Stamp, [u8; 32])> {
     let (sender, receiver) = sync_channel(1);
-    handle.send(Message::Look(ReplyTo::new(move |answered| {
+    handle.send(Message::Query(ReplyTo::new(move |answered| {
         // The receiver waits.
         let _ = sender.send(answered);
     })));
     match receiver.recv() {
-        Ok(Ok((place, Outcome::Seen(frame)))) => Some((place, frame.hash?)),
+        Ok(Ok((stamp, Outcome::State(frame)))) => Some((stamp, frame.hash?)),
         _ => None,
     }
 }
 
 /// Whether a replayed swarm has the hash of the swarm itself; `None` if that is elsewhere.
-fn is_as_now(replayed: &Replayed, place: &Place, hash: [u8; 32]) -> Option<bool> {
+fn is_as_now(replayed: &Replayed, stamp: &Stamp, hash: [u8; 32]) -> Option<bool> {
     let simulation = &replayed.checkpoint.simulation;
     let reached = (simulation.epoch, simulation.state.step, simulation.seq);
-    let is_there = reached == (place.epoch, place.step, place.seq);
+    let is_there = reached == (stamp.epoch, stamp.step, stamp.seq);
     is_there.then(|| simulation.state.hash() == hash)
 }
 
 /// The result of a replay, compared with where the swarm was then and its hash.
-fn verified(replayed: &Replayed, seen: Option<(Place, [u8; 32])>) -> Verified {
-    let now = seen.and_then(|(place, hash)| is_as_now(replayed, &place, hash));
+fn verified(replayed: &Replayed, seen: Option<(Stamp, [u8; 32])>) -> Verified {
+    let now = seen.and_then(|(stamp, hash)| is_as_now(replayed, &stamp, hash));
     let simulation = &replayed.checkpoint.simulation;
     let here = (simulation.epoch, simulation.state.step);
     let differs_at = replayed.differs_at.or((now == Some(false)).then_some(here));

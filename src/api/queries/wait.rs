@@ -29,19 +29,19 @@ impl Context {
             (timeout, CommandError::not_yet),
             |answer| {
                 Message::Wait(Waiter {
-                    awaited,
+                    condition: awaited,
                     is_abandoned: Box::new(move || {
                         abandoned.upgrade().is_none_or(|it| it.is_done())
                     }),
-                    answer,
+                    reply_to: answer,
                 })
             },
-            move |place, outcome| match outcome {
-                Outcome::Seen(frame) => {
+            move |stamp, outcome| match outcome {
+                Outcome::State(frame) => {
                     let verifying = verifications.share(&name);
-                    status(&store, verifying, &name, &place, &frame)
+                    status(&store, verifying, &name, &stamp, &frame)
                 }
-                other => convert::outcome(&name, &place, other, None),
+                other => convert::outcome(&name, &stamp, other, None),
             },
         );
         Ok(())

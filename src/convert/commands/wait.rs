@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use crate::convert::commands::{CommandError, selector};
-use crate::swarm::command::Awaited;
+use crate::swarm::command::WaitCondition;
 
 /// The longest that one `wait` is held; libraries ask again.
 pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
@@ -15,7 +15,7 @@ pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
 /// [`CommandError`] when not exactly one of `step` and `phase` is given, or one is wrong.
 pub fn read<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
-) -> Result<(Awaited, Duration), CommandError> {
+) -> Result<(WaitCondition, Duration), CommandError> {
     let (mut step, mut phase, mut timeout) = (None, None, LONGEST_WAIT);
     for (name, value) in selector(parameters, &["step", "phase", "timeout_secs"])? {
         match name {
@@ -24,13 +24,13 @@ pub fn read<'a>(
                     field: "step",
                     problem: "is not a whole number",
                 };
-                step = Some(Awaited::Step(value.parse().map_err(wrong)?));
+                step = Some(WaitCondition::Step(value.parse().map_err(wrong)?));
             }
             "phase" => {
                 phase = Some(match value {
-                    "paused" => Awaited::Paused,
-                    "running" => Awaited::Running,
-                    "faulted" => Awaited::Faulted,
+                    "paused" => WaitCondition::Paused,
+                    "running" => WaitCondition::Running,
+                    "faulted" => WaitCondition::Faulted,
                     _ => {
                         return Err(CommandError::Field {
                             field: "phase",

@@ -39,7 +39,7 @@ impl WireCode for SwarmError {
             SwarmError::InBatch { error, .. } => error.code(),
             SwarmError::NotClaimed { .. }
             | SwarmError::NotDriving(_)
-            | SwarmError::Film(_)
+            | SwarmError::Playback(_)
             | SwarmError::OutsideRecording { .. } => ErrorCode::InvalidArgument,
             SwarmError::Phase(_)
             | SwarmError::Lockstep
@@ -53,7 +53,7 @@ impl WireCode for SwarmError {
             | SwarmError::Claimed { .. }
             | SwarmError::Advancing { .. }
             | SwarmError::Superseded
-            | SwarmError::RefusedBefore => ErrorCode::Conflict,
+            | SwarmError::RejectedBefore => ErrorCode::Conflict,
             SwarmError::NotJoined { .. } | SwarmError::Gone => ErrorCode::NotFound,
             SwarmError::HasJoined(_) => ErrorCode::AlreadyExists,
             SwarmError::TooManyControllers { .. } | SwarmError::TooManyScheduled { .. } => {

@@ -1,66 +1,63 @@
-//! A swarm from a checkpoint, and its journal told again from there.
+//! Recovers a swarm from a checkpoint by replaying its journal.
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
+
+use jostle_physics::simulation::{ReserveMemory, Simulation};
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::{Command, When};
 use crate::swarm::controllers::Controllers;
-use crate::swarm::crash;
 use crate::swarm::error::WriteFault;
-use crate::swarm::frame::{EventKind, Place};
+use crate::swarm::failpoint;
+use crate::swarm::frame::{EventKind, Stamp};
 use crate::swarm::handle::{CommandMessage, Handle};
 use crate::swarm::history::Entry;
-use crate::swarm::journal::{Journal, JournalWriter, Line, NoWriter, Record};
+use crate::swarm::journal::{Journal, JournalWriter, NoWriter, Record};
 use crate::swarm::outcome::ReplyTo;
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::sender::Sender;
+use crate::swarm::worker::journal_index::{JournalIndex, ReplayEntry, ReplayState};
 use crate::swarm::worker::{End, Pending, Worker};
-use jostle_physics::simulation::ReserveMemory;
-use jostle_physics::simulation::Simulation;
 
-/// Events told between a checkpoint and a crash are told under the same numbers again only in
-/// part. Numbers go on from the next multiple of this, so that none is given twice.
-const EVENTS_LOST: u64 = 1 << 20;
+/// A replay does not reproduce all events that were published between the checkpoint and the crash.
+/// Event numbers therefore skip to the next multiple of this, so that no number is reused.
+const EVENT_NUMBER_BLOCK: u64 = 1 << 20;
 
 /// Niceness of a thread that only replays: lower priority than the hosted swarms.
 const REPLAY_NICENESS: i32 = 15;
 
-/// Makes the place that the answer to a command goes to.
+/// Makes the callback that receives the reply to a replayed command.
 pub type ReplyFor = Box<dyn Fn(&Arc<Sender>) -> ReplyTo + Send>;
 
-/// A line of the journal; commands with what they order.
-pub type Told = (Line, Option<Command>);
-
-/// What is to be told again of a swarm.
+/// A checkpoint and the journal to replay from it.
 pub struct ReplaySource {
-    /// Where to begin.
+    /// The first state.
     pub checkpoint: Checkpoint,
-    /// The lines since, in order, read as they are told; or why they end.
-    pub lines: Box<dyn Iterator<Item = Result<Told, String>> + Send>,
-    /// What must be known of all those lines before the first is told.
+    /// The lines after the checkpoint, in order, read during the replay; or why they end.
+    pub lines: Box<dyn Iterator<Item = Result<ReplayEntry, String>> + Send>,
+    /// The index of all those lines.
     pub index: JournalIndex,
-    /// Why the lines after these cannot be told, if there are such.
+    /// Why the lines after these cannot be replayed, if there are such.
     pub damage: Option<String>,
-    /// The commands that were applied before the checkpoint, as far back as they are shown.
+    /// Commands that were applied before the checkpoint, for the history.
     pub entries: Vec<Applied>,
-    /// Where the answer to a command goes that may have missed its sender.
-    pub recall: ReplyFor,
-    /// Where it ends.
-    pub to: To,
+    /// Receives the replies, some of which the client did not get before the crash.
+    pub reply_for: ReplyFor,
+    /// Where the replay ends.
+    pub to: ReplayTarget,
 }
 
 impl ReplaySource {
     /// Replays it outside the registry, for verification and copies. Returns the final state and
     /// what the replay found.
-    pub fn replay(self) -> (Checkpoint, Replay) {
+    pub fn replay(self) -> (Checkpoint, ReplayState) {
         let _ = rustix::process::setpriority_process(None, REPLAY_NICENESS);
         let handle = Handle::alone(self.checkpoint.simulation.spec.clone());
         let always: ReserveMemory = Box::new(|_| Ok(()));
         let (worker, _) =
-            Worker::from_past(self, &handle, Duration::ZERO, (Arc::new(NoWriter), always));
+            Worker::from_journal(self, &handle, Duration::ZERO, (Arc::new(NoWriter), always));
         (worker.checkpoint(), worker.into_replay())
     }
 }
@@ -71,7 +68,7 @@ pub struct Applied {
     pub epoch: u64,
     /// The step.
     pub step: u64,
-    /// Its number.
+    /// Its number among the applied commands.
     pub seq: u64,
     /// The wall-clock time, in seconds since 1970, if known.
     pub unix_secs: Option<f64>,
@@ -79,130 +76,29 @@ pub struct Applied {
     pub sender: Arc<Sender>,
 }
 
-/// Where telling again ends.
+/// Where a replay ends.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum To {
-    /// Where the last command was carried out; what was begun then is still under way.
+pub enum ReplayTarget {
+    /// Where the last command was executed; steps that it began are pending.
     LastInput,
-    /// Where the last hash was written down.
+    /// At the last hash.
     LastHash,
-    /// At this epoch and step, after the commands that were given there.
-    Place(u64, u64),
-    /// On arriving at this step of the present run, before the commands that were given there.
+    /// At this epoch and step, after the commands that were executed there.
+    At(u64, u64),
+    /// On reaching this step of the last run, before the commands that were executed there.
     Step(u64),
 }
 
-/// What must be known of lines before the first of them is told.
-#[derive(Default)]
-pub struct JournalIndex {
-    /// Lines whose commands were refused when they were first carried out.
-    refused: BTreeSet<u64>,
-    /// Lines of commands whose outcome is on a later line, with the wall-clock time of the outcome.
-    settled: BTreeMap<u64, Option<f64>>,
-    /// The hashes that steps had when they were first taken.
-    hashes: BTreeMap<(u64, u64), [u8; 32]>,
-    /// Where the last of them was written.
-    last_hash: Option<(u64, u64)>,
-    /// The line of the last reset.
-    last_reset: u64,
-    /// The last line.
-    last: Option<u64>,
-}
-
-impl JournalIndex {
-    /// Takes in the next line.
-    pub fn learn(&mut self, (line, order): &Told) {
-        self.last = Some(line.number);
-        if matches!(order, Some(Command::Reset(_))) {
-            self.last_reset = line.number;
-        }
-        match line.record {
-            Record::Became {
-                input,
-                seq,
-                unix_secs,
-            } => {
-                self.settled.insert(input, unix_secs);
-                if seq.is_none() {
-                    self.refused.insert(input);
-                }
-            }
-            Record::Hash(hash) => {
-                let at = (line.epoch, line.step);
-                self.hashes.insert(at, hash);
-                self.last_hash = Some(at);
-            }
-            _ => {}
-        }
-    }
-
-    /// The last line, if there is any.
-    pub fn last(&self) -> Option<u64> {
-        self.last
-    }
-}
-
-impl<'a> FromIterator<&'a Told> for JournalIndex {
-    fn from_iter<I: IntoIterator<Item = &'a Told>>(lines: I) -> Self {
-        let mut index = JournalIndex::default();
-        lines.into_iter().for_each(|line| index.learn(line));
-        index
-    }
-}
-
-/// What is known of the past while it is told again.
-#[derive(Default)]
-pub struct Replay {
-    refused: BTreeSet<u64>,
-    /// When the command on each line was applied, by the wall clock.
-    unix_secs: BTreeMap<u64, f64>,
-    hashes: BTreeMap<(u64, u64), [u8; 32]>,
-    /// How many hashes were found to be the same.
-    pub same: u64,
-    /// The first epoch and step whose hash was found to be another.
-    pub differs_at: Option<(u64, u64)>,
-    /// Why it could not be told to its end.
-    pub broken_off: Option<String>,
-}
-
-impl Replay {
-    /// Whether the command on this line was refused.
-    pub fn was_refused(&self, input: u64) -> bool {
-        self.refused.contains(&input)
-    }
-
-    /// When the command on this line was applied, by the wall clock, in seconds since 1970.
-    pub fn unix_secs_of(&self, input: u64) -> Option<f64> {
-        self.unix_secs.get(&input).copied()
-    }
-
-    /// Whether a step has the hash that it had, if that is known.
-    pub fn is_as_it_was(&mut self, at: (u64, u64), hash: [u8; 32]) -> Option<bool> {
-        let is_same = *self.hashes.get(&at)? == hash;
-        self.same += u64::from(is_same);
-        if !is_same {
-            self.differs_at.get_or_insert(at);
-        }
-        Some(is_same)
-    }
-
-    fn forget(&mut self) {
-        self.refused.clear();
-        self.unix_secs.clear();
-        self.hashes.clear();
-    }
-}
-
 impl Worker {
-    /// A worker around a swarm as it was at a checkpoint, told again from there.
+    /// Recovers a worker from a checkpoint and its journal.
     ///
-    /// `admit` lets it grow meanwhile: what it was, it was let be. Returns how it ended, if the
-    /// journal says that it did.
-    pub fn from_past(
-        past: ReplaySource,
+    /// `reserve` grants memory during the replay: the swarm fitted before. Returns the end of the swarm
+    /// too, if the journal contains it.
+    pub fn from_journal(
+        source: ReplaySource,
         handle: &Handle,
-        shortest_between_frames: Duration,
-        (writer, admit): (Arc<dyn JournalWriter>, ReserveMemory),
+        min_frame_interval: Duration,
+        (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
     ) -> (Self, Option<End>) {
         let ReplaySource {
             checkpoint,
@@ -210,12 +106,12 @@ impl Worker {
             index,
             damage,
             entries,
-            recall,
+            reply_for,
             to,
-        } = past;
+        } = source;
         for entry in entries {
-            handle.history.recall(Entry {
-                place: Place {
+            handle.history.record_command(Entry {
+                stamp: Stamp {
                     epoch: entry.epoch,
                     step: entry.step,
                     time: entry.step as f64 * checkpoint.simulation.state.parameters.dt,
@@ -226,100 +122,98 @@ impl Worker {
                 sender: entry.sender,
             });
         }
-        let is_last = checkpoint.is_last && index.last.is_none();
+        let is_last = checkpoint.is_last && index.last().is_none();
         let pending = checkpoint.pending.clone();
         let joined = checkpoint.controllers.clone();
-        let mut worker =
-            Worker::from_kept(checkpoint, handle, shortest_between_frames, (writer, admit));
-        // When it was created is not known any more.
-        worker.applied_at(None, Worker::begin_copy);
+        let mut worker = Worker::restore(checkpoint, handle, min_frame_interval, (writer, reserve));
+        // The time of its creation is not stored.
+        worker.applied_at(None, Worker::publish_created);
         worker.journal.replay();
         worker.pending = pending.map(|(from, sender)| Pending {
-            answer: recall(&sender),
+            reply_to: reply_for(&sender),
             from,
             sender,
         });
-        worker.controllers = Controllers::recall(joined, &recall);
-        let end = worker.retell(lines, index, damage, &recall, to);
+        worker.controllers = Controllers::restore(joined, &reply_for);
+        let end = worker.replay_lines(lines, index, damage, &reply_for, to);
         if !is_last {
-            worker.lose_events();
+            worker.skip_event_numbers();
         }
         (worker, end)
     }
 
-    /// Numbers events on from where none was numbered before.
-    fn lose_events(&mut self) {
-        self.events = (self.events / EVENTS_LOST + 1) * EVENTS_LOST;
+    /// Skips to event numbers that have not been used.
+    fn skip_event_numbers(&mut self) {
+        self.events = (self.events / EVENT_NUMBER_BLOCK + 1) * EVENT_NUMBER_BLOCK;
     }
 
-    /// A worker around a swarm as it was at a checkpoint.
-    pub fn from_copy(
+    /// A worker of a new swarm that starts from a checkpoint.
+    pub fn from_checkpoint(
         checkpoint: Checkpoint,
         handle: &Handle,
-        shortest_between_frames: Duration,
-        (writer, admit): (Arc<dyn JournalWriter>, ReserveMemory),
+        min_frame_interval: Duration,
+        (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
     ) -> Self {
-        let mut worker =
-            Worker::from_kept(checkpoint, handle, shortest_between_frames, (writer, admit));
-        worker.begin_copy();
+        let mut worker = Worker::restore(checkpoint, handle, min_frame_interval, (writer, reserve));
+        worker.publish_created();
         worker
     }
 
-    fn begin_copy(&mut self) {
+    fn publish_created(&mut self) {
         if self.events == 0 {
-            self.tell(EventKind::Created);
+            self.push_event(EventKind::Created);
         }
         self.renew_summary();
     }
 
-    fn from_kept(
+    fn restore(
         checkpoint: Checkpoint,
         handle: &Handle,
-        shortest_between_frames: Duration,
-        (writer, admit): (Arc<dyn JournalWriter>, ReserveMemory),
+        min_frame_interval: Duration,
+        (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
     ) -> Self {
-        let simulation = Simulation::from_checkpoint(&checkpoint.simulation, admit);
+        let simulation = Simulation::from_checkpoint(&checkpoint.simulation, reserve);
         let mut worker = Worker::around(
             simulation,
             handle,
-            shortest_between_frames,
+            min_frame_interval,
             Journal::new(writer, checkpoint.lines, checkpoint.simulation.state.step),
         );
         worker.phase = checkpoint.phase;
         worker.rate = checkpoint.rate;
         worker.events = checkpoint.events;
         for (at_step, scheduled) in checkpoint.scheduled {
-            // They fitted when they were put off.
+            // They were within the limits when they were scheduled.
             let _ = worker.schedule.add(at_step, scheduled);
         }
-        worker.set_pace();
+        worker.reset_pace();
         worker
     }
 
-    /// Begins a new epoch after what was told again, and makes it safe.
+    /// Begins a new epoch after a replay, and journals it.
     ///
     /// # Errors
     ///
-    /// [`WriteFault`]; the swarm goes on all the same.
-    pub fn resume(&mut self, admit: ReserveMemory) -> Result<(), WriteFault> {
-        self.simulation.set_reserve(admit);
+    /// [`WriteFault`]: the line is queued instead, and the swarm continues.
+    pub fn resume(&mut self, reserve: ReserveMemory) -> Result<(), WriteFault> {
+        self.simulation.set_reserve(reserve);
         let (before, epoch) = (self.at(), self.simulation.epoch + 1);
         self.simulation.epoch = epoch;
-        self.set_pace();
-        let kept = self.journal.commit(before, vec![Record::Resumed(epoch)]);
-        crash::point("swarm-resumed");
-        if kept.is_err() {
-            // What follows is written in this epoch: it comes before that, whenever it can.
+        self.reset_pace();
+        let written = self.journal.commit(before, vec![Record::Resumed(epoch)]);
+        failpoint::kill("swarm-resumed");
+        if written.is_err() {
+            // The later lines belong to this epoch, so this line is queued before them.
             self.journal.append(before, Record::Resumed(epoch), None);
         }
-        self.tell(EventKind::Phase);
-        self.keep();
+        self.push_event(EventKind::Phase);
+        self.save_checkpoint();
         self.renew_summary();
-        self.go_on();
-        kept.map(drop)
+        self.update_lockstep();
+        written.map(drop)
     }
 
-    fn set_pace(&mut self) {
+    fn reset_pace(&mut self) {
         let rate = match self.phase {
             Phase::Stepping { .. } => None,
             _ => self.rate,
@@ -328,13 +222,13 @@ impl Worker {
         self.pace = Pace::new(rate, dt, Instant::now());
     }
 
-    fn retell(
+    fn replay_lines(
         &mut self,
-        lines: impl Iterator<Item = Result<Told, String>>,
+        lines: impl Iterator<Item = Result<ReplayEntry, String>>,
         index: JournalIndex,
         damage: Option<String>,
-        recall: &dyn Fn(&Arc<Sender>) -> ReplyTo,
-        to: To,
+        reply_for: &dyn Fn(&Arc<Sender>) -> ReplyTo,
+        to: ReplayTarget,
     ) -> Option<End> {
         self.journal
             .set_settled(index.settled.keys().copied().collect());
@@ -342,26 +236,26 @@ impl Worker {
         self.replay.unix_secs = applied
             .filter_map(|(input, unix_secs)| Some((input, unix_secs?)))
             .collect();
-        self.replay.refused = index.refused;
+        self.replay.rejected = index.rejected;
         self.replay.hashes = index.hashes;
         let mut last = self.journal.lines();
         let mut end = None;
         for line in lines {
-            let (line, order) = match line {
+            let (line, command) = match line {
                 Ok(line) => line,
                 Err(problem) => {
                     self.fault(problem.clone());
-                    self.replay.broken_off = Some(problem);
+                    self.replay.aborted = Some(problem);
                     break;
                 }
             };
-            let is_of_the_last_run = line.number > index.last_reset;
-            if matches!(to, To::Step(step) if is_of_the_last_run && line.step >= step) {
+            let is_of_last_run = line.number > index.last_reset;
+            if matches!(to, ReplayTarget::Step(step) if is_of_last_run && line.step >= step) {
                 break;
             }
-            crash::point("swarm-retold");
+            failpoint::kill("swarm-retold");
             last = line.number;
-            match (line.record, order) {
+            match (line.record, command) {
                 (
                     Record::Input {
                         at_step,
@@ -369,20 +263,22 @@ impl Worker {
                         unix_secs,
                         ..
                     },
-                    Some(order),
+                    Some(command),
                 ) => {
                     end = self.advance(line.epoch, line.step);
-                    if end.is_some() || matches!(self.phase, Phase::Faulted(_)) && !is_cure(&order)
+                    if end.is_some()
+                        || matches!(self.phase, Phase::Faulted(_))
+                            && !is_allowed_after_fault(&command)
                     {
                         continue;
                     }
-                    let input = match order {
-                        ref order if order.is_group_committed() && at_step.is_none() => 0,
+                    let input = match command {
+                        ref command if command.is_group_committed() && at_step.is_none() => 0,
                         _ => line.number,
                     };
                     let command = CommandMessage {
-                        answer: recall(&sender),
-                        order,
+                        reply_to: reply_for(&sender),
+                        command,
                         when: When::default(),
                         sender,
                     };
@@ -395,9 +291,9 @@ impl Worker {
                 (Record::Resumed(epoch), _) => {
                     end = self.advance(line.epoch, line.step);
                     self.simulation.epoch = epoch;
-                    // As it was told when the daemon came back then.
-                    self.lose_events();
-                    self.tell(EventKind::Phase);
+                    // The same event as at that restart.
+                    self.skip_event_numbers();
+                    self.push_event(EventKind::Phase);
                 }
                 (Record::Fault(reason), _) if !matches!(self.phase, Phase::Faulted(_)) => {
                     end = self.advance(line.epoch, line.step);
@@ -412,15 +308,17 @@ impl Worker {
             }
         }
         match (to, index.last_hash) {
-            // What was done then may not be written down yet: whoever asked sees how far it came.
-            (To::Step(step), _) if end.is_none() => end = self.step_on(self.at().0, step),
-            (To::Place(epoch, step), _) if end.is_none() => end = self.step_on(epoch, step),
-            (To::LastHash, Some((epoch, step))) if end.is_none() && self.at() < (epoch, step) => {
+            // The journal on disk may end before the target: the caller checks the step reached.
+            (ReplayTarget::Step(step), _) if end.is_none() => end = self.step_on(self.at().0, step),
+            (ReplayTarget::At(epoch, step), _) if end.is_none() => end = self.step_on(epoch, step),
+            (ReplayTarget::LastHash, Some((epoch, step)))
+                if end.is_none() && self.at() < (epoch, step) =>
+            {
                 end = self.advance(epoch, step);
             }
             _ => {}
         }
-        self.replay.forget();
+        self.replay.clear();
         if let Some(damage) = damage {
             self.fault(damage);
         }
@@ -432,7 +330,7 @@ impl Worker {
         end
     }
 
-    /// Takes the steps that were taken until `step` of `epoch`, as far as the swarm moves.
+    /// Steps until `step` of `epoch`, or until the swarm stops moving.
     fn step_on(&mut self, epoch: u64, step: u64) -> Option<End> {
         while self.phase.is_moving() && self.at() < (epoch, step) {
             if let Some(end) = self.step() {
@@ -442,7 +340,7 @@ impl Worker {
         None
     }
 
-    /// Takes the steps that were taken until `step` of `epoch`, which the journal says were.
+    /// Steps until `step` of `epoch`, which the journal has reached; faults if it cannot be reached.
     fn advance(&mut self, epoch: u64, step: u64) -> Option<End> {
         if let Some(end) = self.step_on(epoch, step) {
             return Some(end);
@@ -450,7 +348,7 @@ impl Worker {
         if self.at() != (epoch, step) && !matches!(self.phase, Phase::Faulted(_)) {
             let (epoch_now, step_now) = self.at();
             self.fault(format!(
-                "the journal goes on at step {step} of epoch {epoch}, which cannot be reached from \
+                "the journal continues at step {step} of epoch {epoch}, which cannot be reached from \
                  step {step_now} of epoch {epoch_now}"
             ));
         }
@@ -458,7 +356,7 @@ impl Worker {
     }
 }
 
-/// Whether an order may follow a fault.
-fn is_cure(order: &Command) -> bool {
-    matches!(order, Command::Reset(_) | Command::Delete)
+/// Whether a faulted swarm accepts a command.
+fn is_allowed_after_fault(command: &Command) -> bool {
+    matches!(command, Command::Reset(_) | Command::Delete)
 }

@@ -100,7 +100,7 @@ fn number(flag: bool) -> f64 {
 }
 
 fn swarms(input: &Input, is_in: fn(&Phase) -> bool) -> f64 {
-    let phases = input.daemon.swarms.iter().map(|it| &it.summary.place.phase);
+    let phases = input.daemon.swarms.iter().map(|it| &it.summary.stamp.phase);
     phases.filter(|phase| is_in(phase)).count() as f64
 }
 

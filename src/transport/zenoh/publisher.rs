@@ -32,7 +32,7 @@ use crate::convert::{self, Payload};
 use crate::metrics::Activity;
 use crate::swarm::frame::Frame;
 use crate::swarm::outcome::DeferredReply;
-use crate::swarm::outlet::Outlet;
+use crate::swarm::output::Output;
 use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::publish_schedule::{MAX_BATCH_WINDOW, PublishScheduler};
 use crate::transport::zenoh::session_pool::Lease;
@@ -49,7 +49,7 @@ const MAX_BURST: Duration = MAX_BATCH_WINDOW.saturating_mul(2);
 
 /// The publishers of one swarm.
 pub struct Publication {
-    outlet: Arc<Outlet>,
+    output: Arc<Output>,
     /// Whether frames and events are discarded instead of published.
     is_muted: AtomicBool,
     publishers: Publishers,
@@ -152,10 +152,10 @@ impl Publisher {
     /// # Errors
     ///
     /// When zenoh rejects a publisher.
-    pub fn open(&self, lease: Lease, swarm: &str, outlet: Arc<Outlet>) -> zenoh::Result<()> {
+    pub fn open(&self, lease: Lease, swarm: &str, output: Arc<Output>) -> zenoh::Result<()> {
         let publishers = Publishers::declare(&lease, &self.prefix, swarm)?;
         let publication = Arc::new(Publication {
-            outlet,
+            output,
             is_muted: AtomicBool::new(false),
             publishers,
             _lease: lease,
@@ -261,7 +261,7 @@ impl Publication {
 
     fn publish(&self, swarm: &str) {
         let publishers = &self.publishers;
-        let (mut frames, events) = self.outlet.take();
+        let (mut frames, events) = self.output.take();
         if self.is_muted.load(Ordering::Relaxed) {
             return;
         }
@@ -274,7 +274,7 @@ impl Publication {
             self.publish_frame(swarm, publishers, &frame);
             if frames.len() > 1 && began.elapsed() > MAX_BURST {
                 let newest = frames.split_off(frames.len() - 1);
-                self.outlet.passed_over(frames.len() as u64);
+                self.output.count_dropped(frames.len() as u64);
                 frames = newest;
             }
         }
@@ -282,8 +282,8 @@ impl Publication {
 
     /// Publishes a state and an order sample, each only if it has a subscriber.
     fn publish_frame(&self, swarm: &str, publishers: &Publishers, frame: &Frame) {
-        let number = self.outlet.count_published();
-        let is_moving = frame.place.phase.is_moving();
+        let number = self.output.count_published();
+        let is_moving = frame.stamp.phase.is_moving();
         let is_matched = |publisher: &MatchedPublisher| match is_moving {
             true => publisher.is_known_matched(),
             false => publisher.is_matched(),

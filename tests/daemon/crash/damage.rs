@@ -99,7 +99,7 @@ async fn judge(
     };
     let client = Client::open(&life.endpoint).await;
     let log = life::log(folder);
-    let is_told = log.contains("damaged") || log.contains("failed to bring back");
+    let is_told = log.contains("damaged") || log.contains("failed to recover");
     let (mut is_unharmed, mut is_faulted) = (true, false);
     for (name, passed, last) in expected {
         let answers = client.ask(&keys::get(PREFIX, name, "status"), None).await;

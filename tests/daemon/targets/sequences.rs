@@ -17,10 +17,10 @@ use jostle_physics::model::Parameters;
 use jostle_physics::model::selection::Selection;
 use jostle_physics::simulation::{Change, ChangeError, Placement, Settings, Spec, Start};
 use jostled::swarm::checkpoint::Checkpoint;
-use jostled::swarm::command::{Awaited, Command, Until, When};
+use jostled::swarm::command::{Command, Until, WaitCondition, When};
 use jostled::swarm::error::SwarmError;
 use jostled::swarm::error::WriteFault;
-use jostled::swarm::frame::{EventKind, Frame, Place};
+use jostled::swarm::frame::{EventKind, Frame, Stamp};
 use jostled::swarm::handle::{CommandMessage, Handle, Message};
 use jostled::swarm::journal::{JournalWriter, NoWriter};
 use jostled::swarm::outcome::{DeferredReply, Outcome, ReplyTo, SwarmReply};
@@ -103,7 +103,7 @@ impl PersistNew for NoStore {
     fn persist(
         self: Box<Self>,
         _: &Checkpoint,
-        _: &Place,
+        _: &Stamp,
         _: &Arc<Frame>,
     ) -> Result<(), WriteFault> {
         Ok(())
@@ -219,34 +219,34 @@ fn answer_from(answers: &Receiver<SwarmReply>) -> SwarmReply {
         .expect("every order is answered")
 }
 
-fn look(handle: &Handle) -> (Place, Arc<Frame>) {
+fn look(handle: &Handle) -> (Stamp, Arc<Frame>) {
     let (answer, seen) = answers();
-    handle.send(Message::Look(answer));
+    handle.send(Message::Query(answer));
     match answer_from(&seen) {
-        Ok((place, Outcome::Seen(frame))) => (place, frame),
+        Ok((stamp, Outcome::State(frame))) => (stamp, frame),
         other => panic!("{other:?}"),
     }
 }
 
 /// Waits until a swarm does what the model does.
-fn settled(handle: &Handle, model: &Model) -> (Place, Arc<Frame>) {
+fn settled(handle: &Handle, model: &Model) -> (Stamp, Arc<Frame>) {
     let awaited = match model.doing {
         // Answered when it stands still, whatever its step.
-        Doing::Paused => Awaited::Step(u64::MAX),
-        Doing::Running(_) | Doing::Stepping(_) => Awaited::Reached(model.step),
+        Doing::Paused => WaitCondition::Step(u64::MAX),
+        Doing::Running(_) | Doing::Stepping(_) => WaitCondition::Reached(model.step),
     };
     loop {
         let (answer, arrived) = answers();
         handle.send(Message::Wait(Waiter {
-            awaited,
+            condition: awaited,
             is_abandoned: Box::new(|| false),
-            answer,
+            reply_to: answer,
         }));
         assert!(answer_from(&arrived).is_ok());
-        let (place, frame) = look(handle);
+        let (stamp, frame) = look(handle);
         // Of several orders for one step, an early one finds it standing and a later one does not.
-        if model.doing != Doing::Paused || !place.phase.is_moving() {
-            return (place, frame);
+        if model.doing != Doing::Paused || !stamp.phase.is_moving() {
+            return (stamp, frame);
         }
     }
 }
@@ -300,23 +300,28 @@ pub fn hold(data: &[u8]) {
         let expected = expected.or_else(|| model.stepped.take());
         let (answer, answered) = answers();
         handle.send(Message::Command(CommandMessage {
-            order: order(&told),
+            command: order(&told),
             when,
             sender: Arc::new(Sender::default()),
-            answer,
+            reply_to: answer,
         }));
         let came = match answer_from(&answered) {
-            Ok((place, Outcome::Stepped { steps, seen, .. })) => {
-                assert_eq!(seen.place.step, place.step);
+            Ok((
+                stamp,
+                Outcome::Stepped {
+                    steps, frame: seen, ..
+                },
+            )) => {
+                assert_eq!(seen.stamp.step, stamp.step);
                 Came::Stepped {
-                    step: place.step,
+                    step: stamp.step,
                     taken: steps,
                 }
             }
             Ok((_, Outcome::Scheduled(at_step))) => Came::Scheduled(at_step),
-            Ok((place, _)) => Came::Out {
-                step: place.step,
-                seq: place.seq,
+            Ok((stamp, _)) => Came::Out {
+                step: stamp.step,
+                seq: stamp.seq,
             },
             Err(refusal) => Came::Refused(name_of(&refusal.error)),
         };
@@ -337,7 +342,7 @@ pub fn hold(data: &[u8]) {
             std::thread::yield_now();
         }
         let (answer, answered) = answers();
-        handle.send(Message::Look(answer));
+        handle.send(Message::Query(answer));
         let refusal = answer_from(&answered).err();
         assert!(matches!(refusal.map(|it| it.error), Some(SwarmError::Gone)));
     }
@@ -346,8 +351,8 @@ pub fn hold(data: &[u8]) {
 }
 
 /// Whether a swarm is where the model is.
-fn is_as_told((place, frame): &(Place, Arc<Frame>), model: &Model) {
-    let phase = match &place.phase {
+fn is_as_told((stamp, frame): &(Stamp, Arc<Frame>), model: &Model) {
+    let phase = match &stamp.phase {
         Phase::Paused(_) => Doing::Paused,
         Phase::Running { until } => Doing::Running(*until),
         Phase::Stepping { until } => Doing::Stepping(*until),
@@ -355,9 +360,9 @@ fn is_as_told((place, frame): &(Place, Arc<Frame>), model: &Model) {
     };
     let real = (
         phase,
-        place.epoch,
-        place.step,
-        place.seq,
+        stamp.epoch,
+        stamp.step,
+        stamp.seq,
         frame.configuration.n(),
     );
     let Model {
@@ -377,7 +382,7 @@ fn has_its_history(handle: &Handle, model: &Model) {
     let entries = handle.history.entries(0, 1000).records;
     let journal: Vec<_> = entries
         .iter()
-        .map(|entry| (entry.place.seq, entry.place.epoch, entry.place.step))
+        .map(|entry| (entry.stamp.seq, entry.stamp.epoch, entry.stamp.step))
         .collect();
     assert_eq!(journal, model.journal, "{model:?}");
     let events = handle.history.events(0, 1000).records;
@@ -385,7 +390,7 @@ fn has_its_history(handle: &Handle, model: &Model) {
     assert_eq!(numbers, (1..=events.len() as u64).collect::<Vec<_>>());
     let count = |is: fn(&EventKind) -> bool| events.iter().filter(|it| is(&it.kind)).count();
     assert_eq!(
-        count(|it| matches!(it, EventKind::Refused(..))),
+        count(|it| matches!(it, EventKind::Rejected(..))),
         model.refused_later
     );
     assert_eq!(

@@ -3,7 +3,7 @@
 use jostle_physics::stepper::Stepper;
 use jostle_proto::{Snapshot, to_cbor};
 use jostled::convert::{durable, sanity};
-use jostled::persistence::recovery::read_snapshot;
+use jostled::persistence::checkpoints::read_snapshot;
 
 /// Groups larger than this are not stepped here.
 const MAX_STEPPED: usize = 64;

@@ -1,4 +1,4 @@
-//! What a swarm's thread counts of itself, for others to read.
+//! Metrics of a swarm, written by its thread and read by others.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
@@ -7,27 +7,27 @@ use jostle_physics::stepper::StepReport;
 
 use crate::metrics::{Activity, Durations, Histogram, add};
 
-/// What a swarm's thread counts. It alone writes; nobody waits for anybody.
+/// Metrics of one swarm. Only its thread writes them, without locks.
 #[derive(Debug, Default)]
-pub struct Tally {
-    /// Whether it is at work.
+pub struct SwarmMetrics {
+    /// Whether the thread is working, for the watchdog.
     pub pulse: Activity,
     step_time: Histogram,
     lateness: Histogram,
     degraded: AtomicU64,
     faults: AtomicU64,
     contacts: AtomicU64,
-    // Bits of doubles that are never negative, so that they are ordered as the numbers are.
+    // Bits of nonnegative doubles, whose order is the order of the numbers.
     residual: AtomicU64,
     residual_max: AtomicU64,
 }
 
-/// What has been counted of one swarm, or of several together.
+/// Totals of one swarm or of several.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Totals {
-    /// How long its steps took.
+    /// Durations of its steps.
     pub step_time: Durations,
-    /// How long after they were due the steps of a swarm with a rate began.
+    /// Delays of the steps of a swarm with a rate, after they were due.
     pub lateness: Durations,
     /// Steps that missed the target residual.
     pub degraded: u64,
@@ -35,23 +35,23 @@ pub struct Totals {
     pub faults: u64,
     /// The largest residual of a step.
     pub residual_max: f64,
-    /// Frames made to be published.
+    /// Frames queued for the publisher.
     pub frames: u64,
-    /// Those of them that gave way to a newer one before they were.
+    /// Those of them that were dropped for a newer one.
     pub frames_dropped: u64,
 }
 
-/// How the last step was.
+/// The last step.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct LastStep {
-    /// How many contacts constrained it.
+    /// Its number of contacts.
     pub contacts: u64,
     /// Its residual.
     pub residual: f64,
 }
 
-impl Tally {
-    /// Counts a step: how long it took, how late it began if it was due, and what it came to.
+impl SwarmMetrics {
+    /// Counts a step: its duration, its delay if it had a due time, and its report.
     pub fn stepped(&self, took: Duration, late: Option<Duration>, report: &StepReport) {
         self.step_time.record(took);
         if let Some(late) = late {
@@ -74,7 +74,7 @@ impl Tally {
         add(&self.faults, 1);
     }
 
-    /// What has been counted; frames are counted where they are put.
+    /// The totals; frames are counted by the output.
     pub fn totals(&self) -> Totals {
         Totals {
             step_time: self.step_time.read(),
@@ -87,7 +87,7 @@ impl Tally {
         }
     }
 
-    /// How the last step was.
+    /// The last step.
     pub fn last_step(&self) -> LastStep {
         LastStep {
             contacts: self.contacts.load(Ordering::Relaxed),
@@ -97,7 +97,7 @@ impl Tally {
 }
 
 impl Totals {
-    /// Adds what was counted of others.
+    /// Adds the totals of others.
     pub fn add(&mut self, others: &Totals) {
         self.step_time.add(&others.step_time);
         self.lateness.add(&others.lateness);
@@ -128,18 +128,18 @@ mod tests {
     }
 
     #[test]
-    fn steps_are_counted_with_what_they_came_to() {
-        let tally = Tally::default();
+    fn steps_are_counted_with_their_reports() {
+        let metrics = SwarmMetrics::default();
         let late = Some(Duration::from_millis(2));
-        tally.stepped(Duration::from_micros(7), late, &report(1e-6));
-        tally.stepped(Duration::from_micros(7), None, &report(1e-12));
-        tally.faulted();
-        let totals = tally.totals();
+        metrics.stepped(Duration::from_micros(7), late, &report(1e-6));
+        metrics.stepped(Duration::from_micros(7), None, &report(1e-12));
+        metrics.faulted();
+        let totals = metrics.totals();
         assert_eq!((totals.step_time.count(), totals.lateness.count()), (2, 1));
         assert_eq!((totals.degraded, totals.faults), (1, 1));
         assert_eq!(totals.residual_max, 1e-6);
         assert_eq!(
-            tally.last_step(),
+            metrics.last_step(),
             LastStep {
                 contacts: 3,
                 residual: 1e-12

@@ -1,7 +1,8 @@
-//! Controllers that couple to the swarm: in lock-step it steps when every one of them has
-//! advanced; while it runs they put set-points. A deadline that fires, a token that is lost and
-//! set-points that are applied are orders of the swarm's own, written down like any other: told
-//! again from the journal, they come at the steps they came at.
+//! The commands of controllers. In lockstep the swarm steps when all of them have advanced; while it
+//! runs freely they put set-points.
+//!
+//! A deadline that fires, a token that is lost and set-points that are applied are internal commands,
+//! which are journaled like any other: a replay executes them at the same steps.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -21,18 +22,18 @@ use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
 use crate::swarm::sender::Sender;
 use crate::swarm::worker::{End, Worker};
 
-/// An order of a controller's that is carried out before it is safe, like a `step`.
+/// The origin of a group-committed command of a controller.
 pub(super) struct ControllerInput {
-    /// The line it stands on, or none.
+    /// Its journal line, 0 if it has none.
     pub input: u64,
     pub sender: Arc<Sender>,
 }
 
 impl Worker {
-    /// Takes a controller in.
+    /// Adds a controller.
     pub(super) fn join(&mut self, options: &JoinOptions) -> Result<Outcome, SwarmError> {
         phase::next(&self.phase, PhaseInput::Change)?;
-        self.controllers.admit(options)?;
+        self.controllers.check_join(options)?;
         let claims = match &options.selection {
             Some(selection) => Some(self.claim(&options.controller, selection)?),
             None => None,
@@ -40,24 +41,24 @@ impl Worker {
         let step = self.simulation.state.step;
         if options.mode == Mode::Lockstep && !self.controllers.is_lockstep() {
             let paused = Phase::Paused(PauseReason::Lockstep);
-            self.answer_pending(&paused);
+            self.reply_to_pending(&paused);
             self.enter(paused);
         }
-        if let Some(answer) = self.controllers.join(options, claims, step) {
-            answer.send(Err(self.refusal(SwarmError::Superseded)));
+        if let Some(reply_to) = self.controllers.join(options, claims, step) {
+            reply_to.send(Err(self.rejection(SwarmError::Superseded)));
         }
-        self.go_on();
+        self.update_lockstep();
         let member = self.controllers.find(&options.controller)?;
-        let ids = member.kept.claims.iter().copied().collect();
-        let news = std::mem::take(&mut member.kept.news);
+        let ids = member.state.claims.iter().copied().collect();
+        let news = std::mem::take(&mut member.state.news);
         Ok(Outcome::Joined { ids, news })
     }
 
-    /// Those that a controller is to steer, none of them claimed by another. Draws are from those
-    /// that nobody has claimed.
+    /// The individuals of a selection. Those that another controller has claimed are an error if they
+    /// are named, and are excluded from random selections.
     fn claim(&self, controller: &str, selection: &Selection) -> Result<BTreeSet<u32>, SwarmError> {
         let state = &self.simulation.state;
-        let claimed = self.controllers.claimed_beside(controller);
+        let claimed = self.controllers.claimed_by_others(controller);
         if let Selection::Ids(ids) = selection
             && let Some(id) = ids.iter().find(|id| claimed.contains(id))
         {
@@ -82,71 +83,74 @@ impl Worker {
         Ok(chosen.into_iter().map(|k| free.id[k]).collect())
     }
 
-    /// Lets a controller go, at its own wish.
+    /// Removes a controller at its request.
     pub(super) fn leave(&mut self, controller: &str) -> Result<Outcome, SwarmError> {
         phase::next(&self.phase, PhaseInput::Change)?;
         self.controllers.find(controller)?;
-        self.part(controller, Departure::Left);
-        self.go_on();
+        self.remove_controller(controller, Departure::Left);
+        self.update_lockstep();
         Ok(Outcome::Done)
     }
 
-    /// Takes a controller out. Whom it steered is uninformed, unless it joined to hold them.
-    fn part(&mut self, controller: &str, why: Departure) {
+    /// Removes a controller. The individuals it steered become uninformed, unless it joined with
+    /// [`OnTimeout::Hold`].
+    fn remove_controller(&mut self, controller: &str, why: Departure) {
         let step = self.simulation.state.step;
-        let Some(mut member) = self.controllers.part(controller, why, step) else {
+        let Some(mut member) = self.controllers.remove(controller, why, step) else {
             return;
         };
-        if member.kept.on_timeout != OnTimeout::Hold {
-            self.simulation.release(&member.kept.steered);
+        if member.state.on_timeout != OnTimeout::Hold {
+            self.simulation.release(&member.state.steered);
         }
-        // What only those wanted who have left is not gone on with.
-        let is_last = member.kept.mode == Mode::Lockstep && !self.controllers.is_lockstep();
+        // Without a controller in lockstep, an advance that has begun is not continued.
+        let is_last = member.state.mode == Mode::Lockstep && !self.controllers.is_lockstep();
         if is_last && let Phase::Stepping { .. } = self.phase {
             self.phase = Phase::Paused(PauseReason::Lockstep);
             self.journal.interrupt(step);
         }
-        if let Some(answer) = member.take_answer() {
+        if let Some(reply_to) = member.take_reply_to() {
             let left = Some((why, step));
             let controller = controller.to_owned();
-            answer.send(Err(self.refusal(SwarmError::NotJoined { controller, left })));
+            reply_to.send(Err(
+                self.rejection(SwarmError::NotJoined { controller, left })
+            ));
         }
     }
 
-    /// Has a controller advance, and answers it when the swarm has come so far.
+    /// Begins an `advance` of a controller. Its reply is sent when the swarm has reached the step.
     pub(super) fn begin_advance(
         &mut self,
         from: ControllerInput,
         (controller, steps, set): (&str, u64, Option<&SetPoints>),
-        answer: ReplyTo,
+        reply_to: ReplyTo,
     ) {
         if let Err(error) = self.check_advance(controller, set) {
-            return self.refuse_coupling(&from, &error, answer);
+            return self.reject_input(&from, &error, reply_to);
         }
         let step = self.simulation.state.step;
         if let Some(set) = set
             && let Err(error) = self.simulation.steer(set)
         {
-            return self.refuse_coupling(&from, &error.into(), answer);
+            return self.reject_input(&from, &error.into(), reply_to);
         }
         let Ok(member) = self.controllers.find(controller) else {
-            unreachable!("it was found to have joined");
+            unreachable!("check_advance found the controller");
         };
         if let Some(set) = set {
-            member.kept.steered.extend(&set.ids);
+            member.state.steered.extend(&set.ids);
         }
         let target = step.saturating_add(steps);
-        let before = member.advance(step, target, from.sender.clone(), answer);
+        let before = member.advance(step, target, from.sender.clone(), reply_to);
         if let Some(before) = before {
-            before.send(Err(self.refusal(SwarmError::Superseded)));
+            before.send(Err(self.rejection(SwarmError::Superseded)));
         }
-        let until = self.controllers.together(step);
-        self.note_coupling(&from, until);
-        self.enter_in_history(from.sender);
-        self.go_on();
+        let until = self.controllers.common_target(step);
+        self.journal_input(&from, until);
+        self.record_in_history(from.sender);
+        self.update_lockstep();
     }
 
-    /// Whether a controller may advance, and has what it wants to steer.
+    /// Whether a controller may advance and has claimed the individuals of `set`.
     fn check_advance(
         &mut self,
         controller: &str,
@@ -155,24 +159,24 @@ impl Worker {
         phase::next(&self.phase, PhaseInput::Change)?;
         let is_moving = self.phase.is_moving();
         let member = self.controllers.find(controller)?;
-        if member.kept.mode != Mode::Lockstep {
+        if member.state.mode != Mode::Lockstep {
             return Err(SwarmError::RunsFreely(controller.to_owned()));
         }
         if is_moving {
             return Err(SwarmError::Advancing {
                 controller: controller.to_owned(),
-                target: member.kept.target,
+                target: member.state.target,
             });
         }
         set.map_or(Ok(()), |set| self.check_claims(controller, set))
     }
 
     fn check_claims(&mut self, controller: &str, set: &SetPoints) -> Result<(), SwarmError> {
-        let kept = &self.controllers.find(controller)?.kept;
-        if set.drives.is_some() && !kept.driving {
+        let state = &self.controllers.find(controller)?.state;
+        if set.drives.is_some() && !state.driving {
             return Err(SwarmError::NotDriving(controller.to_owned()));
         }
-        let claims = &kept.claims;
+        let claims = &state.claims;
         match set.ids.iter().find(|id| !claims.contains(id)) {
             None => Ok(()),
             Some(&id) => Err(SwarmError::NotClaimed {
@@ -182,22 +186,22 @@ impl Worker {
         }
     }
 
-    /// Carries out what came about by itself: a deadline, a lost token, set-points that were put.
-    pub(super) fn couple(
+    /// Executes an internal command: a deadline, a lost token, or set-points that were put.
+    pub(super) fn apply_controller_command(
         &mut self,
         from: &ControllerInput,
-        order: &Command,
+        command: &Command,
     ) -> Result<(), SwarmError> {
-        match order {
+        match command {
             Command::Deadline(controller) => {
                 self.controllers.find(controller)?;
-                self.note_coupling(from, None);
+                self.journal_input(from, None);
                 self.deadline(controller);
             }
             Command::Lost(controller) => {
                 self.controllers.find(controller)?;
-                self.note_coupling(from, None);
-                self.part(controller, Departure::Lost);
+                self.journal_input(from, None);
+                self.remove_controller(controller, Departure::Lost);
             }
             Command::Control {
                 controller,
@@ -210,88 +214,88 @@ impl Worker {
                 let member = self.controllers.find(controller)?;
                 member.count_put(*sequence, steered.is_ok());
                 if steered.is_ok() {
-                    member.kept.steered.extend(&set.ids);
+                    member.state.steered.extend(&set.ids);
                 }
                 steered?;
-                self.note_coupling(from, None);
-                self.enter_in_history(from.sender.clone());
+                self.journal_input(from, None);
+                self.record_in_history(from.sender.clone());
                 return Ok(());
             }
-            _ => unreachable!("all else has a sender who waits"),
+            _ => unreachable!("{command:?} is no internal command"),
         }
-        self.tell(EventKind::Command(from.sender.clone()));
-        self.go_on();
-        self.show_if_standing();
+        self.push_event(EventKind::Command(from.sender.clone()));
+        self.update_lockstep();
+        self.push_frame_if_still();
         Ok(())
     }
 
-    /// The others have waited long enough for a controller.
+    /// The deadline of a controller has passed.
     fn deadline(&mut self, controller: &str) {
         let step = self.simulation.state.step;
-        let misses = self.controllers.miss(controller, step);
-        let nearest = self.controllers.nearest(step);
+        let misses = self.controllers.record_miss(controller, step);
+        let nearest = self.controllers.nearest_target(step);
         let Ok(member) = self.controllers.find(controller) else {
             return;
         };
-        let kept = &mut member.kept;
-        let (mode, on_timeout) = (kept.mode, kept.on_timeout);
+        let state = &mut member.state;
+        let (mode, on_timeout) = (state.mode, state.on_timeout);
         if on_timeout == OnTimeout::Free {
-            self.simulation.release(&std::mem::take(&mut kept.steered));
+            self.simulation.release(&std::mem::take(&mut state.steered));
         }
         if let (Mode::Lockstep, Some(nearest)) = (mode, nearest)
             && on_timeout != OnTimeout::Pause
         {
-            kept.target = nearest;
+            state.target = nearest;
         }
         if mode == Mode::Lockstep && misses >= MAX_MISSES {
-            self.part(controller, Departure::Late);
+            self.remove_controller(controller, Departure::Late);
         }
         if on_timeout == OnTimeout::Pause {
             let paused = Phase::Paused(PauseReason::Deadline);
-            self.cut_short(&paused);
+            self.end_advances(&paused);
             if mode == Mode::FreeRunning {
-                self.answer_pending(&paused);
+                self.reply_to_pending(&paused);
             }
             self.enter(paused);
         }
     }
 
-    /// Refuses what was to be done for a controller: nothing has changed.
-    fn refuse_coupling(&mut self, from: &ControllerInput, error: &SwarmError, answer: ReplyTo) {
+    /// Rejects a command of a controller; nothing has changed.
+    fn reject_input(&mut self, from: &ControllerInput, error: &SwarmError, reply_to: ReplyTo) {
         self.simulation.seq -= 1;
         if from.input > 0 {
             self.record_outcome(from.input, Err(error));
         }
-        answer.send(Err(self.refusal(error.clone())));
+        reply_to.send(Err(self.rejection(error.clone())));
     }
 
-    /// Writes down, when it suits, what was done for a controller. Once that is safe, so are the
-    /// steps up to `until`.
-    fn note_coupling(&mut self, from: &ControllerInput, until: Option<u64>) {
+    /// Queues the journal line of a command of a controller. Once it is durable, so are the steps up to
+    /// `until`.
+    fn journal_input(&mut self, from: &ControllerInput, until: Option<u64>) {
         let record = self.applied_record(from.input, &from.sender);
         self.journal.append(self.at(), record, until);
     }
 
-    /// Enters what comes thousands of times a second where `get/journal` shows it. No event tells
-    /// of it: whoever follows those would see nothing else.
-    fn enter_in_history(&self, sender: Arc<Sender>) {
-        self.history.recall(Entry {
-            place: self.place(),
+    /// Records a command for `get/journal` without an event: thousands of these a second would displace
+    /// all other events.
+    fn record_in_history(&self, sender: Arc<Sender>) {
+        self.history.record_command(Entry {
+            stamp: self.stamp(),
             unix_secs: self.unix_secs(),
             sender,
         });
     }
 
-    /// Steps if every controller has advanced, stands still if one has not, and looks for whom the
-    /// swarm waits.
-    pub(super) fn go_on(&mut self) {
+    /// Updates the phase in lockstep, which is stepping if all controllers have advanced and paused
+    /// otherwise, and the deadlines.
+    pub(super) fn update_lockstep(&mut self) {
         if self.controllers.is_empty() {
             return;
         }
         let step = self.simulation.state.step;
         if self.controllers.is_lockstep() && !matches!(self.phase, Phase::Faulted(_)) {
-            // The phases of an exchange are known to all who take part in it: no event tells them.
-            match self.controllers.together(step) {
+            // No event: the controllers know the phase from their replies.
+            match self.controllers.common_target(step) {
                 Some(until) => {
                     self.journal.reach(until);
                     if !self.phase.is_moving() {
@@ -306,66 +310,66 @@ impl Worker {
                 None => {}
             }
         }
-        self.controllers.wait_at(step, Instant::now());
+        self.controllers.update_deadlines(step, Instant::now());
     }
 
-    /// Tells all controllers whose advance has come to its end, and goes on with the others'.
-    pub(super) fn answer_arrived(&mut self) {
+    /// Replies to the advances that have reached their step, and updates the phase for the others.
+    pub(super) fn reply_to_arrived(&mut self) {
         if self.controllers.is_empty() {
             return;
         }
         let step = self.simulation.state.step;
-        let arrived = self.controllers.arrived(step, false);
-        self.go_on();
+        let arrived = self.controllers.take_arrived(step, false);
+        self.update_lockstep();
         let phase = self.phase.clone();
-        self.answer_advances(arrived, &phase);
+        self.reply_to_advances(arrived, &phase);
     }
 
-    /// Tells all controllers that wait how far the swarm came, and what it does from then on.
-    pub(super) fn cut_short(&mut self, from_then_on: &Phase) {
+    /// Replies to all pending advances; `next_phase` is the phase in the replies.
+    pub(super) fn end_advances(&mut self, next_phase: &Phase) {
         let step = self.simulation.state.step;
-        let waiting = self.controllers.arrived(step, true);
-        self.answer_advances(waiting, from_then_on);
+        let waiting = self.controllers.take_arrived(step, true);
+        self.reply_to_advances(waiting, next_phase);
     }
 
-    fn answer_advances(&mut self, answers: Vec<(ReplyTo, u64, News)>, from_then_on: &Phase) {
-        if answers.is_empty() {
+    fn reply_to_advances(&mut self, replies: Vec<(ReplyTo, u64, News)>, next_phase: &Phase) {
+        if replies.is_empty() {
             return;
         }
-        let (mut place, seen) = self.look();
-        place.phase = from_then_on.clone();
-        let safe_step = self.journal.durable_step_of(place.step);
-        for (answer, from, news) in answers {
+        let (mut stamp, frame) = self.look();
+        stamp.phase = next_phase.clone();
+        let durable_step = self.journal.durable_step_of(stamp.step);
+        for (reply_to, from, news) in replies {
             let outcome = Outcome::Advanced {
-                steps: place.step - from,
-                safe_step,
-                seen: seen.clone(),
+                steps: stamp.step - from,
+                durable_step,
+                frame: frame.clone(),
                 news,
             };
-            answer.send(Ok((place.clone(), outcome)));
+            reply_to.send(Ok((stamp.clone(), outcome)));
         }
     }
 
-    /// Fires the deadlines that have passed.
-    pub(super) fn fire_overdue(&mut self) -> Option<End> {
+    /// Executes the deadlines that have passed.
+    pub(super) fn fire_deadlines(&mut self) -> Option<End> {
         if matches!(self.phase, Phase::Faulted(_)) {
-            self.controllers.rest();
+            self.controllers.clear_deadline();
         }
         for controller in self.controllers.overdue(Instant::now()) {
-            let sender = by_itself("deadline", &controller);
-            if let Some(end) = self.order_itself(Command::Deadline(controller), sender) {
+            let sender = internal_sender("deadline", &controller);
+            if let Some(end) = self.apply_internal(Command::Deadline(controller), sender) {
                 return Some(end);
             }
         }
         None
     }
 
-    /// A controller's token is gone.
-    pub(super) fn lost(&mut self, controller: String) -> Option<End> {
-        // Most tokens are of controllers that have said goodbye.
+    /// Removes a controller whose liveliness token is lost.
+    pub(super) fn remove_lost(&mut self, controller: String) -> Option<End> {
+        // A controller that has left drops its token too.
         self.controllers.find(&controller).ok()?;
-        let sender = by_itself("lost", &controller);
-        self.order_itself(Command::Lost(controller), sender)
+        let sender = internal_sender("lost", &controller);
+        self.apply_internal(Command::Lost(controller), sender)
     }
 
     /// Applies the set-points that were put since the last step.
@@ -380,38 +384,38 @@ impl Worker {
                 set,
                 sender,
             } = put;
-            let order = Command::Control {
+            let command = Command::Control {
                 controller,
                 sequence,
                 set,
             };
-            // Set-points end no swarm.
-            let _ = self.order_itself(order, sender);
+            // Set-points never end a swarm.
+            let _ = self.apply_internal(command, sender);
         }
         let step = self.simulation.state.step;
-        self.controllers.wait_at(step, Instant::now());
+        self.controllers.update_deadlines(step, Instant::now());
     }
 
-    fn order_itself(&mut self, order: Command, sender: Arc<Sender>) -> Option<End> {
-        // A fault keeps the last good state: nothing comes about by itself until a reset.
+    fn apply_internal(&mut self, command: Command, sender: Arc<Sender>) -> Option<End> {
+        // A faulted swarm keeps its last good state until a reset.
         if matches!(self.phase, Phase::Faulted(_)) {
             return None;
         }
-        self.since.inputs += 1;
+        self.since_checkpoint.inputs += 1;
         self.applied_at(self.unix_secs(), |it| {
-            it.execute(0, order, sender, ReplyTo::ignored())
+            it.execute(0, command, sender, ReplyTo::ignored())
         })
     }
 
-    fn show_if_standing(&self) {
+    fn push_frame_if_still(&self) {
         if !self.phase.is_moving() {
-            self.show();
+            self.push_frame();
         }
     }
 }
 
-/// The swarm's own order about a controller, whose name is plain text.
-fn by_itself(verb: &'static str, controller: &str) -> Arc<Sender> {
+/// The sender of an internal command about a controller. Names of controllers need no JSON escapes.
+fn internal_sender(verb: &'static str, controller: &str) -> Arc<Sender> {
     Arc::new(Sender {
         verb,
         args: format!("{{\"controller\":\"{controller}\"}}"),

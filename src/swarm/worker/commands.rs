@@ -1,0 +1,458 @@
+//! Commands: journaling, executing and replying to them.
+
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::time::Instant;
+
+use fail::fail_point;
+use jostle_physics::simulation::{Change, ChangeKind, ChangeOutcome, steps_in};
+use tracing::warn;
+
+use crate::swarm::command::{Command, Until, When};
+use crate::swarm::error::SwarmError;
+use crate::swarm::failpoint;
+use crate::swarm::frame::EventKind;
+use crate::swarm::handle::CommandMessage;
+use crate::swarm::journal::Record;
+use crate::swarm::outcome::{DeferredReply, Outcome, Rejection, ReplyTo};
+use crate::swarm::pace::Pace;
+use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
+use crate::swarm::sender::Sender;
+use crate::swarm::worker::controllers::ControllerInput;
+use crate::swarm::worker::{End, Pending, Worker};
+
+impl Worker {
+    /// Journals commands in one write, then executes each one or schedules it for its step.
+    pub(super) fn commands(&mut self, commands: Vec<CommandMessage>) -> Option<End> {
+        let mut accepted = Vec::with_capacity(commands.len());
+        for message in commands {
+            match self.check(&message.command, message.when) {
+                Ok(()) => accepted.push(message),
+                Err(error) => message.reply_to.send(Err(self.rejection(error))),
+            }
+        }
+        let step = self.simulation.state.step;
+        let scheduled_step =
+            |message: &CommandMessage| message.when.at_step.filter(|at_step| *at_step > step);
+        let is_far_ahead = self.journal.is_far_ahead();
+        let is_write_ahead = |message: &CommandMessage| {
+            let command = &message.command;
+            let is_throttled = is_far_ahead && command.is_group_committed();
+            command.is_write_ahead() || scheduled_step(message).is_some() || is_throttled
+        };
+        let unix_secs = self.unix_secs();
+        let records: Vec<Record> = accepted
+            .iter()
+            .filter(|message| is_write_ahead(message))
+            .map(|message| Record::Input {
+                at_step: scheduled_step(message),
+                sender: message.sender.clone(),
+                seq: None,
+                unix_secs,
+            })
+            .collect();
+        let mut input = 0;
+        if !records.is_empty() {
+            // Other swarms compute while this one waits for the disk.
+            self.cpu_share.leave();
+            match self.journal.commit(self.at(), records) {
+                Ok(first) => {
+                    failpoint::kill("swarm-safe");
+                    input = first;
+                }
+                Err(fault) => {
+                    for message in accepted {
+                        let error = SwarmError::Unsafe(fault.clone());
+                        message.reply_to.send(Err(self.rejection(error)));
+                    }
+                    return None;
+                }
+            }
+        }
+        for message in accepted {
+            let at_step = scheduled_step(&message);
+            let is_written = is_write_ahead(&message);
+            let line = if is_written { input } else { 0 };
+            let end = match at_step {
+                // Its journal line is the only record of when it was received, so a replay uses this time.
+                Some(_) => self.applied_at(unix_secs, |it| it.command(line, at_step, message)),
+                None => self.command(line, None, message),
+            };
+            if end.is_some() {
+                return end;
+            }
+            input += u64::from(is_written);
+        }
+        None
+    }
+
+    /// Executes a command, or schedules it for `at_step`. `input` is the number of its journal line, 0
+    /// if it has none.
+    pub(super) fn command(
+        &mut self,
+        input: u64,
+        at_step: Option<u64>,
+        message: CommandMessage,
+    ) -> Option<End> {
+        self.applied_at(self.unix_secs(), |it| it.apply(input, at_step, message))
+    }
+
+    fn apply(&mut self, input: u64, at_step: Option<u64>, message: CommandMessage) -> Option<End> {
+        self.since_checkpoint.inputs += 1;
+        let CommandMessage {
+            command,
+            sender,
+            reply_to,
+            ..
+        } = message;
+        let Some(at_step) = at_step else {
+            return self.execute(input, command, sender, reply_to);
+        };
+        match self.schedule_command(input, at_step, command, sender) {
+            Ok(()) => reply_to.send(Ok((self.stamp(), Outcome::Scheduled(at_step)))),
+            Err(error) => {
+                self.record_outcome(input, Err(&error));
+                reply_to.send(Err(self.rejection(error)));
+            }
+        }
+        None
+    }
+
+    /// Journals the outcome of the command on line `input`. A rejection that a replay might not
+    /// reproduce is durable before the reply is sent.
+    pub(super) fn record_outcome(&mut self, input: u64, outcome: Result<u64, &SwarmError>) {
+        let record = Record::Became {
+            input,
+            seq: outcome.ok(),
+            unix_secs: self.unix_secs(),
+        };
+        let at = self.at();
+        match outcome {
+            Err(error) if error.may_succeed_later() => {
+                if let Err(fault) = self.journal.commit(at, vec![record]) {
+                    warn!(swarm = self.output.name, %fault, "failed to journal a rejection");
+                }
+            }
+            _ => drop(self.journal.append(at, record, None)),
+        }
+    }
+
+    /// Executes a command and replies. The replies to `step` and `advance` are sent when their steps
+    /// are taken.
+    pub(super) fn execute(
+        &mut self,
+        input: u64,
+        command: Command,
+        sender: Arc<Sender>,
+        reply_to: ReplyTo,
+    ) -> Option<End> {
+        if self.replay.was_rejected(input) {
+            reply_to.send(Err(self.rejection(SwarmError::RejectedBefore)));
+            return None;
+        }
+        let before = self.phase.clone();
+        let seq = self.simulation.seq;
+        // The number of a command is the key of its random draws.
+        self.simulation.seq += 1;
+        let outcome = match command {
+            Command::Delete => return self.delete(input, sender, reply_to),
+            Command::Step(steps) => {
+                self.begin_steps(input, steps, sender, reply_to);
+                return None;
+            }
+            Command::Advance {
+                controller,
+                steps,
+                set,
+            } => {
+                let input = ControllerInput { input, sender };
+                self.begin_advance(input, (&controller, steps, set.as_ref()), reply_to);
+                return None;
+            }
+            Command::Deadline(_) | Command::Lost(_) | Command::Control { .. } => {
+                if let Err(error) =
+                    self.apply_controller_command(&ControllerInput { input, sender }, &command)
+                {
+                    self.simulation.seq = seq;
+                    reply_to.send(Err(self.rejection(error)));
+                }
+                return None;
+            }
+            Command::Join(options) => self.join(&options),
+            Command::Leave(controller) => self.leave(&controller),
+            Command::Run { until, rate } => self.begin_run(until, rate),
+            Command::Pause => self.pause(),
+            Command::Reset(seed) => self.reset(seed),
+            Command::Change(change) => match self.change(std::slice::from_ref(&change)) {
+                Ok(mut changed) => Ok(Outcome::Changed(changed.remove(0).1)),
+                Err(SwarmError::InBatch { error, .. }) => Err(*error),
+                Err(error) => Err(error),
+            },
+            Command::Batch(changes) => self.change(&changes).map(Outcome::Batch),
+        };
+        match outcome {
+            Ok(outcome) => {
+                let is_reset = matches!(outcome, Outcome::Reset(_));
+                self.record_outcome(input, Ok(self.simulation.seq));
+                self.push_event(EventKind::Command(sender));
+                if is_reset {
+                    self.drop_scheduled();
+                    self.journal.reset();
+                    self.save_checkpoint();
+                }
+                self.renew_summary();
+                if self.phase == before && !self.phase.is_moving() {
+                    self.push_frame();
+                }
+                failpoint::kill("swarm-applied");
+                reply_to.send(Ok((self.stamp(), outcome)));
+                // After the reply, so that the client that paused it learns of it first.
+                self.reply_to_waiters();
+            }
+            Err(error) => {
+                self.simulation.seq = seq;
+                let rejection = self.rejection(error);
+                self.record_outcome(input, Err(&rejection.error));
+                reply_to.send(Err(rejection));
+            }
+        }
+        None
+    }
+
+    /// Applies all changes or none; a panic rolls back too.
+    fn change(
+        &mut self,
+        changes: &[Change],
+    ) -> Result<Vec<(ChangeKind, ChangeOutcome)>, SwarmError> {
+        phase::next(&self.phase, PhaseInput::Change)?;
+        let before = self.simulation.save();
+        let simulation = &mut self.simulation;
+        let changed = catch_unwind(AssertUnwindSafe(|| {
+            fail_point!("command");
+            simulation.apply_all(changes)
+        }));
+        match changed {
+            Ok(Ok(outcomes)) => {
+                if !self.controllers.is_empty() {
+                    let ids = &self.simulation.state.configuration.id;
+                    self.controllers
+                        .retain_individuals(|id| ids.binary_search(&id).is_ok());
+                }
+                Ok(outcomes)
+            }
+            Ok(Err((index, error))) => {
+                self.simulation.rollback(before);
+                Err(SwarmError::InBatch {
+                    index,
+                    error: Box::new(error.into()),
+                })
+            }
+            Err(_) => {
+                self.simulation.rollback(before);
+                Err(SwarmError::Panicked)
+            }
+        }
+    }
+
+    pub(super) fn check(&mut self, command: &Command, when: When) -> Result<(), SwarmError> {
+        // A controller that has left usually expects an older step too; that it has left is the
+        // more useful error.
+        if let Command::Advance { controller, .. } = command {
+            self.controllers.find(controller)?;
+        }
+        let step = self.simulation.state.step;
+        let at = [
+            ("epoch", when.expect_epoch, self.simulation.epoch),
+            ("step", when.expect_step, step),
+        ];
+        for (what, expected, actual) in at {
+            if let Some(expected) = expected
+                && expected != actual
+            {
+                return Err(SwarmError::Conflict {
+                    what,
+                    expected,
+                    actual,
+                });
+            }
+        }
+        match when.at_step {
+            Some(at_step) if at_step < step => Err(SwarmError::Late { at_step, step }),
+            _ => Ok(()),
+        }
+    }
+
+    fn begin_run(
+        &mut self,
+        until: Option<Until>,
+        rate: Option<Option<f64>>,
+    ) -> Result<Outcome, SwarmError> {
+        let step = self.simulation.state.step;
+        let until = until.map(|until| match until {
+            Until::Step(step) => step,
+            Until::Time(time) => steps_in(time, self.simulation.state.parameters.dt),
+        });
+        // Without `until`, a running swarm keeps the one it has.
+        let until = match self.phase {
+            Phase::Running { until: end } => until.or(end),
+            _ => until,
+        };
+        let next = phase::next(&self.phase, PhaseInput::Run(until))?;
+        if self.controllers.is_lockstep() {
+            return Err(SwarmError::Lockstep);
+        }
+        if let Some(until) = until
+            && until < step
+        {
+            return Err(SwarmError::Past { until, step });
+        }
+        self.reply_to_pending(&next);
+        self.rate = rate.unwrap_or(self.rate);
+        let was_running = matches!(self.phase, Phase::Running { .. });
+        if !was_running || rate.is_some() {
+            let dt = self.simulation.state.parameters.dt;
+            self.pace = Pace::new(self.rate, dt, Instant::now());
+        }
+        self.enter(next);
+        self.apply_phase_input(PhaseInput::Reached(step));
+        Ok(Outcome::Runs(until, self.rate))
+    }
+
+    fn pause(&mut self) -> Result<Outcome, SwarmError> {
+        let next = phase::next(&self.phase, PhaseInput::Pause)?;
+        self.reply_to_pending(&next);
+        self.end_advances(&next);
+        self.enter(next);
+        self.update_lockstep();
+        Ok(Outcome::Done)
+    }
+
+    fn reset(&mut self, seed: Option<u64>) -> Result<Outcome, SwarmError> {
+        let next = phase::next(&self.phase, PhaseInput::Reset)?;
+        let fresh = self.simulation.build_start(seed)?;
+        // Before the reset, since the replies contain the steps taken.
+        self.reply_to_pending(&next);
+        self.end_advances(&next);
+        self.simulation.restart(fresh);
+        let ids = &self.simulation.state.configuration.id;
+        self.controllers
+            .restart(0, |id| ids.binary_search(&id).is_ok());
+        self.enter(next);
+        self.record_state();
+        Ok(Outcome::Reset(self.frame(true)))
+    }
+
+    fn begin_steps(&mut self, input: u64, steps: u64, sender: Arc<Sender>, reply_to: ReplyTo) {
+        let from = self.simulation.state.step;
+        let until = from.saturating_add(steps);
+        let next = phase::next(&self.phase, PhaseInput::Step(until)).map_err(SwarmError::from);
+        let next = next.and_then(|next| match self.controllers.is_lockstep() {
+            true => Err(SwarmError::Lockstep),
+            false => Ok(next),
+        });
+        match next {
+            Ok(next) => {
+                // A pending `step` that ends at the step for which this one is scheduled is done.
+                self.reply_to_pending(&next);
+                // No event: lockstep clients send thousands of steps a second, and the reply
+                // contains the phase.
+                self.phase = next;
+                self.pace = Pace::new(None, self.simulation.state.parameters.dt, Instant::now());
+                let record = self.applied_record(input, &sender);
+                self.journal.append(self.at(), record, Some(until));
+                self.push_event(EventKind::Command(sender.clone()));
+                self.pending = Some(Pending {
+                    reply_to,
+                    from,
+                    sender,
+                });
+            }
+            Err(error) => {
+                self.simulation.seq -= 1;
+                if input > 0 {
+                    self.record_outcome(input, Err(&error));
+                }
+                reply_to.send(Err(self.rejection(error)));
+            }
+        }
+    }
+
+    /// The record of an executed command whose line is `input`, 0 if it has none yet.
+    pub(super) fn applied_record(&self, input: u64, sender: &Arc<Sender>) -> Record {
+        let (seq, unix_secs) = (Some(self.simulation.seq), self.unix_secs());
+        match input {
+            0 => Record::Input {
+                at_step: None,
+                sender: sender.clone(),
+                seq,
+                unix_secs,
+            },
+            input => Record::Became {
+                input,
+                seq,
+                unix_secs,
+            },
+        }
+    }
+
+    /// Ends the swarm once that is durable.
+    fn delete(&mut self, input: u64, sender: Arc<Sender>, reply_to: ReplyTo) -> Option<End> {
+        let mut stamp = self.stamp();
+        stamp.phase = Phase::Paused(PauseReason::Requested);
+        if let Err(fault) = self.journal.end(stamp, sender) {
+            self.simulation.seq -= 1;
+            let error = SwarmError::Unsafe(fault);
+            if input > 0 {
+                self.record_outcome(input, Err(&error));
+            }
+            reply_to.send(Err(self.rejection(error)));
+            return None;
+        }
+        failpoint::kill("swarm-ended");
+        self.phase = Phase::Paused(PauseReason::Requested);
+        let phase = self.phase.clone();
+        self.reply_to_pending(&phase);
+        self.end_advances(&phase);
+        self.push_event(EventKind::Deleted);
+        let stamp = self.stamp();
+        let step = Some(stamp.step);
+        self.waiters.reply_to_all(|| {
+            Err(Rejection {
+                step,
+                error: SwarmError::Gone,
+            })
+        });
+        let reply = DeferredReply::new(reply_to, Ok((stamp, Outcome::Done)));
+        Some(End::Deleted(reply))
+    }
+
+    /// Enters the phase that follows from `input`, if it is another one.
+    pub(super) fn apply_phase_input(&mut self, input: PhaseInput) {
+        if let Ok(next) = phase::next(&self.phase, input) {
+            self.enter(next);
+        }
+    }
+
+    pub(super) fn enter(&mut self, next: Phase) {
+        if next != self.phase {
+            self.phase = next;
+            self.push_event(EventKind::Phase);
+            self.push_frame();
+        }
+    }
+
+    /// Replies to the pending `step`; `next_phase` is the phase in the reply.
+    pub(super) fn reply_to_pending(&mut self, next_phase: &Phase) {
+        if let Some(Pending { reply_to, from, .. }) = self.pending.take() {
+            let (mut stamp, frame) = self.look();
+            stamp.phase = next_phase.clone();
+            let outcome = Outcome::Stepped {
+                steps: stamp.step - from,
+                durable_step: self.journal.durable_step_of(stamp.step),
+                frame,
+            };
+            failpoint::kill("swarm-stepped");
+            reply_to.send(Ok((stamp, outcome)));
+        }
+    }
+}

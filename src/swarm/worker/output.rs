@@ -1,0 +1,139 @@
+//! The frames, events and summary that a worker publishes, and its replies to waiting queries.
+
+use std::sync::{Arc, OnceLock, PoisonError};
+use std::time::Instant;
+
+use crate::swarm::clock;
+use crate::swarm::frame::{Event, EventKind, Frame, Stamp, Summary};
+use crate::swarm::outcome::Outcome;
+use crate::swarm::worker::Worker;
+
+impl Worker {
+    /// The present state.
+    pub fn look(&self) -> (Stamp, Arc<Frame>) {
+        (self.stamp(), self.frame(true))
+    }
+
+    /// The present state with its controllers.
+    pub(super) fn state_with_controllers(&self) -> (Stamp, Arc<Frame>) {
+        let (stamp, frame) = self.look();
+        if self.controllers.is_empty() {
+            return (stamp, frame);
+        }
+        let mut frame = Arc::unwrap_or_clone(frame);
+        frame.controllers = self.controllers.statuses(Instant::now());
+        (stamp, Arc::new(frame))
+    }
+
+    pub(super) fn reply_to_waiters(&mut self) {
+        let mut waiters = std::mem::take(&mut self.waiters);
+        let step = self.simulation.state.step;
+        waiters.reply(step, &self.phase, || {
+            let (stamp, frame) = self.state_with_controllers();
+            Ok((stamp, Outcome::State(frame)))
+        });
+        self.waiters = waiters;
+    }
+
+    pub(super) fn stamp(&self) -> Stamp {
+        Stamp {
+            epoch: self.simulation.epoch,
+            step: self.simulation.state.step,
+            time: self.simulation.state.time(),
+            phase: self.phase.clone(),
+            seq: self.simulation.seq,
+        }
+    }
+
+    pub(super) fn frame(&self, hashed: bool) -> Arc<Frame> {
+        let simulation = &self.simulation;
+        Arc::new(Frame {
+            stamp: self.stamp(),
+            parameters: simulation.state.parameters,
+            publish_every: simulation.publish_every,
+            seed: simulation.state.seed,
+            scheduled: self.schedule.count(),
+            configuration: simulation.state.configuration.clone(),
+            order: simulation.order(),
+            means: simulation.means,
+            exactness: simulation.exactness,
+            rate: self.rate,
+            real_time_factor: self.real_time_factor(),
+            replay: None,
+            controllers: Vec::new(),
+            hash: hashed.then(|| simulation.state.hash()),
+            gaps: OnceLock::new(),
+        })
+    }
+
+    fn real_time_factor(&self) -> Option<f64> {
+        self.phase
+            .is_moving()
+            .then(|| self.pace.real_time_factor())
+            .flatten()
+    }
+
+    /// Publishes the state if it has a reader.
+    pub(super) fn push_frame(&self) {
+        if self.output.is_watched(self.phase.is_moving()) {
+            self.output.push_frame(self.frame(false));
+        }
+    }
+
+    /// The wall-clock time of what happens now, in seconds since 1970. During a replay only the times
+    /// in the journal are known.
+    pub(super) fn unix_secs(&self) -> Option<f64> {
+        match self.applied_at {
+            Some(at) => at,
+            None if self.journal.is_replaying() => None,
+            None => clock::unix_secs(),
+        }
+    }
+
+    /// Executes `work` with one wall-clock time, which its journal line and its events share.
+    pub(super) fn applied_at<T>(
+        &mut self,
+        unix_secs: Option<f64>,
+        work: impl FnOnce(&mut Self) -> T,
+    ) -> T {
+        let outer = self.applied_at.replace(unix_secs);
+        let done = work(self);
+        self.applied_at = outer;
+        done
+    }
+
+    /// Passes the state to the subscribers of the output, whether or not it is published.
+    pub(super) fn record_state(&self) {
+        self.output.state(self.at(), || self.frame(false));
+    }
+
+    pub(super) fn push_event(&mut self, kind: EventKind) {
+        self.events += 1;
+        let event = Event {
+            number: self.events,
+            stamp: self.stamp(),
+            unix_secs: self.unix_secs(),
+            kind,
+        };
+        self.history.record_event(&event);
+        // Replayed events were published before.
+        if !self.journal.is_replaying() {
+            self.output.push_event(event);
+        }
+    }
+
+    pub(super) fn renew_summary(&mut self) {
+        self.summary_renewed = Instant::now();
+        let configuration = &self.simulation.state.configuration;
+        let summary = Summary {
+            stamp: self.stamp(),
+            n: configuration.n(),
+            informed: configuration.weight.iter().filter(|w| **w > 0.0).count(),
+            order: self.simulation.order().order,
+            rate: self.rate,
+            real_time_factor: self.real_time_factor(),
+            is_replay: false,
+        };
+        *self.summary.lock().unwrap_or_else(PoisonError::into_inner) = Some(summary);
+    }
+}

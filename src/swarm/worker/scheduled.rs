@@ -1,0 +1,100 @@
+//! Commands that are scheduled for a later step.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use jostle_physics::simulation::ChangeError;
+
+use crate::swarm::clock;
+use crate::swarm::command::Command;
+use crate::swarm::error::SwarmError;
+use crate::swarm::frame::EventKind;
+use crate::swarm::outcome::{Rejection, ReplyTo, SwarmReply};
+use crate::swarm::phase::{self, PhaseInput};
+use crate::swarm::schedule::Scheduled;
+use crate::swarm::sender::Sender;
+use crate::swarm::worker::{End, Worker};
+
+impl Worker {
+    /// Schedules a command for `at_step`, after the checks that do not depend on that step.
+    pub(super) fn schedule_command(
+        &mut self,
+        input: u64,
+        at_step: u64,
+        command: Command,
+        sender: Arc<Sender>,
+    ) -> Result<(), SwarmError> {
+        if !matches!(command, Command::Reset(_) | Command::Delete) {
+            phase::next(&self.phase, PhaseInput::Change)?;
+        }
+        match &command {
+            Command::Change(change) => self.simulation.check(change)?,
+            Command::Batch(changes) => {
+                for (index, change) in changes.iter().enumerate() {
+                    let error = |error: ChangeError| SwarmError::InBatch {
+                        index,
+                        error: Box::new(error.into()),
+                    };
+                    self.simulation.check(change).map_err(error)?;
+                }
+            }
+            _ => {}
+        }
+        let command = Scheduled {
+            input,
+            command,
+            sender: sender.clone(),
+        };
+        self.schedule.add(at_step, command)?;
+        self.push_event(EventKind::Scheduled(at_step, sender));
+        Ok(())
+    }
+
+    /// Executes the commands scheduled for this step. Their clients have got their replies, so a
+    /// rejection is published as an event.
+    pub(super) fn execute_due(&mut self) -> Option<End> {
+        while let Some(due) = self.schedule.take(self.simulation.state.step) {
+            let Scheduled {
+                input,
+                command,
+                sender,
+            } = due;
+            let rejected = Arc::new(Mutex::new(None));
+            let reply_to = {
+                let rejected = rejected.clone();
+                move |reply: SwarmReply| {
+                    *rejected.lock().unwrap_or_else(PoisonError::into_inner) = reply.err();
+                }
+            };
+            let unix_secs = match self.journal.is_replaying() {
+                true => self.replay.unix_secs_of(input),
+                false => clock::unix_secs(),
+            };
+            let end = self.applied_at(unix_secs, |it| {
+                let end = it.execute(input, command, sender.clone(), ReplyTo::new(reply_to));
+                let rejection = rejected
+                    .lock()
+                    .unwrap_or_else(PoisonError::into_inner)
+                    .take();
+                if let Some(Rejection { error, .. }) = rejection {
+                    it.push_event(EventKind::Rejected(sender, error));
+                }
+                end
+            });
+            if end.is_some() {
+                return end;
+            }
+        }
+        None
+    }
+
+    /// Rejects all scheduled commands: after a reset, their steps belong to another run.
+    pub(super) fn drop_scheduled(&mut self) {
+        for (at_step, Scheduled { input, sender, .. }) in self.schedule.clear() {
+            self.record_outcome(input, Err(&SwarmError::Overtaken { at_step }));
+            self.push_event(EventKind::Rejected(
+                sender,
+                SwarmError::Overtaken { at_step },
+            ));
+        }
+    }
+}
