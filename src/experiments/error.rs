@@ -74,7 +74,6 @@ pub enum ExperimentError {
     Stopping,
 }
 
-#[expect(clippy::needless_pass_by_value, reason = "for `map_err`")]
 impl ExperimentError {
     pub(super) fn unkept(error: impl Display) -> Self {
         ExperimentError::Unkept(error.to_string())

@@ -57,7 +57,7 @@ impl Worker {
             self.cpu_share.leave();
             match self.journal.commit(self.at(), records) {
                 Ok(first) => {
-                    failpoint::kill("swarm-safe");
+                    failpoint::kill("swarm-durable");
                     input = first;
                 }
                 Err(fault) => {
@@ -200,7 +200,7 @@ impl Worker {
                     self.journal.reset();
                     self.save_checkpoint();
                 }
-                self.renew_summary();
+                self.update_summary();
                 if self.phase == before && !self.phase.is_moving() {
                     self.push_frame();
                 }

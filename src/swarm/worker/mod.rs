@@ -62,7 +62,7 @@ pub struct Worker {
     metrics: Arc<SwarmMetrics>,
     schedule: Schedule,
     summary: Arc<Mutex<Option<Summary>>>,
-    summary_renewed: Instant,
+    summary_updated: Instant,
     min_frame_interval: Duration,
     frame_due: Instant,
     events: u64,
@@ -128,13 +128,13 @@ impl Worker {
         writer: Arc<dyn JournalWriter>,
     ) -> Self {
         let journal = Journal::new(writer, 0, simulation.state.step);
-        let mut worker = Worker::around(simulation, handle, min_frame_interval, journal);
+        let mut worker = Worker::with_journal(simulation, handle, min_frame_interval, journal);
         worker.push_event(EventKind::Created);
-        worker.renew_summary();
+        worker.update_summary();
         worker
     }
 
-    fn around(
+    fn with_journal(
         simulation: Simulation,
         handle: &Handle,
         min_frame_interval: Duration,
@@ -157,7 +157,7 @@ impl Worker {
             metrics: handle.metrics.clone(),
             schedule: Schedule::default(),
             summary: handle.summary.clone(),
-            summary_renewed: now,
+            summary_updated: now,
             min_frame_interval,
             frame_due: now,
             events: 0,

@@ -122,8 +122,8 @@ impl Worker {
         }
     }
 
-    pub(super) fn renew_summary(&mut self) {
-        self.summary_renewed = Instant::now();
+    pub(super) fn update_summary(&mut self) {
+        self.summary_updated = Instant::now();
         let configuration = &self.simulation.state.configuration;
         let summary = Summary {
             stamp: self.stamp(),

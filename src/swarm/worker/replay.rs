@@ -163,7 +163,7 @@ impl Worker {
         if self.events == 0 {
             self.push_event(EventKind::Created);
         }
-        self.renew_summary();
+        self.update_summary();
     }
 
     fn restore(
@@ -173,7 +173,7 @@ impl Worker {
         (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
     ) -> Self {
         let simulation = Simulation::from_checkpoint(&checkpoint.simulation, reserve);
-        let mut worker = Worker::around(
+        let mut worker = Worker::with_journal(
             simulation,
             handle,
             min_frame_interval,
@@ -208,7 +208,7 @@ impl Worker {
         }
         self.push_event(EventKind::Phase);
         self.save_checkpoint();
-        self.renew_summary();
+        self.update_summary();
         self.update_lockstep();
         written.map(drop)
     }
@@ -253,7 +253,7 @@ impl Worker {
             if matches!(to, ReplayTarget::Step(step) if is_of_last_run && line.step >= step) {
                 break;
             }
-            failpoint::kill("swarm-retold");
+            failpoint::kill("swarm-replayed");
             last = line.number;
             match (line.record, command) {
                 (

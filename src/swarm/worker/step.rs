@@ -67,7 +67,7 @@ impl Worker {
             }
             self.record_state();
             self.push_frame();
-            self.renew_summary();
+            self.update_summary();
             if let Some(end) = self.execute_due() {
                 return Some(end);
             }
@@ -86,8 +86,8 @@ impl Worker {
                 self.frame_due = self.frame_due.max(grace) + self.min_frame_interval;
                 self.push_frame();
             }
-            if now.saturating_duration_since(self.summary_renewed) >= SUMMARY_PERIOD {
-                self.renew_summary();
+            if now.saturating_duration_since(self.summary_updated) >= SUMMARY_PERIOD {
+                self.update_summary();
             }
             if let Some(end) = self.execute_due() {
                 return Some(end);
@@ -134,7 +134,7 @@ impl Worker {
         self.journal.append(at, Record::Fault(reason.clone()), None);
         self.push_event(EventKind::Fault(reason.clone()));
         self.push_frame();
-        self.renew_summary();
+        self.update_summary();
         let faulted = SwarmError::Faulted(reason);
         if let Some(pending) = self.pending.take() {
             pending.reply_to.send(Err(self.rejection(faulted.clone())));
@@ -155,7 +155,7 @@ impl Worker {
     pub(super) fn save_checkpoint(&mut self) {
         if !self.journal.is_replaying() {
             self.journal.keep(self.checkpoint());
-            failpoint::kill("swarm-kept");
+            failpoint::kill("swarm-checkpointed");
             self.since_checkpoint = SinceCheckpoint::new();
         }
     }

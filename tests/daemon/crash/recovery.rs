@@ -59,7 +59,7 @@ async fn commands_taken_together_with_a_step_come_back_in_their_order() {
     let folder = tempfile::tempdir().unwrap();
     // Whoever comes meanwhile is taken together.
     let mut command = life::daemon(folder.path());
-    command.env("FAILPOINTS", "swarm-safe=sleep(150)");
+    command.env("FAILPOINTS", "swarm-durable=sleep(150)");
     let mut life = Life::begin(&mut command).unwrap();
     let client = Client::open(&life.endpoint).await;
     client.create("a", json!({"n": 20, "seed": 3})).await;
