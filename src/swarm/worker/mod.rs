@@ -43,12 +43,12 @@ const MAX_MESSAGES_PER_STEP: usize = 64;
 /// A checkpoint is due after this many steps or commands, or after this time.
 const CHECKPOINT_STEPS: u64 = 10_000;
 const CHECKPOINT_INPUTS: u64 = 4096;
-const CHECKPOINT_PERIOD: Duration = Duration::from_secs(30);
+const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(30);
 
 /// A checkpoint is also due after this much computing, at most once per pause. It bounds the
 /// computing that all swarms together repeat after a crash.
 const CHECKPOINT_WORK: Duration = Duration::from_millis(30);
-const CHECKPOINT_PAUSE: Duration = Duration::from_secs(1);
+const MIN_CHECKPOINT_INTERVAL: Duration = Duration::from_secs(1);
 
 /// A running swarm, owned by its thread.
 pub struct Worker {
@@ -103,8 +103,8 @@ impl SinceCheckpoint {
 
     fn is_due(&self, now: Instant) -> bool {
         let elapsed = now.saturating_duration_since(self.saved_at);
-        let is_long = elapsed >= CHECKPOINT_PERIOD
-            || (self.work >= CHECKPOINT_WORK && elapsed >= CHECKPOINT_PAUSE);
+        let is_long = elapsed >= CHECKPOINT_INTERVAL
+            || (self.work >= CHECKPOINT_WORK && elapsed >= MIN_CHECKPOINT_INTERVAL);
         self.steps >= CHECKPOINT_STEPS
             || self.inputs >= CHECKPOINT_INPUTS
             || (is_long && self.steps > 0)

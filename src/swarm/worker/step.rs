@@ -15,10 +15,10 @@ use crate::swarm::phase::{PauseReason, Phase, PhaseInput};
 use crate::swarm::worker::{End, SinceCheckpoint, Worker};
 
 /// How often the summary of a moving swarm is updated.
-const SUMMARY_PERIOD: Duration = Duration::from_millis(100);
+const SUMMARY_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Steps between two hashes in the journal.
-const HASH_EVERY: u64 = 500;
+const HASH_INTERVAL: u64 = 500;
 
 impl Worker {
     /// Takes one step, and executes the commands that are scheduled for the step it reaches.
@@ -86,7 +86,7 @@ impl Worker {
                 self.frame_due = self.frame_due.max(grace) + self.min_frame_interval;
                 self.push_frame();
             }
-            if now.saturating_duration_since(self.summary_updated) >= SUMMARY_PERIOD {
+            if now.saturating_duration_since(self.summary_updated) >= SUMMARY_INTERVAL {
                 self.update_summary();
             }
             if let Some(end) = self.execute_due() {
@@ -98,11 +98,11 @@ impl Worker {
         None
     }
 
-    /// Journals the hash of every `HASH_EVERY`-th step. During a replay, compares it instead, and
+    /// Journals the hash of every `HASH_INTERVAL`-th step. During a replay, compares it instead, and
     /// faults and returns false if it differs.
     fn hash_step(&mut self) -> bool {
         let at = self.at();
-        if !at.1.is_multiple_of(HASH_EVERY) {
+        if !at.1.is_multiple_of(HASH_INTERVAL) {
             return true;
         }
         let hash = self.simulation.state.hash();
