@@ -41,7 +41,7 @@ class Troubles:
             (plan.stop_film, self._replay),
             (plan.freeze_controller, self._freeze_controller),
             (plan.fill, self._fill_disk),
-            (plan.film_again, lambda: self._record("film-3", "film", "mcap")),
+            (plan.film_again, lambda: self._record("film-3", "film")),
             (plan.second_kill - _AHEAD_SECS, lambda: self._submit(2)),
             (plan.second_kill, self._kill_node),
         ]
