@@ -162,7 +162,7 @@ fn every_point_of_the_code_is_armed() {
                 read(&path, points);
             } else if path.extension().is_some_and(|it| it == "rs") {
                 let text = fs::read_to_string(path).unwrap();
-                let calls = text.split("::point(\"").skip(1);
+                let calls = text.split("failpoint::kill(\"").skip(1);
                 points.extend(calls.map(|it| it.split('"').next().unwrap().to_owned()));
             }
         }

@@ -121,7 +121,7 @@ fn is_about(error: &Error, field: &str) -> bool {
 
 /// The errors of requests whose value is within its bounds: the message, the field that is at a bound,
 /// and what is wrong beside it. Every other such request must succeed.
-const OTHER_ERRORS: [(&str, &str, ErrorCode); 32] = [
+const OTHER_ERRORS: [(&str, &str, ErrorCode); 31] = [
     // Names of what is not there.
     ("advance.args", "controller", ErrorCode::NotFound),
     ("leave.args", "controller", ErrorCode::NotFound),
@@ -133,7 +133,6 @@ const OTHER_ERRORS: [(&str, &str, ErrorCode); 32] = [
     ("record.args", "delete.recording", ErrorCode::NotFound),
     ("record.args", "begin.swarm", ErrorCode::NotFound),
     ("replay.args", "open.name", ErrorCode::NotFound),
-    ("replay.args", "open.recording", ErrorCode::NotFound),
     // Uploads of which the first piece is missing, or that are larger than the daemon accepts.
     ("replay.args", "upload.name", ErrorCode::Conflict),
     ("replay.args", "upload.length", ErrorCode::Conflict),
