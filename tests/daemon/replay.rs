@@ -488,7 +488,7 @@ async fn pieces_that_do_not_fit_and_files_that_are_no_recordings_are_refused() {
         ("cut short", &file[..file.len() / 2]),
         ("checksum", &damaged),
         ("no MCAP", &b"PAR1 and no more than that"[..]),
-        ("does not say", &without_spec),
+        ("has no spec", &without_spec),
     ] {
         let Error { code, message, .. } = show(client, "t", bytes).await.unwrap_err();
         assert_eq!(code, ErrorCode::InvalidArgument, "{why}: {message}");

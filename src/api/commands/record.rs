@@ -3,7 +3,9 @@
 use std::sync::Arc;
 
 use jostle_convert::WireError;
-use jostle_proto::{DEFAULT_MAX_RECORDING_BYTES, NodeReply, RecordArgs, Request, keys};
+use jostle_proto::{
+    DEFAULT_MAX_RECORDING_BYTES, NodeReply, RecordArgs, RecordingFormat, Request, keys,
+};
 use tracing::warn;
 
 use crate::api::context::Context;
@@ -86,6 +88,7 @@ fn check(args: &RecordArgs) -> Result<(), CommandError> {
             let mut named = args.recording.iter();
             let checked = check_name("swarm", &args.swarm)
                 .and_then(|()| named.try_for_each(|it| check_name("recording", it)))
+                .and_then(|()| is_mcap(args.format))
                 .and_then(|()| positive("every", args.every))
                 .and_then(|()| positive("steps", args.steps))
                 .and_then(|()| positive("max_bytes", args.max_bytes));
@@ -95,6 +98,18 @@ fn check(args: &RecordArgs) -> Result<(), CommandError> {
         RecordArgs::Delete(args) => ("delete", check_name("recording", &args.recording)),
     };
     checked.map_err(|error: CommandError| error.within(action.to_owned()))
+}
+
+/// Rejects the format that only earlier versions recorded.
+fn is_mcap(format: Option<RecordingFormat>) -> Result<(), CommandError> {
+    match format {
+        None | Some(RecordingFormat::Mcap) => Ok(()),
+        Some(RecordingFormat::Parquet) => Err(CommandError::Field {
+            field: "format",
+            problem: "parquet is no longer recorded by the daemon: leave it out for MCAP, or record \
+                      with `jostle record SWARM -o FILE.parquet`",
+        }),
+    }
 }
 
 /// Rejects 0 where something is counted.

@@ -74,13 +74,13 @@ async fn what_is_not_there_is_refused_with_what_is() {
     // Nothing is whole yet.
     let error = ask(&client, "name=take").await.unwrap_err();
     assert_eq!(error.code, ErrorCode::NotFound, "{error:?}");
-    assert!(error.message.contains("0 whole parts"), "{error:?}");
+    assert!(error.message.contains("0 finished parts"), "{error:?}");
     stop(&client, "take").await;
     for (parameters, code, word) in [
         ("", ErrorCode::InvalidArgument, "name"),
         ("name=..", ErrorCode::InvalidArgument, "name"),
         ("name=missing", ErrorCode::NotFound, "get/recordings"),
-        ("name=take;part=1", ErrorCode::NotFound, "1 whole parts"),
+        ("name=take;part=1", ErrorCode::NotFound, "1 finished part"),
         (
             "name=take;part=99999999999999999999",
             ErrorCode::InvalidArgument,

@@ -33,6 +33,7 @@ pub async fn record(bus: &Bus, output: Output, arguments: &RecordArguments) -> R
             let args = BeginRecordingArgs {
                 swarm: swarm.clone(),
                 recording: arguments.as_name.clone(),
+                format: None,
                 every: arguments.every,
                 steps: arguments.steps,
                 drop_when_behind: arguments.drop_when_behind,

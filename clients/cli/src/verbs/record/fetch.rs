@@ -74,6 +74,7 @@ pub async fn record(
     let begin = RecordArgs::Begin(BeginRecordingArgs {
         swarm: take.name.to_owned(),
         recording: None,
+        format: None,
         every: take.every,
         steps: take.steps,
         drop_when_behind: arguments.drop_when_behind,
