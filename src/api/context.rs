@@ -7,6 +7,8 @@ use std::time::{Duration, Instant};
 
 use fail::fail_point;
 use jostle_proto::{Claimant, Request, Schemas, keys};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::Value;
 use tracing::error;
 
@@ -180,7 +182,7 @@ impl Context {
 
     /// The first steps of a command of the daemon: parses its arguments, looks up its id and sets
     /// its deadline. `None` if it is a duplicate, which gets the first reply.
-    pub(crate) fn begin<A: serde::de::DeserializeOwned>(
+    pub(crate) fn begin<A>(
         &self,
         verb: &'static str,
         key: &str,
@@ -189,7 +191,7 @@ impl Context {
         responder: &Responder,
     ) -> Result<Option<A>, CommandError>
     where
-        A: serde::Serialize,
+        A: DeserializeOwned + Serialize,
     {
         reject_preconditions(request)?;
         commands::sender(verb, request)?;

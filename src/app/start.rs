@@ -121,7 +121,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
         core.rights.clone(),
         core.claims.clone(),
     )
-    .map_err(rejected)?;
+    .map_err(|error| rejected(&error))?;
     // After the recovery: a client that sees the daemon finds its swarms.
     open_node(&core.messages).await?;
     info!(
@@ -258,7 +258,7 @@ impl Core {
                 // If the queue is full, the dispatcher is awake and reconciles anyway.
                 let _ = wake.try_send(DispatchMessage::Claimed);
             })
-            .map_err(rejected)?;
+            .map_err(|error| rejected(&error))?;
         let notifier = Arc::new(LifecycleNotifier::new(messages.clone(), publisher.clone()));
         let host = SwarmRegistry::new(config.limits, notifier, Box::new(store.clone()));
         let has_users = rights.current().users().is_some();
@@ -456,11 +456,11 @@ async fn open_node(messages: &SyncSender<DispatchMessage>) -> Result<(), ServerE
     let (opened, result) = sync_channel(1);
     let _ = messages.send(DispatchMessage::Recovered(opened));
     match spawn_blocking(move || result.recv()).await {
-        Ok(Ok(Err(error))) => Err(rejected(error)),
+        Ok(Ok(Err(error))) => Err(rejected(&error)),
         _ => Ok(()),
     }
 }
 
-fn rejected(error: zenoh::Error) -> ServerError {
+fn rejected(error: &zenoh::Error) -> ServerError {
     ServerError::Keys(error.to_string())
 }

@@ -213,7 +213,7 @@ async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
 async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {
     let (answer, answered) = oneshot::channel();
     swarm.send(Message::Query(ReplyTo::new(move |it| {
-        drop(answer.send(it))
+        drop(answer.send(it));
     })));
     seen(outcome(answered).await?)
 }

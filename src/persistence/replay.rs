@@ -43,7 +43,7 @@ pub fn replay_to(
     match target {
         ReplayTarget::Step(step) => checkpoints.retain(|it| it.step <= step),
         ReplayTarget::LastInput | ReplayTarget::LastHash | ReplayTarget::At(..) => {
-            checkpoints.reverse()
+            checkpoints.reverse();
         }
     }
     let mut problem =

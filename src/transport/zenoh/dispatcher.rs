@@ -57,7 +57,7 @@ impl Dispatcher {
                     self.gateway.claims.begin(&Name::Node, false);
                 }
                 Ok(DispatchMessage::FirstUse(swarm, verb)) => {
-                    self.endpoints.declare_key(&swarm, verb)
+                    self.endpoints.declare_key(&swarm, verb);
                 }
                 Ok(DispatchMessage::Begun(swarm, reply)) => self.begun(&swarm, reply),
                 Ok(DispatchMessage::Ended(swarm, reply)) => self.ended(&swarm, reply),

@@ -184,7 +184,7 @@ impl SwarmEndpoints {
         match endpoint.lease.declare_keyexpr(key).wait() {
             Ok(key) => endpoint.keys.push(key),
             Err(error) => {
-                debug!(swarm, verb, %error, "failed to declare a key; commands still arrive")
+                debug!(swarm, verb, %error, "failed to declare a key; commands still arrive");
             }
         }
     }
