@@ -48,7 +48,7 @@ pub struct Verification {
 }
 
 impl Verifications {
-    /// Begins a verification on a thread of its own, or queues it if [`MAX_RUNNING`] are running.
+    /// Begins a verification on a thread of its own, or queues it if four are running.
     ///
     /// # Errors
     ///

@@ -1,4 +1,4 @@
-//! Commands: one file for each verb that more than a swarm executes, and [`swarm`] for all others.
+//! Commands: one file for each verb that more than a swarm executes, and `swarm.rs` for all others.
 
 mod create;
 mod discard;

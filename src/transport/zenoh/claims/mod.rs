@@ -3,7 +3,7 @@
 //! A daemon holds a liveliness token for each of its names, its own and those of its swarms, and
 //! reads the tokens of all others. zenoh routers forward them, so each daemon receives the claims of
 //! the other shortly after a connection, and `judge` gives both the same verdict. Until then the
-//! daemon waits: it holds commands that arrive within [`SETTLING`] after a router has connected,
+//! daemon waits: it holds commands that arrive within `SETTLING` after a router has connected,
 //! because the other daemon may execute them.
 //!
 //! Without a router, clients reach this daemon only, and no command is held.
