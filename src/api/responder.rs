@@ -23,6 +23,9 @@ use crate::swarm::frame::Stamp;
 use crate::swarm::handle::LastStep;
 use crate::swarm::outcome::{Outcome, Rejection, SwarmReply};
 
+/// The resolution of the queue of deadlines. A shorter timeout passes at once.
+const TIMER_RESOLUTION: Duration = Duration::from_millis(1);
+
 /// Makes the error of a deadline that passed after so many seconds.
 pub type TimeoutError = fn(f64) -> CommandError;
 
@@ -196,6 +199,9 @@ impl Responder {
             error,
             step,
         };
+        if timeout < TIMER_RESOLUTION {
+            return deadline.expire();
+        }
         let deadlines = &self.0.replies.deadlines;
         let id = deadlines.add(Instant::now() + timeout, deadline);
         lock(&self.0.deadlines).push(id);
