@@ -141,6 +141,7 @@ NO_REQUEST: dict[str, str] = {
 
 NOT_OFFERED: dict[tuple[str, str], str] = {
     ("control", ".epoch"): "a controller has one epoch, and `sync` renews it",
+    ("record", ".begin.format"): "is sent by earlier versions alone; the daemon records MCAP",
     ("step", ".return=none"): "is left out, since it is the default",
     ("advance", ".return=none"): "is left out, since it is the default",
 }

@@ -225,7 +225,8 @@ def without_defaults(name: str, args: Mapping[str, Any]) -> dict[str, Any]:
 
 def args_fixtures() -> Iterator[Any]:
     for name, path in contract.fixtures("json"):
-        if name.endswith(".args"):
+        # `record.args.mcap` is what earlier versions sent.
+        if name.endswith(".args") and path.stem != "record.args.mcap":
             yield pytest.param(name, msgspec.json.decode(path.read_bytes()), id=path.stem)
 
 
