@@ -29,7 +29,7 @@ pub fn document(examples: &Examples) -> Value {
             "title": "jostle",
             "version": WIRE_VERSION.to_string(),
             "description": "A daemon that hosts swarms of bodies which only push each other, on \
-                            zenoh. Requests refuse unknown fields; replies and samples may have \
+                            zenoh. Requests with unknown fields are rejected; replies and samples may have \
                             more than is described here, and readers tolerate it. See README.md \
                             beside this file.",
             "license": {"name": "MIT OR Apache-2.0"},
@@ -38,7 +38,7 @@ pub fn document(examples: &Examples) -> Value {
         "servers": {"local": {
             "host": "127.0.0.1:7447",
             "protocol": "zenoh",
-            "description": "A daemon on this machine, where it listens unless told otherwise.",
+            "description": "A daemon on this machine, at its default address.",
             "x-zenoh": {
                 "endpoint": "tcp/127.0.0.1:7447",
                 "mode": "client",
@@ -158,7 +158,7 @@ fn zenoh(channel: &Channel) -> Value {
             "publisher": publisher(JSON),
             "queryable": queryable(&declared, "welcome"),
         }),
-        // They take long or answer much, which nobody who asks for `**` means.
+        // They take long or send much, which a query for `**` does not intend.
         ChannelKind::Get(
             "snapshot.reply"
             | "verify.reply"
@@ -170,7 +170,7 @@ fn zenoh(channel: &Channel) -> Value {
             queryable(&declared, "not answered")
         }
         ChannelKind::Get(_) => queryable(&declared, "welcome"),
-        ChannelKind::Command(..) => queryable(&declared, "refused: a wildcard executes nothing"),
+        ChannelKind::Command(..) => queryable(&declared, "rejected: a wildcard executes nothing"),
     }
 }
 

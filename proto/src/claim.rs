@@ -42,7 +42,7 @@ pub struct Claimant {
     pub node: String,
 }
 
-/// What a claim's key says.
+/// The content of a claim's key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Claim {
     /// The swarm whose name is claimed; `None` for the daemon's own name.
@@ -64,7 +64,7 @@ impl Claim {
         }
     }
 
-    /// Reads the key of a claim; `None` if it is not one.
+    /// Parses the key of a claim; `None` if it is not one.
     pub fn read(prefix: &str, key: &str) -> Option<Self> {
         let rest = key.strip_prefix(prefix)?.strip_prefix('/')?;
         let (swarm, node, instance, standing) = match rest.split('/').collect::<Vec<_>>()[..] {

@@ -5,11 +5,10 @@
 
 use std::collections::BTreeMap;
 
-use schemars::generate::SchemaSettings;
-use schemars::transform::{RecursiveTransform, Transform};
-use schemars::{JsonSchema, Schema};
+use schemars::Schema;
 use serde_json::Value;
 
+use crate::schema::{has_type, received, sent};
 use crate::verbs::{
     AdvanceArgs, AdvanceResult, BatchArgs, BatchResult, Control, CreateArgs, CreateResult,
     DeleteArgs, DiscardArgs, EmptyResult, ForkArgs, IdsResult, InformArgs, InjectArgs, JoinArgs,
@@ -27,7 +26,8 @@ use crate::{
 /// Something that stands on a key of the bus.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Channel {
-    /// Its key, below the prefix; `{swarm}`, `{node}`, `{controller}` and `{experiment}` stand for names.
+    /// Its key, below the prefix; `{swarm}`, `{node}`, `{controller}` and `{experiment}` stand for
+    /// names.
     pub key: &'static str,
     /// How it is used.
     pub kind: ChannelKind,
@@ -98,7 +98,7 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "{swarm}/alive/{node}",
             Token,
-            "Stands while the swarm is there.",
+            "Exists while the swarm exists.",
         ),
         plain(
             "{swarm}/claim/{node}/{instance}/{standing}",
@@ -108,17 +108,17 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "{swarm}/get/status",
             Get("status.reply"),
-            "What the swarm is and does.",
+            "The status of the swarm.",
         ),
         plain(
             "{swarm}/get/controllers",
             Get("controllers.reply"),
-            "Every controller that has joined: whom it steers, and how it fares.",
+            "The joined controllers: their individuals, misses and puts.",
         ),
         plain(
             "{swarm}/get/spec",
             Get("spec.reply"),
-            "What the swarm was made from.",
+            "The spec of the swarm.",
         ),
         plain(
             "{swarm}/get/parameters",
@@ -146,7 +146,7 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "{swarm}/get/verify",
             Get("verify.reply"),
-            "Whether its history comes out the same when it is told again; takes a while.",
+            "Whether a replay of its journal gives the same hashes; takes a while.",
         ),
         Channel {
             key: "{swarm}/get/wait",
@@ -163,12 +163,12 @@ pub const CHANNELS: &[Channel] = &{
                      1024 wait for the swarm; at most 30",
                 ),
             ],
-            doc: "The status, when something has come about; one of step and phase.",
+            doc: "The status, when a step or a phase is reached; one of step and phase.",
         },
         plain(
             "{swarm}/cmd/delete",
             Command("delete.args", "delete.reply"),
-            "Ends the swarm.",
+            "Deletes the swarm.",
         ),
         plain(
             "{swarm}/cmd/run",
@@ -178,17 +178,17 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "{swarm}/cmd/pause",
             Command("pause.args", "pause.reply"),
-            "Stands still.",
+            "Pauses.",
         ),
         plain(
             "{swarm}/cmd/step",
             Command("step.args", "step.reply"),
-            "Takes some steps.",
+            "Takes steps.",
         ),
         plain(
             "{swarm}/cmd/reset",
             Command("reset.args", "reset.reply"),
-            "Back to the start.",
+            "Restarts from the spec.",
         ),
         plain(
             "{swarm}/cmd/set",
@@ -213,7 +213,7 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "{swarm}/cmd/remove",
             Command("remove.args", "remove.reply"),
-            "Takes individuals out of the group.",
+            "Removes individuals.",
         ),
         plain(
             "{swarm}/cmd/batch",
@@ -223,27 +223,27 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "{swarm}/cmd/fork",
             Command("fork.args", "fork.reply"),
-            "Makes another swarm as this one is or was, paused.",
+            "Creates a copy of this swarm as it is or was, paused.",
         ),
         plain(
             "{swarm}/cmd/join",
             Command("join.args", "join.reply"),
-            "Has a controller join, and claims whom it steers.",
+            "Registers a controller, and claims its individuals.",
         ),
         plain(
             "{swarm}/cmd/advance",
             Command("advance.args", "advance.reply"),
-            "Has a controller advance; the swarm steps when all have.",
+            "Permits steps; the swarm takes them when all controllers have.",
         ),
         plain(
             "{swarm}/cmd/leave",
             Command("leave.args", "leave.reply"),
-            "Has a controller leave.",
+            "Removes a controller.",
         ),
         plain(
             "{swarm}/cmd/seek",
             Command("seek.args", "seek.reply"),
-            "Has a replay go somewhere.",
+            "Moves a playback to another frame.",
         ),
         plain(
             "{swarm}/ctl/{controller}",
@@ -253,13 +253,9 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "{swarm}/ctl/{controller}/alive",
             ClientToken,
-            "Held by a controller: when it goes, the controller has left.",
+            "Held by a controller: when it disappears, the controller has left.",
         ),
-        plain(
-            "@node/{node}/alive",
-            Token,
-            "Stands while the daemon is there.",
-        ),
+        plain("@node/{node}/alive", Token, "Exists while the daemon runs."),
         plain(
             "@node/{node}/claim/{instance}/{standing}",
             Token,
@@ -268,17 +264,17 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "@node/{node}/get/hello",
             Get("node.hello.reply"),
-            "Who the daemon is, and its limits.",
+            "The version of the daemon, and its limits.",
         ),
         plain(
             "@node/{node}/get/whoami",
             Get("node.whoami.reply"),
-            "Who asks, and what they may.",
+            "The person of the request, and their permissions.",
         ),
         plain(
             "@node/{node}/get/status",
             Get("node.status.reply"),
-            "How the daemon fares.",
+            "The status of the daemon.",
         ),
         plain(
             "@node/{node}/get/swarms",
@@ -293,7 +289,7 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "@node/{node}/get/metrics",
             Get("node.metrics.reply"),
-            "The daemon and its swarms in numbers.",
+            "Metrics of the daemon and its swarms.",
         ),
         plain(
             "@node/{node}/cmd/create",
@@ -303,7 +299,7 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "@node/{node}/cmd/restore",
             Command("restore.args", "restore.reply"),
-            "Makes a swarm from a snapshot, paused.",
+            "Creates a swarm from a snapshot, paused.",
         ),
         plain(
             "@node/{node}/cmd/discard",
@@ -313,7 +309,7 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "@node/{node}/get/experiments",
             Get("node.experiments.reply"),
-            "Every experiment it has, and how far each is.",
+            "Every experiment of the daemon, and its progress.",
         ),
         plain(
             "@node/{node}/cmd/experiment",
@@ -323,12 +319,12 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "@node/{node}/cmd/replay",
             Command("replay.args", "replay.reply"),
-            "Takes in a recording, and shows it as if it were a swarm.",
+            "Uploads a recording, and shows it as a swarm.",
         ),
         plain(
             "@node/{node}/get/recordings",
             Get("node.recordings.reply"),
-            "Every recording it has made or makes, and how each stands.",
+            "Every recording of the daemon, and its state.",
         ),
         Channel {
             key: "@node/{node}/get/recording",
@@ -354,7 +350,7 @@ pub const CHANNELS: &[Channel] = &{
         plain(
             "@node/{node}/experiment/{experiment}/progress",
             Kept("experiment.progress"),
-            "How far it is, at most twice a second while it changes.",
+            "Its progress, at most twice a second while it changes.",
         ),
         Channel {
             key: "@node/{node}/experiment/{experiment}/results",
@@ -384,118 +380,88 @@ pub const CHANNELS: &[Channel] = &{
 /// The JSON Schema (2020-12) of every message, by name; each stands alone.
 pub fn schemas() -> BTreeMap<&'static str, Schema> {
     BTreeMap::from([
-        ("request", asked::<Request>()),
-        ("error", told::<Error>()),
-        ("scheduled.reply", told::<Reply<Scheduled>>()),
-        ("state", told::<State>()),
-        ("order", told::<OrderSample>()),
-        ("event", told::<Event>()),
-        ("status.reply", told::<Reply<Status>>()),
-        ("spec.reply", told::<Reply<Spec>>()),
-        ("parameters.reply", told::<Reply<Parameters>>()),
-        ("events.reply", told::<Reply<Events>>()),
-        ("journal.reply", told::<Reply<Journal>>()),
-        ("snapshot.reply", told::<Reply<Snapshot>>()),
-        ("verify.reply", told::<Reply<Verified>>()),
-        ("create.args", asked::<CreateArgs>()),
-        ("create.reply", told::<Reply<CreateResult>>()),
-        ("delete.args", asked::<DeleteArgs>()),
-        ("delete.reply", told::<Reply<EmptyResult>>()),
-        ("run.args", asked::<RunArgs>()),
-        ("run.reply", told::<Reply<RunResult>>()),
-        ("pause.args", asked::<PauseArgs>()),
-        ("pause.reply", told::<Reply<EmptyResult>>()),
-        ("step.args", asked::<StepArgs>()),
-        ("step.reply", told::<Reply<StepResult>>()),
-        ("reset.args", asked::<ResetArgs>()),
-        ("reset.reply", told::<Reply<ResetResult>>()),
-        ("set.args", asked::<SetArgs>()),
-        ("set.reply", told::<Reply<SetResult>>()),
-        ("inform.args", asked::<InformArgs>()),
-        ("inform.reply", told::<Reply<IdsResult>>()),
-        ("uninform.args", asked::<UninformArgs>()),
-        ("uninform.reply", told::<Reply<IdsResult>>()),
-        ("inject.args", asked::<InjectArgs>()),
-        ("inject.reply", told::<Reply<IdsResult>>()),
-        ("remove.args", asked::<RemoveArgs>()),
-        ("remove.reply", told::<Reply<IdsResult>>()),
-        ("batch.args", asked::<BatchArgs>()),
-        ("batch.reply", told::<Reply<BatchResult>>()),
-        ("controllers.reply", told::<Reply<ControllerList>>()),
-        ("join.args", asked::<JoinArgs>()),
-        ("join.reply", told::<Reply<JoinResult>>()),
-        ("advance.args", asked::<AdvanceArgs>()),
-        ("advance.reply", told::<Reply<AdvanceResult>>()),
-        ("leave.args", asked::<LeaveArgs>()),
-        ("leave.reply", told::<Reply<EmptyResult>>()),
-        ("control.args", asked::<Control>()),
-        ("seek.args", asked::<SeekArgs>()),
-        ("seek.reply", told::<Reply<EmptyResult>>()),
-        ("fork.args", asked::<ForkArgs>()),
-        ("fork.reply", told::<Reply<CreateResult>>()),
-        ("restore.args", asked::<RestoreArgs>()),
-        ("restore.reply", told::<Reply<CreateResult>>()),
-        ("discard.args", asked::<DiscardArgs>()),
-        ("discard.reply", told::<Reply<EmptyResult>>()),
-        ("replay.args", asked::<ReplayArgs>()),
-        ("replay.reply", told::<NodeReply<ReplayResult>>()),
-        ("node.hello.reply", told::<NodeReply<Hello>>()),
-        ("node.whoami.reply", told::<NodeReply<WhoAmI>>()),
-        ("node.status.reply", told::<NodeReply<NodeStatus>>()),
-        ("node.swarms.reply", told::<NodeReply<Swarms>>()),
-        ("node.schema.reply", told::<NodeReply<Schemas>>()),
-        ("node.metrics.reply", told::<NodeReply<Metrics>>()),
-        ("node.experiments.reply", told::<NodeReply<Experiments>>()),
-        ("node.recordings.reply", told::<NodeReply<Recordings>>()),
-        ("node.recording.reply", told::<NodeReply<RecordingPiece>>()),
-        ("record.args", asked::<RecordArgs>()),
-        ("record.reply", told::<NodeReply<Recording>>()),
-        ("experiment.args", asked::<ExperimentArgs>()),
-        ("experiment.reply", told::<NodeReply<ExperimentResult>>()),
-        ("experiment.progress", told::<Progress>()),
-        ("experiment.results", told::<ResultsPage>()),
-        ("experiment.order", told::<OrderPage>()),
+        ("request", received::<Request>()),
+        ("error", sent::<Error>()),
+        ("scheduled.reply", sent::<Reply<Scheduled>>()),
+        ("state", sent::<State>()),
+        ("order", sent::<OrderSample>()),
+        ("event", sent::<Event>()),
+        ("status.reply", sent::<Reply<Status>>()),
+        ("spec.reply", sent::<Reply<Spec>>()),
+        ("parameters.reply", sent::<Reply<Parameters>>()),
+        ("events.reply", sent::<Reply<Events>>()),
+        ("journal.reply", sent::<Reply<Journal>>()),
+        ("snapshot.reply", sent::<Reply<Snapshot>>()),
+        ("verify.reply", sent::<Reply<Verified>>()),
+        ("create.args", received::<CreateArgs>()),
+        ("create.reply", sent::<Reply<CreateResult>>()),
+        ("delete.args", received::<DeleteArgs>()),
+        ("delete.reply", sent::<Reply<EmptyResult>>()),
+        ("run.args", received::<RunArgs>()),
+        ("run.reply", sent::<Reply<RunResult>>()),
+        ("pause.args", received::<PauseArgs>()),
+        ("pause.reply", sent::<Reply<EmptyResult>>()),
+        ("step.args", received::<StepArgs>()),
+        ("step.reply", sent::<Reply<StepResult>>()),
+        ("reset.args", received::<ResetArgs>()),
+        ("reset.reply", sent::<Reply<ResetResult>>()),
+        ("set.args", received::<SetArgs>()),
+        ("set.reply", sent::<Reply<SetResult>>()),
+        ("inform.args", received::<InformArgs>()),
+        ("inform.reply", sent::<Reply<IdsResult>>()),
+        ("uninform.args", received::<UninformArgs>()),
+        ("uninform.reply", sent::<Reply<IdsResult>>()),
+        ("inject.args", received::<InjectArgs>()),
+        ("inject.reply", sent::<Reply<IdsResult>>()),
+        ("remove.args", received::<RemoveArgs>()),
+        ("remove.reply", sent::<Reply<IdsResult>>()),
+        ("batch.args", received::<BatchArgs>()),
+        ("batch.reply", sent::<Reply<BatchResult>>()),
+        ("controllers.reply", sent::<Reply<ControllerList>>()),
+        ("join.args", received::<JoinArgs>()),
+        ("join.reply", sent::<Reply<JoinResult>>()),
+        ("advance.args", received::<AdvanceArgs>()),
+        ("advance.reply", sent::<Reply<AdvanceResult>>()),
+        ("leave.args", received::<LeaveArgs>()),
+        ("leave.reply", sent::<Reply<EmptyResult>>()),
+        ("control.args", received::<Control>()),
+        ("seek.args", received::<SeekArgs>()),
+        ("seek.reply", sent::<Reply<EmptyResult>>()),
+        ("fork.args", received::<ForkArgs>()),
+        ("fork.reply", sent::<Reply<CreateResult>>()),
+        ("restore.args", received::<RestoreArgs>()),
+        ("restore.reply", sent::<Reply<CreateResult>>()),
+        ("discard.args", received::<DiscardArgs>()),
+        ("discard.reply", sent::<Reply<EmptyResult>>()),
+        ("replay.args", received::<ReplayArgs>()),
+        ("replay.reply", sent::<NodeReply<ReplayResult>>()),
+        ("node.hello.reply", sent::<NodeReply<Hello>>()),
+        ("node.whoami.reply", sent::<NodeReply<WhoAmI>>()),
+        ("node.status.reply", sent::<NodeReply<NodeStatus>>()),
+        ("node.swarms.reply", sent::<NodeReply<Swarms>>()),
+        ("node.schema.reply", sent::<NodeReply<Schemas>>()),
+        ("node.metrics.reply", sent::<NodeReply<Metrics>>()),
+        ("node.experiments.reply", sent::<NodeReply<Experiments>>()),
+        ("node.recordings.reply", sent::<NodeReply<Recordings>>()),
+        ("node.recording.reply", sent::<NodeReply<RecordingPiece>>()),
+        ("record.args", received::<RecordArgs>()),
+        ("record.reply", sent::<NodeReply<Recording>>()),
+        ("experiment.args", received::<ExperimentArgs>()),
+        ("experiment.reply", sent::<NodeReply<ExperimentResult>>()),
+        ("experiment.progress", sent::<Progress>()),
+        ("experiment.results", sent::<ResultsPage>()),
+        ("experiment.order", sent::<OrderPage>()),
     ])
-}
-
-/// What a client sends: unknown fields are refused, what has a default may be left out.
-fn asked<T: JsonSchema>() -> Schema {
-    let settings = SchemaSettings::draft2020_12().for_deserialize();
-    let mut schema = settings.into_generator().into_root_schema_for::<T>();
-    RecursiveTransform(unwrap_description).transform(&mut schema);
-    schema
-}
-
-/// What a daemon sends: a reader tolerates unknown fields, since a newer daemon may have more.
-fn told<T: JsonSchema>() -> Schema {
-    let settings = SchemaSettings::draft2020_12().for_serialize();
-    let mut schema = settings.into_generator().into_root_schema_for::<T>();
-    RecursiveTransform(unwrap_description).transform(&mut schema);
-    RecursiveTransform(|schema: &mut Schema| {
-        if schema.get("additionalProperties") == Some(&Value::Bool(false)) {
-            schema.remove("additionalProperties");
-        }
-    })
-    .transform(&mut schema);
-    schema
-}
-
-/// Descriptions are doc comments; their lines end where the source's had to.
-fn unwrap_description(schema: &mut Schema) {
-    if let Some(Value::String(text)) = schema.get_mut("description") {
-        let paragraphs = text.split("\n\n").map(|it| it.replace('\n', " "));
-        *text = paragraphs.collect::<Vec<_>>().join("\n\n");
-    }
 }
 
 /// Every parameter of a spec but the start, in its order, as its schema describes it; `value` is
 /// the default.
 pub fn parameters() -> Vec<Parameter> {
-    let schema = asked::<Spec>();
+    let schema = received::<Spec>();
     let given = serde_json::to_value(Spec::new(1)).unwrap_or_default();
-    let told = told::<Spec>();
-    // All of them are in every spec that is told, and lists keep their order.
-    let names = told.get("required").and_then(Value::as_array);
+    let sent = sent::<Spec>();
+    // A reply has all of them, in the order of the fields.
+    let names = sent.get("required").and_then(Value::as_array);
     let names = names.into_iter().flatten().filter_map(Value::as_str);
     names
         .filter(|name| *name != "start")
@@ -524,10 +490,7 @@ fn choices(schema: &Value, property: &Value) -> Vec<Value> {
 fn parameter(name: &str, property: &Value, choices: Vec<Value>, default: &Value) -> Parameter {
     let number = |key: &str| property[key].as_f64();
     let text = |key: &str| property[key].as_str().map(str::to_owned);
-    let is = |kind: &str| match &property["type"] {
-        Value::Array(types) => types.iter().any(|it| it == kind),
-        one => one == kind,
-    };
+    let is = |kind| has_type(property, kind);
     let kind = match (is("integer"), is("number")) {
         (true, _) => ParameterKind::Integer,
         (_, true) => ParameterKind::Number,

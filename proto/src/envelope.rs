@@ -1,4 +1,4 @@
-//! What is around every request and every reply.
+//! The envelopes of requests and replies.
 
 use std::fmt;
 
@@ -8,9 +8,11 @@ use serde::{Deserialize, Deserializer, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;
 
+use crate::error::{RequestError, below};
+use crate::walk::{Arguments, check_types};
 use crate::{LARGEST_WHOLE, Phase};
 
-/// An object with any of these fields is an envelope; no argument of a verb bears their names.
+/// An object with any of these fields is an envelope; no argument of a verb has these names.
 const ENVELOPE_FIELDS: [&str; 7] = [
     "at_step",
     "request_id",
@@ -24,41 +26,35 @@ const ENVELOPE_FIELDS: [&str; 7] = [
 /// The longest `request_id` and `client`, in bytes.
 pub const MAX_LABEL_LENGTH: usize = 256;
 
-/// What a `request_id` and a `client` may look like: no control characters.
+/// The pattern of a `request_id` and a `client`: no control characters.
 const LABEL_RULE: &str = "^[^\\u0000-\\u001f\\u007f-\\u009f\\u2028-\\u202e\\u2066-\\u2069]*$";
 
-/// The most of a field's path that an error repeats, in characters.
-const MOST_OF_A_FIELD: usize = 100;
-
-/// The most of a problem that an error tells, in characters.
-const MOST_OF_A_PROBLEM: usize = 400;
-
-/// A request: all but the verb's own arguments is optional.
+/// A request; every field is optional.
 #[derive(Debug, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Request {
-    /// What the sender calls it. A request that was carried out is not carried out again when it
-    /// comes once more under the same `client` and `request_id`: the first reply is given again.
+    /// The client's id for this request. A request is executed once for each `client` and
+    /// `request_id`; a retry gets the first reply.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(length(max = MAX_LABEL_LENGTH), regex(pattern = LABEL_RULE))]
     pub request_id: Option<String>,
-    /// Who says to have sent it.
+    /// The client, as the request names it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(length(max = MAX_LABEL_LENGTH), regex(pattern = LABEL_RULE))]
     pub client: Option<String>,
-    /// Carry it out when the swarm is at this step. One in the past is a `conflict`; one in the
-    /// future is acknowledged at once with `applies_at_step`, and an event tells what came of it.
+    /// Execute it when the swarm is at this step. One in the past is a `conflict`; one in the
+    /// future is acknowledged at once with `applies_at_step`, and an event has its result.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(max = LARGEST_WHOLE))]
     pub at_step: Option<u64>,
-    /// Refuse with `conflict` unless the swarm is in this epoch.
+    /// Reject with `conflict` unless the swarm is in this epoch.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expect_epoch: Option<u64>,
-    /// Refuse with `conflict` unless the swarm is at this step.
+    /// Reject with `conflict` unless the swarm is at this step.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expect_step: Option<u64>,
-    /// After this many seconds the reply is `deadline_exceeded`; the work goes on. Above 0, at
-    /// most 3600; 5 if left out.
+    /// After this many seconds the reply is `deadline_exceeded`; the daemon continues with it.
+    /// Above 0, at most 3600; 5 if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 3600.0))]
     pub timeout_secs: Option<f64>,
@@ -68,34 +64,13 @@ pub struct Request {
     pub args: Option<Box<RawValue>>,
 }
 
-/// A request that cannot be read: which field and what is wrong with it.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct RequestError {
-    /// The field, as a path such as `spec.start.x[3]`; empty for the request as a whole.
-    pub field: String,
-    /// What is wrong with it.
-    pub problem: String,
-}
-
-impl fmt::Display for RequestError {
-    fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-        if self.field.is_empty() {
-            formatter.write_str(&self.problem)
-        } else {
-            write!(formatter, "{}: {}", self.field, self.problem)
-        }
-    }
-}
-
-impl std::error::Error for RequestError {}
-
 impl Request {
-    /// Reads a request's payload: an envelope, or the verb's arguments alone, or nothing.
+    /// Parses the payload of a request: an envelope, the verb's arguments alone, or nothing.
     ///
     /// # Errors
     ///
-    /// [`RequestError`] when it is not a JSON object, names a field twice, or is an envelope with
-    /// an unknown or ill-typed field.
+    /// [`RequestError`] if it is not a JSON object, has a field twice, or is an envelope with an
+    /// unknown field or one of a wrong type.
     pub fn from_json(payload: &[u8]) -> Result<Self, RequestError> {
         let text = std::str::from_utf8(payload)
             .map_err(|error| whole(&format!("the payload is not UTF-8: {error}")))?
@@ -103,20 +78,17 @@ impl Request {
         if text.is_empty() {
             return Ok(Request::default());
         }
-        // What is right is read in one go; what is wrong is read again, to say where.
+        // A valid envelope is parsed once; anything else again, for the path of the error.
         if text.starts_with('{')
             && let Ok(request) = serde_json::from_str::<Request>(text)
-            && request.says_anything()
+            && request.has_fields()
         {
             return Ok(request);
         }
         let fields: FieldNames = serde_json::from_str(text)
             .map_err(|error| whole(&format!("the payload is not a JSON object: {error}")))?;
         if let Some(twice) = fields.twice {
-            return Err(RequestError {
-                field: shortened(&twice, MOST_OF_A_FIELD),
-                problem: "is given twice".into(),
-            });
+            return Err(RequestError::new(&twice, "is given twice"));
         }
         if fields
             .names
@@ -140,8 +112,8 @@ impl Request {
         }
     }
 
-    /// Whether any of its fields is there.
-    fn says_anything(&self) -> bool {
+    /// Whether any field is set.
+    fn has_fields(&self) -> bool {
         let Request {
             request_id,
             client,
@@ -156,18 +128,16 @@ impl Request {
         labels || steps || timeout_secs.is_some() || args.is_some()
     }
 
-    /// Reads the verb's arguments.
+    /// Parses the verb's arguments.
     ///
     /// # Errors
     ///
-    /// [`RequestError`] when a field is missing, unknown, given twice or of the wrong type.
-    pub fn args<T: DeserializeOwned + Serialize>(&self) -> Result<T, RequestError> {
+    /// [`RequestError`] if a field is missing, unknown, given twice or of a wrong type.
+    pub fn args<T: Arguments>(&self) -> Result<T, RequestError> {
         let args = self.args.as_deref().map_or("{}", RawValue::get);
         if !args.starts_with('{') {
-            return Err(RequestError {
-                field: "args".into(),
-                problem: "is not an object with named fields".into(),
-            });
+            let problem = "is not an object with named fields";
+            return Err(RequestError::new("args", problem));
         }
         let read_again = |_| {
             read(args).map_err(|mut error: RequestError| {
@@ -177,84 +147,30 @@ impl Request {
                 error
             })
         };
-        let understood: T = serde_json::from_str(args).or_else(read_again)?;
-        // Without a list or an object in it there is none in a wrong place.
-        if !args[1..].contains(['{', '[']) {
-            return Ok(understood);
+        let parsed: T = serde_json::from_str(args).or_else(read_again)?;
+        // serde has checked all types but those of lists and objects.
+        if args[1..].contains(['{', '[']) {
+            let given = serde_json::from_str(args).map_err(|error| whole(&error.to_string()))?;
+            check_types::<T>(&given)?;
         }
-        let written = serde_json::to_string(&understood)
-            .map_err(|error| whole(&format!("cannot be read back: {error}")))?;
-        // Those that begin and end in the order in which they were understood are in their places.
-        if brackets(args).eq(brackets(&written)) {
-            return Ok(understood);
-        }
-        let (Ok(given), Ok(meant)) = (serde_json::from_str(args), serde_json::from_str(&written))
-        else {
-            return Err(whole("cannot be read back"));
-        };
-        check_objects("", &given, &meant)?;
-        Ok(understood)
+        Ok(parsed)
     }
 }
 
-/// The brackets of the lists and objects in JSON, in their order.
-fn brackets(json: &str) -> impl Iterator<Item = u8> {
-    let (mut is_text, mut is_escaped) = (false, false);
-    json.bytes().filter(move |&byte| {
-        let is_quote = byte == b'"' && !is_escaped;
-        is_escaped = byte == b'\\' && !is_escaped;
-        is_text ^= is_quote;
-        !is_text && matches!(byte, b'{' | b'}' | b'[' | b']')
-    })
-}
-
-/// Refuses a list where an object was meant: it would be read as the fields in their order, which
-/// nobody writes on purpose.
-fn check_objects(path: &str, given: &Value, meant: &Value) -> Result<(), RequestError> {
-    let wrong = |problem: &str| {
-        Err(RequestError {
-            field: path.to_owned(),
-            problem: problem.to_owned(),
-        })
-    };
-    match (given, meant) {
-        (Value::Array(_), Value::Object(_)) => {
-            wrong("is a list where an object with named fields belongs")
-        }
-        (Value::Object(_), Value::String(_)) => wrong("is an object where a word belongs"),
-        (Value::Array(given), Value::Array(meant)) => {
-            // Columns of numbers can be long, and have no objects in them.
-            let lists = given.iter().zip(meant).enumerate();
-            lists
-                .filter(|(_, (given, _))| given.is_array() || given.is_object())
-                .try_for_each(|(i, (given, meant))| {
-                    check_objects(&format!("{path}[{i}]"), given, meant)
-                })
-        }
-        (Value::Object(given), Value::Object(meant)) => {
-            given.iter().try_for_each(|(name, given)| {
-                let meant = meant.get(name).unwrap_or(&Value::Null);
-                check_objects(&below(path, name), given, meant)
-            })
-        }
-        _ => Ok(()),
-    }
-}
-
-/// Reads JSON and says where it is wrong.
+/// Reads JSON; an error names the field.
 fn read<T: DeserializeOwned>(text: &str) -> Result<T, RequestError> {
     let mut deserializer = serde_json::Deserializer::from_str(text);
     let value = serde_path_to_error::deserialize(&mut deserializer).map_err(|error| {
         let path = error.path().to_string();
         let path = if path == "." { String::new() } else { path };
-        let problem = without_place(&error.into_inner().to_string());
-        // What is missing or there twice is a field too, below the one that is being read.
+        let problem = without_position(&error.into_inner().to_string());
+        // serde's path of a missing or duplicate field is that of the object.
         let named = ["missing field `", "duplicate field `"]
             .iter()
             .find_map(|start| problem.strip_prefix(start))
             .and_then(|rest| rest.strip_suffix('`'));
         let field = named.map_or(path.clone(), |name| below(&path, name));
-        // What our types are called is no business of the sender's.
+        // Clients do not know the Rust types.
         let problem = match problem.split_once("expected ") {
             Some((given, "f64")) => format!("{given}expected a number"),
             Some((given, "u64" | "u32")) => format!("{given}expected a whole number"),
@@ -267,10 +183,7 @@ fn read<T: DeserializeOwned>(text: &str) -> Result<T, RequestError> {
             }
             _ => problem,
         };
-        RequestError {
-            field: shortened(&field, MOST_OF_A_FIELD),
-            problem: shortened(&problem, MOST_OF_A_PROBLEM),
-        }
+        RequestError::new(&field, &problem)
     })?;
     deserializer
         .end()
@@ -283,37 +196,17 @@ fn is_field(known: &str) -> bool {
     known == "\"verb\" or \"args\""
 }
 
-/// The path of a field of what is at `path`.
-fn below(path: &str, name: &str) -> String {
-    if path.is_empty() {
-        name.to_owned()
-    } else {
-        format!("{path}.{name}")
-    }
-}
-
-/// The first `most` characters: what a client sent is not sent back to it without end.
-fn shortened(text: &str, most: usize) -> String {
-    match text.char_indices().nth(most) {
-        Some((end, _)) => format!("{}…", &text[..end]),
-        None => text.to_owned(),
-    }
-}
-
-/// Leaves out line and column: the field is named, and its sender never saw the text.
-fn without_place(problem: &str) -> String {
+/// Removes line and column: they are not those of the payload if it has an envelope.
+fn without_position(problem: &str) -> String {
     let end = problem.rfind(" at line ").unwrap_or(problem.len());
     problem[..end].to_owned()
 }
 
 fn whole(problem: &str) -> RequestError {
-    RequestError {
-        field: String::new(),
-        problem: shortened(problem, MOST_OF_A_PROBLEM),
-    }
+    RequestError::new("", problem)
 }
 
-/// The names of an object's fields, and the first that is there twice.
+/// The names of an object's fields, and the first duplicate.
 struct FieldNames {
     names: Vec<String>,
     twice: Option<String>,
@@ -335,7 +228,7 @@ impl<'de> Deserialize<'de> for FieldNames {
                     twice: None,
                 };
                 while let Some((name, IgnoredAny)) = map.next_entry::<String, IgnoredAny>()? {
-                    // An object of a million names is refused by its first unknown one later.
+                    // The first names suffice: an object of many has an unknown one.
                     if fields.twice.is_none() && fields.names.len() < 64 {
                         if fields.names.contains(&name) {
                             fields.twice = Some(name);
@@ -351,8 +244,8 @@ impl<'de> Deserialize<'de> for FieldNames {
     }
 }
 
-/// The answer of a swarm, and of the node that created one. A query on a swarm's `state` alone is
-/// answered with the state alone.
+/// The reply of a swarm, and of the node that created one. The reply to a query on a swarm's
+/// `state` is the state alone.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[schemars(rename = "{T}Reply")]
 pub struct Reply<T> {
@@ -360,25 +253,25 @@ pub struct Reply<T> {
     pub swarm: String,
     /// Grows whenever `step` does not continue what was published before.
     pub epoch: u64,
-    /// The step at which the command took effect; for `step`, the step reached.
+    /// The step at which the command was executed; for `step`, the last step.
     pub step: u64,
     /// `step · dt`.
     pub time: f64,
-    /// What the swarm does from then on.
+    /// The phase of the swarm after it.
     pub phase: Phase,
     /// Counts the swarm's applied commands.
     pub seq: u64,
-    /// What was asked for.
+    /// The result.
     pub result: T,
 }
 
-/// The answer of a node about itself.
+/// The reply of a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[schemars(rename = "Node{T}Reply")]
 pub struct NodeReply<T> {
     /// The node's name.
     pub node: String,
-    /// What was asked for.
+    /// The result.
     pub result: T,
 }
 

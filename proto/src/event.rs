@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Error, Phase};
 
-/// One published event. Its number tells a reader what it missed.
+/// A published event. A gap in the numbers shows a reader that it missed some.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Event {
     /// The swarm's name.
@@ -14,14 +14,14 @@ pub struct Event {
     pub number: u64,
     /// Grows whenever `step` does not continue what was published before.
     pub epoch: u64,
-    /// The step it happened at.
+    /// The step at which it happened.
     pub step: u64,
     /// `step · dt`.
     pub time: f64,
-    /// What the swarm does from then on.
+    /// The phase of the swarm after it.
     pub phase: Phase,
-    /// The daemon's wall clock when it happened: seconds since 1970, UTC, to the millisecond; `null`
-    /// if it is not known.
+    /// The daemon's wall clock when it happened: seconds since 1970, UTC, to the millisecond;
+    /// `null` if it is not known.
     #[serde(default)]
     pub unix_secs: Option<f64>,
     /// What happened.
@@ -45,35 +45,35 @@ pub enum EventKind {
         seq: u64,
         /// Its verb.
         verb: String,
-        /// Its arguments as they came.
+        /// Its arguments as received.
         args: serde_json::Value,
-        /// Who says to have sent it.
+        /// The client, as the request names it.
         client: Option<String>,
-        /// What the sender called it.
+        /// The id that its client gave it.
         request_id: Option<String>,
     },
     /// A command waits for its step.
     Scheduled {
-        /// The step it will be carried out at.
+        /// The step at which it will be executed.
         applies_at_step: u64,
         /// Its verb.
         verb: String,
-        /// Its arguments as they came.
+        /// Its arguments as received.
         args: serde_json::Value,
-        /// Who says to have sent it.
+        /// The client, as the request names it.
         client: Option<String>,
-        /// What the sender called it.
+        /// The id that its client gave it.
         request_id: Option<String>,
     },
-    /// A command that waited for its step was not carried out after all.
+    /// A scheduled command was rejected at its step.
     Refused {
         /// Its verb.
         verb: String,
-        /// Its arguments as they came.
+        /// Its arguments as received.
         args: serde_json::Value,
-        /// Who says to have sent it.
+        /// The client, as the request names it.
         client: Option<String>,
-        /// What the sender called it.
+        /// The id that its client gave it.
         request_id: Option<String>,
         /// Why.
         error: Error,
@@ -88,7 +88,7 @@ pub enum EventKind {
         /// Why.
         reason: String,
     },
-    /// A recording that the daemon made of the swarm has failed; what was recorded before is kept.
+    /// A recording of the swarm by the daemon failed; what was recorded before is kept.
     RecordingFailed {
         /// The recording's name.
         recording: String,

@@ -1,4 +1,4 @@
-//! Experiments: grids of runs that a daemon carries out, and what comes of them.
+//! Experiments: grids of runs that a daemon executes, and their results.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -7,30 +7,30 @@ use crate::column;
 use crate::keys::NAME_RULE;
 use crate::result_row::ResultRow;
 
-/// What is to be done with an experiment; sent to a node.
+/// A command to an experiment; sent to a node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum ExperimentArgs {
-    /// Carry it out, when those before it are over. The same text under the same name is the same
-    /// experiment: it goes on if it was cancelled half way.
+    /// Execute it after those before it. The same text under the same name is the same experiment:
+    /// it resumes if it was cancelled.
     Submit(SubmitArgs),
-    /// Have its runs stand still.
+    /// Pause its runs.
     Pause(ExperimentName),
-    /// Have a paused one go on; one that was cancelled or failed queues again.
+    /// Resume a paused one; one that was cancelled or failed is queued again.
     Resume(ExperimentName),
     /// End it; what is finished is kept.
     Cancel(ExperimentName),
-    /// Remove one that is over, with its results.
+    /// Delete one that has ended, with its results.
     Delete(ExperimentName),
 }
 
-/// An experiment to be carried out.
+/// An experiment to execute.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SubmitArgs {
     /// The file that describes it, TOML.
     pub toml: String,
-    /// What to call it; what the file calls it if left out.
+    /// Its name; that in the file if left out.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(regex(pattern = NAME_RULE))]
     pub name: Option<String>,
@@ -73,7 +73,7 @@ pub struct Progress {
     pub share: f64,
     /// How long it has been running, pauses aside.
     pub elapsed_secs: f64,
-    /// How long it will still take, pauses aside; `null` while that cannot be told.
+    /// The estimated time to its end without pauses; `null` while unknown.
     pub left_secs: Option<f64>,
     /// The runs under way.
     pub running: Vec<RunUnderWay>,
@@ -153,7 +153,8 @@ pub struct OrderPage {
     #[serde(with = "column::f64_column")]
     #[schemars(with = "Vec<f64>")]
     pub order: Vec<f64>,
-    /// The drift along the informed individuals' direction at each; empty if nobody is informed.
+    /// The drift along the informed individuals' direction at each; empty if no individual is
+    /// informed.
     #[serde(with = "column::f64_column")]
     #[schemars(with = "Vec<f64>")]
     pub drift: Vec<f64>,

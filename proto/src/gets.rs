@@ -1,4 +1,4 @@
-//! What the `get` keys answer.
+//! Replies on the `get` keys.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -10,7 +10,7 @@ use serde_json::Value;
 use crate::verbs::{Mode, OnTimeout};
 use crate::{Certificate, Event, Order, ParameterValues, Phase, Replay};
 
-/// A swarm's answer to `get/status`; phase, step and time are in the envelope.
+/// A swarm's reply to `get/status`; phase, step and time are in the envelope.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Status {
     /// Why it is paused or faulted.
@@ -19,17 +19,17 @@ pub struct Status {
     pub until_step: Option<u64>,
     /// Time units per second of wall clock; `null` is as fast as possible.
     pub rate: Option<f64>,
-    /// Time units per second of wall clock it lately ran at; `null` while it does not run.
+    /// The rate that was reached lately; `null` while it does not run.
     pub real_time_factor: Option<f64>,
-    /// The size of the group.
+    /// The number of individuals.
     pub n: u64,
-    /// How many of it are informed.
+    /// How many individuals are informed.
     pub informed: u64,
     /// The seed of every draw.
     pub seed: u64,
     /// The time step.
     pub dt: f64,
-    /// The parameters that may change while it lives.
+    /// The parameters that commands can change.
     pub parameters: ParameterValues,
     /// Commands that wait for their step.
     pub scheduled: u64,
@@ -45,9 +45,9 @@ pub struct Status {
     pub order: Order,
     /// How exact the state is.
     pub certificate: Certificate,
-    /// Where the history begins that is kept of it; `null` while that cannot be read.
+    /// The start of its stored history; `null` while that cannot be read.
     pub history_from: Option<HistoryFrom>,
-    /// Where it is, if it is the replay of a recording.
+    /// The position, if it is the playback of a recording.
     #[serde(default)]
     pub replay: Option<Replay>,
     /// The share of its history that a `verify` under way has replayed, from 0 to 1; `null` if none
@@ -63,14 +63,14 @@ pub struct Awaited {
     pub controller: String,
     /// For how long, seconds.
     pub secs: f64,
-    /// After how long they wait no more, seconds.
+    /// The timeout of this wait, seconds.
     pub deadline_secs: f64,
 }
 
-/// A swarm's answer to `get/controllers`.
+/// A swarm's reply to `get/controllers`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ControllerList {
-    /// All that have joined, by name.
+    /// The joined controllers, by name.
     pub controllers: Vec<Controller>,
 }
 
@@ -79,13 +79,13 @@ pub struct ControllerList {
 pub struct Controller {
     /// Its name.
     pub controller: String,
-    /// How it takes part.
+    /// When the swarm steps.
     pub mode: Mode,
-    /// Whom it steers, by id.
+    /// The individuals that it steers, by id.
     pub ids: Vec<u32>,
     /// How long others wait for it, or how long its set-points hold, seconds.
     pub deadline_secs: f64,
-    /// What becomes of its individuals when it is late.
+    /// What happens to its individuals when it is late.
     pub on_timeout: OnTimeout,
     /// Whether it may drive individuals directly.
     pub driving: bool,
@@ -95,11 +95,11 @@ pub struct Controller {
     pub misses: u32,
     /// For how long others have waited for it, seconds; `null` if they do not.
     pub waited_secs: Option<f64>,
-    /// What became of its puts.
+    /// The outcomes of its puts.
     pub puts: Puts,
 }
 
-/// What became of a controller's puts.
+/// The outcomes of a controller's puts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Puts {
     /// Applied.
@@ -112,7 +112,7 @@ pub struct Puts {
     pub refused: u64,
 }
 
-/// The oldest checkpoint that is kept of a swarm: all that came after it can be told again.
+/// The oldest stored checkpoint of a swarm: all after it can be replayed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct HistoryFrom {
     /// Its epoch.
@@ -121,30 +121,30 @@ pub struct HistoryFrom {
     pub step: u64,
 }
 
-/// Whether a swarm's past comes out the same when it is told again from its journal.
+/// Whether a replay of a swarm's journal gives the same hashes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Verified {
-    /// The step of the checkpoint it was told from.
+    /// The step of the checkpoint from which it was replayed.
     pub from_step: u64,
-    /// The step it was told to.
+    /// The step to which it was replayed.
     pub to_step: u64,
-    /// How many hashes were compared: those that were written down on the way, and its present one
-    /// of a swarm that stands still.
+    /// How many hashes were compared: those in the journal, and the current one of a swarm that is
+    /// paused.
     pub hashes: u64,
-    /// The first step that has another hash than it had; `null` if there is none.
+    /// The first step with a different hash; `null` if there is none.
     pub differs_at: Option<u64>,
-    /// The epoch that step is of: after a reset steps are counted anew.
+    /// The epoch of that step: a reset restarts the count of steps.
     pub differs_in_epoch: Option<u64>,
 }
 
-/// A swarm's answer to `get/parameters`.
+/// A swarm's reply to `get/parameters`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Parameters {
     /// All but the start, in the order of the spec.
     pub parameters: Vec<Parameter>,
 }
 
-/// A parameter of a swarm, with all that a form or a slider needs.
+/// A parameter of a swarm, described for a form or a slider.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Parameter {
     /// Its name in the spec.
@@ -157,19 +157,19 @@ pub struct Parameter {
     pub kind: ParameterKind,
     /// The least value; `null` if there is none.
     pub minimum: Option<f64>,
-    /// What it must be above; `null` if nothing.
+    /// The value that it must exceed; `null` if there is none.
     pub exclusive_minimum: Option<f64>,
-    /// The largest value as things are; `null` if there is none.
+    /// The largest value at present; `null` if there is none.
     pub maximum: Option<f64>,
     /// The values of a choice, of those that take numbers the kind alone; empty otherwise.
     pub choices: Vec<Value>,
     /// Whether `null` is a value.
     pub nullable: bool,
-    /// What it is if left out; `null` if it must be given.
+    /// The value if left out; `null` if it is required.
     pub default: Value,
-    /// What it is now.
+    /// The current value.
     pub value: Value,
-    /// Whether it may change while the swarm lives.
+    /// Whether commands can change it.
     pub live: bool,
     /// The verbs that change it.
     pub changed_by: Vec<String>,
@@ -187,35 +187,35 @@ pub enum ParameterKind {
     Choice,
 }
 
-/// A swarm's answer to `get/events?after=NUMBER`: the events it still has, oldest first.
+/// A swarm's reply to `get/events?after=NUMBER`: the events it still has, oldest first.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Events {
-    /// Those after the number asked for, as many as one answer holds.
+    /// Those after the requested number, as many as one reply holds.
     pub events: Vec<Event>,
-    /// The number of the oldest it still has; `null` if it has none.
+    /// The number of the oldest one that it still has; `null` if it has none.
     pub oldest: Option<u64>,
-    /// The number of the newest: ask again until it is reached. 0 before the first.
+    /// The number of the newest one: query until it is reached. 0 before the first.
     pub newest: u64,
 }
 
-/// A swarm's answer to `get/journal?after=SEQ`: the commands it applied, oldest first.
+/// A swarm's reply to `get/journal?after=SEQ`: the commands it applied, oldest first.
 ///
-/// With the spec it is all that the swarm's present state comes from.
+/// The spec and these commands determine the state of the swarm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Journal {
-    /// Those after the `seq` asked for, as many as one answer holds.
+    /// Those after the requested `seq`, as many as one reply holds.
     pub entries: Vec<JournalEntry>,
-    /// The `seq` of the oldest it still has; `null` if it has none.
+    /// The `seq` of the oldest one that it still has; `null` if it has none.
     pub oldest: Option<u64>,
-    /// The `seq` of the newest: ask again until it is reached. 0 before the first.
+    /// The `seq` of the newest one: query until it is reached. 0 before the first.
     pub newest: u64,
 }
 
 /// A command that was applied.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct JournalEntry {
-    /// Counts the swarm's applied commands; a `batch` counts each of its changes and stands here
-    /// with the last.
+    /// Counts the swarm's applied commands; a `batch` counts each of its changes, and has the
+    /// number of the last.
     pub seq: u64,
     /// The epoch it was applied in.
     pub epoch: u64,
@@ -229,20 +229,20 @@ pub struct JournalEntry {
     pub unix_secs: Option<f64>,
     /// Its verb.
     pub verb: String,
-    /// Its arguments as they came.
+    /// Its arguments as received.
     pub args: Value,
-    /// Who says to have sent it.
+    /// The client, as the request names it.
     pub client: Option<String>,
-    /// What the sender called it.
+    /// The id that its client gave it.
     pub request_id: Option<String>,
 }
 
-/// A node's answer to `get/hello`: who is there and what it takes.
+/// A node's reply to `get/hello`: its version and limits.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Hello {
     /// The daemon's version.
     pub version: String,
-    /// The version of the contract it speaks.
+    /// The version of the contract.
     pub wire_version: u32,
     /// The daemon's clock: seconds since 1970, UTC.
     pub unix_secs: f64,
@@ -253,7 +253,7 @@ pub struct Hello {
     pub http: Option<String>,
 }
 
-/// What a daemon refuses to go beyond.
+/// The limits of a daemon.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Limits {
     /// Individuals in one swarm.
@@ -262,16 +262,16 @@ pub struct Limits {
     pub max_swarms: u64,
     /// Memory of all swarms together, in bytes.
     pub max_memory_bytes: u64,
-    /// The longest request, in bytes; a longer one is refused, and beyond 1 MiB zenoh drops it
-    /// without a word.
+    /// The longest request, in bytes; a longer one is rejected, and zenoh drops one of more than 1
+    /// MiB without an error.
     pub max_message_bytes: u64,
-    /// Clients at once; while there are more `get/hello` is refused.
+    /// Clients at once; while more are connected, `get/hello` is rejected.
     pub max_clients: u64,
     /// States published per second and swarm.
     pub max_hz: u64,
 }
 
-/// A node's answer to `get/status`.
+/// A node's reply to `get/status`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct NodeStatus {
     /// Seconds since the daemon started.
@@ -284,13 +284,13 @@ pub struct NodeStatus {
     pub faulted: u64,
     /// Individuals in all swarms together.
     pub individuals: u64,
-    /// Memory set aside for the swarms, in bytes.
+    /// Memory reserved for the swarms, in bytes.
     pub memory_bytes: u64,
     /// Clients connected.
     pub clients: u64,
 }
 
-/// A node's answer to `get/schema`: JSON Schemas (2020-12) of every message.
+/// A node's reply to `get/schema`: JSON Schemas (2020-12) of every message.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Schemas {
     /// The version of the contract they describe.
@@ -299,7 +299,7 @@ pub struct Schemas {
     pub schemas: BTreeMap<String, Value>,
 }
 
-/// A node's answer to `get/swarms`.
+/// A node's reply to `get/swarms`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Swarms {
     /// All it hosts, ordered by name.
@@ -311,7 +311,7 @@ pub struct Swarms {
 pub struct SwarmSummary {
     /// Its name.
     pub swarm: String,
-    /// What it is doing.
+    /// Its phase.
     pub phase: Phase,
     /// Why it is paused or faulted.
     pub reason: Option<String>,
@@ -319,17 +319,17 @@ pub struct SwarmSummary {
     pub step: u64,
     /// `step · dt`.
     pub time: f64,
-    /// The size of the group.
+    /// The number of individuals.
     pub n: u64,
-    /// How many of it are informed.
+    /// How many individuals are informed.
     pub informed: u64,
     /// The polar order parameter.
     pub order: f64,
     /// Time units per second of wall clock; `null` is as fast as possible.
     pub rate: Option<f64>,
-    /// Time units per second of wall clock it lately ran at; `null` while it does not run.
+    /// The rate that was reached lately; `null` while it does not run.
     pub real_time_factor: Option<f64>,
-    /// Whether it is the replay of a recording.
+    /// Whether it is the playback of a recording.
     #[serde(default)]
     pub replay: bool,
     /// The other daemon that has a swarm of this name, if there is one; see `contested`.

@@ -24,8 +24,8 @@ pub const SWARM_VERBS: [&str; 16] = [
     "batch", "fork", "join", "advance", "leave", "seek",
 ];
 
-/// What a swarm does by itself on account of its controllers, as its journal and its events call
-/// it: nobody can send it.
+/// Commands that a swarm gives itself because of its controllers, in its journal and its events. No
+/// client can send them.
 pub const OWN_VERBS: [&str; 3] = ["deadline", "lost", "control"];
 
 /// The nouns that `{prefix}/@node/{node}/get/` answers.
@@ -58,11 +58,10 @@ pub const EXPERIMENT_GETS: [&str; 3] = ["progress", "results", "order"];
 /// bytes.
 pub const MAX_NAME_LENGTH: usize = 64;
 
-/// What a name may look like, for messages.
+/// The pattern of names, for messages.
 pub const NAME_RULE: &str = "^[a-z0-9][a-z0-9_-]{0,63}$";
 
-/// Tells whether `name` may name a swarm, a node, an experiment, a recording or a
-/// controller.
+/// Whether `name` may name a swarm, a node, an experiment, a recording or a controller.
 ///
 /// zenoh itself would take `*`, a NUL or 70,000 bytes, and a wildcard there would hit every swarm.
 pub fn is_name(name: &str) -> bool {

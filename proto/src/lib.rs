@@ -1,11 +1,11 @@
-//! Everything of jostle that crosses the wire, and nothing else: no I/O, no physics.
+//! The messages of jostle and their keys: no I/O, no physics.
 //!
 //! A request is a zenoh query on a concrete key; its payload is a [`Request`] around one of the
-//! arguments in [`verbs`]. It is answered with a [`Reply`] or an [`Error`]. A swarm publishes
+//! arguments in [`verbs`]. The reply is a [`Reply`] or an [`Error`]. A swarm publishes
 //! [`State`], [`OrderSample`] and [`Event`].
 //!
-//! Requests refuse unknown fields; replies and samples tolerate them, so that an older client
-//! can read a newer daemon.
+//! [`Request::args`] rejects unknown fields. Readers of replies and samples accept them, so that an
+//! older client works with a newer daemon.
 
 pub mod keys;
 
@@ -24,16 +24,17 @@ mod recording;
 mod replay;
 mod result_row;
 pub mod role;
+mod schema;
 pub mod snapshot;
 mod spec;
 mod state;
-mod told;
 pub mod verbs;
+mod walk;
 
 pub use cell::{Cell, CellKind, WrongKind};
 pub use claim::{Claim, Claimant, Standing};
-pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request, RequestError};
-pub use error::{Error, ErrorCode};
+pub use envelope::{MAX_LABEL_LENGTH, NodeReply, Reply, Request};
+pub use error::{Error, ErrorCode, RequestError};
 pub use event::{Event, EventKind};
 pub use experiment::{
     ExperimentArgs, ExperimentName, ExperimentPhase, ExperimentResult, Experiments, OrderPage,
@@ -55,12 +56,12 @@ pub use role::{Credentials, Role, WhoAmI};
 pub use snapshot::Snapshot;
 pub use spec::{Attraction, ContactRule, Spec, Start, Stepping};
 pub use state::{Certificate, Order, OrderSample, ParameterValues, Phase, State, to_cbor};
-pub use told::Told;
+pub use walk::{Arguments, Lenient};
 
 /// The version of this contract; it grows when a message changes its meaning.
 pub const WIRE_VERSION: u32 = 1;
 
-/// The largest whole number that every client can hold: doubles are exact up to here.
+/// The largest whole number in a message: doubles are exact up to here.
 pub const LARGEST_WHOLE: u64 = (1 << 53) - 1;
 
 /// The zenoh encoding of requests, replies, errors, orders and events.

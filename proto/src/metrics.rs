@@ -98,7 +98,7 @@ pub struct SwarmMetrics {
     pub phase: Phase,
     /// The number of steps since the start.
     pub step: u64,
-    /// The size of the group.
+    /// The number of individuals.
     pub n: u64,
     /// Time units per second of wall clock; `null` is as fast as possible.
     pub rate: Option<f64>,

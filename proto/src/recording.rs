@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 use crate::LARGEST_WHOLE;
 use crate::keys::NAME_RULE;
 
-/// The bytes from which on a recording ends unless the request says otherwise: 1 GiB.
+/// The size at which a recording ends if the request has none: 1 GiB.
 pub const DEFAULT_MAX_RECORDING_BYTES: u64 = 1 << 30;
 
-/// What is to be done with a recording; sent to a node.
+/// A command to a recording; sent to a node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum RecordArgs {

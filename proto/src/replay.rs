@@ -1,4 +1,4 @@
-//! Recordings that a daemon shows as if they were swarms.
+//! Playbacks: recordings that a daemon shows as swarms.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 use crate::LARGEST_WHOLE;
 use crate::keys::NAME_RULE;
 
-/// What is to be done about a replay; sent to a node.
+/// A command to a playback; sent to a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum ReplayArgs {
-    /// Take in a piece of a recording. Pieces come in order; one that came before is as good.
+    /// Upload a piece of a recording. Pieces are sent in order; a repeated one is accepted.
     Upload(UploadArgs),
     /// Show a recording under a name, paused at its first frame: the one that was uploaded under
     /// this name, or one that the daemon has recorded.
@@ -21,7 +21,7 @@ pub enum ReplayArgs {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct UploadArgs {
-    /// The name it is to be shown under.
+    /// The name of the playback.
     #[schemars(regex(pattern = NAME_RULE))]
     pub name: String,
     /// Where in the file the piece begins, in bytes; 0 begins a new upload.
@@ -34,35 +34,34 @@ pub struct UploadArgs {
     pub bytes: String,
 }
 
-/// What to show under which name.
+/// A recording to show, and its name.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct OpenArgs {
-    /// The name it is shown under, as swarms are.
+    /// The name of the playback.
     #[schemars(regex(pattern = NAME_RULE))]
     pub name: String,
-    /// The daemon's own recording; left out, what was uploaded under this name.
+    /// A recording of the daemon; left out, the one uploaded under this name.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(regex(pattern = NAME_RULE))]
     pub recording: Option<String>,
 }
 
-/// What a node did about a replay.
+/// The result of a command to a playback.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ReplayResult {
-    /// Bytes that have come of what is uploaded: where the next piece begins. `null` once it is
-    /// shown.
+    /// Uploaded bytes, which is the offset of the next piece. `null` for `open`.
     pub uploaded: Option<u64>,
-    /// What is shown, once it is.
+    /// The playback, for `open`.
     pub replay: Option<Replay>,
 }
 
-/// A recording that is shown, and where it is.
+/// A playback and its position.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Replay {
     /// The swarm that was recorded.
     pub of: String,
-    /// The number of the frame it is at, from 1.
+    /// The number of the current frame, from 1.
     pub frame: u64,
     /// How many frames it has.
     pub frames: u64,
@@ -72,15 +71,15 @@ pub struct Replay {
     pub duration: f64,
 }
 
-/// Has a replay go to the last frame that is not later than this. Exactly one is to be given.
+/// Moves a playback to the last frame that is not later. Exactly one field must be given.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SeekArgs {
-    /// A step; where the swarm was reset, of the run that is shown.
+    /// A step; if the swarm was reset, of the epoch that is shown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(max = LARGEST_WHOLE))]
     pub step: Option<u64>,
-    /// A time; where the swarm was reset, of the run that is shown.
+    /// A time; if the swarm was reset, of the epoch that is shown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(min = 0.0, max = 1e12))]
     pub time: Option<f64>,

@@ -1,4 +1,4 @@
-//! Who may do what, where a daemon knows its people.
+//! Permissions by role, for a daemon with users.
 
 use std::fmt;
 
@@ -66,7 +66,7 @@ impl fmt::Display for Role {
     }
 }
 
-/// The words for a request that takes another role; of a person who is known, or of nobody.
+/// The message for a request that requires another role, of a known person or an unknown one.
 pub fn refusal(person: Option<(&str, Role)>, verb: &str) -> String {
     let who = match person {
         Some((name, role)) => format!("you are {name}, {}", role.with_article()),
@@ -76,7 +76,7 @@ pub fn refusal(person: Option<(&str, Role)>, verb: &str) -> String {
     format!("{who}, and {verb} takes {least}: ask whoever runs the daemon")
 }
 
-/// The error for such a request.
+/// The error for a request that requires another role.
 pub fn refused(person: Option<(&str, Role)>, verb: &str) -> Error {
     let details = json!({
         "person": person.map(|(name, _)| name),
@@ -111,9 +111,9 @@ pub fn is_controller_of(person: &str, controller: &str) -> bool {
 /// A daemon's answer to `get/whoami`, which goes by the token that the query brings along.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct WhoAmI {
-    /// Who it is; `null` where the daemon knows no people, and for a token that is nobody's.
+    /// The name; `null` from a daemon without users, and for an unknown token.
     pub person: Option<String>,
-    /// What they are; `null` for a token that is nobody's.
+    /// The role; `null` for an unknown token.
     pub role: Option<Role>,
     /// What they may have swarms execute.
     pub verbs: Vec<String>,
@@ -121,8 +121,8 @@ pub struct WhoAmI {
     pub node_verbs: Vec<String>,
 }
 
-/// What a person's folder of credentials says, in `credentials.json`. It crosses no wire as it is:
-/// the password proves who opens a session, the token who sends a request.
+/// The content of `credentials.json` in a person's folder of credentials. It is not sent as a
+/// whole: the password authenticates a session, the token a request.
 #[derive(Clone, PartialEq, Serialize, Deserialize)]
 pub struct Credentials {
     /// Who it is.
@@ -132,7 +132,7 @@ pub struct Credentials {
     /// Where the daemon is reached, such as `tls/lab.example:7447`.
     pub endpoint: String,
     /// Where its page is, such as `https://lab.example:8443`, if it serves HTTP. Folders of earlier
-    /// versions do not say so.
+    /// versions lack it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub page: Option<String>,
     /// What comes along with each request, as its attachment.
@@ -200,7 +200,7 @@ mod tests {
             assert_eq!(Role::Controller.may(verb), controller, "controller, {verb}");
             assert_eq!(Role::Operator.may(verb), operator, "operator, {verb}");
         }
-        // What is no verb takes the greatest role.
+        // An unknown verb requires the greatest role.
         for verb in ["", "*", "**", "get", "Join", "join/now"] {
             assert!(!Role::Viewer.may(verb), "viewer, {verb:?}");
             assert!(!Role::Controller.may(verb), "controller, {verb:?}");

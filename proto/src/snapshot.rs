@@ -7,8 +7,8 @@ use ciborium::Value;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::told::{Told, told};
 use crate::verbs::{Mode, News, OnTimeout};
+use crate::walk::{Lenient, lenient};
 use crate::{Attraction, ContactRule, Spec, Stepping, column, to_cbor};
 
 /// The version of the layout of snapshots; it grows when an older reader would misread them.
@@ -25,8 +25,8 @@ pub struct Snapshot {
     pub model_version: u32,
     /// The swarm's name.
     pub swarm: String,
-    /// What it was made from, with the seed now in force.
-    #[serde(deserialize_with = "told")]
+    /// Its spec with the current seed.
+    #[serde(deserialize_with = "lenient")]
     pub spec: Spec,
     /// The values of the parameters that may change.
     pub parameters: SnapshotParameters,
@@ -83,7 +83,7 @@ pub struct Snapshot {
     pub exactness: Exactness,
     /// The commands that wait for their step, in the order they come due.
     pub scheduled: Vec<Waiting>,
-    /// A `step` that is being carried out.
+    /// A `step` that is being executed.
     #[serde(default)]
     pub pending: Option<Pending>,
     /// The controllers that have joined.
@@ -127,7 +127,8 @@ pub struct SnapshotParameters {
     pub relinearise: Option<u8>,
     /// What an individual turns towards.
     #[serde(default)]
-    pub attraction: Option<Told<Attraction>>,
+    #[schemars(with = "Option<Attraction>")]
+    pub attraction: Option<Lenient<Attraction>>,
     /// Intensity of white noise on the turning rate, squared angle over time.
     #[serde(default)]
     pub noise: Option<f64>,
@@ -135,7 +136,7 @@ pub struct SnapshotParameters {
     pub publish_every: u64,
 }
 
-/// What a swarm is doing, to the letter.
+/// The phase of a swarm in detail.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Doing {
@@ -161,51 +162,51 @@ pub enum Doing {
     },
 }
 
-/// A controller that has joined, with all that outlives a crash.
+/// A joined controller, with all that is durable.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Member {
     /// Its name.
     pub controller: String,
-    /// How it takes part.
+    /// When the swarm steps.
     pub mode: Mode,
     /// How long others wait for it, or how long its set-points hold, seconds.
     pub deadline_secs: f64,
-    /// What becomes of its individuals when it is late.
+    /// What happens to its individuals when it is late.
     pub on_timeout: OnTimeout,
     /// Whether it may drive individuals directly.
     pub driving: bool,
-    /// Whom it may steer.
+    /// The individuals that it may steer.
     pub ids: Vec<u32>,
-    /// Whom it has steered.
+    /// The individuals that it has steered.
     pub steered: Vec<u32>,
     /// The step that it has advanced to.
     pub target: u64,
     /// The step at which it began to.
     pub from: u64,
-    /// The `advance` that is to be answered.
+    /// Its `advance` without a reply yet.
     #[serde(default)]
     pub advance: Option<Sent>,
     /// Deadlines missed in a row.
     pub misses: u32,
-    /// What it is yet to be told.
+    /// What happened since the last reply to it.
     pub news: News,
     /// The number of its newest put that was applied.
     pub sequence: u64,
 }
 
-/// When somebody is uninformed again.
+/// When an individual becomes uninformed again.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Lapse {
-    /// Who.
+    /// The individual.
     pub id: u32,
     /// At the end of which step.
     pub at_step: u64,
 }
 
-/// How somebody is driven directly, beyond the paper.
+/// How an individual is driven directly, beyond the paper.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Drive {
-    /// Who.
+    /// The individual.
     pub id: u32,
     /// Turning rate, angle over time; `null` to turn by itself.
     pub turn: Option<f64>,
@@ -269,18 +270,18 @@ pub struct Exactness {
     pub iterations: u64,
 }
 
-/// A command as it came.
+/// A command as received.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Sent {
     /// The verb.
     pub verb: String,
     /// Its arguments, JSON.
     pub args: String,
-    /// Who says to have sent it.
+    /// The client, as the request names it.
     pub client: Option<String>,
-    /// What its sender called it.
+    /// The id that its client gave it.
     pub request_id: Option<String>,
-    /// What tells it from any other request of that name.
+    /// Distinguishes it from another request with the same id.
     #[serde(with = "serde_bytes")]
     #[schemars(with = "Option<Vec<u8>>")]
     pub digest: Option<Vec<u8>>,
@@ -291,13 +292,13 @@ pub struct Sent {
 pub struct Waiting {
     /// The step.
     pub at_step: u64,
-    /// The line of the journal that it stands on.
+    /// The number of its entry in the journal.
     pub line: u64,
     /// The command.
     pub sent: Sent,
 }
 
-/// A `step` that is being carried out.
+/// A `step` that is being executed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Pending {
     /// The step it began at.
@@ -311,11 +312,11 @@ impl Snapshot {
     ///
     /// # Errors
     ///
-    /// What is wrong with `bytes`, also when they do not have the digest they tell.
+    /// What is wrong with `bytes`, for instance another digest than they contain.
     pub fn from_cbor(bytes: &[u8]) -> Result<Self, String> {
         let snapshot: Snapshot = ciborium::from_reader(bytes).map_err(unreadable)?;
         match &snapshot.digest {
-            Some(told) if digest(bytes)? != *told => {
+            Some(expected) if digest(bytes)? != *expected => {
                 Err("it is damaged: it does not have the digest it tells".into())
             }
             _ => Ok(snapshot),
@@ -326,7 +327,7 @@ impl Snapshot {
     ///
     /// # Errors
     ///
-    /// As [`Snapshot::from_cbor`], and when there is no digest or something behind it.
+    /// As [`Snapshot::from_cbor`], and if there is no digest or something after it.
     pub fn from_file(bytes: &[u8]) -> Result<Self, String> {
         let snapshot = Snapshot::from_cbor(bytes)?;
         snapshot
@@ -345,8 +346,8 @@ impl Snapshot {
     }
 }
 
-/// What a snapshot's digest is of, however its numbers are encoded: all that is in it, known here or
-/// not, but the digest.
+/// What a snapshot's digest is of, however its numbers are encoded: all that is in it, known here
+/// or not, but the digest.
 fn digest(bytes: &[u8]) -> Result<String, String> {
     let mut left = bytes;
     let mut value: Value = ciborium::from_reader(&mut left).map_err(unreadable)?;

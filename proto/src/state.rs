@@ -1,16 +1,16 @@
-//! What a swarm publishes about itself.
+//! The states that a swarm publishes.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::told::told;
+use crate::walk::lenient;
 use crate::{Attraction, ContactRule, Stepping, column};
 
-/// What a swarm is doing.
+/// The phase of a swarm.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Phase {
-    /// Standing still, open to every command.
+    /// Paused; every command is allowed.
     Paused,
     /// Stepping.
     Running,
@@ -40,13 +40,13 @@ pub struct State {
     pub swarm: String,
     /// Grows whenever `step` does not continue what was published before.
     pub epoch: u64,
-    /// Counts the published states, so that a reader can tell skipped from lost.
+    /// Counts the published states, so that a reader can distinguish skipped from lost ones.
     pub frame: u64,
     /// The number of steps since the start.
     pub step: u64,
     /// `step · dt`.
     pub time: f64,
-    /// What the swarm is doing.
+    /// The phase of the swarm.
     pub phase: Phase,
     /// Two integers: where the positions are counted from, in units of 1024 body sizes.
     pub origin: [i64; 2],
@@ -96,7 +96,7 @@ impl State {
     }
 }
 
-/// What begins with this much room seldom has to move: CBOR is written a word at a time.
+/// Initial capacity: CBOR is written a word at a time, and most messages are no longer.
 const USUAL_BYTES: usize = 256;
 
 /// Writes any message as CBOR.
@@ -127,7 +127,7 @@ pub struct Order {
     pub mean_drift: Option<f64>,
 }
 
-/// What shows that a state is an exact one.
+/// How exact a state is.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Certificate {
     /// The smallest gap between two bodies, measured apart from the solver; negative is overlap;
@@ -158,11 +158,11 @@ pub struct OrderSample {
     pub step: u64,
     /// `step · dt`.
     pub time: f64,
-    /// What the swarm is doing.
+    /// The phase of the swarm.
     pub phase: Phase,
-    /// The size of the group.
+    /// The number of individuals.
     pub n: u64,
-    /// How many of it are informed.
+    /// How many individuals are informed.
     pub informed: u64,
     /// Order and drift.
     pub order: Order,
@@ -171,11 +171,11 @@ pub struct OrderSample {
     /// Time units per second of wall clock that the swarm is asked to run at; `null` is as fast
     /// as possible.
     pub rate: Option<f64>,
-    /// Time units per second of wall clock it lately ran at; `null` while it does not run.
+    /// The rate that was reached lately; `null` while it does not run.
     pub real_time_factor: Option<f64>,
 }
 
-/// The values of the parameters that may change while a swarm lives.
+/// The values of the parameters that commands can change.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ParameterValues {
     /// Length over width of a body.
@@ -193,7 +193,7 @@ pub struct ParameterValues {
     /// How many more programs a step solves about what the last one predicts.
     pub relinearise: u8,
     /// What an individual turns towards.
-    #[serde(deserialize_with = "told")]
+    #[serde(deserialize_with = "lenient")]
     pub attraction: Attraction,
     /// Intensity of white noise on the turning rate, squared angle over time.
     pub noise: f64,

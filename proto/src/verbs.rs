@@ -1,4 +1,4 @@
-//! The arguments and results of every verb, in the order a swarm meets them.
+//! The arguments and results of every verb.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use serde::de::{Error as _, IgnoredAny, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
 use crate::keys::NAME_RULE;
-use crate::told::told;
+use crate::walk::lenient;
 use crate::{Attraction, ContactRule, LARGEST_WHOLE, ParameterValues, Spec, State, Stepping};
 
 /// Creates a swarm; sent to a node. The swarm is created paused.
@@ -17,20 +17,20 @@ pub struct CreateArgs {
     /// The new swarm's name.
     #[schemars(regex(pattern = NAME_RULE))]
     pub name: String,
-    /// What it is made from.
+    /// Its spec.
     pub spec: Spec,
-    /// Whether a swarm of that name with an equal spec is as good as a new one.
+    /// Whether a swarm of that name with an equal spec is a success.
     #[serde(default)]
     pub exist_ok: bool,
 }
 
-/// What `create` did.
+/// The result of `create`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CreateResult {
-    /// False if an equal swarm was there already.
+    /// False if an equal swarm existed.
     pub created: bool,
     /// The spec with every default filled in.
-    #[serde(deserialize_with = "told")]
+    #[serde(deserialize_with = "lenient")]
     pub spec: Spec,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
@@ -50,8 +50,8 @@ pub struct DiscardArgs {
     pub name: String,
 }
 
-/// Lets a swarm run, to an end or until paused; changes end and rate of one that runs, and leaves
-/// what is left out.
+/// Runs a swarm to an end or until it is paused; changes the end and the rate of a running one.
+/// Fields that are left out keep their values.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RunArgs {
@@ -73,7 +73,7 @@ pub struct RunArgs {
     pub rate: Option<Option<f64>>,
 }
 
-/// How the swarm now runs.
+/// How the swarm runs now.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct RunResult {
     /// The step it will pause at.
@@ -88,22 +88,21 @@ pub struct RunResult {
 #[serde(deny_unknown_fields)]
 pub struct PauseArgs {}
 
-/// Makes another swarm as this one is, paused: both have one future until they are treated
-/// differently.
+/// Creates a copy of a swarm, paused: both have the same states until they get different commands.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ForkArgs {
     /// The new swarm's name.
     #[schemars(regex(pattern = NAME_RULE))]
     pub name: String,
-    /// As it was when it arrived at this step of its present run, before the commands that were
-    /// given there; left out, as it is now.
+    /// Copies the swarm as it was when it reached this step of its current epoch, before the
+    /// commands at that step; left out, as it is now.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(range(max = LARGEST_WHOLE))]
     pub step: Option<u64>,
 }
 
-/// Makes a swarm from a snapshot, paused; sent to a node.
+/// Creates a swarm from a snapshot, paused; sent to a node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RestoreArgs {
@@ -114,7 +113,7 @@ pub struct RestoreArgs {
     pub snapshot: String,
 }
 
-/// Runs a paused swarm some steps on, as fast as it can whatever its rate.
+/// Takes steps of a paused swarm as fast as possible, independent of its rate.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct StepArgs {
@@ -122,12 +121,12 @@ pub struct StepArgs {
     #[serde(default = "one")]
     #[schemars(range(min = 1, max = 1_000_000_000))]
     pub steps: u64,
-    /// What the reply carries.
+    /// What the reply contains.
     #[serde(default, rename = "return")]
     pub return_: Return,
 }
 
-/// What the reply to `step` carries.
+/// What the reply to `step` contains.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Return {
@@ -138,37 +137,37 @@ pub enum Return {
     State,
 }
 
-/// Where `step` arrived.
+/// The result of `step`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct StepResult {
     /// How many steps were taken; fewer than asked for if another command came between.
     pub steps: u64,
-    /// The last step that a crash of the daemon would not take back. It follows `step` within a few
-    /// milliseconds, unless the disk is full.
+    /// The last step that is durable: a crash of the daemon does not undo it. It follows `step`
+    /// within a few milliseconds, unless the disk is full.
     #[serde(default)]
     pub durable_step: u64,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
-    /// The state reached, if it was asked for. A retry of the request gets a remembered reply, which
+    /// The state after the steps, if requested. A retry of the request gets the cached reply, which
     /// has no state if the first one took more than 4 KiB: the reply is then JSON.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub state: Option<State>,
 }
 
-/// Has a controller join a swarm, and claims individuals that it alone steers.
+/// Registers a controller of a swarm, and claims individuals that no other controller may steer.
 ///
-/// In lock-step the swarm stands still and steps whenever every controller has advanced.
+/// In lock-step the swarm steps when every controller has advanced.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct JoinArgs {
-    /// Its name, by which it is known from then on.
+    /// Its name, which identifies it in further requests.
     #[schemars(regex(pattern = NAME_RULE))]
     pub controller: String,
-    /// Whom it is to steer; draws are from those that no other controller claims. Left out,
-    /// nobody, or whom it had when it comes back.
+    /// The individuals to steer; draws are from those that no other controller claims. Left out,
+    /// none, or its previous ones if it joins again.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub select: Option<Select>,
-    /// How it takes part.
+    /// When the swarm steps.
     #[serde(default)]
     pub mode: Mode,
     /// In lock-step, how long others wait for it; running freely, how long its set-points hold
@@ -176,53 +175,53 @@ pub struct JoinArgs {
     #[serde(default = "five_secs")]
     #[schemars(extend("exclusiveMinimum" = 0), range(max = 60.0))]
     pub deadline_secs: f64,
-    /// What becomes of its individuals when it is late. In lock-step the swarm then goes on
-    /// without it, and after three misses in a row it has left.
+    /// What happens to its individuals when it is late. In lock-step the swarm then continues
+    /// without it, and removes it after three misses in a row.
     #[serde(default)]
     pub on_timeout: OnTimeout,
     /// Whether it may drive individuals directly, by turning rate and speed. Beyond the paper.
     #[serde(default)]
     pub driving: bool,
-    /// Whether it comes back: it takes the place of the controller of its name.
+    /// Whether it joins again: it replaces the controller of its name.
     #[serde(default)]
     pub again: bool,
 }
 
-/// How a controller takes part.
+/// When a swarm with a controller steps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Mode {
-    /// The swarm steps when every one of these has advanced.
+    /// When every controller in this mode has advanced.
     #[default]
     Lockstep,
-    /// The swarm runs at its rate, and set-points are put on `ctl/{controller}` meanwhile.
+    /// At its rate; the controller puts set-points on `ctl/{controller}`.
     FreeRunning,
 }
 
-/// What becomes of the individuals of a controller that is late.
+/// What happens to the individuals of a late controller.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnTimeout {
-    /// They keep their last set-points, also when it has left.
+    /// They keep their last set-points, also after it has left.
     #[default]
     Hold,
     /// They are uninformed.
     Free,
-    /// The swarm pauses, and whoever waits is answered.
+    /// The swarm pauses and replies to the waiting controllers.
     Pause,
 }
 
-/// What `join` did.
+/// The result of `join`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct JoinResult {
-    /// Whom it steers, by id.
+    /// The individuals that it steers, by id.
     pub ids: Vec<u32>,
-    /// What came about since it was last there, if it comes back.
+    /// What happened while it was away, if it joins again.
     pub news: News,
 }
 
-/// Has a controller advance: the swarm steps when every other one has too, and answers when it has
-/// come so far. `expect_step` of the envelope says at which step the controller takes it to be.
+/// Permits steps of the swarm, which takes them when every controller has, and then replies.
+/// `expect_step` of the envelope is the step at which the controller assumes the swarm.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct AdvanceArgs {
@@ -233,19 +232,19 @@ pub struct AdvanceArgs {
     #[serde(default = "one")]
     #[schemars(range(min = 1, max = 1_000_000_000))]
     pub steps: u64,
-    /// What it wants from the next step on; what it does not name stays as it was.
+    /// Set-points from the next step on; individuals without one keep theirs.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub set: Option<SetPoints>,
-    /// What the reply carries.
+    /// What the reply contains.
     #[serde(default, rename = "return")]
     pub return_: Return,
 }
 
-/// What a controller wants of individuals that it steers: columns of equal length.
+/// Set-points of individuals that a controller steers: columns of equal length.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SetPoints {
-    /// Whom.
+    /// The individuals.
     pub ids: Vec<u32>,
     /// Their preferred directions in radians, counter-clockwise from +x.
     #[schemars(inner(range(min = -1e6, max = 1e6)))]
@@ -255,39 +254,39 @@ pub struct SetPoints {
     #[schemars(inner(range(min = 0.0, max = 1e6)))]
     pub weight: Option<Vec<f64>>,
     /// Beyond the paper, for controllers that joined with `driving`: turning rates, angle over
-    /// time, instead of turning as the model says; cut at the fastest free one, `pi3 (1 + largest
-    /// weight)`. `null` for who turns by itself.
+    /// time, instead of those of the model; limited to the fastest free one, `pi3 (1 + largest
+    /// weight)`. `null` for the model's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(inner(range(min = -1e6, max = 1e6)))]
     pub turn: Option<Vec<Option<f64>>>,
     /// Beyond the paper, for controllers that joined with `driving`: factors of the free speed, 0
-    /// to 1. `null` for who moves by itself.
+    /// to 1. `null` for the model's.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schemars(inner(range(min = 0.0, max = 1.0)))]
     pub speed: Option<Vec<Option<f64>>>,
 }
 
-/// Where the swarm has come to.
+/// The result of `advance`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct AdvanceResult {
     /// How many steps were taken; fewer than asked for if another command came between.
     pub steps: u64,
-    /// The last step that a crash of the daemon would not take back.
+    /// The last step that is durable: a crash of the daemon does not undo it.
     pub durable_step: u64,
     /// BLAKE3 of the state, in hexadecimal.
     pub state_hash: String,
-    /// What came about since this controller was last told.
+    /// What happened since the last reply to this controller.
     pub news: News,
-    /// The state reached, if it was asked for. A retry of the request gets a remembered reply, which
+    /// The state after the steps, if requested. A retry of the request gets the cached reply, which
     /// has no state if the first one took more than 4 KiB: the reply is then JSON.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub state: Option<State>,
 }
 
-/// What a controller is told beside the step reached.
+/// What happened between two replies to a controller.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct News {
-    /// Deadlines that fired, its own too.
+    /// Missed deadlines, its own too.
     pub missed: Vec<Miss>,
     /// Controllers that have left.
     pub left: Vec<Departed>,
@@ -295,21 +294,21 @@ pub struct News {
     pub removed: Vec<u32>,
 }
 
-/// A deadline that fired.
+/// A missed deadline.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Miss {
-    /// Whose.
+    /// The late controller.
     pub controller: String,
     /// The step at which the swarm waited.
     pub step: u64,
-    /// How many it has missed in a row: with the third it has left.
+    /// How many it has missed in a row; the third removes it.
     pub misses: u32,
 }
 
 /// A controller that has left.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Departed {
-    /// Which.
+    /// The controller.
     pub controller: String,
     /// Why.
     pub why: Departure,
@@ -319,15 +318,15 @@ pub struct Departed {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Departure {
-    /// It said so.
+    /// It sent `leave`.
     Left,
-    /// Its liveliness token went.
+    /// Its liveliness token disappeared.
     Lost,
     /// It missed three deadlines in a row.
     Late,
 }
 
-/// Has a controller leave. Whom it steered is uninformed, unless it joined to `hold` them.
+/// Removes a controller. Its individuals become uninformed, unless it joined with `hold`.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct LeaveArgs {
@@ -341,17 +340,17 @@ pub struct LeaveArgs {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct Control {
-    /// Grows with every put: what is not newer than the last is stale, and dropped.
+    /// Grows with every put: one that is not larger than the last is stale and dropped.
     #[schemars(range(min = 1, max = LARGEST_WHOLE))]
     pub sequence: u64,
-    /// The epoch it is meant for; of another one it is stale.
+    /// The epoch for which it is meant; in another one it is stale.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub epoch: Option<u64>,
-    /// What it wants.
+    /// The set-points.
     pub set: SetPoints,
 }
 
-/// Puts a swarm back to the start of its spec, at step 0 of a new epoch, paused.
+/// Restarts a swarm from its spec, at step 0 of a new epoch, paused.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct ResetArgs {
@@ -361,7 +360,7 @@ pub struct ResetArgs {
     pub seed: Option<u64>,
 }
 
-/// What a reset swarm begins from.
+/// The result of `reset`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ResetResult {
     /// Its seed.
@@ -370,7 +369,7 @@ pub struct ResetResult {
     pub state_hash: String,
 }
 
-/// Changes the parameters named, and no others. At least one must be named.
+/// Changes the given parameters, at least one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct SetArgs {
@@ -416,18 +415,18 @@ pub struct SetArgs {
     pub make_room: bool,
 }
 
-/// What `set` did.
+/// The result of `set`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct SetResult {
     /// The values before.
     pub before: ParameterValues,
     /// The values now.
     pub now: ParameterValues,
-    /// By how much positions were scaled to make room; 1 if not at all.
+    /// The factor by which positions were scaled to make room; 1 if they were not.
     pub scaled_by: f64,
 }
 
-/// Which individuals a verb is about. A draw is seeded by the swarm's seed and `seq`.
+/// The individuals that a command changes. A draw is seeded by the swarm's seed and `seq`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
 pub enum Select {
@@ -471,7 +470,7 @@ pub struct Foremost {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InformArgs {
-    /// Whom; draws are from the whole group.
+    /// The individuals; draws are from all.
     pub select: Select,
     /// Their preferred direction in radians, counter-clockwise from +x.
     #[schemars(range(min = -1e6, max = 1e6))]
@@ -490,11 +489,11 @@ pub struct InformArgs {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct UninformArgs {
-    /// Whom; draws are from the informed.
+    /// The individuals; draws are from the informed.
     pub select: Select,
 }
 
-/// Adds individuals, informed or not, where they overlap nobody. One of `count` and `at`.
+/// Adds individuals, informed or not, where they overlap no other one. One of `count` and `at`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct InjectArgs {
@@ -536,22 +535,22 @@ pub struct Pose {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct RemoveArgs {
-    /// Whom; draws are from the whole group.
+    /// The individuals; draws are from all.
     pub select: Select,
 }
 
-/// Applies several changes at one step, or none of them.
+/// Applies all of several changes at one step, or none.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct BatchArgs {
-    /// 1 to 256 of them, applied in this order as if each had come alone.
+    /// 1 to 256 of them, applied in this order as if each had been sent alone.
     #[serde(deserialize_with = "no_more_changes")]
-    #[schemars(length(min = 1, max = MOST_CHANGES))]
+    #[schemars(length(min = 1, max = MAX_CHANGES))]
     pub commands: Vec<Change>,
 }
 
-/// The most changes of one `batch`.
-pub const MOST_CHANGES: usize = 256;
+/// Maximum number of changes in one `batch`.
+pub const MAX_CHANGES: usize = 256;
 
 /// A verb that changes parameters or the group, with its arguments.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -574,14 +573,14 @@ pub enum Change {
     Remove(RemoveArgs),
 }
 
-/// What each change of a `batch` came to, in their order.
+/// The results of the changes in a `batch`, in their order.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct BatchResult {
     /// One for each.
     pub results: Vec<Changed>,
 }
 
-/// What a change came to.
+/// The result of a change.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(tag = "verb", content = "result", rename_all = "snake_case")]
 pub enum Changed {
@@ -597,14 +596,14 @@ pub enum Changed {
     Remove(IdsResult),
 }
 
-/// The result of any command whose `at_step` lies ahead: it is yet to be carried out.
+/// The result of a command that is scheduled by `at_step`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct Scheduled {
-    /// The step it will be carried out at; an event then tells what came of it.
+    /// The step at which it will be executed; an event then has its result.
     pub applies_at_step: u64,
 }
 
-/// The individuals a verb was about.
+/// The individuals that a command changed.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct IdsResult {
     /// Their ids, ascending.
@@ -613,7 +612,7 @@ pub struct IdsResult {
     pub n: u64,
 }
 
-/// The result of a verb that has nothing more to say.
+/// The result of a command without one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct EmptyResult {}
 
@@ -625,7 +624,7 @@ fn five_secs() -> f64 {
     5.0
 }
 
-/// Reads no more changes than a batch may have, however many there are.
+/// Deserializes at most [`MAX_CHANGES`] changes, however long the list is.
 fn no_more_changes<'de, D>(deserializer: D) -> Result<Vec<Change>, D::Error>
 where
     D: serde::Deserializer<'de>,
@@ -635,18 +634,18 @@ where
         type Value = Vec<Change>;
 
         fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
-            write!(formatter, "a list of 1 to {MOST_CHANGES} commands")
+            write!(formatter, "a list of 1 to {MAX_CHANGES} commands")
         }
 
         fn visit_seq<A: SeqAccess<'de>>(self, mut given: A) -> Result<Vec<Change>, A::Error> {
             let mut changes = Vec::new();
-            while changes.len() < MOST_CHANGES
+            while changes.len() < MAX_CHANGES
                 && let Some(change) = given.next_element()?
             {
                 changes.push(change);
             }
-            if changes.len() == MOST_CHANGES && given.next_element::<IgnoredAny>()?.is_some() {
-                return Err(A::Error::invalid_length(MOST_CHANGES + 1, &self));
+            if changes.len() == MAX_CHANGES && given.next_element::<IgnoredAny>()?.is_some() {
+                return Err(A::Error::invalid_length(MAX_CHANGES + 1, &self));
             }
             Ok(changes)
         }
@@ -654,7 +653,7 @@ where
     deserializer.deserialize_seq(Changes)
 }
 
-/// Tells a `null` from a field that was left out.
+/// Distinguishes `null` from a field that is left out.
 fn present<'de, D, T>(deserializer: D) -> Result<Option<T>, D::Error>
 where
     D: serde::Deserializer<'de>,

@@ -6,9 +6,7 @@ use std::sync::{Arc, OnceLock};
 use std::time::{Duration, Instant};
 
 use fail::fail_point;
-use jostle_proto::{Claimant, Request, Schemas, keys};
-use serde::Serialize;
-use serde::de::DeserializeOwned;
+use jostle_proto::{Arguments, Claimant, Request, Schemas, keys};
 use serde_json::Value;
 use tracing::error;
 
@@ -182,17 +180,14 @@ impl Context {
 
     /// The first steps of a command of the daemon: parses its arguments, looks up its id and sets
     /// its deadline. `None` if it is a duplicate, which gets the first reply.
-    pub(crate) fn begin<A>(
+    pub(crate) fn begin<A: Arguments>(
         &self,
         verb: &'static str,
         key: &str,
         request: &Request,
         default_timeout: Duration,
         responder: &Responder,
-    ) -> Result<Option<A>, CommandError>
-    where
-        A: DeserializeOwned + Serialize,
-    {
+    ) -> Result<Option<A>, CommandError> {
         reject_preconditions(request)?;
         commands::sender(verb, request)?;
         let args = request.args()?;

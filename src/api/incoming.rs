@@ -6,7 +6,7 @@ use jostle_proto::Request;
 
 use crate::api::admission::Permit;
 use crate::convert::Payload;
-use crate::convert::commands::{selector, shortened};
+use crate::convert::commands::{selector, truncate};
 use crate::convert::error::CommandError;
 
 /// Encodings in which requests are read; no encoding is JSON.
@@ -125,7 +125,7 @@ impl Incoming {
     /// The verb of a command; the whole key if there is none.
     pub fn verb(&self) -> String {
         let key = self.key();
-        shortened(key.split_once("/cmd/").map_or(key, |(_, verb)| verb))
+        truncate(key.split_once("/cmd/").map_or(key, |(_, verb)| verb))
     }
 
     /// The parameters of the selector.
@@ -173,13 +173,13 @@ impl Incoming {
         if payload.len() > max_bytes {
             return Err(CommandError::TooLong {
                 bytes: payload.len(),
-                most_bytes: max_bytes,
+                max_bytes,
             });
         }
         if let Some(encoding) = encoding
             && !JSON_ENCODINGS.contains(&encoding.as_str())
         {
-            return Err(CommandError::Encoding(shortened(encoding)));
+            return Err(CommandError::Encoding(truncate(encoding)));
         }
         Ok(Request::from_json(payload)?)
     }

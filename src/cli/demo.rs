@@ -137,7 +137,7 @@ async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
         exist_ok: false,
     };
     let host = server.host();
-    let spec = create::recipe(&args, host.limits())?;
+    let spec = create::spec(&args, host.limits())?;
     let (answer, answered) = oneshot::channel();
     let promise = || -> ReplyTo { ReplyTo::new(move |it| drop(answer.send(it))) };
     let register = Box::new(NewSwarm {

@@ -1,4 +1,4 @@
-//! What a swarm writes down, as bytes: a checkpoint is a snapshot, a line a small CBOR record.
+//! Stored bytes of a swarm: a checkpoint is a snapshot, an entry of the journal a CBOR record.
 
 use std::sync::Arc;
 
@@ -8,7 +8,9 @@ use jostle_proto::keys;
 use jostle_proto::snapshot::{Doing, Member, Pending, Sent, Waiting};
 use serde::{Deserialize, Serialize};
 
-use crate::convert::{from_proto, to_proto};
+use crate::convert::controllers::{
+    mode, mode_to_proto, news, news_to_proto, on_timeout, on_timeout_to_proto,
+};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
 use crate::swarm::journal::Record;
@@ -18,10 +20,10 @@ use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
 
-/// Reads what a command orders.
+/// Parses the command in a stored request.
 pub type ReadOrder<'a> = &'a dyn Fn(&Sender) -> Result<Command, String>;
 
-/// A swarm as a whole.
+/// Returns the snapshot of a checkpoint.
 pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
     let Checkpoint {
         simulation,
@@ -58,7 +60,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
             from: *from,
             sent: sent(sender),
         }),
-        controllers: controllers.iter().map(member_kept).collect(),
+        controllers: controllers.iter().map(member).collect(),
         events: *events,
         lines: *lines,
         is_last: *is_last,
@@ -66,7 +68,7 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
     }
 }
 
-/// The swarm that a snapshot is of.
+/// Returns the checkpoint in a snapshot.
 ///
 /// # Errors
 ///
@@ -112,12 +114,12 @@ pub fn checkpoint(
     })
 }
 
-fn member_kept((name, kept): &(String, ControllerState)) -> Member {
+fn member((name, kept): &(String, ControllerState)) -> Member {
     Member {
         controller: name.clone(),
-        mode: to_proto::mode(kept.mode),
+        mode: mode_to_proto(kept.mode),
         deadline_secs: kept.deadline.as_secs_f64(),
-        on_timeout: to_proto::on_timeout(kept.on_timeout),
+        on_timeout: on_timeout_to_proto(kept.on_timeout),
         driving: kept.driving,
         ids: kept.claims.iter().copied().collect(),
         steered: kept.steered.iter().copied().collect(),
@@ -125,7 +127,7 @@ fn member_kept((name, kept): &(String, ControllerState)) -> Member {
         from: kept.from,
         advance: kept.advance.as_deref().map(sent),
         misses: kept.misses,
-        news: to_proto::news(kept.news.clone()),
+        news: news_to_proto(kept.news.clone()),
         sequence: kept.sequence,
     }
 }
@@ -136,9 +138,9 @@ fn membership(member: &Member) -> Result<(String, ControllerState), SnapshotErro
         SnapshotError::Unreadable(format!("a deadline of {} s", member.deadline_secs))
     })?;
     let kept = ControllerState {
-        mode: from_proto::mode(member.mode),
+        mode: mode(member.mode),
         deadline,
-        on_timeout: from_proto::on_timeout(member.on_timeout),
+        on_timeout: on_timeout(member.on_timeout),
         driving: member.driving,
         claims: member.ids.iter().copied().collect(),
         steered: member.steered.iter().copied().collect(),
@@ -146,7 +148,7 @@ fn membership(member: &Member) -> Result<(String, ControllerState), SnapshotErro
         from: member.from,
         advance: member.advance.as_ref().map(sender).transpose()?,
         misses: member.misses,
-        news: from_proto::news(member.news.clone()),
+        news: news(member.news.clone()),
         sequence: member.sequence,
     };
     Ok((member.controller.clone(), kept))
@@ -185,7 +187,7 @@ fn sender(sent: &Sent) -> Result<Arc<Sender>, SnapshotError> {
     }))
 }
 
-/// A line's record as it is stored.
+/// The stored form of a journal record.
 #[derive(Serialize, Deserialize)]
 enum Stored {
     #[serde(rename = "input")]
@@ -211,7 +213,7 @@ enum Stored {
     Resumed(u64),
 }
 
-/// A line's record as a kind, by which it can be found, and bytes.
+/// Encodes a journal record: its kind, by which it is found, and its bytes.
 pub fn record(record: &Record) -> (u8, Vec<u8>) {
     let (kind, stored) = match record {
         Record::Input {
@@ -247,7 +249,7 @@ pub fn record(record: &Record) -> (u8, Vec<u8>) {
     (kind, proto::to_cbor(&stored))
 }
 
-/// The record that was stored as these bytes.
+/// Decodes a journal record.
 ///
 /// # Errors
 ///
@@ -288,7 +290,7 @@ mod tests {
 
     use super::*;
 
-    /// A record as builds before wall-clock times read and wrote it.
+    /// A record of builds without wall-clock times.
     #[derive(Debug, PartialEq, Serialize, Deserialize)]
     enum Before {
         #[serde(rename = "input")]
@@ -315,12 +317,12 @@ mod tests {
                 seq: None,
                 unix_secs,
             };
-            let record_outcome = Record::Became {
+            let became = Record::Became {
                 input: 3,
                 seq: Some(5),
                 unix_secs,
             };
-            [input, record_outcome]
+            [input, became]
         };
         let known = records(Some(1_795_531_201.25));
         for (known, unknown) in known.into_iter().zip(records(None)) {

@@ -1,4 +1,4 @@
-//! What clients are told of experiments.
+//! Progress and results of experiments.
 
 use jostle_proto as proto;
 use jostle_results::table::OrderSeries;
@@ -6,7 +6,7 @@ use jostle_results::table::OrderSeries;
 use crate::experiments::{Phase, Report};
 use jostle_experiment::Progress;
 
-/// How far an experiment is.
+/// Returns the progress of an experiment.
 pub fn progress(report: Report) -> proto::Progress {
     let Progress {
         runs,
@@ -41,19 +41,19 @@ pub fn progress(report: Report) -> proto::Progress {
     }
 }
 
-/// The first of `rows`, which are numbered: at most `limit`, and about `most_bytes` as JSON.
+/// Returns the first of the numbered `rows`: at most `limit`, and about `max_bytes` of JSON.
 pub fn results_page(
     name: String,
     rows: &[(u64, proto::ResultRow)],
     limit: usize,
-    most_bytes: usize,
+    max_bytes: usize,
     finished: u64,
 ) -> proto::ResultsPage {
     let mut bytes = 0;
     let fitting = rows.iter().take(limit).take_while(|(_, run)| {
         // Each number takes 25 characters at most, and its name as many.
         bytes += 24 * 50 + run.run.len() + run.state_hash.len();
-        bytes <= most_bytes
+        bytes <= max_bytes
     });
     let count = fitting.count().max(1).min(rows.len());
     let (page, rest) = rows.split_at(count);
@@ -68,7 +68,7 @@ pub fn results_page(
     }
 }
 
-/// Entries of a run's order over time: those after `after`, at most `limit`.
+/// Returns at most `limit` entries of a run's order over time, from number `after` + 1.
 pub fn order_page(
     name: String,
     series: &OrderSeries,
@@ -107,16 +107,16 @@ mod tests {
     #[test]
     fn pages_limited_by_rows_or_by_bytes_cover_every_row() {
         let rows: Vec<_> = (0..20).map(row).collect();
-        for (limit, most_bytes) in [(3, usize::MAX), (20, 5000), (1000, 5000), (3, 5000), (7, 0)] {
+        for (limit, max_bytes) in [(3, usize::MAX), (20, 5000), (1000, 5000), (3, 5000), (7, 0)] {
             let (mut seen, mut left) = (Vec::new(), &rows[..]);
             loop {
-                let page = results_page("order".to_owned(), left, limit, most_bytes, 20);
+                let page = results_page("order".to_owned(), left, limit, max_bytes, 20);
                 assert!(!page.rows.is_empty() && page.rows.len() <= limit);
                 seen.extend(page.rows.iter().map(|row| row.seed));
                 let Some(next) = page.next else { break };
                 left = &rows[rows.partition_point(|(number, _)| *number <= next)..];
             }
-            assert!(seen.into_iter().eq(0..20), "{limit} {most_bytes}");
+            assert!(seen.into_iter().eq(0..20), "{limit} {max_bytes}");
         }
     }
 }

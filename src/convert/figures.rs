@@ -1,11 +1,11 @@
-//! The daemon's numbers, as they cross the wire.
+//! Metrics of the daemon.
 
 use jostle_proto as proto;
 
-use crate::convert::to_proto::phase;
+use crate::convert::states::phase;
 use crate::health::metrics::{Figures, SwarmFigures};
 
-/// The daemon and its swarms in numbers.
+/// Returns the metrics of the daemon and its swarms.
 pub fn metrics(figures: &Figures) -> proto::Metrics {
     let Figures { totals, store, .. } = figures;
     proto::Metrics {

@@ -1,23 +1,26 @@
-//! Between what crosses the wire and what the daemon works with: here, and nowhere else.
+//! Conversions between messages and the types of the daemon. No other module converts them.
 
 pub mod commands;
+mod controllers;
+mod decode;
 pub mod digest;
 pub mod durable;
 pub mod error;
+mod events;
 mod experiments;
 mod figures;
-mod from_proto;
-mod recorded;
+mod payload;
 mod recordings;
-pub mod sanity;
-mod to_proto;
+mod replies;
+mod states;
+pub mod validate;
 
+pub use controllers::{control, controllers, mode, on_timeout};
+pub use decode::{decode_event, decode_spec, decode_state};
+pub use events::{WordRefusal, event, events, journal};
 pub use experiments::{order_page, progress, results_page};
 pub use figures::metrics;
-pub use from_proto::{control, mode, on_timeout};
-pub use recorded::{recorded, recorded_event, recorded_frame};
+pub use payload::Payload;
 pub use recordings::{recording, recording_piece, recordings};
-pub use to_proto::{
-    Payload, WordRefusal, controllers, created, event, events, journal, limits, order_sample,
-    outcome, parameters, replay, reply, state, status, summary,
-};
+pub use replies::{created, outcome, reply};
+pub use states::{limits, order_sample, parameters, replay, state, status, summary};

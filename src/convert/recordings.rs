@@ -1,4 +1,4 @@
-//! What clients are told of recordings.
+//! Recordings and their files.
 
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -6,7 +6,7 @@ use jostle_proto as proto;
 
 use crate::recording::{Format, Phase, Piece, Status};
 
-/// How a recording stands.
+/// Returns the state of a recording.
 pub fn recording(name: String, standing: Status) -> proto::Recording {
     proto::Recording {
         recording: name,
@@ -33,7 +33,7 @@ pub fn recording(name: String, standing: Status) -> proto::Recording {
     }
 }
 
-/// A piece of a part of a recording.
+/// Returns a piece of a file of a recording.
 pub fn recording_piece(
     name: String,
     part: u64,
@@ -50,7 +50,7 @@ pub fn recording_piece(
     }
 }
 
-/// How all of them stand.
+/// Returns the states of all recordings.
 pub fn recordings(all: Vec<(String, Status)>) -> proto::Recordings {
     let all = all.into_iter();
     proto::Recordings {

@@ -135,5 +135,5 @@ pub fn parse_request(sender: &Sender) -> Result<ParsedCommand, String> {
         args: Some(args),
         ..Request::default()
     };
-    commands::read_again(sender.verb, &request).map_err(|error| error.to_string())
+    commands::read_journaled(sender.verb, &request).map_err(|error| error.to_string())
 }

@@ -80,7 +80,7 @@ impl McapSource {
                 format!("it has no {what} in its metadata: jostle did not record it")
             })
         };
-        let (mut spec, parameters) = convert::recorded(field("spec")?, field("parameters")?)?;
+        let (mut spec, parameters) = convert::decode_spec(field("spec")?, field("parameters")?)?;
         let rate = about.get("rate").and_then(|rate| rate.parse().ok());
         // Without a rate the playback would end at once.
         spec.rate = jostle_convert::value::rate(rate.or(spec.rate))
@@ -126,7 +126,7 @@ impl McapSource {
         if self.index.len() == MAX_FRAMES {
             return Err(format!("it has more than {MAX_FRAMES} frames"));
         }
-        let (mut index, frame) = convert::recorded_frame(message.bytes, self.parameters[0].1)?;
+        let (mut index, frame) = convert::decode_state(message.bytes, self.parameters[0].1)?;
         index.position = self.index.last().map_or(0.0, |before| {
             before.position + f64::max(index.time - before.time, 0.0)
         });
@@ -141,7 +141,7 @@ impl McapSource {
     }
 
     fn add_event(&mut self, bytes: &[u8], read_command: ReadCommand<'_>) -> Result<(), String> {
-        let event = convert::recorded_event(bytes)?;
+        let event = convert::decode_event(bytes)?;
         let after = self.index.len();
         if let Some((verb, args)) = event.command {
             // A command that only an older daemon accepts changes no parameters.
@@ -224,7 +224,7 @@ impl McapSource {
             .map_err(|error| format!("frame {} cannot be read: {error}", frame + 1))?;
         let since = self.parameters.partition_point(|(from, _)| *from <= frame);
         let parameters = self.parameters[since - 1].1;
-        convert::recorded_frame(&bytes, parameters).map(|(_, frame)| frame)
+        convert::decode_state(&bytes, parameters).map(|(_, frame)| frame)
     }
 }
 

@@ -213,9 +213,8 @@ impl Recordings {
         let state = self.lock();
         let entries = state.entries.iter();
         let interrupted = entries.filter(|(_, it)| it.is_interrupted());
-        interrupted
-            .map(|(name, it)| (name.clone(), it.status.clone()))
-            .collect()
+        let named = interrupted.map(|(name, it)| (name.clone(), it.status.clone()));
+        named.collect()
     }
 
     /// Resumes an interrupted recording; without a source it is over.
@@ -305,9 +304,8 @@ impl Recordings {
     pub fn list(&self) -> Vec<(String, Status)> {
         let state = self.lock();
         let entries = state.entries.iter();
-        entries
-            .map(|(name, entry)| (name.clone(), entry.report()))
-            .collect()
+        let named = entries.map(|(name, entry)| (name.clone(), entry.report()));
+        named.collect()
     }
 
     /// Finishes the parts of the running recordings, which resume when the daemon restarts. Returns
@@ -407,10 +405,9 @@ impl Recordings {
             self.write_status(name, &status);
         };
         let over_quota = || {
-            let Usage {
-                bytes, quota_bytes, ..
-            } = self.usage();
-            (bytes >= quota_bytes).then_some(End::OverQuota { quota_bytes })
+            let usage = self.usage();
+            let quota_bytes = usage.quota_bytes;
+            (usage.bytes >= quota_bytes).then_some(End::OverQuota { quota_bytes })
         };
         let work = AssertUnwindSafe(|| writer.write(ended_part, over_quota));
         let (end, written) = match catch_unwind(work) {

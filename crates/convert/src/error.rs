@@ -6,10 +6,11 @@ use jostle_physics::model::reshape::ReshapeError;
 use jostle_physics::model::selection::SelectionError;
 use jostle_physics::model::start::StartError;
 use jostle_physics::simulation::{ChangeError, ReserveError};
-use jostle_proto::{ErrorCode, RequestError, keys};
+use jostle_proto::{ErrorCode, RequestError};
 use serde_json::{Map, Value, json};
 
-use crate::WireError;
+use crate::range::range_of;
+use crate::value::WireError;
 
 /// The code and the details with which an error is sent to a client.
 pub trait WireCode {
@@ -159,125 +160,4 @@ fn number(value: f64) -> Value {
     } else {
         json!(value.to_string())
     }
-}
-
-/// Descriptions of the valid values of fields. A name with a dot is a full path, which is looked up
-/// before the last part alone.
-const RANGES: &[(&str, &str)] = &[
-    ("n", "a whole number from 1 to the daemon's max_individuals"),
-    ("pi1", "a number from 1 to 32"),
-    ("pi2", "a number from 0 to 1e6"),
-    ("pi3", "a number above 0, at most 1e6"),
-    ("pi4", "a number above 0, at most 1e6"),
-    (
-        "dt",
-        "a number above 0, at most 2r / (1 + h ω): 0.02 fits most swarms",
-    ),
-    ("contacts", "\"endpoints\", \"closest\" or \"clamped\""),
-    ("stepping", "\"position\" or \"velocity\""),
-    ("relinearise", "0 or 1"),
-    (
-        "attraction",
-        "{\"kind\": \"all\"}, optionally with \"accuracy\"; or of kind \"voronoi\", \"metric\" \
-         with \"radius\", \"topological\" with \"neighbours\", \"power\" with \"exponent\"",
-    ),
-    ("neighbours", "a whole number from 1"),
-    ("exponent", "a number from -8 to 8"),
-    ("accuracy", "a number from 1e-9 to 1e-3"),
-    ("noise", "a number from 0 to 1e6"),
-    ("seed", "a whole number from 0 to 9007199254740991"),
-    (
-        "start",
-        "{\"kind\": \"disc\"} or {\"kind\": \"given\", \"x\", \"y\", \"alpha\"}",
-    ),
-    ("publish_every", "a whole number from 1 to 1e9"),
-    (
-        "rate",
-        "a number above 0, at most 1e6, or null for as fast as possible",
-    ),
-    ("until_step", "a whole number from 0 to 9007199254740991"),
-    ("until_time", "a number from 0 to 1e12"),
-    ("begin.steps", "a whole number from 1 to 9007199254740991"),
-    ("steps", "a whole number from 1 to 1e9"),
-    ("bytes", "base64 of a piece of the file"),
-    ("offset", "a whole number of bytes"),
-    ("length", "a whole number of bytes"),
-    (
-        "snapshot",
-        "the `result` of get/snapshot, its CBOR in base64",
-    ),
-    ("return", "\"none\" or \"state\""),
-    (
-        "select",
-        "one of {\"ids\": […]}, {\"count\": 5}, {\"fraction\": 0.1}, \
-         {\"within\": {\"x\", \"y\", \"radius\"}}, {\"foremost\": {\"count\", \"along\"}}",
-    ),
-    ("ids", "a list of ids of individuals in the swarm"),
-    ("count", "a whole number of individuals"),
-    ("fraction", "a number from 0 to 1"),
-    ("time", "a number from 0 to 1e12"),
-    ("radius", "a number above 0, at most 1e6"),
-    ("x", "a number from -1e6 to 1e6"),
-    ("y", "a number from -1e6 to 1e6"),
-    ("alpha", "a number from -1e6 to 1e6"),
-    ("along", "a number from -1e6 to 1e6"),
-    ("direction", "a number from -1e6 to 1e6"),
-    ("turn", "null, or a number from -1e6 to 1e6"),
-    ("speed", "null, or a number from 0 to 1"),
-    ("set.weight", "a number from 0 to 1e6"),
-    ("weight", "a number above 0, at most 1e6"),
-    ("for_time", "a number above 0, at most 1e9"),
-    ("mode", "\"lockstep\" or \"free_running\""),
-    ("deadline_secs", "a number above 0, at most 60"),
-    ("on_timeout", "\"hold\", \"free\" or \"pause\""),
-    (
-        "set",
-        "{\"ids\": […], \"direction\": […]}, optionally with \"weight\": […]",
-    ),
-    ("make_room", "true or false"),
-    ("exist_ok", "true or false"),
-    ("again", "true or false"),
-    ("driving", "true or false"),
-    ("drop_when_behind", "true or false"),
-    ("temporary", "true or false"),
-    ("timeout_secs", "a number above 0, at most 3600"),
-    ("at_step", "a whole number from 0 to 9007199254740991"),
-    ("expect_step", "a whole number, 0 or more"),
-    ("expect_epoch", "a whole number, 0 or more"),
-    ("step", "a whole number, 0 or more"),
-    ("after", "a whole number, 0 or more"),
-    ("limit", "a whole number from 1 to 1000"),
-    (
-        "commands",
-        "a list of 1 to 256 of {\"verb\": \"set\" | \"inform\" | \"uninform\" | \"inject\" | \
-         \"remove\", \"args\": {…}}",
-    ),
-    ("part", "a whole number, 0 or more"),
-    ("phase", "paused, running or faulted"),
-    ("format", "json or cbor"),
-    ("every", "a whole number from 1 to 9007199254740991"),
-    ("max_bytes", "a whole number from 1 to 9007199254740991"),
-    (
-        "request_id",
-        "at most 256 bytes of text without control or bidirectional characters",
-    ),
-    (
-        "client",
-        "at most 256 bytes of text without control or bidirectional characters",
-    ),
-    ("name", keys::NAME_RULE),
-    ("controller", keys::NAME_RULE),
-    ("recording", keys::NAME_RULE),
-    ("swarm", keys::NAME_RULE),
-];
-
-/// Returns a description of the valid values of a field. `field` may be a path with indices.
-pub fn range_of(field: &str) -> Option<&'static str> {
-    let parts = field.split('.');
-    let names: Vec<&str> = parts.filter_map(|part| part.split('[').next()).collect();
-    let path = names.join(".");
-    [path.as_str(), names.last()?]
-        .into_iter()
-        .find_map(|wanted| RANGES.iter().find(|(name, _)| *name == wanted))
-        .map(|(_, range)| *range)
 }

@@ -2,11 +2,12 @@
 //!
 //! [`spec`] and [`change`] convert the arguments of requests, and check them as far as they can be
 //! checked without a swarm. [`snapshot`] writes and reads the state of a simulation. [`error`]
-//! gives the code and the details of errors. No bus, no runtime and no database is
-//! needed.
+//! gives the code and the details of errors, [`range`] describes the valid values of fields. No
+//! bus, no runtime and no database is needed.
 
 pub mod change;
 pub mod error;
+pub mod range;
 pub mod snapshot;
 pub mod spec;
 pub mod value;

@@ -8,7 +8,7 @@ use jostle_physics::simulation::{Checkpoint, Exactness, Spec};
 use jostle_proto::snapshot::{
     Doing, Drive, Lapse, SNAPSHOT_VERSION, SnapshotParameters, SolverMemory, Sums,
 };
-use jostle_proto::{self as proto, LARGEST_WHOLE, Told};
+use jostle_proto::{self as proto, LARGEST_WHOLE, Lenient};
 use thiserror::Error;
 
 use crate::spec::{self, parameter_values};
@@ -249,7 +249,7 @@ fn parameters_to_proto(now: model::Parameters, publish_every: u64) -> SnapshotPa
         contacts: Some(now.contacts),
         stepping: Some(now.stepping),
         relinearise: Some(now.relinearise),
-        attraction: Some(Told(now.attraction)),
+        attraction: Some(Lenient(now.attraction)),
         noise: Some(now.noise),
         publish_every,
     }

@@ -2,8 +2,9 @@
 #![expect(clippy::unwrap_used, reason = "tests")]
 
 use jostle_convert::change::{change, set_points};
+use jostle_convert::range::range_of;
 use jostle_convert::value::{count, publish_every, rate, weight, whole};
-use jostle_convert::{ArgsError, WireCode, error, spec};
+use jostle_convert::{ArgsError, WireCode, spec};
 use jostle_physics::model::parameters::{Attraction, ContactRule, Parameters, Stepping};
 use jostle_physics::model::selection::Selection;
 use jostle_physics::simulation::{
@@ -410,6 +411,7 @@ fn a_range_is_found_by_the_path_else_by_the_last_name_without_indices() {
             Some("a whole number from 1 to 9007199254740991"),
         ),
         ("steps", Some("a whole number from 1 to 1e9")),
+        ("begin.format", Some("\"mcap\"")),
         ("format", Some("json or cbor")),
         ("offset", Some("a whole number of bytes")),
         ("length", Some("a whole number of bytes")),
@@ -422,6 +424,6 @@ fn a_range_is_found_by_the_path_else_by_the_last_name_without_indices() {
         (".", None),
         ("[", None),
     ] {
-        assert_eq!(error::range_of(field), range, "{field}");
+        assert_eq!(range_of(field), range, "{field}");
     }
 }

@@ -3,7 +3,7 @@
 use std::fs;
 
 use jostle_proto::contract::schemas;
-use jostle_proto::verbs::MOST_CHANGES;
+use jostle_proto::verbs::MAX_CHANGES;
 use jostle_proto::{LARGEST_WHOLE, MAX_LABEL_LENGTH, WIRE_VERSION, keys};
 use serde_json::Value;
 
@@ -76,7 +76,7 @@ fn its_numbers_are_those_of_the_code() {
         format!("`wire_version`, now {WIRE_VERSION}."),
         format!("{LARGEST_WHOLE} (2⁵³ - 1)"),
         format!("at most {MAX_LABEL_LENGTH} bytes"),
-        format!("1 to {MOST_CHANGES} of `set`"),
+        format!("1 to {MAX_CHANGES} of `set`"),
         format!("`{}`", keys::NAME_RULE),
     ] {
         assert!(text.contains(&number), "{number}");

@@ -7,10 +7,11 @@ use jostle_proto::verbs::{
     RunResult, Scheduled, SetArgs, SetResult, StepArgs, StepResult, UninformArgs,
 };
 use jostle_proto::{
-    ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments, Hello,
-    Journal, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameters, Progress,
-    RecordArgs, Recording, RecordingPiece, Recordings, ReplayArgs, ReplayResult, Reply, Request,
-    ResultsPage, Schemas, SeekArgs, Snapshot, Spec, State, Status, Swarms, Told, Verified, WhoAmI,
+    Arguments, ControllerList, Error, Event, Events, ExperimentArgs, ExperimentResult, Experiments,
+    Hello, Journal, Lenient, Metrics, NodeReply, NodeStatus, OrderPage, OrderSample, Parameters,
+    Progress, RecordArgs, Recording, RecordingPiece, Recordings, ReplayArgs, ReplayResult, Reply,
+    Request, ResultsPage, Schemas, SeekArgs, Snapshot, Spec, State, Status, Swarms, Verified,
+    WhoAmI,
 };
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -35,7 +36,7 @@ pub fn written_back_as_text(message: &str, text: &str) -> Result<String, String>
         "order" => told::<OrderSample>(text),
         "event" => told::<Event>(text),
         "status.reply" => told::<Reply<Status>>(text),
-        "spec.reply" => told::<Reply<Told<Spec>>>(text),
+        "spec.reply" => told::<Reply<Lenient<Spec>>>(text),
         "parameters.reply" => told::<Reply<Parameters>>(text),
         "events.reply" => told::<Reply<Events>>(text),
         "journal.reply" => told::<Reply<Journal>>(text),
@@ -99,7 +100,7 @@ pub fn written_back_as_text(message: &str, text: &str) -> Result<String, String>
 }
 
 /// As a daemon reads arguments.
-fn asked<T: DeserializeOwned + Serialize>(text: &str) -> Result<String, String> {
+fn asked<T: Arguments + Serialize>(text: &str) -> Result<String, String> {
     let request = Request::from_json(text.as_bytes()).map_err(|it| it.to_string())?;
     let args: T = request.args().map_err(|it| it.to_string())?;
     written(&args)

@@ -24,7 +24,7 @@ impl Context {
         let Some(args) = begun else {
             return Ok(());
         };
-        let spec = create::recipe(&args, self.host.limits())?;
+        let spec = create::spec(&args, self.host.limits())?;
         let CreateArgs { name, exist_ok, .. } = args;
         let answer = |is_new: bool| {
             let (responder, name, spec) = (responder.clone(), name.clone(), spec.clone());

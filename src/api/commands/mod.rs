@@ -20,7 +20,7 @@ pub use record::{count, resume};
 use crate::api::context::Context;
 use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
-use crate::convert::commands::{CommandError, shortened};
+use crate::convert::commands::{CommandError, truncate};
 use crate::convert::{self, Payload};
 use crate::swarm::frame::Stamp;
 use crate::swarm::outcome::Outcome;
@@ -70,7 +70,7 @@ impl Context {
             Some("record") => Self::record,
             verb => {
                 return Err(CommandError::UnknownVerb {
-                    verb: shortened(verb.unwrap_or_default()),
+                    verb: truncate(verb.unwrap_or_default()),
                     known: &keys::NODE_VERBS,
                 });
             }

@@ -9,7 +9,7 @@ use jostle_proto::{Request, keys};
 use crate::api::context::Context;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
-use crate::convert::sanity;
+use crate::convert::validate;
 use crate::persistence::checkpoints;
 use crate::swarm::error::SwarmError;
 use crate::swarm::phase::PauseReason;
@@ -30,7 +30,7 @@ impl Context {
             .decode(snapshot.as_bytes())
             .map_err(|error| error.to_string())
             .and_then(|bytes| checkpoints::read_snapshot(&bytes))
-            .and_then(|it| match sanity::check(&it) {
+            .and_then(|it| match validate::check(&it) {
                 Ok(()) => Ok(it),
                 Err(error) => Err(error.to_string()),
             })

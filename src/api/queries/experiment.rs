@@ -6,7 +6,7 @@ use crate::api::context::Context;
 use crate::api::incoming::Incoming;
 use crate::api::pagination;
 use crate::api::responder::Responder;
-use crate::convert::commands::{CommandError, shortened};
+use crate::convert::commands::{CommandError, truncate};
 use crate::convert::{self, Payload};
 use crate::experiments::Report;
 
@@ -53,7 +53,7 @@ impl Context {
             "results" => self.results(incoming, &responder, name),
             "order" => self.order(incoming, &responder, name),
             _ => Err(CommandError::UnknownNoun {
-                noun: shortened(noun),
+                noun: truncate(noun),
                 known: &keys::EXPERIMENT_GETS,
             }),
         };

@@ -12,7 +12,7 @@ pub use node::schemas;
 
 use crate::api::context::Context;
 use crate::api::incoming::Incoming;
-use crate::convert::commands::{CommandError, shortened};
+use crate::convert::commands::{CommandError, truncate};
 
 impl Context {
     /// Rejects a query of a noun that does not exist.
@@ -20,7 +20,7 @@ impl Context {
         let key = incoming.key();
         let noun = key.split_once("/get/").map_or(key, |(_, noun)| noun);
         let error = CommandError::UnknownNoun {
-            noun: shortened(noun),
+            noun: truncate(noun),
             known,
         };
         self.reject(incoming, &error);

@@ -36,10 +36,7 @@ impl Context {
                     let payload = convert::outcome(&name, &stamp, outcome, None);
                     let bytes = payload.bytes.len();
                     if bytes > max_bytes {
-                        let error = CommandError::SnapshotTooLong {
-                            bytes,
-                            most_bytes: max_bytes,
-                        };
+                        let error = CommandError::SnapshotTooLong { bytes, max_bytes };
                         return Err(Payload::json(&error.to_wire(Some(stamp.step))));
                     }
                     Ok(payload)

@@ -1,4 +1,4 @@
-//! `advance`: a controller lets the swarm step, as soon as every other one has too.
+//! `advance`: a controller permits steps; the swarm takes them when all controllers have.
 
 use jostle_convert::change::set_points;
 use jostle_proto::verbs::{AdvanceArgs, Return};
@@ -6,11 +6,12 @@ use jostle_proto::verbs::{AdvanceArgs, Return};
 use crate::convert::commands::{CommandError, check_name, step};
 use crate::swarm::command::Command;
 
-/// Has a controller advance.
+/// Converts the arguments.
 ///
 /// # Errors
 ///
-/// [`CommandError`] for a name that is none, steps out of range, and columns that differ in length.
+/// [`CommandError`] for an invalid name, a number of steps out of range, and columns of different
+/// lengths.
 pub fn order(args: AdvanceArgs) -> Result<Command, CommandError> {
     let AdvanceArgs {
         controller,
@@ -26,7 +27,7 @@ pub fn order(args: AdvanceArgs) -> Result<Command, CommandError> {
     })
 }
 
-/// Whether the reply is to carry the state reached.
+/// Whether the reply contains the state.
 pub fn returns_state(args: &AdvanceArgs) -> bool {
     args.return_ == Return::State
 }

@@ -1,4 +1,4 @@
-//! `batch`: several changes at one step, or none of them.
+//! `batch`: all of several changes at one step, or none.
 
 use jostle_convert::change;
 use jostle_proto::verbs::BatchArgs;
@@ -6,13 +6,13 @@ use jostle_proto::verbs::BatchArgs;
 use crate::convert::commands::CommandError;
 use crate::swarm::command::Command;
 
-/// Makes several changes.
+/// Converts the arguments.
 ///
 /// # Errors
 ///
-/// [`CommandError`] names the first field that is wrong, by its path.
+/// [`CommandError`] names the path of the first invalid field.
 pub fn order(args: BatchArgs) -> Result<Command, CommandError> {
-    // Reading stops at one too many.
+    // The parser rejects more than the maximum.
     if args.commands.is_empty() {
         return Err(CommandError::Field {
             field: "commands",

@@ -1,10 +1,12 @@
-//! Set-points that a controller puts while the swarm runs: what has no reply.
+//! Set-points that a controller puts while the swarm runs, without a reply.
 
 use std::sync::Arc;
 
 use jostle_convert::change::set_points;
 use jostle_proto::verbs::{Control, SetPoints};
+use jostle_proto::{Request, RequestError};
 use serde::{Deserialize, Serialize};
+use serde_json::value::RawValue;
 
 use crate::convert;
 use crate::convert::commands::{CommandError, check_name};
@@ -12,7 +14,7 @@ use crate::swarm::command::Command;
 use crate::swarm::membership::Put;
 use crate::swarm::sender::Sender;
 
-/// Set-points as the journal has them.
+/// Set-points in the journal.
 #[derive(Serialize, Deserialize)]
 struct Applied {
     controller: String,
@@ -20,11 +22,11 @@ struct Applied {
     set: SetPoints,
 }
 
-/// Reads what a controller put, with the epoch that it is meant for.
+/// Parses set-points and the epoch for which they are meant.
 ///
 /// # Errors
 ///
-/// What is wrong with it.
+/// What is wrong with them.
 pub fn read(controller: &str, bytes: &[u8], is_cbor: bool) -> Result<(Option<u64>, Put), String> {
     let Control {
         sequence,
@@ -36,7 +38,7 @@ pub fn read(controller: &str, bytes: &[u8], is_cbor: bool) -> Result<(Option<u64
         sequence,
         set,
     };
-    // A number that JSON has none for is refused by the swarm's own bounds.
+    // NaN and infinity become null here, and are rejected below.
     let args = serde_json::to_string(&applied).map_err(|error| error.to_string())?;
     let set = set_points(applied.set).map_err(|error| error.to_string())?;
     let is_finite = |column: &[f64]| column.iter().all(|value| value.is_finite());
@@ -60,17 +62,21 @@ pub fn read(controller: &str, bytes: &[u8], is_cbor: bool) -> Result<(Option<u64
     Ok((epoch, put))
 }
 
-/// What the journal says was applied.
+/// Parses set-points from the journal.
 ///
 /// # Errors
 ///
-/// [`CommandError`] when it is not as it was written.
-pub fn order(request: &jostle_proto::Request) -> Result<Command, CommandError> {
+/// [`CommandError`] if the journal is damaged.
+pub fn order(request: &Request) -> Result<Command, CommandError> {
+    let args = request.args.as_deref().map_or("{}", RawValue::get);
     let Applied {
         controller,
         sequence,
         set,
-    } = request.args()?;
+    } = serde_json::from_str(args).map_err(|error| RequestError {
+        field: "args".to_owned(),
+        problem: error.to_string(),
+    })?;
     check_name("controller", &controller)?;
     Ok(Command::Control {
         controller,

@@ -1,4 +1,4 @@
-//! `create`: a new swarm.
+//! `create`: creates a swarm.
 
 use jostle_physics::simulation::{ChangeError, Spec};
 use jostle_proto::verbs::CreateArgs;
@@ -11,23 +11,23 @@ use crate::swarm::registry::Limits;
 ///
 /// # Errors
 ///
-/// [`CommandError`] names the first field that is wrong.
-pub fn recipe(args: &CreateArgs, limits: Limits) -> Result<Spec, CommandError> {
+/// [`CommandError`] names the first invalid field.
+pub fn spec(args: &CreateArgs, limits: Limits) -> Result<Spec, CommandError> {
     check_name("name", &args.name)?;
     let n = usize::try_from(args.spec.n)
         .ok()
         .filter(|n| (1..=limits.max_individuals).contains(n));
-    let recipe = match n {
+    let spec = match n {
         Some(n) => jostle_convert::spec::from_proto(&args.spec, n).map_err(CommandError::from),
         None => Err(CommandError::Individuals {
             n: args.spec.n,
             limit: limits.max_individuals,
         }),
     };
-    recipe.map_err(within_spec)
+    spec.map_err(within_spec)
 }
 
-/// Why a swarm could not be built from its spec.
+/// Returns the error of a swarm that cannot be created from its spec.
 pub fn explain(error: SwarmError) -> CommandError {
     match error {
         SwarmError::Change(ChangeError::Parameters(_) | ChangeError::Start(_)) => {

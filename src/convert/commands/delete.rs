@@ -1,10 +1,10 @@
-//! `delete`: the end of a swarm.
+//! `delete`: deletes a swarm.
 
 use jostle_proto::verbs::DeleteArgs;
 
 use crate::swarm::command::Command;
 
-/// Ends the swarm.
+/// Converts the arguments.
 pub fn order(DeleteArgs {}: DeleteArgs) -> Command {
     Command::Delete
 }

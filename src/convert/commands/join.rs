@@ -1,4 +1,4 @@
-//! `join`: take a controller in.
+//! `join`: registers a controller.
 
 use jostle_proto::verbs::JoinArgs;
 
@@ -9,11 +9,11 @@ use crate::swarm::membership;
 use crate::swarm::membership::JoinOptions;
 use jostle_convert::WireError;
 
-/// Has a controller join.
+/// Converts the arguments.
 ///
 /// # Errors
 ///
-/// [`CommandError`] for a name that is none, and a deadline out of range.
+/// [`CommandError`] for an invalid name or selection, or a deadline out of range.
 pub fn order(args: JoinArgs) -> Result<Command, CommandError> {
     let JoinArgs {
         controller,

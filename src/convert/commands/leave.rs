@@ -1,11 +1,11 @@
-//! `leave`: let a controller go.
+//! `leave`: removes a controller.
 
 use jostle_proto::verbs::LeaveArgs;
 
 use crate::convert::commands::{CommandError, check_name};
 use crate::swarm::command::Command;
 
-/// Has a controller leave.
+/// Converts the arguments.
 ///
 /// # Errors
 ///

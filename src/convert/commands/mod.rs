@@ -1,7 +1,6 @@
-//! What can be asked of a swarm or a daemon: one file per verb.
+//! Converts the arguments of requests to commands: one file per verb.
 //!
-//! Each turns the arguments that came over the wire into an order to a swarm, or refuses them
-//! by naming the field, its range and the remedy. Nothing here executes.
+//! An error names the field, its range and the remedy.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -31,42 +30,42 @@ pub mod wait;
 
 pub use crate::convert::error::CommandError;
 
-/// How long a reply is waited for unless the request says otherwise.
+/// Timeout of a request without `timeout_secs`.
 pub const DEFAULT_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// The most of an unknown word that is repeated to its sender.
-const MOST_REPEATED: usize = 64;
+/// Maximum length of an unknown word in an error, in characters.
+const MAX_WORD_CHARS: usize = 64;
 
-/// The longest that a request may wait for its reply, in seconds.
-const LONGEST_TIMEOUT_SECS: f64 = 3600.0;
+/// Maximum timeout of a request, in seconds.
+const MAX_TIMEOUT_SECS: f64 = 3600.0;
 
-/// A command read and checked, ready for its swarm.
+/// A parsed command to a swarm.
 #[derive(Debug)]
 pub struct ParsedCommand {
     /// What to do.
     pub order: Command,
     /// When to do it.
     pub when: When,
-    /// Who sent it.
+    /// The sender, and the request as received.
     pub sender: Arc<Sender>,
-    /// How long its reply is waited for.
+    /// The timeout of its reply.
     pub timeout: Duration,
-    /// Whether the reply is to carry the state.
+    /// Whether the reply contains the state.
     pub returns_state: bool,
 }
 
-/// Reads a command to a swarm.
+/// Parses a command to a swarm.
 ///
 /// # Errors
 ///
-/// [`CommandError`] when there is no such verb or its arguments are wrong.
+/// [`CommandError`] for an unknown verb or invalid arguments.
 pub fn read(verb: &str, request: &Request) -> Result<ParsedCommand, CommandError> {
-    // A fork is the host's to make, a seek is for recordings: neither is an order to a swarm.
+    // The registry forks, and a playback seeks: a swarm executes neither.
     let is_order = |verb: &&&str| !["fork", "seek"].contains(*verb);
     let known = keys::SWARM_VERBS.iter().filter(is_order);
     let Some(verb) = known.copied().find(|known| *known == verb) else {
         return Err(CommandError::UnknownVerb {
-            verb: shortened(verb),
+            verb: truncate(verb),
             known: &keys::SWARM_VERBS,
         });
     };
@@ -120,12 +119,15 @@ pub fn read(verb: &str, request: &Request) -> Result<ParsedCommand, CommandError
     })
 }
 
-/// Reads what a swarm wrote down: what it was commanded, and what it did by itself.
+/// Parses a command from the journal: one of a client, or one that the swarm gave itself.
 ///
 /// # Errors
 ///
 /// [`CommandError`] as for [`read`].
-pub fn read_again(verb: &'static str, request: &Request) -> Result<ParsedCommand, CommandError> {
+pub fn read_journaled(
+    verb: &'static str,
+    request: &Request,
+) -> Result<ParsedCommand, CommandError> {
     let order = match verb {
         "deadline" | "lost" => {
             let LeaveArgs { controller } = request.args()?;
@@ -147,7 +149,7 @@ pub fn read_again(verb: &'static str, request: &Request) -> Result<ParsedCommand
     })
 }
 
-/// How long the reply to `request` is waited for.
+/// Returns the timeout of a request.
 ///
 /// # Errors
 ///
@@ -155,18 +157,18 @@ pub fn read_again(verb: &'static str, request: &Request) -> Result<ParsedCommand
 pub fn timeout(request: &Request) -> Result<Duration, CommandError> {
     match request.timeout_secs {
         None => Ok(DEFAULT_TIMEOUT),
-        Some(secs) if secs > 0.0 && secs <= LONGEST_TIMEOUT_SECS => Ok(duration(secs)),
+        Some(secs) if secs > 0.0 && secs <= MAX_TIMEOUT_SECS => Ok(duration(secs)),
         Some(secs) => Err(WireError::out_of_range("timeout_secs", secs).into()),
     }
 }
 
-/// Seconds above 0 as a duration above 0, however few they are.
+/// Converts seconds above 0 to a duration, at least a nanosecond.
 fn duration(secs: f64) -> Duration {
     Duration::from_secs_f64(secs).max(Duration::from_nanos(1))
 }
 
-/// A selector's parameters, each one of `known` and given once. Those of zenoh's own begin with
-/// `_` and are left out.
+/// Returns the parameters of a selector, each of which must be one of `known` and occur once.
+/// Parameters of zenoh itself, which begin with `_`, are left out.
 ///
 /// # Errors
 ///
@@ -182,7 +184,7 @@ pub fn selector<'a>(
         }
         let Some(name) = known.iter().find(|known| **known == name) else {
             return Err(CommandError::Parameter {
-                name: shortened(name),
+                name: truncate(name),
                 known,
             });
         };
@@ -194,12 +196,12 @@ pub fn selector<'a>(
     Ok(read)
 }
 
-/// The beginning of an unknown word, to be repeated to its sender.
-pub fn shortened(word: &str) -> String {
-    word.chars().take(MOST_REPEATED).collect()
+/// Returns the start of an unknown word, for an error.
+pub fn truncate(word: &str) -> String {
+    word.chars().take(MAX_WORD_CHARS).collect()
 }
 
-/// Checks a name that is to become part of a key.
+/// Checks a name that becomes a part of a key.
 ///
 /// # Errors
 ///
@@ -214,17 +216,17 @@ pub fn check_name(field: &'static str, name: &str) -> Result<(), CommandError> {
     })
 }
 
-/// Whether a character is what it seems on a terminal or a page: it neither controls anything nor
-/// turns the direction of reading.
+/// Whether a character is safe to print: it is no control character and does not change the
+/// direction of text.
 fn is_plain(c: char) -> bool {
     !c.is_control() && !matches!(c, '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
 }
 
-/// Who sent `request`, and what.
+/// Returns the sender of a request, with its verb and arguments.
 ///
 /// # Errors
 ///
-/// [`CommandError::Field`] when a label cannot be one.
+/// [`CommandError::Field`] for an invalid `client` or `request_id`.
 pub fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandError> {
     let label = |field, label: &Option<String>| match label {
         Some(text) if text.len() > MAX_LABEL_LENGTH || !text.chars().all(is_plain) => {

@@ -1,10 +1,10 @@
-//! `pause`: stand still between two steps.
+//! `pause`: stops between two steps.
 
 use jostle_proto::verbs::PauseArgs;
 
 use crate::swarm::command::Command;
 
-/// Pauses the swarm.
+/// Converts the arguments.
 pub fn order(PauseArgs {}: PauseArgs) -> Command {
     Command::Pause
 }

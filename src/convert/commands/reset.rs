@@ -1,11 +1,11 @@
-//! `reset`: back to the start, in a new epoch.
+//! `reset`: restarts from the spec, in a new epoch.
 
 use jostle_proto::verbs::ResetArgs;
 
 use crate::convert::commands::CommandError;
 use crate::swarm::command::Command;
 
-/// Resets the swarm.
+/// Converts the arguments.
 ///
 /// # Errors
 ///

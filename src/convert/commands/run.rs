@@ -1,4 +1,4 @@
-//! `run`: step at a rate, to an end or for good.
+//! `run`: steps at a rate, until a step or time, or without end.
 
 use jostle_proto::verbs::RunArgs;
 
@@ -6,14 +6,14 @@ use crate::convert::commands::CommandError;
 use crate::swarm::command::{Command, Until};
 use jostle_convert::WireError;
 
-/// The latest time a run may end at: far beyond any, and exact as a number of steps.
-const LATEST_TIME: f64 = 1e12;
+/// Maximum end of a run: longer than any run, and exact as a number of steps.
+const MAX_TIME: f64 = 1e12;
 
-/// Runs the swarm.
+/// Converts the arguments.
 ///
 /// # Errors
 ///
-/// [`CommandError`] when an end or the rate is outside its range, or two ends are named.
+/// [`CommandError`] for an end or a rate out of range, and for two ends.
 pub fn order(args: RunArgs) -> Result<Command, CommandError> {
     let until = match (args.until_step, args.until_time) {
         (Some(_), Some(_)) => {
@@ -26,7 +26,7 @@ pub fn order(args: RunArgs) -> Result<Command, CommandError> {
             "until_step",
             step,
         )?)),
-        (None, Some(time)) if (0.0..=LATEST_TIME).contains(&time) => Some(Until::Time(time)),
+        (None, Some(time)) if (0.0..=MAX_TIME).contains(&time) => Some(Until::Time(time)),
         (None, Some(time)) => return Err(WireError::out_of_range("until_time", time).into()),
         (None, None) => None,
     };

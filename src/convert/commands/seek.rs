@@ -1,4 +1,4 @@
-//! `seek`: a replay goes somewhere.
+//! `seek`: moves a playback to another frame.
 
 use jostle_proto::SeekArgs;
 
@@ -6,18 +6,18 @@ use crate::convert::commands::CommandError;
 use crate::swarm::command::Seek;
 use jostle_convert::WireError;
 
-/// The latest time that is sought.
-const LATEST_TIME: f64 = 1e12;
+/// Maximum time to seek.
+const MAX_TIME: f64 = 1e12;
 
-/// Where to go.
+/// Converts the arguments.
 ///
 /// # Errors
 ///
-/// [`CommandError`] unless exactly one is named, within its range.
+/// [`CommandError`] unless exactly one target is given, within its range.
 pub fn seek(args: SeekArgs) -> Result<Seek, CommandError> {
     match (args.step, args.time, args.fraction) {
         (Some(step), None, None) => Ok(Seek::Step(jostle_convert::value::whole("step", step)?)),
-        (None, Some(time), None) if (0.0..=LATEST_TIME).contains(&time) => Ok(Seek::Time(time)),
+        (None, Some(time), None) if (0.0..=MAX_TIME).contains(&time) => Ok(Seek::Time(time)),
         (None, Some(time), None) => Err(WireError::out_of_range("time", time).into()),
         (None, None, Some(share)) if (0.0..=1.0).contains(&share) => Ok(Seek::Fraction(share)),
         (None, None, Some(share)) => Err(WireError::out_of_range("fraction", share).into()),

@@ -1,13 +1,13 @@
-//! `set`: new values of the parameters named, and of no others.
+//! `set`: changes parameters.
 
 use jostle_proto::RequestError;
 
 use crate::convert::commands::CommandError;
 
-/// What is chosen when a swarm is created, and stays.
+/// Parameters of a spec that cannot change.
 const CHOSEN_AT_CREATION: [&str; 4] = ["n", "dt", "seed", "start"];
 
-/// Says what to do instead for fields that are chosen when a swarm is created.
+/// Returns an error with the alternatives for parameters that cannot change.
 pub fn explain(error: RequestError) -> CommandError {
     let field = CHOSEN_AT_CREATION
         .iter()

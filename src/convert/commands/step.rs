@@ -1,4 +1,4 @@
-//! `step`: some steps on, as fast as possible, and a reply when they are taken.
+//! `step`: takes steps as fast as possible, and replies after the last.
 
 use jostle_proto::verbs::{Return, StepArgs};
 
@@ -6,10 +6,10 @@ use crate::convert::commands::CommandError;
 use crate::swarm::command::Command;
 use jostle_convert::WireError;
 
-/// The most steps that one command takes.
-const MOST_STEPS: u64 = 1_000_000_000;
+/// Maximum steps of one command.
+const MAX_STEPS: u64 = 1_000_000_000;
 
-/// Steps the swarm on.
+/// Converts the arguments.
 ///
 /// # Errors
 ///
@@ -18,19 +18,19 @@ pub fn order(args: StepArgs) -> Result<Command, CommandError> {
     count(args.steps).map(Command::Step)
 }
 
-/// Checks how many steps are to be taken.
+/// Checks the number of steps.
 ///
 /// # Errors
 ///
 /// [`WireError::OutOfRange`].
 pub fn count(steps: u64) -> Result<u64, CommandError> {
-    if (1..=MOST_STEPS).contains(&steps) {
+    if (1..=MAX_STEPS).contains(&steps) {
         return Ok(steps);
     }
     Err(WireError::out_of_range("steps", steps).into())
 }
 
-/// Whether the reply is to carry the state reached.
+/// Whether the reply contains the state.
 pub fn returns_state(args: StepArgs) -> bool {
     args.return_ == Return::State
 }

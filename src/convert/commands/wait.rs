@@ -1,22 +1,22 @@
-//! `get/wait`: an answer when something has come about.
+//! `get/wait`: replies when a condition becomes true.
 
 use std::time::Duration;
 
 use crate::convert::commands::{CommandError, selector};
 use crate::swarm::command::WaitCondition;
 
-/// The longest that one `wait` is held; libraries ask again.
-pub const LONGEST_WAIT: Duration = Duration::from_secs(30);
+/// Maximum timeout of one `wait`; client libraries repeat it.
+pub const MAX_WAIT: Duration = Duration::from_secs(30);
 
-/// Reads what is waited for, and for how long, from a selector's parameters.
+/// Parses the condition and the timeout from the parameters of a selector.
 ///
 /// # Errors
 ///
-/// [`CommandError`] when not exactly one of `step` and `phase` is given, or one is wrong.
+/// [`CommandError`] unless exactly one of `step` and `phase` is given, and valid.
 pub fn read<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> Result<(WaitCondition, Duration), CommandError> {
-    let (mut step, mut phase, mut timeout) = (None, None, LONGEST_WAIT);
+    let (mut step, mut phase, mut timeout) = (None, None, MAX_WAIT);
     for (name, value) in selector(parameters, &["step", "phase", "timeout_secs"])? {
         match name {
             "step" => {
@@ -44,7 +44,7 @@ pub fn read<'a>(
                     field: "timeout_secs",
                     problem: "is not a number",
                 })?;
-                timeout = held(secs)?;
+                timeout = check_timeout(secs)?;
             }
         }
     }
@@ -57,9 +57,9 @@ pub fn read<'a>(
     }
 }
 
-/// How long a wait is held.
-fn held(secs: f64) -> Result<Duration, CommandError> {
-    if secs > 0.0 && secs <= LONGEST_WAIT.as_secs_f64() {
+/// Checks a timeout.
+fn check_timeout(secs: f64) -> Result<Duration, CommandError> {
+    if secs > 0.0 && secs <= MAX_WAIT.as_secs_f64() {
         return Ok(super::duration(secs));
     }
     Err(CommandError::Field {

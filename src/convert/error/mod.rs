@@ -4,7 +4,8 @@ mod auth;
 mod jobs;
 mod swarm;
 
-use jostle_convert::error::{named, object, range_of};
+use jostle_convert::error::{named, object};
+use jostle_convert::range::range_of;
 use jostle_convert::{ArgsError, WireCode, WireError};
 use jostle_physics::simulation::ChangeError;
 use jostle_proto::{Claimant, Error, ErrorCode, RequestError, claim, keys};
@@ -63,12 +64,12 @@ pub enum CommandError {
     #[error("{0} is given twice: give it once")]
     Twice(&'static str),
     /// The payload is too long.
-    #[error("the request has {bytes} bytes, the most is {most_bytes}: send less at once")]
+    #[error("the request has {bytes} bytes, the most is {max_bytes}: send less at once")]
     TooLong {
         /// Its length.
         bytes: usize,
         /// The limit.
-        most_bytes: usize,
+        max_bytes: usize,
     },
     /// The payload has another encoding than JSON.
     #[error("the payload is {0:?}: requests are application/json")]
@@ -114,14 +115,14 @@ pub enum CommandError {
     Snapshot(String),
     /// A snapshot does not fit into one message.
     #[error(
-        "the snapshot has {bytes} bytes, the most that one message carries is {most_bytes}: fork \
+        "the snapshot has {bytes} bytes, the most that one message carries is {max_bytes}: fork \
          the swarm on this daemon, or stop the daemon and copy its data folder"
     )]
     SnapshotTooLong {
         /// Its length.
         bytes: usize,
         /// The limit.
-        most_bytes: usize,
+        max_bytes: usize,
     },
     /// The swarm has not reached the step.
     #[error("step {step} is not reached, the swarm is at step {now}: name an earlier one")]
@@ -333,9 +334,9 @@ impl WireCode for CommandError {
                 object(json!({"field": name, "known": known}))
             }
             CommandError::Twice(name) => object(json!({"field": name})),
-            CommandError::TooLong { bytes, most_bytes }
-            | CommandError::SnapshotTooLong { bytes, most_bytes } => {
-                object(json!({"bytes": bytes, "limit": most_bytes}))
+            CommandError::TooLong { bytes, max_bytes }
+            | CommandError::SnapshotTooLong { bytes, max_bytes } => {
+                object(json!({"bytes": bytes, "limit": max_bytes}))
             }
             CommandError::UnknownVerb { known, .. } | CommandError::UnknownNoun { known, .. } => {
                 object(json!({"known": known}))

@@ -60,7 +60,7 @@ impl Twin {
             max_memory_bytes: 1 << 32,
             max_hz: 50,
         };
-        let recipe = create::recipe(&args, limits).unwrap();
+        let recipe = create::spec(&args, limits).unwrap();
         Twin {
             name: name.to_owned(),
             simulation: Simulation::new(&recipe).unwrap(),

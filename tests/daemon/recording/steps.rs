@@ -58,7 +58,7 @@ fn simulation(spec: &Value) -> Simulation {
         max_memory_bytes: 1 << 32,
         max_hz: 50,
     };
-    let recipe = create::recipe(&args, limits).unwrap();
+    let recipe = create::spec(&args, limits).unwrap();
     Simulation::new(&recipe).unwrap()
 }
 

@@ -34,7 +34,7 @@ pub fn hold(data: &[u8]) {
             let args: Result<CreateArgs, _> = request.args();
             match args
                 .map_err(CommandError::from)
-                .and_then(|args| create::recipe(&args, LIMITS))
+                .and_then(|args| create::spec(&args, LIMITS))
             {
                 Ok(recipe) => can_be_built(&recipe),
                 Err(error) => is_worded(&error),

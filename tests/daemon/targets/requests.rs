@@ -8,8 +8,8 @@ use jostle_proto::verbs::{
     JoinArgs, LeaveArgs, PauseArgs, RemoveArgs, ResetArgs, RestoreArgs, RunArgs, SetArgs, StepArgs,
     UninformArgs,
 };
-use jostle_proto::{Request, RequestError, SeekArgs};
-use serde::de::{DeserializeOwned, DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess};
+use jostle_proto::{Arguments, Request, RequestError, SeekArgs};
+use serde::de::{DeserializeSeed, Deserializer, Error, MapAccess, SeqAccess};
 use serde::{Serialize, de::Visitor};
 
 /// What is read is read again from what it is written as; what is refused is refused in few words.
@@ -59,7 +59,7 @@ pub fn hold(data: &[u8]) {
 
 fn arguments_of<T>(request: &Request, again: &Request)
 where
-    T: DeserializeOwned + Serialize + PartialEq + Debug,
+    T: Arguments + Serialize + PartialEq + Debug,
 {
     let args: T = match request.args() {
         Ok(args) => args,

@@ -27,7 +27,7 @@ pub fn hold(data: &[u8]) {
         args: Some(args),
         ..Request::default()
     };
-    if let Err(error) = commands::read_again(sender.verb, &request) {
+    if let Err(error) = commands::read_journaled(sender.verb, &request) {
         assert!(!error.to_wire(None).message.is_empty());
     }
 }

@@ -12,7 +12,7 @@ pub fn hold(data: &[u8]) {
     };
     let parameters = Parameters::from(text);
     match wait::read(parameters.iter()) {
-        Ok((_, patience)) => assert!(patience <= wait::LONGEST_WAIT),
+        Ok((_, patience)) => assert!(patience <= wait::MAX_WAIT),
         Err(error) => is_worded(&error),
     }
     match pagination::read(parameters.iter()) {

@@ -2,7 +2,7 @@
 
 use jostle_physics::stepper::Stepper;
 use jostle_proto::{Snapshot, to_cbor};
-use jostled::convert::{durable, sanity};
+use jostled::convert::{durable, validate};
 use jostled::persistence::checkpoints::read_snapshot;
 
 /// Groups larger than this are not stepped here.
@@ -27,7 +27,7 @@ pub fn hold(data: &[u8]) {
         Ok(checkpoint) => checkpoint,
         Err(problem) => return assert!(!problem.is_empty()),
     };
-    if let Err(error) = sanity::check(&checkpoint) {
+    if let Err(error) = validate::check(&checkpoint) {
         return assert!(!error.to_string().is_empty());
     }
     let written = durable::snapshot(&sealed.swarm, &checkpoint);

@@ -1,8 +1,8 @@
-//! Whether a swarm that somebody sent can be one.
+//! Validates the checkpoint in a request.
 //!
-//! What a daemon wrote down itself is under seals and trusted. A snapshot that comes in a request
-//! has a hash, but anybody can compute one: what the worker and the stepper take for granted is
-//! looked at here, before there is a swarm.
+//! Checkpoints of the daemon itself have checksums and are trusted. A snapshot in a request has a
+//! hash, but any client can compute one: what the worker and the stepper assume is checked here,
+//! before a swarm is created.
 
 use jostle_convert::SnapshotError;
 use jostle_convert::snapshot;
@@ -11,7 +11,7 @@ use jostle_proto::LARGEST_WHOLE;
 
 use crate::swarm::checkpoint::Checkpoint;
 
-/// Checks what a swarm that was sent must keep to.
+/// Checks that a swarm can be in this state.
 ///
 /// # Errors
 ///
@@ -42,15 +42,15 @@ mod tests {
     use crate::convert::durable;
     use crate::swarm::command::Command;
 
-    fn recorded() -> Checkpoint {
+    fn sent() -> Checkpoint {
         let text = include_str!("../../proto/fixtures/snapshot.reply.json");
         let reply: Reply<Snapshot> = serde_json::from_str(text).unwrap();
         durable::checkpoint(&reply.result, &|_| Ok(Command::Pause)).unwrap()
     }
 
     #[test]
-    fn what_a_daemon_told_can_be() {
-        assert_eq!(check(&recorded()), Ok(()));
+    fn a_snapshot_of_a_daemon_is_valid() {
+        assert_eq!(check(&sent()), Ok(()));
     }
 
     #[test]
@@ -63,7 +63,7 @@ mod tests {
             ("past", |it| it.simulation.state.step = 101),
         ];
         for (what, change) in changes {
-            let mut checkpoint = recorded();
+            let mut checkpoint = sent();
             change(&mut checkpoint);
             let error = check(&checkpoint).unwrap_err().to_string();
             assert!(error.contains(what), "{what}: {error}");

@@ -1,21 +1,22 @@
-//! What a swarm published, read back from a recording.
+//! Decodes what a swarm published, from a recording.
 
 use jostle_physics::model::body::Gaps;
 use jostle_physics::model::configuration::Configuration;
 use jostle_physics::model::parameters::Parameters;
 use jostle_physics::observables::{Order, RunningMeans};
 use jostle_physics::simulation::{Exactness, Spec};
-use jostle_proto::{EventKind, LARGEST_WHOLE, ParameterValues, Told};
+use jostle_proto::{EventKind, LARGEST_WHOLE, Lenient, ParameterValues};
 use serde_json::Value;
 
 use crate::playback::source::{FrameIndex, RecordedFrame};
 
-/// A published state: where it belongs, and what it shows under these parameters.
+/// Decodes a state: its position in the recording, and the frame that it shows under these
+/// parameters.
 ///
 /// # Errors
 ///
-/// Why it cannot be a state.
-pub fn recorded_frame(
+/// What is wrong with it.
+pub fn decode_state(
     bytes: &[u8],
     parameters: Parameters,
 ) -> Result<(FrameIndex, RecordedFrame), String> {
@@ -83,7 +84,7 @@ pub fn recorded_frame(
             direction: order.direction,
             drift: order.drift,
         },
-        // What was published is the means, and they are those of one step that was like them.
+        // States contain the means alone: these are the sums of one step with the same means.
         means: RunningMeans {
             count: u64::from(order.mean_order.is_some()),
             order: order.mean_order.unwrap_or_default(),
@@ -105,23 +106,23 @@ pub fn recorded_frame(
     Ok((index, frame))
 }
 
-/// What a recorded swarm was made from, and its parameters when the recording began.
+/// Decodes the spec of a recorded swarm, and its parameters at the start of the recording.
 ///
 /// # Errors
 ///
 /// What is wrong with them.
-pub fn recorded(spec: &str, parameters: &str) -> Result<(Spec, Parameters), String> {
-    let Told(spec) =
-        serde_json::from_str::<Told<jostle_proto::Spec>>(spec).map_err(|it| it.to_string())?;
-    let n = usize::try_from(spec.n).unwrap_or(usize::MAX);
-    let recipe = jostle_convert::spec::from_proto(&spec, n).map_err(|it| it.to_string())?;
+pub fn decode_spec(spec: &str, parameters: &str) -> Result<(Spec, Parameters), String> {
+    let Lenient(sent) =
+        serde_json::from_str::<Lenient<jostle_proto::Spec>>(spec).map_err(|it| it.to_string())?;
+    let n = usize::try_from(sent.n).unwrap_or(usize::MAX);
+    let spec = jostle_convert::spec::from_proto(&sent, n).map_err(|it| it.to_string())?;
     let values: ParameterValues = serde_json::from_str(parameters).map_err(|it| it.to_string())?;
     let parameters = Parameters {
         pi1: values.pi1,
         pi2: values.pi2,
         pi3: values.pi3,
         pi4: values.pi4,
-        dt: recipe.parameters.dt,
+        dt: spec.parameters.dt,
         contacts: jostle_convert::spec::contact_rule(values.contacts),
         stepping: jostle_convert::spec::stepping(values.stepping),
         relinearise: jostle_convert::spec::relinearise(values.relinearise)
@@ -129,33 +130,33 @@ pub fn recorded(spec: &str, parameters: &str) -> Result<(Spec, Parameters), Stri
         attraction: jostle_convert::spec::attraction(values.attraction),
         noise: values.noise,
     };
-    for parameters in [&recipe.parameters, &parameters] {
+    for parameters in [&spec.parameters, &parameters] {
         parameters.check(0.0).map_err(|it| it.to_string())?;
     }
-    Ok((recipe, parameters))
+    Ok((spec, parameters))
 }
 
 /// A published event.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RecordedEvent {
-    /// The step it happened at.
+    /// The step at which it happened.
     pub step: u64,
     /// Its time.
     pub time: f64,
     /// The wall-clock time, in seconds since 1970, if known.
     pub unix_secs: Option<f64>,
-    /// What happened, as JSON; the end of a swarm is none, since the recording goes on being there.
+    /// What happened, as JSON. `None` for the deletion of the swarm: its playback still exists.
     pub what: Option<String>,
-    /// The command that was applied, and its arguments.
+    /// The executed command and its arguments.
     pub command: Option<(String, Value)>,
 }
 
-/// Reads a published event.
+/// Decodes an event.
 ///
 /// # Errors
 ///
-/// Why it is none.
-pub fn recorded_event(bytes: &[u8]) -> Result<RecordedEvent, String> {
+/// What is wrong with it.
+pub fn decode_event(bytes: &[u8]) -> Result<RecordedEvent, String> {
     let event: jostle_proto::Event =
         serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
     if event.step > LARGEST_WHOLE {

@@ -1,0 +1,111 @@
+//! Events, and the history of executed commands.
+
+use jostle_proto as proto;
+
+use crate::convert::states::phase;
+use crate::swarm::error::SwarmError;
+use crate::swarm::frame::{Event, EventKind};
+use crate::swarm::history::{Entry, Page};
+use crate::swarm::sender::Sender;
+
+/// Returns the error with which a swarm at a step rejects a command.
+pub type WordRefusal = fn(SwarmError, u64) -> proto::Error;
+
+/// Returns the message of an event.
+pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
+    let Event {
+        number,
+        stamp,
+        unix_secs,
+        kind,
+    } = event;
+    proto::Event {
+        swarm: swarm.to_owned(),
+        number,
+        epoch: stamp.epoch,
+        step: stamp.step,
+        time: stamp.time,
+        phase: phase(&stamp.phase),
+        unix_secs,
+        event: match kind {
+            EventKind::Created => proto::EventKind::Created {},
+            EventKind::Phase => proto::EventKind::Phase {
+                reason: stamp.phase.reason(),
+            },
+            EventKind::Command(sender) => proto::EventKind::Command {
+                seq: stamp.seq,
+                verb: sender.verb.to_owned(),
+                args: args(&sender),
+                client: sender.client.clone(),
+                request_id: sender.request_id.clone(),
+            },
+            EventKind::Scheduled(applies_at_step, sender) => proto::EventKind::Scheduled {
+                applies_at_step,
+                verb: sender.verb.to_owned(),
+                args: args(&sender),
+                client: sender.client.clone(),
+                request_id: sender.request_id.clone(),
+            },
+            EventKind::Rejected(sender, error) => proto::EventKind::Refused {
+                verb: sender.verb.to_owned(),
+                args: args(&sender),
+                client: sender.client.clone(),
+                request_id: sender.request_id.clone(),
+                error: word(error, stamp.step),
+            },
+            EventKind::Lapsed(ids) => proto::EventKind::Lapsed { ids },
+            EventKind::Fault(reason) => proto::EventKind::Fault { reason },
+            EventKind::RecordingFailed(recording, reason) => proto::EventKind::RecordingFailed {
+                recording: recording.to_string(),
+                reason: reason.to_string(),
+            },
+            // The JSON of an event in a recording.
+            EventKind::Recorded(what) => {
+                serde_json::from_str(&what).unwrap_or(proto::EventKind::Phase { reason: None })
+            }
+            EventKind::Deleted => proto::EventKind::Deleted {},
+        },
+    }
+}
+
+/// Returns a page of events.
+pub fn events(swarm: &str, page: Page<Event>, word: WordRefusal) -> proto::Events {
+    let events = page.records.into_iter();
+    proto::Events {
+        events: events.map(|it| event(swarm, it, word)).collect(),
+        oldest: page.oldest,
+        newest: page.newest,
+    }
+}
+
+/// Returns a page of executed commands.
+pub fn journal(page: Page<Entry>) -> proto::Journal {
+    let entries = page.records.into_iter().map(|entry| {
+        let Entry {
+            stamp,
+            unix_secs,
+            sender,
+        } = entry;
+        proto::JournalEntry {
+            seq: stamp.seq,
+            epoch: stamp.epoch,
+            step: stamp.step,
+            time: stamp.time,
+            unix_secs,
+            verb: sender.verb.to_owned(),
+            args: args(&sender),
+            client: sender.client.clone(),
+            request_id: sender.request_id.clone(),
+        }
+    });
+    proto::Journal {
+        entries: entries.collect(),
+        oldest: page.oldest,
+        newest: page.newest,
+    }
+}
+
+/// Returns the arguments of a command, which were parsed before and are valid JSON.
+fn args(sender: &Sender) -> serde_json::Value {
+    serde_json::from_str(&sender.args).unwrap_or_default()
+}

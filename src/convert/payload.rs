@@ -1,0 +1,70 @@
+//! Encoded messages.
+
+use jostle_proto as proto;
+use serde::Serialize;
+
+/// Initial capacity of a payload: most messages are no longer.
+const INITIAL_CAPACITY: usize = 512;
+
+/// Maximum size of a reply that is cached with its state.
+const MAX_CACHED_BYTES: usize = 4096;
+
+/// An encoded payload.
+#[derive(Clone, Debug)]
+pub struct Payload {
+    /// The bytes.
+    pub bytes: Vec<u8>,
+    /// Their encoding: [`proto::JSON`] or [`proto::CBOR`].
+    pub encoding: &'static str,
+    /// The JSON that a retry of the request gets instead, if the bytes are too large for the cache.
+    pub to_remember: Option<Vec<u8>>,
+}
+
+impl Payload {
+    /// Encodes a message as JSON.
+    pub fn json<T: Serialize>(message: &T) -> Self {
+        let mut bytes = Vec::with_capacity(INITIAL_CAPACITY);
+        // All numbers are finite and all keys are strings, so this cannot fail.
+        serde_json::to_writer(&mut bytes, message).expect("messages are JSON");
+        Payload {
+            bytes,
+            encoding: proto::JSON,
+            to_remember: None,
+        }
+    }
+
+    /// Encodes a message as CBOR.
+    pub fn cbor<T: Serialize>(message: &T) -> Self {
+        Payload {
+            bytes: proto::to_cbor(message),
+            encoding: proto::CBOR,
+            to_remember: None,
+        }
+    }
+
+    /// Encodes a reply as CBOR. If it is large, `leave_out` removes the state from the cached
+    /// reply.
+    pub(super) fn with_state<T: Serialize>(
+        mut reply: proto::Reply<T>,
+        leave_out: impl FnOnce(&mut T),
+    ) -> Self {
+        let mut payload = Payload::cbor(&reply);
+        if payload.bytes.len() > MAX_CACHED_BYTES {
+            leave_out(&mut reply.result);
+            payload.to_remember = Some(Payload::json(&reply).bytes);
+        }
+        payload
+    }
+
+    /// The payload that a retry of the request gets.
+    pub fn remembered(&self) -> Payload {
+        match &self.to_remember {
+            Some(bytes) => Payload {
+                bytes: bytes.clone(),
+                encoding: proto::JSON,
+                to_remember: None,
+            },
+            None => self.clone(),
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! Replies to commands.
+
+use jostle_convert::change::{changed, ids_result, set_result};
+use jostle_convert::spec::to_proto as spec_to_proto;
+use jostle_physics::simulation::{ChangeOutcome, Spec};
+use jostle_proto as proto;
+use jostle_proto::verbs::{
+    AdvanceResult, BatchResult, CreateResult, EmptyResult, JoinResult, ResetResult, RunResult,
+    Scheduled, StepResult,
+};
+
+use crate::convert::controllers;
+use crate::convert::durable::snapshot;
+use crate::convert::payload::Payload;
+use crate::convert::states::{hash, phase, state, status};
+use crate::swarm::frame::{Frame, Stamp};
+use crate::swarm::outcome::Outcome;
+
+/// Returns the reply of `swarm` at `stamp`.
+pub fn reply<T>(swarm: &str, stamp: &Stamp, result: T) -> proto::Reply<T> {
+    proto::Reply {
+        swarm: swarm.to_owned(),
+        epoch: stamp.epoch,
+        step: stamp.step,
+        time: stamp.time,
+        phase: phase(&stamp.phase),
+        seq: stamp.seq,
+        result,
+    }
+}
+
+/// Encodes the reply to an executed command. With a `frame` number it contains the state and is
+/// CBOR.
+pub fn outcome(swarm: &str, stamp: &Stamp, outcome: Outcome, frame: Option<u64>) -> Payload {
+    match outcome {
+        Outcome::Done => Payload::json(&reply(swarm, stamp, EmptyResult {})),
+        Outcome::Runs(until_step, rate) => {
+            Payload::json(&reply(swarm, stamp, RunResult { until_step, rate }))
+        }
+        Outcome::Stepped {
+            steps,
+            durable_step,
+            frame: seen,
+        } => {
+            let state = frame.map(|frame| state(swarm, &seen, frame));
+            let result = StepResult {
+                steps,
+                durable_step,
+                state_hash: hash(&seen),
+                state,
+            };
+            let reply = reply(swarm, stamp, result);
+            match frame {
+                Some(_) => Payload::with_state(reply, |result| result.state = None),
+                None => Payload::json(&reply),
+            }
+        }
+        Outcome::Joined { ids, news: since } => {
+            let news = controllers::news_to_proto(since);
+            Payload::json(&reply(swarm, stamp, JoinResult { ids, news }))
+        }
+        Outcome::Advanced {
+            steps,
+            durable_step,
+            frame: seen,
+            news: since,
+        } => {
+            let state = frame.map(|frame| state(swarm, &seen, frame));
+            let result = AdvanceResult {
+                steps,
+                durable_step,
+                state_hash: hash(&seen),
+                news: controllers::news_to_proto(since),
+                state,
+            };
+            let reply = reply(swarm, stamp, result);
+            match frame {
+                Some(_) => Payload::with_state(reply, |result| result.state = None),
+                None => Payload::json(&reply),
+            }
+        }
+        Outcome::Reset(seen) => {
+            let result = ResetResult {
+                seed: seen.seed,
+                state_hash: hash(&seen),
+            };
+            Payload::json(&reply(swarm, stamp, result))
+        }
+        Outcome::Changed(ChangeOutcome::Set {
+            before,
+            now,
+            scaled_by,
+        }) => Payload::json(&reply(swarm, stamp, set_result(before, now, scaled_by))),
+        Outcome::Changed(ChangeOutcome::Ids { ids, n }) => {
+            Payload::json(&reply(swarm, stamp, ids_result(ids, n)))
+        }
+        Outcome::Batch(outcomes) => {
+            let results = outcomes.into_iter();
+            let results = results
+                .map(|(kind, outcome)| changed(kind, outcome))
+                .collect();
+            Payload::json(&reply(swarm, stamp, BatchResult { results }))
+        }
+        Outcome::Scheduled(applies_at_step) => {
+            Payload::json(&reply(swarm, stamp, Scheduled { applies_at_step }))
+        }
+        Outcome::Checkpoint(whole) => {
+            Payload::cbor(&reply(swarm, stamp, snapshot(swarm, &whole).sealed()))
+        }
+        Outcome::State(seen) => Payload::json(&reply(swarm, stamp, status(&seen, None))),
+    }
+}
+
+/// Encodes the reply to `create`.
+pub fn created(swarm: &str, stamp: &Stamp, spec: &Spec, seen: &Frame, is_new: bool) -> Payload {
+    let result = CreateResult {
+        created: is_new,
+        spec: spec_to_proto(spec, seen.seed),
+        state_hash: hash(seen),
+    };
+    Payload::json(&reply(swarm, stamp, result))
+}

@@ -1,0 +1,197 @@
+//! States of swarms: what is published, and the replies to queries of a state.
+
+use jostle_convert::hexadecimal;
+use jostle_convert::spec::{self, parameter_values};
+use jostle_proto as proto;
+use serde::Serialize;
+
+use crate::convert::controllers::waiting_for;
+use crate::swarm::frame::{Frame, Replay, Summary};
+use crate::swarm::phase::Phase;
+use crate::swarm::registry::Limits;
+
+/// Returns the state that is published as number `frame`.
+pub fn state(swarm: &str, seen: &Frame, frame: u64) -> proto::State {
+    let configuration = &seen.configuration;
+    proto::State {
+        swarm: swarm.to_owned(),
+        epoch: seen.stamp.epoch,
+        frame,
+        step: seen.stamp.step,
+        time: seen.stamp.time,
+        phase: phase(&seen.stamp.phase),
+        origin: configuration.origin,
+        id: configuration.id.clone(),
+        x: configuration.x.clone(),
+        y: configuration.y.clone(),
+        alpha: configuration.alpha.clone(),
+        weight: configuration.weight.clone(),
+        direction: configuration.direction.clone(),
+        order: order(seen),
+        certificate: certificate(seen),
+    }
+}
+
+/// Returns the order that is published with state number `frame`.
+pub fn order_sample(swarm: &str, seen: &Frame, frame: u64) -> proto::OrderSample {
+    proto::OrderSample {
+        swarm: swarm.to_owned(),
+        epoch: seen.stamp.epoch,
+        frame,
+        step: seen.stamp.step,
+        time: seen.stamp.time,
+        phase: phase(&seen.stamp.phase),
+        n: seen.configuration.n() as u64,
+        informed: informed(seen),
+        order: order(seen),
+        certificate: certificate(seen),
+        rate: seen.rate,
+        real_time_factor: seen.real_time_factor,
+    }
+}
+
+/// Returns the status of a swarm; `history_from` is the start of its history, if known.
+pub fn status(seen: &Frame, history_from: Option<proto::HistoryFrom>) -> proto::Status {
+    proto::Status {
+        reason: seen.stamp.phase.reason(),
+        until_step: seen.stamp.phase.until(),
+        rate: seen.rate,
+        real_time_factor: seen.real_time_factor,
+        n: seen.configuration.n() as u64,
+        informed: informed(seen),
+        seed: seen.seed,
+        dt: seen.parameters.dt,
+        parameters: parameter_values(seen.parameters, seen.publish_every),
+        scheduled: seen.scheduled as u64,
+        controllers: seen.controllers.len() as u64,
+        waiting_for: waiting_for(seen),
+        state_hash: hash(seen),
+        order: order(seen),
+        certificate: certificate(seen),
+        history_from,
+        replay: seen.replay.as_ref().map(replay),
+        verifying: None,
+    }
+}
+
+/// Returns the entry of a swarm in a list.
+pub fn summary(swarm: &str, summary: &Summary) -> proto::SwarmSummary {
+    proto::SwarmSummary {
+        swarm: swarm.to_owned(),
+        phase: phase(&summary.stamp.phase),
+        reason: summary.stamp.phase.reason(),
+        step: summary.stamp.step,
+        time: summary.stamp.time,
+        n: summary.n as u64,
+        informed: summary.informed as u64,
+        order: summary.order,
+        rate: summary.rate,
+        real_time_factor: summary.real_time_factor,
+        replay: summary.is_replay,
+        contested_by: None,
+    }
+}
+
+/// Returns the position of a playback.
+pub fn replay(replay: &Replay) -> proto::Replay {
+    proto::Replay {
+        of: replay.of.to_string(),
+        frame: replay.frame,
+        frames: replay.frames,
+        position: replay.position,
+        duration: replay.duration,
+    }
+}
+
+/// Returns the parameters with their current values and bounds.
+pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
+    let mut parameters = proto::contract::parameters();
+    let now = seen.parameters;
+    for parameter in &mut parameters {
+        match parameter.name.as_str() {
+            "n" => {
+                parameter.value = seen.configuration.n().into();
+                parameter.maximum = Some(limits.max_individuals as f64);
+            }
+            "dt" => {
+                let largest = seen.configuration.largest_weight();
+                parameter.value = now.dt.into();
+                parameter.maximum = Some(now.longest_step(largest));
+            }
+            "pi1" => parameter.value = now.pi1.into(),
+            "pi2" => parameter.value = now.pi2.into(),
+            "pi3" => parameter.value = now.pi3.into(),
+            "pi4" => parameter.value = now.pi4.into(),
+            "seed" => parameter.value = seen.seed.into(),
+            "publish_every" => parameter.value = seen.publish_every.into(),
+            "rate" => parameter.value = seen.rate.into(),
+            "contacts" => parameter.value = value(&spec::contact_rule_to_proto(now.contacts)),
+            "stepping" => parameter.value = value(&spec::stepping_to_proto(now.stepping)),
+            "relinearise" => parameter.value = u8::from(now.relinearise).into(),
+            "attraction" => parameter.value = value(&spec::attraction_to_proto(now.attraction)),
+            "noise" => parameter.value = now.noise.into(),
+            _ => {}
+        }
+    }
+    proto::Parameters { parameters }
+}
+
+/// Returns the limits of the daemon.
+pub fn limits(limits: Limits, max_clients: usize, max_message_bytes: u64) -> proto::Limits {
+    proto::Limits {
+        max_individuals: limits.max_individuals as u64,
+        max_swarms: limits.max_swarms as u64,
+        max_memory_bytes: limits.max_memory_bytes,
+        max_message_bytes,
+        max_clients: max_clients as u64,
+        max_hz: u64::from(limits.max_hz),
+    }
+}
+
+fn value<T: Serialize>(choice: &T) -> serde_json::Value {
+    // All numbers are finite and all keys are strings, so this cannot fail.
+    serde_json::to_value(choice).expect("choices are JSON")
+}
+
+/// Converts the phase of a swarm.
+pub(super) fn phase(phase: &Phase) -> proto::Phase {
+    match phase {
+        Phase::Paused(_) => proto::Phase::Paused,
+        Phase::Running { .. } | Phase::Stepping { .. } => proto::Phase::Running,
+        Phase::Faulted(_) => proto::Phase::Faulted,
+    }
+}
+
+fn order(seen: &Frame) -> proto::Order {
+    proto::Order {
+        order: seen.order.order,
+        mean_order: seen.means.mean_order(),
+        velocity: seen.order.velocity,
+        mean_velocity: seen.means.mean_velocity(),
+        direction: seen.order.direction,
+        drift: seen.order.drift,
+        mean_drift: seen.means.mean_drift(),
+    }
+}
+
+fn certificate(seen: &Frame) -> proto::Certificate {
+    let gaps = seen.gaps();
+    proto::Certificate {
+        worst_gap: gaps.worst_gap,
+        residual: seen.exactness.residual,
+        degraded: seen.exactness.degraded,
+        crossed: gaps.crossed as u64,
+        contacts: seen.exactness.contacts as u64,
+        iterations: seen.exactness.iterations as u64,
+    }
+}
+
+fn informed(seen: &Frame) -> u64 {
+    let weights = &seen.configuration.weight;
+    weights.iter().filter(|weight| **weight > 0.0).count() as u64
+}
+
+/// Returns the hash of a state in hexadecimal.
+pub(super) fn hash(seen: &Frame) -> String {
+    hexadecimal(&seen.hash.unwrap_or_default())
+}
