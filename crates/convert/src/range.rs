@@ -58,6 +58,7 @@ const DESCRIPTIONS: &[(&str, &str)] = &[
     ),
     ("part", "a whole number, 0 or more"),
     ("phase", "paused, running or faulted"),
+    ("begin.format", "\"mcap\""),
     ("format", "json or cbor"),
     (
         "request_id",
