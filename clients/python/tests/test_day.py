@@ -71,6 +71,7 @@ def test_what_was_refused_must_not_be_there() -> None:
         "taken": 3.1,
         "ran": 5,
         "refusals": 2,
+        "deleted": True,
     }
     it.notes.full = Full(**fine, stepped=(3, 0))
     assert answers.full(it)[0]
@@ -79,6 +80,7 @@ def test_what_was_refused_must_not_be_there() -> None:
         {"ran": 0},
         {"taken": 9.0},
         {"others": ["busy"]},
+        {"deleted": False},
     ):
         it.notes.full = Full(**{**fine, **wrong}, stepped=(3, 0))
         assert not answers.full(it)[0], wrong

@@ -137,10 +137,11 @@ def full(lab: Lab) -> Finding:
     seen = (
         f"{count} refused, {len(wrong)} carried out {wrong[:3]}; of {it.refusals} to a paused one "
         f"{it.changed} changed it; another ran {it.ran} steps; a `step` reached, and safe: "
-        f"{it.stepped}; normal after {room:.2f} s {it.others[:3] or ''}"
+        f"{it.stepped}; deleted another: {it.deleted}; normal after {room:.2f} s "
+        f"{it.others[:3] or ''}"
     )
     holds = not (wrong or it.changed or it.others) and it.ran > 0
-    holds = holds and room < _ROOM_SECS and bool(it.stepped)
+    holds = holds and room < _ROOM_SECS and bool(it.stepped) and it.deleted
     return Finding(holds, seen.strip(), min(count, it.refusals))
 
 

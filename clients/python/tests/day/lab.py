@@ -33,6 +33,7 @@ class Full:
         others: What else such commands were refused with.
         ran: How many steps a running swarm took meanwhile.
         stepped: What a `step` was answered: step and `durable_step`.
+        deleted: Whether a swarm could be deleted, which makes room.
         failed: Which recordings had failed by its end.
     """
 
@@ -45,6 +46,7 @@ class Full:
     others: list[str] = field(default_factory=list)
     ran: int = 0
     stepped: tuple[int, ...] = ()
+    deleted: bool = False
     failed: list[str] = field(default_factory=list)
 
 

@@ -185,6 +185,8 @@ class Breeder(Person):
         super().__init__(name, endpoint, plan, ledger)
         self.alive: set[str] = set()
         self.gone: set[str] = set()
+        # Held while nothing may be deleted: on a full disk a deletion makes room for commands.
+        self.deletions = threading.Lock()
         self._count = 0
 
     def begin(self) -> None:
@@ -204,11 +206,14 @@ class Breeder(Person):
                 asked = self.asker.ask("table", "fork", {"name": name})
             if asked.answer is not None:
                 self.alive.add(name)
-        elif self.alive:
-            name = self.dice.choice(sorted(self.alive))
-            if self.asker.ask(name, "delete", {}).answer is not None:
-                self.alive.remove(name)
-                self.gone.add(name)
+        elif self.alive and self.deletions.acquire(blocking=False):
+            try:
+                name = self.dice.choice(sorted(self.alive))
+                if self.asker.ask(name, "delete", {}).answer is not None:
+                    self.alive.remove(name)
+                    self.gone.add(name)
+            finally:
+                self.deletions.release()
 
 
 class Careless(Person):

@@ -20,8 +20,8 @@ _AHEAD_SECS = 8.0
 # For how long before a kill everybody asks without a rest.
 _HASTE_SECS = 0.3
 _PAUSED = "vault"
-# So many that a command to all of them fills a page of the store.
-_PAUSED_SIZE = 500
+# Deleted while the disk is full.
+_SPARE = "brood-spare"
 
 
 class Troubles:
@@ -74,8 +74,9 @@ class Troubles:
         )
 
     def _begin(self) -> None:
-        self._asker.ask(None, "create", {"name": _PAUSED, "spec": {"n": _PAUSED_SIZE}})
+        self._asker.ask(None, "create", {"name": _PAUSED, "spec": {"n": 20}})
         self._asker.ask(_PAUSED, "step", {"steps": 100})
+        self._asker.ask(None, "create", {"name": _SPARE, "spec": {"n": 20}})
         eventually("their swarms are there", 20.0, lambda: self._are_there({"film", "table"}))
         self._record("film-1", "film")
         self._record("table-1", "table")
@@ -181,11 +182,15 @@ class Troubles:
         lab.say(f"film-1 is replayed as tape: {seen}")
 
     def _fill_disk(self) -> None:
+        with self._lab.people.breeder.deletions:
+            self._fill_until_free()
+
+    def _fill_until_free(self) -> None:
         lab, full = self._lab, self._lab.notes.full
         lab.disk.fill()
         full.filled = time.monotonic()
         lab.say("the disk is full")
-        inform = {"select": {"ids": list(range(_PAUSED_SIZE))}, "direction": 1.0}
+        inform = {"select": {"count": 1}, "direction": 1.0}
         # What was set aside is used up first.
         while not full.refused and time.monotonic() < full.filled + 30.0:
             if "storage_full" in self._asker.ask(_PAUSED, "inform", inform).refusals:
@@ -202,14 +207,16 @@ class Troubles:
             if refusals == ["storage_full"]:
                 full.refusals += 1
                 full.changed += before != self._state()
-                time.sleep(0.25)
             else:
-                # A deletion has freed pages of the store: commands without a pause use them up.
                 full.others += refusals
+            time.sleep(0.25)
         full.ran = film.status().step - first
         reply = self._asker.ask(_PAUSED, "step", {"steps": 3}).reply
         if reply:
             full.stepped = (reply["step"], reply["result"]["durable_step"])
+        full.deleted = self._asker.ask(_SPARE, "delete", {}).answer is not None
+        if full.deleted:
+            lab.people.breeder.gone.add(_SPARE)
         lab.disk.free()
         full.freed = time.monotonic()
         lab.say(f"there is room again, after {full.refusals} refusals to {_PAUSED} alone")
