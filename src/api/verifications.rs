@@ -1,12 +1,14 @@
 //! The verifications under way: at most so many at once, the next ones queued, and how far each
 //! has come.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeMap, VecDeque};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 
 use tracing::error;
+
+use crate::convert::commands::CommandError;
 
 /// Verifications at once. Each replays a history on one core.
 const MAX_RUNNING: usize = 4;
@@ -14,10 +16,7 @@ const MAX_RUNNING: usize = 4;
 const MAX_QUEUED: usize = 64;
 
 /// Replays a history and replies.
-pub trait Work: Send {
-    /// Executes it. It ends when `verification` is dropped.
-    fn run(self: Box<Self>, verification: Arc<Verification>);
-}
+type Work = Box<dyn FnOnce(Verification) + Send>;
 
 /// The verifications under way.
 #[derive(Default)]
@@ -25,20 +24,15 @@ pub struct Verifications(Mutex<State>);
 
 #[derive(Default)]
 struct State {
-    /// Those that run and those that are queued.
-    entries: Vec<Entry>,
+    /// Those that run and those that are queued, by their numbers: the swarm, and the share of its
+    /// history that is replayed.
+    entries: BTreeMap<u64, (Arc<str>, f64)>,
     /// Those that no thread has begun, the oldest first.
-    queue: VecDeque<(Arc<Verification>, Box<dyn Work>)>,
+    queue: VecDeque<(Verification, Work)>,
     /// Threads that take from the queue.
     threads: usize,
     /// The number of the next one.
     number: u64,
-}
-
-struct Entry {
-    number: u64,
-    swarm: Arc<str>,
-    share: f64,
 }
 
 /// A verification under way; it ends when this is dropped.
@@ -52,49 +46,41 @@ impl Verifications {
     ///
     /// # Errors
     ///
-    /// Gives `work` back when the queue is full or no thread can be started.
-    pub fn begin(
-        self: &Arc<Self>,
-        swarm: &Arc<str>,
-        work: Box<dyn Work>,
-    ) -> Result<(), Box<dyn Work>> {
+    /// [`CommandError::Busy`] when the queue is full or no thread can be started.
+    pub fn begin(self: &Arc<Self>, swarm: &Arc<str>, work: Work) -> Result<(), CommandError> {
         let mut state = self.lock();
         if state.entries.len() >= MAX_RUNNING + MAX_QUEUED {
-            return Err(work);
+            return Err(CommandError::Busy);
+        }
+        if state.threads < MAX_RUNNING {
+            let all = self.clone();
+            let spawned = thread::Builder::new()
+                .name("verify".into())
+                .spawn(move || all.work());
+            match spawned {
+                Ok(_) => state.threads += 1,
+                // Another thread takes it from the queue.
+                Err(_) if state.threads > 0 => {}
+                Err(_) => return Err(CommandError::Busy),
+            }
         }
         let number = state.number;
         state.number += 1;
-        state.entries.push(Entry {
-            number,
-            swarm: swarm.clone(),
-            share: 0.0,
-        });
-        let verification = Arc::new(Verification {
+        state.entries.insert(number, (swarm.clone(), 0.0));
+        let verification = Verification {
             all: self.clone(),
             number,
-        });
+        };
         state.queue.push_back((verification, work));
-        if state.threads == MAX_RUNNING {
-            return Ok(());
-        }
-        state.threads += 1;
-        drop(state);
-        let all = self.clone();
-        let spawned = thread::Builder::new()
-            .name("verify".into())
-            .spawn(move || all.work());
-        match spawned {
-            Ok(_) => Ok(()),
-            Err(_) => self.without_thread(number),
-        }
+        Ok(())
     }
 
     /// How far the verification of a swarm has come, from 0 to 1; the one that is furthest, if
     /// there are several.
     pub fn share(&self, swarm: &str) -> Option<f64> {
         let state = self.lock();
-        let of_swarm = state.entries.iter().filter(|entry| &*entry.swarm == swarm);
-        of_swarm.map(|entry| entry.share).max_by(f64::total_cmp)
+        let of_swarm = state.entries.values().filter(|(name, _)| &**name == swarm);
+        of_swarm.map(|(_, share)| *share).max_by(f64::total_cmp)
     }
 
     /// Drops what is queued, because the daemon stops.
@@ -113,27 +99,10 @@ impl Verifications {
                 return;
             };
             drop(state);
-            if catch_unwind(AssertUnwindSafe(|| work.run(verification))).is_err() {
+            if catch_unwind(AssertUnwindSafe(|| work(verification))).is_err() {
                 error!("a defect: a verification panicked");
             }
         }
-    }
-
-    /// Gives a verification's work back when no thread could be started, unless another thread has
-    /// taken it or will.
-    fn without_thread(&self, number: u64) -> Result<(), Box<dyn Work>> {
-        let mut state = self.lock();
-        state.threads -= 1;
-        if state.threads > 0 {
-            return Ok(());
-        }
-        let mut queue = state.queue.iter();
-        let Some(at) = queue.position(|(queued, _)| queued.number == number) else {
-            return Ok(());
-        };
-        let taken = state.queue.remove(at);
-        drop(state);
-        taken.map_or(Ok(()), |(_, work)| Err(work))
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
@@ -144,18 +113,15 @@ impl Verifications {
 impl Verification {
     /// Records how far it has come.
     pub fn advance(&self, share: f64) {
-        let mut state = self.all.lock();
-        let mut own = state.entries.iter_mut();
-        if let Some(entry) = own.find(|entry| entry.number == self.number) {
-            entry.share = share;
+        if let Some(entry) = self.all.lock().entries.get_mut(&self.number) {
+            entry.1 = share;
         }
     }
 }
 
 impl Drop for Verification {
     fn drop(&mut self) {
-        let number = self.number;
-        self.all.lock().entries.retain(|it| it.number != number);
+        self.all.lock().entries.remove(&self.number);
     }
 }
 
@@ -168,12 +134,6 @@ mod tests {
 
     use super::*;
 
-    impl<F: FnOnce(Arc<Verification>) + Send> Work for F {
-        fn run(self: Box<Self>, verification: Arc<Verification>) {
-            self(verification);
-        }
-    }
-
     const PATIENCE: Duration = Duration::from_secs(20);
 
     /// Begins a verification that advances to each share that is sent, and ends when the sender is
@@ -181,7 +141,7 @@ mod tests {
     fn begin(all: &Arc<Verifications>, swarm: &Arc<str>) -> Option<(Sender<f64>, Receiver<u64>)> {
         let (shares, to_take) = channel();
         let (running, runs) = channel();
-        let work = Box::new(move |own: Arc<Verification>| {
+        let work = Box::new(move |own: Verification| {
             // Some tests do not ask when it runs.
             let _ = running.send(own.number);
             while let Ok(share) = to_take.recv() {

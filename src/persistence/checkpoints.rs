@@ -4,18 +4,21 @@ use jostle_proto as proto;
 
 use crate::convert::durable;
 use crate::persistence::journal_reader;
+use crate::store::Store;
 use crate::swarm::checkpoint::Checkpoint;
 
 /// Reads the file of a snapshot.
 pub fn read_snapshot(file: &[u8]) -> Result<Checkpoint, String> {
-    let snapshot = proto::Snapshot::from_file(file)?;
-    durable::checkpoint(&snapshot, &journal_reader::parse_command)
-        .map_err(|error| error.to_string())
+    parse(&proto::Snapshot::from_file(file)?)
 }
 
-/// Reads a stored checkpoint, whose checksum the store has verified.
-pub(super) fn read_checkpoint(body: &[u8]) -> Result<Checkpoint, String> {
-    let snapshot = proto::Snapshot::from_cbor(body)?;
-    durable::checkpoint(&snapshot, &journal_reader::parse_command)
-        .map_err(|error| error.to_string())
+/// Reads a stored checkpoint, whose checksum the store verifies.
+pub(super) fn read_stored(store: &Store, swarm: &str, number: u64) -> Result<Checkpoint, String> {
+    let stored = store.checkpoint(swarm, number);
+    let body = stored.map_err(|error| error.to_string())?.body;
+    parse(&proto::Snapshot::from_cbor(&body)?)
+}
+
+fn parse(snapshot: &proto::Snapshot) -> Result<Checkpoint, String> {
+    durable::checkpoint(snapshot, &journal_reader::parse_command).map_err(|error| error.to_string())
 }

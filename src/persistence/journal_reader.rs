@@ -12,10 +12,10 @@ use crate::store::{Row, Store, StoreError};
 use crate::swarm::command::Command;
 use crate::swarm::journal::{Line, Record};
 use crate::swarm::sender::Sender;
-use crate::swarm::worker::journal_index::ReplayEntry;
+use crate::swarm::worker::replay::ReplayEntry;
 
 /// Lines per page.
-pub const PAGE_LINES: usize = 1000;
+const PAGE_LINES: usize = 1000;
 
 /// Why a line cannot be read. Iteration ends after it.
 #[derive(Debug, Error)]
@@ -44,51 +44,45 @@ pub struct JournalReader {
     store: Store,
     swarm: String,
     after: u64,
-    until: Option<u64>,
+    until: u64,
     page: vec::IntoIter<Row>,
-    damaged_at: Option<u64>,
     is_last_page: bool,
+    is_damaged: bool,
 }
 
 impl JournalReader {
-    /// The lines after line `after`: all of them, or up to line `until`.
-    pub fn new(store: &Store, swarm: &str, after: u64, until: Option<u64>) -> Self {
+    /// The lines after line `after` up to line `until`, or to the last one.
+    pub fn new(store: &Store, swarm: &str, after: u64, until: u64) -> Self {
         JournalReader {
             store: store.clone(),
             swarm: swarm.to_owned(),
             after,
             until,
             page: Vec::new().into_iter(),
-            damaged_at: None,
             is_last_page: false,
+            is_damaged: false,
         }
-    }
-
-    fn load_page(&mut self) -> Result<(), LineError> {
-        let rows = self.store.rows(&self.swarm, self.after, PAGE_LINES)?;
-        self.is_last_page = rows.rows.len() < PAGE_LINES;
-        self.damaged_at = rows.damaged_at;
-        self.page = rows.rows.into_iter();
-        Ok(())
     }
 
     fn read(&mut self) -> Result<Option<ReplayEntry>, LineError> {
-        let number = self.after + 1;
-        if self.until.is_some_and(|until| until < number) {
+        if self.after >= self.until {
             return Ok(None);
         }
-        if self.page.as_slice().is_empty() && self.damaged_at.is_none() && !self.is_last_page {
-            self.load_page()?;
+        if self.page.as_slice().is_empty() && !self.is_last_page {
+            let page = self.store.rows(&self.swarm, self.after, PAGE_LINES)?;
+            self.is_last_page = page.rows.len() < PAGE_LINES;
+            self.is_damaged = page.damaged_at.is_some();
+            self.page = page.rows.into_iter();
         }
+        let number = self.after + 1;
         let damaged = |problem| LineError::Damaged { number, problem };
         match self.page.next() {
             Some(row) if row.number == number => {
                 self.after = number;
-                parse_line(&row).map(Some).map_err(damaged)
+                parse_entry(&row).map(Some).map_err(damaged)
             }
             Some(_) => Err(LineError::Gone(number)),
-            None if self.damaged_at.is_some() => Err(damaged("its checksum is wrong".into())),
-            None if self.until.is_some() => Err(LineError::Gone(number)),
+            None if self.is_damaged => Err(damaged("its checksum is wrong".into())),
             None => Ok(None),
         }
     }
@@ -101,24 +95,46 @@ impl Iterator for JournalReader {
         let read = self.read();
         if read.is_err() {
             // The lines after it cannot be trusted.
-            self.until = Some(self.after);
+            self.until = self.after;
         }
         read.transpose()
     }
 }
 
-/// Parses a line, and its command if it records one.
-pub fn parse_line(row: &Row) -> Result<ReplayEntry, String> {
-    let record = durable::read_record(&row.body).map_err(|error| error.to_string())?;
-    let command = match &record {
-        Record::Input { sender, .. } => Some(parse_command(sender)?),
-        _ => None,
-    };
-    let line = Line {
+/// Reads the lines after line `after` up to line `until` that are stored and can be parsed.
+pub fn read_lines(
+    store: &Store,
+    swarm: &str,
+    mut after: u64,
+    until: u64,
+) -> Result<Vec<Line>, StoreError> {
+    let mut lines = Vec::new();
+    while after < until {
+        let rows = store.rows(swarm, after, PAGE_LINES)?.rows;
+        let Some(last) = rows.last() else {
+            break;
+        };
+        after = last.number;
+        let rows = rows.iter().filter(|row| row.number <= until);
+        lines.extend(rows.filter_map(|row| parse_line(row).ok()));
+    }
+    Ok(lines)
+}
+
+fn parse_line(row: &Row) -> Result<Line, String> {
+    Ok(Line {
         number: row.number,
         epoch: row.epoch,
         step: row.step,
-        record,
+        record: durable::read_record(&row.body).map_err(|error| error.to_string())?,
+    })
+}
+
+fn parse_entry(row: &Row) -> Result<ReplayEntry, String> {
+    let line = parse_line(row)?;
+    let command = match &line.record {
+        Record::Input { sender, .. } => Some(parse_command(sender)?),
+        _ => None,
     };
     Ok((line, command))
 }

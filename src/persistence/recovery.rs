@@ -9,23 +9,28 @@ use thiserror::Error;
 use tracing::{error, info, warn};
 
 use crate::convert::commands::CommandError;
-use crate::convert::{self, Payload, durable};
-use crate::persistence::checkpoints::read_checkpoint;
-use crate::persistence::journal_reader::{self, JournalReader, LineError, PAGE_LINES};
+use crate::convert::{self, Payload};
+use crate::persistence::checkpoints::read_stored;
+use crate::persistence::journal_reader::{self, JournalReader, LineError, read_lines};
 use crate::persistence::reply_cache::ReplyCache;
 use crate::persistence::writer::{SwarmMetadata, writes};
 use crate::store::{Store, StoreError, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::SwarmError;
+use crate::swarm::frame::Stamp;
+use crate::swarm::history;
 use crate::swarm::journal::{Entry, Line, Record};
 use crate::swarm::outcome::{Rejection, ReplyTo};
+use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::registry::{RegistryError, SwarmRegistry};
 use crate::swarm::sender::Sender;
-use crate::swarm::worker::journal_index::ReplayEntry;
-use crate::swarm::worker::replay::{Applied, ReplaySource, ReplayTarget};
+use crate::swarm::worker::replay::{ReplayEntry, ReplaySource, ReplayTarget};
 
-/// Lines before a checkpoint that are read for the commands in the hitail.
+/// Lines before a checkpoint that are read for the commands in the history.
 const MAX_HISTORY_LINES: u64 = 10_000;
+
+/// Lines before a checkpoint whose replies may be missing.
+const MAX_REPLY_LINES: u64 = 1000;
 
 /// Why a swarm cannot be recovered.
 #[derive(Debug, Error)]
@@ -105,7 +110,7 @@ fn load(
         jostle_convert::value::count(metadata.spec.n),
     )
     .map_err(|error| unreadable(error.to_string()))?;
-    let mut newest = None;
+    let mut chosen = None;
     let mut problem = "it has no checkpoint".to_owned();
     let checkpoints = store.checkpoints(swarm)?;
     // A reply is stored soon after its command, so replies to commands before an older checkpoint
@@ -115,227 +120,171 @@ fn load(
     let settled = settled.filter(|_| store.has_forgotten());
     let replied = settled.map_or(0, |it| it.number);
     for stored in checkpoints {
-        let checkpoint = store
-            .checkpoint(swarm, stored.number)
-            .map_err(|error| error.to_string())
-            .and_then(|it| read_checkpoint(&it.body));
-        match checkpoint {
-            Ok(checkpoint) => {
-                let tail = read_tail(store, swarm, checkpoint)?;
-                if tail.damage.is_some() && newest.is_some() {
-                    // Intact lines are more important than lost replies.
-                    break;
-                }
-                let has_replies =
-                    tail.has_replies(replies, store, swarm, (replied, stored.number))?;
-                if has_replies {
-                    let history = history_before(store, swarm, tail.checkpoint.lines)?;
-                    let tail = tail.truncate(store, swarm);
-                    return Ok((spec, tail.into_source(replies.clone(), swarm, history)));
-                }
-                // A reply was lost: a replay from an older checkpoint produces it again.
-                newest.get_or_insert(tail);
-            }
+        let checkpoint = match read_stored(store, swarm, stored.number) {
+            Ok(checkpoint) => checkpoint,
             Err(error) => {
                 warn!(swarm, step = stored.step, %error, "a checkpoint is damaged: using an older one");
                 problem = error;
+                continue;
             }
+        };
+        let tail = read_tail(store, swarm, checkpoint.lines)?;
+        if matches!(tail.last(), Some(Err(_))) && chosen.is_some() {
+            // Intact lines are more important than lost replies.
+            break;
         }
+        if has_replies(store, swarm, &checkpoint, replies, replied)? {
+            chosen = Some((checkpoint, tail));
+            break;
+        }
+        // A reply was lost: a replay from an older checkpoint produces it again.
+        chosen.get_or_insert((checkpoint, tail));
     }
-    match newest {
-        Some(tail) => {
-            let history = history_before(store, swarm, tail.checkpoint.lines)?;
-            let tail = tail.truncate(store, swarm);
-            Ok((spec, tail.into_source(replies.clone(), swarm, history)))
+    let (checkpoint, mut tail) = chosen.ok_or_else(|| unreadable(problem))?;
+    truncate(store, swarm, &checkpoint, &mut tail);
+    let entries = history_before(store, swarm, &checkpoint)?;
+    let (replies, swarm) = (replies.clone(), swarm.to_owned());
+    let source = ReplaySource {
+        checkpoint,
+        lines: Box::new(tail.into_iter()),
+        entries,
+        reply_for: Box::new(move |sender| rebuild_reply(&replies, &swarm, sender)),
+        to: ReplayTarget::LastInput,
+    };
+    Ok((spec, source))
+}
+
+/// The lines after a checkpoint. If a line is damaged, an error takes its place and ends them.
+type Tail = Vec<Result<ReplayEntry, String>>;
+
+fn read_tail(store: &Store, swarm: &str, after: u64) -> Result<Tail, StoreError> {
+    let lines = JournalReader::new(store, swarm, after, u64::MAX);
+    let lines = lines.map(|line| match line {
+        Ok(line) => Ok(Ok(line)),
+        Err(LineError::Store(error)) => Err(error),
+        Err(error @ (LineError::Damaged { .. } | LineError::Gone(_))) => {
+            warn!(swarm, %error, "the journal is damaged");
+            Ok(Err(error.to_string()))
         }
-        None => Err(unreadable(problem)),
+    });
+    lines.collect()
+}
+
+/// If lines are damaged, replaces them by a fault, in one transaction: later lines then follow lines
+/// that can be replayed.
+fn truncate(store: &Store, swarm: &str, checkpoint: &Checkpoint, tail: &mut Tail) {
+    let Some((Err(damage), intact)) = tail.split_last_mut() else {
+        return;
+    };
+    let (number, epoch, step) = match intact.last() {
+        Some(Ok((line, _))) => match line.record {
+            Record::Resumed(epoch) => (line.number, epoch, line.step),
+            _ => (line.number, line.epoch, line.step),
+        },
+        _ => {
+            let simulation = &checkpoint.simulation;
+            (checkpoint.lines, simulation.epoch, simulation.state.step)
+        }
+    };
+    let line = Line {
+        number: number + 1,
+        epoch,
+        step,
+        record: Record::Fault(damage.clone()),
+    };
+    let truncation = Write::Cut {
+        swarm: swarm.to_owned(),
+        after: number,
+    };
+    let fault = writes(swarm, Entry::Line(line.clone()));
+    match store.commit(std::iter::once(truncation).chain(fault).collect()) {
+        Ok(()) => {
+            error!(swarm, damage, "truncated a damaged journal");
+            tail.pop();
+            tail.push(Ok((line, None)));
+        }
+        Err(fault) => {
+            warn!(swarm, %fault, "failed to truncate a damaged journal: the swarm cannot continue yet");
+        }
     }
 }
 
-/// A checkpoint and the journal after it.
-struct JournalTail {
-    checkpoint: Checkpoint,
-    lines: Vec<ReplayEntry>,
-    damage: Option<String>,
-}
-
-fn read_tail(
+/// Whether the cache has the reply to every command with a request id on the lines after `replied` up
+/// to a checkpoint.
+fn has_replies(
     store: &Store,
     swarm: &str,
-    checkpoint: Checkpoint,
-) -> Result<JournalTail, RecoveryError> {
-    let mut tail = JournalTail {
-        lines: Vec::new(),
-        damage: None,
-        checkpoint,
-    };
-    for line in JournalReader::new(store, swarm, tail.checkpoint.lines, None) {
-        match line {
-            Ok(line) => tail.lines.push(line),
-            Err(LineError::Store(error)) => return Err(error.into()),
-            Err(error @ (LineError::Damaged { .. } | LineError::Gone(_))) => {
-                warn!(swarm, %error, "the journal is damaged");
-                tail.damage = Some(error.to_string());
-            }
-        }
-    }
-    Ok(tail)
-}
-
-impl JournalTail {
-    /// If lines are damaged, replaces them by a fault, in one transaction: later lines then follow lines
-    /// that can be replayed.
-    fn truncate(mut self, store: &Store, swarm: &str) -> Self {
-        let Some(damage) = self.damage.take() else {
-            return self;
-        };
-        let (number, epoch, step) = match self.lines.last() {
-            Some((line, _)) => {
-                let epoch = match line.record {
-                    Record::Resumed(epoch) => epoch,
-                    _ => line.epoch,
-                };
-                (line.number, epoch, line.step)
-            }
-            None => {
-                let Checkpoint {
-                    lines, simulation, ..
-                } = &self.checkpoint;
-                (*lines, simulation.epoch, simulation.state.step)
-            }
-        };
-        let line = Line {
-            number: number + 1,
-            epoch,
-            step,
-            record: Record::Fault(damage.clone()),
-        };
-        let truncation = Write::Cut {
-            swarm: swarm.to_owned(),
-            after: number,
-        };
-        let fault = writes(swarm, Entry::Line(line.clone()));
-        match store.commit(std::iter::once(truncation).chain(fault).collect()) {
-            Ok(()) => {
-                error!(swarm, damage, "truncated a damaged journal");
-                self.lines.push((line, None));
-            }
-            Err(fault) => {
-                warn!(swarm, %fault, "failed to truncate a damaged journal: the swarm cannot continue yet");
-                self.damage = Some(damage);
-            }
-        }
-        self
-    }
-
-    /// Whether the cache has the reply to every command with a request id on the lines after `replied`
-    /// up to `number`, the line of the checkpoint.
-    fn has_replies(
-        &self,
-        replies: &impl ReplyCache,
-        store: &Store,
-        swarm: &str,
-        (replied, number): (u64, u64),
-    ) -> Result<bool, RecoveryError> {
-        let after = replied.max(number.saturating_sub(PAGE_LINES as u64));
-        let rows = store.rows(swarm, after, PAGE_LINES)?;
-        let mut missing = Vec::new();
-        for row in rows.rows.into_iter().filter(|row| row.number <= number) {
-            let number = row.number;
-            match journal_reader::parse_line(&row) {
-                Ok((
-                    Line {
-                        record: Record::Input { sender, .. },
-                        ..
-                    },
-                    _,
-                )) => {
-                    if let Some(id) = &sender.request_id
-                        && !replies.contains(&sender.client, id)
-                    {
-                        missing.push(number);
-                    }
+    checkpoint: &Checkpoint,
+    replies: &impl ReplyCache,
+    replied: u64,
+) -> Result<bool, RecoveryError> {
+    let after = replied.max(checkpoint.lines.saturating_sub(MAX_REPLY_LINES));
+    let mut missing = Vec::new();
+    for line in read_lines(store, swarm, after, checkpoint.lines)? {
+        match line.record {
+            Record::Input { sender, .. } => {
+                if let Some(id) = &sender.request_id
+                    && !replies.contains(&sender.client, id)
+                {
+                    missing.push(line.number);
                 }
-                Ok((
-                    Line {
-                        record:
-                            Record::Became {
-                                input, seq: None, ..
-                            },
-                        ..
-                    },
-                    _,
-                )) => missing.retain(|it| *it != input),
-                _ => {}
             }
-        }
-        // The reply to a pending `step` has not been sent yet.
-        if let Some((_, sender)) = &self.checkpoint.pending
-            && sender.request_id.is_some()
-        {
-            missing.pop();
-        }
-        Ok(missing.is_empty())
-    }
-
-    fn into_source(
-        self,
-        replies: impl ReplyCache,
-        swarm: &str,
-        entries: Vec<Applied>,
-    ) -> ReplaySource {
-        let swarm = swarm.to_owned();
-        ReplaySource {
-            entries,
-            checkpoint: self.checkpoint,
-            index: self.lines.iter().collect(),
-            lines: Box::new(self.lines.into_iter().map(Ok)),
-            damage: self.damage,
-            reply_for: Box::new(move |sender| rebuild_reply(&replies, &swarm, sender)),
-            to: ReplayTarget::LastInput,
+            Record::Became {
+                input, seq: None, ..
+            } => missing.retain(|it| *it != input),
+            _ => {}
         }
     }
+    // The reply to a pending `step` has not been sent yet.
+    if let Some((_, sender)) = &checkpoint.pending
+        && sender.request_id.is_some()
+    {
+        missing.pop();
+    }
+    Ok(missing.is_empty())
 }
 
-/// The commands that were applied up to a line, for `get/journal`.
-fn history_before(store: &Store, swarm: &str, line: u64) -> Result<Vec<Applied>, RecoveryError> {
-    let mut after = line.saturating_sub(MAX_HISTORY_LINES);
+/// The commands that were applied before a checkpoint, for `get/journal`.
+fn history_before(
+    store: &Store,
+    swarm: &str,
+    checkpoint: &Checkpoint,
+) -> Result<Vec<history::Entry>, RecoveryError> {
+    let until = checkpoint.lines;
+    let dt = checkpoint.simulation.state.parameters.dt;
     let (mut inputs, mut entries) = (BTreeMap::new(), Vec::new());
-    while after < line {
-        let rows = store.rows(swarm, after, PAGE_LINES)?.rows;
-        let Some(last) = rows.last().map(|row| row.number) else {
-            break;
+    for line in read_lines(store, swarm, until.saturating_sub(MAX_HISTORY_LINES), until)? {
+        let applied = match line.record {
+            Record::Input {
+                sender,
+                seq,
+                unix_secs,
+                ..
+            } => {
+                inputs.insert(line.number, sender.clone());
+                seq.zip(Some((sender, unix_secs)))
+            }
+            Record::Became {
+                input,
+                seq,
+                unix_secs,
+            } => seq.zip(inputs.remove(&input).zip(Some(unix_secs))),
+            _ => None,
         };
-        for row in rows.into_iter().take_while(|row| row.number <= line) {
-            let (number, epoch, step) = (row.number, row.epoch, row.step);
-            let applied = match durable::read_record(&row.body) {
-                Ok(Record::Input {
-                    sender,
-                    seq,
-                    unix_secs,
-                    ..
-                }) => {
-                    inputs.insert(number, sender.clone());
-                    seq.zip(Some((sender, unix_secs)))
-                }
-                Ok(Record::Became {
-                    input,
-                    seq,
-                    unix_secs,
-                }) => seq.zip(inputs.remove(&input).map(|sender| (sender, unix_secs))),
-                _ => None,
-            };
-            if let Some((seq, (sender, unix_secs))) = applied {
-                entries.push(Applied {
+        if let Some((seq, (sender, unix_secs))) = applied {
+            let (epoch, step) = (line.epoch, line.step);
+            entries.push(history::Entry {
+                stamp: Stamp {
                     epoch,
                     step,
+                    time: step as f64 * dt,
+                    phase: Phase::Paused(PauseReason::Requested),
                     seq,
-                    unix_secs,
-                    sender,
-                });
-            }
+                },
+                unix_secs,
+                sender,
+            });
         }
-        after = last;
     }
     Ok(entries)
 }

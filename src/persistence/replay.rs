@@ -1,125 +1,137 @@
-//! Replays the journal of a swarm up to a step, for forks and verification.
+//! Replays the stored history of a swarm outside the registry: all of it for `verify`, up to a step for
+//! `fork`.
 
 use crate::convert::commands::CommandError;
-use crate::persistence::checkpoints::read_checkpoint;
+use crate::persistence::checkpoints::read_stored;
 use crate::persistence::journal_reader::JournalReader;
-use crate::store::Store;
+use crate::store::{CheckpointInfo, Store};
 use crate::swarm::checkpoint::Checkpoint;
+use crate::swarm::command::Command;
+use crate::swarm::journal::Replayed;
 use crate::swarm::outcome::ReplyTo;
 use crate::swarm::phase::Phase;
-use crate::swarm::worker::journal_index::JournalIndex;
 use crate::swarm::worker::replay::{ReplaySource, ReplayTarget};
 
-/// The result of a replay.
-pub struct Replayed {
-    /// The step of the first checkpoint.
-    pub from: u64,
-    /// The state at the end.
-    pub checkpoint: Checkpoint,
-    /// How many hashes are the same as in the journal.
-    pub same: u64,
-    /// The first epoch and step whose hash differs.
-    pub differs_at: Option<(u64, u64)>,
-}
-
-/// Replays the journal of a swarm: to a step from the last checkpoint before it, to other targets from
-/// the oldest. Passes the replayed fraction of the journal, from 0 to 1, to `on_progress`.
+/// Replays the journal of a swarm from its oldest checkpoint, up to where it was in `present`. Passes
+/// the replayed fraction, from 0 to 1, to `on_progress`. Returns the first step, the final state and
+/// what the replay found.
 ///
 /// # Errors
 ///
 /// [`CommandError::History`] if the checkpoint or the journal is damaged or no longer stored.
-pub fn replay_to(
+pub fn replay_all(
     store: &Store,
     swarm: &str,
-    target: ReplayTarget,
-    on_progress: impl Fn(f64) + Clone + Send + 'static,
-) -> Result<Replayed, CommandError> {
-    // Waits for the queued writes. If they fail, the replay ends early, which is checked below.
-    let _ = store.commit(Vec::new());
-    let history = |problem: String| CommandError::History(problem);
-    let mut checkpoints = store
-        .checkpoints(swarm)
-        .map_err(|it| history(it.to_string()))?;
-    match target {
-        ReplayTarget::Step(step) => checkpoints.retain(|it| it.step <= step),
-        ReplayTarget::LastInput | ReplayTarget::LastHash | ReplayTarget::At(..) => {
-            checkpoints.reverse();
+    present: &Checkpoint,
+    on_progress: impl Fn(f64) + Send + 'static,
+) -> Result<(u64, Checkpoint, Replayed), CommandError> {
+    let mut checkpoints = stored_checkpoints(store, swarm)?;
+    checkpoints.reverse();
+    let checkpoint = first_readable(store, swarm, checkpoints)?;
+    let (from, after) = (checkpoint.simulation.state.step, checkpoint.lines);
+    let (epoch, step) = position(present);
+    let to = match present.phase.is_moving() {
+        true => ReplayTarget::LastHash,
+        false => ReplayTarget::At(epoch, step),
+    };
+    let lines = JournalReader::new(store, swarm, after, present.lines);
+    let all = present.lines.saturating_sub(after) as f64;
+    let lines = lines.inspect(move |line| {
+        if let Ok((line, _)) = line {
+            on_progress((line.number - after - 1) as f64 / all);
+        }
+    });
+    let (end, replayed) = replay(checkpoint, lines, to)?;
+    let is_there = present.phase.is_moving() || position(&end) == (epoch, step);
+    if replayed.differs_at.is_none() && !is_there {
+        return Err(not_on_disk(step, &end));
+    }
+    Ok((from, end, replayed))
+}
+
+/// Replays the journal of a swarm from the last checkpoint before `step`. Returns the state on arrival
+/// at `step` in the last run.
+///
+/// # Errors
+///
+/// [`CommandError::History`] if the checkpoint or the journal is damaged or no longer stored.
+pub fn replay_to(store: &Store, swarm: &str, step: u64) -> Result<Checkpoint, CommandError> {
+    let mut checkpoints = stored_checkpoints(store, swarm)?;
+    checkpoints.retain(|it| it.step <= step);
+    let checkpoint = first_readable(store, swarm, checkpoints)?;
+    let lines = || JournalReader::new(store, swarm, checkpoint.lines, u64::MAX);
+    // The checkpoint may be of an earlier run, if that of the reset is damaged.
+    let mut last_reset = 0;
+    for line in lines() {
+        let (line, command) = line.map_err(|it| CommandError::History(it.to_string()))?;
+        if matches!(command, Some(Command::Reset(_))) {
+            last_reset = line.number;
         }
     }
+    let (lines, to) = (lines(), ReplayTarget::Step(step, last_reset));
+    let (end, replayed) = replay(checkpoint, lines, to)?;
+    match &end.phase {
+        Phase::Faulted(reason) if replayed.differs_at.is_some() => {
+            Err(CommandError::History(reason.clone()))
+        }
+        _ if position(&end).1 != step => Err(not_on_disk(step, &end)),
+        _ => Ok(end),
+    }
+}
+
+/// The stored checkpoints, newest first.
+fn stored_checkpoints(store: &Store, swarm: &str) -> Result<Vec<CheckpointInfo>, CommandError> {
+    // Waits for the queued writes. If they fail, the replay ends early, which is checked later.
+    let _ = store.commit(Vec::new());
+    let checkpoints = store.checkpoints(swarm);
+    checkpoints.map_err(|it| CommandError::History(it.to_string()))
+}
+
+fn first_readable(
+    store: &Store,
+    swarm: &str,
+    checkpoints: Vec<CheckpointInfo>,
+) -> Result<Checkpoint, CommandError> {
     let mut problem =
         "the history before this step is no longer stored: see history_from in get/status"
             .to_owned();
     for stored in checkpoints {
-        let body = store.checkpoint(swarm, stored.number);
-        let checkpoint = match body
-            .map_err(|it| it.to_string())
-            .and_then(|it| read_checkpoint(&it.body))
-        {
-            Ok(checkpoint) => checkpoint,
-            Err(error) => {
-                problem = error;
-                continue;
-            }
-        };
-        let after = checkpoint.lines;
-        let mut index = JournalIndex::default();
-        for line in JournalReader::new(store, swarm, after, None) {
-            index.add(&line.map_err(|it| history(it.to_string()))?);
+        match read_stored(store, swarm, stored.number) {
+            Ok(checkpoint) => return Ok(checkpoint),
+            Err(error) => problem = error,
         }
-        // Lines that are written from now on are not replayed.
-        let until = index.last().unwrap_or(after);
-        let on_progress = on_progress.clone();
-        let lines = JournalReader::new(store, swarm, after, Some(until)).inspect(move |line| {
-            if let Ok((line, _)) = line {
-                on_progress((line.number - after - 1) as f64 / (until - after) as f64);
-            }
-        });
-        let source = ReplaySource {
-            checkpoint,
-            lines: Box::new(lines.map(|line| line.map_err(|it| it.to_string()))),
-            index,
-            damage: None,
-            entries: Vec::new(),
-            reply_for: Box::new(|_| ReplyTo::ignored()),
-            to: target,
-        };
-        let (checkpoint, replay) = source.replay();
-        if let Some(problem) = replay.aborted {
-            return Err(history(problem));
-        }
-        match (target, &checkpoint.phase) {
-            (ReplayTarget::Step(_), Phase::Faulted(reason)) if replay.differs_at.is_some() => {
-                return Err(history(reason.clone()));
-            }
-            (ReplayTarget::Step(step) | ReplayTarget::At(_, step), _)
-                if replay.differs_at.is_none() && !has_reached(&checkpoint, target) =>
-            {
-                return Err(history(format!(
-                    "step {step} is not on the disk yet, where the journal ends at step {}: retry \
-                     in a moment, or once the disk has room",
-                    checkpoint.simulation.state.step
-                )));
-            }
-            _ => {}
-        }
-        return Ok(Replayed {
-            from: stored.step,
-            checkpoint,
-            same: replay.same,
-            differs_at: replay.differs_at,
-        });
     }
-    Err(history(problem))
+    Err(CommandError::History(problem))
 }
 
-fn has_reached(checkpoint: &Checkpoint, target: ReplayTarget) -> bool {
-    let here = (
-        checkpoint.simulation.epoch,
-        checkpoint.simulation.state.step,
-    );
-    match target {
-        ReplayTarget::Step(step) => here.1 == step,
-        ReplayTarget::At(epoch, step) => here == (epoch, step),
-        ReplayTarget::LastInput | ReplayTarget::LastHash => true,
+fn replay(
+    checkpoint: Checkpoint,
+    lines: impl Iterator<Item = <JournalReader as Iterator>::Item> + Send + 'static,
+    to: ReplayTarget,
+) -> Result<(Checkpoint, Replayed), CommandError> {
+    let source = ReplaySource {
+        checkpoint,
+        lines: Box::new(lines.map(|line| line.map_err(|it| it.to_string()))),
+        entries: Vec::new(),
+        reply_for: Box::new(|_| ReplyTo::ignored()),
+        to,
+    };
+    let (end, mut replayed) = source.replay();
+    match replayed.problem.take() {
+        Some(problem) => Err(CommandError::History(problem)),
+        None => Ok((end, replayed)),
     }
+}
+
+fn not_on_disk(step: u64, end: &Checkpoint) -> CommandError {
+    CommandError::History(format!(
+        "step {step} is not on the disk yet, where the journal ends at step {}: retry in a moment, or \
+         once the disk has room",
+        end.simulation.state.step
+    ))
+}
+
+fn position(checkpoint: &Checkpoint) -> (u64, u64) {
+    let simulation = &checkpoint.simulation;
+    (simulation.epoch, simulation.state.step)
 }

@@ -7,7 +7,7 @@ use jostle_proto as proto;
 use serde::{Deserialize, Serialize};
 
 use crate::convert::digest::RequestIdentity;
-use crate::convert::{self, durable};
+use crate::convert::{self, Payload, durable};
 use crate::store::{self, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::WriteFault;
@@ -82,34 +82,20 @@ impl PersistNew for NewSwarm {
         stamp: &Stamp,
         frame: &Arc<Frame>,
     ) -> Result<(), WriteFault> {
-        let NewSwarm {
-            store,
-            name,
-            spec,
-            identity,
-        } = *self;
+        let new = *self;
         let metadata = SwarmMetadata {
-            spec: jostle_convert::spec::to_proto(&spec, spec.seed),
+            spec: jostle_convert::spec::to_proto(&new.spec, new.spec.seed),
         };
         let mut writes = vec![Write::Create {
-            swarm: name.clone(),
+            swarm: new.name.clone(),
             about: proto::to_cbor(&metadata),
-            first: stored_checkpoint(&name, checkpoint),
+            first: stored_checkpoint(&new.name, checkpoint),
         }];
-        if let Some(identity) = identity {
-            let payload = convert::created(&name, stamp, &spec, frame, true);
-            writes.push(Write::Answer(store::Answer {
-                client: identity.client,
-                request_id: identity.request_id,
-                digest: identity.digest,
-                swarm: name,
-                number: 0,
-                is_ok: true,
-                encoding: payload.encoding.to_owned(),
-                body: payload.bytes,
-            }));
+        if let Some(identity) = new.identity {
+            let payload = convert::created(&new.name, stamp, &new.spec, frame, true);
+            writes.push(stored_reply(&new.name, identity, payload));
         }
-        store.commit(writes).map_err(fault)
+        new.store.commit(writes).map_err(fault)
     }
 }
 
@@ -135,22 +121,31 @@ pub(crate) fn writes(swarm: &str, entry: Entry) -> Vec<Write> {
         Entry::End(stamp, sender) => {
             let reply = sender.request_id.clone().zip(sender.digest);
             let reply = reply.map(|(request_id, digest)| {
-                let payload = convert::outcome(&swarm, &stamp, Outcome::Done, None);
-                Write::Answer(store::Answer {
+                let identity = RequestIdentity {
                     client: sender.client.clone(),
                     request_id,
                     digest,
-                    swarm: swarm.clone(),
-                    number: 0,
-                    is_ok: true,
-                    encoding: payload.encoding.to_owned(),
-                    body: payload.bytes,
-                })
+                };
+                let payload = convert::outcome(&swarm, &stamp, Outcome::Done, None);
+                stored_reply(&swarm, identity, payload)
             });
             let end = Write::Delete { swarm };
             std::iter::once(end).chain(reply).collect()
         }
     }
+}
+
+fn stored_reply(swarm: &str, identity: RequestIdentity, payload: Payload) -> Write {
+    Write::Answer(store::Answer {
+        client: identity.client,
+        request_id: identity.request_id,
+        digest: identity.digest,
+        swarm: swarm.to_owned(),
+        number: 0,
+        is_ok: true,
+        encoding: payload.encoding.to_owned(),
+        body: payload.bytes,
+    })
 }
 
 fn stored_checkpoint(swarm: &str, checkpoint: &Checkpoint) -> store::Checkpoint {

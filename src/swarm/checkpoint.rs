@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jostle_physics::simulation::{self, Rate};
 
 use crate::swarm::membership::ControllerState;
-use crate::swarm::phase::Phase;
+use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
 
@@ -34,6 +34,21 @@ pub struct Checkpoint {
 }
 
 impl Checkpoint {
+    /// The start of a new swarm.
+    pub fn start(simulation: simulation::Checkpoint) -> Self {
+        Checkpoint {
+            phase: Phase::Paused(PauseReason::Created),
+            rate: simulation.spec.rate,
+            simulation,
+            scheduled: Vec::new(),
+            pending: None,
+            controllers: Vec::new(),
+            events: 0,
+            lines: 0,
+            is_last: false,
+        }
+    }
+
     /// The start of another swarm with the same state: paused, with a history of its own.
     #[must_use]
     pub fn for_another(mut self, phase: Phase) -> Self {
@@ -43,16 +58,12 @@ impl Checkpoint {
         }
         Checkpoint {
             phase,
-            pending: None,
-            controllers: Vec::new(),
-            simulation: simulation::Checkpoint {
+            rate: self.rate,
+            scheduled: self.scheduled,
+            ..Checkpoint::start(simulation::Checkpoint {
                 epoch: 1,
                 ..self.simulation
-            },
-            events: 0,
-            lines: 0,
-            is_last: false,
-            ..self
+            })
         }
     }
 }

@@ -41,55 +41,46 @@ pub struct Page<T> {
 
 /// The past events and applied commands of a swarm. The oldest are evicted.
 #[derive(Default)]
-pub struct History(Mutex<Records>);
-
-#[derive(Default)]
-struct Records {
-    events: Ring<Event>,
-    entries: Ring<Entry>,
+pub struct History {
+    events: Mutex<Ring<Event>>,
+    entries: Mutex<Ring<Entry>>,
 }
 
 impl History {
     /// Adds an event, and the command if it is the event of one.
     pub fn record_event(&self, event: &Event) {
-        let mut records = self.lock();
         if let EventKind::Command(sender) = &event.kind {
-            let entry = Entry {
+            self.record_command(Entry {
                 stamp: event.stamp.clone(),
                 unix_secs: event.unix_secs,
                 sender: sender.clone(),
-            };
-            let bytes = RECORD_BYTES + sender.bytes();
-            let number = entry.stamp.seq;
-            records.entries.push(number, bytes, entry, MAX_ENTRIES);
+            });
         }
         let bytes = RECORD_BYTES + event.kind.bytes();
-        records
-            .events
-            .push(event.number, bytes, event.clone(), MAX_EVENTS);
+        lock(&self.events).push(event.number, bytes, event.clone(), MAX_EVENTS);
     }
 
     /// Adds a command that has no event in this history.
     pub fn record_command(&self, entry: Entry) {
         let bytes = RECORD_BYTES + entry.sender.bytes();
         let number = entry.stamp.seq;
-        self.lock().entries.push(number, bytes, entry, MAX_ENTRIES);
+        lock(&self.entries).push(number, bytes, entry, MAX_ENTRIES);
     }
 
     /// At most `limit` events after number `after`.
     pub fn events(&self, after: u64, limit: usize) -> Page<Event> {
-        self.lock().events.after(after, limit)
+        lock(&self.events).after(after, limit)
     }
 
     /// At most `limit` commands applied after `seq`.
     pub fn entries(&self, seq: u64, limit: usize) -> Page<Entry> {
-        self.lock().entries.after(seq, limit)
+        lock(&self.entries).after(seq, limit)
     }
+}
 
-    fn lock(&self) -> MutexGuard<'_, Records> {
-        // A panic between two assignments of a ring could at worst miscount its bytes.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+fn lock<T>(ring: &Mutex<Ring<T>>) -> MutexGuard<'_, Ring<T>> {
+    // A panic between two assignments of a ring could at worst miscount its bytes.
+    ring.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Numbered records within bounds.

@@ -4,8 +4,7 @@
 //! commands at the same steps produce the same states. Only commands that are sent thousands of times
 //! a second, such as `step`, are executed before they are durable (group commit).
 
-use std::collections::BTreeSet;
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use crate::swarm::checkpoint::Checkpoint;
@@ -106,32 +105,53 @@ impl JournalWriter for NoWriter {
 pub struct Journal {
     writer: Arc<dyn JournalWriter>,
     lines: u64,
-    durable: Arc<Durable>,
+    progress: Arc<Mutex<Progress>>,
     /// The step that is durable once all queued entries are.
     queued_step: u64,
-    is_replaying: bool,
-    /// While it is replayed: the commands whose outcomes it records.
-    settled: BTreeSet<u64>,
-    /// While it is replayed: the outcomes that a crash prevented from being written, and where.
+    /// While it is replayed: what has been read of it.
+    replay: Option<Replayed>,
+}
+
+/// What a replay has read of a journal, and what it found.
+#[derive(Default)]
+pub struct Replayed {
+    /// The last outcome of each command by its line: its `seq`, and the wall-clock time.
+    outcomes: BTreeMap<u64, (Option<u64>, Option<f64>)>,
+    /// The hashes by epoch and step.
+    hashes: BTreeMap<(u64, u64), [u8; 32]>,
+    /// Outcomes that a crash prevented from being written, and where.
     unsettled: Vec<((u64, u64), Record)>,
+    /// How many hashes are the same.
+    pub same: u64,
+    /// The first epoch and step whose hash differs.
+    pub differs_at: Option<(u64, u64)>,
+    /// Why the journal ended before the target.
+    pub problem: Option<String>,
+}
+
+impl Replayed {
+    /// Whether the journal has the outcome of the command whose outcome `record` is.
+    fn has_outcome(&self, record: &Record) -> bool {
+        matches!(record, Record::Became { input, .. } if self.outcomes.contains_key(input))
+    }
 }
 
 /// What a crash does not undo.
-struct Durable {
-    progress: Mutex<Progress>,
-    /// Calls of `append` with a step that is not durable yet.
-    ahead: AtomicUsize,
-}
-
 struct Progress {
     step: u64,
     /// How often a run was interrupted: steps that were queued before do not count afterwards.
     interruptions: u64,
+    /// Calls of `append` with a step that is not durable yet.
+    ahead: usize,
+}
+
+fn lock(progress: &Mutex<Progress>) -> MutexGuard<'_, Progress> {
+    progress.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// A step that is durable once queued entries are.
 pub struct Reached {
-    durable: Arc<Durable>,
+    progress: Arc<Mutex<Progress>>,
     step: u64,
     interruptions: u64,
 }
@@ -139,17 +159,11 @@ pub struct Reached {
 impl Reached {
     /// The entries are durable.
     pub fn is_durable(self) {
-        let mut progress = self.durable.progress();
+        let mut progress = lock(&self.progress);
         if progress.interruptions == self.interruptions {
             progress.step = progress.step.max(self.step);
         }
-        self.durable.ahead.fetch_sub(1, Ordering::Relaxed);
-    }
-}
-
-impl Durable {
-    fn progress(&self) -> MutexGuard<'_, Progress> {
-        self.progress.lock().unwrap_or_else(PoisonError::into_inner)
+        progress.ahead -= 1;
     }
 }
 
@@ -159,17 +173,13 @@ impl Journal {
         Journal {
             writer,
             lines,
-            durable: Arc::new(Durable {
-                progress: Mutex::new(Progress {
-                    step,
-                    interruptions: 0,
-                }),
-                ahead: AtomicUsize::new(0),
-            }),
+            progress: Arc::new(Mutex::new(Progress {
+                step,
+                interruptions: 0,
+                ahead: 0,
+            })),
             queued_step: step,
-            is_replaying: false,
-            settled: BTreeSet::new(),
-            unsettled: Vec::new(),
+            replay: None,
         }
     }
 
@@ -180,45 +190,85 @@ impl Journal {
 
     /// Whether it is being replayed; nothing is written then.
     pub fn is_replaying(&self) -> bool {
-        self.is_replaying
+        self.replay.is_some()
     }
 
     /// Begins a replay.
-    pub fn replay(&mut self) {
-        self.is_replaying = true;
+    pub fn begin_replay(&mut self) {
+        self.replay = Some(Replayed::default());
     }
 
-    /// Sets the commands whose outcomes the journal records.
-    pub fn set_settled(&mut self, settled: BTreeSet<u64>) {
-        self.settled = settled;
+    /// Takes note of a replayed line that records an outcome or a hash. Returns whether it does.
+    pub fn note(&mut self, line: &Line) -> bool {
+        let Some(replay) = &mut self.replay else {
+            return false;
+        };
+        match line.record {
+            Record::Became {
+                input,
+                seq,
+                unix_secs,
+            } => {
+                replay.outcomes.insert(input, (seq, unix_secs));
+            }
+            Record::Hash(hash) => {
+                replay.hashes.insert((line.epoch, line.step), hash);
+            }
+            _ => return false,
+        }
+        true
+    }
+
+    /// During a replay: what became of the command on this line, its `seq` and the wall-clock time, if
+    /// that has been read.
+    pub fn outcome(&self, input: u64) -> Option<(Option<u64>, Option<f64>)> {
+        self.replay.as_ref()?.outcomes.get(&input).copied()
+    }
+
+    /// During a replay: whether a step has the journaled hash; `None` if there is none.
+    pub fn check_hash(&mut self, at: (u64, u64), hash: [u8; 32]) -> Option<bool> {
+        let replay = self.replay.as_mut()?;
+        let is_same = *replay.hashes.get(&at)? == hash;
+        replay.same += u64::from(is_same);
+        if !is_same {
+            replay.differs_at.get_or_insert(at);
+        }
+        Some(is_same)
+    }
+
+    /// During a replay: the epoch and step of the last hash that has been read.
+    pub fn last_hash(&self) -> Option<(u64, u64)> {
+        Some(*self.replay.as_ref()?.hashes.last_key_value()?.0)
     }
 
     /// Ends a replay at this line and step, and writes the outcomes that were not written.
-    pub fn resume(&mut self, lines: u64, step: u64) {
-        self.is_replaying = false;
+    pub fn resume(&mut self, lines: u64, step: u64) -> Replayed {
+        let mut replay = self.replay.take().unwrap_or_default();
+        let unsettled = std::mem::take(&mut replay.unsettled).into_iter();
         self.lines = lines;
-        self.durable.progress().step = step;
+        lock(&self.progress).step = step;
         self.queued_step = step;
-        self.settled.clear();
-        for (at, record) in std::mem::take(&mut self.unsettled) {
+        // The outcome of a command that was to be scheduled is read after the command is applied.
+        for (at, record) in unsettled.filter(|(_, record)| !replay.has_outcome(record)) {
             self.append(at, record, None);
         }
+        replay
     }
 
     /// The last step that a crash does not undo, of a swarm that has ended its run at `step`.
     pub fn durable_step_of(&mut self, step: u64) -> u64 {
-        if self.is_replaying {
+        if self.is_replaying() {
             return step;
         }
         self.interrupt(step);
-        self.durable.progress().step
+        lock(&self.progress).step
     }
 
     /// Ends a run at `step`: the steps that it was to reach beyond are not durable.
     pub fn interrupt(&mut self, step: u64) {
         let is_interrupted = self.queued_step > step;
         self.queued_step = self.queued_step.min(step);
-        let mut progress = self.durable.progress();
+        let mut progress = lock(&self.progress);
         progress.step = progress.step.min(step);
         progress.interruptions += u64::from(is_interrupted);
     }
@@ -235,7 +285,7 @@ impl Journal {
         records: Vec<Record>,
     ) -> Result<u64, WriteFault> {
         let before = self.lines;
-        if self.is_replaying {
+        if self.is_replaying() {
             return Ok(before + 1);
         }
         let lines = records
@@ -246,7 +296,7 @@ impl Journal {
             self.lines = before;
             return Err(fault);
         }
-        let mut progress = self.durable.progress();
+        let mut progress = lock(&self.progress);
         progress.step = progress.step.max(step);
         Ok(before + 1)
     }
@@ -258,9 +308,9 @@ impl Journal {
         record: Record,
         reached: Option<u64>,
     ) -> u64 {
-        if self.is_replaying {
-            if matches!(&record, Record::Became { input, .. } if !self.settled.contains(input)) {
-                self.unsettled.push(((epoch, step), record));
+        if let Some(replay) = &mut self.replay {
+            if matches!(record, Record::Became { .. }) && !replay.has_outcome(&record) {
+                replay.unsettled.push(((epoch, step), record));
             }
             return self.lines;
         }
@@ -272,7 +322,7 @@ impl Journal {
 
     /// Once all queued records are durable, a crash undoes no step up to this one.
     pub fn reach(&mut self, step: u64) {
-        if !self.is_replaying && step > self.queued_step {
+        if !self.is_replaying() && step > self.queued_step {
             let reached = self.reached(step);
             self.writer.append(Vec::new(), Some(reached));
         }
@@ -280,22 +330,23 @@ impl Journal {
 
     fn reached(&mut self, step: u64) -> Reached {
         self.queued_step = self.queued_step.max(step);
-        self.durable.ahead.fetch_add(1, Ordering::Relaxed);
+        let mut progress = lock(&self.progress);
+        progress.ahead += 1;
         Reached {
-            interruptions: self.durable.progress().interruptions,
-            durable: self.durable.clone(),
+            progress: self.progress.clone(),
             step,
+            interruptions: progress.interruptions,
         }
     }
 
     /// Whether so many commands were executed before they are durable that the next one must wait.
     pub fn is_far_ahead(&self) -> bool {
-        self.durable.ahead.load(Ordering::Relaxed) >= MAX_AHEAD
+        lock(&self.progress).ahead >= MAX_AHEAD
     }
 
     /// Queues a checkpoint.
     pub fn keep(&self, checkpoint: Checkpoint) {
-        if !self.is_replaying {
+        if !self.is_replaying() {
             let entry = Entry::Checkpoint(Box::new(checkpoint));
             self.writer.append(vec![entry], None);
         }
@@ -308,15 +359,6 @@ impl Journal {
     /// [`WriteFault`]: it was not written.
     pub fn end(&self, stamp: Stamp, sender: Arc<Sender>) -> Result<(), WriteFault> {
         self.writer.commit(vec![Entry::End(stamp, sender)])
-    }
-
-    /// Waits until all queued entries are durable.
-    ///
-    /// # Errors
-    ///
-    /// [`WriteFault`].
-    pub fn sync(&self) -> Result<(), WriteFault> {
-        self.writer.commit(Vec::new())
     }
 
     /// Begins at step 0 again.

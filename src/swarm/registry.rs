@@ -414,8 +414,9 @@ impl SwarmRegistry {
         let writer = self.journals.open(name);
         let (worker, persist) = match from {
             StartFrom::Spec(persist) => {
-                let simulation = Simulation::with_reserve((*handle.spec).clone(), reserve)?;
-                let worker = Worker::new(simulation, handle, min_interval, writer);
+                let start = Checkpoint::start(Simulation::new(&handle.spec)?.checkpoint());
+                let writer = (writer, reserve);
+                let worker = Worker::from_checkpoint(start, handle, min_interval, writer);
                 (worker, Some(persist))
             }
             StartFrom::Checkpoint(checkpoint, persist) => {
@@ -424,9 +425,7 @@ impl SwarmRegistry {
                 (worker, Some(persist))
             }
             StartFrom::Journal(past) => {
-                let always: ReserveMemory = Box::new(|_| Ok(()));
-                let (mut worker, end) =
-                    Worker::from_journal(*past, handle, min_interval, (writer, always));
+                let (mut worker, _, end) = past.fold(handle, min_interval, writer);
                 if let Some(end) = end {
                     return Ok(Err(end));
                 }

@@ -20,7 +20,6 @@ use crate::swarm::handle::Message;
 use crate::swarm::outcome::{Outcome, Rejection, ReplyTo};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::registry::SwarmRegistry;
-use crate::swarm::worker::replay::ReplayTarget;
 
 impl Context {
     pub(super) fn fork(
@@ -47,13 +46,8 @@ impl Context {
         match step {
             Some(step) => {
                 let (store, swarm) = (self.store.clone(), swarm.clone());
-                let replay = move || match replay::replay_to(
-                    &store,
-                    &swarm,
-                    ReplayTarget::Step(step),
-                    |_| {},
-                ) {
-                    Ok(replayed) => copy.make(replayed.checkpoint),
+                let replay = move || match replay::replay_to(&store, &swarm, step) {
+                    Ok(checkpoint) => copy.make(checkpoint),
                     Err(error) => copy.responder.reject(&error, None),
                 };
                 let thread = thread::Builder::new().name("fork".into());
@@ -103,21 +97,14 @@ pub(super) struct Copy {
 impl Copy {
     /// Makes it, and replies.
     pub(super) fn make(self, checkpoint: Checkpoint) {
-        let Copy {
-            host,
-            store,
-            identity,
-            responder,
-            name,
-            reason,
-        } = self;
-        let checkpoint = checkpoint.for_another(Phase::Paused(reason));
+        let (name, responder) = (self.name, self.responder);
+        let checkpoint = checkpoint.for_another(Phase::Paused(self.reason));
         let spec = checkpoint.simulation.spec.clone();
         let persist = Box::new(NewSwarm {
-            store,
+            store: self.store,
             name: name.clone(),
             spec: spec.clone(),
-            identity,
+            identity: self.identity,
         });
         let answer = || {
             let (responder, name) = (responder.clone(), name.clone());
@@ -127,7 +114,7 @@ impl Copy {
                 });
             })
         };
-        if let Err(error) = host.copy(&name, checkpoint, persist, answer) {
+        if let Err(error) = self.host.copy(&name, checkpoint, persist, answer) {
             responder.reject(&error.into(), None);
         }
     }

@@ -146,7 +146,7 @@ impl Worker {
         sender: Arc<Sender>,
         reply_to: ReplyTo,
     ) -> Option<End> {
-        if self.replay.was_rejected(input) {
+        if let Some((None, _)) = self.journal.outcome(input) {
             reply_to.send(Err(self.rejection(SwarmError::RejectedBefore)));
             return None;
         }
@@ -231,27 +231,23 @@ impl Worker {
             fail_point!("command");
             simulation.apply_all(changes)
         }));
-        match changed {
+        let error = match changed {
             Ok(Ok(outcomes)) => {
                 if !self.controllers.is_empty() {
                     let ids = &self.simulation.state.configuration.id;
                     self.controllers
                         .retain_individuals(|id| ids.binary_search(&id).is_ok());
                 }
-                Ok(outcomes)
+                return Ok(outcomes);
             }
-            Ok(Err((index, error))) => {
-                self.simulation.rollback(before);
-                Err(SwarmError::InBatch {
-                    index,
-                    error: Box::new(error.into()),
-                })
-            }
-            Err(_) => {
-                self.simulation.rollback(before);
-                Err(SwarmError::Panicked)
-            }
-        }
+            Ok(Err((index, error))) => SwarmError::InBatch {
+                index,
+                error: Box::new(error.into()),
+            },
+            Err(_) => SwarmError::Panicked,
+        };
+        self.simulation.rollback(before);
+        Err(error)
     }
 
     pub(super) fn check(&mut self, command: &Command, when: When) -> Result<(), SwarmError> {

@@ -5,7 +5,6 @@
 
 mod commands;
 mod controllers;
-pub mod journal_index;
 mod output;
 pub mod replay;
 mod scheduled;
@@ -16,26 +15,26 @@ use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
-use jostle_physics::simulation::Simulation;
+use jostle_physics::simulation::{ReserveMemory, Simulation};
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
 use crate::swarm::controllers::Controllers;
 use crate::swarm::cpu_scheduler::Share;
-use crate::swarm::error::SwarmError;
+use crate::swarm::error::{SwarmError, WriteFault};
+use crate::swarm::failpoint;
 use crate::swarm::frame::{EventKind, Summary};
 use crate::swarm::handle::{Handle, Message, receive};
 use crate::swarm::history::History;
-use crate::swarm::journal::{Journal, JournalWriter};
+use crate::swarm::journal::{Journal, JournalWriter, Record};
 use crate::swarm::metrics::SwarmMetrics;
 use crate::swarm::outcome::{DeferredReply, Outcome, Rejection, ReplyTo};
 use crate::swarm::output::Output;
 use crate::swarm::pace::Pace;
-use crate::swarm::phase::{PauseReason, Phase};
+use crate::swarm::phase::Phase;
 use crate::swarm::schedule::Schedule;
 use crate::swarm::sender::Sender;
 use crate::swarm::waiters::Waiters;
-use crate::swarm::worker::journal_index::ReplayState;
 
 /// Messages handled between two steps: a flood of them slows a swarm but never stops it.
 const MAX_MESSAGES_PER_STEP: usize = 64;
@@ -73,7 +72,6 @@ pub struct Worker {
     since_checkpoint: SinceCheckpoint,
     /// The wall-clock time in the journal and events of the command that is being executed, if one is.
     applied_at: Option<Option<f64>>,
-    replay: ReplayState,
 }
 
 /// A `step` command that is being executed.
@@ -120,38 +118,42 @@ pub enum End {
 }
 
 impl Worker {
-    /// A paused worker of a new swarm.
-    pub fn new(
-        simulation: Simulation,
+    /// A worker of a new swarm that starts from a checkpoint.
+    pub fn from_checkpoint(
+        checkpoint: Checkpoint,
         handle: &Handle,
         min_frame_interval: Duration,
-        writer: Arc<dyn JournalWriter>,
+        (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
     ) -> Self {
-        let journal = Journal::new(writer, 0, simulation.state.step);
-        let mut worker = Worker::with_journal(simulation, handle, min_frame_interval, journal);
-        worker.push_event(EventKind::Created);
-        worker.update_summary();
+        let mut worker = Worker::restore(checkpoint, handle, min_frame_interval, (writer, reserve));
+        worker.publish_created();
         worker
     }
 
-    fn with_journal(
-        simulation: Simulation,
+    fn publish_created(&mut self) {
+        if self.events == 0 {
+            self.push_event(EventKind::Created);
+        }
+        self.update_summary();
+    }
+
+    fn restore(
+        checkpoint: Checkpoint,
         handle: &Handle,
         min_frame_interval: Duration,
-        journal: Journal,
+        (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
     ) -> Self {
-        let now = Instant::now();
-        let rate = simulation.spec.rate;
-        Worker {
-            pace: Pace::new(rate, simulation.spec.parameters.dt, now),
+        let simulation = Simulation::from_checkpoint(&checkpoint.simulation, reserve);
+        let (now, state) = (Instant::now(), &simulation.state);
+        let mut worker = Worker {
+            pace: Pace::new(checkpoint.rate, state.parameters.dt, now),
             cpu_share: handle.cpu_share(),
-            journal,
+            journal: Journal::new(writer, checkpoint.lines, state.step),
             since_checkpoint: SinceCheckpoint::new(),
             applied_at: None,
-            replay: ReplayState::default(),
             simulation,
-            phase: Phase::Paused(PauseReason::Created),
-            rate,
+            phase: checkpoint.phase,
+            rate: checkpoint.rate,
             output: handle.output.clone(),
             history: handle.history.clone(),
             metrics: handle.metrics.clone(),
@@ -160,21 +162,54 @@ impl Worker {
             summary_updated: now,
             min_frame_interval,
             frame_due: now,
-            events: 0,
+            events: checkpoint.events,
             pending: None,
             waiters: Waiters::default(),
             controllers: Controllers::default(),
+        };
+        for (at_step, scheduled) in checkpoint.scheduled {
+            // They were within the limits when they were scheduled.
+            let _ = worker.schedule.add(at_step, scheduled);
         }
+        worker.reset_pace();
+        worker
+    }
+
+    /// Begins a new epoch after a replay, and journals it.
+    ///
+    /// # Errors
+    ///
+    /// [`WriteFault`]: the line is queued instead, and the swarm continues.
+    pub fn resume(&mut self, reserve: ReserveMemory) -> Result<(), WriteFault> {
+        self.simulation.set_reserve(reserve);
+        let (before, epoch) = (self.at(), self.simulation.epoch + 1);
+        self.simulation.epoch = epoch;
+        self.reset_pace();
+        let written = self.journal.commit(before, vec![Record::Resumed(epoch)]);
+        failpoint::kill("swarm-resumed");
+        if written.is_err() {
+            // The later lines belong to this epoch, so this line is queued before them.
+            self.journal.append(before, Record::Resumed(epoch), None);
+        }
+        self.push_event(EventKind::Phase);
+        self.save_checkpoint();
+        self.update_summary();
+        self.update_lockstep();
+        written.map(drop)
+    }
+
+    fn reset_pace(&mut self) {
+        let rate = match self.phase {
+            Phase::Stepping { .. } => None,
+            _ => self.rate,
+        };
+        let dt = self.simulation.state.parameters.dt;
+        self.pace = Pace::new(rate, dt, Instant::now());
     }
 
     /// The size of the group.
     pub fn n(&self) -> usize {
         self.simulation.state.configuration.n()
-    }
-
-    /// The results of the replay.
-    pub fn into_replay(self) -> ReplayState {
-        self.replay
     }
 
     /// The whole present state.

@@ -1,24 +1,35 @@
-//! Recovers a swarm from a checkpoint by replaying its journal.
+//! The replay of a journal: a fold of its lines over a checkpoint. Recovery, verify and fork call it,
+//! and differ in where it begins and ends ([`ReplayTarget`]).
+//!
+//! `Fold::read` reads each line once and in order. Lines with outcomes and hashes change nothing: the
+//! journal of the worker notes them. The other lines record a command, a fault or a restart.
+//! `Fold::apply` steps to the place of such a line and applies it, by the code that a running swarm
+//! uses. Commands that are executed on the way there were journaled before that line, so their outcomes
+//! and the hashes have been noted. Only the outcome of a command that is executed at once follows its
+//! own line, so that line waits until the outcome has been read: a command that was rejected for a
+//! reason that a replay cannot reproduce must not be applied.
+//!
+//! Outcomes and hashes may follow the last such line. Recovery does not step to them: the swarm takes
+//! those steps again, in its next epoch.
 
+use std::collections::VecDeque;
+use std::ops::ControlFlow::{self, Break, Continue};
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use jostle_physics::simulation::{ReserveMemory, Simulation};
+use jostle_physics::simulation::ReserveMemory;
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::{Command, When};
 use crate::swarm::controllers::Controllers;
-use crate::swarm::error::WriteFault;
 use crate::swarm::failpoint;
-use crate::swarm::frame::{EventKind, Stamp};
+use crate::swarm::frame::EventKind;
 use crate::swarm::handle::{CommandMessage, Handle};
 use crate::swarm::history::Entry;
-use crate::swarm::journal::{Journal, JournalWriter, NoWriter, Record};
+use crate::swarm::journal::{JournalWriter, Line, NoWriter, Record, Replayed};
 use crate::swarm::outcome::ReplyTo;
-use crate::swarm::pace::Pace;
-use crate::swarm::phase::{PauseReason, Phase};
+use crate::swarm::phase::Phase;
 use crate::swarm::sender::Sender;
-use crate::swarm::worker::journal_index::{JournalIndex, ReplayEntry, ReplayState};
 use crate::swarm::worker::{End, Pending, Worker};
 
 /// A replay does not reproduce all events that were published between the checkpoint and the crash.
@@ -28,52 +39,28 @@ const EVENT_NUMBER_BLOCK: u64 = 1 << 20;
 /// Niceness of a thread that only replays: lower priority than the hosted swarms.
 const REPLAY_NICENESS: i32 = 15;
 
+/// Lines that wait for an outcome. It follows within a batch of commands, which is shorter; one that a
+/// full disk or a crash prevented from being written never does.
+const MAX_WAITING: usize = 1024;
+
 /// Makes the callback that receives the reply to a replayed command.
 pub type ReplyFor = Box<dyn Fn(&Arc<Sender>) -> ReplyTo + Send>;
+
+/// A line of a journal, and its command if it records one.
+pub type ReplayEntry = (Line, Option<Command>);
 
 /// A checkpoint and the journal to replay from it.
 pub struct ReplaySource {
     /// The first state.
     pub checkpoint: Checkpoint,
-    /// The lines after the checkpoint, in order, read during the replay; or why they end.
+    /// The lines after the checkpoint, in order, or why they end.
     pub lines: Box<dyn Iterator<Item = Result<ReplayEntry, String>> + Send>,
-    /// The index of all those lines.
-    pub index: JournalIndex,
-    /// Why the lines after these cannot be replayed, if there are such.
-    pub damage: Option<String>,
     /// Commands that were applied before the checkpoint, for the history.
-    pub entries: Vec<Applied>,
+    pub entries: Vec<Entry>,
     /// Receives the replies, some of which the client did not get before the crash.
     pub reply_for: ReplyFor,
     /// Where the replay ends.
     pub to: ReplayTarget,
-}
-
-impl ReplaySource {
-    /// Replays it outside the registry, for verification and copies. Returns the final state and
-    /// what the replay found.
-    pub fn replay(self) -> (Checkpoint, ReplayState) {
-        let _ = rustix::process::setpriority_process(None, REPLAY_NICENESS);
-        let handle = Handle::alone(self.checkpoint.simulation.spec.clone());
-        let always: ReserveMemory = Box::new(|_| Ok(()));
-        let (worker, _) =
-            Worker::from_journal(self, &handle, Duration::ZERO, (Arc::new(NoWriter), always));
-        (worker.checkpoint(), worker.into_replay())
-    }
-}
-
-/// A command that was applied.
-pub struct Applied {
-    /// The epoch.
-    pub epoch: u64,
-    /// The step.
-    pub step: u64,
-    /// Its number among the applied commands.
-    pub seq: u64,
-    /// The wall-clock time, in seconds since 1970, if known.
-    pub unix_secs: Option<f64>,
-    /// The command and who sent it.
-    pub sender: Arc<Sender>,
 }
 
 /// Where a replay ends.
@@ -85,249 +72,187 @@ pub enum ReplayTarget {
     LastHash,
     /// At this epoch and step, after the commands that were executed there.
     At(u64, u64),
-    /// On reaching this step of the last run, before the commands that were executed there.
-    Step(u64),
+    /// On reaching this step after this line, before the commands that were executed there.
+    Step(u64, u64),
 }
 
-impl Worker {
-    /// Recovers a worker from a checkpoint and its journal.
-    ///
-    /// `reserve` grants memory during the replay: the swarm fitted before. Returns the end of the swarm
-    /// too, if the journal contains it.
-    pub fn from_journal(
-        source: ReplaySource,
+impl ReplaySource {
+    /// Replays it outside the registry, for verification and forks. Returns the final state and what
+    /// the replay found.
+    pub fn replay(self) -> (Checkpoint, Replayed) {
+        let _ = rustix::process::setpriority_process(None, REPLAY_NICENESS);
+        let handle = Handle::alone(self.checkpoint.simulation.spec.clone());
+        let (worker, replayed, _) = self.fold(&handle, Duration::ZERO, Arc::new(NoWriter));
+        (worker.checkpoint(), replayed)
+    }
+
+    /// Replays it. Returns the end of the swarm too, if the journal contains it.
+    pub fn fold(
+        self,
         handle: &Handle,
         min_frame_interval: Duration,
-        (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
-    ) -> (Self, Option<End>) {
-        let ReplaySource {
-            checkpoint,
-            lines,
-            index,
-            damage,
-            entries,
-            reply_for,
-            to,
-        } = source;
-        for entry in entries {
-            handle.history.record_command(Entry {
-                stamp: Stamp {
-                    epoch: entry.epoch,
-                    step: entry.step,
-                    time: entry.step as f64 * checkpoint.simulation.state.parameters.dt,
-                    phase: Phase::Paused(PauseReason::Requested),
-                    seq: entry.seq,
-                },
-                unix_secs: entry.unix_secs,
-                sender: entry.sender,
-            });
+        writer: Arc<dyn JournalWriter>,
+    ) -> (Worker, Replayed, Option<End>) {
+        for entry in self.entries {
+            handle.history.record_command(entry);
         }
-        let is_last = checkpoint.is_last && index.last().is_none();
-        let pending = checkpoint.pending.clone();
-        let joined = checkpoint.controllers.clone();
-        let mut worker = Worker::restore(checkpoint, handle, min_frame_interval, (writer, reserve));
+        let (first, is_last) = (self.checkpoint.lines, self.checkpoint.is_last);
+        let pending = self.checkpoint.pending.clone();
+        let joined = self.checkpoint.controllers.clone();
+        // The swarm fitted before.
+        let reserve: ReserveMemory = Box::new(|_| Ok(()));
+        let writer = (writer, reserve);
+        let mut worker = Worker::restore(self.checkpoint, handle, min_frame_interval, writer);
         // The time of its creation is not stored.
         worker.applied_at(None, Worker::publish_created);
-        worker.journal.replay();
+        worker.journal.begin_replay();
         worker.pending = pending.map(|(from, sender)| Pending {
-            reply_to: reply_for(&sender),
+            reply_to: (self.reply_for)(&sender),
             from,
             sender,
         });
-        worker.controllers = Controllers::restore(joined, &reply_for);
-        let end = worker.replay_lines(lines, index, damage, &reply_for, to);
-        if !is_last {
+        worker.controllers = Controllers::restore(joined, &self.reply_for);
+        let mut fold = Fold {
+            worker,
+            reply_for: self.reply_for,
+            to: self.to,
+            waiting: VecDeque::new(),
+        };
+        let (mut last, mut problem) = (first, None);
+        let mut lines = self
+            .lines
+            .map_while(|line| line.map_err(|it| problem = Some(it)).ok());
+        let mut stop = lines.try_for_each(|entry| {
+            failpoint::kill("swarm-replayed");
+            last = entry.0.number;
+            fold.read(entry)
+        });
+        drop(lines);
+        if stop.is_continue() {
+            stop = fold.apply_waiting(0);
+        }
+        let mut worker = fold.worker;
+        if let Some(problem) = &problem {
+            worker.fault(problem.clone());
+        }
+        let end = match (stop, fold.to, worker.journal.last_hash()) {
+            (Break(Some(end)), ..) => Some(end),
+            // The journal on disk may end before the target: the caller checks the step reached.
+            (_, ReplayTarget::Step(step, _), _) => worker.step_on(worker.at().0, step),
+            (_, ReplayTarget::At(epoch, step), _) => worker.step_on(epoch, step),
+            (_, ReplayTarget::LastHash, Some((epoch, step))) if worker.at() < (epoch, step) => {
+                worker.advance(epoch, step)
+            }
+            _ => None,
+        };
+        let reached = match worker.phase {
+            Phase::Stepping { until } => until,
+            _ => worker.simulation.state.step,
+        };
+        let mut replayed = worker.journal.resume(last, reached);
+        replayed.problem = problem;
+        if !is_last || last > first {
             worker.skip_event_numbers();
         }
-        (worker, end)
+        (worker, replayed, end)
+    }
+}
+
+/// A replay under way.
+struct Fold {
+    worker: Worker,
+    reply_for: ReplyFor,
+    to: ReplayTarget,
+    /// Lines that have been read and not applied.
+    waiting: VecDeque<ReplayEntry>,
+}
+
+impl Fold {
+    /// Reads the next line, and applies those whose outcomes have been read. Breaks at the target, or
+    /// with the end of the swarm.
+    fn read(&mut self, entry: ReplayEntry) -> ControlFlow<Option<End>> {
+        if !self.worker.journal.note(&entry.0) {
+            self.waiting.push_back(entry);
+        }
+        self.apply_waiting(MAX_WAITING)
     }
 
+    /// Applies lines, until one waits for its outcome and no more than `limit` do.
+    fn apply_waiting(&mut self, limit: usize) -> ControlFlow<Option<End>> {
+        while let Some(entry) = self.waiting.pop_front() {
+            let waits = match entry.0.record {
+                // One that is scheduled has no outcome yet, and one with a `seq` was executed before it
+                // was written.
+                Record::Input { at_step, seq, .. } => at_step.is_none() && seq.is_none(),
+                _ => false,
+            };
+            if waits
+                && self.waiting.len() < limit
+                && self.worker.journal.outcome(entry.0.number).is_none()
+            {
+                self.waiting.push_front(entry);
+                break;
+            }
+            self.apply(entry)?;
+        }
+        Continue(())
+    }
+
+    /// Steps to the place of a line and applies it.
+    fn apply(&mut self, (line, command): ReplayEntry) -> ControlFlow<Option<End>> {
+        let is_beyond = |step, after| line.number > after && line.step >= step;
+        if matches!(self.to, ReplayTarget::Step(step, after) if is_beyond(step, after)) {
+            return Break(None);
+        }
+        let worker = &mut self.worker;
+        if let Some(end) = worker.advance(line.epoch, line.step) {
+            return Break(Some(end));
+        }
+        let end = match (line.record, command) {
+            (
+                Record::Input {
+                    at_step,
+                    sender,
+                    unix_secs,
+                    ..
+                },
+                Some(command),
+            ) if !worker.is_faulted() || matches!(command, Command::Reset(_) | Command::Delete) => {
+                let is_grouped = command.is_group_committed() && at_step.is_none();
+                let input = if is_grouped { 0 } else { line.number };
+                let applied_at = match (at_step, worker.journal.outcome(line.number)) {
+                    (None, Some((_, Some(applied_at)))) => Some(applied_at),
+                    _ => unix_secs,
+                };
+                let message = CommandMessage {
+                    reply_to: (self.reply_for)(&sender),
+                    command,
+                    when: When::default(),
+                    sender,
+                };
+                worker.applied_at(applied_at, |it| it.command(input, at_step, message))
+            }
+            (Record::Resumed(epoch), _) => {
+                worker.simulation.epoch = epoch;
+                // The same event as at that restart.
+                worker.skip_event_numbers();
+                worker.push_event(EventKind::Phase);
+                None
+            }
+            (Record::Fault(reason), _) if !worker.is_faulted() => {
+                worker.fault(reason);
+                None
+            }
+            _ => None,
+        };
+        end.map_or(Continue(()), |end| Break(Some(end)))
+    }
+}
+
+impl Worker {
     /// Skips to event numbers that have not been used.
     fn skip_event_numbers(&mut self) {
         self.events = (self.events / EVENT_NUMBER_BLOCK + 1) * EVENT_NUMBER_BLOCK;
-    }
-
-    /// A worker of a new swarm that starts from a checkpoint.
-    pub fn from_checkpoint(
-        checkpoint: Checkpoint,
-        handle: &Handle,
-        min_frame_interval: Duration,
-        (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
-    ) -> Self {
-        let mut worker = Worker::restore(checkpoint, handle, min_frame_interval, (writer, reserve));
-        worker.publish_created();
-        worker
-    }
-
-    fn publish_created(&mut self) {
-        if self.events == 0 {
-            self.push_event(EventKind::Created);
-        }
-        self.update_summary();
-    }
-
-    fn restore(
-        checkpoint: Checkpoint,
-        handle: &Handle,
-        min_frame_interval: Duration,
-        (writer, reserve): (Arc<dyn JournalWriter>, ReserveMemory),
-    ) -> Self {
-        let simulation = Simulation::from_checkpoint(&checkpoint.simulation, reserve);
-        let mut worker = Worker::with_journal(
-            simulation,
-            handle,
-            min_frame_interval,
-            Journal::new(writer, checkpoint.lines, checkpoint.simulation.state.step),
-        );
-        worker.phase = checkpoint.phase;
-        worker.rate = checkpoint.rate;
-        worker.events = checkpoint.events;
-        for (at_step, scheduled) in checkpoint.scheduled {
-            // They were within the limits when they were scheduled.
-            let _ = worker.schedule.add(at_step, scheduled);
-        }
-        worker.reset_pace();
-        worker
-    }
-
-    /// Begins a new epoch after a replay, and journals it.
-    ///
-    /// # Errors
-    ///
-    /// [`WriteFault`]: the line is queued instead, and the swarm continues.
-    pub fn resume(&mut self, reserve: ReserveMemory) -> Result<(), WriteFault> {
-        self.simulation.set_reserve(reserve);
-        let (before, epoch) = (self.at(), self.simulation.epoch + 1);
-        self.simulation.epoch = epoch;
-        self.reset_pace();
-        let written = self.journal.commit(before, vec![Record::Resumed(epoch)]);
-        failpoint::kill("swarm-resumed");
-        if written.is_err() {
-            // The later lines belong to this epoch, so this line is queued before them.
-            self.journal.append(before, Record::Resumed(epoch), None);
-        }
-        self.push_event(EventKind::Phase);
-        self.save_checkpoint();
-        self.update_summary();
-        self.update_lockstep();
-        written.map(drop)
-    }
-
-    fn reset_pace(&mut self) {
-        let rate = match self.phase {
-            Phase::Stepping { .. } => None,
-            _ => self.rate,
-        };
-        let dt = self.simulation.state.parameters.dt;
-        self.pace = Pace::new(rate, dt, Instant::now());
-    }
-
-    fn replay_lines(
-        &mut self,
-        lines: impl Iterator<Item = Result<ReplayEntry, String>>,
-        index: JournalIndex,
-        damage: Option<String>,
-        reply_for: &dyn Fn(&Arc<Sender>) -> ReplyTo,
-        to: ReplayTarget,
-    ) -> Option<End> {
-        self.journal
-            .set_settled(index.settled.keys().copied().collect());
-        let applied = index.settled.into_iter();
-        self.replay.unix_secs = applied
-            .filter_map(|(input, unix_secs)| Some((input, unix_secs?)))
-            .collect();
-        self.replay.rejected = index.rejected;
-        self.replay.hashes = index.hashes;
-        let mut last = self.journal.lines();
-        let mut end = None;
-        for line in lines {
-            let (line, command) = match line {
-                Ok(line) => line,
-                Err(problem) => {
-                    self.fault(problem.clone());
-                    self.replay.aborted = Some(problem);
-                    break;
-                }
-            };
-            let is_of_last_run = line.number > index.last_reset;
-            if matches!(to, ReplayTarget::Step(step) if is_of_last_run && line.step >= step) {
-                break;
-            }
-            failpoint::kill("swarm-replayed");
-            last = line.number;
-            match (line.record, command) {
-                (
-                    Record::Input {
-                        at_step,
-                        sender,
-                        unix_secs,
-                        ..
-                    },
-                    Some(command),
-                ) => {
-                    end = self.advance(line.epoch, line.step);
-                    if end.is_some()
-                        || matches!(self.phase, Phase::Faulted(_))
-                            && !is_allowed_after_fault(&command)
-                    {
-                        continue;
-                    }
-                    let input = match command {
-                        ref command if command.is_group_committed() && at_step.is_none() => 0,
-                        _ => line.number,
-                    };
-                    let command = CommandMessage {
-                        reply_to: reply_for(&sender),
-                        command,
-                        when: When::default(),
-                        sender,
-                    };
-                    let applied_at = match at_step {
-                        Some(_) => unix_secs,
-                        None => self.replay.unix_secs_of(line.number).or(unix_secs),
-                    };
-                    end = self.applied_at(applied_at, |it| it.command(input, at_step, command));
-                }
-                (Record::Resumed(epoch), _) => {
-                    end = self.advance(line.epoch, line.step);
-                    self.simulation.epoch = epoch;
-                    // The same event as at that restart.
-                    self.skip_event_numbers();
-                    self.push_event(EventKind::Phase);
-                }
-                (Record::Fault(reason), _) if !matches!(self.phase, Phase::Faulted(_)) => {
-                    end = self.advance(line.epoch, line.step);
-                    if !matches!(self.phase, Phase::Faulted(_)) {
-                        self.fault(reason);
-                    }
-                }
-                _ => {}
-            }
-            if end.is_some() {
-                break;
-            }
-        }
-        match (to, index.last_hash) {
-            // The journal on disk may end before the target: the caller checks the step reached.
-            (ReplayTarget::Step(step), _) if end.is_none() => end = self.step_on(self.at().0, step),
-            (ReplayTarget::At(epoch, step), _) if end.is_none() => end = self.step_on(epoch, step),
-            (ReplayTarget::LastHash, Some((epoch, step)))
-                if end.is_none() && self.at() < (epoch, step) =>
-            {
-                end = self.advance(epoch, step);
-            }
-            _ => {}
-        }
-        self.replay.clear();
-        if let Some(damage) = damage {
-            self.fault(damage);
-        }
-        let reached = match self.phase {
-            Phase::Stepping { until } => until,
-            _ => self.simulation.state.step,
-        };
-        self.journal.resume(last, reached);
-        end
     }
 
     /// Steps until `step` of `epoch`, or until the swarm stops moving.
@@ -345,7 +270,7 @@ impl Worker {
         if let Some(end) = self.step_on(epoch, step) {
             return Some(end);
         }
-        if self.at() != (epoch, step) && !matches!(self.phase, Phase::Faulted(_)) {
+        if self.at() != (epoch, step) && !self.is_faulted() {
             let (epoch_now, step_now) = self.at();
             self.fault(format!(
                 "the journal continues at step {step} of epoch {epoch}, which cannot be reached from \
@@ -354,9 +279,8 @@ impl Worker {
         }
         None
     }
-}
 
-/// Whether a faulted swarm accepts a command.
-fn is_allowed_after_fault(command: &Command) -> bool {
-    matches!(command, Command::Reset(_) | Command::Delete)
+    fn is_faulted(&self) -> bool {
+        matches!(self.phase, Phase::Faulted(_))
+    }
 }

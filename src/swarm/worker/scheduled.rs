@@ -66,7 +66,10 @@ impl Worker {
                 }
             };
             let unix_secs = match self.journal.is_replaying() {
-                true => self.replay.unix_secs_of(input),
+                true => self
+                    .journal
+                    .outcome(input)
+                    .and_then(|(_, unix_secs)| unix_secs),
                 false => clock::unix_secs(),
             };
             let end = self.applied_at(unix_secs, |it| {

@@ -106,7 +106,7 @@ impl Worker {
             return true;
         }
         let hash = self.simulation.state.hash();
-        match self.replay.check_hash(at, hash) {
+        match self.journal.check_hash(at, hash) {
             Some(false) => {
                 let step = at.1;
                 self.fault(format!(
