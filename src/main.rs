@@ -4,7 +4,7 @@ use std::process::ExitCode;
 
 use clap::{ArgMatches, FromArgMatches as _};
 use jostled::cli::arguments::{Arguments, Command, Show, command_line, reject_unused};
-use jostled::cli::run::{self, Which};
+use jostled::cli::run;
 use jostled::cli::serve::{self, Mode};
 use jostled::cli::settings;
 use jostled::cli::{self, auth, backup, explain, man, print, process};
@@ -25,29 +25,10 @@ fn main() -> ExitCode {
             command: Show::Default,
         } => print(&explain::default_file()),
         Command::Man { out } => man::manual(out.as_deref()),
-        Command::Run {
-            file,
-            output,
-            part,
-            runs,
-            checkpoint,
-            threads,
-            json,
-            ..
-        } => {
-            let options = run::Options {
-                file,
-                output,
-                which: part.or(runs.map(Which::Runs)).unwrap_or(Which::All),
-                checkpoint_every: checkpoint,
-                threads,
-                json,
-            };
-            match run::run(&options) {
-                Ok(code) => ExitCode::from(code),
-                Err(error) => cli::fail(1, &error),
-            }
-        }
+        Command::Run(options) => match run::run(&options) {
+            Ok(code) => ExitCode::from(code),
+            Err(error) => cli::fail(1, &error),
+        },
         command => match resolve(&matches) {
             Ok(resolved) => with_settings(command, resolved),
             Err(error) => cli::fail(2, &error),

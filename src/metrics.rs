@@ -6,36 +6,14 @@
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
-/// Upper bounds of a histogram's buckets, in nanoseconds, from the shortest steps to outliers. They
+/// Upper bounds of a histogram's buckets, in microseconds, from the shortest steps to outliers. They
 /// are densest around a millisecond, the usual lateness of a step. The last bucket has no bound.
-pub const BOUNDS_NANOS: [u64; 24] = [
-    5_000,
-    10_000,
-    25_000,
-    50_000,
-    100_000,
-    250_000,
-    500_000,
-    750_000,
-    1_000_000,
-    1_250_000,
-    1_500_000,
-    2_000_000,
-    2_500_000,
-    3_500_000,
-    5_000_000,
-    7_500_000,
-    10_000_000,
-    25_000_000,
-    50_000_000,
-    100_000_000,
-    250_000_000,
-    1_000_000_000,
-    2_500_000_000,
-    10_000_000_000,
+const BOUNDS_MICROS: [u64; 24] = [
+    5, 10, 25, 50, 100, 250, 500, 750, 1_000, 1_250, 1_500, 2_000, 2_500, 3_500, 5_000, 7_500,
+    10_000, 25_000, 50_000, 100_000, 250_000, 1_000_000, 2_500_000, 10_000_000,
 ];
 
-const BUCKETS: usize = BOUNDS_NANOS.len() + 1;
+const BUCKETS: usize = BOUNDS_MICROS.len() + 1;
 
 /// A histogram of durations with a single writer thread.
 #[derive(Debug, Default)]
@@ -48,7 +26,7 @@ impl Histogram {
     /// Counts a duration. Called by one thread only.
     pub fn record(&self, took: Duration) {
         let nanos = u64::try_from(took.as_nanos()).unwrap_or(u64::MAX);
-        let bucket = BOUNDS_NANOS.partition_point(|bound| *bound < nanos);
+        let bucket = BOUNDS_MICROS.partition_point(|bound| *bound * 1000 < nanos);
         add(&self.counts[bucket], 1);
         add(&self.nanos, nanos);
     }
@@ -82,9 +60,9 @@ impl Durations {
 
     /// For each bucket its upper bound in seconds, the last one infinite, and its own count.
     pub fn buckets(&self) -> impl Iterator<Item = (f64, u64)> {
-        let bounds = BOUNDS_NANOS
+        let bounds = BOUNDS_MICROS
             .iter()
-            .map(|nanos| Duration::from_nanos(*nanos).as_secs_f64())
+            .map(|micros| Duration::from_micros(*micros).as_secs_f64())
             .chain([f64::INFINITY]);
         bounds.zip(self.counts)
     }
@@ -154,7 +132,7 @@ mod tests {
         );
         read.add(&histogram.read());
         assert_eq!(read.count(), 12);
-        assert!(BOUNDS_NANOS.is_sorted());
+        assert!(BOUNDS_MICROS.is_sorted());
     }
 
     #[test]

@@ -36,26 +36,10 @@ pub enum ServerError {
     /// The swarms cannot be recovered.
     #[error("cannot recover the swarms: {0}")]
     Recovery(#[from] RecoveryError),
-    /// The folder for uploaded recordings cannot be used.
-    #[error("cannot use {folder} for replays: {error}")]
-    Uploads {
+    /// The folder of experiments, recordings or uploads cannot be used.
+    #[error("cannot use {folder}: {error}")]
+    Folder {
         /// The folder.
-        folder: String,
-        /// The error of the system.
-        error: std::io::Error,
-    },
-    /// The experiments cannot be read.
-    #[error("cannot read the experiments in {folder}: {error}")]
-    Lab {
-        /// Their folder.
-        folder: String,
-        /// The error of the system.
-        error: std::io::Error,
-    },
-    /// The recordings cannot be read.
-    #[error("cannot read the recordings in {folder}: {error}")]
-    Recordings {
-        /// Their folder.
         folder: String,
         /// The error of the system.
         error: std::io::Error,

@@ -8,7 +8,6 @@ mod server;
 mod start;
 mod stop;
 mod users;
-mod watch;
 
 pub use error::{EXIT_STORE, ServerError};
 pub use server::Server;

@@ -24,8 +24,10 @@ use crate::transport::zenoh::session_pool::SessionPool;
 
 /// A running daemon.
 pub struct Server {
-    pub(super) host: Arc<SwarmRegistry>,
-    pub(super) store: Store,
+    /// The swarms it hosts.
+    pub host: Arc<SwarmRegistry>,
+    /// Its store.
+    pub store: Store,
     pub(super) connection: Connection,
     pub(super) bus: Arc<BusWatch>,
     pub(super) publisher: Arc<Publisher>,
@@ -83,34 +85,18 @@ impl Server {
         self.connection.session.zid().to_string()
     }
 
-    /// Its store.
-    pub fn store(&self) -> &Store {
-        &self.store
-    }
-
-    /// The swarms it hosts.
-    pub fn host(&self) -> &Arc<SwarmRegistry> {
-        &self.host
-    }
-
     /// The number of clients that are connected.
     pub fn sessions(&self) -> usize {
         self.connection.session.info().transports().wait().count()
     }
 }
 
-impl Connection {
+impl Drop for Connection {
     /// Closes the daemon's own session first: its liveliness token and claims are in it.
-    fn close(&self) {
+    fn drop(&mut self) {
         if let Err(error) = self.session.close().wait() {
             warn!(%error, "failed to close the session");
         }
         self.pool.close();
-    }
-}
-
-impl Drop for Connection {
-    fn drop(&mut self) {
-        self.close();
     }
 }

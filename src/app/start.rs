@@ -1,6 +1,7 @@
 //! The start of the daemon: [`open`] lists the steps, each of which is a function below it.
 
 use std::num::NonZero;
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, OnceLock};
@@ -12,7 +13,7 @@ use tokio::net::TcpListener;
 use tokio::task::spawn_blocking;
 use tokio_rustls::TlsAcceptor;
 use tracing::{error, info};
-use zenoh::Session;
+use zenoh::{Session, Wait};
 
 use crate::api::admission::Admission;
 use crate::api::context::Context;
@@ -23,14 +24,13 @@ use crate::api::{commands, queries};
 use crate::app::error::{EXIT_STORE, ServerError};
 use crate::app::server::{Connection, Server};
 use crate::app::users;
-use crate::app::watch::Sources;
 use crate::auth::Rights;
 use crate::auth::live::LiveRights;
 use crate::config::Config;
 use crate::convert::commands::check_name;
 use crate::convert::error::refusal;
 use crate::experiments::ExperimentManager;
-use crate::health::Watch;
+use crate::health::{Watch, Watched};
 use crate::metrics::Activity;
 use crate::persistence::recovery;
 use crate::playback::Uploads;
@@ -39,13 +39,12 @@ use crate::store::{self, Store, StoreError, StoreFault};
 use crate::swarm::registry::SwarmRegistry;
 use crate::transport::http::{self, Bus, Credentials, Gateway, GatewayError, Token};
 use crate::transport::zenoh::bus_watch::BusWatch;
-use crate::transport::zenoh::claims::{ClaimSubscribers, Claims};
+use crate::transport::zenoh::claims::{ClaimSubscribers, Claims, Contest};
 use crate::transport::zenoh::dispatcher::Dispatcher;
 use crate::transport::zenoh::gateway::{self, Connections, LifecycleNotifier};
 use crate::transport::zenoh::messages::{DispatchMessage, MAX_QUEUED};
 use crate::transport::zenoh::publisher::Publisher;
 use crate::transport::zenoh::queryables::SwarmEndpoints;
-use crate::transport::zenoh::session::Opened;
 use crate::transport::zenoh::session_pool::SessionPool;
 use crate::transport::zenoh::{progress, session, set_points};
 
@@ -53,10 +52,6 @@ type BoxedFuture<'a, T> = std::pin::Pin<Box<dyn Future<Output = T> + Send + 'a>>
 
 /// Starts the daemon. When this returns, every swarm of the previous run is recovered, and the
 /// daemon's keys are declared.
-///
-/// # Errors
-///
-/// [`ServerError`].
 pub fn start(config: &Config) -> BoxedFuture<'_, Result<Server, ServerError>> {
     // Boxed, so that it is compiled here and not again in each program that starts a daemon.
     Box::pin(open(config))
@@ -68,20 +63,16 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     let rights = users::open(config)?;
     let http = HttpListener::bind(config, &rights).await?;
     let store = open_store(config)?;
-    let Opened {
-        session,
-        pool,
-        runtime,
-        clients,
-    } = session::open(
+    let opened = session::open(
         &config.listen,
         &config.prefix,
         &rights.current(),
         config.max_clients,
     )
     .await?;
-    let endpoints = endpoints(config, &session).await;
+    let endpoints = endpoints(config, &opened.session).await;
 
+    let (session, pool) = (opened.session, opened.pool);
     let (core, received, claim_subscribers) = Core::start(config, rights, store, session, pool)?;
     let files = Files::open(config, &core).await?;
     progress::publish(
@@ -97,7 +88,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
 
     // The probe's key must have no queryable.
     let probe = keys::node_get(&config.prefix, &config.node, "@probe");
-    let bus = BusWatch::start(core.session.clone(), probe, clients)?;
+    let bus = BusWatch::start(core.session.clone(), probe, opened.clients)?;
     let mut probed = endpoints.clone();
     if let Some(http) = &http {
         probed.push(http.endpoint()?);
@@ -136,7 +127,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
             session: core.session,
             pool: core.pool,
             _subscribers: (set_point_subscribers, claim_subscribers),
-            _runtime: runtime,
+            _runtime: opened.runtime,
         },
         bus,
         publisher: core.publisher,
@@ -289,49 +280,35 @@ struct Files {
 
 impl Files {
     async fn open(config: &Config, core: &Core) -> Result<Self, ServerError> {
-        let lab = open_lab(config).await?;
-        let recordings = open_recordings(config, core.host.clone())?;
+        let [experiments, recordings, replays] =
+            ["experiments", "recordings", "replays"].map(|name| config.data_dir.join(name));
+        let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
+        let threads = config.experiment_threads.unwrap_or_else(cores).get();
+        let opened = spawn_blocking({
+            let folder = experiments.clone();
+            move || ExperimentManager::open(&folder, threads)
+        });
+        let opened = opened.await.expect("opening does not panic");
+        let lab = opened.map_err(unusable(&experiments))?;
+        let (host, quota_bytes) = (core.host.clone(), config.recordings_quota_bytes);
+        let opened = Recordings::open(&recordings, refusal, quota_bytes, host);
+        let recordings = opened.map_err(unusable(&recordings))?;
+        let uploads = Uploads::open(&replays).map_err(unusable(&replays))?;
         Ok(Files {
             experiment_files: Executor::start("experiments", lab.clone())?,
             lab,
             recording_files: Executor::start("recordings", recordings.clone())?,
             recordings,
-            uploads: Arc::new(open_uploads(config)?),
+            uploads: Arc::new(uploads),
         })
     }
 }
 
-async fn open_lab(config: &Config) -> Result<ExperimentManager, ServerError> {
-    let folder = config.data_dir.join("experiments");
-    let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
-    let threads = config.experiment_threads.unwrap_or_else(cores).get();
-    let opened = spawn_blocking({
-        let folder = folder.clone();
-        move || ExperimentManager::open(&folder, threads)
-    });
-    let opened = opened.await.expect("opening does not panic");
-    opened.map_err(|error| ServerError::Lab {
+fn unusable(folder: &Path) -> impl FnOnce(std::io::Error) -> ServerError {
+    move |error| ServerError::Folder {
         folder: folder.display().to_string(),
         error,
-    })
-}
-
-fn open_recordings(config: &Config, host: Arc<SwarmRegistry>) -> Result<Recordings, ServerError> {
-    let folder = config.data_dir.join("recordings");
-    let quota_bytes = config.recordings_quota_bytes;
-    let opened = Recordings::open(&folder, refusal, quota_bytes, host);
-    opened.map_err(|error| ServerError::Recordings {
-        folder: folder.display().to_string(),
-        error,
-    })
-}
-
-fn open_uploads(config: &Config) -> Result<Uploads, ServerError> {
-    let folder = config.data_dir.join("replays");
-    Uploads::open(&folder).map_err(|error| ServerError::Uploads {
-        folder: folder.display().to_string(),
-        error,
-    })
+    }
 }
 
 /// The state that all request handlers share.
@@ -414,23 +391,29 @@ fn start_watch(
     dispatch: Arc<Activity>,
     endpoints: Vec<String>,
 ) -> Result<Arc<Watch>, ServerError> {
-    let sources = Sources {
-        endpoints,
+    let (session, claims) = (core.session.clone(), core.claims.clone());
+    let replies = core.replies.clone();
+    let watched = Watched {
+        host: core.host.clone(),
+        store: core.store.clone(),
+        rights: core.rights.clone(),
+        recordings: files.recordings.clone(),
         threads: vec![
             ("dispatch", dispatch),
             ("publish", core.publisher.pulse.clone()),
             ("replies", core.replies.pulse.clone()),
         ],
-        host: core.host.clone(),
-        store: core.store.clone(),
-        session: core.session.clone(),
-        bus,
-        claims: core.claims.clone(),
-        rights: core.rights.clone(),
-        recordings: files.recordings.clone(),
-        replies: core.replies.clone(),
+        endpoints,
+        sessions: Box::new(move || session.info().transports().wait().count()),
+        bus: Box::new(move || bus.report()),
+        count: commands::count,
+        dropped_requests: Box::new(move || replies.dropped()),
+        contested: Box::new(move || {
+            let contests = claims.contests();
+            contests.iter().map(Contest::for_health).collect()
+        }),
     };
-    Ok(Watch::start(sources.watched())?)
+    Ok(Watch::start(watched)?)
 }
 
 /// How HTTP clients prove that they may send commands: by the token of the page, or as users.

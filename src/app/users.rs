@@ -20,10 +20,6 @@ const EXPIRY_CHECK_INTERVAL: Duration = Duration::from_secs(24 * 60 * 60);
 const RELOAD_INTERVAL: Duration = Duration::from_secs(1);
 
 /// Reads the users of `auth_dir`, and starts the tasks that reload and check them.
-///
-/// # Errors
-///
-/// [`AuthError`].
 pub fn open(config: &Config) -> Result<Arc<LiveRights>, AuthError> {
     let rights = match &config.auth_dir {
         Some(path) => Rights::read(Folder::at(path.clone()))?,

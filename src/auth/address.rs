@@ -72,7 +72,7 @@ impl Address {
         }
         let hosts = hosts(known, reach)?;
         let (listen, http) = match settings(folder)? {
-            Some(Made { settings, .. }) => {
+            Some((_, settings)) => {
                 let http = settings.http.as_ref();
                 let http = http.and_then(|it| it.get_ref().as_str().map(str::to_owned));
                 (settings.listen.map(|it| texts(it.get_ref())), http)
@@ -159,7 +159,7 @@ impl Address {
                 let http = http.unwrap_or_default();
                 format!("listen = {listen}\n{http}auth_dir = {path:?}\n")
             }
-            Some(Made { mut text, settings }) => {
+            Some((mut text, settings)) => {
                 let mut changes = Vec::new();
                 if reach.listen.is_some() {
                     changes.push(("listen", settings.listen, listen));
@@ -273,27 +273,22 @@ fn page(http: &str, hosts: &[String]) -> Result<Option<String>, AuthError> {
     )))
 }
 
-/// The settings file in the folder.
-struct Made {
-    text: String,
-    settings: Settings,
-}
-
-/// The addresses in it, with their positions.
+/// The addresses in the settings file, with their positions.
 #[derive(Deserialize)]
 struct Settings {
     listen: Option<Spanned<Value>>,
     http: Option<Spanned<Value>>,
 }
 
-fn settings(folder: &Folder) -> Result<Option<Made>, AuthError> {
+/// The settings file in the folder, if there is one: its text, and the addresses in it.
+fn settings(folder: &Folder) -> Result<Option<(String, Settings)>, AuthError> {
     let path = folder.settings_file();
     if !path.exists() {
         return Ok(None);
     }
     let text = read(&path)?;
     match toml::from_str(&text) {
-        Ok(settings) => Ok(Some(Made { text, settings })),
+        Ok(settings) => Ok(Some((text, settings))),
         Err(error) => Err(AuthError::Content {
             path,
             problem: error.to_string(),

@@ -5,8 +5,9 @@
 //! opened and has no call that changes them: an open session of a removed user still reads until
 //! the daemon is restarted, and the session of a new user is rejected until then.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
+use parking_lot::Mutex;
 use tokio::sync::watch;
 
 use crate::auth::folder::Folder;
@@ -73,7 +74,7 @@ impl LiveRights {
         };
         let read = read_tokens(folder);
         let problem = read.as_ref().err().map(ToString::to_string);
-        *self.problem.lock().unwrap_or_else(PoisonError::into_inner) = problem;
+        *self.problem.lock() = problem;
         let users = read?;
         let changes = Changes {
             added: names(difference(&users, before)),
@@ -98,8 +99,7 @@ impl LiveRights {
 
     /// Why the last reload left the rights as they were; `None` if it succeeded.
     pub fn problem(&self) -> Option<String> {
-        let problem = self.problem.lock().unwrap_or_else(PoisonError::into_inner);
-        problem.clone()
+        self.problem.lock().clone()
     }
 
     /// Completes when `token` is no longer valid. Never completes if the daemon is open.

@@ -60,18 +60,12 @@ pub(super) fn write_pair(pair: &Pair, [certificate, key]: [PathBuf; 2]) -> Resul
 
 /// A complete zenoh configuration in one file.
 fn zenoh_settings(credentials: &Credentials, ca: &str, pair: &Pair) -> Value {
-    let Credentials {
-        person,
-        endpoint,
-        password,
-        ..
-    } = credentials;
     json!({
         "mode": "client",
-        "connect": {"endpoints": [endpoint]},
+        "connect": {"endpoints": [credentials.endpoint]},
         "scouting": {"multicast": {"enabled": false}, "gossip": {"enabled": false}},
         "transport": {
-            "auth": {"usrpwd": {"user": person, "password": password}},
+            "auth": {"usrpwd": {"user": credentials.person, "password": credentials.password}},
             "link": {"tls": {
                 "enable_mtls": true,
                 "root_ca_certificate_base64": STANDARD.encode(ca),

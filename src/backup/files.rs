@@ -47,10 +47,7 @@ pub fn sync_folder(path: &Path) -> Result<(), BackupError> {
 ///
 /// A status file is copied before the files that it describes, so that their copies are at least as
 /// new: in each folder `.json` first, then `.jsonl`, then other files, then subfolders.
-///
-/// # Errors
-///
-/// [`BackupError::Io`]; folders that are deleted meanwhile are omitted.
+/// Folders that are deleted meanwhile are omitted.
 pub fn list(folder: &Path) -> Result<Vec<PathBuf>, BackupError> {
     let mut found = Vec::new();
     list_below(folder, Path::new(""), MAX_DEPTH, &mut found)?;
@@ -103,10 +100,6 @@ fn list_below(
 }
 
 /// Copies a file to a new one and returns its length and hash; `None` if it does not exist.
-///
-/// # Errors
-///
-/// [`BackupError::Io`].
 pub fn copy(from: &Path, to: &Path) -> Result<Option<(u64, String)>, BackupError> {
     if from.extension().is_some_and(|it| it == "json") {
         return match read_json(from) {
@@ -138,11 +131,7 @@ fn read_json(path: &Path) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
-/// Creates a new file that only its owner can access.
-///
-/// # Errors
-///
-/// [`BackupError::Io`], also if it exists.
+/// Creates a new file that only its owner can access. Fails if it exists.
 pub fn create(path: &Path) -> Result<File, BackupError> {
     let mut options = OpenOptions::new();
     let options = options.write(true).create_new(true).mode(0o600);
@@ -159,10 +148,6 @@ fn write(to: &Path, from: &mut impl io::Read) -> Result<(u64, String), BackupErr
 }
 
 /// The length and hash of a file.
-///
-/// # Errors
-///
-/// [`BackupError::Io`].
 pub fn hash(path: &Path) -> Result<(u64, String), BackupError> {
     let hashed = File::open(path).and_then(|mut file| pump(&mut file, &mut io::sink()));
     hashed.map_err(|source| io_error(path, source))

@@ -82,11 +82,7 @@ impl Manifest {
         })
     }
 
-    /// The text of the file.
-    ///
-    /// # Errors
-    ///
-    /// Never: it holds nothing that JSON cannot.
+    /// The text of the file. Does not fail: it holds nothing that JSON cannot.
     pub fn to_text(&self) -> io::Result<String> {
         let backup = serde_json::value::to_raw_value(self)?;
         let blake3 = blake3::hash(backup.get().as_bytes()).to_hex().to_string();

@@ -41,10 +41,6 @@ const MIN_FREE_BYTES: u64 = 64 * 1024 * 1024;
 const NICENESS: i32 = 10;
 
 /// Takes a backup of `data` into the new or empty folder `target`. If it fails, its files are removed.
-///
-/// # Errors
-///
-/// [`BackupError`].
 pub fn take(data: &Path, target: &Path) -> Result<Manifest, BackupError> {
     let database = data.join(store::FILE);
     match fs::metadata(&database) {
@@ -217,11 +213,8 @@ fn write_manifest(target: &Path, mut file: File, manifest: &Manifest) -> Result<
 /// Restores the backup in `source` into the new or empty data folder `data`.
 ///
 /// The files are written into [`store::RESTORING`] and renamed once all are complete, the database last.
-/// While that folder exists, no daemon starts on the data folder.
-///
-/// # Errors
-///
-/// [`BackupError`]: the data folder then contains only its `lock`, unless a rename failed.
+/// While that folder exists, no daemon starts on the data folder. After an error the data folder
+/// contains only its `lock`, unless a rename failed.
 pub fn restore(source: &Path, data: &Path) -> Result<Manifest, BackupError> {
     let manifest = Manifest::read(source)?;
     if manifest.schema > store::SCHEMA {

@@ -1,6 +1,5 @@
 //! The command line of `jostled`.
 
-use std::num::NonZero;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -9,7 +8,8 @@ use clap::parser::ValueSource;
 use clap::{Arg, ArgMatches, CommandFactory, Parser, Subcommand};
 
 use crate::cli::auth::Auth;
-use crate::cli::run::{self, Which};
+use crate::cli::duration;
+use crate::cli::run;
 use crate::cli::settings;
 
 /// Hosts swarms of bodies that only push each other, steps them exactly and serves them on zenoh.
@@ -29,42 +29,11 @@ pub enum Command {
     /// Serve, and run a swarm to watch: fifty bodies, ten of which are informed of a direction.
     Demo {
         /// Stop after this time at the demo's rate, such as `20s`, `5m` or `1.5h`.
-        #[arg(long = "for", value_name = "DURATION", value_parser = duration)]
+        #[arg(long = "for", value_name = "DURATION", value_parser = duration::parse)]
         lasting: Option<Duration>,
     },
     /// Execute an experiment without a daemon; finished runs are not executed again.
-    Run {
-        /// Experiment file (TOML).
-        file: PathBuf,
-        /// Folder of the results; an interrupted experiment in it is resumed.
-        #[arg(
-            short,
-            long,
-            value_name = "FOLDER",
-            required_unless_present = "dry_run"
-        )]
-        output: Option<PathBuf>,
-        /// Execute only part K of N; parts have nearly equal expected times. FOLDER is created when
-        /// the part is complete, unless it exists before. `jostle results merge` merges all parts.
-        #[arg(long, value_name = "K/N", value_parser = run::part)]
-        part: Option<Which>,
-        /// Execute only these runs, such as `17,18,40-60`; `--dry-run` lists their numbers.
-        #[arg(long, value_name = "LIST", conflicts_with = "part")]
-        runs: Option<String>,
-        /// Interval between checkpoints of each run, such as `5m`; also written on Ctrl-C and
-        /// SIGTERM. The next execution resumes from them, with the same results.
-        #[arg(long, value_name = "DURATION", value_parser = duration, conflicts_with = "dry_run")]
-        checkpoint: Option<Duration>,
-        /// Number of runs executed in parallel [default: number of cores].
-        #[arg(long, value_name = "N")]
-        threads: Option<NonZero<usize>>,
-        /// Print JSON.
-        #[arg(long)]
-        json: bool,
-        /// List the runs with their numbers and seeds; execute nothing.
-        #[arg(long, conflicts_with = "output")]
-        dry_run: bool,
-    },
+    Run(run::Options),
     /// Back up the data folder: swarms with their history, experiments and recordings, but no
     /// secrets. The daemon may be running.
     Backup {
@@ -153,10 +122,6 @@ fn hide_unused(command: clap::Command, parent: &str, flags: &[Arg]) -> clap::Com
 }
 
 /// Rejects a flag that has no effect on the command.
-///
-/// # Errors
-///
-/// [`ErrorKind::ArgumentConflict`].
 pub fn reject_unused(matches: &ArgMatches) -> Result<(), clap::Error> {
     let (mut name, mut level) = (String::new(), matches);
     while let Some((command, deeper)) = level.subcommand() {
@@ -176,31 +141,6 @@ pub fn reject_unused(matches: &ArgMatches) -> Result<(), clap::Error> {
 
 fn joined(parent: &str, command: &str) -> String {
     format!("{parent} {command}").trim_start().to_owned()
-}
-
-/// Thirty years, so that sums of times and durations do not overflow.
-const MAX_DURATION: Duration = Duration::from_secs(1_000_000_000);
-
-/// Parses `20s`, `5m`, `1.5h` or a plain number of seconds.
-fn duration(text: &str) -> Result<Duration, String> {
-    let (number, unit) = match text.find(|c: char| c.is_ascii_alphabetic()) {
-        Some(at) => text.split_at(at),
-        None => (text, "s"),
-    };
-    let secs = match unit {
-        "ms" => 1e-3,
-        "s" => 1.0,
-        "m" => 60.0,
-        "h" => 3600.0,
-        _ => return Err(format!("invalid unit {unit:?}: use ms, s, m or h")),
-    };
-    let number: f64 = number
-        .parse()
-        .map_err(|_| format!("invalid number {number:?}"))?;
-    Duration::try_from_secs_f64(number * secs)
-        .ok()
-        .filter(|duration| !duration.is_zero() && *duration <= MAX_DURATION)
-        .ok_or_else(|| format!("duration {text:?} is not positive, or is too long"))
 }
 
 #[cfg(test)]
@@ -272,27 +212,6 @@ mod tests {
                 let has_effect = has_effect(setting, name);
                 assert_eq!(is_offered(name, setting), has_effect, "{name} {setting}");
             }
-        }
-    }
-
-    #[test]
-    fn durations_are_read_with_their_unit() {
-        assert_eq!(duration("20s"), Ok(Duration::from_secs(20)));
-        assert_eq!(duration("20"), Ok(Duration::from_secs(20)));
-        assert_eq!(duration("1.5h"), Ok(Duration::from_secs(5400)));
-        assert_eq!(duration("250ms"), Ok(Duration::from_millis(250)));
-        for bad in [
-            "",
-            "s",
-            "-1s",
-            "0s",
-            "1d",
-            "nan",
-            "1e400s",
-            "inf",
-            "1000000000h",
-        ] {
-            assert!(duration(bad).is_err(), "{bad}");
         }
     }
 }

@@ -64,26 +64,6 @@ pub enum Auth {
     },
 }
 
-/// The settings that `init` and `address` use.
-struct Settings {
-    /// Endpoints to listen on; `None` for the default.
-    listen: Option<Vec<String>>,
-    /// Address of the HTTP server; `None` for the default.
-    http: Option<String>,
-    /// Whether one of them is a flag of this command.
-    are_flags: bool,
-}
-
-impl Settings {
-    fn reach(&self, hosts: &[String]) -> Reach {
-        Reach {
-            hosts: hosts.to_owned(),
-            listen: self.listen.clone(),
-            http: self.http.clone(),
-        }
-    }
-}
-
 /// Runs `jostled auth`.
 pub fn run(resolved: &Resolved, command: &Auth) -> ExitCode {
     let set = |name: &str| match &resolved[name] {
@@ -91,12 +71,13 @@ pub fn run(resolved: &Resolved, command: &Auth) -> ExitCode {
         (text, _) => Some(text.trim().to_owned()),
     };
     let is_flag = |name: &str| matches!(resolved[name].1, Source::Flag(_));
-    let settings = Settings {
+    let reach = Reach {
+        hosts: Vec::new(),
         listen: set("listen").map(|listen| config::endpoints(&listen)),
         http: set("http"),
-        are_flags: is_flag("listen") || is_flag("http"),
     };
-    if let Some(listen) = &settings.listen {
+    let is_change = is_flag("listen") || is_flag("http");
+    if let Some(listen) = &reach.listen {
         if listen.is_empty() {
             return fail(2, &"--listen takes at least one endpoint");
         }
@@ -104,40 +85,51 @@ pub fn run(resolved: &Resolved, command: &Auth) -> ExitCode {
             return fail(2, &error);
         }
     }
-    if let Some(http) = &settings.http
+    if let Some(http) = &reach.http
         && let Err(error) = http::check(http, true)
     {
         return fail(2, &error);
     }
-    match execute(resolved["auth_dir"].0.trim(), &settings, command) {
+    match execute(resolved["auth_dir"].0.trim(), &reach, is_change, command) {
         Ok(output) => print(&output),
         Err((code, problem)) => fail(code, &problem),
     }
 }
 
-/// Returns the output, or an exit code and the error message.
-fn execute(folder: &str, settings: &Settings, command: &Auth) -> Result<String, (u8, String)> {
+/// Returns the output, or an exit code and the error message. `is_change` if a flag of this command
+/// is in `reach`.
+fn execute(
+    folder: &str,
+    reach: &Reach,
+    is_change: bool,
+    command: &Auth,
+) -> Result<String, (u8, String)> {
     if folder.is_empty() {
         let problem = "no folder: set auth_dir, or use --auth-dir FOLDER";
         return Err((2, problem.to_owned()));
     }
     let folder = Folder::at(PathBuf::from(folder));
-    let done =
-        match command {
-            Auth::Init { hosts, people } => issue::set_up(&folder, &settings.reach(hosts), people)
-                .map(|it| set_up(&it, &folder)),
-            Auth::Address { hosts, json } if hosts.is_empty() && !settings.are_flags => {
-                folder.people().map(|known| reached(&known, *json))
-            }
-            Auth::Address { hosts, json } => issue::readdress(&folder, &settings.reach(hosts))
-                .map(|it| moved(&it, &folder, *json)),
-            Auth::Add { people } => issue::add(&folder, people).map(|it| handed(&it)),
-            Auth::Remove { names } => issue::remove(&folder, names).and_then(|()| {
-                let is_last = folder.people()?.people.is_empty();
-                Ok(removed(names, is_last))
-            }),
-            Auth::List { json } => folder.people().map(|known| listed(&known, *json)),
-        };
+    let reach = |hosts: &[String]| Reach {
+        hosts: hosts.to_owned(),
+        ..reach.clone()
+    };
+    let done = match command {
+        Auth::Init { hosts, people } => {
+            issue::set_up(&folder, &reach(hosts), people).map(|it| set_up(&it, &folder))
+        }
+        Auth::Address { hosts, json } if hosts.is_empty() && !is_change => {
+            folder.people().map(|known| reached(&known, *json))
+        }
+        Auth::Address { hosts, json } => {
+            issue::readdress(&folder, &reach(hosts)).map(|it| moved(&it, &folder, *json))
+        }
+        Auth::Add { people } => issue::add(&folder, people).map(|it| handed(&it)),
+        Auth::Remove { names } => issue::remove(&folder, names).and_then(|()| {
+            let is_last = folder.people()?.people.is_empty();
+            Ok(removed(names, is_last))
+        }),
+        Auth::List { json } => folder.people().map(|known| listed(&known, *json)),
+    };
     let is_argument = |error: &AuthError| {
         matches!(
             error,

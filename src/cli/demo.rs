@@ -5,23 +5,21 @@ use std::io::Write as _;
 use std::sync::Arc;
 use std::time::Duration;
 
-use jostle_convert::change;
 use jostle_physics::simulation::steps_in;
-use jostle_proto::Spec;
-use jostle_proto::verbs::{CreateArgs, InformArgs, RunArgs, Select};
+use jostle_proto::verbs::CreateArgs;
+use jostle_proto::{Request, Spec};
+use serde_json::{Value, json};
 use thiserror::Error;
 use tokio::sync::oneshot;
 
 use crate::app::Server;
-use crate::convert::commands::{CommandError, create, run};
+use crate::convert::commands::{self, CommandError, create};
 use crate::persistence::writer::NewSwarm;
-use crate::swarm::command::{Command, WaitCondition, When};
+use crate::swarm::command::WaitCondition;
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::{Frame, Stamp};
-use crate::swarm::handle::{self, Handle, Message};
+use crate::swarm::frame::Frame;
+use crate::swarm::handle::{CommandMessage, Handle, Message};
 use crate::swarm::outcome::{Outcome, ReplyTo, SwarmReply};
-use crate::swarm::registry::{Created, RegistryError};
-use crate::swarm::sender::Sender;
 use crate::swarm::waiters::Waiter;
 
 /// Prints and flushes a line. A closed standard output is no error.
@@ -56,12 +54,6 @@ pub enum DemoError {
     /// The swarm was deleted or the daemon stops.
     #[error("the swarm {NAME} was deleted")]
     Gone,
-}
-
-impl From<RegistryError> for DemoError {
-    fn from(error: RegistryError) -> Self {
-        DemoError::Command(error.into())
-    }
 }
 
 impl From<SwarmError> for DemoError {
@@ -102,7 +94,9 @@ async fn play(swarm: &Handle, lasting: Option<Duration>) -> Result<(), DemoError
     let until_informed = end.map_or(INFORMED_AT, |end| end.min(INFORMED_AT));
     let dt = swarm.spec.parameters.dt;
     if until_informed == INFORMED_AT {
-        inform_some(swarm, steps_in(INFORMED_AT, dt)).await?;
+        // The same ones at the same step in every run.
+        let args = json!({"select": {"count": INFORMED}, "direction": 0.0});
+        command(swarm, "inform", &args, Some(steps_in(INFORMED_AT, dt))).await?;
     }
     let until = run_on(swarm, end).await?;
     let before = arrival(swarm, steps_in(until_informed, dt)).await?;
@@ -136,56 +130,27 @@ async fn create_swarm(server: &Server) -> Result<Handle, DemoError> {
         spec,
         exist_ok: false,
     };
-    let host = server.host();
+    let host = &server.host;
     let spec = create::spec(&args, host.limits())?;
-    let (answer, answered) = oneshot::channel();
-    let promise = || -> ReplyTo { ReplyTo::new(move |it| drop(answer.send(it))) };
     let register = Box::new(NewSwarm {
-        store: server.store().clone(),
+        store: server.store.clone(),
         name: NAME.to_owned(),
         spec: spec.clone(),
         identity: None,
     });
-    let handle = match host.create(NAME, spec, false, register, promise)? {
-        Created::Existing(handle) => handle,
-        Created::New => {
-            outcome(answered).await?;
-            host.find(NAME).ok_or(DemoError::Gone)?
-        }
-    };
-    Ok(handle)
-}
-
-/// Informs individuals of +x: the same ones at the same step in every run.
-async fn inform_some(swarm: &Handle, at_step: u64) -> Result<(), DemoError> {
-    let args = InformArgs {
-        select: Select::Count(INFORMED),
-        direction: 0.0,
-        weight: None,
-        for_time: None,
-    };
-    let text = serde_json::to_string(&args).unwrap_or_default();
-    command(
-        swarm,
-        "inform",
-        text,
-        Command::Change(change::inform(args).map_err(CommandError::from)?),
-        Some(at_step),
-    )
-    .await?;
-    Ok(())
+    let (reply_to, created) = reply();
+    host.create(NAME, spec, false, register, || reply_to)
+        .map_err(CommandError::from)?;
+    created.await?;
+    host.find(NAME).ok_or(DemoError::Gone)
 }
 
 /// Runs to a time or without end; returns the step of that time, or the current step if a client has
 /// already gone beyond it.
 async fn run_on(swarm: &Handle, until_time: Option<f64>) -> Result<u64, DemoError> {
-    let args = RunArgs {
-        until_time,
-        ..RunArgs::default()
-    };
-    let text = serde_json::to_string(&args).unwrap_or_default();
-    match command(swarm, "run", text, run::order(args)?, None).await {
-        Ok((_, Outcome::Runs(until, _))) => Ok(until.unwrap_or(u64::MAX)),
+    let args = json!({"until_time": until_time});
+    match command(swarm, "run", &args, None).await {
+        Ok(Outcome::Runs(until, _)) => Ok(until.unwrap_or(u64::MAX)),
         Ok(_) => Ok(u64::MAX),
         Err(DemoError::Command(CommandError::Order(SwarmError::Past { step, .. }))) => Ok(step),
         Err(error) => Err(error),
@@ -195,30 +160,28 @@ async fn run_on(swarm: &Handle, until_time: Option<f64>) -> Result<u64, DemoErro
 /// The frame at which the swarm reaches a step.
 async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
     loop {
-        let (answer, answered) = oneshot::channel();
+        let (reply_to, reply) = reply();
         swarm.send(Message::Wait(Waiter {
             condition: WaitCondition::Reached(step),
             is_abandoned: Box::new(|| false),
-            reply_to: ReplyTo::new(move |it| drop(answer.send(it))),
+            reply_to,
         }));
-        match outcome(answered).await {
+        match reply.await {
             Err(DemoError::Command(CommandError::Order(SwarmError::Displaced { .. }))) => {
                 tokio::time::sleep(RETRY_DELAY).await;
             }
-            answered => return seen(answered?),
+            reply => return frame(reply?),
         }
     }
 }
 
 async fn look(swarm: &Handle) -> Result<Arc<Frame>, DemoError> {
-    let (answer, answered) = oneshot::channel();
-    swarm.send(Message::Query(ReplyTo::new(move |it| {
-        drop(answer.send(it));
-    })));
-    seen(outcome(answered).await?)
+    let (reply_to, reply) = reply();
+    swarm.send(Message::Query(reply_to));
+    frame(reply.await?)
 }
 
-fn seen((_, outcome): (Stamp, Outcome)) -> Result<Arc<Frame>, DemoError> {
+fn frame(outcome: Outcome) -> Result<Arc<Frame>, DemoError> {
     match outcome {
         Outcome::State(frame) => Ok(frame),
         _ => Err(DemoError::Gone),
@@ -276,33 +239,32 @@ fn report(before: &Frame, from: &Frame, reached: &Frame) {
 
 async fn command(
     swarm: &Handle,
-    verb: &'static str,
-    args: String,
-    order: Command,
+    verb: &str,
+    args: &Value,
     at_step: Option<u64>,
-) -> Result<(Stamp, Outcome), DemoError> {
-    let (answer, answered) = oneshot::channel();
-    swarm.send(Message::Command(handle::CommandMessage {
-        command: order,
-        when: When {
-            at_step,
-            ..When::default()
-        },
-        sender: Arc::new(Sender {
-            verb,
-            args,
-            client: Some("jostled demo".to_owned()),
-            ..Sender::default()
-        }),
-        reply_to: ReplyTo::new(move |it| drop(answer.send(it))),
+) -> Result<Outcome, DemoError> {
+    let request = json!({"args": args, "at_step": at_step, "client": "jostled demo"});
+    let request = Request::from_json(request.to_string().as_bytes()).map_err(CommandError::from)?;
+    let command = commands::read(verb, &request)?;
+    let (reply_to, reply) = reply();
+    swarm.send(Message::Command(CommandMessage {
+        command: command.order,
+        when: command.when,
+        sender: command.sender,
+        reply_to,
     }));
-    outcome(answered).await
+    reply.await
 }
 
-async fn outcome(answered: oneshot::Receiver<SwarmReply>) -> Result<(Stamp, Outcome), DemoError> {
-    match answered.await {
-        Ok(Ok(answer)) => Ok(answer),
-        Ok(Err(refusal)) => Err(refusal.error.into()),
-        Err(_) => Err(DemoError::Gone),
-    }
+/// Where a swarm sends a reply, and the reply.
+fn reply() -> (ReplyTo, impl Future<Output = Result<Outcome, DemoError>>) {
+    let (sender, receiver) = oneshot::channel::<SwarmReply>();
+    let reply = async {
+        match receiver.await {
+            Ok(Ok((_, outcome))) => Ok(outcome),
+            Ok(Err(rejection)) => Err(rejection.error.into()),
+            Err(_) => Err(DemoError::Gone),
+        }
+    };
+    (ReplyTo::new(move |it| drop(sender.send(it))), reply)
 }

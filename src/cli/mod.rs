@@ -4,6 +4,7 @@ pub mod arguments;
 pub mod auth;
 pub mod backup;
 pub mod demo;
+pub mod duration;
 pub mod explain;
 pub mod man;
 pub mod process;

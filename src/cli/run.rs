@@ -1,5 +1,6 @@
 //! `jostled run`: executes an experiment without a daemon.
 
+use std::error::Error;
 use std::io::{IsTerminal as _, Write as _};
 use std::num::NonZero;
 use std::path::{Path, PathBuf};
@@ -8,16 +9,16 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use clap::Args;
 use indicatif::{ProgressBar, ProgressStyle};
 use jostle_physics::plural::counted;
 use serde_json::json;
 use signal_hook::consts::{SIGINT, SIGTERM};
-use thiserror::Error;
 
+use crate::cli::duration;
 use jostle_experiment::shell::{operand, quoted};
 use jostle_experiment::{
-    Control, ExecuteError, Execution, Folder, FolderError, Outcome, Plan, PlanError, Progress,
-    Subset, SubsetError, execute, unfinished,
+    Control, Execution, Folder, Outcome, Plan, Progress, Subset, SubsetError, execute, unfinished,
 };
 
 /// The interval between updates of the progress bar, and between checks for a signal.
@@ -36,26 +37,51 @@ const INTERRUPTED: u8 = 130;
 /// such as `timeout`, send a signal twice: to the process and to its group.
 const FORCE_AFTER: Duration = Duration::from_secs(1);
 
-/// The options of the command.
-#[derive(Clone, Debug)]
+/// Execute an experiment without a daemon; finished runs are not executed again.
+#[derive(Args, Clone, Debug)]
 pub struct Options {
-    /// The experiment file.
-    pub file: PathBuf,
-    /// Folder of the results; without it the runs are only listed.
-    pub output: Option<PathBuf>,
-    /// The runs to execute.
-    pub which: Which,
-    /// Runs executed in parallel; `None` for the number of cores.
-    pub threads: Option<NonZero<usize>>,
-    /// Interval between checkpoints of a run; `None` for no checkpoints.
-    pub checkpoint_every: Option<Duration>,
-    /// Whether to print JSON.
-    pub json: bool,
+    /// Experiment file (TOML).
+    file: PathBuf,
+    /// Folder of the results; an interrupted experiment in it is resumed.
+    #[arg(
+        short,
+        long,
+        value_name = "FOLDER",
+        required_unless_present = "dry_run"
+    )]
+    output: Option<PathBuf>,
+    /// Execute only part K of N; parts have nearly equal expected times. FOLDER is created when
+    /// the part is complete, unless it exists before. `jostle results merge` merges all parts.
+    #[arg(long, value_name = "K/N", value_parser = part)]
+    part: Option<Which>,
+    /// Execute only these runs, such as `17,18,40-60`; `--dry-run` lists their numbers.
+    #[arg(long, value_name = "LIST", conflicts_with = "part")]
+    runs: Option<String>,
+    /// Interval between checkpoints of each run, such as `5m`; also written on Ctrl-C and
+    /// SIGTERM. The next execution resumes from them, with the same results.
+    #[arg(long, value_name = "DURATION", value_parser = duration::parse, conflicts_with = "dry_run")]
+    checkpoint: Option<Duration>,
+    /// Number of runs executed in parallel [default: number of cores].
+    #[arg(long, value_name = "N")]
+    threads: Option<NonZero<usize>>,
+    /// Print JSON.
+    #[arg(long)]
+    json: bool,
+    /// List the runs with their numbers and seeds; execute nothing.
+    #[arg(long, conflicts_with = "output")]
+    dry_run: bool,
+}
+
+impl Options {
+    fn which(&self) -> Which {
+        let runs = || self.runs.clone().map(Which::Runs);
+        self.part.clone().or_else(runs).unwrap_or(Which::All)
+    }
 }
 
 /// Which runs of an experiment to execute.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Which {
+enum Which {
     /// All of them.
     All,
     /// Part `number` of `of`, which count from 1.
@@ -101,11 +127,7 @@ impl Which {
 }
 
 /// Parses the part of `--part`, such as `3/40`.
-///
-/// # Errors
-///
-/// The text is not of that form.
-pub fn part(text: &str) -> Result<Which, String> {
+fn part(text: &str) -> Result<Which, String> {
     let parsed = text.split_once('/').and_then(|(number, of)| {
         let (number, of) = (number.parse().ok()?, of.parse().ok()?);
         Some(Which::Part { number, of })
@@ -115,64 +137,16 @@ pub fn part(text: &str) -> Result<Which, String> {
     })
 }
 
-/// Why the experiment failed.
-#[derive(Debug, Error)]
-pub enum BatchError {
-    /// The file cannot be read.
-    #[error("failed to read {}: {source}", file.display())]
-    Unreadable {
-        /// The file.
-        file: PathBuf,
-        /// The cause.
-        source: std::io::Error,
-    },
-    /// The file describes no valid experiment.
-    #[error("failed to plan {}: {source}", file.display())]
-    Plan {
-        /// The file.
-        file: PathBuf,
-        /// The cause.
-        source: PlanError,
-    },
-    /// The experiment has no such part or runs.
-    #[error("failed to select runs of {}: {source}", file.display())]
-    Subset {
-        /// The file.
-        file: PathBuf,
-        /// The cause.
-        source: SubsetError,
-    },
-    /// The folder cannot be used.
-    #[error(transparent)]
-    Folder(#[from] FolderError),
-    /// The execution failed.
-    #[error("failed to execute the experiment: {0}")]
-    Execute(#[from] ExecuteError),
-    /// No signal handlers can be registered.
-    #[error("failed to register signal handlers: {0}")]
-    Signals(std::io::Error),
-}
-
 /// Executes an experiment and returns the exit code.
-///
-/// # Errors
-///
-/// [`BatchError`].
-pub fn run(options: &Options) -> Result<u8, BatchError> {
-    let file = &options.file;
-    let text = std::fs::read_to_string(file).map_err(|source| BatchError::Unreadable {
-        file: file.clone(),
-        source,
-    })?;
-    let plan = Plan::parse(&text).map_err(|source| BatchError::Plan {
-        file: file.clone(),
-        source,
-    })?;
-    let subset = options.which.subset(&plan);
-    let subset = subset.map_err(|source| BatchError::Subset {
-        file: file.clone(),
-        source,
-    })?;
+pub fn run(options: &Options) -> Result<u8, Box<dyn Error>> {
+    let file = options.file.display();
+    let text = std::fs::read_to_string(&options.file)
+        .map_err(|error| format!("failed to read {file}: {error}"))?;
+    let plan = Plan::parse(&text).map_err(|error| format!("failed to plan {file}: {error}"))?;
+    let which = options.which();
+    let subset = which
+        .subset(&plan)
+        .map_err(|error| format!("failed to select runs of {file}: {error}"))?;
     let Some(output) = &options.output else {
         list(&plan, &subset, options.json);
         return Ok(0);
@@ -181,7 +155,7 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
     let output = &output.components().collect::<PathBuf>();
     // A part is renamed when it is complete, unless the folder exists, such as a mount.
     let exists = std::fs::symlink_metadata(output).is_ok();
-    let label = options.which.label().filter(|_| !exists);
+    let label = which.label().filter(|_| !exists);
     let path = label.as_ref().map(|label| unfinished(output, label));
     let path = path.unwrap_or_else(|| output.clone());
     let mut folder = Folder::open(&path, &plan)?;
@@ -193,7 +167,7 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
         let code = i32::from(INTERRUPTED);
         signal_hook::flag::register_conditional_shutdown(signal, code, has_time_passed.clone())
             .and_then(|_| signal_hook::flag::register(signal, interrupted.clone()))
-            .map_err(BatchError::Signals)?;
+            .map_err(|error| format!("failed to register signal handlers: {error}"))?;
     }
     let cores = || thread::available_parallelism().unwrap_or(NonZero::<usize>::MIN);
     let threads = options.threads.unwrap_or_else(cores).get();
@@ -203,7 +177,7 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
             plan: &plan,
             subset: &subset,
             threads,
-            checkpoint_every: options.checkpoint_every,
+            checkpoint_every: options.checkpoint,
         };
         let executing = scope.spawn(move || execute(execution, folder, control));
         let mut display = Display::new(options.json);
@@ -221,7 +195,9 @@ pub fn run(options: &Options) -> Result<u8, BatchError> {
         display.clear();
         executing.join()
     });
-    let outcome = outcome.unwrap_or_else(|panic| std::panic::resume_unwind(panic))?;
+    let outcome = outcome
+        .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+        .map_err(|error| format!("failed to execute the experiment: {error}"))?;
     if label.is_some() && !outcome.is_cancelled {
         folder.rename(output)?;
     }
@@ -303,41 +279,21 @@ impl Display {
 }
 
 fn describe(progress: &Progress) -> String {
-    let Progress {
-        runs,
-        finished,
-        faulted,
-        left_secs,
-        ..
-    } = progress;
-    let mut text = format!("{finished} of {}", counted(*runs, "run"));
-    if *faulted > 0 {
-        text.push_str(&format!(", {faulted} ended early"));
+    let runs = counted(progress.runs, "run");
+    let mut text = format!("{} of {runs}", progress.finished);
+    if progress.faulted > 0 {
+        text.push_str(&format!(", {} ended early", progress.faulted));
     }
-    if let Some(left) = left_secs {
-        text.push_str(&format!(", {} left", duration(*left)));
+    if let Some(left) = progress.left_secs {
+        text.push_str(&format!(", {} left", duration::text(left)));
     }
     text
 }
 
-fn duration(secs: f64) -> String {
-    match secs {
-        secs if secs < 90.0 => format!("{secs:.0} s"),
-        secs if secs < 5400.0 => format!("{:.0} min", secs / 60.0),
-        secs => format!("{:.1} h", secs / 3600.0),
-    }
-}
-
 /// Prints the summary.
 fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Progress) {
-    let Outcome {
-        runs,
-        finished,
-        faults,
-        is_cancelled,
-        checkpoint_error,
-    } = outcome;
-    if let Some(error) = checkpoint_error {
+    let (runs, finished, faults) = (outcome.runs, outcome.finished, &outcome.faults);
+    if let Some(error) = &outcome.checkpoint_error {
         eprintln!("jostled: failed to write a checkpoint: {error}");
     }
     let mut out = std::io::stdout().lock();
@@ -348,7 +304,7 @@ fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Prog
             .map(|(run, reason)| json!({"run": run, "reason": reason}))
             .collect();
         let summary = json!({"runs": runs, "finished": finished, "faults": faults,
-            "cancelled": is_cancelled, "elapsed_secs": progress.elapsed_secs,
+            "cancelled": outcome.is_cancelled, "elapsed_secs": progress.elapsed_secs,
             "folder": output});
         let _ = writeln!(out, "{summary}");
         return;
@@ -361,7 +317,7 @@ fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Prog
     for (name, value) in [
         ("runs finished", counted),
         ("ended early", faults.len().to_string()),
-        ("took", duration(progress.elapsed_secs)),
+        ("took", duration::text(progress.elapsed_secs)),
         (
             "results",
             output.join("results.{parquet,csv}").display().to_string(),
@@ -376,7 +332,7 @@ fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Prog
         let more = faults.len() - MAX_LISTED;
         let _ = writeln!(out, "and {more} more: see runs.jsonl");
     }
-    if *is_cancelled {
+    if outcome.is_cancelled {
         let output = options.output.as_deref().unwrap_or(output);
         let command = command(options, output);
         eprintln!("jostled: interrupted; `{command}` continues");
@@ -386,9 +342,9 @@ fn conclude(options: &Options, output: &Path, outcome: &Outcome, progress: &Prog
 /// The command that executes the same runs again.
 fn command(options: &Options, output: &Path) -> String {
     let path = |path: &Path| quoted(&operand(&path.to_string_lossy()));
-    let (file, which, output) = (path(&options.file), options.which.options(), path(output));
+    let (file, which, output) = (path(&options.file), options.which().options(), path(output));
     let mut command = format!("jostled run {file}{which} -o {output}");
-    if let Some(every) = options.checkpoint_every {
+    if let Some(every) = options.checkpoint {
         command.push_str(&format!(" --checkpoint {}s", every.as_secs_f64()));
     }
     if let Some(threads) = options.threads {
@@ -406,16 +362,18 @@ mod tests {
         let mut options = Options {
             file: "my order.toml".into(),
             output: None,
-            which: Which::Part { number: 3, of: 40 },
+            part: Some(Which::Part { number: 3, of: 40 }),
+            runs: None,
             threads: NonZero::new(2),
-            checkpoint_every: Some(Duration::from_millis(1500)),
+            checkpoint: Some(Duration::from_millis(1500)),
             json: false,
+            dry_run: false,
         };
         let expected = "jostled run 'my order.toml' --part 3/40 -o './-o$' --checkpoint 1.5s \
                         --threads 2";
         assert_eq!(command(&options, Path::new("-o$")), expected);
-        options.which = Which::Runs("1, 2".to_owned());
-        (options.threads, options.checkpoint_every) = (None, None);
+        (options.part, options.runs) = (None, Some("1, 2".to_owned()));
+        (options.threads, options.checkpoint) = (None, None);
         let expected = "jostled run 'my order.toml' --runs '1, 2' -o out";
         assert_eq!(command(&options, Path::new("out")), expected);
     }

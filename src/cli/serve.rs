@@ -66,7 +66,7 @@ async fn serve(config: &Config, mode: Mode) -> i32 {
     let server = match app::start(config).await {
         Ok(server) => server,
         Err(error) => {
-            let code = if is_invalid_setting(&error) { 2 } else { 1 };
+            let code = if is_of_machine(&error) { 1 } else { 2 };
             fail(code, &error);
             return code.into();
         }
@@ -90,7 +90,7 @@ async fn serve(config: &Config, mode: Mode) -> i32 {
         };
         let _ = writeln!(std::io::stdout(), "page on {page}");
     }
-    let notifier = systemd::notify_status(server.watch().clone(), server.host().clone());
+    let notifier = systemd::notify_status(server.watch().clone(), server.host.clone());
     let notifier = tokio::spawn(notifier);
     let code = match mode {
         Mode::Serve => {
@@ -121,25 +121,17 @@ async fn serve(config: &Config, mode: Mode) -> i32 {
     }
 }
 
-/// Whether the cause is a setting, not the machine.
-fn is_invalid_setting(error: &ServerError) -> bool {
+/// Whether the cause is the machine, not a setting.
+fn is_of_machine(error: &ServerError) -> bool {
     matches!(
         error,
-        ServerError::Name(_)
-            | ServerError::Store(_)
-            | ServerError::Rights(_)
-            | ServerError::Gateway(
-                GatewayError::NoAddress(_)
-                    | GatewayError::NotLoopback(_)
-                    | GatewayError::NoUsers(_)
-                    | GatewayError::Certificate(_)
-            )
-            | ServerError::Session(
-                SessionError::NoEndpoint(_)
-                    | SessionError::NotLoopback(_)
-                    | SessionError::NoAuthDir(_)
-                    | SessionError::TlsOptions(_)
-            )
+        ServerError::Keys(_)
+            | ServerError::Recovery(_)
+            | ServerError::Folder { .. }
+            | ServerError::Thread(_)
+            | ServerError::Token(_)
+            | ServerError::Gateway(GatewayError::Listen { .. })
+            | ServerError::Session(SessionError::Listen { .. } | SessionError::Setting(_))
     )
 }
 

@@ -24,134 +24,67 @@ struct Settings {
     config: Option<PathBuf>,
     /// Zenoh endpoints to listen on, separated by commas: tcp/127.0.0.1:PORT and
     /// unixsock-stream/PATH for clients on this machine; tls/ADDRESS:PORT for others, needs auth_dir
-    #[arg(
-        long,
-        env = "JOSTLED_LISTEN",
-        value_name = "ENDPOINTS",
-        default_value = "tcp/127.0.0.1:7447"
-    )]
+    #[arg(long, value_name = "ENDPOINTS", default_value = "tcp/127.0.0.1:7447")]
     listen: String,
     /// Address of the HTTP server for the page, /healthz and /metrics: 127.0.0.1:PORT for clients on
     /// this machine; https://ADDRESS:PORT for others, needs auth_dir; empty for no server
-    #[arg(
-        long,
-        env = "JOSTLED_HTTP",
-        value_name = "ADDRESS",
-        default_value = "127.0.0.1:8080"
-    )]
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:8080")]
     http: String,
     /// Name of the daemon in keys; empty for the host name
-    #[arg(long, env = "JOSTLED_NODE", value_name = "NAME", default_value = "")]
+    #[arg(long, value_name = "NAME", default_value = "")]
     node: String,
     /// First chunk of every key
-    #[arg(
-        long,
-        env = "JOSTLED_PREFIX",
-        value_name = "PREFIX",
-        default_value = "jostle"
-    )]
+    #[arg(long, value_name = "PREFIX", default_value = "jostle")]
     prefix: String,
     /// Log filter, in the syntax of tracing's EnvFilter
-    #[arg(
-        long,
-        env = "JOSTLED_LOG",
-        value_name = "FILTER",
-        default_value = "info,zenoh=error"
-    )]
+    #[arg(long, value_name = "FILTER", default_value = "info,zenoh=error")]
     log: String,
     /// Log format: text or json
-    #[arg(
-        long,
-        env = "JOSTLED_LOG_FORMAT",
-        value_name = "FORMAT",
-        default_value = "text"
-    )]
+    #[arg(long, value_name = "FORMAT", default_value = "text")]
     log_format: String,
     /// Maximum number of individuals in a swarm; packed groups of more than a few hundred step slowly
-    #[arg(
-        long,
-        env = "JOSTLED_MAX_INDIVIDUALS",
-        value_name = "N",
-        default_value = "2000"
-    )]
+    #[arg(long, value_name = "N", default_value = "2000")]
     max_individuals: String,
     /// Maximum number of swarms
-    #[arg(
-        long,
-        env = "JOSTLED_MAX_SWARMS",
-        value_name = "N",
-        default_value = "1024"
-    )]
+    #[arg(long, value_name = "N", default_value = "1024")]
     max_swarms: String,
     /// Maximum memory of all swarms, in MiB
-    #[arg(
-        long,
-        env = "JOSTLED_MAX_MEMORY_MB",
-        value_name = "MIB",
-        default_value = "2048"
-    )]
+    #[arg(long, value_name = "MIB", default_value = "2048")]
     max_memory_mb: String,
     /// Maximum number of clients; the `hello` of another one is rejected
-    #[arg(
-        long,
-        env = "JOSTLED_MAX_CLIENTS",
-        value_name = "N",
-        default_value = "4000"
-    )]
+    #[arg(long, value_name = "N", default_value = "4000")]
     max_clients: String,
     /// Maximum number of states that a swarm publishes per second
-    #[arg(long, env = "JOSTLED_MAX_HZ", value_name = "N", default_value = "50")]
+    #[arg(long, value_name = "N", default_value = "50")]
     max_hz: String,
     /// Folder of all persistent data; empty for jostle/NODE in $STATE_DIRECTORY, $XDG_STATE_HOME or
     /// ~/.local/state, and for a temporary folder with `demo`
-    #[arg(
-        long,
-        env = "JOSTLED_DATA_DIR",
-        value_name = "FOLDER",
-        default_value = ""
-    )]
+    #[arg(long, value_name = "FOLDER", default_value = "")]
     data_dir: String,
     /// Folder of users and their roles, made by `jostled auth init`; if empty, every client may do
     /// everything
-    #[arg(
-        long,
-        env = "JOSTLED_AUTH_DIR",
-        value_name = "FOLDER",
-        default_value = ""
-    )]
+    #[arg(long, value_name = "FOLDER", default_value = "")]
     auth_dir: String,
     /// Maximum history of a swarm, in MiB; the oldest part is deleted first
-    #[arg(
-        long,
-        env = "JOSTLED_QUOTA_MB",
-        value_name = "MIB",
-        default_value = "64"
-    )]
+    #[arg(long, value_name = "MIB", default_value = "64")]
     quota_mb: String,
     /// Maximum size of all recordings, in MiB; a recording that reaches it ends, its swarm continues
-    #[arg(
-        long,
-        env = "JOSTLED_RECORDINGS_QUOTA_MB",
-        value_name = "MIB",
-        default_value = "10240"
-    )]
+    #[arg(long, value_name = "MIB", default_value = "10240")]
     recordings_quota_mb: String,
     /// Maximum number of experiment runs in parallel; empty for the number of cores
-    #[arg(
-        long,
-        env = "JOSTLED_EXPERIMENT_THREADS",
-        value_name = "N",
-        default_value = ""
-    )]
+    #[arg(long, value_name = "N", default_value = "")]
     experiment_threads: String,
 }
 
 /// Adds `--config` and the flag of each setting, which every subcommand accepts too.
 pub fn add_to(command: Command) -> Command {
     Settings::augment_args(command).mut_args(|argument| {
-        let has_default = !default(&argument).is_empty();
-        let argument = argument.global(true).hide_env_values(true);
-        argument.hide_default_value(!has_default)
+        let (variable, has_default) = (variable(name(&argument)), !default(&argument).is_empty());
+        let argument = argument.global(true).hide_default_value(!has_default);
+        if name(&argument) == "config" {
+            return argument;
+        }
+        argument.env(variable).hide_env_values(true)
     })
 }
 
@@ -218,10 +151,6 @@ pub fn resolve(matches: &ArgMatches) -> Result<Resolved, ConfigError> {
 }
 
 /// The settings that these flags give, such as `("max_hz", "20")`. Does not read the environment.
-///
-/// # Errors
-///
-/// Those of [`resolve`], and of clap.
 pub fn from_flags<'a>(
     flags: impl IntoIterator<Item = (&'a str, &'a str)>,
 ) -> Result<Resolved, Box<dyn std::error::Error>> {

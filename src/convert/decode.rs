@@ -8,14 +8,10 @@ use jostle_physics::simulation::{Exactness, Spec};
 use jostle_proto::{EventKind, LARGEST_WHOLE, Lenient, ParameterValues};
 use serde_json::Value;
 
-use crate::playback::source::{FrameIndex, RecordedFrame};
+use crate::playback::source::{FrameIndex, RecordedEvent, RecordedFrame};
 
 /// Decodes a state: its position in the recording, and the frame that it shows under these
 /// parameters.
-///
-/// # Errors
-///
-/// What is wrong with it.
 pub fn decode_state(
     bytes: &[u8],
     parameters: Parameters,
@@ -107,10 +103,6 @@ pub fn decode_state(
 }
 
 /// Decodes the spec of a recorded swarm, and its parameters at the start of the recording.
-///
-/// # Errors
-///
-/// What is wrong with them.
 pub fn decode_spec(spec: &str, parameters: &str) -> Result<(Spec, Parameters), String> {
     let Lenient(sent) =
         serde_json::from_str::<Lenient<jostle_proto::Spec>>(spec).map_err(|it| it.to_string())?;
@@ -136,44 +128,32 @@ pub fn decode_spec(spec: &str, parameters: &str) -> Result<(Spec, Parameters), S
     Ok((spec, parameters))
 }
 
-/// A published event.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RecordedEvent {
-    /// The step at which it happened.
-    pub step: u64,
-    /// Its time.
-    pub time: f64,
-    /// The wall-clock time, in seconds since 1970, if known.
-    pub unix_secs: Option<f64>,
-    /// What happened, as JSON. `None` for the deletion of the swarm: its playback still exists.
-    pub what: Option<String>,
-    /// The executed command and its arguments.
-    pub command: Option<(String, Value)>,
-}
+/// The verb of a command, and its arguments.
+pub type VerbAndArgs = (String, Value);
 
-/// Decodes an event.
-///
-/// # Errors
-///
-/// What is wrong with it.
-pub fn decode_event(bytes: &[u8]) -> Result<RecordedEvent, String> {
+/// Decodes an event: as a playback shows it, and the executed command with its arguments. The
+/// playback does not show the deletion of the swarm, since it still exists.
+pub fn decode_event(bytes: &[u8]) -> Result<(Option<RecordedEvent>, Option<VerbAndArgs>), String> {
     let event: jostle_proto::Event =
         serde_json::from_slice(bytes).map_err(|error| error.to_string())?;
     if event.step > LARGEST_WHOLE {
         return Err("its step is too large".to_owned());
     }
-    let what = match event.event {
+    let shown = match event.event {
         EventKind::Deleted {} => None,
-        ref kind => Some(serde_json::to_string(kind).map_err(|error| error.to_string())?),
+        ref kind => Some(RecordedEvent {
+            after: 0,
+            step: event.step,
+            time: event.time,
+            unix_secs: event.unix_secs,
+            what: serde_json::to_string(kind)
+                .map_err(|error| error.to_string())?
+                .into(),
+        }),
     };
-    Ok(RecordedEvent {
-        step: event.step,
-        time: event.time,
-        unix_secs: event.unix_secs,
-        what,
-        command: match event.event {
-            EventKind::Command { verb, args, .. } => Some((verb, args)),
-            _ => None,
-        },
-    })
+    let command = match event.event {
+        EventKind::Command { verb, args, .. } => Some((verb, args)),
+        _ => None,
+    };
+    Ok((shown, command))
 }

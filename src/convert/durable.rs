@@ -8,9 +8,7 @@ use jostle_proto::keys;
 use jostle_proto::snapshot::{Doing, Member, Pending, Sent, Waiting};
 use serde::{Deserialize, Serialize};
 
-use crate::convert::controllers::{
-    mode, mode_to_proto, news, news_to_proto, on_timeout, on_timeout_to_proto,
-};
+use crate::convert::controllers::{news, news_to_proto};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
 use crate::swarm::journal::Record;
@@ -69,10 +67,6 @@ pub fn snapshot(swarm: &str, checkpoint: &Checkpoint) -> proto::Snapshot {
 }
 
 /// Returns the checkpoint in a snapshot.
-///
-/// # Errors
-///
-/// [`SnapshotError`].
 pub fn checkpoint(
     snapshot: &proto::Snapshot,
     read: ReadOrder<'_>,
@@ -117,9 +111,9 @@ pub fn checkpoint(
 fn member((name, kept): &(String, ControllerState)) -> Member {
     Member {
         controller: name.clone(),
-        mode: mode_to_proto(kept.mode),
+        mode: kept.mode.into(),
         deadline_secs: kept.deadline.as_secs_f64(),
-        on_timeout: on_timeout_to_proto(kept.on_timeout),
+        on_timeout: kept.on_timeout.into(),
         driving: kept.driving,
         ids: kept.claims.iter().copied().collect(),
         steered: kept.steered.iter().copied().collect(),
@@ -138,9 +132,9 @@ fn membership(member: &Member) -> Result<(String, ControllerState), SnapshotErro
         SnapshotError::Unreadable(format!("a deadline of {} s", member.deadline_secs))
     })?;
     let kept = ControllerState {
-        mode: mode(member.mode),
+        mode: member.mode.into(),
         deadline,
-        on_timeout: on_timeout(member.on_timeout),
+        on_timeout: member.on_timeout.into(),
         driving: member.driving,
         claims: member.ids.iter().copied().collect(),
         steered: member.steered.iter().copied().collect(),
@@ -189,11 +183,13 @@ fn sender(sent: &Sent) -> Result<Arc<Sender>, SnapshotError> {
 
 /// The stored form of a journal record.
 #[derive(Serialize, Deserialize)]
+#[serde(remote = "Record")]
 enum Stored {
     #[serde(rename = "input")]
     Input {
         at_step: Option<u64>,
-        sent: Sent,
+        #[serde(rename = "sent", with = "stored_sender")]
+        sender: Arc<Sender>,
         seq: Option<u64>,
         #[serde(default, skip_serializing_if = "Option::is_none")]
         unix_secs: Option<f64>,
@@ -208,80 +204,47 @@ enum Stored {
     #[serde(rename = "fault")]
     Fault(String),
     #[serde(rename = "hash")]
-    Hash(serde_bytes::ByteArray<32>),
+    Hash(#[serde(with = "serde_bytes")] [u8; 32]),
     #[serde(rename = "resumed")]
     Resumed(u64),
 }
 
+/// A command is stored as [`Sent`].
+mod stored_sender {
+    use serde::de::Error as _;
+    use serde::{Deserializer, Serializer};
+
+    use super::*;
+
+    pub fn serialize<S: Serializer>(sender: &Arc<Sender>, to: S) -> Result<S::Ok, S::Error> {
+        sent(sender).serialize(to)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Arc<Sender>, D::Error> {
+        sender(&Sent::deserialize(from)?).map_err(D::Error::custom)
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+struct StoredRecord(#[serde(with = "Stored")] Record);
+
 /// Encodes a journal record: its kind, by which it is found, and its bytes.
 pub fn record(record: &Record) -> (u8, Vec<u8>) {
-    let (kind, stored) = match record {
-        Record::Input {
-            at_step,
-            sender,
-            seq,
-            unix_secs,
-        } => {
-            let stored = Stored::Input {
-                at_step: *at_step,
-                sent: sent(sender),
-                seq: *seq,
-                unix_secs: *unix_secs,
-            };
-            (1, stored)
-        }
-        Record::Became {
-            input,
-            seq,
-            unix_secs,
-        } => {
-            let stored = Stored::Became {
-                input: *input,
-                seq: *seq,
-                unix_secs: *unix_secs,
-            };
-            (2, stored)
-        }
-        Record::Fault(reason) => (3, Stored::Fault(reason.clone())),
-        Record::Hash(hash) => (4, Stored::Hash((*hash).into())),
-        Record::Resumed(epoch) => (5, Stored::Resumed(*epoch)),
+    let kind = match record {
+        Record::Input { .. } => 1,
+        Record::Became { .. } => 2,
+        Record::Fault(_) => 3,
+        Record::Hash(_) => 4,
+        Record::Resumed(_) => 5,
     };
-    (kind, proto::to_cbor(&stored))
+    (kind, proto::to_cbor(&StoredRecord(record.clone())))
 }
 
 /// Decodes a journal record.
-///
-/// # Errors
-///
-/// [`SnapshotError`].
 pub fn read_record(bytes: &[u8]) -> Result<Record, SnapshotError> {
-    let stored = ciborium::from_reader(bytes)
-        .map_err(|error| SnapshotError::Unreadable(error.to_string()))?;
-    Ok(match stored {
-        Stored::Input {
-            at_step,
-            sent,
-            seq,
-            unix_secs,
-        } => Record::Input {
-            at_step,
-            sender: sender(&sent)?,
-            seq,
-            unix_secs,
-        },
-        Stored::Became {
-            input,
-            seq,
-            unix_secs,
-        } => Record::Became {
-            input,
-            seq,
-            unix_secs,
-        },
-        Stored::Fault(reason) => Record::Fault(reason),
-        Stored::Hash(hash) => Record::Hash(hash.into_array()),
-        Stored::Resumed(epoch) => Record::Resumed(epoch),
-    })
+    let stored: Result<StoredRecord, _> = ciborium::from_reader(bytes);
+    let stored = stored.map_err(|error| SnapshotError::Unreadable(error.to_string()))?;
+    Ok(stored.0)
 }
 
 #[cfg(test)]

@@ -13,21 +13,16 @@ pub type WordRefusal = fn(SwarmError, u64) -> proto::Error;
 
 /// Returns the message of an event.
 pub fn event(swarm: &str, event: Event, word: WordRefusal) -> proto::Event {
-    let Event {
-        number,
-        stamp,
-        unix_secs,
-        kind,
-    } = event;
+    let stamp = event.stamp;
     proto::Event {
         swarm: swarm.to_owned(),
-        number,
+        number: event.number,
         epoch: stamp.epoch,
         step: stamp.step,
         time: stamp.time,
         phase: phase(&stamp.phase),
-        unix_secs,
-        event: match kind {
+        unix_secs: event.unix_secs,
+        event: match event.kind {
             EventKind::Created => proto::EventKind::Created {},
             EventKind::Phase => proto::EventKind::Phase {
                 reason: stamp.phase.reason(),
@@ -80,23 +75,16 @@ pub fn events(swarm: &str, page: Page<Event>, word: WordRefusal) -> proto::Event
 
 /// Returns a page of executed commands.
 pub fn journal(page: Page<Entry>) -> proto::Journal {
-    let entries = page.records.into_iter().map(|entry| {
-        let Entry {
-            stamp,
-            unix_secs,
-            sender,
-        } = entry;
-        proto::JournalEntry {
-            seq: stamp.seq,
-            epoch: stamp.epoch,
-            step: stamp.step,
-            time: stamp.time,
-            unix_secs,
-            verb: sender.verb.to_owned(),
-            args: args(&sender),
-            client: sender.client.clone(),
-            request_id: sender.request_id.clone(),
-        }
+    let entries = page.records.into_iter().map(|entry| proto::JournalEntry {
+        seq: entry.stamp.seq,
+        epoch: entry.stamp.epoch,
+        step: entry.stamp.step,
+        time: entry.stamp.time,
+        unix_secs: entry.unix_secs,
+        verb: entry.sender.verb.to_owned(),
+        args: args(&entry.sender),
+        client: entry.sender.client.clone(),
+        request_id: entry.sender.request_id.clone(),
     });
     proto::Journal {
         entries: entries.collect(),

@@ -4,36 +4,23 @@ use jostle_proto as proto;
 use jostle_results::table::OrderSeries;
 
 use crate::experiments::{Phase, Report};
-use jostle_experiment::Progress;
+
+same_variants! { Phase, proto::ExperimentPhase: Queued, Running, Paused, Finished, Cancelled, Failed }
 
 /// Returns the progress of an experiment.
 pub fn progress(report: Report) -> proto::Progress {
-    let Progress {
-        runs,
-        finished,
-        faulted,
-        share,
-        elapsed_secs,
-        left_secs,
-        running,
-    } = report.progress;
+    let progress = report.progress;
     proto::Progress {
         name: report.name,
-        phase: match report.phase {
-            Phase::Queued => proto::ExperimentPhase::Queued,
-            Phase::Running => proto::ExperimentPhase::Running,
-            Phase::Paused => proto::ExperimentPhase::Paused,
-            Phase::Finished => proto::ExperimentPhase::Finished,
-            Phase::Cancelled => proto::ExperimentPhase::Cancelled,
-            Phase::Failed => proto::ExperimentPhase::Failed,
-        },
-        runs: runs as u64,
-        finished: finished as u64,
-        faulted: faulted as u64,
-        share,
-        elapsed_secs,
-        left_secs,
-        running: running
+        phase: report.phase.into(),
+        runs: progress.runs as u64,
+        finished: progress.finished as u64,
+        faulted: progress.faulted as u64,
+        share: progress.share,
+        elapsed_secs: progress.elapsed_secs,
+        left_secs: progress.left_secs,
+        running: progress
+            .running
             .into_iter()
             .map(|(run, share)| proto::RunUnderWay { run, share })
             .collect(),

@@ -46,14 +46,9 @@ pub fn metrics(figures: &Figures) -> proto::Metrics {
 }
 
 fn swarm(figures: &SwarmFigures) -> proto::SwarmMetrics {
-    let SwarmFigures {
-        name,
-        summary,
-        totals,
-        last,
-    } = figures;
+    let (summary, totals) = (&figures.summary, &figures.totals);
     proto::SwarmMetrics {
-        swarm: name.clone(),
+        swarm: figures.name.clone(),
         phase: phase(&summary.stamp.phase),
         step: summary.stamp.step,
         n: summary.n as u64,
@@ -63,8 +58,8 @@ fn swarm(figures: &SwarmFigures) -> proto::SwarmMetrics {
         step_secs: totals.step_time.secs(),
         due_steps: totals.lateness.count(),
         late_secs: totals.lateness.secs(),
-        contacts: last.contacts,
-        residual: last.residual,
+        contacts: figures.last.contacts,
+        residual: figures.last.residual,
         degraded: totals.degraded,
         faults: totals.faults,
     }

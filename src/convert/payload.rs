@@ -21,25 +21,25 @@ pub struct Payload {
 }
 
 impl Payload {
+    fn new(bytes: Vec<u8>, encoding: &'static str) -> Self {
+        Payload {
+            bytes,
+            encoding,
+            to_remember: None,
+        }
+    }
+
     /// Encodes a message as JSON.
     pub fn json<T: Serialize>(message: &T) -> Self {
         let mut bytes = Vec::with_capacity(INITIAL_CAPACITY);
         // All numbers are finite and all keys are strings, so this cannot fail.
         serde_json::to_writer(&mut bytes, message).expect("messages are JSON");
-        Payload {
-            bytes,
-            encoding: proto::JSON,
-            to_remember: None,
-        }
+        Payload::new(bytes, proto::JSON)
     }
 
     /// Encodes a message as CBOR.
     pub fn cbor<T: Serialize>(message: &T) -> Self {
-        Payload {
-            bytes: proto::to_cbor(message),
-            encoding: proto::CBOR,
-            to_remember: None,
-        }
+        Payload::new(proto::to_cbor(message), proto::CBOR)
     }
 
     /// Encodes a reply as CBOR. If it is large, `leave_out` removes the state from the cached
@@ -59,11 +59,7 @@ impl Payload {
     /// The payload that a retry of the request gets.
     pub fn remembered(&self) -> Payload {
         match &self.to_remember {
-            Some(bytes) => Payload {
-                bytes: bytes.clone(),
-                encoding: proto::JSON,
-                to_remember: None,
-            },
+            Some(bytes) => Payload::new(bytes.clone(), proto::JSON),
             None => self.clone(),
         }
     }

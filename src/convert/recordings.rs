@@ -6,6 +6,8 @@ use jostle_proto as proto;
 
 use crate::recording::{Format, Phase, Piece, Status};
 
+same_variants! { Phase, proto::RecordingPhase: Recording, Ended, Failed }
+
 /// Returns the state of a recording.
 pub fn recording(name: String, standing: Status) -> proto::Recording {
     proto::Recording {
@@ -16,11 +18,7 @@ pub fn recording(name: String, standing: Status) -> proto::Recording {
             Format::Parquet => proto::RecordingFormat::Parquet,
         },
         every: standing.every,
-        phase: match standing.phase {
-            Phase::Recording => proto::RecordingPhase::Recording,
-            Phase::Ended => proto::RecordingPhase::Ended,
-            Phase::Failed => proto::RecordingPhase::Failed,
-        },
+        phase: standing.phase.into(),
         reason: standing.reason,
         frames: standing.frames,
         missed: standing.missed,

@@ -8,6 +8,7 @@ use jostle_proto::verbs::{
     AdvanceResult, BatchResult, CreateResult, EmptyResult, JoinResult, ResetResult, RunResult,
     Scheduled, StepResult,
 };
+use serde::Serialize;
 
 use crate::convert::controllers;
 use crate::convert::durable::snapshot;
@@ -32,83 +33,75 @@ pub fn reply<T>(swarm: &str, stamp: &Stamp, result: T) -> proto::Reply<T> {
 /// Encodes the reply to an executed command. With a `frame` number it contains the state and is
 /// CBOR.
 pub fn outcome(swarm: &str, stamp: &Stamp, outcome: Outcome, frame: Option<u64>) -> Payload {
+    let state_of = |seen: &Frame| frame.map(|frame| state(swarm, seen, frame));
     match outcome {
-        Outcome::Done => Payload::json(&reply(swarm, stamp, EmptyResult {})),
-        Outcome::Runs(until_step, rate) => {
-            Payload::json(&reply(swarm, stamp, RunResult { until_step, rate }))
-        }
+        Outcome::Done => json(swarm, stamp, EmptyResult {}),
+        Outcome::Runs(until_step, rate) => json(swarm, stamp, RunResult { until_step, rate }),
         Outcome::Stepped {
             steps,
             durable_step,
             frame: seen,
         } => {
-            let state = frame.map(|frame| state(swarm, &seen, frame));
             let result = StepResult {
                 steps,
                 durable_step,
                 state_hash: hash(&seen),
-                state,
+                state: state_of(&seen),
             };
-            let reply = reply(swarm, stamp, result);
-            match frame {
-                Some(_) => Payload::with_state(reply, |result| result.state = None),
-                None => Payload::json(&reply),
+            match result.state {
+                None => json(swarm, stamp, result),
+                Some(_) => Payload::with_state(reply(swarm, stamp, result), |it| it.state = None),
             }
         }
-        Outcome::Joined { ids, news: since } => {
-            let news = controllers::news_to_proto(since);
-            Payload::json(&reply(swarm, stamp, JoinResult { ids, news }))
+        Outcome::Joined { ids, news } => {
+            let news = controllers::news_to_proto(news);
+            json(swarm, stamp, JoinResult { ids, news })
         }
         Outcome::Advanced {
             steps,
             durable_step,
             frame: seen,
-            news: since,
+            news,
         } => {
-            let state = frame.map(|frame| state(swarm, &seen, frame));
             let result = AdvanceResult {
                 steps,
                 durable_step,
                 state_hash: hash(&seen),
-                news: controllers::news_to_proto(since),
-                state,
+                news: controllers::news_to_proto(news),
+                state: state_of(&seen),
             };
-            let reply = reply(swarm, stamp, result);
-            match frame {
-                Some(_) => Payload::with_state(reply, |result| result.state = None),
-                None => Payload::json(&reply),
+            match result.state {
+                None => json(swarm, stamp, result),
+                Some(_) => Payload::with_state(reply(swarm, stamp, result), |it| it.state = None),
             }
         }
         Outcome::Reset(seen) => {
-            let result = ResetResult {
-                seed: seen.seed,
-                state_hash: hash(&seen),
-            };
-            Payload::json(&reply(swarm, stamp, result))
+            let (seed, state_hash) = (seen.seed, hash(&seen));
+            json(swarm, stamp, ResetResult { seed, state_hash })
         }
         Outcome::Changed(ChangeOutcome::Set {
             before,
             now,
             scaled_by,
-        }) => Payload::json(&reply(swarm, stamp, set_result(before, now, scaled_by))),
-        Outcome::Changed(ChangeOutcome::Ids { ids, n }) => {
-            Payload::json(&reply(swarm, stamp, ids_result(ids, n)))
-        }
+        }) => json(swarm, stamp, set_result(before, now, scaled_by)),
+        Outcome::Changed(ChangeOutcome::Ids { ids, n }) => json(swarm, stamp, ids_result(ids, n)),
         Outcome::Batch(outcomes) => {
             let results = outcomes.into_iter();
             let results = results
                 .map(|(kind, outcome)| changed(kind, outcome))
                 .collect();
-            Payload::json(&reply(swarm, stamp, BatchResult { results }))
+            json(swarm, stamp, BatchResult { results })
         }
-        Outcome::Scheduled(applies_at_step) => {
-            Payload::json(&reply(swarm, stamp, Scheduled { applies_at_step }))
-        }
+        Outcome::Scheduled(applies_at_step) => json(swarm, stamp, Scheduled { applies_at_step }),
         Outcome::Checkpoint(whole) => {
             Payload::cbor(&reply(swarm, stamp, snapshot(swarm, &whole).sealed()))
         }
-        Outcome::State(seen) => Payload::json(&reply(swarm, stamp, status(&seen, None))),
+        Outcome::State(seen) => json(swarm, stamp, status(&seen, None)),
     }
+}
+
+fn json<T: Serialize>(swarm: &str, stamp: &Stamp, result: T) -> Payload {
+    Payload::json(&reply(swarm, stamp, result))
 }
 
 /// Encodes the reply to `create`.
@@ -118,5 +111,5 @@ pub fn created(swarm: &str, stamp: &Stamp, spec: &Spec, seen: &Frame, is_new: bo
         spec: spec_to_proto(spec, seen.seed),
         state_hash: hash(seen),
     };
-    Payload::json(&reply(swarm, stamp, result))
+    json(swarm, stamp, result)
 }

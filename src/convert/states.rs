@@ -1,9 +1,8 @@
 //! States of swarms: what is published, and the replies to queries of a state.
 
 use jostle_convert::hexadecimal;
-use jostle_convert::spec::{self, parameter_values};
+use jostle_convert::spec::parameter_values;
 use jostle_proto as proto;
-use serde::Serialize;
 
 use crate::convert::controllers::waiting_for;
 use crate::swarm::frame::{Frame, Replay, Summary};
@@ -107,6 +106,9 @@ pub fn replay(replay: &Replay) -> proto::Replay {
 pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
     let mut parameters = proto::contract::parameters();
     let now = seen.parameters;
+    // All numbers are finite and all keys are strings, so this cannot fail.
+    let values = serde_json::to_value(parameter_values(now, seen.publish_every))
+        .expect("parameters are JSON");
     for parameter in &mut parameters {
         match parameter.name.as_str() {
             "n" => {
@@ -118,19 +120,13 @@ pub fn parameters(seen: &Frame, limits: Limits) -> proto::Parameters {
                 parameter.value = now.dt.into();
                 parameter.maximum = Some(now.longest_step(largest));
             }
-            "pi1" => parameter.value = now.pi1.into(),
-            "pi2" => parameter.value = now.pi2.into(),
-            "pi3" => parameter.value = now.pi3.into(),
-            "pi4" => parameter.value = now.pi4.into(),
             "seed" => parameter.value = seen.seed.into(),
-            "publish_every" => parameter.value = seen.publish_every.into(),
             "rate" => parameter.value = seen.rate.into(),
-            "contacts" => parameter.value = value(&spec::contact_rule_to_proto(now.contacts)),
-            "stepping" => parameter.value = value(&spec::stepping_to_proto(now.stepping)),
-            "relinearise" => parameter.value = u8::from(now.relinearise).into(),
-            "attraction" => parameter.value = value(&spec::attraction_to_proto(now.attraction)),
-            "noise" => parameter.value = now.noise.into(),
-            _ => {}
+            name => {
+                if let Some(value) = values.get(name) {
+                    parameter.value = value.clone();
+                }
+            }
         }
     }
     proto::Parameters { parameters }
@@ -146,11 +142,6 @@ pub fn limits(limits: Limits, max_clients: usize, max_message_bytes: u64) -> pro
         max_clients: max_clients as u64,
         max_hz: u64::from(limits.max_hz),
     }
-}
-
-fn value<T: Serialize>(choice: &T) -> serde_json::Value {
-    // All numbers are finite and all keys are strings, so this cannot fail.
-    serde_json::to_value(choice).expect("choices are JSON")
 }
 
 /// Converts the phase of a swarm.

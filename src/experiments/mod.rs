@@ -11,12 +11,13 @@ mod status;
 use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Duration;
 
 use jostle_experiment::{Folder, Plan};
 use jostle_proto::keys;
 use jostle_results::table::OrderSeries;
+use parking_lot::{Condvar, Mutex, MutexGuard};
 use tracing::{info, warn};
 
 pub use self::error::ExperimentError;
@@ -44,6 +45,7 @@ struct Shared {
     results: ResultsCache,
     /// Held during a request that changes an experiment.
     serialize_changes: Mutex<()>,
+    /// Nothing between two changes can panic.
     state: Mutex<State>,
     changed: Condvar,
 }
@@ -242,8 +244,8 @@ impl ExperimentManager {
                 && state.version == seen
                 && !entries.any(|entry| entry.status.phase == Phase::Running)
         };
-        let waited = self.0.changed.wait_while(self.lock(), is_unchanged);
-        let state = waited.unwrap_or_else(PoisonError::into_inner);
+        let mut state = self.lock();
+        self.0.changed.wait_while(&mut state, is_unchanged);
         (!state.is_stopping).then_some(state.version)
     }
 
@@ -263,8 +265,8 @@ impl ExperimentManager {
             entries.filter(|it| it.execution.is_some()).count()
         };
         let changed = &self.0.changed;
-        let waited = changed.wait_timeout_while(state, timeout, |state| count(state) > 0);
-        count(&waited.unwrap_or_else(PoisonError::into_inner).0)
+        changed.wait_while_for(&mut state, |state| count(state) > 0, timeout);
+        count(&state)
     }
 
     fn plan(&self, name: &str) -> Result<Arc<Plan>, ExperimentError> {
@@ -324,7 +326,7 @@ impl ExperimentManager {
     fn wait_for_end(&self, name: &str) {
         let is_ending = |state: &mut State| state.entries.get(name).is_some_and(Entry::is_ending);
         let changed = &self.0.changed;
-        drop(changed.wait_timeout_while(self.lock(), CANCEL_TIMEOUT, is_ending));
+        changed.wait_while_for(&mut self.lock(), is_ending, CANCEL_TIMEOUT);
     }
 
     fn phase(&self, name: &str) -> Result<Phase, ExperimentError> {
@@ -338,8 +340,7 @@ impl ExperimentManager {
     }
 
     fn begin_change(&self) -> Result<MutexGuard<'_, ()>, ExperimentError> {
-        let changes = &self.0.serialize_changes;
-        let serialized = changes.lock().unwrap_or_else(PoisonError::into_inner);
+        let serialized = self.0.serialize_changes.lock();
         match self.lock().is_stopping {
             true => Err(ExperimentError::Stopping),
             false => Ok(serialized),
@@ -347,8 +348,7 @@ impl ExperimentManager {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        // Nothing between two changes can panic.
-        self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.state.lock()
     }
 }
 

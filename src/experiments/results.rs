@@ -2,10 +2,11 @@
 
 use std::fs;
 use std::path::Path;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
 
 use jostle_experiment::{Folder, Plan};
 use jostle_results::ResultRow;
+use parking_lot::Mutex;
 
 use super::error::ExperimentError;
 
@@ -23,8 +24,7 @@ impl ResultsCache {
         // The list is only appended to.
         let list = fs::metadata(folder.join("runs.jsonl"));
         let length = list.map_or(0, |list| list.len());
-        let lock = || self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some((of, cached, rows)) = &*lock()
+        if let Some((of, cached, rows)) = &*self.0.lock()
             && of == name
             && *cached == length
         {
@@ -32,7 +32,7 @@ impl ResultsCache {
         }
         let read = Folder::read(folder, plan).map_err(ExperimentError::unreadable)?;
         let rows = Arc::new(numbered(plan, read));
-        *lock() = Some((name.to_owned(), length, rows.clone()));
+        *self.0.lock() = Some((name.to_owned(), length, rows.clone()));
         Ok(rows)
     }
 }

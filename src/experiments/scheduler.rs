@@ -1,11 +1,12 @@
 //! Executes the queued experiments, one at a time in the order of submission.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::{Arc, MutexGuard};
+use std::sync::Arc;
 use std::thread;
 use std::time::Duration;
 
 use jostle_experiment::{Control, Execution, Folder, Outcome, Subset, execute};
+use parking_lot::MutexGuard;
 use tracing::{info, warn};
 
 use super::status::{Entry, Phase};

@@ -64,16 +64,8 @@ pub(super) struct Status {
     pub(super) number: u64,
     /// On disk, a running experiment is queued: it resumes when the daemon restarts.
     pub(super) phase: Phase,
-    #[serde(default)]
-    runs: usize,
-    #[serde(default)]
-    finished: usize,
-    #[serde(default)]
-    faulted: usize,
-    #[serde(default)]
-    share: f64,
-    #[serde(default)]
-    elapsed_secs: f64,
+    #[serde(flatten)]
+    progress: Progress,
     #[serde(default)]
     pub(super) message: Option<String>,
 }
@@ -87,30 +79,15 @@ impl Status {
         Status {
             number,
             phase: Phase::Queued,
-            runs: 0,
-            finished: 0,
-            faulted: 0,
-            share: 0.0,
-            elapsed_secs: 0.0,
+            progress: Progress::default(),
             message: None,
         }
     }
 
     /// Sets the plan's number of runs, of which at least so many are finished.
     pub(super) fn count(&mut self, runs: usize, finished: usize) {
-        self.runs = runs;
-        self.finished = self.finished.max(finished);
-    }
-
-    fn progress(&self) -> Progress {
-        Progress {
-            runs: self.runs,
-            finished: self.finished,
-            faulted: self.faulted,
-            share: self.share,
-            elapsed_secs: self.elapsed_secs,
-            ..Progress::default()
-        }
+        self.progress.runs = runs;
+        self.progress.finished = self.progress.finished.max(finished);
     }
 }
 
@@ -126,7 +103,7 @@ pub(super) struct Entry {
 
 impl Entry {
     pub(super) fn report(&self, name: &str) -> Report {
-        let before = self.status.progress();
+        let before = self.status.progress.clone();
         let mut progress = match self.execution.as_ref().map(|it| it.progress()) {
             // It has no runs until it has started.
             Some(current) if current.runs > 0 => Progress {
@@ -152,16 +129,14 @@ impl Entry {
 
     /// The present status, in another phase.
     pub(super) fn status_in(&self, phase: Phase) -> Status {
-        let progress = self.report("").progress;
         Status {
-            number: self.status.number,
             phase,
-            runs: progress.runs,
-            finished: progress.finished,
-            faulted: progress.faulted,
-            share: progress.share,
-            elapsed_secs: progress.elapsed_secs,
-            message: self.status.message.clone(),
+            progress: Progress {
+                left_secs: None,
+                running: Vec::new(),
+                ..self.report("").progress
+            },
+            ..self.status.clone()
         }
     }
 
@@ -181,7 +156,7 @@ impl Entry {
         self.execution = None;
         if is_complete {
             self.status.phase = Phase::Finished;
-            self.status.share = 1.0;
+            self.status.progress.share = 1.0;
         }
     }
 }

@@ -83,11 +83,13 @@ impl Watch {
         }
         let (resident_bytes, threads) = process();
         let (sessions, probe_secs) = {
-            let last = self.last();
+            let last = self.last.lock();
             let probes = last.probes.iter().filter(|it| it.failures == 0);
             let slowest = probes.filter_map(|it| it.secs).reduce(f64::max);
             (last.sessions, slowest)
         };
+        let recordings = &self.watched.recordings;
+        let usage = recordings.usage();
         let cpu = clock_gettime(ClockId::ProcessCPUTime);
         Figures {
             uptime_secs: self.uptime().as_secs_f64(),
@@ -104,8 +106,8 @@ impl Watch {
             totals,
             contested: (self.watched.contested)().len(),
             store: self.watched.store.health(),
-            recordings: (self.watched.recordings)(),
-            recordings_bytes: (self.watched.recordings_bytes)(),
+            recordings: (self.watched.count)(recordings),
+            recordings_bytes: (usage.bytes, usage.quota_bytes),
             dropped_requests: (self.watched.dropped_requests)(),
             swarms,
         }

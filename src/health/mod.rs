@@ -11,16 +11,19 @@ mod watchdog;
 
 pub use reason::{Bus, Contested, Reason, RecordingCounts, Warning};
 
+use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use parking_lot::Mutex;
 use tracing::{info, warn};
 
+use crate::auth::live::LiveRights;
 use crate::health::probe::{Probe, ProbeStatus};
 use crate::health::watchdog::{Watchdog, Worker};
 use crate::metrics::Activity;
+use crate::recording::Recordings;
 use crate::store::Store;
 use crate::swarm::registry::SwarmRegistry;
 
@@ -45,6 +48,10 @@ pub struct Watched {
     pub host: Arc<SwarmRegistry>,
     /// The store.
     pub store: Store,
+    /// The users.
+    pub rights: Arc<LiveRights>,
+    /// The recordings.
+    pub recordings: Recordings,
     /// The other threads of the daemon.
     pub threads: Vec<(&'static str, Arc<Activity>)>,
     /// The endpoints to probe.
@@ -53,14 +60,8 @@ pub struct Watched {
     pub sessions: Box<dyn Fn() -> usize + Send + Sync>,
     /// Whether zenoh is blocked.
     pub bus: Box<dyn Fn() -> Bus + Send + Sync>,
-    /// The last day of the daemon's certificate, if it has expired.
-    pub certificate_ended: Box<dyn Fn() -> Option<String> + Send + Sync>,
-    /// Counts the daemon's recordings.
-    pub recordings: Box<dyn Fn() -> RecordingCounts + Send + Sync>,
-    /// Whether `people.json` cannot be reloaded.
-    pub are_people_unreadable: Box<dyn Fn() -> bool + Send + Sync>,
-    /// The size of all recordings and its limit, in bytes.
-    pub recordings_bytes: Box<dyn Fn() -> (u64, u64) + Send + Sync>,
+    /// Counts the recordings by phase.
+    pub count: fn(&Recordings) -> RecordingCounts,
     /// Requests that a defect dropped without a reply.
     pub dropped_requests: Box<dyn Fn() -> u64 + Send + Sync>,
     /// The names that another daemon uses too.
@@ -71,6 +72,7 @@ pub struct Watched {
 pub struct Watch {
     watched: Watched,
     started: Instant,
+    /// Every change is an assignment, so a panic leaves no partial one.
     last: Mutex<Check>,
     end: Mutex<Option<Sender<()>>>,
 }
@@ -85,10 +87,6 @@ struct Check {
 
 impl Watch {
     /// Starts the health thread.
-    ///
-    /// # Errors
-    ///
-    /// The thread cannot be started.
     pub fn start(watched: Watched) -> std::io::Result<Arc<Self>> {
         let (end, ended) = channel();
         let endpoints = watched.endpoints.iter();
@@ -113,14 +111,13 @@ impl Watch {
 
     /// Stops the health thread.
     pub fn stop(&self) {
-        let mut end = self.end.lock().unwrap_or_else(PoisonError::into_inner);
-        drop(end.take());
+        self.end.lock().take();
     }
 
     /// Why the daemon is unhealthy; empty if it is healthy.
     pub fn reasons(&self) -> Vec<Reason> {
         let store = self.watched.store.health();
-        let last = self.last();
+        let last = self.last.lock();
         let mut reasons = last.stuck.clone();
         let age = last.at.elapsed();
         let probes = u32::try_from(last.probes.len()).unwrap_or(1);
@@ -136,13 +133,13 @@ impl Watch {
             secs: age.as_secs_f64(),
             closing: bus.closing,
         }));
-        let ended = (self.watched.certificate_ended)();
+        let rights = &self.watched.rights;
+        let ended = rights.current().ended();
         reasons.extend(ended.map(|day| Reason::CertificateEnded { day }));
         let contested = (self.watched.contested)().into_iter();
         reasons.extend(contested.map(Reason::Contested));
-        let are_people_unreadable = (self.watched.are_people_unreadable)();
         let flags = [
-            (are_people_unreadable, Reason::PeopleUnreadable),
+            (rights.problem().is_some(), Reason::PeopleUnreadable),
             (store.is_full, Reason::StoreFull),
             (store.is_failing, Reason::StoreFailing),
             (store.is_overrun, Reason::StoreOverrun),
@@ -154,7 +151,7 @@ impl Watch {
 
     /// Problems with which the daemon stays healthy.
     pub fn warnings(&self) -> Vec<Warning> {
-        let failed = (self.watched.recordings)().failed;
+        let failed = (self.watched.count)(&self.watched.recordings).failed;
         let warning = (!failed.is_empty()).then_some(Warning::RecordingsFailed(failed));
         warning.into_iter().collect()
     }
@@ -173,7 +170,7 @@ impl Watch {
             let stuck = watchdog.check(&self.tasks(), now, TASK_TIMEOUT);
             let sessions = (self.watched.sessions)();
             {
-                let mut last = self.last();
+                let mut last = self.last.lock();
                 (last.stuck, last.sessions, last.at) = (stuck, sessions, now);
             }
             if now >= probe_due {
@@ -183,7 +180,7 @@ impl Watch {
                     if result.is_err() {
                         probe_due = now + PROBE_RETRY;
                     }
-                    self.last().probes[i].record(result);
+                    self.last.lock().probes[i].record(result);
                 }
             }
             let reasons = self.reasons();
@@ -216,10 +213,5 @@ impl Watch {
         // A store that cannot write is reported as such.
         let is_busy = health.waiting > 0 && !health.is_full && !health.is_failing;
         is_busy.then_some((Worker::Thread("store"), health.commits))
-    }
-
-    fn last(&self) -> MutexGuard<'_, Check> {
-        // Every change is an assignment, so a panic leaves no partial one.
-        self.last.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

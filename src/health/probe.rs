@@ -85,10 +85,6 @@ impl Probe {
     }
 
     /// Connects, sends a message and waits for the reply; returns how long it took.
-    ///
-    /// # Errors
-    ///
-    /// [`Reason::Unresponsive`].
     pub fn try_once(&self) -> Result<Duration, Reason> {
         let began = Instant::now();
         let result = match &self.address {

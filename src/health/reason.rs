@@ -122,23 +122,17 @@ pub struct Contested {
     pub waits: bool,
 }
 
-fn contested(
-    Contested {
-        swarm,
-        node,
-        instance,
-        waits,
-    }: &Contested,
-) -> String {
-    let what = match swarm {
+fn contested(it: &Contested) -> String {
+    let node = &it.node;
+    let what = match &it.swarm {
         Some(swarm) => format!("daemon {node} has a swarm {swarm}, too"),
-        None => format!("another daemon is named {node}, too ({instance})"),
+        None => format!("another daemon is named {node}, too ({})", it.instance),
     };
-    let outcome = match waits {
+    let outcome = match it.waits {
         true => "the other daemon serves it, and this one waits",
         false => "both created it or executed commands on it, so both reject everything",
     };
-    let end = match swarm {
+    let end = match it.swarm {
         Some(_) => "until one is stopped or deletes it",
         None => "until one is stopped",
     };

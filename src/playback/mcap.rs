@@ -18,20 +18,23 @@ const MAX_FRAMES: usize = 4_000_000;
 const MAX_EVENT_BYTES: usize = 64 * 1024 * 1024;
 
 /// The memory of the index of a frame, and of an event without its text.
-const BYTES_PER_ENTRY: usize = 64;
+pub(super) const BYTES_PER_ENTRY: usize = 64;
 
 /// Parses a recorded command: its verb and its arguments as JSON.
 pub type ReadCommand<'a> = &'a dyn Fn(&str, &str) -> Result<Command, String>;
 
 /// An open recording.
 pub struct McapSource {
-    swarm: Arc<str>,
-    spec: Spec,
-    max_individuals: usize,
+    /// The name of the recorded swarm.
+    pub(super) swarm: Arc<str>,
+    pub(super) spec: Spec,
+    /// The size of the largest group.
+    pub(super) max_individuals: usize,
     files: Vec<File>,
     ranges: Vec<ByteRange>,
     index: Vec<FrameIndex>,
-    events: Vec<RecordedEvent>,
+    /// Its events, in order.
+    pub events: Vec<RecordedEvent>,
     /// The parameters, each from a frame on.
     parameters: Vec<(usize, Parameters)>,
 }
@@ -141,23 +144,16 @@ impl McapSource {
     }
 
     fn add_event(&mut self, bytes: &[u8], read_command: ReadCommand<'_>) -> Result<(), String> {
-        let event = convert::decode_event(bytes)?;
-        let after = self.index.len();
-        if let Some((verb, args)) = event.command {
+        let (shown, command) = convert::decode_event(bytes)?;
+        if let Some((verb, args)) = command {
             // A command that only an older daemon accepts changes no parameters.
             if let Ok(order) = read_command(&verb, &args.to_string()) {
                 self.apply(&order);
             }
         }
-        if let Some(what) = event.what {
-            self.events.push(RecordedEvent {
-                after,
-                step: event.step,
-                time: event.time,
-                unix_secs: event.unix_secs,
-                what: what.into(),
-            });
-        }
+        let after = self.index.len();
+        self.events
+            .extend(shown.map(|event| RecordedEvent { after, ..event }));
         Ok(())
     }
 
@@ -182,45 +178,15 @@ impl McapSource {
         }
     }
 
-    /// The spec of the recorded swarm.
-    pub fn spec(&self) -> &Spec {
-        &self.spec
-    }
-
-    /// The size of the largest group.
-    pub fn max_individuals(&self) -> usize {
-        self.max_individuals
-    }
-
-    /// Its memory in bytes, without a frame.
-    pub fn memory_bytes(&self) -> u64 {
-        let text: usize = self.events.iter().map(|event| event.what.len()).sum();
-        let entries = self.events.len() + 2 * self.index.len();
-        (text + BYTES_PER_ENTRY * entries) as u64
-    }
-    /// The name of the recorded swarm.
-    pub fn swarm(&self) -> &Arc<str> {
-        &self.swarm
-    }
-
     /// Its frames, at least one; positions never decrease.
     pub fn index(&self) -> &[FrameIndex] {
         &self.index
     }
 
-    /// Its events, in order.
-    pub fn events(&self) -> &[RecordedEvent] {
-        &self.events
-    }
-
     /// Reads a frame.
     pub fn frame(&mut self, frame: usize) -> Result<RecordedFrame, String> {
-        let ByteRange {
-            file,
-            offset,
-            bytes,
-        } = self.ranges[frame];
-        let bytes = recording::bytes_at(&mut self.files[file], offset, bytes)
+        let range = &self.ranges[frame];
+        let bytes = recording::bytes_at(&mut self.files[range.file], range.offset, range.bytes)
             .map_err(|error| format!("frame {} cannot be read: {error}", frame + 1))?;
         let since = self.parameters.partition_point(|(from, _)| *from <= frame);
         let parameters = self.parameters[since - 1].1;

@@ -8,8 +8,8 @@ use std::time::{Duration, Instant};
 use jostle_physics::simulation::{Rate, Spec};
 use tracing::warn;
 
-use crate::playback::McapSource;
-use crate::playback::source::{FrameIndex, RecordedEvent, RecordedFrame};
+use crate::playback::mcap::{BYTES_PER_ENTRY, McapSource};
+use crate::playback::source::{FrameIndex, RecordedFrame};
 use crate::swarm::clock;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{Event, EventKind, Frame, Replay, Stamp, Summary};
@@ -30,15 +30,17 @@ const RATE_PERIOD: Duration = Duration::from_secs(1);
 
 impl Playback for McapSource {
     fn spec(&self) -> &Spec {
-        McapSource::spec(self)
+        &self.spec
     }
 
     fn max_individuals(&self) -> usize {
-        McapSource::max_individuals(self)
+        self.max_individuals
     }
 
     fn memory_bytes(&self) -> u64 {
-        McapSource::memory_bytes(self)
+        let text: usize = self.events.iter().map(|event| event.what.len()).sum();
+        let entries = self.events.len() + 2 * self.index().len();
+        (text + BYTES_PER_ENTRY * entries) as u64
     }
 
     fn start(
@@ -107,10 +109,6 @@ pub struct Player {
 
 impl Player {
     /// A player at the first frame, paused.
-    ///
-    /// # Errors
-    ///
-    /// [`SwarmError::Film`] if that cannot be read.
     fn new(
         mut source: McapSource,
         handle: &Handle,
@@ -203,21 +201,14 @@ impl Player {
     /// Advances to a later frame, and publishes the events before it.
     pub(super) fn advance_to(&mut self, target: usize) {
         let until = self.events_before(target);
-        let events = self.source.events()[self.passed..until].to_vec();
-        for RecordedEvent {
-            step,
-            time,
-            unix_secs,
-            what,
-            ..
-        } in events
-        {
+        let events = self.source.events[self.passed..until].to_vec();
+        for event in events {
             let stamp = Stamp {
-                step,
-                time,
+                step: event.step,
+                time: event.time,
                 ..self.stamp()
             };
-            self.publish_event_at(stamp, unix_secs, EventKind::Recorded(what));
+            self.publish_event_at(stamp, event.unix_secs, EventKind::Recorded(event.what));
         }
         let index = self.source.index();
         if index[target].epoch != index[self.at].epoch {
@@ -247,7 +238,7 @@ impl Player {
 
     /// The number of events before a frame.
     fn events_before(&self, frame: usize) -> usize {
-        let events = self.source.events();
+        let events = &self.source.events;
         events.partition_point(|event| event.after <= frame)
     }
 
@@ -342,31 +333,24 @@ impl Player {
 
     pub(super) fn frame(&self) -> Arc<Frame> {
         let index = self.source.index();
-        let RecordedFrame {
-            parameters,
-            configuration,
-            order,
-            means,
-            exactness,
-            gaps,
-        } = self.frame.clone();
+        let recorded = self.frame.clone();
         Arc::new(Frame {
             stamp: self.stamp(),
-            parameters,
+            parameters: recorded.parameters,
             publish_every: self.spec.publish_every,
             seed: self.spec.seed,
             scheduled: 0,
-            configuration,
-            order,
-            means,
-            exactness,
+            configuration: recorded.configuration,
+            order: recorded.order,
+            means: recorded.means,
+            exactness: recorded.exactness,
             rate: self.rate,
             real_time_factor: self.real_time_factor.filter(|_| self.phase.is_moving()),
             controllers: Vec::new(),
             hash: None,
-            gaps: OnceLock::from(gaps),
+            gaps: OnceLock::from(recorded.gaps),
             replay: Some(Replay {
-                of: self.source.swarm().clone(),
+                of: self.source.swarm.clone(),
                 frame: self.at as u64 + 1,
                 frames: index.len() as u64,
                 position: index[self.at].position,

@@ -4,8 +4,9 @@ use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
+
+use parking_lot::Mutex;
 
 use crate::playback::ReplayError;
 use crate::playback::mcap::{McapSource, ReadCommand};
@@ -22,6 +23,7 @@ const IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 /// The uploads of a daemon. A file is removed when it is opened, or when the daemon restarts.
 pub struct Uploads {
     folder: PathBuf,
+    /// Nothing between two changes can panic.
     by_name: Mutex<BTreeMap<String, Upload>>,
 }
 
@@ -58,7 +60,7 @@ impl Uploads {
         }
         let end = offset.saturating_add(piece.len() as u64);
         let unkept = |error: io::Error| ReplayError::Unkept(error.to_string());
-        let mut by_name = self.lock();
+        let mut by_name = self.by_name.lock();
         if offset == 0 {
             self.make_room(&mut by_name, name)?;
             let upload = Upload {
@@ -100,7 +102,7 @@ impl Uploads {
         name: &str,
         read_command: ReadCommand<'_>,
     ) -> Result<McapSource, ReplayError> {
-        let mut by_name = self.lock();
+        let mut by_name = self.by_name.lock();
         let is_complete = |it: &Upload| it.received == it.length;
         if !by_name.get(name).is_some_and(is_complete) {
             return Err(ReplayError::NotUploaded(name.to_owned()));
@@ -145,11 +147,6 @@ impl Uploads {
         // After an error the next start removes it.
         let _ = fs::remove_file(self.path(name));
     }
-
-    fn lock(&self) -> MutexGuard<'_, BTreeMap<String, Upload>> {
-        // Nothing between two changes can panic.
-        self.by_name.lock().unwrap_or_else(PoisonError::into_inner)
-    }
 }
 
 #[cfg(test)]
@@ -171,7 +168,7 @@ mod tests {
         assert_eq!(begin("a1"), Ok(2));
         assert_eq!(uploads.receive("a1", 2, 4, b"cd"), Ok(4));
         let long_ago = Instant::now().checked_sub(IDLE_TIMEOUT).unwrap();
-        uploads.lock().get_mut("a0").unwrap().touched = long_ago;
+        uploads.by_name.lock().get_mut("a0").unwrap().touched = long_ago;
         assert_eq!(begin("b"), Ok(2));
         assert!(!uploads.path("a0").exists());
         let lost = uploads.receive("a0", 2, 4, b"cd");

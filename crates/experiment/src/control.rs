@@ -8,6 +8,8 @@ use std::sync::atomic::{AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
+use serde::{Deserialize, Serialize};
+
 /// Values of the signal.
 const GOING: u8 = 0;
 const PAUSED: u8 = 1;
@@ -16,8 +18,9 @@ const CANCELLED: u8 = 2;
 /// Elapsed time before the remaining time is estimated.
 const MIN_ELAPSED: Duration = Duration::from_millis(500);
 
-/// The progress of an experiment.
-#[derive(Clone, Debug, Default, PartialEq)]
+/// The progress of an experiment. The current runs are not stored.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(default)]
 pub struct Progress {
     /// Number of runs of the experiment.
     pub runs: usize,
@@ -30,8 +33,10 @@ pub struct Progress {
     /// The time of this execution without pauses.
     pub elapsed_secs: f64,
     /// The estimated remaining time without pauses; none if it cannot be estimated yet.
+    #[serde(skip)]
     pub left_secs: Option<f64>,
     /// The current runs, each with the share of its steps that is done.
+    #[serde(skip)]
     pub running: Vec<(String, f64)>,
 }
 

@@ -8,7 +8,6 @@ use jostle_proto::{Request, RequestError};
 use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
 
-use crate::convert;
 use crate::convert::commands::{CommandError, check_name};
 use crate::swarm::command::Command;
 use crate::swarm::membership::Put;
@@ -23,20 +22,12 @@ struct Applied {
 }
 
 /// Parses set-points and the epoch for which they are meant.
-///
-/// # Errors
-///
-/// What is wrong with them.
 pub fn read(controller: &str, bytes: &[u8], is_cbor: bool) -> Result<(Option<u64>, Put), String> {
-    let Control {
-        sequence,
-        epoch,
-        set,
-    } = convert::control(bytes, is_cbor)?;
+    let control = parse(bytes, is_cbor)?;
     let applied = Applied {
         controller: controller.to_owned(),
-        sequence,
-        set,
+        sequence: control.sequence,
+        set: control.set,
     };
     // NaN and infinity become null here, and are rejected below.
     let args = serde_json::to_string(&applied).map_err(|error| error.to_string())?;
@@ -51,7 +42,7 @@ pub fn read(controller: &str, bytes: &[u8], is_cbor: bool) -> Result<(Option<u64
         return Err("has a number that is not finite".into());
     }
     let put = Put {
-        sequence,
+        sequence: applied.sequence,
         set,
         sender: Arc::new(Sender {
             verb: "control",
@@ -59,28 +50,27 @@ pub fn read(controller: &str, bytes: &[u8], is_cbor: bool) -> Result<(Option<u64
             ..Sender::default()
         }),
     };
-    Ok((epoch, put))
+    Ok((control.epoch, put))
+}
+
+fn parse(bytes: &[u8], is_cbor: bool) -> Result<Control, String> {
+    match is_cbor {
+        true => ciborium::from_reader(bytes).map_err(|error| error.to_string()),
+        false => serde_json::from_slice(bytes).map_err(|error| error.to_string()),
+    }
 }
 
 /// Parses set-points from the journal.
-///
-/// # Errors
-///
-/// [`CommandError`] if the journal is damaged.
 pub fn order(request: &Request) -> Result<Command, CommandError> {
     let args = request.args.as_deref().map_or("{}", RawValue::get);
-    let Applied {
-        controller,
-        sequence,
-        set,
-    } = serde_json::from_str(args).map_err(|error| RequestError {
+    let applied: Applied = serde_json::from_str(args).map_err(|error| RequestError {
         field: "args".to_owned(),
         problem: error.to_string(),
     })?;
-    check_name("controller", &controller)?;
+    check_name("controller", &applied.controller)?;
     Ok(Command::Control {
-        controller,
-        sequence,
-        set: set_points(set)?,
+        controller: applied.controller,
+        sequence: applied.sequence,
+        set: set_points(applied.set)?,
     })
 }

@@ -8,10 +8,6 @@ use crate::swarm::error::SwarmError;
 use crate::swarm::registry::Limits;
 
 /// Checks the name and the spec of a new swarm.
-///
-/// # Errors
-///
-/// [`CommandError`] names the first invalid field.
 pub fn spec(args: &CreateArgs, limits: Limits) -> Result<Spec, CommandError> {
     check_name("name", &args.name)?;
     let n = usize::try_from(args.spec.n)

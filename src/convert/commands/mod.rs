@@ -1,31 +1,25 @@
-//! Converts the arguments of requests to commands: one file per verb.
+//! Converts the arguments of requests to commands: one file per verb, or for
+//! those that a swarm executes.
 //!
 //! An error names the field, its range and the remedy.
 
 use std::sync::Arc;
 use std::time::Duration;
 
-use jostle_convert::change;
-use jostle_proto::verbs::LeaveArgs;
+use jostle_convert::value::whole;
+use jostle_convert::{WireError, change};
+use jostle_proto::verbs::{
+    AdvanceArgs, DeleteArgs, LeaveArgs, PauseArgs, ResetArgs, Return, StepArgs,
+};
 use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
 
 use crate::swarm::command::{Command, When};
 use crate::swarm::sender::Sender;
-use jostle_convert::WireError;
 
-pub mod advance;
-pub mod batch;
 pub mod control;
 pub mod create;
-pub mod delete;
-pub mod join;
-pub mod leave;
-pub mod pause;
-pub mod reset;
-pub mod run;
 pub mod seek;
-pub mod set;
-pub mod step;
+pub mod swarm;
 pub mod wait;
 
 pub use crate::convert::error::CommandError;
@@ -55,10 +49,6 @@ pub struct ParsedCommand {
 }
 
 /// Parses a command to a swarm.
-///
-/// # Errors
-///
-/// [`CommandError`] for an unknown verb or invalid arguments.
 pub fn read(verb: &str, request: &Request) -> Result<ParsedCommand, CommandError> {
     // The registry forks, and a playback seeks: a swarm executes neither.
     let is_order = |verb: &&&str| !["fork", "seek"].contains(*verb);
@@ -71,36 +61,42 @@ pub fn read(verb: &str, request: &Request) -> Result<ParsedCommand, CommandError
     };
     let mut returns_state = false;
     let order = match verb {
-        "delete" => delete::order(request.args()?),
-        "run" => run::order(request.args()?)?,
-        "pause" => pause::order(request.args()?),
-        "step" => {
-            let args = request.args()?;
-            returns_state = step::returns_state(args);
-            step::order(args)?
+        "delete" => {
+            let DeleteArgs {} = request.args()?;
+            Command::Delete
         }
-        "reset" => reset::order(request.args()?)?,
-        "set" => Command::Change(change::set(request.args().map_err(set::explain)?)?),
+        "run" => swarm::run(request.args()?)?,
+        "pause" => {
+            let PauseArgs {} = request.args()?;
+            Command::Pause
+        }
+        "step" => {
+            let args: StepArgs = request.args()?;
+            returns_state = args.return_ == Return::State;
+            Command::Step(swarm::count(args.steps)?)
+        }
+        "reset" => {
+            let ResetArgs { seed } = request.args()?;
+            Command::Reset(seed.map(|seed| whole("seed", seed)).transpose()?)
+        }
+        "set" => Command::Change(change::set(request.args().map_err(swarm::explain_set)?)?),
         "inform" => Command::Change(change::inform(request.args()?)?),
         "uninform" => Command::Change(change::uninform(request.args()?)?),
         "inject" => Command::Change(change::inject(request.args()?)?),
         "remove" => Command::Change(change::remove(request.args()?)?),
-        "batch" => batch::order(request.args()?)?,
-        "join" => join::order(request.args()?)?,
+        "batch" => swarm::batch(request.args()?)?,
+        "join" => swarm::join(request.args()?)?,
         "advance" => {
             if request.at_step.is_some() {
                 let problem = "is for commands that can wait: a controller advances from where the \
                                swarm is";
-                return Err(CommandError::Field {
-                    field: "at_step",
-                    problem,
-                });
+                return Err(CommandError::field("at_step", problem));
             }
-            let args = request.args()?;
-            returns_state = advance::returns_state(&args);
-            advance::order(args)?
+            let args: AdvanceArgs = request.args()?;
+            returns_state = args.return_ == Return::State;
+            swarm::advance(args)?
         }
-        "leave" => leave::order(request.args()?)?,
+        "leave" => Command::Leave(leaving(request)?),
         _ => unreachable!("every known verb is above"),
     };
     Ok(ParsedCommand {
@@ -108,7 +104,7 @@ pub fn read(verb: &str, request: &Request) -> Result<ParsedCommand, CommandError
         when: When {
             at_step: request
                 .at_step
-                .map(|step| jostle_convert::value::whole("at_step", step))
+                .map(|step| whole("at_step", step))
                 .transpose()?,
             expect_epoch: request.expect_epoch,
             expect_step: request.expect_step,
@@ -120,23 +116,13 @@ pub fn read(verb: &str, request: &Request) -> Result<ParsedCommand, CommandError
 }
 
 /// Parses a command from the journal: one of a client, or one that the swarm gave itself.
-///
-/// # Errors
-///
-/// [`CommandError`] as for [`read`].
 pub fn read_journaled(
     verb: &'static str,
     request: &Request,
 ) -> Result<ParsedCommand, CommandError> {
     let order = match verb {
-        "deadline" | "lost" => {
-            let LeaveArgs { controller } = request.args()?;
-            check_name("controller", &controller)?;
-            match verb {
-                "deadline" => Command::Deadline(controller),
-                _ => Command::Lost(controller),
-            }
-        }
+        "deadline" => Command::Deadline(leaving(request)?),
+        "lost" => Command::Lost(leaving(request)?),
         "control" => control::order(request)?,
         verb => return read(verb, request),
     };
@@ -147,6 +133,13 @@ pub fn read_journaled(
         timeout: DEFAULT_TIMEOUT,
         returns_state: false,
     })
+}
+
+/// The controller that leaves.
+fn leaving(request: &Request) -> Result<String, CommandError> {
+    let LeaveArgs { controller } = request.args()?;
+    check_name("controller", &controller)?;
+    Ok(controller)
 }
 
 /// Returns the timeout of a request.
@@ -230,10 +223,8 @@ fn is_plain(c: char) -> bool {
 pub fn sender(verb: &'static str, request: &Request) -> Result<Sender, CommandError> {
     let label = |field, label: &Option<String>| match label {
         Some(text) if text.len() > MAX_LABEL_LENGTH || !text.chars().all(is_plain) => {
-            Err(CommandError::Field {
-                field,
-                problem: "is too long or has characters that are not seen",
-            })
+            let problem = "is too long or has characters that are not seen";
+            Err(CommandError::field(field, problem))
         }
         other => Ok(other.clone()),
     };

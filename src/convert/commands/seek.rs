@@ -10,10 +10,6 @@ use jostle_convert::WireError;
 const MAX_TIME: f64 = 1e12;
 
 /// Converts the arguments.
-///
-/// # Errors
-///
-/// [`CommandError`] unless exactly one target is given, within its range.
 pub fn seek(args: SeekArgs) -> Result<Seek, CommandError> {
     match (args.step, args.time, args.fraction) {
         (Some(step), None, None) => Ok(Seek::Step(jostle_convert::value::whole("step", step)?)),

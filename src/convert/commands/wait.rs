@@ -9,10 +9,6 @@ use crate::swarm::command::WaitCondition;
 pub const MAX_WAIT: Duration = Duration::from_secs(30);
 
 /// Parses the condition and the timeout from the parameters of a selector.
-///
-/// # Errors
-///
-/// [`CommandError`] unless exactly one of `step` and `phase` is given, and valid.
 pub fn read<'a>(
     parameters: impl Iterator<Item = (&'a str, &'a str)>,
 ) -> Result<(WaitCondition, Duration), CommandError> {
@@ -20,10 +16,7 @@ pub fn read<'a>(
     for (name, value) in selector(parameters, &["step", "phase", "timeout_secs"])? {
         match name {
             "step" => {
-                let wrong = |_| CommandError::Field {
-                    field: "step",
-                    problem: "is not a whole number",
-                };
+                let wrong = |_| CommandError::field("step", "is not a whole number");
                 step = Some(WaitCondition::Step(value.parse().map_err(wrong)?));
             }
             "phase" => {
@@ -32,28 +25,23 @@ pub fn read<'a>(
                     "running" => WaitCondition::Running,
                     "faulted" => WaitCondition::Faulted,
                     _ => {
-                        return Err(CommandError::Field {
-                            field: "phase",
-                            problem: "is not paused, running or faulted",
-                        });
+                        let problem = "is not paused, running or faulted";
+                        return Err(CommandError::field("phase", problem));
                     }
                 });
             }
             _ => {
-                let secs = value.parse().map_err(|_| CommandError::Field {
-                    field: "timeout_secs",
-                    problem: "is not a number",
-                })?;
-                timeout = check_timeout(secs)?;
+                let wrong = |_| CommandError::field("timeout_secs", "is not a number");
+                timeout = check_timeout(value.parse().map_err(wrong)?)?;
             }
         }
     }
     match (step, phase) {
         (Some(awaited), None) | (None, Some(awaited)) => Ok((awaited, timeout)),
-        _ => Err(CommandError::Field {
-            field: "step",
-            problem: "or phase is to be given, and only one of them: wait?step=100",
-        }),
+        _ => {
+            let problem = "or phase is to be given, and only one of them: wait?step=100";
+            Err(CommandError::field("step", problem))
+        }
     }
 }
 
@@ -62,8 +50,6 @@ fn check_timeout(secs: f64) -> Result<Duration, CommandError> {
     if secs > 0.0 && secs <= MAX_WAIT.as_secs_f64() {
         return Ok(super::duration(secs));
     }
-    Err(CommandError::Field {
-        field: "timeout_secs",
-        problem: "of a wait is above 0 and at most 30: ask again for longer",
-    })
+    let problem = "of a wait is above 0 and at most 30: ask again for longer";
+    Err(CommandError::field("timeout_secs", problem))
 }

@@ -1,6 +1,5 @@
 //! Why a request is rejected, and the error reply.
 
-mod auth;
 mod jobs;
 mod swarm;
 
@@ -8,6 +7,7 @@ use jostle_convert::error::{named, object};
 use jostle_convert::range::range_of;
 use jostle_convert::{ArgsError, WireCode, WireError};
 use jostle_physics::simulation::ChangeError;
+use jostle_proto::role::refused;
 use jostle_proto::{Claimant, Error, ErrorCode, RequestError, claim, keys};
 use serde_json::{Map, Value, json};
 use thiserror::Error as ThisError;
@@ -208,6 +208,11 @@ pub enum CommandError {
 }
 
 impl CommandError {
+    /// A field is invalid: what is wrong with it, and the remedy.
+    pub fn field(field: &'static str, problem: &'static str) -> Self {
+        CommandError::Field { field, problem }
+    }
+
     /// The request was not executed within `after_secs`.
     pub fn deadline(after_secs: f64) -> Self {
         CommandError::Deadline { after_secs }
@@ -346,15 +351,27 @@ impl WireCode for CommandError {
             }
             CommandError::TooManyClients { limit } => object(json!({"limit": limit})),
             CommandError::OtherRequest(id) => object(json!({"field": "request_id", "value": id})),
-            CommandError::Within { .. }
-            | CommandError::Encoding(_)
-            | CommandError::Wildcard
-            | CommandError::UnknownSwarm(_)
-            | CommandError::NotReached { .. }
-            | CommandError::History(_)
-            | CommandError::Internal
-            | CommandError::Dropped
-            | CommandError::Busy => Map::new(),
+            _ => Map::new(),
+        }
+    }
+}
+
+impl WireCode for NotPermitted {
+    fn code(&self) -> ErrorCode {
+        ErrorCode::PermissionDenied
+    }
+
+    fn details(&self) -> Map<String, Value> {
+        match self {
+            NotPermitted::Verb { user: person, verb } => {
+                let person = person.as_ref();
+                let person = person.map(|person| (person.name.as_str(), person.role));
+                refused(person, verb).details
+            }
+            NotPermitted::Controller {
+                user: person,
+                controller,
+            } => object(json!({"person": person, "controller": controller})),
         }
     }
 }

@@ -6,6 +6,7 @@
 //! of the session and, over TLS, by the certificate as well: both must belong to the same user.
 
 use jostle_proto::{Role, keys};
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::auth::{Rights, User};
@@ -41,19 +42,14 @@ pub fn control(prefix: &str, rights: &Rights) -> Value {
         "daemon",
         "egress",
         &[&["query"], &READ[..], &WRITE].concat(),
-        &ALL_KEYS.map(str::to_owned),
+        &ALL_KEYS,
     )];
     let mut subjects = Vec::new();
     let mut policies = Vec::new();
     match rights.users() {
         None => {
             let asking = [&["query"], &READ[..]].concat();
-            rules.push(rule(
-                "ask",
-                "ingress",
-                &asking,
-                &ALL_KEYS.map(str::to_owned),
-            ));
+            rules.push(rule("ask", "ingress", &asking, &ALL_KEYS));
             rules.extend(control_rules(prefix, "steer", &["*".to_owned()]));
             rules.push(claims(prefix));
             subjects.push(json!({"id": "everyone"}));
@@ -97,7 +93,7 @@ fn roles(prefix: &str) -> Vec<Value> {
         .collect();
     let everything = [every("**"), keys::node_cmd(prefix, "*", "**")];
     vec![
-        rule("watch", "ingress", &READ, &ALL_KEYS.map(str::to_owned)),
+        rule("watch", "ingress", &READ, &ALL_KEYS),
         rule("get", "ingress", &["query"], &gets),
         denial(
             "no_recording",
@@ -119,29 +115,20 @@ fn roles(prefix: &str) -> Vec<Value> {
 
 /// The ids of the rules for a user. Rules that depend on the name of the user are added to `rules`.
 fn rules_of(prefix: &str, person: &User, rules: &mut Vec<Value>) -> Vec<String> {
-    let mut names = vec!["daemon", "watch", "get"];
-    let controllers = match person.role {
-        Role::Viewer => {
-            names.extend(["no_recording", "no_set_points"]);
-            Vec::new()
-        }
-        Role::Controller => {
-            names.extend(["no_recording", "no_set_points", "control"]);
-            vec![person.name.clone(), format!("{}-$*", person.name)]
-        }
-        Role::Operator => {
-            names.extend(["operate", CLAIMS]);
-            vec!["*".to_owned()]
-        }
+    let name = &person.name;
+    let (names, controllers): (&[&str], _) = match person.role {
+        Role::Viewer => (&["no_recording", "no_set_points"], Vec::new()),
+        Role::Controller => (
+            &["no_recording", "no_set_points", "control"],
+            vec![name.clone(), format!("{name}-$*")],
+        ),
+        Role::Operator => (&["operate", CLAIMS], vec!["*".to_owned()]),
     };
-    let mut names: Vec<String> = names.into_iter().map(str::to_owned).collect();
+    let names = ["daemon", "watch", "get"].iter().chain(names);
+    let mut names: Vec<String> = names.map(ToString::to_string).collect();
     if !controllers.is_empty() {
-        let own = control_rules(prefix, &person.name, &controllers);
-        names.extend(
-            own.iter()
-                .filter_map(|rule| Some(rule["id"].as_str()?.to_owned())),
-        );
-        rules.extend(own);
+        names.extend(["put", "live"].map(|what| format!("{name}_{what}")));
+        rules.extend(control_rules(prefix, name, &controllers));
     }
     names
 }
@@ -171,7 +158,8 @@ fn subjects_of(person: &User, subjects: &mut Vec<Value>) -> [String; 2] {
     ids
 }
 
-/// Permits controllers of these names to publish set-points and to declare their token.
+/// Permits controllers of these names to publish set-points (`ID_put`) and to declare their token
+/// (`ID_live`).
 fn control_rules(prefix: &str, id: &str, controllers: &[String]) -> [Value; 2] {
     let each = |key: fn(&str, &str, &str) -> String| -> Vec<String> {
         let names = controllers.iter();
@@ -197,7 +185,7 @@ fn denial(id: &str, flow: &str, message: &str, key: &str) -> Value {
     rule
 }
 
-fn rule(id: &str, flow: &str, messages: &[&str], keys: &[String]) -> Value {
+fn rule<K: Serialize>(id: &str, flow: &str, messages: &[&str], keys: &[K]) -> Value {
     json!({
         "id": id,
         "permission": "allow",

@@ -6,10 +6,11 @@
 //! and which sessions are being closed.
 
 use std::io;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
+use parking_lot::{Condvar, Mutex, MutexGuard};
 use tracing::{info, warn};
 use zenoh::{Session, Wait};
 
@@ -50,10 +51,6 @@ struct State {
 
 impl BusWatch {
     /// Starts the threads. `key` is the key of the probes and must have no queryable.
-    ///
-    /// # Errors
-    ///
-    /// When no thread can be started.
     pub fn start(session: Session, key: String, sessions: Arc<Sessions>) -> io::Result<Arc<Self>> {
         let watch = Arc::new(BusWatch {
             sessions,
@@ -72,13 +69,13 @@ impl BusWatch {
 
     /// Ends the threads.
     pub fn stop(&self) {
-        self.lock().is_ended = true;
+        self.state.lock().is_ended = true;
         self.ended.notify_all();
     }
 
     /// The state for the health report.
     pub fn report(&self) -> Bus {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         // The other thread may not have counted a block that this report contains.
         self.check_now(&mut state);
         let age = state.since.map(|since| since.elapsed());
@@ -91,12 +88,12 @@ impl BusWatch {
 
     fn probe(&self, session: &Session, key: &str) {
         loop {
-            self.lock().since = Some(Instant::now());
+            self.state.lock().since = Some(Instant::now());
             let replies = session.get(key).wait();
             if let Ok(replies) = replies {
                 while replies.recv().is_ok() {}
             }
-            let mut state = self.lock();
+            let mut state = self.state.lock();
             if let Some(since) = state.since.take()
                 && state.is_counted
             {
@@ -112,7 +109,7 @@ impl BusWatch {
 
     fn check(&self) {
         loop {
-            let mut state = self.lock();
+            let mut state = self.state.lock();
             self.check_now(&mut state);
             if self.wait(state, CHECK_INTERVAL) {
                 return;
@@ -139,15 +136,10 @@ impl BusWatch {
     }
 
     /// Waits for `period`, or until the threads are to end; returns whether they are.
-    fn wait(&self, state: MutexGuard<'_, State>, period: Duration) -> bool {
-        let waited = self
-            .ended
-            .wait_timeout_while(state, period, |state| !state.is_ended);
-        waited.unwrap_or_else(PoisonError::into_inner).0.is_ended
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    fn wait(&self, mut state: MutexGuard<'_, State>, period: Duration) -> bool {
+        let is_on = |state: &mut State| !state.is_ended;
+        self.ended.wait_while_for(&mut state, is_on, period);
+        state.is_ended
     }
 }
 

@@ -3,9 +3,10 @@
 //! zenoh passes the user name of a session only to its own access control and to transport event
 //! handlers, so this module implements such a handler.
 
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::time::Instant;
 
+use parking_lot::Mutex;
 use zenoh_transport::multicast::TransportMulticast;
 use zenoh_transport::unicast::TransportUnicast;
 use zenoh_transport::{
@@ -49,13 +50,9 @@ pub struct Client {
 
 impl std::fmt::Display for Client {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Client {
-            person,
-            zid,
-            address,
-        } = self;
-        let person = person.as_deref().unwrap_or("a client without a name");
-        write!(f, "{person} (zid {zid}, {address})")
+        let person = self.person.as_deref();
+        let person = person.unwrap_or("a client without a name");
+        write!(f, "{person} (zid {}, {})", self.zid, self.address)
     }
 }
 
@@ -65,7 +62,7 @@ impl Sessions {
     ///
     /// zenoh closes the links of a session, then removes its declarations, then removes the session.
     pub fn closing(&self) -> Vec<(Client, Instant)> {
-        let mut known = self.lock();
+        let mut known = self.known.lock();
         let mut closing = Vec::new();
         for entry in &mut known.entries {
             // An error means that zenoh has removed the session.
@@ -80,10 +77,6 @@ impl Sessions {
         }
         closing.sort_by_key(|(_, since)| *since);
         closing
-    }
-
-    fn lock(&self) -> MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -103,7 +96,7 @@ impl TransportEventHandler for Handler {
             zid: peer.zid.to_string(),
             address: address.unwrap_or_default(),
         };
-        let mut known = self.0.lock();
+        let mut known = self.0.known.lock();
         if known.entries.len() >= known.sweep_at {
             known
                 .entries

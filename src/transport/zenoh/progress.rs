@@ -17,10 +17,6 @@ const MIN_INTERVAL: Duration = Duration::from_millis(500);
 
 /// Starts the thread. It publishes the progress of an experiment when it changes, until `lab` is
 /// closed.
-///
-/// # Errors
-///
-/// When no thread can be started.
 pub fn publish(
     lab: ExperimentManager,
     session: Session,

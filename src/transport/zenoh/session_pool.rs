@@ -8,9 +8,10 @@
 //! wrap. All of them share the listeners and connections of one runtime.
 
 use std::ops::Deref;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 
 use jostle_proto::keys::SWARM_VERBS;
+use parking_lot::Mutex;
 use tracing::debug;
 use zenoh::internal::runtime::DynamicRuntime;
 use zenoh::{Session, Wait};
@@ -79,12 +80,8 @@ impl SessionPool {
     }
 
     /// Leases a session.
-    ///
-    /// # Errors
-    ///
-    /// When the pool is closed, or zenoh rejects a session.
     pub fn lease(&self) -> zenoh::Result<Lease> {
-        let mut sessions = self.sessions();
+        let mut sessions = self.sessions.lock();
         if sessions.is_closed {
             return Err("the daemon is stopping".into());
         }
@@ -117,15 +114,11 @@ impl SessionPool {
 
     /// Closes all sessions and their declarations, and grants no more leases.
     pub fn close(&self) {
-        let mut sessions = self.sessions();
+        let mut sessions = self.sessions.lock();
         sessions.is_closed = true;
         let open = std::mem::take(&mut sessions.open);
         drop(sessions);
         close(open);
-    }
-
-    fn sessions(&self) -> MutexGuard<'_, Sessions> {
-        self.sessions.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -159,7 +152,7 @@ mod tests {
     }
 
     fn open(pool: &SessionPool) -> usize {
-        pool.sessions().open.len()
+        pool.sessions.lock().open.len()
     }
 
     #[tokio::test(flavor = "multi_thread")]

@@ -34,10 +34,6 @@ enum Received {
 }
 
 /// Starts the thread and subscribes to set-points and tokens.
-///
-/// # Errors
-///
-/// When zenoh rejects the keys, or no thread can be started.
 pub fn listen(
     session: &Session,
     prefix: &str,

@@ -150,11 +150,7 @@ impl Own {
                 }
             }
             Verdict::Wait(other) => {
-                if !std::mem::replace(&mut self.is_contested, true) {
-                    let Claimant { node, instance } = other;
-                    let name = name.text();
-                    warn!(name, node, instance, "contested: another daemon serves it");
-                }
+                self.contested(name, other, "another daemon serves it");
                 self.standing = Standing::Waiting;
                 self.is_rejecting = false;
                 if std::mem::take(&mut self.is_open) {
@@ -162,12 +158,8 @@ impl Own {
                 }
             }
             Verdict::Reject(other) => {
-                if !std::mem::replace(&mut self.is_contested, true) {
-                    let Claimant { node, instance } = other;
-                    let problem = "contested: rejecting everything, both daemons executed commands";
-                    let name = name.text();
-                    warn!(name, node, instance, "{problem}");
-                }
+                let problem = "rejecting everything, both daemons executed commands";
+                self.contested(name, other, problem);
                 if !std::mem::replace(&mut self.is_open, true) {
                     actions.push(Action::Open(name.clone()));
                 }
@@ -177,6 +169,13 @@ impl Own {
             }
         }
         actions
+    }
+
+    fn contested(&mut self, name: &Name, other: &Claimant, problem: &str) {
+        if !std::mem::replace(&mut self.is_contested, true) {
+            let Claimant { node, instance } = other;
+            warn!(name = name.swarm(), node, instance, "contested: {problem}");
+        }
     }
 
     /// Whether the name must be judged again at `settled`.

@@ -13,11 +13,12 @@ mod types;
 mod verdict;
 
 use std::collections::BTreeMap;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant, SystemTime};
 
 use jostle_proto::{Claim, Claimant, Standing};
+use parking_lot::Mutex;
 use tracing::{debug, warn};
 use zenoh::config::WhatAmI;
 use zenoh::liveliness::LivelinessToken;
@@ -42,6 +43,7 @@ pub struct Claims {
     session: Session,
     prefix: String,
     claimant: Claimant,
+    /// Every change is an assignment, so a panic leaves it whole.
     known: Mutex<Known>,
     /// Only the dispatcher thread declares tokens. It holds no other lock while it does, because
     /// zenoh may run a callback that locks `known`.
@@ -53,10 +55,6 @@ pub type ClaimSubscribers = [Subscriber<()>; 2];
 
 impl Claims {
     /// Subscribes to the claims of other daemons. `wake` is called after each change.
-    ///
-    /// # Errors
-    ///
-    /// When zenoh rejects the keys.
     pub fn watch(
         session: &Session,
         prefix: &str,
@@ -121,7 +119,7 @@ impl Claims {
             false => Standing::Waiting,
         };
         let settled = {
-            let mut known = self.known();
+            let mut known = self.known.lock();
             known.changed.insert(name.clone());
             let settled = match known.routers.is_empty() || has_changed {
                 true => now,
@@ -139,15 +137,15 @@ impl Claims {
 
     /// Withdraws the claim to a name.
     pub fn end(&self, name: &Name) {
-        self.known().own.remove(name);
-        self.tokens().remove(name);
+        self.known.lock().own.remove(name);
+        self.tokens.lock().remove(name);
     }
 
     /// Withdraws the claim to a name that was reserved for a swarm whose creation failed.
     pub fn release(&self, swarm: &str) {
         let name = Name::Swarm(swarm.to_owned());
         let is_reserved = {
-            let known = self.known();
+            let known = self.known.lock();
             let own = known.own.get(&name);
             own.is_some_and(|own| own.reserved.is_some())
         };
@@ -160,7 +158,7 @@ impl Claims {
     pub fn reserve(&self, swarm: &str) -> Reserved {
         let name = Name::Swarm(swarm.to_owned());
         let now = Instant::now();
-        let mut known = self.known();
+        let mut known = self.known.lock();
         if known.routers.is_empty() {
             return Reserved::Now;
         }
@@ -194,7 +192,7 @@ impl Claims {
     /// How to handle a query about `name`; only commands are held.
     pub fn gate(&self, name: &Name, is_command: bool) -> Gate {
         let now = Instant::now();
-        let mut known = self.known();
+        let mut known = self.known.lock();
         known.notice_pause(now);
         if !known.own.contains_key(name) {
             // A swarm that was just deleted here, of a name that another daemon serves now.
@@ -229,7 +227,7 @@ impl Claims {
     pub fn change(&self, name: &Name) {
         for name in [&Name::Node, name] {
             let has_changed = {
-                let mut known = self.known();
+                let mut known = self.known.lock();
                 let own = known.own.get_mut(name);
                 own.is_some_and(|own| {
                     let is_served = own.standing == Standing::Serving;
@@ -247,14 +245,14 @@ impl Claims {
 
     /// Whether the daemon serves nothing, because another daemon of the same name serves.
     pub fn waits(&self) -> bool {
-        let known = self.known();
+        let known = self.known.lock();
         let verdict = known.verdict(&Name::Node, &self.claimant);
         matches!(verdict, Some((Verdict::Wait(_), _)))
     }
 
     /// Whether a router is connected, through which other daemons may be reachable.
     pub fn is_connected(&self) -> bool {
-        !self.known().routers.is_empty()
+        !self.known.lock().routers.is_empty()
     }
 
     /// Whether the swarm accepts messages that get no reply, such as set-points.
@@ -267,7 +265,7 @@ impl Claims {
 
     /// When [`Claims::reconcile`] is due, unless a claim changes before.
     pub fn due(&self) -> Option<Instant> {
-        let known = self.known();
+        let known = self.known.lock();
         match known.changed.is_empty() {
             true => known.due,
             false => Some(Instant::now()),
@@ -279,7 +277,7 @@ impl Claims {
         let now = Instant::now();
         let (mut actions, mut declared, mut ended) = (Vec::new(), Vec::new(), Vec::new());
         {
-            let mut known = self.known();
+            let mut known = self.known.lock();
             let changed = std::mem::take(&mut known.changed);
             // The verdict on the daemon's own name applies to all of its swarms.
             let names: Vec<Name> = match known.due.is_some_and(|due| now >= due) {
@@ -328,7 +326,7 @@ impl Claims {
 
     /// Every name that another daemon claims, too.
     pub fn contests(&self) -> Vec<Contest> {
-        let known = self.known();
+        let known = self.known.lock();
         // While this daemon waits for another one of its own name, it serves nothing: report that.
         if let Some((Verdict::Wait(other), _)) = known.verdict(&Name::Node, &self.claimant) {
             return vec![self.contest(&Name::Node, &other, true)];
@@ -343,19 +341,9 @@ impl Claims {
             .collect()
     }
 
-    /// The contest of a swarm's name, if another daemon claims it and this one does not serve it.
-    pub fn contest_of(&self, swarm: &str) -> Option<Contest> {
-        let mut contests = self.contests().into_iter();
-        contests.find(|it| it.swarm.as_deref().is_none_or(|name| name == swarm))
-    }
-
     fn contest(&self, name: &Name, other: &Claimant, waits: bool) -> Contest {
-        let swarm = match name {
-            Name::Node => None,
-            Name::Swarm(swarm) => Some(swarm.clone()),
-        };
         Contest {
-            swarm,
+            swarm: name.swarm(),
             claimants: [self.claimant.clone(), other.clone()],
             waits,
         }
@@ -363,26 +351,22 @@ impl Claims {
 
     /// Declares the claim to a name with its new standing, then undeclares the previous one.
     fn declare(&self, name: &Name, standing: Standing) {
-        let swarm = match name {
-            Name::Node => None,
-            Name::Swarm(swarm) => Some(swarm.clone()),
-        };
         let claim = Claim {
-            swarm,
+            swarm: name.swarm(),
             claimant: self.claimant.clone(),
             standing,
         };
         let token = self.session.liveliness();
         match token.declare_token(claim.key(&self.prefix)).wait() {
-            Ok(token) => drop(self.tokens().insert(name.clone(), token)),
-            Err(error) => warn!(name = name.text(), %error, "failed to claim a name"),
+            Ok(token) => drop(self.tokens.lock().insert(name.clone(), token)),
+            Err(error) => warn!(name = name.swarm(), %error, "failed to claim a name"),
         }
     }
 
     /// Records that a router connected or disconnected.
     fn router(self: &Arc<Self>, router: String, is_connected: bool) {
         let now = Instant::now();
-        let mut known = self.known();
+        let mut known = self.known.lock();
         known.changed.insert(Name::Node);
         if !is_connected {
             known.routers.remove(&router);
@@ -398,7 +382,7 @@ impl Claims {
                 .name("heartbeat".into())
                 .spawn(move || {
                     while let Some(claims) = claims.upgrade() {
-                        let mut known = claims.known();
+                        let mut known = claims.known.lock();
                         if known.routers.is_empty() {
                             break;
                         }
@@ -429,7 +413,7 @@ impl Claims {
         let Some(name) = Name::of(&claim, &self.claimant.node) else {
             return false;
         };
-        let mut known = self.known();
+        let mut known = self.known.lock();
         known.changed.insert(name.clone());
         let others = known.others.entry(name.clone()).or_default();
         if stands {
@@ -445,14 +429,5 @@ impl Claims {
             }
         }
         true
-    }
-
-    fn known(&self) -> MutexGuard<'_, Known> {
-        // Every change is an assignment, so a panic leaves it whole.
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn tokens(&self) -> MutexGuard<'_, BTreeMap<Name, LivelinessToken>> {
-        self.tokens.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

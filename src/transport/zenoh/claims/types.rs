@@ -17,11 +17,11 @@ pub enum Name {
 }
 
 impl Name {
-    /// The swarm's name; empty for the daemon's own name.
-    pub(super) fn text(&self) -> &str {
+    /// The swarm's name; `None` for the daemon's own name.
+    pub(super) fn swarm(&self) -> Option<String> {
         match self {
-            Name::Node => "",
-            Name::Swarm(swarm) => swarm,
+            Name::Node => None,
+            Name::Swarm(swarm) => Some(swarm.clone()),
         }
     }
 

@@ -1,0 +1,98 @@
+//! The arguments of commands to a swarm that need more than their types.
+
+use jostle_convert::{WireError, change, value};
+use jostle_proto::RequestError;
+use jostle_proto::verbs::{AdvanceArgs, BatchArgs, JoinArgs, RunArgs};
+
+use crate::convert::commands::{CommandError, check_name};
+use crate::swarm::command::{Command, Until};
+use crate::swarm::membership::{self, JoinOptions};
+
+/// Maximum steps of one command.
+const MAX_STEPS: u64 = 1_000_000_000;
+
+/// Maximum end of a run: longer than any run, and exact as a number of steps.
+const MAX_TIME: f64 = 1e12;
+
+/// Parameters of a spec that cannot change.
+const CHOSEN_AT_CREATION: [&str; 4] = ["n", "dt", "seed", "start"];
+
+/// `run`: steps at a rate, until a step or time, or without end.
+pub fn run(args: RunArgs) -> Result<Command, CommandError> {
+    let until = match (args.until_step, args.until_time) {
+        (Some(_), Some(_)) => {
+            let problem = "and until_step are both given: name one end";
+            return Err(CommandError::field("until_time", problem));
+        }
+        (Some(step), None) => Some(Until::Step(value::whole("until_step", step)?)),
+        (None, Some(time)) if (0.0..=MAX_TIME).contains(&time) => Some(Until::Time(time)),
+        (None, Some(time)) => return Err(WireError::out_of_range("until_time", time).into()),
+        (None, None) => None,
+    };
+    let rate = args.rate.map(value::rate).transpose()?;
+    Ok(Command::Run { until, rate })
+}
+
+/// `advance`: a controller permits steps; the swarm takes them when all controllers have.
+pub fn advance(args: AdvanceArgs) -> Result<Command, CommandError> {
+    check_name("controller", &args.controller)?;
+    Ok(Command::Advance {
+        controller: args.controller,
+        steps: count(args.steps)?,
+        set: args.set.map(change::set_points).transpose()?,
+    })
+}
+
+/// Checks the number of steps.
+pub fn count(steps: u64) -> Result<u64, CommandError> {
+    if (1..=MAX_STEPS).contains(&steps) {
+        return Ok(steps);
+    }
+    Err(WireError::out_of_range("steps", steps).into())
+}
+
+/// `batch`: all of several changes at one step, or none.
+pub fn batch(args: BatchArgs) -> Result<Command, CommandError> {
+    // The parser rejects more than the maximum.
+    if args.commands.is_empty() {
+        let problem = "holds none: give at least one";
+        return Err(CommandError::field("commands", problem));
+    }
+    let mut changes = Vec::with_capacity(args.commands.len());
+    for (index, command) in args.commands.into_iter().enumerate() {
+        let within = |error| CommandError::from(error).within(format!("commands[{index}].args"));
+        changes.push(change::change(command).map_err(within)?);
+    }
+    Ok(Command::Batch(changes))
+}
+
+/// `join`: registers a controller.
+pub fn join(args: JoinArgs) -> Result<Command, CommandError> {
+    check_name("controller", &args.controller)?;
+    let deadline = membership::deadline(args.deadline_secs)
+        .ok_or_else(|| WireError::out_of_range("deadline_secs", args.deadline_secs))?;
+    Ok(Command::Join(JoinOptions {
+        controller: args.controller,
+        selection: args.select.map(change::selection).transpose()?,
+        mode: args.mode.into(),
+        deadline,
+        on_timeout: args.on_timeout.into(),
+        driving: args.driving,
+        again: args.again,
+    }))
+}
+
+/// Returns an error with the alternatives for parameters that cannot change.
+pub fn explain_set(error: RequestError) -> CommandError {
+    let field = CHOSEN_AT_CREATION
+        .iter()
+        .find(|field| **field == error.field && error.problem.starts_with("unknown field"));
+    match field {
+        Some(field) => CommandError::Field {
+            field,
+            problem: "is chosen at creation and never set: create a swarm with it, or give \
+                      reset a new seed; inject and remove change how many there are",
+        },
+        None => error.into(),
+    }
+}
