@@ -17,8 +17,8 @@ pub fn measure() -> Row {
         let began = Instant::now();
         for i in 0..STEPS {
             let took = Duration::from_nanos(5000 + u64::from(i % 64) * 100);
-            metrics.pulse.begin();
-            metrics.pulse.begin();
+            metrics.activity.begin();
+            metrics.activity.begin();
             metrics.stepped(took, Some(took), std::hint::black_box(&report));
         }
         began.elapsed() / STEPS

@@ -2,31 +2,30 @@
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::{Sender, channel};
 use std::sync::{Arc, OnceLock};
+use std::thread;
 use std::time::{Duration, Instant};
 
 use fail::fail_point;
 use jostle_proto::{Arguments, Claimant, Request, Schemas, keys};
 use serde_json::Value;
-use tracing::error;
+use tracing::warn;
 
-use crate::api::executor::Executor;
-use crate::api::idempotency::{IdempotencyCache, Lookup};
+use crate::api::idempotency::IdempotencyCache;
 use crate::api::incoming::{Incoming, Target};
-use crate::api::responder::{Replies, Responder, TimeoutError};
+use crate::api::responder::{Replies, Responder};
 use crate::api::verifications::Verifications;
 use crate::auth::live::LiveRights;
 use crate::auth::{NotPermitted, Rights};
-use crate::convert::Payload;
 use crate::convert::commands::{self, CommandError};
+use crate::convert::digest::RequestIdentity;
 use crate::experiments::ExperimentManager;
 use crate::health::Watch;
 use crate::playback::Uploads;
 use crate::recording::Recordings;
 use crate::store::Store;
-use crate::swarm::frame::Stamp;
-use crate::swarm::handle::{Handle, Message};
-use crate::swarm::outcome::{Outcome, ReplyTo};
+use crate::swarm::handle::Handle;
 use crate::swarm::registry::SwarmRegistry;
 
 /// The longest request without values of individuals, in bytes.
@@ -43,6 +42,40 @@ pub trait Peers: Send + Sync {
     /// The swarms whose names another daemon holds, too: the name, this daemon and the other one.
     /// `None` is the name of the daemon itself.
     fn contests(&self) -> Vec<(Option<String>, [Claimant; 2])>;
+}
+
+/// Work on the files `T`.
+type Job<T> = Box<dyn FnOnce(&T) + Send>;
+
+/// A thread that executes work on files, which may take long, in order. Clones share the thread.
+pub struct Executor<T>(Sender<Job<T>>);
+
+impl<T> Clone for Executor<T> {
+    fn clone(&self) -> Self {
+        Executor(self.0.clone())
+    }
+}
+
+impl<T: Send + 'static> Executor<T> {
+    /// Starts the thread; it ends when the last clone is dropped.
+    pub(crate) fn start(name: &str, files: T) -> std::io::Result<Self> {
+        let (jobs, receiver) = channel::<Job<T>>();
+        let thread = thread::Builder::new().name(name.to_owned());
+        thread.spawn(move || {
+            while let Ok(job) = receiver.recv() {
+                if catch_unwind(AssertUnwindSafe(|| job(&files))).is_err() {
+                    warn!("a defect: a job panicked");
+                }
+            }
+        })?;
+        Ok(Executor(jobs))
+    }
+
+    /// Queues a job.
+    pub fn submit(&self, job: impl FnOnce(&T) + Send + 'static) {
+        // An error means that the daemon is stopping.
+        let _ = self.0.send(Box::new(job));
+    }
 }
 
 /// The state that all request handlers share.
@@ -94,15 +127,10 @@ pub struct Context {
 impl Context {
     /// Handles a request. A panic ends the request with `internal` and not the daemon.
     pub fn handle(&self, incoming: &Incoming) {
-        let work = AssertUnwindSafe(|| {
+        self.replies.guard(incoming, || {
             fail_point!("query");
             self.dispatch(incoming);
         });
-        if catch_unwind(work).is_err() {
-            let key = incoming.key();
-            error!(key, "a defect: the handler panicked");
-            self.reject(incoming, &CommandError::Internal);
-        }
     }
 
     /// Replies to a request with an error.
@@ -140,11 +168,7 @@ impl Context {
     }
 
     /// Checks whether the client may send the verb of a command; a wildcard is no verb.
-    ///
-    /// # Errors
-    ///
-    /// [`NotPermitted`].
-    pub fn permit(&self, incoming: &Incoming) -> Result<(), NotPermitted> {
+    pub(crate) fn permit(&self, incoming: &Incoming) -> Result<(), NotPermitted> {
         match &*self.rights.current() {
             Rights::Open => Ok(()),
             rights => rights.permit(incoming.token(), &incoming.verb()).map(drop),
@@ -195,54 +219,24 @@ impl Context {
             Some(_) => commands::timeout(request)?,
             None => default_timeout,
         };
-        let is_new = self.is_new(key, request, responder)?;
+        let is_new = self.is_new(RequestIdentity::of(key, request), responder)?;
         responder.set_deadline(timeout, CommandError::deadline, None);
         Ok(is_new.then_some(args))
     }
 
-    /// Looks up the id of a request; false if it is a duplicate.
+    /// Whether a request is new; a duplicate gets the first reply.
     pub(crate) fn is_new(
         &self,
-        key: &str,
-        request: &Request,
+        identity: Option<RequestIdentity>,
         responder: &Responder,
     ) -> Result<bool, CommandError> {
-        let Some(id) = &request.request_id else {
-            return Ok(true);
-        };
-        match self.idempotency.begin(key, request, id, responder) {
-            Lookup::New(slot) => {
-                responder.remember_in(Box::new(slot));
-                Ok(true)
-            }
-            Lookup::Duplicate => Ok(false),
-            Lookup::Conflict => Err(CommandError::OtherRequest(id.clone())),
-        }
+        identity.map_or(Ok(true), |it| self.idempotency.begin(it, responder))
     }
 
     /// The swarm of this name.
     pub(crate) fn find(&self, swarm: &str) -> Result<Handle, CommandError> {
         let handle = self.host.find(swarm);
         handle.ok_or_else(|| CommandError::UnknownSwarm(swarm.to_owned()))
-    }
-
-    /// Sends a message to a swarm, whose reply `payload` encodes. The responder has a deadline.
-    pub(crate) fn send(
-        &self,
-        swarm: &str,
-        responder: &Responder,
-        (timeout, error): (Duration, TimeoutError),
-        message: impl FnOnce(ReplyTo) -> Message,
-        payload: impl FnOnce(Stamp, Outcome) -> Payload + Send + 'static,
-    ) {
-        let handle = match self.find(swarm) {
-            Ok(handle) => handle,
-            Err(error) => return responder.reject(&error, None),
-        };
-        responder.set_deadline(timeout, error, Some(handle.last_step()));
-        let responder = responder.clone();
-        let answer = ReplyTo::new(move |answered| responder.respond(answered, payload));
-        handle.send(message(answer));
     }
 
     /// The longest request that is read. A longer one gets an error, unless it is longer than what

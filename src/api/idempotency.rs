@@ -12,11 +12,12 @@ use std::cmp::Reverse;
 use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use jostle_proto::{CBOR, JSON, Request};
+use jostle_proto::{CBOR, JSON};
 
 use crate::api::responder::Responder;
 use crate::convert::Payload;
-use crate::convert::digest::{Digest, digest};
+use crate::convert::digest::{Digest, RequestIdentity};
+use crate::convert::error::CommandError;
 use crate::persistence::reply_cache::{ReplyCache, ReplySlot};
 use crate::store::{self, Store, Write};
 
@@ -81,18 +82,8 @@ enum Progress {
     Done(u64, Result<Payload, Payload>),
 }
 
-/// Whether a request with an id is to be executed.
-pub enum Lookup {
-    /// It is new: execute it and write its reply to the slot.
-    New(Slot),
-    /// It is known; it gets the first reply, now or once there is one.
-    Duplicate,
-    /// Another request of the client has this id.
-    Conflict,
-}
-
 /// Where the reply to a request is written. If it is dropped before, the request is forgotten.
-pub struct Slot {
+struct Slot {
     cache: IdempotencyCache,
     name: Arc<Name>,
     is_written: bool,
@@ -110,42 +101,64 @@ impl IdempotencyCache {
     }
 
     /// The remembered reply to a request, if there is one.
-    pub fn find(&self, key: &str, request: &Request, id: &str) -> Option<Result<Payload, Payload>> {
-        let name = (request.client.clone(), id.to_owned());
+    pub fn find(&self, identity: RequestIdentity) -> Option<Result<Payload, Payload>> {
         let requests = self.lock();
-        let entry = requests.by_name.get(&name)?;
+        let entry = requests
+            .by_name
+            .get(&(identity.client, identity.request_id))?;
         match &entry.progress {
-            Progress::Done(_, reply) if entry.digest == digest(key, request) => Some(reply.clone()),
+            Progress::Done(_, reply) if entry.digest == identity.digest => Some(reply.clone()),
             _ => None,
         }
     }
 
-    /// Looks a request up by its id, and begins it if it is new. A duplicate gets its reply by
-    /// `responder`.
-    pub fn begin(&self, key: &str, request: &Request, id: &str, responder: &Responder) -> Lookup {
-        let name = (request.client.clone(), id.to_owned());
-        let digest = digest(key, request);
+    /// Whether a request is new; its reply is then remembered. A duplicate gets the first reply by
+    /// `responder`, now or once there is one.
+    ///
+    /// # Errors
+    ///
+    /// [`CommandError::OtherRequest`].
+    pub fn begin(
+        &self,
+        identity: RequestIdentity,
+        responder: &Responder,
+    ) -> Result<bool, CommandError> {
+        let RequestIdentity {
+            client,
+            request_id,
+            digest,
+        } = identity;
+        let name = (client, request_id);
         let mut requests = self.lock();
         let Some(entry) = requests.by_name.get_mut(&name) else {
-            let name = Arc::new(name);
-            requests.begin(&name, digest);
-            return Lookup::New(Slot {
-                cache: self.clone(),
-                name,
-                is_written: false,
-            });
+            let slot = self.slot(&mut requests, name, digest);
+            drop(requests);
+            responder.remember_in(Box::new(slot));
+            return Ok(true);
         };
         if entry.digest != digest {
-            return Lookup::Conflict;
+            return Err(CommandError::OtherRequest(name.1));
         }
         match &mut entry.progress {
             Progress::Pending(responders) => responders.push(responder.clone()),
-            Progress::Done(_, answer) => {
-                let answer = answer.clone();
-                responder.send(move || answer);
+            Progress::Done(_, reply) => {
+                let reply = reply.clone();
+                responder.send(move || reply);
             }
         }
-        Lookup::Duplicate
+        Ok(false)
+    }
+
+    fn slot(&self, requests: &mut Requests, name: Name, digest: Digest) -> Slot {
+        let name = Arc::new(name);
+        let progress = Progress::Pending(Vec::new());
+        let entry = Box::new(Entry { digest, progress });
+        requests.by_name.insert(name.clone(), entry);
+        Slot {
+            cache: self.clone(),
+            name,
+            is_written: false,
+        }
     }
 
     fn lock(&self) -> MutexGuard<'_, Requests> {
@@ -168,12 +181,11 @@ impl ReplyCache for IdempotencyCache {
                 to_remember: None,
             };
             let name = Arc::new((answer.client, answer.request_id));
-            let reply_ = if answer.is_ok {
-                Ok(payload)
-            } else {
-                Err(payload)
+            let reply = match answer.is_ok {
+                true => Ok(payload),
+                false => Err(payload),
             };
-            evicted.extend(requests.remember(name, answer.digest, reply_).1);
+            evicted.extend(requests.remember(name, answer.digest, reply).1);
         }
         drop(requests);
         self.store
@@ -190,13 +202,7 @@ impl ReplyCache for IdempotencyCache {
         if requests.by_name.contains_key(&name) {
             return None;
         }
-        let name = Arc::new(name);
-        requests.begin(&name, digest);
-        Some(Box::new(Slot {
-            cache: self.clone(),
-            name,
-            is_written: false,
-        }))
+        Some(Box::new(self.slot(&mut requests, name, digest)))
     }
 }
 
@@ -269,12 +275,6 @@ impl Requests {
             has_people,
             newest: 0,
         }
-    }
-
-    fn begin(&mut self, name: &Arc<Name>, digest: Digest) {
-        let progress = Progress::Pending(Vec::new());
-        let entry = Box::new(Entry { digest, progress });
-        self.by_name.insert(name.clone(), entry);
     }
 
     /// Remembers the reply to a request, and evicts others until the total holds. Returns what was
@@ -393,169 +393,4 @@ fn forget(name: &Arc<Name>) -> Write {
 }
 
 #[cfg(test)]
-mod tests {
-    #![expect(clippy::unwrap_used, reason = "tests")]
-
-    use super::*;
-
-    /// Requests with room for this many of the smallest replies.
-    fn requests(has_people: bool, count: usize) -> Requests {
-        Requests::new(has_people, count * MIN_COST)
-    }
-
-    /// Remembers a reply of this cost, and returns the ids of the requests whose replies it evicts.
-    fn reply(requests: &mut Requests, client: Option<&str>, id: &str, cost: usize) -> Vec<String> {
-        let name = Arc::new((client.map(str::to_owned), id.to_owned()));
-        let payload = Payload {
-            bytes: vec![b'1'; cost.saturating_sub(REPLY_BYTES)],
-            encoding: JSON,
-            to_remember: None,
-        };
-        let (_, evicted) = requests.remember(name, [0; 32], Ok(payload));
-        evicted.iter().map(|name| name.1.clone()).collect()
-    }
-
-    fn knows(requests: &Requests, client: Option<&str>, id: &str) -> bool {
-        let name = (client.map(str::to_owned), id.to_owned());
-        requests.by_name.contains_key(&name)
-    }
-
-    #[test]
-    fn large_replies_of_one_client_evict_no_reply_of_another() {
-        let mut requests = requests(false, 100);
-        reply(&mut requests, Some("operator"), "1", 100);
-        reply(&mut requests, None, "1", 100);
-        for number in 0..500 {
-            let id = number.to_string();
-            reply(&mut requests, Some("controller"), &id, 10 * MIN_COST);
-        }
-        assert!(knows(&requests, Some("operator"), "1"));
-        assert!(knows(&requests, None, "1"));
-        for number in 0..500 {
-            let is_kept = knows(&requests, Some("controller"), &number.to_string());
-            assert_eq!(is_kept, number >= 491, "{number}");
-        }
-    }
-
-    #[test]
-    fn many_replies_of_one_client_evict_no_reply_of_another() {
-        let mut requests = requests(false, 10);
-        reply(&mut requests, Some("operator"), "1", 2 * MIN_COST);
-        for number in 0..50 {
-            reply(&mut requests, Some("controller"), &number.to_string(), 10);
-        }
-        assert!(knows(&requests, Some("operator"), "1"));
-        for number in 0..50 {
-            let is_kept = knows(&requests, Some("controller"), &number.to_string());
-            assert_eq!(is_kept, number >= 42, "{number}");
-        }
-    }
-
-    #[test]
-    fn beside_n_other_names_a_client_keeps_its_share_of_n_plus_1() {
-        let mut requests = requests(false, 100);
-        for id in 0..10 {
-            reply(&mut requests, Some("operator"), &id.to_string(), 10);
-        }
-        for id in 0..1000 {
-            let name = format!("invented-{}", id % 9);
-            reply(&mut requests, Some(&name), &id.to_string(), 10);
-        }
-        let kept = (0..10).filter(|id| knows(&requests, Some("operator"), &id.to_string()));
-        assert_eq!(kept.count(), 10);
-        // With as many names as there is room for replies, none of it is kept.
-        for id in 0..100 {
-            reply(
-                &mut requests,
-                Some(&format!("more-{id}")),
-                &id.to_string(),
-                10,
-            );
-        }
-        assert!(!(0..10).any(|id| knows(&requests, Some("operator"), &id.to_string())));
-    }
-
-    #[test]
-    fn the_smallest_replies_are_limited_in_number() {
-        const { assert!(MAX_REPLY_BYTES / MIN_COST <= MAX_REPLIES) };
-        const { assert!(MAX_REPLY_BYTES / MIN_COST > MAX_REPLIES * 998 / 1000) };
-    }
-
-    #[test]
-    fn the_clients_of_a_person_are_one_holder_where_people_are_known() {
-        for (has_people, evicted) in [(true, "1"), (false, "3")] {
-            let mut requests = requests(has_people, 4);
-            reply(&mut requests, Some("cleo:a"), "1", 10);
-            reply(&mut requests, Some("cleo:b"), "2", 10);
-            reply(&mut requests, Some("dora"), "3", 10);
-            reply(&mut requests, Some("dora"), "4", 10);
-            // Person cleo now has three replies; client cleo:c has one, and dora has two.
-            assert_eq!(reply(&mut requests, Some("cleo:c"), "5", 10), [evicted]);
-        }
-    }
-
-    #[test]
-    fn of_holders_of_equally_many_the_one_with_the_oldest_reply_loses_it() {
-        let mut requests = requests(false, 3);
-        for (client, id) in [("a", "1"), ("c", "2"), ("b", "3")] {
-            assert!(reply(&mut requests, Some(client), id, 10).is_empty());
-        }
-        for (client, id, evicted) in [("d", "4", "1"), ("e", "5", "2"), ("a", "6", "3")] {
-            assert_eq!(reply(&mut requests, Some(client), id, 10), [evicted]);
-        }
-    }
-
-    #[test]
-    fn the_newest_reply_stays_however_large_and_goes_next() {
-        let mut requests = requests(false, 10);
-        for id in ["1", "2", "3"] {
-            reply(&mut requests, Some("a"), id, 10);
-        }
-        let evicted = reply(&mut requests, Some("b"), "4", 20 * MIN_COST);
-        assert_eq!(evicted, ["1", "2", "3"]);
-        assert!(knows(&requests, Some("b"), "4"));
-        assert_eq!(reply(&mut requests, Some("a"), "5", 10), ["4"]);
-    }
-
-    #[test]
-    fn a_reply_that_replaces_another_takes_its_place() {
-        let mut requests = requests(false, 3);
-        for id in ["1", "2", "1", "1", "3"] {
-            assert!(reply(&mut requests, Some("a"), id, 10).is_empty());
-        }
-        assert_eq!(reply(&mut requests, Some("a"), "4", 10), ["2"]);
-    }
-
-    #[test]
-    fn the_totals_are_the_sums_of_what_is_remembered() {
-        let mut requests = requests(true, 40);
-        let (mut number, mut evicted, mut replaced) = (1_u64, 0, 0);
-        for _ in 0..5000 {
-            number = number
-                .wrapping_mul(6_364_136_223_846_793_005)
-                .wrapping_add(1);
-            let random =
-                |below: u64, shift: u32| usize::try_from((number >> shift) % below).unwrap();
-            let client = format!("p{}:{}", random(9, 33), random(3, 37));
-            let client = (random(20, 41) > 0).then_some(client.as_str());
-            // Some ids repeat, so that replies are replaced too.
-            let id = random(100, 45).to_string();
-            replaced += usize::from(knows(&requests, client, &id));
-            evicted += reply(&mut requests, client, &id, random(3000, 20)).len();
-
-            let costs = requests.by_name.values().map(|it| match &it.progress {
-                Progress::Done(_, reply) => cost(reply),
-                Progress::Pending(_) => 0,
-            });
-            assert_eq!(requests.cost, costs.sum::<usize>());
-            let held = requests.holders.values().map(|it| it.replies.len());
-            assert_eq!(requests.by_name.len(), held.sum::<usize>());
-            let most = requests.holders.values().map(|it| it.cost).max().unwrap();
-            let last = requests.ranking.last_key_value().unwrap();
-            assert_eq!(last.0.0, most);
-            assert_eq!(requests.ranking.len(), requests.holders.len());
-            assert!(requests.cost <= requests.max_cost);
-        }
-        assert_eq!(evicted + replaced + requests.by_name.len(), 5000);
-    }
-}
+mod tests;

@@ -1,10 +1,10 @@
-//! Requests as a transport received them.
+//! Requests as a transport received them, and the limits of those that have no reply yet.
 
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 
 use jostle_proto::Request;
 
-use crate::api::admission::Permit;
 use crate::convert::Payload;
 use crate::convert::commands::{selector, truncate};
 use crate::convert::error::CommandError;
@@ -17,6 +17,53 @@ const JSON_ENCODINGS: [&str; 5] = [
     "zenoh/string",
     "zenoh/bytes",
 ];
+
+/// Requests to one queryable that may be unanswered; further ones are rejected with `busy`. So many
+/// are answered within a few milliseconds, and they delay the requests to other swarms no longer:
+/// with 256 twice as long, with 64 or 16 no shorter. A hundred at once are served.
+const MAX_UNANSWERED: usize = 128;
+
+/// Bytes of all unanswered requests; further ones are rejected with `busy`.
+const MAX_UNANSWERED_BYTES: usize = 64 * 1024 * 1024;
+
+/// The default and the largest limit of a page of numbered records.
+const PAGE_RECORDS: usize = 256;
+const MAX_PAGE_RECORDS: usize = 1000;
+
+/// Counts the bytes of all unanswered requests.
+#[derive(Default)]
+pub struct Admission(Arc<AtomicUsize>);
+
+/// The place of a request among those that are unanswered, until this is dropped.
+pub struct Permit {
+    bytes: usize,
+    all_bytes: Arc<AtomicUsize>,
+    unanswered: Arc<AtomicUsize>,
+}
+
+impl Admission {
+    /// Admits a request of so many bytes, unless the limits are reached. `unanswered` counts the
+    /// requests to its queryable.
+    pub fn admit(&self, bytes: usize, unanswered: &Arc<AtomicUsize>) -> Option<Permit> {
+        let others = unanswered.fetch_add(1, Ordering::Relaxed);
+        let other_bytes = self.0.fetch_add(bytes, Ordering::Relaxed);
+        // Dropping it restores both counts.
+        let permit = Permit {
+            bytes,
+            all_bytes: self.0.clone(),
+            unanswered: unanswered.clone(),
+        };
+        let is_full = bytes > 0 && other_bytes >= MAX_UNANSWERED_BYTES;
+        (others < MAX_UNANSWERED && !is_full).then_some(permit)
+    }
+}
+
+impl Drop for Permit {
+    fn drop(&mut self) {
+        self.all_bytes.fetch_sub(self.bytes, Ordering::Relaxed);
+        self.unanswered.fetch_sub(1, Ordering::Relaxed);
+    }
+}
 
 /// The connection to the client that sent a request.
 pub trait Peer: Send + Sync {
@@ -50,6 +97,7 @@ pub enum Target {
 #[derive(Clone)]
 pub struct Incoming {
     received: Arc<Received>,
+    has_responder: Arc<AtomicBool>,
     _permit: Option<Arc<Permit>>,
 }
 
@@ -78,6 +126,7 @@ impl Incoming {
     pub fn new(received: Received, permit: Permit) -> Self {
         Incoming {
             received: Arc::new(received),
+            has_responder: Arc::default(),
             _permit: Some(Arc::new(permit)),
         }
     }
@@ -87,9 +136,19 @@ impl Incoming {
     #[must_use]
     pub fn without_permit(&self) -> Incoming {
         Incoming {
-            received: self.received.clone(),
             _permit: None,
+            ..self.clone()
         }
+    }
+
+    /// Notes that a responder replies to it.
+    pub(super) fn set_has_responder(&self) {
+        self.has_responder.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether a responder replies to it.
+    pub(super) fn has_responder(&self) -> bool {
+        self.has_responder.load(Ordering::Relaxed)
     }
 
     /// What its key addresses.
@@ -187,5 +246,109 @@ impl Incoming {
     /// Sends a reply under `key`.
     pub fn reply(&self, key: &str, reply: Result<Payload, Payload>) {
         self.received.peer.reply(key, reply);
+    }
+}
+
+/// The number after which a page of records begins, and the most records, from the parameters of a
+/// selector.
+///
+/// # Errors
+///
+/// [`CommandError::Parameter`], [`CommandError::Twice`] and [`CommandError::Field`].
+pub fn page<'a>(
+    parameters: impl Iterator<Item = (&'a str, &'a str)>,
+) -> Result<(u64, usize), CommandError> {
+    let known = &["after", "limit"];
+    let (_, after, limit) = page_of(parameters, known, PAGE_RECORDS, MAX_PAGE_RECORDS)?;
+    Ok((after, limit))
+}
+
+/// The run of an experiment, and a page of at most `max` of its records.
+pub(super) fn page_of_run<'a>(
+    parameters: impl Iterator<Item = (&'a str, &'a str)>,
+    max: usize,
+) -> Result<(&'a str, u64, usize), CommandError> {
+    let (run, after, limit) = page_of(parameters, &["run", "after", "limit"], max, max)?;
+    let run = run.ok_or(CommandError::Field {
+        field: "run",
+        problem: "is missing: name one as the results have it",
+    })?;
+    Ok((run, after, limit))
+}
+
+fn page_of<'a>(
+    parameters: impl Iterator<Item = (&'a str, &'a str)>,
+    known: &'static [&'static str],
+    mut limit: usize,
+    max: usize,
+) -> Result<(Option<&'a str>, u64, usize), CommandError> {
+    let (mut run, mut after) = (None, 0);
+    let wrong = |field| CommandError::Field {
+        field,
+        problem: "is not a whole number in its range; `;` is what parts two parameters",
+    };
+    for (name, value) in selector(parameters, known)? {
+        match name {
+            "run" => run = Some(value),
+            "after" => after = value.parse().map_err(|_| wrong("after"))?,
+            _ => {
+                let number = value.parse().ok();
+                let number = number.filter(|number| (1..=max).contains(number));
+                limit = number.ok_or_else(|| wrong("limit"))?;
+            }
+        }
+    }
+    Ok((run, after, limit))
+}
+
+#[cfg(test)]
+pub(super) mod fixture {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use std::sync::mpsc::{Receiver, Sender, channel};
+    use std::time::Duration;
+
+    use serde_json::Value;
+
+    use super::*;
+
+    pub(crate) const LONG: Duration = Duration::from_secs(20);
+
+    /// The replies that a client received.
+    pub(crate) type Sent = Receiver<Result<Payload, Payload>>;
+
+    struct Client(Sender<Result<Payload, Payload>>);
+
+    impl Peer for Client {
+        fn reply(&self, _: &str, reply: Result<Payload, Payload>) {
+            self.0.send(reply).unwrap();
+        }
+
+        fn matches(&self, _: &str) -> bool {
+            false
+        }
+    }
+
+    /// A request, and the replies to it.
+    pub(crate) fn request(is_wild: bool) -> (Incoming, Sent) {
+        let (sender, replies) = channel();
+        let received = Received {
+            target: Target::NodeGet,
+            key: "jostle/ants/cmd/step".to_owned(),
+            is_wild,
+            parameters: Vec::new(),
+            payload: Vec::new(),
+            encoding: None,
+            token: Vec::new(),
+            peer: Box::new(Client(sender)),
+        };
+        let permit = Admission::default().admit(0, &Arc::default()).unwrap();
+        (Incoming::new(received, permit), replies)
+    }
+
+    /// The code of an error.
+    pub(crate) fn code(reply: Result<Payload, Payload>) -> String {
+        let error: Value = serde_json::from_slice(&reply.unwrap_err().bytes).unwrap();
+        error["code"].as_str().unwrap().to_owned()
     }
 }

@@ -4,14 +4,10 @@
 //! [`commands`] or [`queries`] parses it, sends a message to a swarm or a job to an executor, and
 //! replies by a [`Responder`](responder::Responder).
 
-pub mod admission;
 pub mod commands;
 pub mod context;
-mod deadlines;
-pub mod executor;
 pub mod idempotency;
 pub mod incoming;
-pub mod pagination;
 pub mod queries;
 pub mod responder;
 pub mod verifications;

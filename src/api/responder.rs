@@ -6,13 +6,15 @@
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
+use tokio::runtime::Handle as Runtime;
+use tokio::task::AbortHandle;
+use tokio::time::{Instant, sleep_until};
 use tracing::error;
 
-use crate::api::deadlines::{DeadlineId, Deadlines, Expire};
 use crate::api::incoming::Incoming;
 use crate::convert::Payload;
 use crate::convert::error::CommandError;
@@ -20,10 +22,10 @@ use crate::metrics::Activity;
 use crate::persistence::reply_cache::ReplySlot;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Stamp;
-use crate::swarm::handle::LastStep;
-use crate::swarm::outcome::{Outcome, Rejection, SwarmReply};
+use crate::swarm::handle::{Handle, LastStep, Message};
+use crate::swarm::outcome::{Outcome, Rejection, ReplyTo, SwarmReply};
 
-/// The resolution of the queue of deadlines. A shorter timeout passes at once.
+/// The resolution of timers. A shorter timeout passes at once.
 const TIMER_RESOLUTION: Duration = Duration::from_millis(1);
 
 /// Makes the error of a deadline that passed after so many seconds.
@@ -36,35 +38,25 @@ type Encode = Box<dyn FnOnce() -> Result<Payload, Payload> + Send>;
 #[derive(Clone)]
 pub struct Responder(Arc<Pending>);
 
-/// A responder that does not keep its request pending.
-pub struct WeakResponder(Weak<Pending>);
-
 /// A request without a reply.
 struct Pending {
     incoming: Mutex<Option<Incoming>>,
     /// Where the reply is remembered, if the request has an id.
     slot: Mutex<Option<Box<dyn ReplySlot>>>,
-    deadlines: Mutex<Vec<DeadlineId>>,
+    deadlines: Mutex<Vec<AbortHandle>>,
     key: String,
     replies: Replies,
 }
 
-/// The deadline of a request.
-struct Deadline {
-    responder: WeakResponder,
-    timeout: Duration,
-    error: TimeoutError,
-    step: Option<LastStep>,
-}
-
-/// The thread that sends replies, and the deadlines. Clones share them.
+/// The thread that sends replies. Clones share it.
 #[derive(Clone)]
 pub struct Replies {
     /// `None` ends the thread.
     outgoing: Sender<Option<Outgoing>>,
-    deadlines: Deadlines<Deadline>,
+    /// Executes the deadlines.
+    runtime: Runtime,
     /// Whether the thread is working.
-    pub pulse: Arc<Activity>,
+    pub activity: Arc<Activity>,
     /// Whether the daemon is stopping: swarms that end then exist again after the restart.
     is_closing: Arc<AtomicBool>,
     /// Requests whose responder was dropped without a reply.
@@ -79,29 +71,40 @@ struct Outgoing {
 }
 
 impl Replies {
-    /// Starts the thread.
-    ///
-    /// # Errors
-    ///
-    /// When the system starts no thread.
-    pub fn start() -> std::io::Result<Self> {
+    /// Starts the thread. Deadlines are tasks of the present runtime.
+    pub(crate) fn start() -> std::io::Result<Self> {
         let (outgoing, receiver) = channel();
-        let pulse = Arc::new(Activity::default());
-        let sending = pulse.clone();
+        let activity = Arc::new(Activity::default());
+        let sending = activity.clone();
         thread::Builder::new()
             .name("replies".into())
             .spawn(move || send_all(&receiver, &sending))?;
         Ok(Replies {
             outgoing,
-            deadlines: Deadlines::start(),
-            pulse,
+            runtime: Runtime::current(),
+            activity,
             is_closing: Arc::default(),
             dropped: Arc::default(),
         })
     }
 
+    /// Calls the handler of a request. If it panics, the request gets `internal`, once: a responder
+    /// that was made replies by itself.
+    pub fn guard(&self, incoming: &Incoming, handler: impl FnOnce()) {
+        if catch_unwind(AssertUnwindSafe(handler)).is_ok() {
+            return;
+        }
+        let key = incoming.key();
+        error!(key, "a defect: the handler panicked");
+        if !incoming.has_responder() {
+            let responder = self.responder(incoming, key.to_owned());
+            responder.reject(&CommandError::Internal, None);
+        }
+    }
+
     /// A responder to a request, which replies under `key`.
     pub fn responder(&self, incoming: &Incoming, key: String) -> Responder {
+        incoming.set_has_responder();
         Responder(Arc::new(Pending {
             incoming: Mutex::new(Some(incoming.clone())),
             slot: Mutex::default(),
@@ -150,6 +153,32 @@ impl Responder {
         self.0.send(slot, Box::new(encode));
     }
 
+    /// Replies with the result of a job, which `payload` encodes, or with its error.
+    pub fn finish<T: Send + 'static>(
+        &self,
+        done: Result<T, impl Into<CommandError>>,
+        payload: impl FnOnce(T) -> Payload + Send + 'static,
+    ) {
+        match done {
+            Ok(result) => self.complete(move || Ok(payload(result))),
+            Err(error) => self.reject(&error.into(), None),
+        }
+    }
+
+    /// Sends a message to a swarm, whose reply `payload` encodes, and sets the deadline.
+    pub fn ask(
+        &self,
+        swarm: &Handle,
+        (timeout, error): (Duration, TimeoutError),
+        message: impl FnOnce(ReplyTo) -> Message,
+        payload: impl FnOnce(Stamp, Outcome) -> Payload + Send + 'static,
+    ) {
+        self.set_deadline(timeout, error, Some(swarm.last_step()));
+        let responder = self.clone();
+        let reply_to = ReplyTo::new(move |reply| responder.respond(reply, payload));
+        swarm.send(message(reply_to));
+    }
+
     /// Replies to a command with what the swarm returned: `payload` encodes an outcome.
     pub fn respond(
         &self,
@@ -172,7 +201,7 @@ impl Responder {
     /// Replies with an error; the request has changed nothing and its id may be used again. A
     /// wildcard request gets no reply about a swarm that does not exist.
     pub fn reject(&self, error: &CommandError, step: Option<u64>) {
-        let is_gone = matches!(error, CommandError::Order(SwarmError::Gone));
+        let is_gone = matches!(error, CommandError::Swarm(SwarmError::Gone));
         let is_unknown = matches!(error, CommandError::UnknownSwarm(_));
         let is_closing = self.0.replies.is_closing.load(Ordering::Acquire);
         let is_wild = || {
@@ -182,6 +211,7 @@ impl Responder {
         };
         if (is_gone && is_closing) || ((is_gone || is_unknown) && is_wild()) {
             drop(lock(&self.0.incoming).take());
+            drop(lock(&self.0.slot).take());
             return;
         }
         let payload = Payload::json(&error.to_wire(step));
@@ -193,23 +223,35 @@ impl Responder {
 
     /// Replies with an error if there is no reply after `timeout`; `step` is the step to state.
     pub fn set_deadline(&self, timeout: Duration, error: TimeoutError, step: Option<LastStep>) {
-        let deadline = Deadline {
-            responder: self.downgrade(),
-            timeout,
-            error,
-            step,
+        let pending = Arc::downgrade(&self.0);
+        let expire = move || {
+            if let Some(pending) = pending.upgrade() {
+                Responder(pending).send(move || {
+                    let error = error(timeout.as_secs_f64());
+                    let step = step.and_then(|step| step.get());
+                    Err(Payload::json(&error.to_wire(step)))
+                });
+            }
         };
         if timeout < TIMER_RESOLUTION {
-            return deadline.expire();
+            return expire();
         }
-        let deadlines = &self.0.replies.deadlines;
-        let id = deadlines.add(Instant::now() + timeout, deadline);
-        lock(&self.0.deadlines).push(id);
+        let deadline = Instant::now() + timeout;
+        // A runtime that is shutting down drops the task.
+        let task = self.0.replies.runtime.spawn(async move {
+            sleep_until(deadline).await;
+            expire();
+        });
+        lock(&self.0.deadlines).push(task.abort_handle());
     }
 
-    /// A responder that does not keep the request pending.
-    pub fn downgrade(&self) -> WeakResponder {
-        WeakResponder(Arc::downgrade(&self.0))
+    /// Returns a function that does not keep the request pending: whether it needs a reply no more.
+    pub fn is_abandoned(&self) -> impl Fn() -> bool + Send + use<> {
+        let pending = Arc::downgrade(&self.0);
+        move || {
+            let pending = pending.upgrade();
+            pending.is_none_or(|it| lock(&it.incoming).is_none())
+        }
     }
 
     /// Whether there is a reply.
@@ -218,32 +260,13 @@ impl Responder {
     }
 }
 
-impl WeakResponder {
-    /// The responder, unless all were dropped.
-    pub fn upgrade(&self) -> Option<Responder> {
-        self.0.upgrade().map(Responder)
-    }
-}
-
-impl Expire for Deadline {
-    fn expire(self) {
-        if let Some(responder) = self.responder.upgrade() {
-            responder.send(move || {
-                let error = (self.error)(self.timeout.as_secs_f64());
-                let step = self.step.and_then(|step| step.get());
-                Err(Payload::json(&error.to_wire(step)))
-            });
-        }
-    }
-}
-
 impl Pending {
     fn send(&self, slot: Option<Box<dyn ReplySlot>>, encode: Encode) {
         let incoming = lock(&self.incoming).take();
         let incoming = incoming.map(|incoming| (incoming, self.key.clone()));
         if incoming.is_some() {
-            for id in std::mem::take(&mut *lock(&self.deadlines)) {
-                self.replies.deadlines.remove(id);
+            for deadline in std::mem::take(&mut *lock(&self.deadlines)) {
+                deadline.abort();
             }
         }
         if incoming.is_some() || slot.is_some() {
@@ -257,20 +280,23 @@ impl Pending {
 }
 
 impl Drop for Pending {
-    /// Replies `internal` if there is no reply. Whether the request was executed is unknown, so its
-    /// slot, which is dropped with it, does not keep the client from sending the request again.
+    /// Replies `internal` if there is no reply. It is remembered: the request may have been executed,
+    /// and a retry must not execute it again.
     fn drop(&mut self) {
+        let slot = lock(&self.slot).take();
+        let has_reply = lock(&self.incoming).is_none();
+        // After the restart the journal is replayed, which produces the reply.
         let is_closing = self.replies.is_closing.load(Ordering::Acquire);
-        if is_closing || lock(&self.incoming).is_none() {
+        if is_closing || (has_reply && slot.is_none()) {
             return;
         }
-        self.replies.dropped.fetch_add(1, Ordering::Relaxed);
-        error!(
-            key = self.key,
-            "a defect: a request was dropped without a reply"
-        );
+        if !has_reply {
+            self.replies.dropped.fetch_add(1, Ordering::Relaxed);
+        }
+        let key = &self.key;
+        error!(key, "a defect: a request was dropped without a result");
         let payload = Payload::json(&CommandError::Dropped.to_wire(None));
-        self.send(None, Box::new(move || Err(payload)));
+        self.send(slot, Box::new(move || Err(payload)));
     }
 }
 
@@ -278,11 +304,11 @@ fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-fn send_all(receiver: &Receiver<Option<Outgoing>>, pulse: &Activity) {
+fn send_all(receiver: &Receiver<Option<Outgoing>>, activity: &Activity) {
     while let Ok(Some(reply)) = receiver.recv() {
-        pulse.begin();
+        activity.begin();
         reply.send();
-        pulse.end();
+        activity.end();
     }
 }
 
@@ -308,48 +334,19 @@ impl Outgoing {
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
-    use std::sync::mpsc::TryRecvError;
-
-    use serde_json::Value;
+    use std::sync::mpsc::{RecvTimeoutError, TryRecvError};
 
     use super::*;
-    use crate::api::admission::Admission;
-    use crate::api::incoming::{Peer, Received, Target};
+    use crate::api::incoming::fixture::{LONG, Sent, code, request};
 
-    const LONG: Duration = Duration::from_secs(20);
-
-    struct Client(Sender<Result<Payload, Payload>>);
-
-    impl Peer for Client {
-        fn reply(&self, _: &str, reply: Result<Payload, Payload>) {
-            self.0.send(reply).unwrap();
-        }
-
-        fn matches(&self, _: &str) -> bool {
-            false
-        }
-    }
-
-    /// A request, and the replies to it.
-    fn request(is_wild: bool) -> (Incoming, Receiver<Result<Payload, Payload>>) {
-        let (sender, replies) = channel();
-        let received = Received {
-            target: Target::NodeGet,
-            key: "jostle/ants/cmd/step".to_owned(),
-            is_wild,
-            parameters: Vec::new(),
-            payload: Vec::new(),
-            encoding: None,
-            token: Vec::new(),
-            peer: Box::new(Client(sender)),
-        };
-        let permit = Admission::default().admit(0, &Arc::default()).unwrap();
-        (Incoming::new(received, permit), replies)
-    }
-
-    fn code(reply: Result<Payload, Payload>) -> String {
-        let error: Value = serde_json::from_slice(&reply.unwrap_err().bytes).unwrap();
-        error["code"].as_str().unwrap().to_owned()
+    /// The replies to a request whose handler panics after `handler`.
+    fn panic_after(sender: &Replies, handler: impl FnOnce(&Incoming)) -> Sent {
+        let (incoming, replies) = request(false);
+        sender.guard(&incoming, || {
+            handler(&incoming);
+            panic!("a defect");
+        });
+        replies
     }
 
     #[tokio::test]
@@ -371,6 +368,28 @@ mod tests {
         sender.stop();
         drop((incoming, sender));
         assert!(replies.recv_timeout(LONG).is_err());
+    }
+
+    #[tokio::test]
+    async fn a_request_whose_handler_panics_gets_one_reply() {
+        let sender = Replies::start().unwrap();
+        let none = panic_after(&sender, |_| {});
+        let dropped = panic_after(&sender, |incoming| {
+            drop(sender.responder(incoming, "key".into()));
+        });
+        let mut responder = None;
+        let kept = panic_after(&sender, |incoming| {
+            responder = Some(sender.responder(incoming, "key".into()));
+        });
+        responder.unwrap().complete(|| Ok(Payload::json(&1)));
+        sender.stop();
+        assert_eq!(code(none.recv_timeout(LONG).unwrap()), "internal");
+        assert_eq!(code(dropped.recv_timeout(LONG).unwrap()), "internal");
+        assert!(kept.recv_timeout(LONG).unwrap().is_ok());
+        for replies in [none, dropped, kept] {
+            let second = replies.recv_timeout(LONG);
+            assert_eq!(second.unwrap_err(), RecvTimeoutError::Disconnected);
+        }
     }
 
     #[tokio::test]

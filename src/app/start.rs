@@ -15,10 +15,9 @@ use tokio_rustls::TlsAcceptor;
 use tracing::{error, info};
 use zenoh::{Session, Wait};
 
-use crate::api::admission::Admission;
-use crate::api::context::Context;
-use crate::api::executor::Executor;
+use crate::api::context::{Context, Executor};
 use crate::api::idempotency::IdempotencyCache;
+use crate::api::incoming::Admission;
 use crate::api::responder::Replies;
 use crate::api::{commands, queries};
 use crate::app::error::{EXIT_STORE, ServerError};
@@ -84,7 +83,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     let watch = Arc::new(OnceLock::new());
     let url = http.as_ref().map(HttpListener::url).transpose()?;
     let context = context(config, &core, &files, url, watch.clone());
-    let pulse = start_dispatcher(config, &core, context.clone(), received)?;
+    let activity = start_dispatcher(config, &core, context.clone(), received)?;
 
     // The probe's key must have no queryable.
     let probe = keys::node_get(&config.prefix, &config.node, "@probe");
@@ -93,7 +92,7 @@ async fn open(config: &Config) -> Result<Server, ServerError> {
     if let Some(http) = &http {
         probed.push(http.endpoint()?);
     }
-    let started = start_watch(&core, &files, bus.clone(), pulse, probed)?;
+    let started = start_watch(&core, &files, bus.clone(), activity, probed)?;
     let watch = watch.get_or_init(|| started).clone();
     // Before the recovery, which may take long: the health checks must be reachable meanwhile.
     let credentials = credentials(config, &core)?;
@@ -250,7 +249,10 @@ impl Core {
                 let _ = wake.try_send(DispatchMessage::Claimed);
             })
             .map_err(|error| rejected(&error))?;
-        let notifier = Arc::new(LifecycleNotifier::new(messages.clone(), publisher.clone()));
+        let notifier = Arc::new(LifecycleNotifier {
+            messages: messages.clone(),
+            publisher: publisher.clone(),
+        });
         let host = SwarmRegistry::new(config.limits, notifier, Box::new(store.clone()));
         let has_users = rights.current().users().is_some();
         let core = Core {
@@ -357,10 +359,11 @@ fn start_dispatcher(
     let gateway = Arc::new(gateway::Gateway {
         context,
         claims: core.claims.clone(),
+        messages: core.messages.clone(),
         admission: Admission::default(),
         queued: AtomicUsize::new(0),
     });
-    let pulse = Arc::new(Activity::default());
+    let activity = Arc::new(Activity::default());
     let dispatcher = Dispatcher {
         gateway: gateway.clone(),
         pool: core.pool.clone(),
@@ -370,17 +373,16 @@ fn start_dispatcher(
             core.pool.clone(),
             config.prefix.clone(),
             config.node.clone(),
-            core.messages.clone(),
             gateway,
         ),
         held: Vec::new(),
         recovered: None,
-        pulse: pulse.clone(),
+        activity: activity.clone(),
     };
     thread::Builder::new()
         .name("dispatch".into())
         .spawn(move || dispatcher.run(&received))?;
-    Ok(pulse)
+    Ok(activity)
 }
 
 /// Starts the health checks.
@@ -400,8 +402,8 @@ fn start_watch(
         recordings: files.recordings.clone(),
         threads: vec![
             ("dispatch", dispatch),
-            ("publish", core.publisher.pulse.clone()),
-            ("replies", core.replies.pulse.clone()),
+            ("publish", core.publisher.activity.clone()),
+            ("replies", core.replies.activity.clone()),
         ],
         endpoints,
         sessions: Box::new(move || session.info().transports().wait().count()),

@@ -152,7 +152,7 @@ async fn run_on(swarm: &Handle, until_time: Option<f64>) -> Result<u64, DemoErro
     match command(swarm, "run", &args, None).await {
         Ok(Outcome::Runs(until, _)) => Ok(until.unwrap_or(u64::MAX)),
         Ok(_) => Ok(u64::MAX),
-        Err(DemoError::Command(CommandError::Order(SwarmError::Past { step, .. }))) => Ok(step),
+        Err(DemoError::Command(CommandError::Swarm(SwarmError::Past { step, .. }))) => Ok(step),
         Err(error) => Err(error),
     }
 }
@@ -167,7 +167,7 @@ async fn arrival(swarm: &Handle, step: u64) -> Result<Arc<Frame>, DemoError> {
             reply_to,
         }));
         match reply.await {
-            Err(DemoError::Command(CommandError::Order(SwarmError::Displaced { .. }))) => {
+            Err(DemoError::Command(CommandError::Swarm(SwarmError::Displaced { .. }))) => {
                 tokio::time::sleep(RETRY_DELAY).await;
             }
             reply => return frame(reply?),
@@ -245,13 +245,11 @@ async fn command(
 ) -> Result<Outcome, DemoError> {
     let request = json!({"args": args, "at_step": at_step, "client": "jostled demo"});
     let request = Request::from_json(request.to_string().as_bytes()).map_err(CommandError::from)?;
-    let command = commands::read(verb, &request)?;
+    let (message, _) = commands::read(verb, &request)?;
     let (reply_to, reply) = reply();
     swarm.send(Message::Command(CommandMessage {
-        command: command.order,
-        when: command.when,
-        sender: command.sender,
         reply_to,
+        ..message
     }));
     reply.await
 }

@@ -1,4 +1,4 @@
-//! Stored bytes of a swarm: a checkpoint is a snapshot, an entry of the journal a CBOR record.
+//! Snapshots: the stored form of a checkpoint.
 
 use std::sync::Arc;
 
@@ -6,12 +6,10 @@ use jostle_convert::SnapshotError;
 use jostle_proto as proto;
 use jostle_proto::keys;
 use jostle_proto::snapshot::{Doing, Member, Pending, Sent, Waiting};
-use serde::{Deserialize, Serialize};
 
 use crate::convert::controllers::{news, news_to_proto};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
-use crate::swarm::journal::Record;
 use crate::swarm::membership;
 use crate::swarm::membership::ControllerState;
 use crate::swarm::phase::{PauseReason, Phase};
@@ -155,7 +153,8 @@ fn pause_reason(text: &str) -> Result<PauseReason, SnapshotError> {
         .ok_or_else(|| SnapshotError::Unreadable(format!("nothing is paused because {text:?}")))
 }
 
-fn sent(sender: &Sender) -> Sent {
+/// The stored form of a sender.
+pub(crate) fn sent(sender: &Sender) -> Sent {
     Sent {
         verb: sender.verb.to_owned(),
         args: sender.args.clone(),
@@ -165,7 +164,8 @@ fn sent(sender: &Sender) -> Sent {
     }
 }
 
-fn sender(sent: &Sent) -> Result<Arc<Sender>, SnapshotError> {
+/// The sender in its stored form.
+pub(crate) fn sender(sent: &Sent) -> Result<Arc<Sender>, SnapshotError> {
     let mut known = keys::SWARM_VERBS.iter().chain(&keys::OWN_VERBS);
     let known = known.find(|verb| **verb == sent.verb);
     let Some(verb) = known else {
@@ -179,123 +179,4 @@ fn sender(sent: &Sent) -> Result<Arc<Sender>, SnapshotError> {
         request_id: sent.request_id.clone(),
         digest: sent.digest.as_deref().and_then(|it| it.try_into().ok()),
     }))
-}
-
-/// The stored form of a journal record.
-#[derive(Serialize, Deserialize)]
-#[serde(remote = "Record")]
-enum Stored {
-    #[serde(rename = "input")]
-    Input {
-        at_step: Option<u64>,
-        #[serde(rename = "sent", with = "stored_sender")]
-        sender: Arc<Sender>,
-        seq: Option<u64>,
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        unix_secs: Option<f64>,
-    },
-    #[serde(rename = "became")]
-    Became {
-        input: u64,
-        seq: Option<u64>,
-        #[serde(default, skip_serializing_if = "Option::is_none")]
-        unix_secs: Option<f64>,
-    },
-    #[serde(rename = "fault")]
-    Fault(String),
-    #[serde(rename = "hash")]
-    Hash(#[serde(with = "serde_bytes")] [u8; 32]),
-    #[serde(rename = "resumed")]
-    Resumed(u64),
-}
-
-/// A command is stored as [`Sent`].
-mod stored_sender {
-    use serde::de::Error as _;
-    use serde::{Deserializer, Serializer};
-
-    use super::*;
-
-    pub fn serialize<S: Serializer>(sender: &Arc<Sender>, to: S) -> Result<S::Ok, S::Error> {
-        sent(sender).serialize(to)
-    }
-
-    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Arc<Sender>, D::Error> {
-        sender(&Sent::deserialize(from)?).map_err(D::Error::custom)
-    }
-}
-
-#[derive(Serialize, Deserialize)]
-struct StoredRecord(#[serde(with = "Stored")] Record);
-
-/// Encodes a journal record: its kind, by which it is found, and its bytes.
-pub fn record(record: &Record) -> (u8, Vec<u8>) {
-    let kind = match record {
-        Record::Input { .. } => 1,
-        Record::Became { .. } => 2,
-        Record::Fault(_) => 3,
-        Record::Hash(_) => 4,
-        Record::Resumed(_) => 5,
-    };
-    (kind, proto::to_cbor(&StoredRecord(record.clone())))
-}
-
-/// Decodes a journal record.
-pub fn read_record(bytes: &[u8]) -> Result<Record, SnapshotError> {
-    let stored: Result<StoredRecord, _> = ciborium::from_reader(bytes);
-    let stored = stored.map_err(|error| SnapshotError::Unreadable(error.to_string()))?;
-    Ok(stored.0)
-}
-
-#[cfg(test)]
-mod tests {
-    #![expect(clippy::unwrap_used, reason = "tests")]
-
-    use super::*;
-
-    /// A record of builds without wall-clock times.
-    #[derive(Debug, PartialEq, Serialize, Deserialize)]
-    enum Before {
-        #[serde(rename = "input")]
-        Input {
-            at_step: Option<u64>,
-            sent: Sent,
-            seq: Option<u64>,
-        },
-        #[serde(rename = "became")]
-        Became { input: u64, seq: Option<u64> },
-    }
-
-    #[test]
-    fn older_builds_read_records_with_a_time_and_theirs_are_read_without_one() {
-        let sender = Arc::new(Sender {
-            verb: "pause",
-            args: "{}".to_owned(),
-            ..Sender::default()
-        });
-        let records = |unix_secs| {
-            let input = Record::Input {
-                at_step: Some(7),
-                sender: sender.clone(),
-                seq: None,
-                unix_secs,
-            };
-            let became = Record::Became {
-                input: 3,
-                seq: Some(5),
-                unix_secs,
-            };
-            [input, became]
-        };
-        let known = records(Some(1_795_531_201.25));
-        for (known, unknown) in known.into_iter().zip(records(None)) {
-            let (kind, bytes) = record(&known);
-            assert_eq!(read_record(&bytes).unwrap(), known);
-            let before: Before = ciborium::from_reader(&bytes[..]).unwrap();
-            let bytes = proto::to_cbor(&before);
-            assert_eq!(read_record(&bytes).unwrap(), unknown);
-            // Without a time the bytes are those of before.
-            assert_eq!(record(&unknown), (kind, bytes));
-        }
-    }
 }

@@ -199,7 +199,7 @@ impl Watch {
     fn tasks(&self) -> Vec<(Worker, u64)> {
         let (swarms, _) = self.watched.host.handles();
         let swarms = swarms.into_iter().filter_map(|(name, handle)| {
-            let task = handle.metrics.pulse.task()?;
+            let task = handle.metrics.activity.task()?;
             Some((Worker::Swarm(name), task))
         });
         let threads = self.watched.threads.iter();

@@ -6,8 +6,8 @@ use jostle_proto::Request;
 use serde_json::value::RawValue;
 use thiserror::Error;
 
-use crate::convert::commands::{self, ParsedCommand};
-use crate::convert::durable;
+use crate::convert::commands;
+use crate::persistence::writer;
 use crate::store::{Row, Store, StoreError};
 use crate::swarm::command::Command;
 use crate::swarm::journal::{Line, Record};
@@ -126,7 +126,7 @@ fn parse_line(row: &Row) -> Result<Line, String> {
         number: row.number,
         epoch: row.epoch,
         step: row.step,
-        record: durable::read_record(&row.body).map_err(|error| error.to_string())?,
+        record: writer::read_record(&row.body).map_err(|error| error.to_string())?,
     })
 }
 
@@ -141,11 +141,11 @@ fn parse_entry(row: &Row) -> Result<ReplayEntry, String> {
 
 /// Parses the command of a sender.
 pub fn parse_command(sender: &Sender) -> Result<Command, String> {
-    parse_request(sender).map(|command| command.order)
+    parse_request(sender).map(|(command, _)| command)
 }
 
-/// Parses a stored request.
-pub fn parse_request(sender: &Sender) -> Result<ParsedCommand, String> {
+/// Parses the command of a sender, and whether its reply contains the state.
+pub fn parse_request(sender: &Sender) -> Result<(Command, bool), String> {
     let args = RawValue::from_string(sender.args.clone()).map_err(|error| error.to_string())?;
     let request = Request {
         args: Some(args),

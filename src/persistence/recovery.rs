@@ -298,7 +298,7 @@ fn rebuild_reply(replies: &impl ReplyCache, swarm: &str, sender: &Arc<Sender>) -
         return ReplyTo::ignored();
     };
     let returns_state =
-        journal_reader::parse_request(sender).is_ok_and(|command| command.returns_state);
+        journal_reader::parse_request(sender).is_ok_and(|(_, returns_state)| returns_state);
     let swarm = swarm.to_owned();
     let to_payload = |step, error| Payload::json(&CommandError::from(error).to_wire(step));
     ReplyTo::new(move |reply| match reply {

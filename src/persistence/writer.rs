@@ -2,19 +2,22 @@
 
 use std::sync::Arc;
 
+use jostle_convert::SnapshotError;
 use jostle_physics::simulation::Spec;
 use jostle_proto as proto;
+use jostle_proto::snapshot::Sent;
 use serde::{Deserialize, Serialize};
 
 use crate::convert::digest::RequestIdentity;
 use crate::convert::{self, Payload, durable};
-use crate::store::{self, Store, StoreFault, Write};
+use crate::store::{self, OnCommit, Store, StoreFault, Write};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::error::WriteFault;
 use crate::swarm::frame::{Frame, Stamp};
-use crate::swarm::journal::{Entry, JournalWriter, Reached};
+use crate::swarm::journal::{Entry, JournalWriter, Reached, Record};
 use crate::swarm::outcome::Outcome;
 use crate::swarm::runner::{JournalFactory, PersistNew};
+use crate::swarm::sender::Sender;
 
 /// The stored metadata of a swarm.
 #[derive(Serialize, Deserialize)]
@@ -35,12 +38,15 @@ impl JournalWriter for StoreWriter {
     }
 
     fn append(&self, entries: Vec<Entry>, reached: Option<Reached>) {
-        let writes = self.writes(entries);
-        match reached {
-            None => self.store.submit(writes, None),
-            Some(reached) => self
-                .store
-                .submit_then(writes, Box::new(move || reached.is_durable())),
+        let synced = reached.map(|reached| Box::new(reached) as Box<dyn OnCommit>);
+        self.store.submit(self.writes(entries), synced);
+    }
+}
+
+impl OnCommit for Reached {
+    fn committed(self: Box<Self>, outcome: Result<(), StoreFault>) {
+        if outcome.is_ok() {
+            self.is_durable();
         }
     }
 }
@@ -104,7 +110,7 @@ pub(crate) fn writes(swarm: &str, entry: Entry) -> Vec<Write> {
     let swarm = swarm.to_owned();
     match entry {
         Entry::Line(line) => {
-            let (kind, body) = durable::record(&line.record);
+            let (kind, body) = record(&line.record);
             let row = store::Row {
                 number: line.number,
                 epoch: line.epoch,
@@ -161,5 +167,124 @@ fn fault(fault: StoreFault) -> WriteFault {
     match fault {
         StoreFault::Full => WriteFault::Full,
         other => WriteFault::Failed(other.to_string()),
+    }
+}
+
+/// The stored form of a journal record.
+#[derive(Serialize, Deserialize)]
+#[serde(remote = "Record")]
+enum Stored {
+    #[serde(rename = "input")]
+    Input {
+        at_step: Option<u64>,
+        #[serde(rename = "sent", with = "stored_sender")]
+        sender: Arc<Sender>,
+        seq: Option<u64>,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        unix_secs: Option<f64>,
+    },
+    #[serde(rename = "became")]
+    Became {
+        input: u64,
+        seq: Option<u64>,
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        unix_secs: Option<f64>,
+    },
+    #[serde(rename = "fault")]
+    Fault(String),
+    #[serde(rename = "hash")]
+    Hash(#[serde(with = "serde_bytes")] [u8; 32]),
+    #[serde(rename = "resumed")]
+    Resumed(u64),
+}
+
+/// A command is stored as [`Sent`].
+mod stored_sender {
+    use serde::de::Error as _;
+    use serde::{Deserializer, Serializer};
+
+    use super::*;
+
+    pub fn serialize<S: Serializer>(sender: &Arc<Sender>, to: S) -> Result<S::Ok, S::Error> {
+        durable::sent(sender).serialize(to)
+    }
+
+    pub fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<Arc<Sender>, D::Error> {
+        durable::sender(&Sent::deserialize(from)?).map_err(D::Error::custom)
+    }
+}
+
+#[derive(Serialize, Deserialize)]
+struct StoredRecord(#[serde(with = "Stored")] Record);
+
+/// Encodes a journal record: its kind, by which it is found, and its bytes.
+pub fn record(record: &Record) -> (u8, Vec<u8>) {
+    let kind = match record {
+        Record::Input { .. } => 1,
+        Record::Became { .. } => 2,
+        Record::Fault(_) => 3,
+        Record::Hash(_) => 4,
+        Record::Resumed(_) => 5,
+    };
+    (kind, proto::to_cbor(&StoredRecord(record.clone())))
+}
+
+/// Decodes a journal record.
+pub fn read_record(bytes: &[u8]) -> Result<Record, SnapshotError> {
+    let stored: Result<StoredRecord, _> = ciborium::from_reader(bytes);
+    let stored = stored.map_err(|error| SnapshotError::Unreadable(error.to_string()))?;
+    Ok(stored.0)
+}
+
+#[cfg(test)]
+mod tests {
+    #![expect(clippy::unwrap_used, reason = "tests")]
+
+    use super::*;
+
+    /// A record of builds without wall-clock times.
+    #[derive(Debug, PartialEq, Serialize, Deserialize)]
+    enum Before {
+        #[serde(rename = "input")]
+        Input {
+            at_step: Option<u64>,
+            sent: Sent,
+            seq: Option<u64>,
+        },
+        #[serde(rename = "became")]
+        Became { input: u64, seq: Option<u64> },
+    }
+
+    #[test]
+    fn older_builds_read_records_with_a_time_and_theirs_are_read_without_one() {
+        let sender = Arc::new(Sender {
+            verb: "pause",
+            args: "{}".to_owned(),
+            ..Sender::default()
+        });
+        let records = |unix_secs| {
+            let input = Record::Input {
+                at_step: Some(7),
+                sender: sender.clone(),
+                seq: None,
+                unix_secs,
+            };
+            let became = Record::Became {
+                input: 3,
+                seq: Some(5),
+                unix_secs,
+            };
+            [input, became]
+        };
+        let known = records(Some(1_795_531_201.25));
+        for (known, unknown) in known.into_iter().zip(records(None)) {
+            let (kind, bytes) = record(&known);
+            assert_eq!(read_record(&bytes).unwrap(), known);
+            let before: Before = ciborium::from_reader(&bytes[..]).unwrap();
+            let bytes = proto::to_cbor(&before);
+            assert_eq!(read_record(&bytes).unwrap(), unknown);
+            // Without a time the bytes are those of before.
+            assert_eq!(record(&unknown), (kind, bytes));
+        }
     }
 }

@@ -14,7 +14,7 @@ use crate::swarm::worker::End;
 const TIME_ROUNDING: f64 = 1e-9;
 
 impl Player {
-    /// Handles a ticket. Returns how the playback ends, if it does.
+    /// Handles a message. Returns how the playback ends, if it does.
     pub(super) fn handle(&mut self, message: Message) -> Option<End> {
         match message {
             Message::Query(answer) => answer.send(Ok((self.stamp(), Outcome::State(self.frame())))),
@@ -44,14 +44,14 @@ impl Player {
         None
     }
 
-    fn command(&mut self, command: CommandMessage) -> Option<End> {
+    fn command(&mut self, message: CommandMessage) -> Option<End> {
         let CommandMessage {
-            command: order,
+            command,
             when,
             sender,
-            reply_to: answer,
-        } = command;
-        if order == Command::Delete {
+            reply_to,
+        } = message;
+        if command == Command::Delete {
             self.publish_event(EventKind::Deleted);
             self.waiters.reply_to_all(|| {
                 Err(Rejection {
@@ -60,47 +60,34 @@ impl Player {
                 })
             });
             let stamp = self.stamp();
-            let reply = DeferredReply::new(answer, Ok((stamp, Outcome::Done)));
+            let reply = DeferredReply::new(reply_to, Ok((stamp, Outcome::Done)));
             return Some(End::Deleted(reply));
         }
-        let done = self.check(when).and_then(|()| self.execute(&order));
+        let done = self.check(when).and_then(|()| self.execute(&command));
         match done {
             Ok(outcome) => {
                 self.applied(&sender);
-                answer.send(Ok((self.stamp(), outcome)));
+                reply_to.send(Ok((self.stamp(), outcome)));
             }
-            Err(error) => answer.send(Err(self.refusal(error))),
+            Err(error) => reply_to.send(Err(self.refusal(error))),
         }
         self.reply_to_waiters();
         None
     }
 
-    fn execute(&mut self, order: &Command) -> Result<Outcome, SwarmError> {
-        match order {
+    fn execute(&mut self, command: &Command) -> Result<Outcome, SwarmError> {
+        match command {
             Command::Run { until, rate } => {
                 let index = self.source.index();
-                let here = index[self.at];
                 let until = match *until {
-                    Some(Until::Step(step)) if step < here.step => {
-                        return Err(SwarmError::Past {
-                            until: step,
-                            step: here.step,
-                        });
-                    }
                     Some(Until::Step(step)) => Some(step),
                     Some(Until::Time(time)) => {
                         let mut run = self.present().iter();
-                        let reached = run.find(|it| it.time >= time);
-                        match reached.map(|it| it.step) {
-                            Some(until) if until < here.step => {
-                                let step = here.step;
-                                return Err(SwarmError::Past { until, step });
-                            }
-                            until => until,
-                        }
+                        run.find(|it| it.time >= time).map(|it| it.step)
                     }
                     None => None,
                 };
+                SwarmError::check_not_past(until, index[self.at].step)?;
                 let is_over = self.at + 1 == index.len();
                 let phase = phase::next(&self.phase, PhaseInput::Run(until))?;
                 if let Some(rate) = rate {
@@ -155,23 +142,7 @@ impl Player {
         if when.at_step.is_some() {
             return Err(SwarmError::Recorded);
         }
-        let step = self.source.index()[self.at].step;
-        let expected = [
-            ("epoch", when.expect_epoch, self.epoch),
-            ("step", when.expect_step, step),
-        ];
-        for (what, expected, actual) in expected {
-            if let Some(expected) = expected
-                && expected != actual
-            {
-                return Err(SwarmError::Conflict {
-                    what,
-                    expected,
-                    actual,
-                });
-            }
-        }
-        Ok(())
+        when.check(self.epoch, self.source.index()[self.at].step)
     }
 
     /// The frame that `seek` names: the last one that is not later. Steps and times are those of the

@@ -10,9 +10,8 @@ use tracing::warn;
 
 use crate::playback::mcap::{BYTES_PER_ENTRY, McapSource};
 use crate::playback::source::{FrameIndex, RecordedFrame};
-use crate::swarm::clock;
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::{Event, EventKind, Frame, Replay, Stamp, Summary};
+use crate::swarm::frame::{self, Event, EventKind, Frame, Replay, Stamp, Summary};
 use crate::swarm::handle::{Handle, Message, receive};
 use crate::swarm::history::History;
 use crate::swarm::metrics::SwarmMetrics;
@@ -60,19 +59,19 @@ impl Runner for Player {
     fn run(mut self: Box<Self>, messages: &Receiver<Message>) -> End {
         let metrics = self.metrics.clone();
         loop {
-            metrics.pulse.begin();
+            metrics.activity.begin();
             let next = self.play(Instant::now());
-            metrics.pulse.end();
+            metrics.activity.end();
             let end = match receive(messages, next) {
                 Ok(message) => {
-                    metrics.pulse.begin();
+                    metrics.activity.begin();
                     self.handle(message)
                 }
                 Err(RecvTimeoutError::Timeout) => None,
                 Err(RecvTimeoutError::Disconnected) => Some(End::Stopped),
             };
             if let Some(end) = end {
-                metrics.pulse.end();
+                metrics.activity.end();
                 return end;
             }
         }
@@ -369,7 +368,7 @@ impl Player {
     }
 
     pub(super) fn publish_event(&mut self, kind: EventKind) {
-        self.publish_event_at(self.stamp(), clock::unix_secs(), kind);
+        self.publish_event_at(self.stamp(), frame::unix_secs(), kind);
     }
 
     fn publish_event_at(&mut self, stamp: Stamp, unix_secs: Option<f64>, kind: EventKind) {

@@ -42,16 +42,14 @@ pub(super) fn run(mut writer: Writer, shared: &Arc<Shared>, on_fatal: &OnFatal) 
             shared.queue.end(End::Fatal(fault.to_string()));
             // The daemon exits here; clients retry on the next one.
             on_fatal(&fault);
-            for submit in std::mem::take(&mut writer.unknown) {
-                writer.complete(submit.durability, Err(fault.clone()));
-            }
+            let mut group = std::mem::take(&mut writer.unknown);
             loop {
-                let (group, _) = shared.queue.take(Duration::ZERO);
-                if group.is_empty() {
-                    break;
-                }
                 for submit in group {
                     writer.complete(submit.durability, Err(fault.clone()));
+                }
+                (group, _) = shared.queue.take(Duration::ZERO);
+                if group.is_empty() {
+                    break;
                 }
             }
             false

@@ -36,7 +36,7 @@ use std::fs::{self, DirBuilder, File, OpenOptions};
 use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::sync_channel;
+use std::sync::mpsc::{SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
@@ -80,17 +80,26 @@ pub const LOCK: &str = "lock";
 /// The folder in a data folder into which a restoration writes until it is complete.
 pub const RESTORING: &str = ".restoring";
 
-/// Called once with the outcome of a submit: on the writer thread, or on the thread of the submitter if
-/// the store has ended. It must not block on the store.
-pub type Done = Box<dyn FnOnce(Result<(), StoreFault>) + Send>;
+/// Receives the outcome of a submit.
+pub trait OnCommit: Send {
+    /// Called once: on the writer thread, or on the thread of the submitter if the store has ended. It
+    /// must not block on the store.
+    fn committed(self: Box<Self>, outcome: Result<(), StoreFault>);
+}
 
-/// When writes are committed, and their callback.
+impl OnCommit for SyncSender<Result<(), StoreFault>> {
+    fn committed(self: Box<Self>, outcome: Result<(), StoreFault>) {
+        // An error means that the submitter no longer waits.
+        let _ = self.send(outcome);
+    }
+}
+
+/// When writes are committed, and what receives the outcome.
 enum Durability {
     /// At once or not at all.
-    Sync(Done),
-    /// Within milliseconds, and retried until it succeeds. Called on the writer thread once they are
-    /// synced.
-    Deferred(Option<Box<dyn FnOnce() + Send>>),
+    Sync(Box<dyn OnCommit>),
+    /// Within milliseconds, and retried until it succeeds. Only the success is reported.
+    Deferred(Option<Box<dyn OnCommit>>),
 }
 
 impl Durability {
@@ -190,45 +199,26 @@ impl Store {
         })))
     }
 
-    /// Enqueues `writes`: all of them are written, in this order and after all earlier submits, or
-    /// none is. `done` is called when they are synced, or with the fault.
-    ///
-    /// With `done` they are committed at once; without it, within milliseconds, and retried until that
-    /// succeeds. Empty `writes` with `done` wait for all earlier submits.
-    ///
-    /// Blocks only while the queue is full. A row whose `done` got a fault does not exist, and the next
-    /// row has its number. So a swarm must not submit rows behind one whose outcome is open: they
-    /// would be rejected as following a gap.
-    pub fn submit(&self, writes: Vec<Write>, done: Option<Done>) {
-        if writes.is_empty() && done.is_none() {
-            return;
+    /// Enqueues `writes`, and blocks only while the queue is full: all of them are written, in this
+    /// order and after all earlier submits, or none is. They are committed within milliseconds, and
+    /// retried until that succeeds. `synced` is called once they and all earlier ones are.
+    pub fn submit(&self, writes: Vec<Write>, synced: Option<Box<dyn OnCommit>>) {
+        if !writes.is_empty() || synced.is_some() {
+            self.push(writes, Durability::Deferred(synced));
         }
-        let durability = done.map_or(Durability::Deferred(None), Durability::Sync);
-        self.push(writes, durability, true);
     }
 
-    /// As [`Store::submit`], but never blocks: for submitters with at most one such submit in the queue.
-    pub fn submit_at_once(&self, writes: Vec<Write>, done: Done) {
-        self.push(writes, Durability::Sync(done), false);
-    }
-
-    /// Writes `writes` and blocks until they are synced; if empty, until all earlier submits are.
+    /// Writes `writes` as [`Self::submit`] does, but at once or not at all, and blocks until they are
+    /// synced; if empty, until all earlier submits are. After a fault the next row of a swarm has the
+    /// number of the first one that was not written.
     ///
     /// # Errors
     ///
     /// [`StoreFault`]: none of them is written, or with [`StoreFault::Fatal`] it is unknown.
     pub fn commit(&self, writes: Vec<Write>) -> Result<(), StoreFault> {
         let (done, is_done) = sync_channel(1);
-        let send = Box::new(move |result| {
-            let _ = done.send(result);
-        });
-        self.submit(writes, Some(send));
+        self.push(writes, Durability::Sync(Box::new(done)));
         is_done.recv().unwrap_or(Err(StoreFault::Stopped))
-    }
-
-    /// As [`Store::submit`] without `done`; `synced` is called on the writer thread once they are synced.
-    pub fn submit_then(&self, writes: Vec<Write>, synced: Box<dyn FnOnce() + Send>) {
-        self.push(writes, Durability::Deferred(Some(synced)), true);
     }
 
     /// Names and metadata of the swarms, by name.
@@ -346,9 +336,8 @@ impl Store {
         self.0.shared.queue.wait_for_end(timeout).unwrap_or(false)
     }
 
-    fn push(&self, writes: Vec<Write>, durability: Durability, blocks: bool) {
-        let submit = Submit { writes, durability };
-        self.0.shared.queue.push(submit, blocks);
+    fn push(&self, writes: Vec<Write>, durability: Durability) {
+        self.0.shared.queue.push(Submit { writes, durability });
     }
 
     fn reader(&self) -> MutexGuard<'_, Option<Connection>> {

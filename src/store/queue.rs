@@ -80,17 +80,16 @@ pub(super) struct Queue {
 }
 
 impl Queue {
-    /// Appends `submit`; with `blocks` it waits while the queue is full, except on the writer thread,
-    /// which would deadlock. If the queue has ended, a sync submit is completed with the reason.
-    pub(super) fn push(&self, submit: Submit, blocks: bool) {
+    /// Appends `submit`, and waits while the queue is full, except on the writer thread, which would
+    /// deadlock. If the queue has ended, a sync submit is completed with the reason.
+    pub(super) fn push(&self, submit: Submit) {
         let (writes, bytes) = submit.size();
         let max = match submit.durability.is_sync() {
             true => MAX_QUEUED,
             false => MAX_QUEUED_DEFERRED,
         };
         let mut state = self.lock();
-        while blocks
-            && state.end.is_none()
+        while state.end.is_none()
             && !state.submits.is_empty()
             && (state.size.0 + writes > max.0 || state.size.1 + bytes > max.1)
             && state.writer != Some(thread::current().id())
@@ -103,7 +102,7 @@ impl Queue {
         if let Some(end) = state.end.clone() {
             drop(state);
             if let Durability::Sync(done) = submit.durability {
-                done(Err(end.fault()));
+                done.committed(Err(end.fault()));
             }
             return;
         }

@@ -287,22 +287,20 @@ impl Writer {
             .store(self.backlog.is_overrun(), Ordering::Relaxed);
     }
 
-    /// Calls the callback of a submit. Its panic does not end the writer.
+    /// Reports the outcome of a submit. A panic of what receives it does not end the writer.
     pub(super) fn complete(&self, durability: Durability, outcome: Result<(), StoreFault>) {
-        let called = match (durability, outcome) {
-            (Durability::Sync(done), outcome) => catch_unwind(AssertUnwindSafe(|| done(outcome))),
-            (Durability::Deferred(Some(done)), Ok(())) => catch_unwind(AssertUnwindSafe(done)),
-            (Durability::Deferred(_), Err(StoreFault::Refused(reason))) => {
-                self.shared.meter.refused.fetch_add(1, Ordering::Relaxed);
-                warn!(
-                    reason,
-                    "deferred writes rejected: they contradict what is stored"
-                );
-                Ok(())
+        let receiver = match (durability, &outcome) {
+            (Durability::Sync(done), _) | (Durability::Deferred(Some(done)), Ok(())) => done,
+            (Durability::Deferred(_), outcome) => {
+                if let Err(StoreFault::Refused(reason)) = outcome {
+                    self.shared.meter.refused.fetch_add(1, Ordering::Relaxed);
+                    let problem = "deferred writes rejected: they contradict what is stored";
+                    warn!(reason, "{problem}");
+                }
+                return;
             }
-            (Durability::Deferred(_), _) => Ok(()),
         };
-        if called.is_err() {
+        if catch_unwind(AssertUnwindSafe(|| receiver.committed(outcome))).is_err() {
             error!("a commit callback panicked");
         }
     }

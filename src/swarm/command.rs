@@ -2,6 +2,7 @@
 
 use jostle_physics::simulation::{Change, Rate, SetPoints};
 
+use crate::swarm::error::SwarmError;
 use crate::swarm::membership::JoinOptions;
 
 /// A command.
@@ -112,6 +113,30 @@ pub struct When {
     pub expect_epoch: Option<u64>,
     /// Only if the swarm is at this step when the command is received.
     pub expect_step: Option<u64>,
+}
+
+impl When {
+    /// Checks the expected epoch and step.
+    ///
+    /// # Errors
+    ///
+    /// [`SwarmError::Conflict`].
+    pub fn check(&self, epoch: u64, step: u64) -> Result<(), SwarmError> {
+        let expected = [
+            ("epoch", self.expect_epoch, epoch),
+            ("step", self.expect_step, step),
+        ];
+        for (what, expected, actual) in expected {
+            if let Some(expected) = expected.filter(|it| *it != actual) {
+                return Err(SwarmError::Conflict {
+                    what,
+                    expected,
+                    actual,
+                });
+            }
+        }
+        Ok(())
+    }
 }
 
 /// The condition of `get/wait`.

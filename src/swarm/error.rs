@@ -206,6 +206,20 @@ impl SwarmError {
     }
 }
 
+impl SwarmError {
+    /// Checks that the end of a run is not before the present step.
+    ///
+    /// # Errors
+    ///
+    /// [`SwarmError::Past`].
+    pub fn check_not_past(until: Option<u64>, step: u64) -> Result<(), Self> {
+        match until {
+            Some(until) if until < step => Err(SwarmError::Past { until, step }),
+            _ => Ok(()),
+        }
+    }
+}
+
 impl From<ReserveError> for SwarmError {
     fn from(error: ReserveError) -> Self {
         SwarmError::Change(error.into())

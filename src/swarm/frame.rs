@@ -1,6 +1,7 @@
 //! Frames, summaries and events of a swarm.
 
 use std::sync::{Arc, OnceLock};
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use jostle_physics::model::body::{self, Gaps};
 use jostle_physics::model::configuration::Configuration;
@@ -142,4 +143,11 @@ pub enum EventKind {
     Recorded(Arc<str>),
     /// It was deleted.
     Deleted,
+}
+
+/// The wall-clock time in events and in the journal: seconds since 1970, UTC, to the millisecond; `None`
+/// if the clock is before 1970. No result depends on it, and no hash contains it.
+pub fn unix_secs() -> Option<f64> {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
+    Some(since.as_millis() as f64 / 1000.0)
 }

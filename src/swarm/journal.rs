@@ -345,7 +345,7 @@ impl Journal {
     }
 
     /// Queues a checkpoint.
-    pub fn keep(&self, checkpoint: Checkpoint) {
+    pub fn append_checkpoint(&self, checkpoint: Checkpoint) {
         if !self.is_replaying() {
             let entry = Entry::Checkpoint(Box::new(checkpoint));
             self.writer.append(vec![entry], None);

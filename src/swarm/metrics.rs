@@ -11,7 +11,7 @@ use crate::metrics::{Activity, Durations, Histogram, add};
 #[derive(Debug, Default)]
 pub struct SwarmMetrics {
     /// Whether the thread is working, for the watchdog.
-    pub pulse: Activity,
+    pub activity: Activity,
     step_time: Histogram,
     lateness: Histogram,
     degraded: AtomicU64,

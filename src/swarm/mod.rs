@@ -1,7 +1,6 @@
 //! One hosted swarm, or a recording played as one: its phases, its thread and how to reach it. Knows no zenoh.
 
 pub mod checkpoint;
-pub mod clock;
 pub mod command;
 pub mod controllers;
 pub mod cpu_scheduler;

@@ -38,7 +38,7 @@ const LIBRARIES: [(&str, &[&str]); 9] = [
     (
         "tokio",
         &[
-            "api/deadlines",
+            "api/responder",
             "app",
             "auth/live",
             "cli",

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 use jostle_proto::ErrorCode;
-use jostled::convert::durable;
+use jostled::persistence::writer;
 use jostled::store::{Row, Settings, Store, Write};
 use jostled::swarm::journal::Record;
 use serde_json::{Value, json};
@@ -110,7 +110,7 @@ pub fn altered(folder: &Path, alteration: Alteration, keeps_checkpoints: bool) -
 /// Alters a row if the alteration is about it. Returns whether it is.
 fn alter(row: &mut Row, alteration: Alteration) -> bool {
     let place = (row.epoch, row.step);
-    let record = match (durable::read_record(&row.body).unwrap(), alteration) {
+    let record = match (writer::read_record(&row.body).unwrap(), alteration) {
         (Record::Hash(mut hash), Alteration::Hash(epoch, step)) if place == (epoch, step) => {
             hash[31] ^= 1;
             Record::Hash(hash)
@@ -138,7 +138,7 @@ fn alter(row: &mut Row, alteration: Alteration) -> bool {
         }
         _ => return false,
     };
-    row.body = durable::record(&record).1;
+    row.body = writer::record(&record).1;
     true
 }
 

@@ -5,9 +5,7 @@ use jostle_proto::{Request, keys};
 
 use crate::api::context::Context;
 use crate::api::responder::Responder;
-use crate::convert;
-use crate::convert::commands::{self, CommandError, DEFAULT_TIMEOUT, ParsedCommand, check_name};
-use crate::swarm::handle::{self, Message};
+use crate::convert::commands::{self, CommandError, DEFAULT_TIMEOUT, check_name};
 
 impl Context {
     pub(super) fn discard(
@@ -22,34 +20,14 @@ impl Context {
         };
         check_name("name", &name)?;
         // The journal records it as the `delete` that it is.
-        let request = Request {
+        let delete = Request {
             request_id: request.request_id.clone(),
             client: request.client.clone(),
-            timeout_secs: request.timeout_secs,
             ..Request::default()
         };
-        let ParsedCommand {
-            order,
-            when,
-            sender,
-            timeout,
-            ..
-        } = commands::read("delete", &request)?;
-        let swarm = name.clone();
-        self.send(
-            &swarm,
-            responder,
-            (timeout, CommandError::deadline),
-            |answer| {
-                Message::Command(handle::CommandMessage {
-                    command: order,
-                    when,
-                    sender,
-                    reply_to: answer,
-                })
-            },
-            move |stamp, outcome| convert::outcome(&name, &stamp, outcome, None),
-        );
+        let (message, _) = commands::read("delete", &delete)?;
+        let timeout = commands::timeout(request)?;
+        super::send(responder, &self.find(&name)?, timeout, message, false);
         Ok(())
     }
 }

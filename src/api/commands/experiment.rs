@@ -38,14 +38,11 @@ impl Context {
                 ExperimentArgs::Cancel(args) => lab.cancel(&args.name).map(|it| (false, it)),
                 ExperimentArgs::Delete(args) => lab.delete(&args.name).map(|it| (false, it)),
             };
-            match done {
-                Ok((created, report)) => responder.complete(move || {
-                    let progress = convert::progress(report);
-                    let result = ExperimentResult { created, progress };
-                    Ok(Payload::json(&NodeReply { node, result }))
-                }),
-                Err(error) => responder.reject(&error.into(), None),
-            }
+            responder.finish(done, move |(created, report)| {
+                let progress = convert::progress(report);
+                let result = ExperimentResult { created, progress };
+                Payload::json(&NodeReply { node, result })
+            });
         });
         Ok(())
     }

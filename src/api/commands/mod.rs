@@ -1,4 +1,4 @@
-//! Commands: one file for each verb that more than a swarm executes, and `swarm.rs` for all others.
+//! Commands: those that a swarm executes, and one file for each other verb.
 
 mod create;
 mod discard;
@@ -8,9 +8,9 @@ mod record;
 mod replay;
 mod restore;
 mod seek;
-mod swarm;
 
 use std::sync::Arc;
+use std::time::Duration;
 
 use jostle_physics::simulation::Spec;
 use jostle_proto::keys;
@@ -20,9 +20,11 @@ pub use record::{count, resume};
 use crate::api::context::Context;
 use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
-use crate::convert::commands::{CommandError, truncate};
+use crate::convert::commands::{self, CommandError, truncate};
+use crate::convert::digest::RequestIdentity;
 use crate::convert::{self, Payload};
 use crate::swarm::frame::Stamp;
+use crate::swarm::handle::{CommandMessage, Handle, Message};
 use crate::swarm::outcome::Outcome;
 
 impl Context {
@@ -41,6 +43,55 @@ impl Context {
         if let Err(error) = done {
             let step = self.host.find(swarm).and_then(|handle| handle.step());
             responder.reject(&error, step);
+        }
+    }
+
+    /// Executes a command of the swarm itself.
+    fn swarm_command(
+        &self,
+        swarm: &Arc<str>,
+        verb: &str,
+        incoming: &Incoming,
+        responder: &Responder,
+    ) -> Result<(), CommandError> {
+        let key = incoming.key();
+        let request = self.request(incoming)?;
+        let (mut message, returns_state) = commands::read(verb, &request)?;
+        let timeout = commands::timeout(&request)?;
+        if let Some(controller) = message.command.controller()
+            && let rights = self.rights.current()
+            && let Some(person) = rights.sender(incoming.token(), verb)?
+        {
+            person.permit_controller(controller)?;
+        }
+        let identity = RequestIdentity::of(key, &request);
+        if let Some(sender) = Arc::get_mut(&mut message.sender) {
+            sender.digest = identity.as_ref().map(|it| it.digest);
+        }
+        if !self.is_new(identity, responder)? {
+            let step = self.host.find(swarm).map(|handle| handle.last_step());
+            responder.set_deadline(timeout, CommandError::deadline, step);
+            return Ok(());
+        }
+        send(
+            responder,
+            &self.find(swarm)?,
+            timeout,
+            message,
+            returns_state,
+        );
+        Ok(())
+    }
+
+    /// Replies to a retry of `delete` after its swarm is gone. Other daemons reply for their own
+    /// swarms, so a first `delete` of an unknown swarm gets no reply.
+    pub(crate) fn replay_deletion(&self, incoming: &Incoming) {
+        if self.permit(incoming).is_ok()
+            && let Ok(request) = self.request(incoming)
+            && let Some(identity) = RequestIdentity::of(incoming.key(), &request)
+            && let Some(reply) = self.idempotency.find(identity)
+        {
+            self.responder(incoming).send(move || reply);
         }
     }
 
@@ -77,6 +128,31 @@ impl Context {
         };
         execute(self, responder, &self.request(incoming)?)
     }
+}
+
+/// Sends a command to a swarm, and replies with its outcome.
+fn send(
+    responder: &Responder,
+    swarm: &Handle,
+    timeout: Duration,
+    message: CommandMessage,
+    returns_state: bool,
+) {
+    let output = swarm.output.clone();
+    responder.ask(
+        swarm,
+        (timeout, CommandError::deadline),
+        |reply_to| {
+            Message::Command(CommandMessage {
+                reply_to,
+                ..message
+            })
+        },
+        move |stamp, outcome| {
+            let frame = returns_state.then(|| output.published());
+            convert::outcome(&output.name, &stamp, outcome, frame)
+        },
+    );
 }
 
 /// The reply to a command that creates a swarm.

@@ -8,8 +8,7 @@ use jostle_proto::{
 };
 use tracing::warn;
 
-use crate::api::context::Context;
-use crate::api::executor::Executor;
+use crate::api::context::{Context, Executor};
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::{self, Payload};
@@ -122,13 +121,10 @@ fn positive(field: &'static str, number: Option<u64>) -> Result<(), CommandError
 }
 
 fn reply(responder: &Responder, node: String, done: Result<(String, Status), RecordError>) {
-    match done {
-        Ok((name, standing)) => responder.complete(move || {
-            let result = convert::recording(name, standing);
-            Ok(Payload::json(&NodeReply { node, result }))
-        }),
-        Err(error) => responder.reject(&error.into(), None),
-    }
+    responder.finish(done, move |(name, standing)| {
+        let result = convert::recording(name, standing);
+        Payload::json(&NodeReply { node, result })
+    });
 }
 
 /// Counts the recordings for health and metrics.

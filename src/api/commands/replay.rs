@@ -59,16 +59,14 @@ impl Context {
         let (uploads, node, responder) =
             (self.uploads.clone(), self.node.clone(), responder.clone());
         self.experiment_files.submit(move |_| {
-            match uploads.receive(&piece.name, piece.offset, piece.length, &bytes) {
-                Ok(uploaded) => responder.complete(move || {
-                    let result = ReplayResult {
-                        uploaded: Some(uploaded),
-                        replay: None,
-                    };
-                    Ok(Payload::json(&NodeReply { node, result }))
-                }),
-                Err(error) => responder.reject(&error.into(), None),
-            }
+            let received = uploads.receive(&piece.name, piece.offset, piece.length, &bytes);
+            responder.finish(received, move |uploaded| {
+                let result = ReplayResult {
+                    uploaded: Some(uploaded),
+                    replay: None,
+                };
+                Payload::json(&NodeReply { node, result })
+            });
         });
         Ok(())
     }
@@ -145,6 +143,6 @@ fn play(
 /// Parses a recorded command.
 fn read_command(verb: &str, args: &str) -> Result<Command, String> {
     let request = Request::from_json(args.as_bytes()).map_err(|error| error.to_string())?;
-    let command = commands::read(verb, &request).map_err(|error| error.to_string())?;
-    Ok(command.order)
+    let read = commands::read(verb, &request).map_err(|error| error.to_string());
+    read.map(|(message, _)| message.command)
 }

@@ -24,9 +24,8 @@ impl Context {
         let sender = Arc::new(commands::sender("seek", &request)?);
         let timeout = commands::timeout(&request)?;
         let name = swarm.clone();
-        self.send(
-            swarm,
-            responder,
+        responder.ask(
+            &self.find(swarm)?,
             (timeout, CommandError::deadline),
             |answer| Message::Seek(to, sender, answer),
             move |stamp, outcome| convert::outcome(&name, &stamp, outcome, None),

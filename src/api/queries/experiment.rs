@@ -3,8 +3,7 @@
 use jostle_proto::{Experiments, keys};
 
 use crate::api::context::Context;
-use crate::api::incoming::Incoming;
-use crate::api::pagination;
+use crate::api::incoming::{Incoming, page, page_of_run};
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, truncate};
 use crate::convert::{self, Payload};
@@ -68,22 +67,19 @@ impl Context {
         responder: &Responder,
         name: &str,
     ) -> Result<(), CommandError> {
-        let (after, limit) = pagination::read(incoming.parameters())?;
+        let (after, limit) = page(incoming.parameters())?;
         let (name, responder) = (name.to_owned(), responder.clone());
         self.experiment_files.submit(move |lab| {
             let read = lab
                 .report(&name)
                 .and_then(|report| Ok((report, lab.rows(&name)?)));
-            match read {
-                Ok((report, rows)) => responder.complete(move || {
-                    let finished = report.progress.finished as u64;
-                    let begin = rows.partition_point(|(number, _)| *number <= after);
-                    let rows = &rows[begin..];
-                    let page = convert::results_page(name, rows, limit, MAX_PAGE_BYTES, finished);
-                    Ok(Payload::json(&page))
-                }),
-                Err(error) => responder.reject(&error.into(), None),
-            }
+            responder.finish(read, move |(report, rows)| {
+                let finished = report.progress.finished as u64;
+                let begin = rows.partition_point(|(number, _)| *number <= after);
+                let rows = &rows[begin..];
+                let page = convert::results_page(name, rows, limit, MAX_PAGE_BYTES, finished);
+                Payload::json(&page)
+            });
         });
         Ok(())
     }
@@ -94,16 +90,13 @@ impl Context {
         responder: &Responder,
         name: &str,
     ) -> Result<(), CommandError> {
-        let (run, after, limit) = pagination::read_series(incoming.parameters(), MAX_ENTRIES)?;
+        let (run, after, limit) = page_of_run(incoming.parameters(), MAX_ENTRIES)?;
         let (name, run, responder) = (name.to_owned(), run.to_owned(), responder.clone());
-        self.experiment_files
-            .submit(move |lab| match lab.order(&name, &run) {
-                Ok(series) => responder.complete(move || {
-                    let page = convert::order_page(name, &series, after, limit);
-                    Ok(Payload::cbor(&page))
-                }),
-                Err(error) => responder.reject(&error.into(), None),
+        self.experiment_files.submit(move |lab| {
+            responder.finish(lab.order(&name, &run), move |series| {
+                Payload::cbor(&convert::order_page(name, &series, after, limit))
             });
+        });
         Ok(())
     }
 }

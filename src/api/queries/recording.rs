@@ -39,13 +39,10 @@ impl Context {
         responder.set_deadline(DEFAULT_TIMEOUT, CommandError::deadline, None);
         let (node, responder) = (self.node.clone(), responder.clone());
         self.recording_files.submit(move |recordings| {
-            match recordings.piece(&name, part, offset) {
-                Ok(piece) => responder.complete(move || {
-                    let result = convert::recording_piece(name, part, offset, &piece);
-                    Ok(Payload::json(&NodeReply { node, result }))
-                }),
-                Err(error) => responder.reject(&error.into(), None),
-            }
+            responder.finish(recordings.piece(&name, part, offset), move |piece| {
+                let result = convert::recording_piece(name, part, offset, &piece);
+                Payload::json(&NodeReply { node, result })
+            });
         });
         Ok(())
     }

@@ -3,25 +3,17 @@
 use std::sync::Arc;
 
 use crate::api::context::Context;
-use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
 use crate::convert::{self, Payload};
-use crate::swarm::handle::Message;
+use crate::swarm::handle::{Handle, Message};
 use crate::swarm::outcome::{Rejection, ReplyTo};
 
 /// The bytes around a snapshot in a request that restores it.
 const RESTORE_BYTES: usize = 4096;
 
 impl Context {
-    pub(super) fn snapshot(
-        &self,
-        swarm: &Arc<str>,
-        incoming: &Incoming,
-        responder: &Responder,
-    ) -> Result<(), CommandError> {
-        incoming.no_parameters()?;
-        let handle = self.find(swarm)?;
+    pub(super) fn snapshot(&self, swarm: &Arc<str>, handle: &Handle, responder: &Responder) {
         responder.set_deadline(
             DEFAULT_TIMEOUT,
             CommandError::deadline,
@@ -44,6 +36,5 @@ impl Context {
                 Err(Rejection { step, error }) => responder.reject(&error.into(), step),
             },
         )));
-        Ok(())
     }
 }

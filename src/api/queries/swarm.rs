@@ -5,15 +5,14 @@ use std::sync::Arc;
 use jostle_proto::{HistoryFrom, Status, keys};
 
 use crate::api::context::Context;
-use crate::api::incoming::Incoming;
-use crate::api::pagination;
+use crate::api::incoming::{Incoming, page};
 use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT};
 use crate::convert::error::refusal;
 use crate::convert::{self, Payload};
 use crate::store::Store;
 use crate::swarm::frame::{Frame, Stamp};
-use crate::swarm::handle::Message;
+use crate::swarm::handle::{Handle, Message};
 use crate::swarm::outcome::Outcome;
 
 /// Nouns that a wildcard does not match: `wait` blocks, the others are expensive.
@@ -28,11 +27,13 @@ impl Context {
             Ok(is_json) => is_json,
             Err(error) => return responder.reject(&error, None),
         };
-        let name = swarm.clone();
-        let output = self.host.find(swarm).map(|handle| handle.output);
-        self.look(swarm, &responder, move |_, frame| {
-            let number = output.map_or(0, |output| output.published());
-            let state = convert::state(&name, frame, number);
+        let handle = match self.find(swarm) {
+            Ok(handle) => handle,
+            Err(error) => return responder.reject(&error, None),
+        };
+        let output = handle.output.clone();
+        look(&handle, &responder, move |_, frame| {
+            let state = convert::state(&output.name, frame, output.published());
             if is_json {
                 Payload::json(&state)
             } else {
@@ -57,8 +58,14 @@ impl Context {
             };
             let done = match noun {
                 "wait" => self.wait(swarm, incoming, &responder),
-                "verify" => self.verify(swarm, incoming, &responder),
-                "snapshot" => self.snapshot(swarm, incoming, &responder),
+                "verify" | "snapshot" => incoming.no_parameters().and_then(|()| {
+                    let handle = self.find(swarm)?;
+                    match noun {
+                        "verify" => self.verify(swarm, handle, &responder),
+                        _ => self.snapshot(swarm, &handle, &responder),
+                    }
+                    Ok(())
+                }),
                 noun => self.get_noun(swarm, noun, incoming, &responder),
             };
             if let Err(error) = done {
@@ -90,13 +97,13 @@ impl Context {
         responder: &Responder,
     ) -> Result<(), CommandError> {
         let (after, limit) = match noun {
-            "events" | "journal" => pagination::read(incoming.parameters())?,
+            "events" | "journal" => page(incoming.parameters())?,
             _ => incoming.no_parameters().map(|()| (0, 0))?,
         };
         let (name, handle) = (swarm.clone(), self.find(swarm)?);
         let (limits, store) = (self.host.limits(), self.store.clone());
         let verifying = self.verifications.share(swarm);
-        self.look(swarm, responder, move |stamp, seen| match noun {
+        look(&handle.clone(), responder, move |stamp, seen| match noun {
             "spec" => {
                 let spec = jostle_convert::spec::to_proto(&handle.spec, seen.seed);
                 Payload::json(&convert::reply(&name, stamp, spec))
@@ -121,26 +128,24 @@ impl Context {
         });
         Ok(())
     }
+}
 
-    /// Replies with what `payload` makes of the newest state.
-    fn look(
-        &self,
-        swarm: &Arc<str>,
-        responder: &Responder,
-        payload: impl FnOnce(&Stamp, &Frame) -> Payload + Send + 'static,
-    ) {
-        let name = swarm.clone();
-        self.send(
-            swarm,
-            responder,
-            (DEFAULT_TIMEOUT, CommandError::deadline),
-            Message::Query,
-            move |stamp, outcome| match outcome {
-                Outcome::State(frame) => payload(&stamp, &frame),
-                other => convert::outcome(&name, &stamp, other, None),
-            },
-        );
-    }
+/// Replies with what `payload` makes of the newest state.
+fn look(
+    handle: &Handle,
+    responder: &Responder,
+    payload: impl FnOnce(&Stamp, &Frame) -> Payload + Send + 'static,
+) {
+    let output = handle.output.clone();
+    responder.ask(
+        handle,
+        (DEFAULT_TIMEOUT, CommandError::deadline),
+        Message::Query,
+        move |stamp, outcome| match outcome {
+            Outcome::State(frame) => payload(&stamp, &frame),
+            other => convert::outcome(&output.name, &stamp, other, None),
+        },
+    );
 }
 
 /// The status of a swarm.

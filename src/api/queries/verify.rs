@@ -7,7 +7,6 @@ use std::time::Duration;
 use jostle_proto::Verified;
 
 use crate::api::context::Context;
-use crate::api::incoming::Incoming;
 use crate::api::responder::Responder;
 use crate::api::verifications::Verification;
 use crate::convert::commands::CommandError;
@@ -24,17 +23,9 @@ use crate::swarm::outcome::{Outcome, Rejection, ReplyTo};
 const TIMEOUT: Duration = Duration::from_secs(3600);
 
 impl Context {
-    pub(super) fn verify(
-        &self,
-        swarm: &Arc<str>,
-        incoming: &Incoming,
-        responder: &Responder,
-    ) -> Result<(), CommandError> {
-        incoming.no_parameters()?;
-        let handle = self.find(swarm)?;
+    pub(super) fn verify(&self, swarm: &Arc<str>, handle: Handle, responder: &Responder) {
         if handle.summary().is_some_and(|it| it.is_replay) {
-            responder.reject(&SwarmError::Recorded.into(), handle.step());
-            return Ok(());
+            return responder.reject(&SwarmError::Recorded.into(), handle.step());
         }
         responder.set_deadline(TIMEOUT, CommandError::deadline, None);
         let step = handle.step();
@@ -50,7 +41,6 @@ impl Context {
         if let Err(error) = self.verifications.begin(swarm, Box::new(work)) {
             responder.reject(&error, step);
         }
-        Ok(())
     }
 }
 

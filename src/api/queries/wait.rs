@@ -22,17 +22,14 @@ impl Context {
         let (awaited, timeout) = wait::read(incoming.parameters())?;
         let (name, store) = (swarm.clone(), self.store.clone());
         let verifications = self.verifications.clone();
-        let abandoned = responder.downgrade();
-        self.send(
-            swarm,
-            responder,
+        let is_abandoned = Box::new(responder.is_abandoned());
+        responder.ask(
+            &self.find(swarm)?,
             (timeout, CommandError::not_yet),
             |answer| {
                 Message::Wait(Waiter {
                     condition: awaited,
-                    is_abandoned: Box::new(move || {
-                        abandoned.upgrade().is_none_or(|it| it.is_done())
-                    }),
+                    is_abandoned,
                     reply_to: answer,
                 })
             },

@@ -1,5 +1,4 @@
-//! Converts the arguments of requests to commands: one file per verb, or for
-//! those that a swarm executes.
+//! Converts the arguments of requests to commands.
 //!
 //! An error names the field, its range and the remedy.
 
@@ -14,6 +13,8 @@ use jostle_proto::verbs::{
 use jostle_proto::{MAX_LABEL_LENGTH, Request, keys};
 
 use crate::swarm::command::{Command, When};
+use crate::swarm::handle::CommandMessage;
+use crate::swarm::outcome::ReplyTo;
 use crate::swarm::sender::Sender;
 
 pub mod control;
@@ -33,26 +34,11 @@ const MAX_WORD_CHARS: usize = 64;
 /// Maximum timeout of a request, in seconds.
 const MAX_TIMEOUT_SECS: f64 = 3600.0;
 
-/// A parsed command to a swarm.
-#[derive(Debug)]
-pub struct ParsedCommand {
-    /// What to do.
-    pub order: Command,
-    /// When to do it.
-    pub when: When,
-    /// The sender, and the request as received.
-    pub sender: Arc<Sender>,
-    /// The timeout of its reply.
-    pub timeout: Duration,
-    /// Whether the reply contains the state.
-    pub returns_state: bool,
-}
-
-/// Parses a command to a swarm.
-pub fn read(verb: &str, request: &Request) -> Result<ParsedCommand, CommandError> {
+/// Parses a command to a swarm, and whether its reply contains the state.
+pub fn read(verb: &str, request: &Request) -> Result<(CommandMessage, bool), CommandError> {
     // The registry forks, and a playback seeks: a swarm executes neither.
-    let is_order = |verb: &&&str| !["fork", "seek"].contains(*verb);
-    let known = keys::SWARM_VERBS.iter().filter(is_order);
+    let is_executed = |verb: &&&str| !["fork", "seek"].contains(*verb);
+    let known = keys::SWARM_VERBS.iter().filter(is_executed);
     let Some(verb) = known.copied().find(|known| *known == verb) else {
         return Err(CommandError::UnknownVerb {
             verb: truncate(verb),
@@ -60,7 +46,7 @@ pub fn read(verb: &str, request: &Request) -> Result<ParsedCommand, CommandError
         });
     };
     let mut returns_state = false;
-    let order = match verb {
+    let command = match verb {
         "delete" => {
             let DeleteArgs {} = request.args()?;
             Command::Delete
@@ -96,47 +82,43 @@ pub fn read(verb: &str, request: &Request) -> Result<ParsedCommand, CommandError
             returns_state = args.return_ == Return::State;
             swarm::advance(args)?
         }
-        "leave" => Command::Leave(leaving(request)?),
+        "leave" => Command::Leave(controller(request)?),
         _ => unreachable!("every known verb is above"),
     };
-    Ok(ParsedCommand {
-        order,
+    let at_step = request.at_step;
+    let at_step = at_step.map(|step| whole("at_step", step));
+    let message = CommandMessage {
+        command,
         when: When {
-            at_step: request
-                .at_step
-                .map(|step| whole("at_step", step))
-                .transpose()?,
+            at_step: at_step.transpose()?,
             expect_epoch: request.expect_epoch,
             expect_step: request.expect_step,
         },
         sender: Arc::new(sender(verb, request)?),
-        timeout: timeout(request)?,
-        returns_state,
-    })
+        reply_to: ReplyTo::ignored(),
+    };
+    Ok((message, returns_state))
 }
 
 /// Parses a command from the journal: one of a client, or one that the swarm gave itself.
 pub fn read_journaled(
     verb: &'static str,
     request: &Request,
-) -> Result<ParsedCommand, CommandError> {
-    let order = match verb {
-        "deadline" => Command::Deadline(leaving(request)?),
-        "lost" => Command::Lost(leaving(request)?),
+) -> Result<(Command, bool), CommandError> {
+    let command = match verb {
+        "deadline" => Command::Deadline(controller(request)?),
+        "lost" => Command::Lost(controller(request)?),
         "control" => control::order(request)?,
-        verb => return read(verb, request),
+        verb => {
+            let (message, returns_state) = read(verb, request)?;
+            return Ok((message.command, returns_state));
+        }
     };
-    Ok(ParsedCommand {
-        order,
-        when: When::default(),
-        sender: Arc::new(sender(verb, request)?),
-        timeout: DEFAULT_TIMEOUT,
-        returns_state: false,
-    })
+    Ok((command, false))
 }
 
-/// The controller that leaves.
-fn leaving(request: &Request) -> Result<String, CommandError> {
+/// The controller that a request names.
+fn controller(request: &Request) -> Result<String, CommandError> {
     let LeaveArgs { controller } = request.args()?;
     check_name("controller", &controller)?;
     Ok(controller)

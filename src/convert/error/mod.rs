@@ -156,8 +156,8 @@ pub enum CommandError {
     Internal,
     /// The request was dropped without a reply.
     #[error(
-        "a defect of the daemon: it dropped the request, and whether it was executed is unknown: send \
-         the same request_id again"
+        "a defect of the daemon: it dropped the request, and whether it was executed is unknown: look, \
+         and send it with another request_id if it was not"
     )]
     Dropped,
     /// The limit of connected clients is exceeded.
@@ -192,16 +192,16 @@ pub enum CommandError {
     },
     /// The daemon rejects the swarm.
     #[error(transparent)]
-    Host(#[from] RegistryError),
+    Registry(#[from] RegistryError),
     /// The swarm rejects the command.
     #[error(transparent)]
-    Order(#[from] SwarmError),
+    Swarm(#[from] SwarmError),
     /// A playback is rejected.
     #[error(transparent)]
     Replay(#[from] ReplayError),
     /// A command to an experiment is rejected.
     #[error(transparent)]
-    Lab(#[from] ExperimentError),
+    Experiment(#[from] ExperimentError),
     /// A command to a recording is rejected.
     #[error(transparent)]
     Record(#[from] RecordError),
@@ -237,8 +237,8 @@ impl CommandError {
         if let CommandError::Within { path, error } = self {
             return error.to_wire(step).within(path);
         }
-        if let CommandError::Order(SwarmError::InBatch { index, error }) = self {
-            let error = CommandError::Order((**error).clone()).to_wire(step);
+        if let CommandError::Swarm(SwarmError::InBatch { index, error }) = self {
+            let error = CommandError::Swarm((**error).clone()).to_wire(step);
             let mut error = error.within(&format!("commands[{index}].args"));
             error.message.push_str("; none of the batch was applied");
             return error;
@@ -283,10 +283,10 @@ impl WireCode for CommandError {
             CommandError::Value(error) => error.code(),
             CommandError::Within { error, .. } => error.code(),
             CommandError::NotPermitted(error) => error.code(),
-            CommandError::Host(error) => error.code(),
-            CommandError::Order(error) => error.code(),
+            CommandError::Registry(error) => error.code(),
+            CommandError::Swarm(error) => error.code(),
             CommandError::Replay(error) => error.code(),
-            CommandError::Lab(error) => error.code(),
+            CommandError::Experiment(error) => error.code(),
             CommandError::Record(error) => error.code(),
             CommandError::Field { .. }
             | CommandError::Name { .. }
@@ -320,10 +320,10 @@ impl WireCode for CommandError {
             CommandError::Request(error) => error.details(),
             CommandError::Value(error) => error.details(),
             CommandError::NotPermitted(error) => error.details(),
-            CommandError::Host(error) => error.details(),
-            CommandError::Order(error) => error.details(),
+            CommandError::Registry(error) => error.details(),
+            CommandError::Swarm(error) => error.details(),
             CommandError::Replay(error) => error.details(),
-            CommandError::Lab(error) => error.details(),
+            CommandError::Experiment(error) => error.details(),
             CommandError::Record(error) => error.details(),
             CommandError::Field { field, .. } => named(field, Value::Null, range_of(field)),
             CommandError::Name { field, name } => named(field, json!(name), Some(keys::NAME_RULE)),

@@ -102,7 +102,7 @@ fn deferred(write: Write) -> Submit {
 
 fn process(writer: &mut Writer, writes: Vec<Write>) -> Result<(), StoreFault> {
     let (sender, receiver) = channel();
-    let done: Done = Box::new(move |outcome| sender.send(outcome).unwrap());
+    let done = Box::new(move |outcome| sender.send(outcome).unwrap());
     writer
         .process(vec![Submit {
             writes,
@@ -236,7 +236,7 @@ fn a_submit_without_writes_is_never_dropped() {
     let mut backlog = Backlog::with_limits(2, usize::MAX);
     let waits = Submit {
         writes: Vec::new(),
-        durability: Durability::Deferred(Some(Box::new(move || {
+        durability: Durability::Deferred(Some(Box::new(move |_: Result<(), StoreFault>| {
             counted.fetch_add(1, Ordering::Relaxed);
         }))),
     };
@@ -248,8 +248,8 @@ fn a_submit_without_writes_is_never_dropped() {
     let left = backlog.pop(1);
     assert!(backlog.is_empty());
     for submit in left {
-        if let Durability::Deferred(Some(tell)) = submit.durability {
-            tell();
+        if let Durability::Deferred(Some(synced)) = submit.durability {
+            synced.committed(Ok(()));
         }
     }
     assert_eq!(completed.load(Ordering::Relaxed), 1);
@@ -373,14 +373,11 @@ fn be_killed(folder: &Path) {
         }
         let (sender, receiver) = channel();
         let mut completed = completed.try_clone().unwrap();
-        store.submit(
-            writes,
-            Some(Box::new(move |outcome| {
-                outcome.unwrap();
-                io::Write::write_all(&mut completed, format!("{number} ").as_bytes()).unwrap();
-                let _ = sender.send(());
-            })),
-        );
+        submit_sync(&store, writes, move |outcome| {
+            outcome.unwrap();
+            io::Write::write_all(&mut completed, format!("{number} ").as_bytes()).unwrap();
+            let _ = sender.send(());
+        });
         let _ = receiver.recv_timeout(TIMEOUT);
     }
     io::Write::flush(&mut completed).unwrap();

@@ -97,11 +97,22 @@ fn answer(number: u64) -> Answer {
 
 fn pending(store: &Store, writes: Vec<Write>) -> Receiver<Result<(), StoreFault>> {
     let (sender, receiver) = channel();
-    store.submit(
-        writes,
-        Some(Box::new(move |outcome| sender.send(outcome).unwrap())),
-    );
+    submit_sync(store, writes, move |outcome| sender.send(outcome).unwrap());
     receiver
+}
+
+impl<F: FnOnce(Result<(), StoreFault>) + Send> OnCommit for F {
+    fn committed(self: Box<Self>, outcome: Result<(), StoreFault>) {
+        self(outcome);
+    }
+}
+
+fn submit_sync(
+    store: &Store,
+    writes: Vec<Write>,
+    done: impl FnOnce(Result<(), StoreFault>) + Send + 'static,
+) {
+    store.push(writes, Durability::Sync(Box::new(done)));
 }
 
 fn durable(store: &Store, writes: Vec<Write>) -> Result<(), StoreFault> {

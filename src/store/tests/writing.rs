@@ -47,12 +47,15 @@ fn groups_are_committed_and_completed_in_the_order_of_submission() {
     let completed = Arc::new(Mutex::new(Vec::new()));
     for number in 1..=3000 {
         let completed = Arc::clone(&completed);
-        let done: Done = Box::new(move |outcome| {
+        let done = move |outcome: Result<(), StoreFault>| {
             outcome.unwrap();
             completed.lock().unwrap().push(number);
-        });
+        };
         // Every third is deferred, and is committed in the same order.
-        store.submit(vec![append("a", number)], (number % 3 > 0).then_some(done));
+        match number % 3 {
+            0 => store.submit(vec![append("a", number)], None),
+            _ => submit_sync(&store, vec![append("a", number)], done),
+        }
     }
     durable(&store, Vec::new()).unwrap();
     let expected: Vec<u64> = (1..=3000).filter(|number| number % 3 > 0).collect();
@@ -197,15 +200,11 @@ fn a_callback_may_submit_and_may_own_the_last_clone() {
     durable(&store, vec![create("a")]).unwrap();
     let (sender, receiver) = channel();
     let clone = store.clone();
-    store.submit(
-        vec![append("a", 1)],
-        Some(Box::new(move |_| {
-            clone.submit(
-                vec![append("a", 2)],
-                Some(Box::new(move |outcome| sender.send(outcome).unwrap())),
-            );
-        })),
-    );
+    submit_sync(&store, vec![append("a", 1)], move |_| {
+        submit_sync(&clone, vec![append("a", 2)], move |outcome| {
+            sender.send(outcome).unwrap();
+        });
+    });
     drop(store);
     receiver.recv_timeout(TIMEOUT).unwrap().unwrap();
     wait_until("the lock is free", || {

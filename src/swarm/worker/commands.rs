@@ -257,21 +257,7 @@ impl Worker {
             self.controllers.find(controller)?;
         }
         let step = self.simulation.state.step;
-        let at = [
-            ("epoch", when.expect_epoch, self.simulation.epoch),
-            ("step", when.expect_step, step),
-        ];
-        for (what, expected, actual) in at {
-            if let Some(expected) = expected
-                && expected != actual
-            {
-                return Err(SwarmError::Conflict {
-                    what,
-                    expected,
-                    actual,
-                });
-            }
-        }
+        when.check(self.simulation.epoch, step)?;
         match when.at_step {
             Some(at_step) if at_step < step => Err(SwarmError::Late { at_step, step }),
             _ => Ok(()),
@@ -297,11 +283,7 @@ impl Worker {
         if self.controllers.is_lockstep() {
             return Err(SwarmError::Lockstep);
         }
-        if let Some(until) = until
-            && until < step
-        {
-            return Err(SwarmError::Past { until, step });
-        }
+        SwarmError::check_not_past(until, step)?;
         self.reply_to_pending(&next);
         self.rate = rate.unwrap_or(self.rate);
         let was_running = matches!(self.phase, Phase::Running { .. });

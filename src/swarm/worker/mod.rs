@@ -232,7 +232,7 @@ impl Worker {
     pub fn run(self, messages: &Receiver<Message>) -> End {
         let metrics = self.metrics.clone();
         let end = self.run_loop(messages);
-        metrics.pulse.end();
+        metrics.activity.end();
         end
     }
 
@@ -245,7 +245,7 @@ impl Worker {
                 return end;
             }
             if self.phase.is_moving() {
-                self.metrics.pulse.begin();
+                self.metrics.activity.begin();
                 if let Some(end) = self.handle_batch(queued()) {
                     return end;
                 }
@@ -253,13 +253,13 @@ impl Worker {
             let wait = self.wait();
             let is_output_full = wait == Some(Duration::ZERO) && !self.output.has_room();
             if wait == Some(Duration::ZERO) && !is_output_full && self.may_compute() {
-                self.metrics.pulse.begin();
+                self.metrics.activity.begin();
                 if let Some(end) = self.step() {
                     return end;
                 }
                 continue;
             }
-            self.metrics.pulse.end();
+            self.metrics.activity.end();
             let wakes_at = match wait {
                 // A lossless recording whose queue is full wakes this thread once it has room.
                 Some(Duration::ZERO) if is_output_full => {
@@ -276,7 +276,7 @@ impl Worker {
             };
             match receive(messages, wakes_at) {
                 Ok(message) => {
-                    self.metrics.pulse.begin();
+                    self.metrics.activity.begin();
                     let all = std::iter::once(message).chain(queued());
                     if let Some(end) = self.handle_batch(all) {
                         return end;
@@ -382,7 +382,7 @@ impl Worker {
             // The loop checks the phase, the scheduler and the output after each batch.
             Message::Wake => None,
             Message::Stop => {
-                self.journal.keep(Checkpoint {
+                self.journal.append_checkpoint(Checkpoint {
                     is_last: true,
                     ..self.checkpoint()
                 });

@@ -3,8 +3,7 @@
 use std::sync::{Arc, OnceLock, PoisonError};
 use std::time::Instant;
 
-use crate::swarm::clock;
-use crate::swarm::frame::{Event, EventKind, Frame, Stamp, Summary};
+use crate::swarm::frame::{self, Event, EventKind, Frame, Stamp, Summary};
 use crate::swarm::outcome::Outcome;
 use crate::swarm::worker::Worker;
 
@@ -86,7 +85,7 @@ impl Worker {
         match self.applied_at {
             Some(at) => at,
             None if self.journal.is_replaying() => None,
-            None => clock::unix_secs(),
+            None => frame::unix_secs(),
         }
     }
 

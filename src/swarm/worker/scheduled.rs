@@ -4,10 +4,9 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use jostle_physics::simulation::ChangeError;
 
-use crate::swarm::clock;
 use crate::swarm::command::Command;
 use crate::swarm::error::SwarmError;
-use crate::swarm::frame::EventKind;
+use crate::swarm::frame::{self, EventKind};
 use crate::swarm::outcome::{Rejection, ReplyTo, SwarmReply};
 use crate::swarm::phase::{self, PhaseInput};
 use crate::swarm::schedule::Scheduled;
@@ -70,7 +69,7 @@ impl Worker {
                     .journal
                     .outcome(input)
                     .and_then(|(_, unix_secs)| unix_secs),
-                false => clock::unix_secs(),
+                false => frame::unix_secs(),
             };
             let end = self.applied_at(unix_secs, |it| {
                 let end = it.execute(input, command, sender.clone(), ReplyTo::new(reply_to));

@@ -154,7 +154,7 @@ impl Worker {
     /// Queues a checkpoint.
     pub(super) fn save_checkpoint(&mut self) {
         if !self.journal.is_replaying() {
-            self.journal.keep(self.checkpoint());
+            self.journal.append_checkpoint(self.checkpoint());
             failpoint::kill("swarm-checkpointed");
             self.since_checkpoint = SinceCheckpoint::new();
         }

@@ -35,19 +35,19 @@ pub struct Dispatcher {
     /// Receives the result of opening the daemon's own keys, after every swarm is recovered.
     pub recovered: Option<SyncSender<zenoh::Result<()>>>,
     /// Whether the thread is working.
-    pub pulse: Arc<Activity>,
+    pub activity: Arc<Activity>,
 }
 
 impl Dispatcher {
     /// Dispatches until [`DispatchMessage::Stop`].
     pub fn run(mut self, messages: &Receiver<DispatchMessage>) {
         loop {
-            self.pulse.end();
+            self.activity.end();
             let held = self.held.iter().map(|(until, _)| *until);
             let due = held.chain(self.gateway.claims.due()).min();
             let wait = due.map_or(LINGER, |due| due.saturating_duration_since(Instant::now()));
             let message = messages.recv_timeout(wait.min(LINGER));
-            self.pulse.begin();
+            self.activity.begin();
             self.release();
             match message {
                 Ok(DispatchMessage::Request(incoming)) => self.dispatch_or_hold(incoming),
@@ -68,7 +68,7 @@ impl Dispatcher {
                 Err(RecvTimeoutError::Timeout) => {}
                 Ok(DispatchMessage::Stop) | Err(RecvTimeoutError::Disconnected) => {
                     self.gateway.context.verifications.stop();
-                    return self.pulse.end();
+                    return self.activity.end();
                 }
             }
             self.reconcile();

@@ -11,7 +11,6 @@ pub mod messages;
 pub mod progress;
 mod publish_schedule;
 pub mod publisher;
-pub mod query;
 pub mod queryables;
 pub mod session;
 pub mod session_pool;

@@ -100,7 +100,7 @@ pub struct Publisher {
     messages: Sender<PublishMessage>,
     dispatcher: SyncSender<DispatchMessage>,
     /// Whether the thread is working.
-    pub pulse: Arc<Activity>,
+    pub activity: Arc<Activity>,
 }
 
 enum PublishMessage {
@@ -127,7 +127,7 @@ impl Publisher {
             publications: Mutex::default(),
             messages,
             dispatcher,
-            pulse: Arc::default(),
+            activity: Arc::default(),
         });
         thread::Builder::new().name("publish".into()).spawn({
             let publisher = publisher.clone();
@@ -206,7 +206,7 @@ impl Publisher {
                 Some(Duration::ZERO) => Err(RecvTimeoutError::Timeout),
                 Some(wait) => messages.recv_timeout(wait),
             };
-            self.pulse.begin();
+            self.activity.begin();
             let began = Instant::now();
             let swarm = match message {
                 Ok(PublishMessage::Notify(swarm)) => scheduler.notify(swarm, began),
@@ -226,7 +226,7 @@ impl Publisher {
                     while let Some(swarm) = scheduler.pop() {
                         self.publish(&swarm);
                     }
-                    return self.pulse.end();
+                    return self.activity.end();
                 }
             };
             if let Some(swarm) = swarm
@@ -234,7 +234,7 @@ impl Publisher {
             {
                 scheduler.published(swarm, began, Instant::now());
             }
-            self.pulse.end();
+            self.activity.end();
         }
     }
 

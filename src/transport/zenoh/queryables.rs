@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
-use std::sync::mpsc::SyncSender;
 use std::time::{Duration, Instant};
 
 use jostle_proto::keys;
@@ -13,9 +12,7 @@ use zenoh::query::Queryable;
 use zenoh::{Session, Wait};
 
 use crate::api::incoming::Target;
-use crate::transport::zenoh::gateway::Gateway;
-use crate::transport::zenoh::messages::DispatchMessage;
-use crate::transport::zenoh::query::queryable;
+use crate::transport::zenoh::gateway::{Gateway, queryable};
 use crate::transport::zenoh::session_pool::{Lease, SessionPool};
 
 /// How long the keys of a deleted swarm stay declared, and reply that it does not exist.
@@ -31,7 +28,6 @@ pub struct SwarmEndpoints {
     pool: SessionPool,
     prefix: String,
     node: String,
-    messages: SyncSender<DispatchMessage>,
     gateway: Arc<Gateway>,
     swarms: BTreeMap<String, Endpoint>,
     /// The liveliness token and the queryables of the daemon itself.
@@ -52,13 +48,12 @@ struct Endpoint {
 }
 
 impl SwarmEndpoints {
-    /// No keys yet. Requests are sent to `messages`.
+    /// No keys yet.
     pub fn new(
         session: Session,
         pool: SessionPool,
         prefix: String,
         node: String,
-        messages: SyncSender<DispatchMessage>,
         gateway: Arc<Gateway>,
     ) -> Self {
         SwarmEndpoints {
@@ -66,7 +61,6 @@ impl SwarmEndpoints {
             pool,
             prefix,
             node,
-            messages,
             gateway,
             swarms: BTreeMap::new(),
             node_keys: None,
@@ -76,11 +70,7 @@ impl SwarmEndpoints {
 
     /// Declares the keys of a swarm: the queryables before the token, so that a client that sees the
     /// token finds them.
-    ///
-    /// # Errors
-    ///
-    /// When zenoh rejects a session or a key.
-    pub fn open(&mut self, swarm: &str) -> zenoh::Result<()> {
+    pub(super) fn open(&mut self, swarm: &str) -> zenoh::Result<()> {
         let mut endpoint = match self.swarms.remove(swarm) {
             Some(endpoint) => endpoint,
             None => {
@@ -102,22 +92,10 @@ impl SwarmEndpoints {
     }
 
     /// Declares the daemon's own keys, the token last.
-    ///
-    /// # Errors
-    ///
-    /// When zenoh rejects a key.
-    pub fn open_node(&mut self) -> zenoh::Result<()> {
+    pub(super) fn open_node(&mut self) -> zenoh::Result<()> {
         let (prefix, node) = (&self.prefix, &self.node);
-        let queryable = |key: String, topic| {
-            queryable(
-                &self.session,
-                None,
-                &key,
-                topic,
-                &self.messages,
-                &self.gateway,
-            )
-        };
+        let queryable =
+            |key: String, topic| queryable(&self.session, None, &key, topic, &self.gateway);
         let queryables = [
             queryable(keys::node_get(prefix, node, "**"), Target::NodeGet)?,
             queryable(keys::node_cmd(prefix, node, "**"), Target::NodeCommand)?,
@@ -193,7 +171,7 @@ impl SwarmEndpoints {
         let name: Arc<str> = swarm.into();
         let queryable = |key: String, topic| {
             let guard = Some(lease.guard());
-            queryable(lease, guard, &key, topic, &self.messages, &self.gateway)
+            queryable(lease, guard, &key, topic, &self.gateway)
         };
         Ok([
             queryable(

@@ -8,7 +8,7 @@ use jostle_physics::simulation::Simulation;
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Phase, Request};
 use jostled::convert::commands::{self, create};
-use jostled::convert::durable;
+use jostled::persistence::writer;
 use jostled::store::Row;
 use jostled::swarm::command::{Command, Until};
 use jostled::swarm::journal::Record;
@@ -109,7 +109,7 @@ impl Twin {
         for row in rows {
             assert_eq!(row.number, self.line + 1, "{}: a gap", self.name);
             self.line = row.number;
-            match durable::read_record(&row.body).unwrap() {
+            match writer::read_record(&row.body).unwrap() {
                 Record::Input {
                     at_step, sender, ..
                 } => {
@@ -319,5 +319,6 @@ fn order(sender: &Sender) -> Command {
         args: Some(args),
         ..Request::default()
     };
-    commands::read(sender.verb, &request).unwrap().order
+    let (message, _) = commands::read(sender.verb, &request).ok().unwrap();
+    message.command
 }

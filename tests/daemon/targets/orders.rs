@@ -1,10 +1,13 @@
 //! Requests as the daemon makes orders of them, or refuses them in words.
 
+use std::time::Duration;
+
 use jostle_physics::simulation::{Change, Placement, Settings, Spec, Start};
 use jostle_proto::verbs::CreateArgs;
 use jostle_proto::{Error, ErrorCode, Request, keys};
-use jostled::convert::commands::{self, CommandError, ParsedCommand, create};
+use jostled::convert::commands::{self, CommandError, create};
 use jostled::swarm::command::{Command, Until};
+use jostled::swarm::handle::CommandMessage;
 use jostled::swarm::registry::Limits;
 
 const LIMITS: Limits = Limits {
@@ -26,10 +29,13 @@ pub fn hold(data: &[u8]) {
     };
     let verb = usize::from(*verb) % (keys::SWARM_VERBS.len() + 2);
     match keys::SWARM_VERBS.get(verb) {
-        Some(verb) => match commands::read(verb, &request) {
-            Ok(command) => is_in_range(&command),
-            Err(error) => is_worded(&error),
-        },
+        Some(verb) => {
+            let read = commands::read(verb, &request);
+            match read.and_then(|(message, _)| Ok((message, commands::timeout(&request)?))) {
+                Ok((message, timeout)) => is_in_range(&message, timeout),
+                Err(error) => is_worded(&error),
+            }
+        }
         None if verb == keys::SWARM_VERBS.len() => {
             let args: Result<CreateArgs, _> = request.args();
             match args
@@ -70,9 +76,9 @@ fn is_worded(error: &CommandError) {
     assert!(details.len() < 2000, "{details}");
 }
 
-fn is_in_range(command: &ParsedCommand) {
-    assert!(command.timeout.as_secs_f64() > 0.0 && command.timeout.as_secs() <= 3600);
-    let sender = &command.sender;
+fn is_in_range(message: &CommandMessage, timeout: Duration) {
+    assert!(timeout.as_secs_f64() > 0.0 && timeout.as_secs() <= 3600);
+    let (command, sender) = (&message.command, &message.sender);
     for label in [&sender.client, &sender.request_id].into_iter().flatten() {
         assert!(
             label.len() <= 256 && !label.chars().any(char::is_control),
@@ -81,13 +87,13 @@ fn is_in_range(command: &ParsedCommand) {
     }
     let whole = 0..1 << 53;
     assert!(
-        command
+        message
             .when
             .at_step
             .is_none_or(|step| whole.contains(&step))
     );
     let rate = |rate: f64| rate > 0.0 && rate <= 1e6;
-    match &command.order {
+    match command {
         Command::Run { until, rate: new } => {
             assert!(new.is_none_or(|new| new.is_none_or(rate)), "{command:?}");
             match until {

@@ -2,7 +2,7 @@
 
 use jostle_proto::Request;
 use jostled::convert::commands;
-use jostled::convert::durable::{read_record, record};
+use jostled::persistence::writer::{read_record, record};
 use jostled::swarm::journal::Record;
 use serde_json::value::RawValue;
 

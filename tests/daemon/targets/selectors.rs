@@ -1,7 +1,7 @@
 //! The parameters behind the question mark of a selector.
 
 use jostle_proto::ErrorCode;
-use jostled::api::pagination;
+use jostled::api::incoming;
 use jostled::convert::commands::{CommandError, wait};
 use zenoh::query::Parameters;
 
@@ -15,7 +15,7 @@ pub fn hold(data: &[u8]) {
         Ok((_, patience)) => assert!(patience <= wait::MAX_WAIT),
         Err(error) => is_worded(&error),
     }
-    match pagination::read(parameters.iter()) {
+    match incoming::page(parameters.iter()) {
         Ok((_, limit)) => assert!((1..=1000).contains(&limit)),
         Err(error) => is_worded(&error),
     }
