@@ -47,13 +47,13 @@ pub(super) fn news_to_proto(news: News) -> verbs::News {
 pub fn controllers(seen: &Frame) -> proto::ControllerList {
     let controllers = seen.controllers.iter().map(|it| proto::Controller {
         controller: it.controller.clone(),
-        mode: it.mode.into(),
-        ids: it.ids.clone(),
-        deadline_secs: it.deadline.as_secs_f64(),
-        on_timeout: it.on_timeout.into(),
-        driving: it.driving,
-        target_step: it.target,
-        misses: it.misses,
+        mode: it.state.settings.mode.into(),
+        ids: it.state.claims.iter().copied().collect(),
+        deadline_secs: it.state.settings.deadline.as_secs_f64(),
+        on_timeout: it.state.settings.on_timeout.into(),
+        driving: it.state.settings.driving,
+        target_step: (it.state.settings.mode == Mode::Lockstep).then_some(it.state.target),
+        misses: it.state.misses,
         waited_secs: it.waited.map(|waited| waited.as_secs_f64()),
         puts: proto::Puts {
             applied: it.puts.applied,
@@ -73,7 +73,7 @@ pub(super) fn waiting_for(seen: &Frame) -> Vec<proto::Awaited> {
         Some(proto::Awaited {
             controller: it.controller.clone(),
             secs: it.waited?.as_secs_f64(),
-            deadline_secs: it.deadline.as_secs_f64(),
+            deadline_secs: it.state.settings.deadline.as_secs_f64(),
         })
     });
     awaited.collect()

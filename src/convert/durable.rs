@@ -10,8 +10,7 @@ use jostle_proto::snapshot::{Doing, Member, Pending, Sent, Waiting};
 use crate::convert::controllers::{news, news_to_proto};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
-use crate::swarm::membership;
-use crate::swarm::membership::ControllerState;
+use crate::swarm::membership::{self, ControllerSettings, ControllerState};
 use crate::swarm::phase::{PauseReason, Phase};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
@@ -109,10 +108,10 @@ pub fn checkpoint(
 fn member((name, kept): &(String, ControllerState)) -> Member {
     Member {
         controller: name.clone(),
-        mode: kept.mode.into(),
-        deadline_secs: kept.deadline.as_secs_f64(),
-        on_timeout: kept.on_timeout.into(),
-        driving: kept.driving,
+        mode: kept.settings.mode.into(),
+        deadline_secs: kept.settings.deadline.as_secs_f64(),
+        on_timeout: kept.settings.on_timeout.into(),
+        driving: kept.settings.driving,
         ids: kept.claims.iter().copied().collect(),
         steered: kept.steered.iter().copied().collect(),
         target: kept.target,
@@ -130,10 +129,12 @@ fn membership(member: &Member) -> Result<(String, ControllerState), SnapshotErro
         SnapshotError::Unreadable(format!("a deadline of {} s", member.deadline_secs))
     })?;
     let kept = ControllerState {
-        mode: member.mode.into(),
-        deadline,
-        on_timeout: member.on_timeout.into(),
-        driving: member.driving,
+        settings: ControllerSettings {
+            mode: member.mode.into(),
+            deadline,
+            on_timeout: member.on_timeout.into(),
+            driving: member.driving,
+        },
         claims: member.ids.iter().copied().collect(),
         steered: member.steered.iter().copied().collect(),
         target: member.target,

@@ -5,7 +5,7 @@ use crate::swarm::command::{Command, Seek, Until, When};
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::EventKind;
 use crate::swarm::handle::{CommandMessage, Message};
-use crate::swarm::outcome::{DeferredReply, Outcome, Rejection};
+use crate::swarm::outcome::{DeferredReply, Outcome};
 use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
 use crate::swarm::worker::End;
 
@@ -21,9 +21,6 @@ impl Player {
             Message::Wait(waiter) => {
                 self.waiters.add(waiter);
                 self.reply_to_waiters();
-                if let Some((answer, error)) = self.waiters.evict_oldest() {
-                    answer.send(Err(self.refusal(error)));
-                }
             }
             Message::TakeCheckpoint(answer) => answer.send(Err(self.refusal(SwarmError::Recorded))),
             Message::Seek(seek, sender, answer) => match self.find(seek) {
@@ -53,12 +50,7 @@ impl Player {
         } = message;
         if command == Command::Delete {
             self.publish_event(EventKind::Deleted);
-            self.waiters.reply_to_all(|| {
-                Err(Rejection {
-                    step: None,
-                    error: SwarmError::Gone,
-                })
-            });
+            self.waiters.reject_all(None);
             let stamp = self.stamp();
             let reply = DeferredReply::new(reply_to, Ok((stamp, Outcome::Done)));
             return Some(End::Deleted(reply));

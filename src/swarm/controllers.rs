@@ -1,44 +1,45 @@
-//! The controllers that have joined a swarm: the individuals that each steers, the step that each has
-//! advanced to, and their deadlines.
+//! The controllers that have joined a swarm, as a state machine without clock and I/O. Its table is in
+//! docs/architecture.md.
 //!
-//! The caller passes the time. A deadline that has passed is a command, so a replay needs no clock.
+//! The thread of the swarm passes each [`Input`] with the time, and carries out the [`Effect`]s in
+//! their order. Of the swarm only the simulation is changed here. A deadline that has passed is an
+//! input that is journaled like a command, so a replay needs no clock.
+
+mod input;
+mod member;
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::sync::Arc;
 use std::time::Instant;
 
+use jostle_physics::model::selection::{Candidates, Selection, select};
+use jostle_physics::simulation::{ChangeError, SetPoints, Simulation};
+
+pub use input::{Effect, Input, Swarm};
+
+use crate::swarm::command::Command;
+use crate::swarm::controllers::member::Member;
 use crate::swarm::error::SwarmError;
 use crate::swarm::membership::{
-    ControllerState, ControllerStatus, Departure, JoinOptions, Miss, Mode, News, Put, Puts,
+    ControllerState, ControllerStatus, Departure, JoinOptions, MAX_MISSES, Miss, Mode, News,
+    OnTimeout,
 };
-use crate::swarm::outcome::ReplyTo;
+use crate::swarm::outcome::{Outcome, ReplyTo};
+use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
 use crate::swarm::sender::Sender;
 
 /// Controllers that may join one swarm.
 const MAX_CONTROLLERS: usize = 256;
 
-/// Departures that are kept for the error that a controller gets after it has left.
+/// Departures that are kept.
 const MAX_DEPARTURES: usize = 256;
-
-/// A controller that has joined.
-pub struct Member {
-    /// What is persisted.
-    pub state: ControllerState,
-    /// Receives the reply to its `advance`.
-    reply_to: Option<ReplyTo>,
-    /// Since when the swarm waits for it, or the time of its last put.
-    since: Option<Instant>,
-    put: Option<Put>,
-    puts: Puts,
-}
 
 /// Every controller that has joined a swarm.
 #[derive(Default)]
 pub struct Controllers {
     members: BTreeMap<String, Member>,
-    departures: VecDeque<(String, Departure, u64)>,
-    /// The next deadline or end of a lease.
-    due: Option<Instant>,
+    /// Who has left, why, and at which step.
+    departures: VecDeque<(String, (Departure, u64))>,
 }
 
 impl Controllers {
@@ -59,10 +60,23 @@ impl Controllers {
 
     /// The persisted state of each.
     pub fn states(&self) -> Vec<(String, ControllerState)> {
+        let state = |(name, member): (&String, &Member)| (name.clone(), member.state.clone());
+        self.members.iter().map(state).collect()
+    }
+
+    /// All of them, for replies to queries.
+    pub fn statuses(&self, now: Instant) -> Vec<ControllerStatus> {
         let members = self.members.iter();
-        members
-            .map(|(name, member)| (name.clone(), member.state.clone()))
-            .collect()
+        let status = |(name, member): (&String, &Member)| ControllerStatus {
+            controller: name.clone(),
+            state: member.state.clone(),
+            waited: member
+                .since
+                .filter(|_| member.is_lockstep())
+                .map(|since| now.saturating_duration_since(since)),
+            puts: member.puts,
+        };
+        members.map(status).collect()
     }
 
     /// Whether no controller has joined.
@@ -72,347 +86,408 @@ impl Controllers {
 
     /// Whether the swarm steps only when all have advanced.
     pub fn is_lockstep(&self) -> bool {
-        self.lockstep().next().is_some()
+        self.targets().next().is_some()
     }
 
-    /// The controller of this name.
+    /// Checks that a controller has joined.
     ///
     /// # Errors
     ///
     /// [`SwarmError::NotJoined`], with the reason of its departure if it had joined.
-    pub fn find(&mut self, controller: &str) -> Result<&mut Member, SwarmError> {
-        let departures = self.departures.iter().rev();
-        let mut departures = departures.filter(|(name, ..)| name == controller);
-        let left = departures.next().map(|(_, why, step)| (*why, *step));
-        self.members
-            .get_mut(controller)
-            .ok_or_else(|| SwarmError::NotJoined {
-                controller: controller.to_owned(),
-                left,
-            })
+    pub fn check_joined(&mut self, controller: &str) -> Result<(), SwarmError> {
+        self.find(controller).map(drop)
     }
 
-    /// The controller that has claimed this individual.
-    pub fn owner(&self, id: u32) -> Option<&str> {
-        let mut members = self.members.iter();
-        members
-            .find(|(_, member)| member.state.claims.contains(&id))
-            .map(|(name, _)| name.as_str())
+    /// The next deadline or end of a lease.
+    pub fn due(&self) -> Option<Instant> {
+        self.deadlines().map(|(_, due)| due).min()
     }
 
-    /// The individuals that other controllers have claimed.
-    pub fn claimed_by_others(&self, controller: &str) -> BTreeSet<u32> {
-        let others = self.members.iter().filter(|(name, _)| *name != controller);
-        others
-            .flat_map(|(_, member)| member.state.claims.iter().copied())
-            .collect()
+    /// The controllers whose deadline or lease has ended.
+    pub fn overdue(&self, now: Instant) -> Vec<String> {
+        let overdue = self.deadlines().filter(|(_, due)| *due <= now);
+        overdue.map(|(name, _)| name.clone()).collect()
     }
 
-    /// Whether a controller may join with these options.
+    fn deadlines(&self) -> impl Iterator<Item = (&String, Instant)> {
+        let due = |it: &Member| Some(it.since? + it.state.settings.deadline);
+        let members = self.members.iter();
+        members.filter_map(move |(name, member)| Some((name, due(member)?)))
+    }
+
+    /// Takes the set-points for the next step as commands, in the order of the controllers' names.
+    pub fn take_puts(&mut self) -> Vec<(Command, Arc<Sender>)> {
+        let members = self.members.iter_mut();
+        let put = |(name, member): (&String, &mut Member)| {
+            let put = member.put.take()?;
+            let command = Command::Control {
+                controller: name.clone(),
+                sequence: put.sequence,
+                set: put.set,
+            };
+            Some((command, put.sender))
+        };
+        members.filter_map(put).collect()
+    }
+
+    /// Executes an input.
     ///
     /// # Errors
     ///
-    /// [`SwarmError::HasJoined`] and [`SwarmError::TooManyControllers`].
-    pub fn check_join(&self, options: &JoinOptions) -> Result<(), SwarmError> {
-        if self.members.contains_key(&options.controller) {
-            return match options.again {
-                true => Ok(()),
-                false => Err(SwarmError::HasJoined(options.controller.clone())),
-            };
+    /// Why a command was rejected; then `reply_to` is not taken, and only counters have changed.
+    pub fn on(&mut self, input: Input, swarm: &mut Swarm) -> Result<Outcome, SwarmError> {
+        match input {
+            Input::Command(command, sender, reply_to) => {
+                return self.command(command, sender, reply_to, swarm);
+            }
+            Input::Put(controller, epoch, put) => {
+                let is_current = epoch.is_none_or(|epoch| epoch == swarm.simulation.epoch);
+                if let Some(member) = self.members.get_mut(controller) {
+                    member.put(put, is_current);
+                }
+                return Ok(Outcome::Done);
+            }
+            Input::Reached => {
+                self.settle(swarm);
+                self.end_advances(false, swarm);
+                return Ok(Outcome::Done);
+            }
+            Input::Interrupted(next) => {
+                swarm.phase = next;
+                self.end_advances(true, swarm);
+                return Ok(Outcome::Done);
+            }
+            Input::Faulted(error) => {
+                for member in self.members.values_mut() {
+                    member.state.advance = None;
+                    swarm.reject(member.reply_to.take(), error.clone());
+                }
+            }
+            Input::Restarted(next) => {
+                swarm.phase = next;
+                for member in self.members.values_mut() {
+                    member.state.target = swarm.step();
+                    member.state.from = swarm.step();
+                    member.state.steered.clear();
+                    member.put = None;
+                    member.retain_individuals(&swarm.simulation.state.configuration.id);
+                }
+            }
+            Input::Changed => {
+                for member in self.members.values_mut() {
+                    member.retain_individuals(&swarm.simulation.state.configuration.id);
+                }
+            }
+            Input::Updated => {}
         }
-        match self.members.len() {
-            MAX_CONTROLLERS => Err(SwarmError::TooManyControllers {
-                limit: MAX_CONTROLLERS,
-            }),
-            _ => Ok(()),
-        }
+        self.settle(swarm);
+        Ok(Outcome::Done)
     }
 
-    /// Adds a controller at `step`; without `claims` it keeps its earlier ones. Returns the receiver of
-    /// the reply to an `advance` that was pending.
-    pub fn join(
+    fn command(
         &mut self,
-        options: &JoinOptions,
-        claims: Option<BTreeSet<u32>>,
-        step: u64,
-    ) -> Option<ReplyTo> {
-        let before = self.members.remove(&options.controller);
-        let (old, reply_to) = before.map_or((None, None), |it| (Some(it.state), it.reply_to));
-        let old = old.unwrap_or_else(|| ControllerState {
-            mode: options.mode,
-            deadline: options.deadline,
-            on_timeout: options.on_timeout,
-            driving: options.driving,
-            claims: BTreeSet::new(),
-            steered: BTreeSet::new(),
-            target: step,
-            from: step,
+        command: &Command,
+        sender: &Arc<Sender>,
+        reply_to: &mut ReplyTo,
+        swarm: &mut Swarm,
+    ) -> Result<Outcome, SwarmError> {
+        phase::next(&swarm.phase, PhaseInput::Change)?;
+        let mut outcome = Outcome::Done;
+        match command {
+            Command::Join(options) => outcome = self.join(options, swarm)?,
+            Command::Leave(controller) => {
+                self.find(controller)?;
+                self.remove(controller, Departure::Left, swarm);
+            }
+            Command::Advance {
+                controller,
+                steps,
+                set,
+            } => {
+                let member = self.find(controller)?;
+                if !member.is_lockstep() {
+                    return Err(SwarmError::RunsFreely(controller.clone()));
+                }
+                if swarm.phase.is_moving() {
+                    return Err(SwarmError::Advancing {
+                        controller: controller.clone(),
+                        target: member.state.target,
+                    });
+                }
+                if let Some(set) = set {
+                    self.steer(controller, set, swarm)?;
+                }
+                let step = swarm.step();
+                let member = self.find(controller)?;
+                member.state.from = step;
+                member.state.target = step.saturating_add(*steps);
+                member.state.misses = 0;
+                member.state.advance = Some(sender.clone());
+                member.since = None;
+                let superseded = member.reply_to.replace(reply_to.take());
+                swarm.reject(superseded, SwarmError::Superseded);
+                let until = self.common_target(step);
+                swarm.effects.push(Effect::Journal(until));
+                swarm.effects.push(Effect::Record);
+            }
+            Command::Control {
+                controller,
+                sequence,
+                set,
+            } => {
+                let steered = self.steer(controller, set, swarm);
+                let member = self.find(controller)?;
+                member.state.sequence = *sequence;
+                member.state.misses = 0;
+                member.since = None;
+                match steered {
+                    Ok(()) => member.puts.applied += 1,
+                    Err(_) => member.puts.rejected += 1,
+                }
+                steered?;
+                swarm.effects.push(Effect::Journal(None));
+                swarm.effects.push(Effect::Record);
+                // `Updated` follows once all set-points for the step are applied.
+                return Ok(outcome);
+            }
+            Command::Deadline(controller) | Command::Lost(controller) => {
+                self.find(controller)?;
+                swarm.effects.push(Effect::Journal(None));
+                match command {
+                    Command::Deadline(_) => self.miss(controller, swarm)?,
+                    _ => self.remove(controller, Departure::Lost, swarm),
+                }
+                swarm.effects.push(Effect::Publish);
+                self.settle(swarm);
+                swarm.effects.push(Effect::PublishState);
+                return Ok(outcome);
+            }
+            _ => unreachable!("{command:?} is no command of a controller"),
+        }
+        self.settle(swarm);
+        Ok(outcome)
+    }
+
+    /// Adds a controller, or lets it rejoin. Without a selection it keeps its individuals.
+    fn join(&mut self, options: &JoinOptions, swarm: &mut Swarm) -> Result<Outcome, SwarmError> {
+        let name = &options.controller;
+        match self.members.contains_key(name) {
+            true if !options.again => return Err(SwarmError::HasJoined(name.clone())),
+            false if self.members.len() == MAX_CONTROLLERS => {
+                let limit = MAX_CONTROLLERS;
+                return Err(SwarmError::TooManyControllers { limit });
+            }
+            _ => {}
+        }
+        let selection = options.selection.as_ref();
+        let claims = selection.map(|selection| self.claim(name, selection, swarm.simulation));
+        let claims = claims.transpose()?;
+        if options.settings.mode == Mode::Lockstep && !self.is_lockstep() {
+            swarm.phase = Phase::Paused(PauseReason::Lockstep);
+            swarm.effects.push(Effect::Pause(PauseReason::Lockstep));
+        }
+        let before = self.members.remove(name).map(|member| {
+            swarm.reject(member.reply_to, SwarmError::Superseded);
+            member.state
+        });
+        let before = before.map(|it| (it.claims, it.steered, it.news, it.sequence));
+        let (claimed, mut steered, news, sequence) = before.unwrap_or_default();
+        let claims = claims.unwrap_or(claimed);
+        steered.retain(|id| claims.contains(id));
+        let ids = claims.iter().copied().collect();
+        let state = ControllerState {
+            settings: options.settings,
+            claims,
+            steered,
+            target: swarm.step(),
+            from: swarm.step(),
             advance: None,
             misses: 0,
             news: News::default(),
-            sequence: 0,
-        });
-        let claims = claims.unwrap_or_else(|| old.claims.clone());
-        let state = ControllerState {
-            mode: options.mode,
-            deadline: options.deadline,
-            on_timeout: options.on_timeout,
-            driving: options.driving,
-            steered: old.steered.intersection(&claims).copied().collect(),
-            claims,
-            target: step,
-            from: step,
-            advance: None,
-            misses: 0,
-            ..old
+            sequence,
         };
-        self.members
-            .insert(options.controller.clone(), Member::new(state, None));
-        reply_to
+        self.members.insert(name.clone(), Member::new(state, None));
+        Ok(Outcome::Joined { ids, news })
     }
 
-    /// Removes a controller at `step`, and adds that to the news of the others.
-    pub fn remove(&mut self, controller: &str, why: Departure, step: u64) -> Option<Member> {
-        let member = self.members.remove(controller)?;
+    /// The individuals of a selection. Those that another controller has claimed are an error if they
+    /// are named, and are excluded from random selections.
+    fn claim(
+        &self,
+        controller: &str,
+        selection: &Selection,
+        simulation: &Simulation,
+    ) -> Result<BTreeSet<u32>, SwarmError> {
+        let others = self.members.iter().filter(|(name, _)| *name != controller);
+        let claimed: BTreeMap<u32, &String> = others
+            .flat_map(|(name, member)| member.state.claims.iter().map(move |id| (*id, name)))
+            .collect();
+        if let Selection::Ids(ids) = selection
+            && let Some((id, owner)) = ids.iter().find_map(|id| claimed.get_key_value(id))
+        {
+            return Err(SwarmError::Claimed {
+                id: *id,
+                controller: (*owner).clone(),
+            });
+        }
+        let state = &simulation.state;
+        let mut free = state.configuration.clone();
+        let taken: Vec<usize> = (0..free.n())
+            .filter(|&k| claimed.contains_key(&free.id[k]))
+            .collect();
+        free.remove(&taken);
+        let all = Candidates::All;
+        let chosen = select(&free, all, selection, state.seed, simulation.seq);
+        let chosen = chosen.map_err(ChangeError::from)?;
+        Ok(chosen.into_iter().map(|k| free.id[k]).collect())
+    }
+
+    /// Removes a controller. The individuals it steered become uninformed, unless it joined with
+    /// [`OnTimeout::Hold`].
+    fn remove(&mut self, controller: &str, why: Departure, swarm: &mut Swarm) {
+        let Some(member) = self.members.remove(controller) else {
+            return;
+        };
         for other in self.members.values_mut() {
             other.state.news.left.push((controller.to_owned(), why));
         }
         if self.departures.len() == MAX_DEPARTURES {
             self.departures.pop_front();
         }
-        self.departures
-            .push_back((controller.to_owned(), why, step));
-        Some(member)
-    }
-
-    /// Adds a deadline that fired at `step` to the news of all. Returns the number of misses in a row.
-    pub fn record_miss(&mut self, controller: &str, step: u64) -> u32 {
-        let Some(member) = self.members.get_mut(controller) else {
-            return 0;
-        };
-        member.state.misses += 1;
-        member.since = None;
-        let miss = Miss {
-            controller: controller.to_owned(),
-            step,
-            misses: member.state.misses,
-        };
-        for member in self.members.values_mut() {
-            member.state.news.missed.push(miss.clone());
+        let left = (why, swarm.step());
+        self.departures.push_back((controller.to_owned(), left));
+        if member.state.settings.on_timeout != OnTimeout::Hold {
+            swarm.simulation.release(&member.state.steered);
         }
-        miss.misses
+        // Without a controller in lockstep, an advance that has begun is not continued.
+        let is_last = member.is_lockstep() && !self.is_lockstep();
+        if is_last && matches!(swarm.phase, Phase::Stepping { .. }) {
+            swarm.enter(Phase::Paused(PauseReason::Lockstep));
+        }
+        let error = SwarmError::NotJoined {
+            controller: controller.to_owned(),
+            left: Some(left),
+        };
+        swarm.reject(member.reply_to, error);
     }
 
-    /// The least step beyond `step` that a controller has advanced to.
-    pub fn nearest_target(&self, step: u64) -> Option<u64> {
-        let targets = self.lockstep().map(|(_, member)| member.state.target);
-        targets.filter(|&target| target > step).min()
+    /// Applies set-points to individuals that the controller has claimed.
+    fn steer(
+        &mut self,
+        controller: &str,
+        set: &SetPoints,
+        swarm: &mut Swarm,
+    ) -> Result<(), SwarmError> {
+        let state = &self.find(controller)?.state;
+        if set.drives.is_some() && !state.settings.driving {
+            return Err(SwarmError::NotDriving(controller.to_owned()));
+        }
+        if let Some(&id) = set.ids.iter().find(|id| !state.claims.contains(id)) {
+            let mut members = self.members.iter();
+            let owner = members.find(|(_, member)| member.state.claims.contains(&id));
+            let owner = owner.map(|(name, _)| name.clone());
+            return Err(SwarmError::NotClaimed { id, owner });
+        }
+        swarm.simulation.steer(set)?;
+        self.find(controller)?.state.steered.extend(&set.ids);
+        Ok(())
     }
 
-    /// The step that all controllers have advanced to, if it is beyond `step`.
-    pub fn common_target(&self, step: u64) -> Option<u64> {
-        let targets = self.lockstep().map(|(_, member)| member.state.target);
-        targets.min().filter(|&target| target > step)
+    /// Counts a deadline that a controller has missed, and does what it joined for.
+    fn miss(&mut self, controller: &str, swarm: &mut Swarm) -> Result<(), SwarmError> {
+        let step = swarm.step();
+        let nearest = self.targets().filter(|&target| target > step).min();
+        let member = self.find(controller)?;
+        member.since = None;
+        let state = &mut member.state;
+        state.misses += 1;
+        let (settings, misses) = (state.settings, state.misses);
+        let is_lockstep = settings.mode == Mode::Lockstep;
+        let pauses = settings.on_timeout == OnTimeout::Pause;
+        if settings.on_timeout == OnTimeout::Free {
+            swarm.simulation.release(&state.steered);
+            state.steered.clear();
+        }
+        if let Some(nearest) = nearest.filter(|_| is_lockstep && !pauses) {
+            state.target = nearest;
+        }
+        for member in self.members.values_mut() {
+            member.state.news.missed.push(Miss {
+                controller: controller.to_owned(),
+                step,
+                misses,
+            });
+        }
+        if is_lockstep && misses >= MAX_MISSES {
+            self.remove(controller, Departure::Late, swarm);
+        }
+        if pauses {
+            swarm.phase = Phase::Paused(PauseReason::Deadline);
+            self.end_advances(true, swarm);
+            swarm.effects.push(Effect::Pause(PauseReason::Deadline));
+        }
+        Ok(())
     }
 
-    /// Takes the pending advances that end at `step`, or all: the receiver of the reply, the step at
-    /// which each began, and the news.
-    pub fn take_arrived(&mut self, step: u64, all: bool) -> Vec<(ReplyTo, u64, News)> {
-        let mut arrived = Vec::new();
+    /// Replies to the advances that end at this step, or to all.
+    fn end_advances(&mut self, all: bool, swarm: &mut Swarm) {
+        let step = swarm.step();
         for member in self.members.values_mut() {
             let state = &mut member.state;
             if (state.target <= step || all) && state.advance.take().is_some() {
                 state.target = state.target.min(step);
                 if let Some(reply_to) = member.reply_to.take() {
-                    arrived.push((reply_to, state.from, std::mem::take(&mut state.news)));
+                    let (news, phase) = (std::mem::take(&mut state.news), swarm.phase.clone());
+                    let effect = Effect::Advanced(reply_to, state.from, news, phase);
+                    swarm.effects.push(effect);
                 }
             }
         }
-        arrived
     }
 
-    /// Takes the receivers of all pending replies.
-    pub fn cancel_advances(&mut self) -> Vec<ReplyTo> {
-        let members = self.members.values_mut();
-        members
-            .filter_map(|member| {
-                member.state.advance = None;
-                member.reply_to.take()
-            })
-            .collect()
-    }
-
-    /// Restarts at `step`, with only these individuals left.
-    pub fn restart(&mut self, step: u64, exists: impl Fn(u32) -> bool) {
-        for member in self.members.values_mut() {
-            member.state.target = step;
-            member.state.from = step;
-            member.state.steered.clear();
-            member.put = None;
-        }
-        self.retain_individuals(exists);
-    }
-
-    /// Drops the individuals that no longer exist, and adds that to the news of their controllers.
-    pub fn retain_individuals(&mut self, exists: impl Fn(u32) -> bool) {
-        for member in self.members.values_mut() {
-            let state = &mut member.state;
-            let gone: Vec<u32> = state
-                .claims
-                .iter()
-                .copied()
-                .filter(|&id| !exists(id))
-                .collect();
-            for id in gone {
-                state.claims.remove(&id);
-                state.steered.remove(&id);
-                state.news.removed.push(id);
+    /// Updates the phase in lockstep, which is stepping if all controllers have advanced and paused
+    /// otherwise, and the deadlines.
+    fn settle(&mut self, swarm: &mut Swarm) {
+        let step = swarm.step();
+        // A faulted swarm keeps its last good state and waits for no controller.
+        let is_faulted = matches!(swarm.phase, Phase::Faulted(_));
+        match self.common_target(step).filter(|_| !is_faulted) {
+            Some(until) => swarm.enter(Phase::Stepping { until }),
+            None if self.is_lockstep() && swarm.phase.is_moving() => {
+                swarm.enter(Phase::Paused(PauseReason::Lockstep));
             }
+            None => {}
         }
-    }
-
-    /// Updates the deadlines at `step`.
-    pub fn update_deadlines(&mut self, step: u64, now: Instant) {
-        let is_waiting = self.nearest_target(step).is_some();
-        self.due = None;
+        let is_waiting = self.targets().any(|target| target > step);
         for member in self.members.values_mut() {
-            let is_awaited = match member.state.mode {
-                Mode::Lockstep => is_waiting && member.state.target <= step,
-                // The lease begins at the last put, as long as its set-points hold.
-                Mode::FreeRunning => !member.state.steered.is_empty() && member.state.misses == 0,
-            };
-            if !is_awaited {
-                member.since = None;
-                continue;
+            let is_awaited = !is_faulted && member.is_awaited(step, is_waiting);
+            let since = member.since.unwrap_or(swarm.now);
+            member.since = is_awaited.then_some(since);
+        }
+    }
+
+    /// The step that all controllers in lockstep have advanced to, if it is beyond `step`.
+    fn common_target(&self, step: u64) -> Option<u64> {
+        self.targets().min().filter(|&target| target > step)
+    }
+
+    /// The step that each controller in lockstep has advanced to.
+    fn targets(&self) -> impl Iterator<Item = u64> {
+        let lockstep = self.members.values().filter(|it| it.is_lockstep());
+        lockstep.map(|member| member.state.target)
+    }
+
+    fn find(&mut self, controller: &str) -> Result<&mut Member, SwarmError> {
+        let member = self.members.get_mut(controller);
+        member.ok_or_else(|| {
+            let left = self.departures.iter().rev().find(|it| it.0 == controller);
+            SwarmError::NotJoined {
+                controller: controller.to_owned(),
+                left: left.map(|it| it.1),
             }
-            let due = *member.since.get_or_insert(now) + member.state.deadline;
-            self.due = Some(self.due.map_or(due, |least| least.min(due)));
-        }
-    }
-
-    /// Clears the deadline until the next update.
-    pub fn clear_deadline(&mut self) {
-        self.due = None;
-    }
-
-    /// The next deadline or end of a lease.
-    pub fn due(&self) -> Option<Instant> {
-        self.due
-    }
-
-    /// The controllers whose deadline or lease has ended.
-    pub fn overdue(&self, now: Instant) -> Vec<String> {
-        if self.due.is_none_or(|due| due > now) {
-            return Vec::new();
-        }
-        let overdue = self.members.iter().filter(|(_, member)| {
-            let since = member.since;
-            since.is_some_and(|since| since + member.state.deadline <= now)
-        });
-        overdue.map(|(name, _)| name.clone()).collect()
-    }
-
-    /// Queues set-points, which replace older ones, and counts the outcome.
-    pub fn put(&mut self, controller: &str, put: Put, is_current_epoch: bool) {
-        let Some(member) = self.members.get_mut(controller) else {
-            return;
-        };
-        let state = &member.state;
-        let newest = member.put.as_ref().map_or(state.sequence, |it| it.sequence);
-        if state.mode == Mode::Lockstep {
-            member.puts.rejected += 1;
-        } else if put.sequence <= newest || !is_current_epoch {
-            member.puts.stale += 1;
-        } else if member.put.replace(put).is_some() {
-            member.puts.overtaken += 1;
-        }
-    }
-
-    /// Counts a put that could not be parsed.
-    pub fn count_rejected_put(&mut self, controller: &str) {
-        if let Some(member) = self.members.get_mut(controller) {
-            member.puts.rejected += 1;
-        }
-    }
-
-    /// Takes the queued set-points, in the order of the controllers' names.
-    pub fn take_puts(&mut self) -> Vec<(String, Put)> {
-        let members = self.members.iter_mut();
-        members
-            .filter_map(|(name, member)| Some((name.clone(), member.put.take()?)))
-            .collect()
-    }
-
-    /// All of them, for replies to queries.
-    pub fn statuses(&self, now: Instant) -> Vec<ControllerStatus> {
-        let members = self.members.iter().map(|(name, member)| {
-            let state = &member.state;
-            let is_lockstep = state.mode == Mode::Lockstep;
-            let waited = member.since.filter(|_| is_lockstep);
-            ControllerStatus {
-                controller: name.clone(),
-                mode: state.mode,
-                ids: state.claims.iter().copied().collect(),
-                deadline: state.deadline,
-                on_timeout: state.on_timeout,
-                driving: state.driving,
-                target: is_lockstep.then_some(state.target),
-                misses: state.misses,
-                waited: waited.map(|since| now.saturating_duration_since(since)),
-                puts: member.puts,
-            }
-        });
-        members.collect()
-    }
-
-    /// The controllers in lockstep.
-    fn lockstep(&self) -> impl Iterator<Item = (&String, &Member)> {
-        let members = self.members.iter();
-        members.filter(|(_, member)| member.state.mode == Mode::Lockstep)
+        })
     }
 }
 
-impl Member {
-    fn new(state: ControllerState, reply_to: Option<ReplyTo>) -> Self {
-        Member {
-            state,
-            reply_to,
-            since: None,
-            put: None,
-            puts: Puts::default(),
-        }
-    }
-
-    /// Begins an `advance`. Returns the receiver of the reply to one that was pending.
-    pub fn advance(
-        &mut self,
-        from: u64,
-        target: u64,
-        sender: Arc<Sender>,
-        reply_to: ReplyTo,
-    ) -> Option<ReplyTo> {
-        self.state.from = from;
-        self.state.target = target;
-        self.state.misses = 0;
-        self.state.advance = Some(sender);
-        self.since = None;
-        self.reply_to.replace(reply_to)
-    }
-
-    /// Counts set-points that were applied or rejected.
-    pub fn count_put(&mut self, sequence: u64, is_applied: bool) {
-        self.state.sequence = sequence;
-        self.state.misses = 0;
-        self.since = None;
-        match is_applied {
-            true => self.puts.applied += 1,
-            false => self.puts.rejected += 1,
-        }
-    }
-
-    /// Takes the receiver of the reply to the pending `advance`.
-    pub fn take_reply_to(&mut self) -> Option<ReplyTo> {
-        self.state.advance = None;
-        self.reply_to.take()
-    }
-}
+#[cfg(test)]
+mod tests;

@@ -41,13 +41,9 @@ pub enum OnTimeout {
     Pause,
 }
 
-/// The options of `join`.
-#[derive(Clone, Debug, PartialEq)]
-pub struct JoinOptions {
-    /// Its name.
-    pub controller: String,
-    /// The individuals to steer; without it those that it claimed before, or none.
-    pub selection: Option<Selection>,
+/// How a controller takes part, as it requested when it joined.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ControllerSettings {
     /// Its mode.
     pub mode: Mode,
     /// How long the swarm waits for it in lockstep, or how long its set-points hold otherwise.
@@ -56,6 +52,17 @@ pub struct JoinOptions {
     pub on_timeout: OnTimeout,
     /// Whether it may drive individuals directly.
     pub driving: bool,
+}
+
+/// The options of `join`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct JoinOptions {
+    /// Its name.
+    pub controller: String,
+    /// The individuals to steer; without it those that it claimed before, or none.
+    pub selection: Option<Selection>,
+    /// How it takes part.
+    pub settings: ControllerSettings,
     /// Whether it rejoins and may replace itself.
     pub again: bool,
 }
@@ -96,14 +103,8 @@ pub struct News {
 /// The persisted state of a controller.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ControllerState {
-    /// Its mode.
-    pub mode: Mode,
-    /// How long the swarm waits for it in lockstep, or how long its set-points hold otherwise.
-    pub deadline: Duration,
-    /// What happens when it misses its deadline.
-    pub on_timeout: OnTimeout,
-    /// Whether it may drive individuals directly.
-    pub driving: bool,
+    /// How it takes part.
+    pub settings: ControllerSettings,
     /// The individuals it may steer.
     pub claims: BTreeSet<u32>,
     /// The individuals it has steered.
@@ -151,20 +152,8 @@ pub struct Puts {
 pub struct ControllerStatus {
     /// Its name.
     pub controller: String,
-    /// Its mode.
-    pub mode: Mode,
-    /// Its individuals.
-    pub ids: Vec<u32>,
-    /// Its deadline or lease.
-    pub deadline: Duration,
-    /// What happens when it misses its deadline.
-    pub on_timeout: OnTimeout,
-    /// Whether it may drive individuals directly.
-    pub driving: bool,
-    /// The step that it has advanced to, in lockstep.
-    pub target: Option<u64>,
-    /// Deadlines missed in a row.
-    pub misses: u32,
+    /// What is persisted of it.
+    pub state: ControllerState,
     /// How long the swarm has waited for it.
     pub waited: Option<Duration>,
     /// Its puts.

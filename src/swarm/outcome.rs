@@ -85,6 +85,12 @@ impl ReplyTo {
         ReplyTo(None)
     }
 
+    /// Takes it; a later reply is ignored.
+    #[must_use]
+    pub fn take(&mut self) -> Self {
+        ReplyTo(self.0.take())
+    }
+
     /// Replies.
     pub fn send(mut self, reply: SwarmReply) {
         if let Some(callback) = self.0.take() {

@@ -6,7 +6,7 @@ use jostle_proto::verbs::{AdvanceArgs, BatchArgs, JoinArgs, RunArgs};
 
 use crate::convert::commands::{CommandError, check_name};
 use crate::swarm::command::{Command, Until};
-use crate::swarm::membership::{self, JoinOptions};
+use crate::swarm::membership::{self, ControllerSettings, JoinOptions};
 
 /// Maximum steps of one command.
 const MAX_STEPS: u64 = 1_000_000_000;
@@ -74,10 +74,12 @@ pub fn join(args: JoinArgs) -> Result<Command, CommandError> {
     Ok(Command::Join(JoinOptions {
         controller: args.controller,
         selection: args.select.map(change::selection).transpose()?,
-        mode: args.mode.into(),
-        deadline,
-        on_timeout: args.on_timeout.into(),
-        driving: args.driving,
+        settings: ControllerSettings {
+            mode: args.mode.into(),
+            deadline,
+            on_timeout: args.on_timeout.into(),
+            driving: args.driving,
+        },
         again: args.again,
     }))
 }

@@ -9,16 +9,16 @@ use jostle_physics::simulation::{Change, ChangeKind, ChangeOutcome, steps_in};
 use tracing::warn;
 
 use crate::swarm::command::{Command, Until, When};
+use crate::swarm::controllers::Input;
 use crate::swarm::error::SwarmError;
 use crate::swarm::failpoint;
-use crate::swarm::frame::EventKind;
+use crate::swarm::frame::{EventKind, Stamp};
 use crate::swarm::handle::CommandMessage;
 use crate::swarm::journal::Record;
-use crate::swarm::outcome::{DeferredReply, Outcome, Rejection, ReplyTo};
+use crate::swarm::outcome::{DeferredReply, Outcome, ReplyTo};
 use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
 use crate::swarm::sender::Sender;
-use crate::swarm::worker::controllers::ControllerInput;
 use crate::swarm::worker::{End, Pending, Worker};
 
 impl Worker {
@@ -144,7 +144,7 @@ impl Worker {
         input: u64,
         command: Command,
         sender: Arc<Sender>,
-        reply_to: ReplyTo,
+        mut reply_to: ReplyTo,
     ) -> Option<End> {
         if let Some((None, _)) = self.journal.outcome(input) {
             reply_to.send(Err(self.rejection(SwarmError::RejectedBefore)));
@@ -152,34 +152,15 @@ impl Worker {
         }
         let before = self.phase.clone();
         let seq = self.simulation.seq;
+        let is_group_committed = command.is_group_committed();
         // The number of a command is the key of its random draws.
         self.simulation.seq += 1;
         let outcome = match command {
-            Command::Delete => return self.delete(input, sender, reply_to),
-            Command::Step(steps) => {
-                self.begin_steps(input, steps, sender, reply_to);
-                return None;
-            }
-            Command::Advance {
-                controller,
-                steps,
-                set,
-            } => {
-                let input = ControllerInput { input, sender };
-                self.begin_advance(input, (&controller, steps, set.as_ref()), reply_to);
-                return None;
-            }
-            Command::Deadline(_) | Command::Lost(_) | Command::Control { .. } => {
-                if let Err(error) =
-                    self.apply_controller_command(&ControllerInput { input, sender }, &command)
-                {
-                    self.simulation.seq = seq;
-                    reply_to.send(Err(self.rejection(error)));
-                }
-                return None;
-            }
-            Command::Join(options) => self.join(&options),
-            Command::Leave(controller) => self.leave(&controller),
+            Command::Delete => match self.delete(&sender) {
+                Ok(reply) => return Some(End::Deleted(DeferredReply::new(reply_to, Ok(reply)))),
+                Err(error) => Err(error),
+            },
+            Command::Step(steps) => self.begin_steps((input, &sender), steps, &mut reply_to),
             Command::Run { until, rate } => self.begin_run(until, rate),
             Command::Pause => self.pause(),
             Command::Reset(seed) => self.reset(seed),
@@ -189,8 +170,19 @@ impl Worker {
                 Err(error) => Err(error),
             },
             Command::Batch(changes) => self.change(&changes).map(Outcome::Batch),
+            Command::Join(_)
+            | Command::Leave(_)
+            | Command::Advance { .. }
+            | Command::Deadline(_)
+            | Command::Lost(_)
+            | Command::Control { .. } => {
+                let command = Input::Command(&command, &sender, &mut reply_to);
+                self.control(command, Some((input, &sender)))
+            }
         };
         match outcome {
+            // Journaled, and its reply is sent when its steps are taken.
+            Ok(_) if is_group_committed => {}
             Ok(outcome) => {
                 let is_reset = matches!(outcome, Outcome::Reset(_));
                 self.record_outcome(input, Ok(self.simulation.seq));
@@ -211,9 +203,10 @@ impl Worker {
             }
             Err(error) => {
                 self.simulation.seq = seq;
-                let rejection = self.rejection(error);
-                self.record_outcome(input, Err(&rejection.error));
-                reply_to.send(Err(rejection));
+                if input > 0 {
+                    self.record_outcome(input, Err(&error));
+                }
+                reply_to.send(Err(self.rejection(error)));
             }
         }
         None
@@ -233,11 +226,7 @@ impl Worker {
         }));
         let error = match changed {
             Ok(Ok(outcomes)) => {
-                if !self.controllers.is_empty() {
-                    let ids = &self.simulation.state.configuration.id;
-                    self.controllers
-                        .retain_individuals(|id| ids.binary_search(&id).is_ok());
-                }
+                self.notify_controllers(Input::Changed);
                 return Ok(outcomes);
             }
             Ok(Err((index, error))) => SwarmError::InBatch {
@@ -250,11 +239,11 @@ impl Worker {
         Err(error)
     }
 
-    pub(super) fn check(&mut self, command: &Command, when: When) -> Result<(), SwarmError> {
+    fn check(&mut self, command: &Command, when: When) -> Result<(), SwarmError> {
         // A controller that has left usually expects an older step too; that it has left is the
         // more useful error.
         if let Command::Advance { controller, .. } = command {
-            self.controllers.find(controller)?;
+            self.controllers.check_joined(controller)?;
         }
         let step = self.simulation.state.step;
         when.check(self.simulation.epoch, step)?;
@@ -299,9 +288,9 @@ impl Worker {
     fn pause(&mut self) -> Result<Outcome, SwarmError> {
         let next = phase::next(&self.phase, PhaseInput::Pause)?;
         self.reply_to_pending(&next);
-        self.end_advances(&next);
+        self.notify_controllers(Input::Interrupted(next.clone()));
         self.enter(next);
-        self.update_lockstep();
+        self.notify_controllers(Input::Updated);
         Ok(Outcome::Done)
     }
 
@@ -310,49 +299,40 @@ impl Worker {
         let fresh = self.simulation.build_start(seed)?;
         // Before the reset, since the replies contain the steps taken.
         self.reply_to_pending(&next);
-        self.end_advances(&next);
+        self.notify_controllers(Input::Interrupted(next.clone()));
         self.simulation.restart(fresh);
-        let ids = &self.simulation.state.configuration.id;
-        self.controllers
-            .restart(0, |id| ids.binary_search(&id).is_ok());
+        self.notify_controllers(Input::Restarted(next.clone()));
         self.enter(next);
         self.record_state();
         Ok(Outcome::Reset(self.frame(true)))
     }
 
-    fn begin_steps(&mut self, input: u64, steps: u64, sender: Arc<Sender>, reply_to: ReplyTo) {
+    fn begin_steps(
+        &mut self,
+        (input, sender): (u64, &Arc<Sender>),
+        steps: u64,
+        reply_to: &mut ReplyTo,
+    ) -> Result<Outcome, SwarmError> {
         let from = self.simulation.state.step;
         let until = from.saturating_add(steps);
-        let next = phase::next(&self.phase, PhaseInput::Step(until)).map_err(SwarmError::from);
-        let next = next.and_then(|next| match self.controllers.is_lockstep() {
-            true => Err(SwarmError::Lockstep),
-            false => Ok(next),
-        });
-        match next {
-            Ok(next) => {
-                // A pending `step` that ends at the step for which this one is scheduled is done.
-                self.reply_to_pending(&next);
-                // No event: lockstep clients send thousands of steps a second, and the reply
-                // contains the phase.
-                self.phase = next;
-                self.pace = Pace::new(None, self.simulation.state.parameters.dt, Instant::now());
-                let record = self.applied_record(input, &sender);
-                self.journal.append(self.at(), record, Some(until));
-                self.push_event(EventKind::Command(sender.clone()));
-                self.pending = Some(Pending {
-                    reply_to,
-                    from,
-                    sender,
-                });
-            }
-            Err(error) => {
-                self.simulation.seq -= 1;
-                if input > 0 {
-                    self.record_outcome(input, Err(&error));
-                }
-                reply_to.send(Err(self.rejection(error)));
-            }
+        let next = phase::next(&self.phase, PhaseInput::Step(until))?;
+        if self.controllers.is_lockstep() {
+            return Err(SwarmError::Lockstep);
         }
+        // A pending `step` that ends at the step for which this one is scheduled is done.
+        self.reply_to_pending(&next);
+        // No event: lockstep clients send thousands of steps a second, and the reply contains the phase.
+        self.phase = next;
+        self.reset_pace();
+        let record = self.applied_record(input, sender);
+        self.journal.append(self.at(), record, Some(until));
+        self.push_event(EventKind::Command(sender.clone()));
+        self.pending = Some(Pending {
+            reply_to: reply_to.take(),
+            from,
+            sender: sender.clone(),
+        });
+        Ok(Outcome::Done)
     }
 
     /// The record of an executed command whose line is `input`, 0 if it has none yet.
@@ -373,35 +353,21 @@ impl Worker {
         }
     }
 
-    /// Ends the swarm once that is durable.
-    fn delete(&mut self, input: u64, sender: Arc<Sender>, reply_to: ReplyTo) -> Option<End> {
+    /// Ends the swarm once that is durable. Returns the reply.
+    fn delete(&mut self, sender: &Arc<Sender>) -> Result<(Stamp, Outcome), SwarmError> {
         let mut stamp = self.stamp();
         stamp.phase = Phase::Paused(PauseReason::Requested);
-        if let Err(fault) = self.journal.end(stamp, sender) {
-            self.simulation.seq -= 1;
-            let error = SwarmError::Unsafe(fault);
-            if input > 0 {
-                self.record_outcome(input, Err(&error));
-            }
-            reply_to.send(Err(self.rejection(error)));
-            return None;
-        }
+        let ended = self.journal.end(stamp, sender.clone());
+        ended.map_err(SwarmError::Unsafe)?;
         failpoint::kill("swarm-ended");
         self.phase = Phase::Paused(PauseReason::Requested);
         let phase = self.phase.clone();
         self.reply_to_pending(&phase);
-        self.end_advances(&phase);
+        self.notify_controllers(Input::Interrupted(phase));
         self.push_event(EventKind::Deleted);
         let stamp = self.stamp();
-        let step = Some(stamp.step);
-        self.waiters.reply_to_all(|| {
-            Err(Rejection {
-                step,
-                error: SwarmError::Gone,
-            })
-        });
-        let reply = DeferredReply::new(reply_to, Ok((stamp, Outcome::Done)));
-        Some(End::Deleted(reply))
+        self.waiters.reject_all(Some(stamp.step));
+        Ok((stamp, Outcome::Done))
     }
 
     /// Enters the phase that follows from `input`, if it is another one.

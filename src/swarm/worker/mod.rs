@@ -19,7 +19,7 @@ use jostle_physics::simulation::{ReserveMemory, Simulation};
 
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
-use crate::swarm::controllers::Controllers;
+use crate::swarm::controllers::{Controllers, Effect, Input};
 use crate::swarm::cpu_scheduler::Share;
 use crate::swarm::error::{SwarmError, WriteFault};
 use crate::swarm::failpoint;
@@ -68,6 +68,8 @@ pub struct Worker {
     pending: Option<Pending>,
     waiters: Waiters,
     controllers: Controllers,
+    /// The effects of an input on the controllers while they are carried out; kept for its memory.
+    effects: Vec<Effect>,
     journal: Journal,
     since_checkpoint: SinceCheckpoint,
     /// The wall-clock time in the journal and events of the command that is being executed, if one is.
@@ -166,6 +168,7 @@ impl Worker {
             pending: None,
             waiters: Waiters::default(),
             controllers: Controllers::default(),
+            effects: Vec::new(),
         };
         for (at_step, scheduled) in checkpoint.scheduled {
             // They were within the limits when they were scheduled.
@@ -194,10 +197,11 @@ impl Worker {
         self.push_event(EventKind::Phase);
         self.save_checkpoint();
         self.update_summary();
-        self.update_lockstep();
+        self.notify_controllers(Input::Updated);
         written.map(drop)
     }
 
+    /// Starts the pace of the present phase.
     fn reset_pace(&mut self) {
         let rate = match self.phase {
             Phase::Stepping { .. } => None,
@@ -346,11 +350,7 @@ impl Worker {
                 None
             }
             Message::Put(controller, epoch, put) => {
-                let is_current_epoch = epoch.is_none_or(|epoch| epoch == self.simulation.epoch);
-                match put {
-                    Some(put) => self.controllers.put(&controller, put, is_current_epoch),
-                    None => self.controllers.count_rejected_put(&controller),
-                }
+                self.notify_controllers(Input::Put(&controller, epoch, put));
                 None
             }
             Message::Lost(controller) => self.remove_lost(controller),
@@ -364,9 +364,6 @@ impl Worker {
             Message::Wait(waiter) => {
                 self.waiters.add(waiter);
                 self.reply_to_waiters();
-                if let Some((reply_to, error)) = self.waiters.evict_oldest() {
-                    reply_to.send(Err(self.rejection(error)));
-                }
                 None
             }
             Message::TakeCheckpoint(reply_to) => {

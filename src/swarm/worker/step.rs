@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 use fail::fail_point;
 use tracing::warn;
 
+use crate::swarm::controllers::Input;
 use crate::swarm::error::SwarmError;
 use crate::swarm::failpoint;
 use crate::swarm::frame::EventKind;
@@ -75,7 +76,7 @@ impl Worker {
             if !matches!(self.phase, Phase::Stepping { .. }) {
                 self.reply_to_pending(&self.phase.clone());
             }
-            self.reply_to_arrived();
+            self.notify_controllers(Input::Reached);
         } else {
             self.record_state();
             if step.is_multiple_of(self.simulation.publish_every) && now >= self.frame_due {
@@ -139,9 +140,7 @@ impl Worker {
         if let Some(pending) = self.pending.take() {
             pending.reply_to.send(Err(self.rejection(faulted.clone())));
         }
-        for reply_to in self.controllers.cancel_advances() {
-            reply_to.send(Err(self.rejection(faulted.clone())));
-        }
+        self.notify_controllers(Input::Faulted(faulted));
         self.reply_to_waiters();
     }
 

@@ -110,7 +110,7 @@ fn is_in_range(message: &CommandMessage, timeout: Duration) {
             changes.iter().for_each(can_be_tried);
         }
         Command::Join(options) => {
-            let secs = options.deadline.as_secs_f64();
+            let secs = options.settings.deadline.as_secs_f64();
             assert!(keys::is_name(&options.controller) && secs > 0.0 && secs <= 60.0);
         }
         Command::Advance {

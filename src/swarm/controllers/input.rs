@@ -1,0 +1,85 @@
+//! The inputs and effects of the controllers of a swarm.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use jostle_physics::simulation::Simulation;
+
+use crate::swarm::command::Command;
+use crate::swarm::error::SwarmError;
+use crate::swarm::membership::{News, Put};
+use crate::swarm::outcome::ReplyTo;
+use crate::swarm::phase::{PauseReason, Phase};
+use crate::swarm::sender::Sender;
+
+/// A command of a controller, or what happens to the swarm.
+pub enum Input<'a> {
+    /// A command, who sent it, and who receives the reply to an `advance`.
+    Command(&'a Command, &'a Arc<Sender>, &'a mut ReplyTo),
+    /// A controller puts set-points for the next step, `None` if they could not be parsed, and for an
+    /// epoch if it is known.
+    Put(&'a str, Option<u64>, Option<Put>),
+    /// The step was reached at which the swarm pauses.
+    Reached,
+    /// Another command ends the pending advances; this phase follows.
+    Interrupted(Phase),
+    /// A step failed.
+    Faulted(SwarmError),
+    /// The swarm is back at its start; this phase follows.
+    Restarted(Phase),
+    /// The group has changed.
+    Changed,
+    /// The phase has changed, or set-points were applied.
+    Updated,
+}
+
+/// What the thread of the swarm does after an input.
+pub enum Effect {
+    /// Enter a phase without an event: the controllers know it from their replies.
+    Enter(Phase),
+    /// Pause, also a `step` that is being executed, with an event.
+    Pause(PauseReason),
+    /// Reply to an advance that began at this step: the news, and the phase of the swarm in the reply.
+    Advanced(ReplyTo, u64, News, Phase),
+    /// Reply with an error.
+    Reject(ReplyTo, SwarmError),
+    /// Journal the command. Once its line is durable, so are the steps up to this one.
+    Journal(Option<u64>),
+    /// Record the command for `get/journal` without an event: thousands of these a second would
+    /// displace all other events.
+    Record,
+    /// Publish the event of the command.
+    Publish,
+    /// Publish the state if the swarm does not move.
+    PublishState,
+}
+
+/// The swarm during an input.
+pub struct Swarm<'a> {
+    /// Its simulation.
+    pub simulation: &'a mut Simulation,
+    /// Its phase, after the effects so far.
+    pub phase: Phase,
+    /// The time.
+    pub now: Instant,
+    /// Receives the effects.
+    pub effects: &'a mut Vec<Effect>,
+}
+
+impl Swarm<'_> {
+    pub(super) fn step(&self) -> u64 {
+        self.simulation.state.step
+    }
+
+    pub(super) fn enter(&mut self, phase: Phase) {
+        if self.phase != phase {
+            self.phase = phase.clone();
+            self.effects.push(Effect::Enter(phase));
+        }
+    }
+
+    pub(super) fn reject(&mut self, reply_to: Option<ReplyTo>, error: SwarmError) {
+        let rejected = reply_to.map(|reply_to| Effect::Reject(reply_to, error));
+        self.effects.extend(rejected);
+    }
+}

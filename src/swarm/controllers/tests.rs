@@ -1,0 +1,376 @@
+#![expect(clippy::unwrap_used, reason = "tests")]
+
+use std::sync::mpsc;
+use std::time::Duration;
+
+use jostle_physics::simulation::Spec;
+
+use super::*;
+use crate::swarm::membership::{ControllerSettings, Put, Puts};
+use crate::swarm::outcome::Rejection;
+
+const DEADLINE: Duration = Duration::from_secs(1);
+
+/// A paused swarm of six individuals, at a made-up time.
+struct Rig {
+    controllers: Controllers,
+    simulation: Simulation,
+    phase: Phase,
+    now: Instant,
+    /// The names of those who got a reply.
+    replied: (mpsc::Sender<&'static str>, mpsc::Receiver<&'static str>),
+}
+
+impl Rig {
+    fn new() -> Self {
+        Rig {
+            controllers: Controllers::default(),
+            simulation: Simulation::new(&Spec::new(6, 1)).unwrap(),
+            phase: Phase::Paused(PauseReason::Created),
+            now: Instant::now(),
+            replied: mpsc::channel(),
+        }
+    }
+
+    /// Passes an input, enters the phases that follow, and names the effects.
+    fn on(&mut self, input: Input<'_>) -> Result<Vec<String>, SwarmError> {
+        let mut effects = Vec::new();
+        let mut swarm = Swarm {
+            simulation: &mut self.simulation,
+            phase: self.phase.clone(),
+            now: self.now,
+            effects: &mut effects,
+        };
+        let outcome = self.controllers.on(input, &mut swarm);
+        let names = effects.into_iter().map(|effect| self.name(effect));
+        let names = names.collect();
+        outcome.map(|_| names)
+    }
+
+    fn name(&mut self, effect: Effect) -> String {
+        match effect {
+            Effect::Enter(phase) => {
+                self.phase = phase;
+                match self.phase.until() {
+                    Some(until) => format!("step to {until}"),
+                    None => format!("enter {}", self.phase.reason().unwrap()),
+                }
+            }
+            Effect::Pause(reason) => {
+                self.phase = Phase::Paused(reason);
+                format!("pause {reason}")
+            }
+            Effect::Advanced(reply_to, from, ..) => {
+                format!("{} {from}", self.receiver(reply_to))
+            }
+            Effect::Reject(reply_to, error) => format!("{}: {error:?}", self.receiver(reply_to)),
+            Effect::Journal(None) => "journal".into(),
+            Effect::Journal(Some(until)) => format!("journal to {until}"),
+            Effect::Record => "record".into(),
+            Effect::Publish => "publish".into(),
+            Effect::PublishState => "publish state".into(),
+        }
+    }
+
+    fn join(&mut self, controller: &str, ids: &[u32], mode: Mode, on_timeout: OnTimeout) {
+        let options = options(controller, Some(ids), mode, on_timeout);
+        self.command(&Command::Join(options)).unwrap();
+    }
+
+    fn advance(&mut self, controller: &'static str, steps: u64) -> Result<Vec<String>, SwarmError> {
+        let replied = self.replied.0.clone();
+        let mut reply_to = ReplyTo::new(move |_| replied.send(controller).unwrap());
+        let command = Command::Advance {
+            controller: controller.to_owned(),
+            steps,
+            set: None,
+        };
+        self.on(Input::Command(&command, &Arc::default(), &mut reply_to))
+    }
+
+    fn command(&mut self, command: &Command) -> Result<Vec<String>, SwarmError> {
+        let ignored = &mut ReplyTo::ignored();
+        self.on(Input::Command(command, &Arc::default(), ignored))
+    }
+
+    fn control(
+        &mut self,
+        controller: &str,
+        sequence: u64,
+        ids: &[u32],
+    ) -> Result<Vec<String>, SwarmError> {
+        self.command(&Command::Control {
+            controller: controller.to_owned(),
+            sequence,
+            set: set(ids),
+        })
+    }
+
+    /// Whose advance it was.
+    fn receiver(&self, reply_to: ReplyTo) -> &'static str {
+        // Replies to advances that were dropped.
+        self.replied.1.try_iter().for_each(drop);
+        let error = SwarmError::Gone;
+        reply_to.send(Err(Rejection { step: None, error }));
+        self.replied.1.try_recv().unwrap()
+    }
+
+    /// Takes the steps that all have advanced by.
+    fn take_steps(&mut self) -> Vec<String> {
+        let until = self.phase.until().unwrap();
+        while self.simulation.state.step < until {
+            self.simulation.step().unwrap();
+        }
+        self.phase = Phase::Paused(PauseReason::Finished);
+        self.on(Input::Reached).unwrap()
+    }
+
+    fn status(&self, controller: &str) -> ControllerStatus {
+        let mut statuses = self.controllers.statuses(self.now).into_iter();
+        statuses.find(|it| it.controller == controller).unwrap()
+    }
+
+    fn weight(&self, individual: usize) -> f64 {
+        self.simulation.state.configuration.weight[individual]
+    }
+}
+
+fn options(
+    controller: &str,
+    ids: Option<&[u32]>,
+    mode: Mode,
+    on_timeout: OnTimeout,
+) -> JoinOptions {
+    JoinOptions {
+        controller: controller.to_owned(),
+        selection: ids.map(|ids| Selection::Ids(ids.to_vec())),
+        settings: ControllerSettings {
+            mode,
+            deadline: DEADLINE,
+            on_timeout,
+            driving: false,
+        },
+        again: ids.is_none(),
+    }
+}
+
+/// Set-points of weight 2.
+fn set(ids: &[u32]) -> SetPoints {
+    SetPoints {
+        ids: ids.to_vec(),
+        direction: vec![1.0; ids.len()],
+        weight: Some(vec![2.0; ids.len()]),
+        drives: None,
+    }
+}
+
+fn put(sequence: u64) -> Option<Put> {
+    Some(Put {
+        sequence,
+        set: set(&[0]),
+        sender: Arc::default(),
+    })
+}
+
+#[test]
+fn it_steps_when_all_have_advanced_and_replies_to_each_at_its_step() {
+    let mut rig = Rig::new();
+    let ada = options("ada", Some(&[0]), Mode::Lockstep, OnTimeout::Hold);
+    assert_eq!(
+        rig.command(&Command::Join(ada)).unwrap(),
+        ["pause lockstep"]
+    );
+    let bob = options("bob", Some(&[1]), Mode::Lockstep, OnTimeout::Hold);
+    assert!(rig.command(&Command::Join(bob)).unwrap().is_empty());
+    assert_eq!(rig.controllers.due(), None, "no controller waits");
+
+    assert_eq!(rig.advance("ada", 1).unwrap(), ["journal", "record"]);
+    assert_eq!(rig.controllers.due(), Some(rig.now + DEADLINE));
+    rig.now += DEADLINE / 2;
+    assert_eq!(rig.status("bob").waited, Some(DEADLINE / 2));
+    let both = ["journal to 1", "record", "step to 1"];
+    assert_eq!(rig.advance("bob", 3).unwrap(), both);
+    assert_eq!(rig.controllers.due(), None);
+    let error = rig.advance("ada", 1).unwrap_err();
+    assert!(matches!(error, SwarmError::Advancing { target: 1, .. }));
+    assert_eq!(rig.take_steps(), ["ada 0"]);
+    assert_eq!(rig.controllers.due(), Some(rig.now + DEADLINE), "bob waits");
+    let next = ["journal to 3", "record", "step to 3"];
+    assert_eq!(rig.advance("ada", 5).unwrap(), next);
+    assert_eq!(rig.take_steps(), ["bob 0"]);
+}
+
+#[test]
+fn a_later_advance_and_a_rejoin_supersede_an_advance() {
+    let mut rig = Rig::new();
+    rig.join("ada", &[0, 1], Mode::Lockstep, OnTimeout::Hold);
+    rig.join("bob", &[2], Mode::Lockstep, OnTimeout::Hold);
+    rig.advance("ada", 1).unwrap();
+    let again = ["ada: Superseded", "journal", "record"];
+    assert_eq!(rig.advance("ada", 2).unwrap(), again);
+    let ada = options("ada", None, Mode::Lockstep, OnTimeout::Hold);
+    assert_eq!(
+        rig.command(&Command::Join(ada)).unwrap(),
+        ["ada: Superseded"]
+    );
+    assert_eq!(
+        rig.status("ada").state.claims,
+        [0, 1].into(),
+        "it keeps them"
+    );
+    let eve = options("eve", Some(&[1]), Mode::Lockstep, OnTimeout::Hold);
+    let error = rig.command(&Command::Join(eve)).unwrap_err();
+    assert!(matches!(error, SwarmError::Claimed { id: 1, .. }));
+    let error = rig.control("bob", 1, &[0]).unwrap_err();
+    assert!(
+        matches!(error, SwarmError::NotClaimed { id: 0, owner: Some(owner) } if owner == "ada")
+    );
+}
+
+#[test]
+fn a_missed_deadline_lets_the_others_step_and_the_third_removes() {
+    for (on_timeout, weight, at_last) in [(OnTimeout::Hold, 2.0, 2.0), (OnTimeout::Free, 0.0, 0.0)]
+    {
+        let mut rig = Rig::new();
+        rig.join("ada", &[0], Mode::Lockstep, OnTimeout::Hold);
+        rig.join("bob", &[1], Mode::Lockstep, on_timeout);
+        rig.control("bob", 1, &[1]).unwrap();
+        for misses in 1..=3 {
+            rig.advance("ada", 1).unwrap();
+            assert!(rig.controllers.overdue(rig.now).is_empty());
+            rig.now += DEADLINE;
+            assert_eq!(rig.controllers.overdue(rig.now), ["bob"]);
+            let effects = rig.command(&Command::Deadline("bob".into())).unwrap();
+            let step = format!("step to {misses}");
+            assert_eq!(effects, ["journal", "publish", &step, "publish state"]);
+            assert_eq!(rig.weight(1), if misses < 3 { weight } else { at_last });
+            assert_eq!(rig.take_steps(), [format!("ada {}", misses - 1)]);
+        }
+        let error = rig.advance("bob", 1).unwrap_err();
+        let late = Some((Departure::Late, 2));
+        assert!(matches!(error, SwarmError::NotJoined { left, .. } if left == late));
+        assert!(rig.advance("ada", 1).unwrap().contains(&"step to 4".into()));
+    }
+}
+
+#[test]
+fn a_missed_deadline_pauses_if_the_controller_joined_for_that() {
+    let mut rig = Rig::new();
+    rig.join("ada", &[0], Mode::Lockstep, OnTimeout::Hold);
+    rig.join("bob", &[1], Mode::Lockstep, OnTimeout::Pause);
+    rig.advance("ada", 1).unwrap();
+    rig.now += DEADLINE;
+    let effects = rig.command(&Command::Deadline("bob".into())).unwrap();
+    let expected = [
+        "journal",
+        "ada 0",
+        "pause deadline",
+        "publish",
+        "publish state",
+    ];
+    assert_eq!(effects, expected);
+    assert_eq!(rig.controllers.due(), None);
+}
+
+#[test]
+fn whoever_waits_gets_a_reply_when_something_comes_between() {
+    let mut rig = Rig::new();
+    rig.join("ada", &[0], Mode::Lockstep, OnTimeout::Hold);
+    rig.join("bob", &[1], Mode::Lockstep, OnTimeout::Free);
+    rig.control("bob", 1, &[1]).unwrap();
+    rig.advance("ada", 1).unwrap();
+    let effects = rig.command(&Command::Lost("bob".into())).unwrap();
+    assert_eq!(
+        effects,
+        ["journal", "publish", "step to 1", "publish state"]
+    );
+    assert_eq!(rig.weight(1), 0.0);
+    let effects = rig.command(&Command::Leave("ada".into())).unwrap();
+    assert_eq!(effects[0], "enter lockstep", "the advance is not continued");
+    assert!(effects[1].starts_with("ada: NotJoined"), "{effects:?}");
+
+    rig.join("ada", &[0], Mode::Lockstep, OnTimeout::Hold);
+    rig.join("bob", &[1], Mode::Lockstep, OnTimeout::Hold);
+    rig.advance("ada", 1).unwrap();
+    let paused = Phase::Paused(PauseReason::Requested);
+    assert_eq!(rig.on(Input::Interrupted(paused)).unwrap(), ["ada 0"]);
+    assert!(rig.on(Input::Updated).unwrap().is_empty());
+    assert_eq!(rig.controllers.due(), None);
+
+    rig.advance("ada", 1).unwrap();
+    rig.phase = Phase::Faulted("no solution".into());
+    let effects = rig.on(Input::Faulted(SwarmError::Gone)).unwrap();
+    assert_eq!(effects, ["ada: Gone"]);
+    assert_eq!(
+        rig.controllers.due(),
+        None,
+        "a faulted swarm waits for none"
+    );
+}
+
+#[test]
+fn the_lease_of_set_points_ends_and_no_other_deadline_does() {
+    let mut rig = Rig::new();
+    rig.join("ada", &[0], Mode::FreeRunning, OnTimeout::Free);
+    let steered = rig.control("ada", 1, &[0]).unwrap();
+    assert_eq!(steered, ["journal", "record"]);
+    rig.on(Input::Updated).unwrap();
+    assert_eq!(rig.weight(0), 2.0);
+    assert_eq!(rig.controllers.due(), Some(rig.now + DEADLINE));
+    rig.now += DEADLINE;
+    assert_eq!(rig.controllers.overdue(rig.now), ["ada"]);
+    rig.command(&Command::Deadline("ada".into())).unwrap();
+    assert_eq!((rig.weight(0), rig.controllers.due()), (0.0, None));
+
+    let steer_again = |rig: &mut Rig, sequence: u64| {
+        rig.control("ada", sequence, &[0]).unwrap();
+        rig.on(Input::Updated).unwrap();
+        assert!(rig.controllers.due().is_some());
+    };
+    steer_again(&mut rig, 2);
+    let reset = Phase::Paused(PauseReason::Reset);
+    rig.on(Input::Restarted(reset)).unwrap();
+    assert_eq!(
+        rig.controllers.due(),
+        None,
+        "no set-points hold after a reset"
+    );
+    steer_again(&mut rig, 3);
+    rig.command(&Command::Leave("ada".into())).unwrap();
+    assert_eq!(rig.controllers.due(), None, "no controller is left");
+}
+
+#[test]
+fn puts_are_counted_and_the_newest_waits_for_the_step() {
+    let mut rig = Rig::new();
+    rig.join("ada", &[0], Mode::FreeRunning, OnTimeout::Hold);
+    let epoch = rig.simulation.epoch;
+    for (epoch, put) in [
+        (None, put(2)),
+        (None, put(2)),
+        (Some(epoch + 1), put(3)),
+        (Some(epoch), put(3)),
+        (None, None),
+    ] {
+        rig.on(Input::Put("ada", epoch, put)).unwrap();
+    }
+    let taken = rig.controllers.take_puts();
+    assert!(matches!(
+        &taken[..],
+        [(Command::Control { controller, sequence: 3, .. }, _)] if controller == "ada"
+    ));
+    assert!(rig.control("ada", 3, &[5]).is_err());
+    let expected = Puts {
+        applied: 0,
+        stale: 2,
+        overtaken: 1,
+        rejected: 2,
+    };
+    assert_eq!(rig.status("ada").puts, expected);
+    rig.on(Input::Put("ada", None, put(3))).unwrap();
+    assert_eq!(
+        rig.status("ada").puts.stale,
+        3,
+        "not newer than the applied one"
+    );
+}
