@@ -6,7 +6,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-use jostled::swarm::thread_priority;
+use jostled::swarm::scheduler;
 
 /// Sleeps until it is dropped.
 pub struct Sleeper {
@@ -21,7 +21,7 @@ impl Sleeper {
         let late_ms = Arc::<Mutex<Vec<f64>>>::default();
         let woken = late_ms.clone();
         thread::spawn(move || {
-            thread_priority::short_slice().unwrap();
+            scheduler::lower_priority().unwrap();
             let mut next = Instant::now() + period;
             let until = |next: Instant| next.saturating_duration_since(Instant::now());
             while let Err(RecvTimeoutError::Timeout) = stopped.recv_timeout(until(next)) {

@@ -7,7 +7,6 @@ use std::time::Instant;
 use jostle_physics::simulation::Spec;
 
 use crate::swarm::command::{Command, Seek, When};
-use crate::swarm::cpu_scheduler::{CpuScheduler, Share};
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Summary;
 use crate::swarm::history::History;
@@ -15,6 +14,7 @@ use crate::swarm::membership::Put;
 use crate::swarm::metrics::{SwarmMetrics, Totals};
 use crate::swarm::outcome::{Rejection, ReplyTo};
 use crate::swarm::output::Output;
+use crate::swarm::scheduler::{CpuScheduler, Share};
 use crate::swarm::sender::Sender;
 use crate::swarm::waiters::Waiter;
 

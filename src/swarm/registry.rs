@@ -13,7 +13,6 @@ use thiserror::Error;
 use tracing::warn;
 
 use crate::swarm::checkpoint::Checkpoint;
-use crate::swarm::cpu_scheduler::CpuScheduler;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::Summary;
 use crate::swarm::handle::{Handle, Message};
@@ -21,7 +20,7 @@ use crate::swarm::metrics::Totals;
 use crate::swarm::outcome::{DeferredReply, Outcome, Rejection, ReplyTo};
 use crate::swarm::output::Output;
 use crate::swarm::runner::{JournalFactory, PersistNew, Playback, Runner, SwarmObserver};
-use crate::swarm::thread_priority;
+use crate::swarm::scheduler::{self, CpuScheduler};
 use crate::swarm::worker::replay::ReplaySource;
 use crate::swarm::worker::{End, Worker};
 
@@ -380,7 +379,7 @@ impl SwarmRegistry {
     ) {
         let name = &handle.output.name;
         // Without the right to it, the thread keeps its priority.
-        let _ = thread_priority::short_slice();
+        let _ = scheduler::lower_priority();
         let end = match self.build(handle, from) {
             Ok(Ok(runner)) => {
                 let (stamp, frame) = runner.look();

@@ -46,7 +46,7 @@ const LIBRARIES: [(&str, &[&str]); 9] = [
             "transport",
         ],
     ),
-    ("libc", &["cli/process", "swarm/thread_priority"]),
+    ("libc", &["cli/process", "swarm/scheduler"]),
     (
         "jostle_proto",
         &[

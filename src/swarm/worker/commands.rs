@@ -16,8 +16,8 @@ use crate::swarm::frame::{EventKind, Stamp};
 use crate::swarm::handle::CommandMessage;
 use crate::swarm::journal::Record;
 use crate::swarm::outcome::{DeferredReply, Outcome, ReplyTo};
-use crate::swarm::pace::Pace;
 use crate::swarm::phase::{self, PauseReason, Phase, PhaseInput};
+use crate::swarm::scheduler::Pace;
 use crate::swarm::sender::Sender;
 use crate::swarm::worker::{End, Pending, Worker};
 

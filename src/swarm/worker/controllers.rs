@@ -99,19 +99,16 @@ impl Worker {
 
     /// Executes the deadlines that have passed.
     pub(super) fn fire_deadlines(&mut self) -> Option<End> {
-        for controller in self.controllers.overdue(Instant::now()) {
+        let mut overdue = self.controllers.overdue(Instant::now()).into_iter();
+        overdue.find_map(|controller| {
             let sender = internal_sender("deadline", &controller);
-            if let Some(end) = self.apply_internal(Command::Deadline(controller), sender) {
-                return Some(end);
-            }
-        }
-        None
+            self.apply_internal(Command::Deadline(controller), sender)
+        })
     }
 
     /// Removes a controller whose liveliness token is lost.
     pub(super) fn remove_lost(&mut self, controller: String) -> Option<End> {
-        // A controller that has left drops its token too.
-        self.controllers.check_joined(&controller).ok()?;
+        // One that has left drops its token too: then the command is rejected, without a trace.
         let sender = internal_sender("lost", &controller);
         self.apply_internal(Command::Lost(controller), sender)
     }

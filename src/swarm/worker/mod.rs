@@ -20,7 +20,6 @@ use jostle_physics::simulation::{ReserveMemory, Simulation};
 use crate::swarm::checkpoint::Checkpoint;
 use crate::swarm::command::Command;
 use crate::swarm::controllers::{Controllers, Effect, Input};
-use crate::swarm::cpu_scheduler::Share;
 use crate::swarm::error::{SwarmError, WriteFault};
 use crate::swarm::failpoint;
 use crate::swarm::frame::{EventKind, Summary};
@@ -30,9 +29,9 @@ use crate::swarm::journal::{Journal, JournalWriter, Record};
 use crate::swarm::metrics::SwarmMetrics;
 use crate::swarm::outcome::{DeferredReply, Outcome, Rejection, ReplyTo};
 use crate::swarm::output::Output;
-use crate::swarm::pace::Pace;
 use crate::swarm::phase::Phase;
 use crate::swarm::schedule::Schedule;
+use crate::swarm::scheduler::{Pace, Share};
 use crate::swarm::sender::Sender;
 use crate::swarm::waiters::Waiters;
 
@@ -295,21 +294,14 @@ impl Worker {
     /// Whether the CPU scheduler lets it step now.
     fn may_compute(&mut self) -> bool {
         let now = Instant::now();
-        let is_behind = matches!(self.phase, Phase::Stepping { .. }) || self.pace.is_behind(now);
-        self.cpu_share.may_compute(now, is_behind)
+        self.cpu_share.may_compute(now, self.pace.is_behind(now))
     }
 
     /// The time until the next step; `None` if the swarm does not move.
     fn wait(&self) -> Option<Duration> {
-        match self.phase {
-            Phase::Stepping { .. } => Some(Duration::ZERO),
-            Phase::Running { .. } => Some(
-                self.pace
-                    .until_due(Instant::now())
-                    .unwrap_or(Duration::ZERO),
-            ),
-            Phase::Paused(_) | Phase::Faulted(_) => None,
-        }
+        let until_due = || self.pace.until_due(Instant::now());
+        let is_moving = self.phase.is_moving();
+        is_moving.then(|| until_due().unwrap_or_default())
     }
 
     /// Handles queued messages. Consecutive commands are journaled together. A batch ends after

@@ -1,13 +1,14 @@
 //! Commands that are scheduled for a later step.
 
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::Arc;
+use std::sync::mpsc::channel;
 
 use jostle_physics::simulation::ChangeError;
 
 use crate::swarm::command::Command;
 use crate::swarm::error::SwarmError;
 use crate::swarm::frame::{self, EventKind};
-use crate::swarm::outcome::{Rejection, ReplyTo, SwarmReply};
+use crate::swarm::outcome::{Rejection, ReplyTo};
 use crate::swarm::phase::{self, PhaseInput};
 use crate::swarm::schedule::Scheduled;
 use crate::swarm::sender::Sender;
@@ -57,13 +58,8 @@ impl Worker {
                 command,
                 sender,
             } = due;
-            let rejected = Arc::new(Mutex::new(None));
-            let reply_to = {
-                let rejected = rejected.clone();
-                move |reply: SwarmReply| {
-                    *rejected.lock().unwrap_or_else(PoisonError::into_inner) = reply.err();
-                }
-            };
+            let (replied, reply) = channel();
+            let reply_to = ReplyTo::new(move |reply| drop(replied.send(reply)));
             let unix_secs = match self.journal.is_replaying() {
                 true => self
                     .journal
@@ -72,12 +68,8 @@ impl Worker {
                 false => frame::unix_secs(),
             };
             let end = self.applied_at(unix_secs, |it| {
-                let end = it.execute(input, command, sender.clone(), ReplyTo::new(reply_to));
-                let rejection = rejected
-                    .lock()
-                    .unwrap_or_else(PoisonError::into_inner)
-                    .take();
-                if let Some(Rejection { error, .. }) = rejection {
+                let end = it.execute(input, command, sender.clone(), reply_to);
+                if let Ok(Err(Rejection { error, .. })) = reply.try_recv() {
                     it.push_event(EventKind::Rejected(sender, error));
                 }
                 end

@@ -11,8 +11,8 @@ use crate::swarm::error::SwarmError;
 use crate::swarm::failpoint;
 use crate::swarm::frame::EventKind;
 use crate::swarm::journal::Record;
-use crate::swarm::pace::MAX_BACKLOG;
 use crate::swarm::phase::{PauseReason, Phase, PhaseInput};
+use crate::swarm::scheduler::MAX_BACKLOG;
 use crate::swarm::worker::{End, SinceCheckpoint, Worker};
 
 /// How often the summary of a moving swarm is updated.

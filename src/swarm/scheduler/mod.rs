@@ -1,28 +1,41 @@
-//! Shares the cores among swarms that want to compute more than there is time for.
+//! When a swarm may compute. Its thread takes a step once three conditions hold:
 //!
-//! Of the swarms that are behind their rate a few compute at once; the threads of the others sleep in
-//! a queue until their turn. So shares do not depend on how the kernel orders many runnable threads,
-//! and a command to a waiting swarm wakes a sleeping thread instead of competing with all of them.
-//!
-//! The queue is ordered by start-time fair queueing. The virtual time of a swarm is the processor time
-//! that it took while others waited; the swarm with the least is first. A swarm that was idle gains
-//! nothing by it, since its virtual time is raised to that of the queue, and time taken while no
-//! swarm waits is not charged. A swarm that keeps to its rate needs no turn while its virtual time is
-//! below that of the first in the queue. Turns in plain FIFO order would give a swarm with long steps
-//! a larger share, since a turn ends between two steps.
+//! 1. The step is due: [`Pace`] keeps the rate by the monotonic clock. A swarm without a rate, or that
+//!    is behind its rate, is always due.
+//! 2. It has a [`Share`] of the cores. Of the swarms that are behind their rate a few compute at once;
+//!    the threads of the others sleep in a queue. So shares do not depend on how the kernel orders
+//!    many runnable threads, and a command to a waiting swarm wakes a sleeping thread. The queue is
+//!    ordered by virtual time, the processor time that a swarm took while others waited (start-time
+//!    fair queueing). The virtual time of a swarm that was idle is raised to that of the queue, so it
+//!    gains nothing by it. A swarm that keeps its rate needs no turn while its virtual time is below
+//!    that of the first in the queue. Turns in plain FIFO order would give a swarm with long steps a
+//!    larger share, since a turn ends between two steps.
+//! 3. The kernel runs the thread: [`lower_priority`], so that stepping delays no command.
+
+mod pace;
 
 use std::collections::BTreeMap;
+use std::io;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 use rustix::time::{ClockId, clock_gettime};
 
+pub use pace::{MAX_BACKLOG, Pace};
+
 /// How long a swarm computes before the next one has its turn.
 const TURN: Duration = Duration::from_millis(2);
 
 /// Swarms that compute at once, for each core: while the kernel wakes one, another computes.
 const TURNS_PER_CORE: usize = 2;
+
+/// Added niceness of a swarm's thread, so that stepping delays no command and no reader.
+const NICENESS: i32 = 5;
+
+/// Requested slice in nanoseconds: the minimum that Linux accepts; the default is some
+/// milliseconds. From Linux 6.12 on, EEVDF runs a thread with a shorter slice sooner.
+const SLICE_NANOS: u64 = 100_000;
 
 /// Orders the swarms of one daemon.
 pub struct CpuScheduler {
@@ -157,11 +170,6 @@ impl Share {
         }
     }
 
-    /// Whether no swarm waits, so that short work needs no turn.
-    pub fn is_needless(&self) -> bool {
-        self.scheduler.first_waiter.load(Ordering::Relaxed) == NO_WAITER
-    }
-
     /// Gives up its turn or its place in the queue.
     pub fn leave(&mut self) {
         match std::mem::replace(&mut self.turn, Turn::None) {
@@ -270,10 +278,38 @@ fn nanos(duration: Duration) -> u64 {
     u64::try_from(duration.as_nanos()).unwrap_or(NO_WAITER - 1)
 }
 
+/// Gives the calling thread the niceness and the slice of a swarm's thread. With a lower priority alone
+/// a thread waits behind every running thread when it wakes, which takes milliseconds while the daemon
+/// sends to a thousand sessions. A short slice makes the kernel run it soon after it wakes, and does
+/// not change its share of the cores.
+///
+/// # Errors
+///
+/// The error of `sched_setattr`, such as a missing permission.
+#[expect(unsafe_code, reason = "rustix and nix do not wrap sched_setattr")]
+pub fn lower_priority() -> io::Result<()> {
+    let attributes = libc::sched_attr {
+        size: u32::try_from(size_of::<libc::sched_attr>()).map_err(io::Error::other)?,
+        sched_policy: libc::SCHED_OTHER.cast_unsigned(),
+        sched_flags: 0,
+        sched_nice: NICENESS,
+        sched_priority: 0,
+        sched_runtime: SLICE_NANOS,
+        sched_deadline: 0,
+        sched_period: 0,
+    };
+    // SAFETY: the call reads `size` bytes of `attributes`; pid 0 is the calling thread, flags are 0.
+    match unsafe { libc::syscall(libc::SYS_sched_setattr, 0, &raw const attributes, 0) } {
+        0 => Ok(()),
+        _ => Err(io::Error::last_os_error()),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     #![expect(clippy::unwrap_used, reason = "tests")]
 
+    use std::fs::read_to_string;
     use std::sync::mpsc::{Receiver, channel};
     use std::thread;
 
@@ -396,5 +432,24 @@ mod tests {
         let (least, most) = (taken.iter().min().unwrap(), taken.iter().max().unwrap());
         assert!(*most - *least <= 30 * TURN, "{taken:?}");
         assert!(*least > 30 * TURN, "{taken:?}");
+    }
+
+    /// A field of `/proc/thread-self/sched`, which only kernels with `SCHED_DEBUG` have.
+    fn field(name: &str) -> Option<u64> {
+        let text = read_to_string("/proc/thread-self/sched").unwrap_or_default();
+        let line = text.lines().find(|line| line.starts_with(name))?;
+        line.rsplit(' ').next()?.parse().ok()
+    }
+
+    #[test]
+    fn a_thread_has_the_niceness_and_slice_that_it_asked_for() {
+        let thread = thread::spawn(|| {
+            lower_priority().unwrap();
+            let niceness = rustix::process::getpriority_process(None).unwrap();
+            (niceness, field("se.slice"))
+        });
+        let (niceness, slice) = thread.join().unwrap();
+        assert_eq!(niceness, NICENESS);
+        assert!(slice.is_none_or(|it| it == SLICE_NANOS), "{slice:?}");
     }
 }

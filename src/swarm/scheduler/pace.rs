@@ -6,13 +6,16 @@ use jostle_physics::simulation::Rate;
 
 /// How far behind its rate a swarm may be and still catch up. It absorbs the jitter of wake-ups; steps
 /// due before that are dropped, so that no long burst follows a stall.
-pub(super) const MAX_BACKLOG: Duration = Duration::from_millis(50);
+pub const MAX_BACKLOG: Duration = Duration::from_millis(50);
 
 /// The period over which the rate is measured.
 const WINDOW: Duration = Duration::from_secs(1);
 
 /// The shorter period of the first measurement after a start.
 const FIRST_WINDOW: Duration = Duration::from_millis(200);
+
+/// The longest period, a century: a later time could overflow the clock.
+const MAX_PERIOD: Duration = Duration::from_secs(100 * 365 * 86_400);
 
 /// When the next step is due, and the rate of recent steps.
 #[derive(Clone, Debug)]
@@ -31,8 +34,9 @@ impl Pace {
     /// A pace of `rate` time units per second in steps of `dt` from `now` on.
     pub fn new(rate: Rate, dt: f64, now: Instant) -> Self {
         let period = rate.map(|rate| {
-            // A rate is finite and positive; a period that does not fit becomes the longest.
-            Duration::try_from_secs_f64(dt / rate).unwrap_or(Duration::MAX)
+            // A rate is finite and positive; a period that the clock cannot represent becomes the longest.
+            let period = Duration::try_from_secs_f64(dt / rate);
+            period.map_or(MAX_PERIOD, |period| period.min(MAX_PERIOD))
         });
         Pace {
             period,
@@ -68,7 +72,7 @@ impl Pace {
     /// Records a step.
     pub fn stepped(&mut self, now: Instant) {
         if let Some(period) = self.period {
-            self.next = later(self.next, period);
+            self.next += period;
             let allowed = period.max(MAX_BACKLOG);
             if now.saturating_duration_since(self.next) > allowed {
                 self.next = now.checked_sub(allowed).unwrap_or(now);
@@ -91,13 +95,6 @@ impl Pace {
     pub fn real_time_factor(&self) -> Option<f64> {
         self.reached
     }
-}
-
-fn later(instant: Instant, period: Duration) -> Instant {
-    // A century if the clock cannot represent the sum.
-    instant
-        .checked_add(period)
-        .unwrap_or_else(|| instant + Duration::from_secs(100 * 365 * 86_400))
 }
 
 #[cfg(test)]
