@@ -27,7 +27,6 @@ use crate::auth::Rights;
 use crate::auth::live::LiveRights;
 use crate::config::Config;
 use crate::convert::commands::check_name;
-use crate::convert::error::refusal;
 use crate::experiments::ExperimentManager;
 use crate::health::{Watch, Watched};
 use crate::metrics::Activity;
@@ -40,7 +39,7 @@ use crate::transport::http::{self, Bus, Credentials, Gateway, GatewayError, Toke
 use crate::transport::zenoh::bus_watch::BusWatch;
 use crate::transport::zenoh::claims::{ClaimSubscribers, Claims, Contest};
 use crate::transport::zenoh::dispatcher::Dispatcher;
-use crate::transport::zenoh::gateway::{self, Connections, LifecycleNotifier};
+use crate::transport::zenoh::gateway::{self, Connections};
 use crate::transport::zenoh::messages::{DispatchMessage, MAX_QUEUED};
 use crate::transport::zenoh::publisher::Publisher;
 use crate::transport::zenoh::queryables::SwarmEndpoints;
@@ -249,11 +248,8 @@ impl Core {
                 let _ = wake.try_send(DispatchMessage::Claimed);
             })
             .map_err(|error| rejected(&error))?;
-        let notifier = Arc::new(LifecycleNotifier {
-            messages: messages.clone(),
-            publisher: publisher.clone(),
-        });
-        let host = SwarmRegistry::new(config.limits, notifier, Box::new(store.clone()));
+        let observer = Arc::new(messages.clone());
+        let host = SwarmRegistry::new(config.limits, observer, Box::new(store.clone()));
         let has_users = rights.current().users().is_some();
         let core = Core {
             idempotency: IdempotencyCache::new(store.clone(), has_users),
@@ -293,7 +289,7 @@ impl Files {
         let opened = opened.await.expect("opening does not panic");
         let lab = opened.map_err(unusable(&experiments))?;
         let (host, quota_bytes) = (core.host.clone(), config.recordings_quota_bytes);
-        let opened = Recordings::open(&recordings, refusal, quota_bytes, host);
+        let opened = Recordings::open(&recordings, quota_bytes, host);
         let recordings = opened.map_err(unusable(&recordings))?;
         let uploads = Uploads::open(&replays).map_err(unusable(&replays))?;
         Ok(Files {

@@ -89,7 +89,6 @@ impl Watch {
             (last.sessions, slowest)
         };
         let recordings = &self.watched.recordings;
-        let usage = recordings.usage();
         let cpu = clock_gettime(ClockId::ProcessCPUTime);
         Figures {
             uptime_secs: self.uptime().as_secs_f64(),
@@ -107,7 +106,7 @@ impl Watch {
             contested: (self.watched.contested)().len(),
             store: self.watched.store.health(),
             recordings: (self.watched.count)(recordings),
-            recordings_bytes: (usage.bytes, usage.quota_bytes),
+            recordings_bytes: recordings.usage(),
             dropped_requests: (self.watched.dropped_requests)(),
             swarms,
         }

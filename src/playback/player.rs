@@ -362,9 +362,8 @@ impl Player {
         self.published = Instant::now();
         let Stamp { epoch, step, .. } = self.stamp();
         self.output.state((epoch, step), || self.frame());
-        if self.output.is_watched(self.phase.is_moving()) {
-            self.output.push_frame(self.frame());
-        }
+        let is_moving = self.phase.is_moving();
+        self.output.push_frame(is_moving, || self.frame());
     }
 
     pub(super) fn publish_event(&mut self, kind: EventKind) {
@@ -380,7 +379,7 @@ impl Player {
             kind,
         };
         self.history.record_event(&event);
-        self.output.push_event(event);
+        self.output.push_event(&event);
     }
 
     fn renew_summary(&mut self) {

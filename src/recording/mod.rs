@@ -1,11 +1,10 @@
 //! The recordings of a daemon: every k-th state of a swarm, in its data directory.
 //!
-//! Each has its own folder and its own thread, which writes what a subscriber of the swarm's output
-//! enqueues. By default the swarm waits for that thread, never for a client. A running recording
-//! resumes with its next part when the daemon restarts.
+//! Each has its own folder, its own subscription to the swarm's output, and its own thread, which writes
+//! what the subscription receives. By default the swarm waits for that thread, never for a client. A
+//! running recording resumes with its next part when the daemon restarts.
 
 mod error;
-mod queue;
 mod source;
 mod status;
 mod writer;
@@ -26,12 +25,10 @@ use jostle_results::recording::{Recorder, RecordingError, parts, sweep};
 use tracing::{info, warn};
 
 pub use self::error::RecordError;
-use self::queue::End;
-pub use self::source::Source;
+pub use self::source::{Choice, Source};
 use self::status::Entry;
 pub use self::status::{Phase, Status};
 use self::writer::RecordingWriter;
-use crate::convert::WordRefusal;
 use crate::jobs::JobDirectory;
 use crate::swarm::handle::Message;
 use crate::swarm::registry::SwarmRegistry;
@@ -46,11 +43,17 @@ const MAX_RECORDINGS: usize = 1000;
 /// the swarms, which it must not delay.
 const NICENESS: i32 = 10;
 
+/// The growth of a recording between two checks of the quota.
+const QUOTA_CHECK_BYTES: u64 = 1024 * 1024;
+
 /// The maximum number of bytes of a part that one request reads.
 const MAX_PIECE_BYTES: u64 = 512 * 1024;
 
 /// How long `stop` waits for the writer, which waits for the disk.
 const STOP_TIMEOUT: Duration = Duration::from_secs(3);
+
+/// The reason of a recording that a client has stopped.
+const STOPPED: &str = "stopped";
 
 /// What to record. Further settings are in [`Source`].
 #[derive(Clone, Debug)]
@@ -74,17 +77,6 @@ pub struct Piece {
     pub bytes: Vec<u8>,
 }
 
-/// The bytes of all recordings.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Usage {
-    /// The number of running recordings.
-    pub recording: usize,
-    /// The bytes of all recordings.
-    pub bytes: u64,
-    /// The maximum of these bytes.
-    pub quota_bytes: u64,
-}
-
 /// The recordings of a daemon. Clones share them. Methods that change something must not be called
 /// concurrently.
 #[derive(Clone)]
@@ -92,7 +84,6 @@ pub struct Recordings(Arc<Shared>);
 
 struct Shared {
     jobs: JobDirectory<Status>,
-    word: WordRefusal,
     registry: Arc<SwarmRegistry>,
     quota_bytes: u64,
     state: Mutex<State>,
@@ -108,26 +99,24 @@ struct State {
 impl State {
     fn running(&self) -> usize {
         let entries = self.entries.values();
-        entries.filter(|it| it.queue.is_some()).count()
+        entries.filter(|it| it.subscription.is_some()).count()
+    }
+
+    fn bytes(&self) -> u64 {
+        self.entries.values().map(|it| it.size).sum()
     }
 }
 
 impl Recordings {
     /// Opens the recordings in a folder. Interrupted ones wait for [`Recordings::resume`]. A failed
     /// one becomes an event of its swarm.
-    pub fn open(
-        folder: &Path,
-        word: WordRefusal,
-        quota_bytes: u64,
-        registry: Arc<SwarmRegistry>,
-    ) -> io::Result<Self> {
+    pub fn open(folder: &Path, quota_bytes: u64, registry: Arc<SwarmRegistry>) -> io::Result<Self> {
         let jobs = JobDirectory::open(folder)?;
         let mut state = State::default();
         for (name, status) in jobs.list()? {
             match status {
                 Ok(status) if keys::is_name(&name) => {
-                    let queue = None;
-                    state.entries.insert(name, Entry { status, queue });
+                    state.entries.insert(name, Entry::idle(status));
                 }
                 Ok(_) => {}
                 Err(error) => warn!(recording = name, %error, "unreadable status file"),
@@ -135,7 +124,6 @@ impl Recordings {
         }
         Ok(Recordings(Arc::new(Shared {
             jobs,
-            word,
             registry,
             quota_bytes,
             state: Mutex::new(state),
@@ -154,7 +142,7 @@ impl Recordings {
         let status = Status {
             swarm: source.swarm.clone(),
             format: Format::Mcap,
-            every: Some(source.choice.every),
+            every: source.choice.every,
             drop_when_behind: source.choice.drops,
             max_bytes: Some(new.max_bytes),
             steps_left: source.choice.steps,
@@ -173,11 +161,9 @@ impl Recordings {
             RecordingError::Exists { .. } => RecordError::Exists(name.clone()),
             error => error.into(),
         })?;
-        let started = match self.0.jobs.write_status(&name, &status) {
-            Ok(()) => self.start(&name, status, source, recorder),
-            Err(error) => Err(error.into()),
-        };
-        if let Err(error) = started {
+        let written = self.0.jobs.write_status(&name, &status);
+        let written = written.map_err(RecordError::from);
+        if let Err(error) = written.and_then(|()| self.start(&name, status, source, recorder)) {
             let _ = self.0.jobs.remove(&name);
             return Err(error);
         }
@@ -213,8 +199,9 @@ impl Recordings {
         let state = self.lock();
         let entries = state.entries.iter();
         let interrupted = entries.filter(|(_, it)| it.is_interrupted());
-        let named = interrupted.map(|(name, it)| (name.clone(), it.status.clone()));
-        named.collect()
+        interrupted
+            .map(|(name, it)| (name.clone(), it.status.clone()))
+            .collect()
     }
 
     /// Resumes an interrupted recording; without a source it is over.
@@ -231,18 +218,13 @@ impl Recordings {
         let opened = sweep(&folder).and_then(|removed| {
             let about = source.as_ref().map(|source| source.about(&status));
             let recorder = Recorder::go_on(&folder, status.format, about.unwrap_or_default())?;
+            status.count(recorder.written());
             Ok((removed.len(), recorder))
         });
-        if let Ok((_, recorder)) = &opened {
-            let missed = status.missed;
-            status.count(recorder.written(), missed);
-        }
         let (phase, reason) = match (opened, source) {
             (Ok((removed, recorder)), Some(source)) => {
                 let part = status.parts;
                 info!(recording = name, part, removed, "resumed with a new part");
-                let queue = &source.queue;
-                queue.set_progress(recorder.written(), recorder.size());
                 match self.start(name, status.clone(), source, recorder) {
                     Ok(()) => return,
                     Err(error) => (Phase::Failed, error.to_string()),
@@ -290,22 +272,18 @@ impl Recordings {
         })
     }
 
-    /// The bytes of all recordings.
-    pub fn usage(&self) -> Usage {
-        let state = self.lock();
-        Usage {
-            recording: state.running(),
-            bytes: state.entries.values().map(Entry::size).sum(),
-            quota_bytes: self.0.quota_bytes,
-        }
+    /// The bytes of all recordings, and their maximum.
+    pub fn usage(&self) -> (u64, u64) {
+        (self.lock().bytes(), self.0.quota_bytes)
     }
 
     /// The status of every recording, by name.
     pub fn list(&self) -> Vec<(String, Status)> {
         let state = self.lock();
         let entries = state.entries.iter();
-        let named = entries.map(|(name, entry)| (name.clone(), entry.report()));
-        named.collect()
+        entries
+            .map(|(name, it)| (name.clone(), it.report()))
+            .collect()
     }
 
     /// Finishes the parts of the running recordings, which resume when the daemon restarts. Returns
@@ -313,8 +291,9 @@ impl Recordings {
     pub fn close(&self, timeout: Duration) -> usize {
         let mut state = self.lock();
         state.is_stopping = true;
-        let queues = state.entries.values().filter_map(|it| it.queue.as_ref());
-        queues.for_each(|queue| queue.end(End::Closing));
+        let entries = state.entries.values();
+        let subscriptions = entries.filter_map(|it| it.subscription.as_ref());
+        subscriptions.for_each(|it| it.end(None));
         let changed = &self.0.changed;
         let waited = changed.wait_timeout_while(state, timeout, |state| state.running() > 0);
         waited.unwrap_or_else(PoisonError::into_inner).0.running()
@@ -322,22 +301,18 @@ impl Recordings {
 
     /// Checks the limits, and returns the name of a new recording.
     fn admit(&self, name: Option<&str>, swarm: &str) -> Result<String, RecordError> {
-        let Usage {
-            recording,
-            bytes: used,
-            quota_bytes: quota,
-        } = self.usage();
+        let state = self.lock();
+        let (running, entries) = (state.running(), &state.entries);
+        let (used, quota) = (state.bytes(), self.0.quota_bytes);
         if used >= quota {
             return Err(RecordError::OverQuota { used, quota });
         }
-        let state = self.lock();
         if state.is_stopping {
             return Err(RecordError::Stopping);
         }
-        if recording >= MAX_RUNNING {
-            return Err(RecordError::TooMany(recording));
+        if running >= MAX_RUNNING {
+            return Err(RecordError::TooMany(running));
         }
-        let entries = &state.entries;
         if entries.len() >= MAX_RECORDINGS {
             return Err(RecordError::TooManyKept(entries.len()));
         }
@@ -360,33 +335,27 @@ impl Recordings {
         source: Source,
         recorder: Recorder,
     ) -> Result<(), RecordError> {
-        let Source {
-            swarm,
-            queue,
-            subscriber,
-            ..
-        } = source;
+        let is_background = status.drop_when_behind;
         let writer = RecordingWriter {
-            swarm,
-            word: self.0.word,
-            queue: queue.clone(),
+            swarm: source.swarm,
+            subscription: source.subscription.clone(),
+            missed: status.missed,
             recorder,
-            max_bytes: status.max_bytes,
         };
         let entry = Entry {
-            status: status.clone(),
-            queue: Some(queue),
+            status,
+            size: writer.recorder.size(),
+            subscription: Some(source.subscription),
         };
         // The thread replaces the entry when it ends.
         self.lock().entries.insert(name.to_owned(), entry);
         let (recordings, of) = (self.clone(), name.to_owned());
         let run = move || {
-            if status.drop_when_behind {
+            if is_background {
                 // `None` is the calling thread. Without the right to it, it keeps its priority.
                 let _ = rustix::process::setpriority_process(None, NICENESS);
             }
-            recordings.write(&of, status, writer);
-            drop(subscriber);
+            recordings.write(&of, writer);
         };
         let thread = thread::Builder::new().name(format!("record-{name}"));
         thread.spawn(run).map(drop).map_err(|error| {
@@ -396,35 +365,49 @@ impl Recordings {
     }
 
     /// Writes a recording to its end, on its own thread.
-    fn write(&self, name: &str, mut status: Status, writer: RecordingWriter) {
-        let queue = writer.queue.clone();
-        let ended_part = |written, missed| {
-            let mut status = status.clone();
-            status.count(written, missed);
-            status.steps_left = queue.steps_left();
-            self.write_status(name, &status);
-        };
-        let over_quota = || {
-            let usage = self.usage();
-            let quota_bytes = usage.quota_bytes;
-            (usage.bytes >= quota_bytes).then_some(End::OverQuota { quota_bytes })
-        };
-        let work = AssertUnwindSafe(|| writer.write(ended_part, over_quota));
-        let (end, written) = match catch_unwind(work) {
-            Ok((end, written)) => (end.map_err(|error| error.to_string()), written),
-            Err(_) => {
-                let defect = "a defect of the daemon".to_owned();
-                (Err(defect), queue.progress().0)
+    fn write(&self, name: &str, writer: RecordingWriter) {
+        let subscription = writer.subscription.clone();
+        let mut checked = 0;
+        let progress = |recorder: &Recorder, has_ended: bool| {
+            let mut state = self.lock();
+            let entry = state.entries.get_mut(name)?;
+            entry.progress(recorder);
+            let (size, status) = (entry.size, has_ended.then(|| entry.report()));
+            if let Some(max_bytes) = entry.status.max_bytes.filter(|it| size >= *it) {
+                return Some(format!(
+                    "its next states could exceed max_bytes ({max_bytes}): record again with a \
+                     higher limit"
+                ));
             }
+            if size >= checked + QUOTA_CHECK_BYTES {
+                checked = size;
+                if state.bytes() >= self.0.quota_bytes {
+                    return Some(format!(
+                        "the daemon's recordings have reached their {} MiB (recordings_quota_mb)",
+                        self.0.quota_bytes >> 20
+                    ));
+                }
+            }
+            drop(state);
+            self.write_status(name, &status?);
+            None
         };
+        let written = catch_unwind(AssertUnwindSafe(|| writer.write(progress)));
         // After a panic the swarm still waits for the queue.
-        queue.end(End::Stopped);
-        status.count(written, queue.progress().1);
-        status.steps_left = queue.steps_left();
-        let (phase, reason) = match end {
-            Ok(End::Closing) => (Phase::Recording, None),
-            Ok(end) => (Phase::Ended, end.reason()),
-            Err(reason) => (Phase::Failed, Some(reason)),
+        subscription.end(None);
+        let Ok(mut status) = self.find(name) else {
+            return;
+        };
+        let (phase, reason) = match written {
+            Ok((end, written)) => {
+                status.count(written);
+                match end {
+                    Ok(None) => (Phase::Recording, None),
+                    Ok(reason) => (Phase::Ended, reason),
+                    Err(error) => (Phase::Failed, Some(error.to_string())),
+                }
+            }
+            Err(_) => (Phase::Failed, Some("a defect of the daemon".to_owned())),
         };
         self.finish(name, status, phase, reason);
     }
@@ -440,8 +423,7 @@ impl Recordings {
         fail_point!("recording-settled");
         self.write_status(name, &status);
         let failed = (phase == Phase::Failed).then(|| status.clone());
-        let queue = None;
-        let entry = Entry { status, queue };
+        let entry = Entry::idle(status);
         self.lock().entries.insert(name.to_owned(), entry);
         self.0.changed.notify_all();
         if let Some(Status { swarm, reason, .. }) = failed
@@ -461,22 +443,20 @@ impl Recordings {
 
     /// Ends a running recording, and waits for its writer.
     fn end(&self, name: &str) -> Result<(), RecordError> {
-        let queue = |state: &State| state.entries.get(name).and_then(|it| it.queue.clone());
-        let running = queue(&self.lock());
-        let Some(running) = running else {
+        let running = |state: &State| state.entries.get(name)?.subscription.clone();
+        let Some(subscription) = running(&self.lock()) else {
             // It has not been resumed yet.
             let status = self.find(name)?;
-            self.finish(name, status, Phase::Ended, End::Stopped.reason());
+            self.finish(name, status, Phase::Ended, Some(STOPPED.to_owned()));
             return Ok(());
         };
-        running.end(End::Stopped);
+        subscription.end(Some(STOPPED.to_owned()));
         let changed = &self.0.changed;
-        let is_running = |state: &mut State| queue(state).is_some();
+        let is_running = |state: &mut State| running(state).is_some();
         let waited = changed.wait_timeout_while(self.lock(), STOP_TIMEOUT, is_running);
-        let (state, _) = waited.unwrap_or_else(PoisonError::into_inner);
-        match queue(&state) {
-            Some(_) => Err(RecordError::Ending(name.to_owned())),
-            None => Ok(()),
+        match waited.unwrap_or_else(PoisonError::into_inner).1.timed_out() {
+            true => Err(RecordError::Ending(name.to_owned())),
+            false => Ok(()),
         }
     }
 

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use jostle_results::recording::{Format, Written};
+use jostle_results::recording::{Format, Recorder, Written};
 use serde::{Deserialize, Serialize};
 
-use super::queue::FrameQueue;
 use crate::jobs::StatusFile;
+use crate::swarm::output::Subscription;
 
 /// What a recording is doing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -20,8 +20,8 @@ pub enum Phase {
     Failed,
 }
 
-/// The status of a recording, as it is stored. While it is running, the counts are those of the last
-/// finished part.
+/// The status of a recording, as it is stored. While it is running, the counts are those when the last
+/// part was finished.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Status {
     /// The swarm.
@@ -64,45 +64,54 @@ impl StatusFile for Status {
 }
 
 impl Status {
-    pub(super) fn count(&mut self, written: Written, missed: u64) {
+    pub(super) fn count(&mut self, written: Written) {
         let Written {
             frames,
             parts,
             bytes,
         } = written;
         (self.frames, self.parts, self.bytes) = (frames, parts, bytes);
-        self.missed = missed;
     }
 }
 
 /// A recording in memory.
 pub(super) struct Entry {
+    /// Its status; while it is running, `missed` and `steps_left` are those of its start.
     pub(super) status: Status,
-    /// The queue of its writer while it is running.
-    pub(super) queue: Option<Arc<FrameQueue>>,
+    /// The bytes of its files, including the unfinished part.
+    pub(super) size: u64,
+    /// The subscription of its writer while it is running.
+    pub(super) subscription: Option<Arc<Subscription>>,
 }
 
 impl Entry {
+    /// A recording without a writer.
+    pub(super) fn idle(status: Status) -> Self {
+        Entry {
+            size: status.bytes,
+            status,
+            subscription: None,
+        }
+    }
+
     /// Whether it was running when the daemon ended and has not been resumed.
     pub(super) fn is_interrupted(&self) -> bool {
-        self.status.phase == Phase::Recording && self.queue.is_none()
+        self.status.phase == Phase::Recording && self.subscription.is_none()
+    }
+
+    /// Notes the progress of the writer.
+    pub(super) fn progress(&mut self, recorder: &Recorder) {
+        self.status.count(recorder.progress());
+        self.size = recorder.size();
     }
 
     /// The present status.
     pub(super) fn report(&self) -> Status {
         let mut status = self.status.clone();
-        if let Some(queue) = &self.queue {
-            let (written, missed) = queue.progress();
-            status.count(written, missed);
+        if let Some(subscription) = &self.subscription {
+            status.missed += subscription.frames().1;
+            status.steps_left = subscription.steps_left();
         }
         status
-    }
-
-    /// The bytes of its files, including the unfinished part.
-    pub(super) fn size(&self) -> u64 {
-        match &self.queue {
-            Some(queue) => queue.size(),
-            None => self.status.bytes,
-        }
     }
 }

@@ -6,44 +6,40 @@ use std::time::{Duration, Instant, SystemTime};
 use fail::fail_point;
 use jostle_results::recording::{About, Frame, Moment, Recorder, RecordingError, Written};
 
-use super::queue::{End, FrameQueue, Next};
-use crate::convert::{self, Payload, WordRefusal};
+use crate::convert::error::refusal;
+use crate::convert::{self, Payload};
 use crate::swarm::frame::{self, Event};
+use crate::swarm::output::{End, Next, Subscription};
 
 /// The maximum duration of a part: at most as much is lost by a crash.
 const PART_DURATION: Duration = Duration::from_secs(60);
-
-/// The growth of a recording between two checks of the quota.
-const QUOTA_CHECK_BYTES: u64 = 1024 * 1024;
 
 /// Writes a recording.
 pub struct RecordingWriter {
     /// The swarm's name.
     pub swarm: String,
-    /// Converts the error of a rejected command.
-    pub word: WordRefusal,
     /// The source.
-    pub queue: Arc<FrameQueue>,
+    pub subscription: Arc<Subscription>,
     /// The destination.
     pub recorder: Recorder,
-    /// The size at which the recording ends.
-    pub max_bytes: Option<u64>,
+    /// The states that were dropped before it resumed.
+    pub missed: u64,
 }
 
 impl RecordingWriter {
-    /// Writes until the queue is closed and empty, or a limit is reached. Calls `ended_part` after
-    /// each part, and `over_quota` as the recording grows. Finishes the last part after an error as
-    /// well.
+    /// Writes until the subscription has ended and its queue is empty, or a limit is reached. After
+    /// each item calls `progress`, with whether a part has ended; it returns why the recording has to
+    /// end. Finishes the last part after an error as well. Returns the reason of the end, without one
+    /// if the recording resumes.
     pub fn write(
         mut self,
-        ended_part: impl FnMut(Written, u64),
-        over_quota: impl Fn() -> Option<End>,
-    ) -> (Result<End, RecordingError>, Written) {
-        let end = self.write_parts(ended_part, over_quota);
+        progress: impl FnMut(&Recorder, bool) -> Option<String>,
+    ) -> (Result<Option<String>, RecordingError>, Written) {
+        let end = self.write_parts(progress);
         // The swarm does not wait for the end of the last part.
-        self.queue.end(*end.as_ref().unwrap_or(&End::Stopped));
-        let before = self.recorder.written();
-        match self.recorder.finish(&closing(&self.queue)) {
+        self.subscription.end(None);
+        let (before, closing) = (self.recorder.written(), self.closing());
+        match self.recorder.finish(&closing) {
             Ok(written) => (end, written),
             // The first error is the reason.
             Err(error) => (end.and(Err(error)), before),
@@ -52,41 +48,40 @@ impl RecordingWriter {
 
     fn write_parts(
         &mut self,
-        mut ended_part: impl FnMut(Written, u64),
-        over_quota: impl Fn() -> Option<End>,
-    ) -> Result<End, RecordingError> {
-        let (mut due, mut checked) = (None, 0);
+        mut progress: impl FnMut(&Recorder, bool) -> Option<String>,
+    ) -> Result<Option<String>, RecordingError> {
+        let mut due = None;
         loop {
-            let whole = self.recorder.written().parts;
-            match self.queue.next(due) {
+            let parts = self.recorder.written().parts;
+            match self.subscription.next(due) {
                 Next::Frame(frame, taken) => self.frame(&frame, taken)?,
                 Next::Event(event, taken) => self.event(*event, taken)?,
                 Next::Timeout => {}
-                Next::End(end) => return Ok(end),
-            }
-            let now = Instant::now();
-            let due_at = *due.get_or_insert_with(|| now + part_duration());
-            if now >= due_at {
-                self.recorder.end_part(&closing(&self.queue))?;
-            }
-            let (written, size) = (self.recorder.written(), self.recorder.size());
-            self.queue.set_progress(self.recorder.progress(), size);
-            if let Some(max_bytes) = self.max_bytes.filter(|it| size >= *it) {
-                return Ok(End::Full { max_bytes });
-            }
-            if size >= checked + QUOTA_CHECK_BYTES {
-                checked = size;
-                if let Some(end) = over_quota() {
-                    return Ok(end);
+                Next::End(End::Closed(reason)) => return Ok(reason),
+                Next::End(End::Deleted) => return Ok(Some("its swarm was deleted".to_owned())),
+                Next::End(End::Complete) => {
+                    return Ok(Some("all its steps are recorded".to_owned()));
                 }
             }
-            if written.parts > whole || now >= due_at {
+            let now = Instant::now();
+            let is_due = now >= *due.get_or_insert_with(|| now + part_duration());
+            if is_due {
+                self.recorder.end_part(&self.closing())?;
+            }
+            let has_ended = self.recorder.written().parts > parts;
+            if is_due || has_ended {
                 due = None;
             }
-            if written.parts > whole {
-                ended_part(written, self.queue.progress().1);
+            if let Some(reason) = progress(&self.recorder, has_ended) {
+                return Ok(Some(reason));
             }
         }
+    }
+
+    /// The metadata at the end of a part.
+    fn closing(&self) -> About {
+        let (_, dropped) = self.subscription.frames();
+        About::from([("missed".to_owned(), (self.missed + dropped).to_string())])
     }
 
     fn frame(&mut self, frame: &frame::Frame, taken: SystemTime) -> Result<(), RecordingError> {
@@ -131,15 +126,9 @@ impl RecordingWriter {
             time: event.stamp.time,
             taken,
         };
-        let event = Payload::json(&convert::event(&self.swarm, event, self.word));
+        let event = Payload::json(&convert::event(&self.swarm, event, refusal));
         self.recorder.event(&moment, &event.bytes)
     }
-}
-
-/// The metadata at the end of a part.
-fn closing(queue: &FrameQueue) -> About {
-    let (_, missed) = queue.progress();
-    About::from([("missed".to_owned(), missed.to_string())])
 }
 
 /// The maximum duration of a part; tests shorten it.

@@ -88,7 +88,7 @@ impl Handle {
         let (messages, _) = sync_channel(1);
         Handle {
             spec: Arc::new(spec),
-            output: Arc::new(Output::new(String::new(), || {}, |_| false)),
+            output: Arc::new(Output::new(String::new())),
             history: Arc::default(),
             metrics: Arc::default(),
             messages: Arc::new(messages),
@@ -126,7 +126,7 @@ impl Handle {
 
     /// Its metrics since the daemon started.
     pub fn totals(&self) -> Totals {
-        let (frames, frames_dropped) = self.output.frames();
+        let (frames, frames_dropped) = self.output.to_publish.frames();
         Totals {
             frames,
             frames_dropped,

@@ -1,132 +1,179 @@
-//! The bounded queues of frames and events between a swarm and the publisher.
+//! The states and events of a swarm, in one bounded queue for each subscription.
 //!
-//! The thread of the swarm never waits here: when a queue is full, the oldest entries are dropped. A
-//! recording subscribes to the output to receive every state, whether or not it is published.
+//! | subscription | topic | queue | what is dropped | rate |
+//! |---|---|---|---|---|
+//! | publisher | `state`, `order` | 16,384 individuals | the oldest frames, if the publisher lags; all without a subscriber | each `publish_every`-th step, at most `max_hz`, and each change of a swarm that does not move |
+//! | publisher | `event` | 4,096 events | the oldest events, if the publisher lags | each event, with or without a subscriber |
+//! | recording | states | 64 states, 131,072 individuals | nothing: the swarm takes no step; with `drop_when_behind` the newest states, which are counted | each step that is a multiple of `every` |
+//! | recording | events | 4,096 events | the newest events | each event |
+//!
+//! The thread of the swarm never waits for the publisher. A tab of the page is a subscriber of the
+//! publisher: it receives encoded samples from the bus, which all tabs of a swarm share, through the
+//! asynchronous channels of `src/transport/http/feed.rs`.
 
-use std::cell::OnceCell;
+use std::cell::LazyCell;
 use std::collections::VecDeque;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError, Weak};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError, Weak};
+use std::time::{Duration, Instant, SystemTime};
 
-use crate::metrics::add;
-use crate::swarm::frame::{Event, Frame};
+use crate::swarm::frame::{Event, EventKind, Frame};
 
-/// Individuals in the queued frames, about a megabyte. Beyond it the oldest frames are dropped; the
-/// newest stays whatever its size.
-const MAX_INDIVIDUALS: usize = 16 * 1024;
+/// Individuals in the frames that are queued for the publisher, about a megabyte. The newest frame
+/// stays whatever its size.
+const MAX_PUBLISHED_INDIVIDUALS: usize = 16 * 1024;
 
-/// Queued events. Beyond it the oldest are dropped, which subscribers see from the event numbers.
+/// Capacity of each queue in events. Subscribers see from the event numbers that some are missing.
 const MAX_EVENTS: usize = 4096;
 
-/// Receives every state and event on the thread of the swarm; it must not block.
-pub trait Subscriber: Send + Sync {
-    /// The swarm has reached this epoch and step; `frame` copies its state.
-    fn state(&self, at: (u64, u64), frame: &dyn Fn() -> Arc<Frame>);
+/// A state that the swarm produces without a check of a blocking queue, as after a reset, is enqueued
+/// up to this multiple of the capacity.
+const MAX_OVERFULL: usize = 2;
 
-    /// An event.
-    fn event(&self, event: &Event);
-
-    /// Whether the swarm may take another step. If not, the subscriber wakes its thread later.
-    fn has_room(&self) -> bool;
+/// What a subscription receives, and the bounds of its queue.
+pub struct Limits {
+    /// The states whose step is a multiple of this.
+    pub every: u64,
+    /// The steps of the swarm after which the subscription ends.
+    pub steps: Option<u64>,
+    /// Capacity in states.
+    pub frames: usize,
+    /// Capacity in individuals of these states.
+    pub individuals: usize,
+    /// What happens to a state beyond the capacity.
+    pub overflow: Overflow,
 }
 
-/// The queues of one swarm.
-pub struct Output {
-    /// The swarm's name.
-    pub name: String,
-    contents: Mutex<Contents>,
-    subscribers: Mutex<Vec<Weak<dyn Subscriber>>>,
-    /// False only if there are no subscribers: a step without one takes no lock.
-    has_subscribers: AtomicBool,
-    frames: AtomicU64,
-    dropped: AtomicU64,
-    published: AtomicU64,
-    notify: Box<dyn Fn() + Send + Sync>,
-    is_watched: Box<dyn Fn(bool) -> bool + Send + Sync>,
+/// What happens to a state for which a queue has no room.
+pub enum Overflow {
+    /// The oldest states are dropped for it.
+    DropOldest,
+    /// It is dropped.
+    DropNewest,
+    /// The swarm takes no step while the queue is full; the callback wakes its thread.
+    Block(Box<dyn Fn() + Send + Sync>),
 }
 
-#[derive(Default)]
-struct Contents {
-    frames: VecDeque<Arc<Frame>>,
-    individuals: usize,
-    events: VecDeque<Event>,
-    is_notified: bool,
+/// The result of a wait for the next item.
+pub enum Next {
+    /// A state and when it was enqueued.
+    Frame(Arc<Frame>, SystemTime),
+    /// An event and when it was enqueued.
+    Event(Box<Event>, SystemTime),
+    /// The wait timed out.
+    Timeout,
+    /// The subscription has ended and its queue is empty.
+    End(End),
 }
 
-impl Output {
-    /// An empty output. `notify` is called when it is no longer empty; `is_watched` as in
-    /// [`Self::is_watched`].
-    pub fn new(
-        name: String,
-        notify: impl Fn() + Send + Sync + 'static,
-        is_watched: impl Fn(bool) -> bool + Send + Sync + 'static,
-    ) -> Self {
-        Output {
-            name,
-            contents: Mutex::default(),
-            subscribers: Mutex::default(),
-            has_subscribers: AtomicBool::new(false),
-            frames: AtomicU64::new(0),
-            dropped: AtomicU64::new(0),
-            published: AtomicU64::new(0),
-            notify: Box::new(notify),
-            is_watched: Box::new(is_watched),
-        }
-    }
+/// Why a subscription has ended.
+#[derive(Clone)]
+pub enum End {
+    /// The swarm was deleted.
+    Deleted,
+    /// The swarm has taken the number of steps in the limits.
+    Complete,
+    /// [`Subscription::end`] was called with this reason.
+    Closed(Option<String>),
+}
+
+/// The publisher of a swarm, as its thread calls it.
+pub trait Publish: Send + Sync {
+    /// The queue of the publisher was empty and no longer is.
+    fn notify(&self);
 
     /// Whether a frame would have a reader. For a moving swarm the answer may lag, since a new reader
     /// gets the next frame.
-    pub fn is_watched(&self, is_moving: bool) -> bool {
-        (self.is_watched)(is_moving)
-    }
+    fn is_watched(&self, is_moving: bool) -> bool;
+}
 
-    /// Passes every later state and event to `subscriber`, until it is dropped.
-    pub fn subscribe(&self, subscriber: &Arc<dyn Subscriber>) {
-        self.subscribers
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner)
-            .push(Arc::downgrade(subscriber));
-        self.has_subscribers.store(true, Ordering::Release);
-    }
+/// The subscriptions to one swarm.
+pub struct Output {
+    /// The swarm's name.
+    pub name: String,
+    /// The subscription of the publisher. It exists before the publisher opens the swarm, so that no
+    /// event is missing.
+    pub to_publish: Subscription,
+    publisher: OnceLock<Weak<dyn Publish>>,
+    published: AtomicU64,
+    subscriptions: Mutex<Vec<Weak<Subscription>>>,
+    /// False only if there are no subscriptions: a step without one takes no lock.
+    is_subscribed: AtomicBool,
+}
 
-    /// Passes the state at an epoch and step to the subscribers. Only for the thread of the swarm.
-    pub fn state(&self, at: (u64, u64), frame: impl Fn() -> Arc<Frame>) {
-        let copied = OnceCell::new();
-        for subscriber in self.subscribers() {
-            subscriber.state(at, &|| copied.get_or_init(&frame).clone());
+impl Output {
+    /// The output of a swarm that has no publisher yet.
+    pub fn new(name: String) -> Self {
+        Output {
+            name,
+            to_publish: Subscription::new(Limits {
+                every: 1,
+                steps: None,
+                frames: usize::MAX,
+                individuals: MAX_PUBLISHED_INDIVIDUALS,
+                overflow: Overflow::DropOldest,
+            }),
+            publisher: OnceLock::new(),
+            published: AtomicU64::new(0),
+            subscriptions: Mutex::default(),
+            is_subscribed: AtomicBool::new(false),
         }
     }
 
-    /// Whether every subscriber has room for another state. If not, the thread of the swarm is woken
+    /// Sets the publisher, and notifies it of what was queued before.
+    pub fn set_publisher<P: Publish + 'static>(&self, publisher: &Arc<P>) {
+        let weak: Weak<P> = Arc::downgrade(publisher);
+        let _ = self.publisher.set(weak);
+        publisher.notify();
+    }
+
+    /// Subscribes to every later state and event, until the subscription is dropped.
+    pub fn subscribe(&self, limits: Limits) -> Arc<Subscription> {
+        let subscription = Arc::new(Subscription::new(limits));
+        self.lock().push(Arc::downgrade(&subscription));
+        self.is_subscribed.store(true, Ordering::Release);
+        subscription
+    }
+
+    /// Passes the state at an epoch and step to the subscriptions other than the publisher's. Only for
+    /// the thread of the swarm.
+    pub fn state(&self, at: (u64, u64), frame: impl FnOnce() -> Arc<Frame>) {
+        let frame = LazyCell::new(frame);
+        for subscription in self.subscriptions() {
+            subscription.state(at, || Arc::clone(&frame));
+        }
+    }
+
+    /// Whether every subscription has room for another state. If not, the thread of the swarm is woken
     /// once it has.
     pub fn has_room(&self) -> bool {
-        // No short-circuit: each full subscriber must know that the thread waits.
-        let subscribers = self.subscribers();
-        subscribers
-            .iter()
-            .filter(|subscriber| !subscriber.has_room())
-            .count()
-            == 0
+        // No short-circuit: each full subscription must know that the thread waits.
+        let subscriptions = self.subscriptions().into_iter();
+        subscriptions.fold(true, |all, it| it.has_room() && all)
     }
 
-    /// Queues a frame. Only for the thread of the swarm.
-    pub fn push_frame(&self, frame: Arc<Frame>) {
-        add(&self.frames, 1);
-        self.put(|contents| {
-            contents.individuals += frame.configuration.n();
-            contents.frames.push_back(frame);
-            while contents.individuals > MAX_INDIVIDUALS && contents.frames.len() > 1 {
-                if let Some(oldest) = contents.frames.pop_front() {
-                    contents.individuals -= oldest.configuration.n();
-                    self.dropped.fetch_add(1, Ordering::Relaxed);
-                }
+    /// Queues a frame for the publisher if it has a reader. Only for the thread of the swarm.
+    pub fn push_frame(&self, is_moving: bool, frame: impl FnOnce() -> Arc<Frame>) {
+        if let Some(publisher) = self.publisher()
+            && publisher.is_watched(is_moving)
+        {
+            let (frame, queue) = (frame(), &self.to_publish);
+            if queue.put_frame(&mut queue.lock(), || frame) {
+                publisher.notify();
             }
-        });
+        }
     }
 
-    /// Counts frames that the publisher dropped for a newer one.
-    pub fn count_dropped(&self, count: u64) {
-        self.dropped.fetch_add(count, Ordering::Relaxed);
+    /// Queues an event.
+    pub fn push_event(&self, event: &Event) {
+        for subscription in self.subscriptions() {
+            subscription.push_event(event);
+        }
+        if self.to_publish.push_event(event)
+            && let Some(publisher) = self.publisher()
+        {
+            publisher.notify();
+        }
     }
 
     /// The number of states that were published.
@@ -139,55 +186,252 @@ impl Output {
         self.published.fetch_add(1, Ordering::Relaxed) + 1
     }
 
-    /// How many frames were queued, and how many of them were dropped.
-    pub fn frames(&self) -> (u64, u64) {
-        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        (read(&self.frames), read(&self.dropped))
+    fn publisher(&self) -> Option<Arc<dyn Publish>> {
+        self.publisher.get()?.upgrade()
     }
 
-    /// Queues an event.
-    pub fn push_event(&self, event: Event) {
-        for subscriber in self.subscribers() {
-            subscriber.event(&event);
+    /// The subscriptions that still exist, other than the publisher's.
+    fn subscriptions(&self) -> Vec<Arc<Subscription>> {
+        if !self.is_subscribed.load(Ordering::Acquire) {
+            return Vec::new();
         }
-        self.put(|contents| {
-            if contents.events.len() == MAX_EVENTS {
-                contents.events.pop_front();
+        let mut subscriptions = self.lock();
+        subscriptions.retain(|it| it.strong_count() > 0);
+        self.is_subscribed
+            .store(!subscriptions.is_empty(), Ordering::Release);
+        subscriptions.iter().filter_map(Weak::upgrade).collect()
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Weak<Subscription>>> {
+        self.subscriptions
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// A bounded queue of the states and events of a swarm, with one reader.
+pub struct Subscription {
+    limits: Limits,
+    contents: Mutex<Contents>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct Contents {
+    waiting: VecDeque<Next>,
+    /// The frames among them, and their individuals.
+    frames: usize,
+    individuals: usize,
+    /// States that were enqueued or dropped, and those that were dropped.
+    states: u64,
+    dropped: u64,
+    /// Epoch and step of the last state, enqueued or not, and the steps that the swarm has taken.
+    last: Option<(u64, u64)>,
+    steps: u64,
+    is_reader_waiting: bool,
+    is_swarm_waiting: bool,
+    end: Option<End>,
+}
+
+impl Contents {
+    fn is_full(&self, limits: &Limits, times: usize) -> bool {
+        self.frames >= times.saturating_mul(limits.frames)
+            || self.individuals >= times * limits.individuals
+    }
+
+    fn remove(&mut self, index: usize) -> Option<Next> {
+        let next = self.waiting.remove(index)?;
+        if let Next::Frame(frame, _) = &next {
+            self.frames -= 1;
+            self.individuals -= frame.configuration.n();
+        }
+        Some(next)
+    }
+
+    fn remove_oldest(&mut self, is_kind: fn(&Next) -> bool) {
+        let oldest = self.waiting.iter().position(is_kind);
+        oldest.and_then(|index| self.remove(index));
+    }
+}
+
+impl Subscription {
+    fn new(limits: Limits) -> Self {
+        Subscription {
+            limits,
+            contents: Mutex::default(),
+            changed: Condvar::new(),
+        }
+    }
+
+    /// Waits for the next item, at most until then.
+    pub fn next(&self, until: Option<Instant>) -> Next {
+        let mut contents = self.lock();
+        loop {
+            if let Some(next) = contents.remove(0) {
+                // Half empty, so that the swarm is not woken for every single step.
+                let is_half_empty = 2 * contents.frames <= self.limits.frames;
+                if is_half_empty && !contents.is_full(&self.limits, 1) {
+                    self.unblock(contents);
+                }
+                return next;
             }
-            contents.events.push_back(event);
-        });
+            if let Some(end) = &contents.end {
+                return Next::End(end.clone());
+            }
+            // Without an end, a wait of the longest duration is one without an end, too.
+            let left = until.map_or(Duration::MAX, |until| {
+                until.saturating_duration_since(Instant::now())
+            });
+            if left.is_zero() {
+                return Next::Timeout;
+            }
+            contents.is_reader_waiting = true;
+            let waited = self.changed.wait_timeout(contents, left);
+            contents = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
     }
 
     /// Takes all queued frames and events.
-    pub fn take(&self) -> (VecDeque<Arc<Frame>>, VecDeque<Event>) {
-        let Contents { frames, events, .. } = std::mem::take(&mut *self.lock());
+    pub fn take(&self) -> (VecDeque<Arc<Frame>>, Vec<Event>) {
+        let waiting = {
+            let mut contents = self.lock();
+            (contents.frames, contents.individuals) = (0, 0);
+            std::mem::take(&mut contents.waiting)
+        };
+        let (mut frames, mut events) = (VecDeque::new(), Vec::new());
+        for next in waiting {
+            match next {
+                Next::Frame(frame, _) => frames.push_back(frame),
+                Next::Event(event, _) => events.push(*event),
+                Next::Timeout | Next::End(_) => {}
+            }
+        }
         (frames, events)
     }
 
-    fn put(&self, put: impl FnOnce(&mut Contents)) {
-        let notify = {
-            let mut contents = self.lock();
-            put(&mut contents);
-            !std::mem::replace(&mut contents.is_notified, true)
-        };
-        if notify {
-            (self.notify)();
+    /// Ends the subscription unless it has ended: later states are ignored and the swarm does not wait.
+    /// The reader still receives what is in the queue.
+    pub fn end(&self, reason: Option<String>) {
+        let mut contents = self.lock();
+        contents.end.get_or_insert(End::Closed(reason));
+        self.notify_reader(&mut contents);
+        self.unblock(contents);
+    }
+
+    /// The number of states that were enqueued or dropped, and of those that were dropped.
+    pub fn frames(&self) -> (u64, u64) {
+        let contents = self.lock();
+        (contents.states, contents.dropped)
+    }
+
+    /// Counts states that the reader dropped.
+    pub fn count_dropped(&self, count: u64) {
+        self.lock().dropped += count;
+    }
+
+    /// The remaining steps, if their number is limited.
+    pub fn steps_left(&self) -> Option<u64> {
+        let steps = self.lock().steps;
+        self.limits.steps.map(|all| all.saturating_sub(steps))
+    }
+
+    /// The swarm has reached this epoch and step. Only for the thread of the swarm.
+    pub fn state(&self, at: (u64, u64), frame: impl FnOnce() -> Arc<Frame>) {
+        let mut contents = self.lock();
+        if contents.end.is_some() || contents.last == Some(at) {
+            return;
+        }
+        if let Some((epoch, step)) = contents.last.replace(at)
+            && epoch == at.0
+        {
+            contents.steps += at.1.saturating_sub(step);
+        }
+        if at.1.is_multiple_of(self.limits.every) {
+            self.put_frame(&mut contents, frame);
+        }
+        if self.limits.steps.is_some_and(|all| contents.steps >= all) {
+            contents.end = Some(End::Complete);
+            self.notify_reader(&mut contents);
         }
     }
 
-    /// The subscribers that still exist.
-    fn subscribers(&self) -> Vec<Arc<dyn Subscriber>> {
-        if !self.has_subscribers.load(Ordering::Acquire) {
-            return Vec::new();
+    /// Enqueues an event. Returns whether the queue was empty.
+    fn push_event(&self, event: &Event) -> bool {
+        let mut contents = self.lock();
+        if contents.end.is_some() {
+            return false;
         }
-        let mut subscribers = self
-            .subscribers
-            .lock()
-            .unwrap_or_else(PoisonError::into_inner);
-        subscribers.retain(|subscriber| subscriber.strong_count() > 0);
-        self.has_subscribers
-            .store(!subscribers.is_empty(), Ordering::Release);
-        subscribers.iter().filter_map(Weak::upgrade).collect()
+        let was_empty = contents.waiting.is_empty();
+        let is_full = contents.waiting.len() - contents.frames == MAX_EVENTS;
+        let drops_oldest = matches!(self.limits.overflow, Overflow::DropOldest);
+        if is_full && drops_oldest {
+            contents.remove_oldest(|it| matches!(it, Next::Event(..)));
+        }
+        if !is_full || drops_oldest {
+            let next = Next::Event(Box::new(event.clone()), SystemTime::now());
+            contents.waiting.push_back(next);
+        }
+        if matches!(event.kind, EventKind::Deleted) {
+            contents.end = Some(End::Deleted);
+        }
+        self.notify_reader(&mut contents);
+        was_empty
+    }
+
+    /// Enqueues or drops a frame. Returns whether the queue was empty.
+    fn put_frame(&self, contents: &mut Contents, frame: impl FnOnce() -> Arc<Frame>) -> bool {
+        let (limits, was_empty) = (&self.limits, contents.waiting.is_empty());
+        contents.states += 1;
+        let is_dropped = match limits.overflow {
+            Overflow::DropOldest => false,
+            Overflow::DropNewest => contents.is_full(limits, 1),
+            Overflow::Block(_) => contents.is_full(limits, MAX_OVERFULL),
+        };
+        if is_dropped {
+            contents.dropped += 1;
+            return was_empty;
+        }
+        let frame = frame();
+        contents.frames += 1;
+        contents.individuals += frame.configuration.n();
+        let next = Next::Frame(frame, SystemTime::now());
+        contents.waiting.push_back(next);
+        while matches!(limits.overflow, Overflow::DropOldest)
+            && contents.individuals > limits.individuals
+            && contents.frames > 1
+        {
+            contents.remove_oldest(|it| matches!(it, Next::Frame(..)));
+            contents.dropped += 1;
+        }
+        self.notify_reader(contents);
+        was_empty
+    }
+
+    /// Whether the swarm may take another step.
+    fn has_room(&self) -> bool {
+        let mut contents = self.lock();
+        let may_block = matches!(self.limits.overflow, Overflow::Block(_));
+        let is_full = contents.is_full(&self.limits, 1);
+        let has_room = !may_block || contents.end.is_some() || !is_full;
+        contents.is_swarm_waiting |= !has_room;
+        has_room
+    }
+
+    fn notify_reader(&self, contents: &mut Contents) {
+        if std::mem::take(&mut contents.is_reader_waiting) {
+            self.changed.notify_one();
+        }
+    }
+
+    /// Wakes the thread of the swarm if it waits for this queue.
+    fn unblock(&self, mut contents: MutexGuard<'_, Contents>) {
+        let is_waiting = std::mem::take(&mut contents.is_swarm_waiting);
+        drop(contents);
+        if let Overflow::Block(wake) = &self.limits.overflow
+            && is_waiting
+        {
+            wake();
+        }
     }
 
     fn lock(&self) -> MutexGuard<'_, Contents> {
@@ -199,33 +443,12 @@ impl Output {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::swarm::frame::{EventKind, Stamp};
+    use crate::swarm::frame::Stamp;
     use crate::swarm::phase::Phase;
 
-    /// Sums the numbers of events and the steps of states.
-    #[derive(Default)]
-    struct Sum {
-        events: AtomicU64,
-        steps: AtomicU64,
-    }
-
-    impl Subscriber for Sum {
-        fn state(&self, (_, step): (u64, u64), _: &dyn Fn() -> Arc<Frame>) {
-            add(&self.steps, step);
-        }
-
-        fn event(&self, event: &Event) {
-            add(&self.events, event.number);
-        }
-
-        fn has_room(&self) -> bool {
-            self.steps.load(Ordering::Relaxed) < 7
-        }
-    }
-
     #[test]
-    fn a_subscriber_receives_every_state_and_event_until_it_is_dropped() {
-        let output = Output::new("demo".to_owned(), || {}, |_| false);
+    fn a_subscription_receives_every_state_and_event_until_it_is_dropped() {
+        let output = Output::new("demo".to_owned());
         let push_event = |number| {
             let stamp = Stamp {
                 epoch: 0,
@@ -234,33 +457,41 @@ mod tests {
                 phase: Phase::Faulted("why".into()),
                 seq: 0,
             };
-            let kind = EventKind::Deleted;
-            output.push_event(Event {
+            output.push_event(&Event {
                 number,
                 stamp,
                 unix_secs: None,
-                kind,
+                kind: EventKind::Created,
             });
-            output.state((0, number), || unreachable!("no subscriber wants a copy"));
         };
+        let state = |step| output.state((0, step), || unreachable!("an odd step is not copied"));
         push_event(1);
-        let sum = Arc::new(Sum::default());
-        let subscriber: Arc<dyn Subscriber> = sum.clone();
-        output.subscribe(&subscriber);
-        assert!(output.has_room());
-        assert!(
-            !output.is_watched(false),
-            "a subscriber needs no published frame"
-        );
+        let subscription = output.subscribe(Limits {
+            every: 2,
+            steps: Some(4),
+            frames: 1,
+            individuals: 1,
+            overflow: Overflow::Block(Box::new(|| {})),
+        });
+        state(3);
         push_event(3);
+        assert_eq!(
+            subscription.steps_left(),
+            Some(4),
+            "the first state is no step"
+        );
+        state(7);
         push_event(4);
-        assert!(!output.has_room());
-        let read = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
-        assert_eq!((read(&sum.events), read(&sum.steps)), (7, 7));
-        drop((subscriber, sum));
-        assert!(output.has_room());
+        let next = || subscription.next(Some(Instant::now()));
+        assert!(matches!(next(), Next::Event(event, _) if event.number == 3));
+        assert!(matches!(next(), Next::End(End::Complete)));
+        assert!(output.has_room(), "the swarm does not wait after the end");
+        drop(subscription);
         push_event(5);
-        let (_, events) = output.take();
-        assert_eq!(events.len(), 4, "the publisher has all of them, too");
+        assert!(output.subscriptions().is_empty());
+        let (frames, events) = output.to_publish.take();
+        assert!(frames.is_empty(), "the publisher receives published frames");
+        let numbers: Vec<_> = events.iter().map(|event| event.number).collect();
+        assert_eq!(numbers, [1, 3, 4, 5]);
     }
 }

@@ -234,16 +234,9 @@ impl SwarmRegistry {
         answer: impl FnOnce() -> ReplyTo,
     ) -> Result<(), RegistryError> {
         let (messages, taken) = sync_channel(MAX_MESSAGES);
-        let ready = (self.observer.clone(), name.to_owned());
-        let watched = ready.clone();
-        let output = Output::new(
-            name.to_owned(),
-            move || ready.0.output_ready(&ready.1),
-            move |is_moving| watched.0.is_watched(&watched.1, is_moving),
-        );
         let handle = Handle {
             spec: Arc::new(spec),
-            output: Arc::new(output),
+            output: Arc::new(Output::new(name.to_owned())),
             history: Arc::default(),
             metrics: Arc::default(),
             messages: Arc::new(messages),

@@ -67,10 +67,6 @@ pub trait Playback: Send {
 
 /// Lifecycle callbacks of swarms, called on the thread of the swarm.
 pub trait SwarmObserver: Send + Sync {
-    /// The output of the swarm was empty and no longer is.
-    fn output_ready(&self, name: &str);
-    /// Whether frames of the swarm have a reader: see [`Output::is_watched`](crate::swarm::output::Output::is_watched).
-    fn is_watched(&self, name: &str, is_moving: bool) -> bool;
     /// The swarm is built. The observer sends `reply` once clients can reach it.
     fn started(&self, name: &str, reply: DeferredReply);
     /// The swarm has ended. The observer releases the name and sends `reply` once clients can no

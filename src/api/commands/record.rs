@@ -13,7 +13,7 @@ use crate::api::responder::Responder;
 use crate::convert::commands::{CommandError, DEFAULT_TIMEOUT, check_name};
 use crate::convert::{self, Payload};
 use crate::health::RecordingCounts;
-use crate::recording::{NewRecording, Phase, RecordError, Recordings, Source, Status};
+use crate::recording::{Choice, NewRecording, Phase, RecordError, Recordings, Source, Status};
 use crate::swarm::error::SwarmError;
 use crate::swarm::handle::Message;
 use crate::swarm::outcome::{Outcome, Rejection, ReplyTo};
@@ -49,8 +49,12 @@ impl Context {
                 handle.send(Message::Query(ReplyTo::new(
                     move |answered| match answered {
                         Ok((_, Outcome::State(now))) => {
-                            let choice = (args.every, args.steps, args.drop_when_behind);
-                            let source = Source::tap(&tapped, &now, choice, 0);
+                            let choice = Choice {
+                                every: args.every,
+                                steps: args.steps,
+                                drops: args.drop_when_behind,
+                            };
+                            let source = Source::subscribe(&tapped, &now, choice);
                             files.submit(move |recordings| {
                                 let new = NewRecording {
                                     name: args.recording,
@@ -158,15 +162,12 @@ pub fn resume(recordings: &Recordings, files: &Executor<Recordings>, host: &Arc<
         handle.send(Message::Query(ReplyTo::new(
             move |answered| match answered {
                 Ok((_, Outcome::State(now))) => {
-                    let Status {
-                        every,
-                        steps_left,
-                        drop_when_behind,
-                        missed,
-                        ..
-                    } = standing;
-                    let choice = (every, steps_left, drop_when_behind);
-                    let source = Source::tap(&tapped, &now, choice, missed);
+                    let choice = Choice {
+                        every: standing.every,
+                        steps: standing.steps_left,
+                        drops: standing.drop_when_behind,
+                    };
+                    let source = Source::subscribe(&tapped, &now, choice);
                     resume(Some(source));
                 }
                 Err(Rejection {

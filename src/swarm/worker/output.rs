@@ -74,9 +74,8 @@ impl Worker {
 
     /// Publishes the state if it has a reader.
     pub(super) fn push_frame(&self) {
-        if self.output.is_watched(self.phase.is_moving()) {
-            self.output.push_frame(self.frame(false));
-        }
+        let is_moving = self.phase.is_moving();
+        self.output.push_frame(is_moving, || self.frame(false));
     }
 
     /// The wall-clock time of what happens now, in seconds since 1970. During a replay only the times
@@ -101,7 +100,7 @@ impl Worker {
         done
     }
 
-    /// Passes the state to the subscribers of the output, whether or not it is published.
+    /// Passes the state to the recordings, whether or not it is published.
     pub(super) fn record_state(&self) {
         self.output.state(self.at(), || self.frame(false));
     }
@@ -117,7 +116,7 @@ impl Worker {
         self.history.record_event(&event);
         // Replayed events were published before.
         if !self.journal.is_replaying() {
-            self.output.push_event(event);
+            self.output.push_event(&event);
         }
     }
 

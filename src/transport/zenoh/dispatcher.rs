@@ -216,7 +216,7 @@ impl Dispatcher {
             }
             None => {
                 let lease = self.pool.lease();
-                lease.and_then(|lease| self.publisher.open(lease, swarm, handle.output.clone()))
+                lease.and_then(|lease| self.publisher.open(lease, handle.output.clone()))
             }
         };
         match opened.and_then(|()| self.endpoints.open(swarm)) {

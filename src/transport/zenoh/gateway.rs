@@ -20,38 +20,19 @@ use crate::swarm::outcome::DeferredReply;
 use crate::swarm::runner::SwarmObserver;
 use crate::transport::zenoh::claims::{Claims, Gate, Name};
 use crate::transport::zenoh::messages::DispatchMessage;
-use crate::transport::zenoh::publisher::Publisher;
 use crate::transport::zenoh::session_pool::LeaseGuard;
 
 /// The longest request that the receiving thread handles, in bytes.
 const MAX_INLINE_BYTES: usize = 16 * 1024;
 
-/// Notifies the dispatcher and the publisher of changes of swarms.
-pub struct LifecycleNotifier {
-    /// The queue of the dispatcher.
-    pub messages: SyncSender<DispatchMessage>,
-    /// The publisher.
-    pub publisher: Arc<Publisher>,
-}
-
-impl SwarmObserver for LifecycleNotifier {
-    fn output_ready(&self, name: &str) {
-        self.publisher.notify(name);
-    }
-
-    fn is_watched(&self, name: &str, is_moving: bool) -> bool {
-        self.publisher.has_subscribers(name, is_moving)
-    }
-
+// An error means that the daemon is stopping.
+impl SwarmObserver for SyncSender<DispatchMessage> {
     fn started(&self, name: &str, reply: DeferredReply) {
-        // An error means that the daemon is stopping.
-        let message = DispatchMessage::Begun(name.to_owned(), reply);
-        let _ = self.messages.send(message);
+        let _ = self.send(DispatchMessage::Begun(name.to_owned(), reply));
     }
 
     fn ended(&self, name: &str, reply: DeferredReply) {
-        let message = DispatchMessage::Ended(name.to_owned(), reply);
-        let _ = self.messages.send(message);
+        let _ = self.send(DispatchMessage::Ended(name.to_owned(), reply));
     }
 }
 

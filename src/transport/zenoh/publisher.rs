@@ -1,17 +1,12 @@
-//! Publishes the states, the order samples and the events of every swarm.
-//!
-//! | topic | queue | what is dropped | rate |
-//! |---|---|---|---|
-//! | `state` | the frames in the swarm's output | the oldest frames, if the publisher lags; all without a subscriber | each `publish_every`-th step, at most `max_hz`, and each change of a swarm that does not move |
-//! | `order` | the same frames | the same | the same |
-//! | `event` | the events in the swarm's output | the oldest events, if the publisher lags | each event, with or without a subscriber |
+//! Publishes the states, the order samples and the events of every swarm; `src/swarm/output.rs` has
+//! the queue and rate of each topic.
 //!
 //! In addition, zenoh drops a sample of any topic for a subscriber whose connection is congested, so
 //! that a stopped subscriber delays no other. A subscriber detects missing events by their numbers, and
 //! fetches them from the cache of this publisher or with `get/events`.
 //!
-//! The thread `publish` takes the contents of one output after the other. A swarm notifies it through
-//! an unbounded channel, but only when its output was empty before: the channel stays short.
+//! The thread `publish` takes the contents of one queue after the other. A swarm notifies it through
+//! an unbounded channel, but only when its queue was empty before: the channel stays short.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -32,7 +27,7 @@ use crate::convert::{self, Payload};
 use crate::metrics::Activity;
 use crate::swarm::frame::Frame;
 use crate::swarm::outcome::DeferredReply;
-use crate::swarm::output::Output;
+use crate::swarm::output::{Output, Publish};
 use crate::transport::zenoh::messages::DispatchMessage;
 use crate::transport::zenoh::publish_schedule::{MAX_BATCH_WINDOW, PublishScheduler};
 use crate::transport::zenoh::session_pool::Lease;
@@ -50,47 +45,19 @@ const MAX_BURST: Duration = MAX_BATCH_WINDOW.saturating_mul(2);
 /// The publishers of one swarm.
 pub struct Publication {
     output: Arc<Output>,
+    messages: Sender<PublishMessage>,
     /// Whether frames and events are discarded instead of published.
     is_muted: AtomicBool,
-    publishers: Publishers,
-    _lease: Lease,
-}
-
-struct Publishers {
     state: MatchedPublisher,
     order: MatchedPublisher,
     event: AdvancedPublisher<'static>,
+    _lease: Lease,
 }
 
 /// A publisher with its last known matching status: a query of the status takes longer than a step.
 struct MatchedPublisher {
     publisher: ZenohPublisher<'static>,
     is_matched: Arc<AtomicBool>,
-}
-
-impl Publishers {
-    fn declare(session: &Session, prefix: &str, swarm: &str) -> zenoh::Result<Self> {
-        let publisher = |key: String, encoding: &'static str| {
-            let publisher = session
-                .declare_publisher(key)
-                .congestion_control(CongestionControl::Drop)
-                .encoding(encoding)
-                .wait()?;
-            MatchedPublisher::new(publisher)
-        };
-        Ok(Publishers {
-            state: publisher(keys::state(prefix, swarm), CBOR)?,
-            order: publisher(keys::order(prefix, swarm), JSON)?,
-            event: session
-                .declare_publisher(keys::event(prefix, swarm))
-                .congestion_control(CongestionControl::Drop)
-                .encoding(JSON)
-                .advanced()
-                .cache(CacheConfig::default().max_samples(MAX_CACHED_EVENTS))
-                .sample_miss_detection(MissDetectionConfig::default().heartbeat(HEARTBEAT_INTERVAL))
-                .wait()?,
-        })
-    }
 }
 
 /// Publishes every swarm, on a thread of its own.
@@ -136,12 +103,6 @@ impl Publisher {
         Ok(publisher)
     }
 
-    /// Notifies the thread that a swarm's output is no longer empty.
-    pub fn notify(&self, swarm: &str) {
-        // An error means that the daemon is stopping.
-        let _ = self.messages.send(PublishMessage::Notify(swarm.to_owned()));
-    }
-
     /// Publishes every delayed swarm, then ends the thread.
     pub fn stop(&self) {
         let _ = self.messages.send(PublishMessage::Stop);
@@ -152,17 +113,26 @@ impl Publisher {
     /// # Errors
     ///
     /// When zenoh rejects a publisher.
-    pub fn open(&self, lease: Lease, swarm: &str, output: Arc<Output>) -> zenoh::Result<()> {
-        let publishers = Publishers::declare(&lease, &self.prefix, swarm)?;
+    pub fn open(&self, lease: Lease, output: Arc<Output>) -> zenoh::Result<()> {
+        let (prefix, swarm) = (&self.prefix, &output.name);
+        let event = lease
+            .declare_publisher(keys::event(prefix, swarm))
+            .congestion_control(CongestionControl::Drop)
+            .encoding(JSON)
+            .advanced()
+            .cache(CacheConfig::default().max_samples(MAX_CACHED_EVENTS))
+            .sample_miss_detection(MissDetectionConfig::default().heartbeat(HEARTBEAT_INTERVAL));
         let publication = Arc::new(Publication {
-            output,
+            messages: self.messages.clone(),
             is_muted: AtomicBool::new(false),
-            publishers,
+            state: MatchedPublisher::declare(&lease, keys::state(prefix, swarm), CBOR)?,
+            order: MatchedPublisher::declare(&lease, keys::order(prefix, swarm), JSON)?,
+            event: event.wait()?,
+            output: output.clone(),
             _lease: lease,
         });
-        self.lock().insert(swarm.to_owned(), publication);
-        // The output may have been filled before; its notification had no effect then.
-        self.notify(swarm);
+        self.lock().insert(swarm.clone(), publication.clone());
+        output.set_publisher(&publication);
         Ok(())
     }
 
@@ -190,13 +160,6 @@ impl Publisher {
         self.lock().get(swarm).cloned()
     }
 
-    /// Whether a swarm's states or order samples have a subscriber. If the swarm does not move, a
-    /// subscriber that has just been declared counts, too.
-    pub fn has_subscribers(&self, swarm: &str, is_moving: bool) -> bool {
-        self.find(swarm)
-            .is_some_and(|publication| publication.has_subscribers(is_moving))
-    }
-
     fn run(&self, messages: &Receiver<PublishMessage>) {
         let mut scheduler = PublishScheduler::default();
         loop {
@@ -213,7 +176,7 @@ impl Publisher {
                 Ok(PublishMessage::Close(swarm, reply)) => {
                     let publication = self.lock().remove(&swarm);
                     if let Some(publication) = publication {
-                        publication.publish(&swarm);
+                        publication.publish();
                     }
                     scheduler.forget(&swarm);
                     let closed = DispatchMessage::Closed(swarm, reply);
@@ -238,10 +201,9 @@ impl Publisher {
         }
     }
 
-    /// Publishes the contents of a swarm's output. Returns false if the swarm is not published.
+    /// Publishes what a swarm has queued. Returns false if the swarm is not published.
     fn publish(&self, swarm: &str) -> bool {
-        let publication = self.find(swarm);
-        publication.inspect(|it| it.publish(swarm)).is_some()
+        self.find(swarm).inspect(|it| it.publish()).is_some()
     }
 
     fn lock(&self) -> std::sync::MutexGuard<'_, BTreeMap<String, Arc<Publication>>> {
@@ -251,56 +213,68 @@ impl Publisher {
     }
 }
 
-impl Publication {
-    fn has_subscribers(&self, is_moving: bool) -> bool {
-        let Publishers { state, order, .. } = &self.publishers;
-        state.is_known_matched()
-            || order.is_known_matched()
-            || (!is_moving && (state.is_matched() || order.is_matched()))
+impl Publish for Publication {
+    fn notify(&self) {
+        let notify = PublishMessage::Notify(self.output.name.clone());
+        // An error means that the daemon is stopping.
+        let _ = self.messages.send(notify);
     }
 
-    fn publish(&self, swarm: &str) {
-        let publishers = &self.publishers;
-        let (mut frames, events) = self.output.take();
+    /// The swarm asks here for each frame, rather than reading a flag that zenoh's matching status
+    /// keeps up to date: the status arrives a moment after the subscription, so a paused swarm would
+    /// publish its first frame late, or, if the status were to make it publish, once per exchange.
+    fn is_watched(&self, is_moving: bool) -> bool {
+        let publishers = [&self.state, &self.order];
+        let is_matched = |is_moving| publishers.iter().any(|it| it.is_matched(is_moving));
+        // What is known of both is checked first.
+        is_matched(true) || (!is_moving && is_matched(false))
+    }
+}
+
+impl Publication {
+    fn publish(&self) {
+        let (mut frames, events) = self.output.to_publish.take();
         if self.is_muted.load(Ordering::Relaxed) {
             return;
         }
+        let swarm = &self.output.name;
         for event in events {
             let Payload { bytes, .. } = Payload::json(&convert::event(swarm, event, refusal));
-            report(swarm, publishers.event.put(bytes).wait());
+            report(swarm, self.event.put(bytes).wait());
         }
         let began = Instant::now();
         while let Some(frame) = frames.pop_front() {
-            self.publish_frame(swarm, publishers, &frame);
+            self.publish_frame(&frame);
             if frames.len() > 1 && began.elapsed() > MAX_BURST {
-                let newest = frames.split_off(frames.len() - 1);
-                self.output.count_dropped(frames.len() as u64);
-                frames = newest;
+                let newest = frames.len() - 1;
+                frames.drain(..newest);
+                self.output.to_publish.count_dropped(newest as u64);
             }
         }
     }
 
     /// Publishes a state and an order sample, each only if it has a subscriber.
-    fn publish_frame(&self, swarm: &str, publishers: &Publishers, frame: &Frame) {
-        let number = self.output.count_published();
+    fn publish_frame(&self, frame: &Frame) {
+        let (swarm, number) = (&self.output.name, self.output.count_published());
         let is_moving = frame.stamp.phase.is_moving();
-        let is_matched = |publisher: &MatchedPublisher| match is_moving {
-            true => publisher.is_known_matched(),
-            false => publisher.is_matched(),
-        };
-        if is_matched(&publishers.state) {
+        if self.state.is_matched(is_moving) {
             let bytes = convert::state(swarm, frame, number).to_cbor();
-            report(swarm, publishers.state.publisher.put(bytes).wait());
+            report(swarm, self.state.publisher.put(bytes).wait());
         }
-        if is_matched(&publishers.order) {
+        if self.order.is_matched(is_moving) {
             let Payload { bytes, .. } = Payload::json(&convert::order_sample(swarm, frame, number));
-            report(swarm, publishers.order.publisher.put(bytes).wait());
+            report(swarm, self.order.publisher.put(bytes).wait());
         }
     }
 }
 
 impl MatchedPublisher {
-    fn new(publisher: ZenohPublisher<'static>) -> zenoh::Result<Self> {
+    fn declare(session: &Session, key: String, encoding: &'static str) -> zenoh::Result<Self> {
+        let publisher = session
+            .declare_publisher(key)
+            .congestion_control(CongestionControl::Drop)
+            .encoding(encoding)
+            .wait()?;
         let is_matched = Arc::new(AtomicBool::new(false));
         let status = is_matched.clone();
         let listener = publisher
@@ -313,19 +287,12 @@ impl MatchedPublisher {
         })
     }
 
-    /// Whether zenoh has reported a subscriber, which it does a moment after the declaration.
-    fn is_known_matched(&self) -> bool {
-        self.is_matched.load(Ordering::Relaxed)
-    }
-
-    /// Whether there is a subscriber, including one that was declared just before the last request.
-    fn is_matched(&self) -> bool {
-        self.is_known_matched()
-            || self
-                .publisher
-                .matching_status()
-                .wait()
-                .is_ok_and(|status| status.matching())
+    /// Whether zenoh has reported a subscriber, which it does a moment after the declaration. Unless
+    /// the swarm moves, a subscriber that was declared just before the last request counts, too.
+    fn is_matched(&self, is_moving: bool) -> bool {
+        let is_known = self.is_matched.load(Ordering::Relaxed);
+        let asks = || self.publisher.matching_status().wait();
+        is_known || (!is_moving && asks().is_ok_and(|status| status.matching()))
     }
 }
 

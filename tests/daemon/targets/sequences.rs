@@ -72,12 +72,6 @@ impl Bytes<'_> {
 struct Silence(OnceLock<Weak<SwarmRegistry>>);
 
 impl SwarmObserver for Silence {
-    fn output_ready(&self, _: &str) {}
-
-    fn is_watched(&self, _: &str, _: bool) -> bool {
-        false
-    }
-
     fn started(&self, _: &str, reply: DeferredReply) {
         reply.send();
     }
